@@ -168,11 +168,10 @@ def live(seed: int, field: str, seconds: float) -> None:
     from quadtree_lss.onboard.nodes.ros_messages import message_maker
 
     make, offsets, content = message_maker("map"), [], []
-    names = tuple((name, "f4") for name in "xyz")
     for _, _, points, pose in scans(seed, field, int(seconds * RATE) + 1):
         turn = quaternion_from_rotation(pose.rotation_map_lidar)
         said = make.pose(0, pose.position, turn, pose.covariance.ravel())
-        cloud = make.cloud(points.view(record_dtype(names))[..., 0], names, 0)
+        cloud = make.cloud(points.view(record_dtype(("f4", "xyz")))[..., 0], 0)
         offsets += [pose.stamp_ns - 10**9] * 2
         content += [bytearray(serialize_message(message)) for message in (said, cloud)]
     script = Script(offsets, [False, True] * (len(offsets) // 2), content, offsets[-1])

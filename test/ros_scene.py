@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import time
-from array import array
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from numpy.typing import NDArray
-from sensor_msgs.msg import PointCloud2, PointField
+from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.lab.live.listener import Listener
 from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, BagRecorder, Messages
@@ -20,8 +19,9 @@ from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.nodes.qos import stream
-from quadtree_lss.onboard.nodes.ros_messages import header_message
+from quadtree_lss.onboard.nodes.ros_messages import TYPES, header_message, packed
 
+MAKE = Messages(TYPES, packed)  # of rclpy's classes
 START_NS = 1_700_000_000_000_000_000
 SCAN_NS, POSE_NS = 100_000_000, 37_000_000
 POSITION = np.array([0.0, 0.0, 100.0])
@@ -88,27 +88,12 @@ def write_bag(path: Path, scans: int) -> None:
                 bag.write(SCAN_TOPIC, event.stamp_ns + 10_000_000, scan)
 
 
-def cloud(stamp_ns: int, points_lidar: NDArray[np.float64]) -> PointCloud2:
-    """Organised float32 cloud."""
-    height, width = points_lidar.shape[:2]
-    message = PointCloud2(header=header_message(stamp_ns, "lidar"), height=height, width=width)
-    message.fields = [
-        PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1)
-        for k, name in enumerate("xyz")
-    ]
-    message.point_step, message.row_step = 12, 12 * width
-    message.data = array("B", points_lidar.astype("<f4").tobytes())
-    return message
+cloud = MAKE.scan
 
 
 def pose(stamp_ns: int) -> PoseWithCovarianceStamped:
     """Pose of the hovering lidar."""
-    message = PoseWithCovarianceStamped(header=header_message(stamp_ns, "map"))
-    position, orientation = message.pose.pose.position, message.pose.pose.orientation
-    position.x, position.y, position.z = POSITION.tolist()
-    orientation.x, orientation.y, orientation.z, orientation.w = DOWN_XYZW.tolist()
-    message.pose.covariance = COVARIANCE.reshape(-1)
-    return message
+    return MAKE.pose(stamp_ns, POSITION, DOWN_XYZW, COVARIANCE)
 
 
 def gimbal(stamp_ns: int, translation: tuple[float, float, float]) -> TransformStamped:
@@ -122,11 +107,7 @@ def gimbal(stamp_ns: int, translation: tuple[float, float, float]) -> TransformS
 
 def level_body(stamp_ns: int, above: float) -> PoseWithCovarianceStamped:
     """Pose of a level body whose origin lies ``above`` the lidar."""
-    message = pose(stamp_ns)
-    message.pose.pose.position.z += above
-    turn = message.pose.pose.orientation
-    turn.x, turn.y, turn.z, turn.w = 0.0, 0.0, 0.0, 1.0
-    return message
+    return MAKE.pose(stamp_ns, POSITION + (0.0, 0.0, above), (0.0, 0.0, 0.0, 1.0), COVARIANCE)
 
 
 class Sensors:

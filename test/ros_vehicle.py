@@ -5,33 +5,30 @@ import dataclasses
 
 import numpy as np
 from geometry_msgs.msg import (
-    Point32,
-    PointStamped,
     PolygonInstanceStamped,
     PolygonStamped,
     PoseArray,
 )
 from nav_msgs.msg import OccupancyGrid
 from ros.conftest import status_values, told
-from ros_scene import START_NS, mapped
+from ros_scene import MAKE, START_NS, mapped
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.nodes.qos import latched
-from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages
+from quadtree_lss.onboard.nodes.ros_messages import map_messages
 
 
-def polygon(corners, frame="map"):
-    message = PolygonStamped(header=header_message(1, frame))
-    message.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners]
+def polygon(corners, frame="map", number=None):
+    """Of a set, with a number."""
+    message = MAKE.polygon(1, corners, number)
+    message.header.frame_id = frame
     return message
 
 
 def point(x, y):
-    message = PointStamped(header=header_message(1, "map"))
-    message.point.x, message.point.y = x, y
-    return message
+    return MAKE.point(1, (x, y, 0.0))
 
 
 def flat_map():

@@ -175,7 +175,7 @@ def test_a_fit_weighs_by_the_noise_at_its_range():
 
 def test_noise_of_stereo_goes_with_the_square_of_the_depth():
     """And is common to range and depth by the angle between them: seen from beside, too."""
-    lidar = {"range_noise": 0.02, "noise_model": "stereo", "disparity_sigma": 0.1}
+    lidar = {"range_noise": 0.02, "disparity_sigma": 0.1}
     of = Rules(configured(lidar={**lidar, "focal_length": 400.0, "baseline": 0.05}))
     of.look(np.array([0.0, 0.0, -1.0]))
     cloud, given = tilted(np.random.default_rng(13), 7, 0.0), (2.0, NORMAL, NO_POSE)

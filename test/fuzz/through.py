@@ -46,12 +46,7 @@ from quadtree_lss.onboard.messages.landing_inputs import (
     polygon_from_message,
     prior_from_message,
 )
-from quadtree_lss.onboard.messages.maps import (
-    CELL_FIELDS,
-    PRIOR_STATUS_FIELDS,
-    STATUS_FIELDS,
-    record_dtype,
-)
+from quadtree_lss.onboard.messages.maps import CELL_FIELDS, PRIOR_STATUS_FIELDS, STATUS_FIELDS
 from quadtree_lss.onboard.messages.outputs import (
     MessageMaker,
     map_from_messages,
@@ -229,7 +224,7 @@ class Maps:
 
     def spoil_cells(self, cloud: SimpleNamespace, grid: SimpleNamespace) -> None:
         rng, which = self.rng, self.rng.integers(8)
-        kinds = record_dtype(CELL_FIELDS)
+        kinds = CELL_FIELDS
         whole = len(cloud.data) % kinds.itemsize == 0
         if which <= 3 and whole:
             records = np.frombuffer(bytes(cloud.data), kinds).copy()
@@ -525,7 +520,7 @@ class Depth:
         values = {"lidar.source": "depth", "lidar.depth_step": int(rng.integers(1, 3))}
         values["lidar.depth_raw"] = bool(rng.integers(2))
         if rng.random() < 0.5:
-            values |= {"lidar.noise_model": "stereo", "lidar.focal_length": self.FOCAL}
+            values |= {"lidar.baseline": 0.05, "lidar.focal_length": self.FOCAL}
         self.config = config_from_values(values, one_of(rng, CONFIGS))
         self.selector = LandingSiteSelector(self.config)
         self.intake, self.mapper = Intake(self.config), Mapper(self.config)
@@ -716,7 +711,7 @@ class Told:
         (_, _), (_, cloud) = MAKER.of_target(self.found, 0.0, prior)
         cloud.fields = [SimpleNamespace(**vars(field)) for field in cloud.fields]
         if rng.random() < 0.5:
-            kinds = record_dtype(PRIOR_STATUS_FIELDS if prior is not None else STATUS_FIELDS)
+            kinds = PRIOR_STATUS_FIELDS if prior is not None else STATUS_FIELDS
             record = np.frombuffer(bytes(cloud.data), kinds).copy()
             for _ in range(rng.integers(1, 4)):
                 cases.spoil_values(record[one_of(rng, kinds.names)], rng)

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-DATATYPES = {"f4": 7, "f8": 8, "i4": 5, "u4": 6, "u1": 2}
+DATATYPES = {"f4": 7, "f8": 8, "i4": 5, "u4": 6, "u2": 4, "u1": 2}
 
 
 def header(stamp_ns=0, frame="map"):
@@ -24,7 +24,6 @@ def cloud(
     row_padding=0,
     stamp_ns=0,
     container=np.asarray,
-    filler=0xA5,
     times=None,
 ):
     """A cloud of points (H, W, 3) or (N, 3); ``gap`` bytes after each field, junk in between.
@@ -33,41 +32,43 @@ def cloud(
     """
     points = np.asarray(points, dtype=np.float64)
     grid = points if points.ndim == 3 else points[None]
-    height, width, _ = grid.shape
     columns = [grid[..., k] for k in range(3)]
     if times is not None:
         names, kinds = (*names, times[0]), (*kinds, times[1])
-        columns.append(np.reshape(times[2], (height, width)))
-    offsets, offset = [], lead
-    for kind in kinds:
-        offsets.append(offset)
-        offset += int(kind[1]) + gap
-    point_step, row_step = offset, offset * width + row_padding
-    data = np.full(height * row_step, filler, dtype=np.uint8)
-    for k, (kind, start) in enumerate(zip(kinds, offsets, strict=True)):
-        if not data.size:
-            break
-        view = np.ndarray(
-            (height, width),
-            dtype=order + kind,
-            buffer=data,
-            offset=start,
-            strides=(row_step, point_step),
-        )
-        view[...] = columns[k]
+        columns.append(np.reshape(times[2], grid.shape[:2]))
+    offsets = lead + np.cumsum([0, *(int(kind[1]) + gap for kind in kinds)])
+    layout = np.dtype(
+        {
+            "names": names,
+            "formats": [order + kind for kind in kinds],
+            "offsets": offsets[:-1],
+            "itemsize": offsets[-1],
+        }
+    )
+    return cloud_of(layout, columns, row_padding, stamp_ns, container)
+
+
+def cloud_of(layout, columns, row_padding=0, stamp_ns=0, container=np.asarray):
+    """A cloud of the fields that a NumPy type has, at its places; what is none of them is junk."""
+    height, width = columns[0].shape
+    records = np.full((height, width * layout.itemsize), 0xA5, dtype=np.uint8).view(layout)
+    for name, values in zip(layout.names, columns, strict=True):
+        records[name] = values
+    rows = records.view(np.uint8).reshape(height, -1)
+    rows = np.pad(rows, ((0, 0), (0, row_padding)), constant_values=0xA5)
     fields = [
-        SimpleNamespace(name=name, offset=start, datatype=DATATYPES[kind], count=1)
-        for name, kind, start in zip(names, kinds, offsets, strict=True)
+        SimpleNamespace(name=name, offset=at, datatype=DATATYPES[kind.str[1:]], count=1)
+        for name, (kind, at) in ((name, layout.fields[name]) for name in layout.names)
     ]
     return SimpleNamespace(
         header=header(stamp_ns, "lidar"),
         height=height,
         width=width,
         fields=fields,
-        is_bigendian=order == ">",
-        point_step=point_step,
-        row_step=row_step,
-        data=container(data),
+        is_bigendian=any(kind.str[0] == ">" for kind, _ in layout.fields.values()),
+        point_step=layout.itemsize,
+        row_step=rows.shape[1],
+        data=container(rows.reshape(-1)),
         is_dense=False,
     )
 

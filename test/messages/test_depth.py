@@ -94,7 +94,7 @@ def test_pixels_between_near_and_far_are_dropped_and_counted(step):
 
 def test_noise_of_stereo_is_no_edge():
     """At 10 m neighbours differ by decimetres; a plane seen at 20 degrees is one, too."""
-    stereo = {"noise_model": "stereo", "disparity_sigma": 0.1, "focal_length": F, "baseline": 0.5}
+    stereo = {"disparity_sigma": 0.1, "focal_length": F, "baseline": 0.5}
     rng = np.random.default_rng(1)
     z = np.full((H, W), 10.0) + rng.normal(0.0, 0.1 * 100.0 / (F * 0.5), (H, W))
     seen = camera(**stereo)
@@ -128,7 +128,7 @@ def test_what_cannot_be_used_is_told():
     wrong = dataclasses.replace(MAKE.camera(1, H, W, F, np.ones(5)), distortion_model="equidistant")
     with pytest.raises(MessageError, match="equidistant"):
         raw.on_info(wrong)
-    stereo = DepthCamera(LidarConfig(noise_model="stereo"))
+    stereo = DepthCamera(LidarConfig(baseline=0.05))
     assert "lidar.focal_length is 380" in stereo.on_info(MAKE.camera(1, H, W, F))
     assert stereo.on_info(MAKE.camera(2, H, W, F)) == "", "told once"
 

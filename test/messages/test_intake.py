@@ -34,6 +34,10 @@ def test_a_scan_between_two_poses_is_ready_with_the_pose_between():
     assert intake.notices() == [] and not intake.dropped and not intake.rejected
 
 
+@pytest.mark.survives(
+    "wrong frame, bad quaternion or covariance, malformed cloud",
+    "not used, counted by reason",
+)
 def test_bad_messages_are_counted_by_reason_and_told_once_each():
     intake = Intake(CONFIG)
     wrong = scan(10)
@@ -42,7 +46,9 @@ def test_bad_messages_are_counted_by_reason_and_told_once_each():
     intake.on_cloud(scan(20, n=0), 0)
     intake.on_pose(pose(0, frame="odom"))
     intake.on_pose(pose(0, xyzw=(0, 0, 0, 0)))
-    expected = ["cloud_size", "cloud_empty", "pose_frame", "pose_quaternion"]
+    intake.on_pose(pose(0, covariance=-np.eye(6)))
+    expected = ["cloud_size", "cloud_empty"]
+    expected += ["pose_frame", "pose_quaternion", "pose_covariance"]
     assert [notice.reason for notice in intake.notices()] == expected
     assert intake.notices() == []
     assert intake.rejected == dict.fromkeys(expected, 1)

@@ -79,11 +79,10 @@ def test_maps_of_nothing_and_of_one_level_survive(level):
 
 
 def test_records_are_packed_little_endian_with_x_y_z_first():
-    kind = maps.record_dtype(maps.CELL_FIELDS)
+    kind = maps.CELL_FIELDS
     assert kind.names[:3] == ("x", "y", "z")
-    assert kind.itemsize == sum(np.dtype(k).itemsize for _, k in maps.CELL_FIELDS)
+    assert kind.itemsize == sum(kind[name].itemsize for name in kind.names)
     assert all(kind[name].str[0] in "<|" for name in kind.names)
-    assert all(k in maps.POINT_FIELD_TYPES for _, k in (*maps.CELL_FIELDS, *maps.SITE_FIELDS))
 
 
 def test_x_y_z_show_the_cells_centre(cells):
@@ -165,6 +164,8 @@ def test_site_table_and_grids(cells):
     assert len(assessment.sites.score) > 0
     table = maps.encode_sites(assessment)
     np.testing.assert_allclose(table["x"], assessment.sites.position[:, 0], rtol=1e-6)
+    for name in ("score", "roughness", "hazard_distance", "subscale_height", "id", "probability"):
+        np.testing.assert_allclose(table[name], getattr(assessment.sites, name), rtol=1e-6)
     np.testing.assert_allclose(table["slope"], np.radians(assessment.sites.slope_deg), rtol=1e-6)
     score = maps.encode_score(assessment)
     allowed = np.isfinite(assessment.score)
@@ -186,7 +187,7 @@ def test_site_table_and_grids(cells):
 
 def test_maps_from_before_are_known_where_they_were_measured_and_have_no_bounds(cells):
     records = maps.encode_cells(cells)
-    kind = maps.record_dtype(maps.CELL_FIELDS_BEFORE)
+    kind = maps.CELL_FIELDS_BEFORE
     before = np.zeros(len(records), dtype=kind)
     for name in kind.names:
         before[name] = records[name]
@@ -255,7 +256,7 @@ def test_a_map_of_another_scale_is_refused_before_anything_is_made_of_it(cells):
 
 def test_a_map_of_too_many_finest_cells_is_refused():
     n = 1 << 12
-    records = np.zeros(1, dtype=maps.record_dtype(maps.CELL_FIELDS))
+    records = np.zeros(1, dtype=maps.CELL_FIELDS)
     records["size"] = 100.0
     observed = np.broadcast_to(np.zeros((), dtype=bool), (n, n))
     with pytest.raises(maps.MessageError, match="the most") as caught:

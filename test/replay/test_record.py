@@ -19,13 +19,7 @@ from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.desk.replay.replay import ReplayError, replay
 from quadtree_lss.desk.replay.stream import MapPairs
 from quadtree_lss.onboard.config.settings import config_from_values
-from quadtree_lss.onboard.messages.maps import (
-    CELL_FIELDS,
-    SITE_FIELDS,
-    STATUS_FIELDS,
-    encode_score,
-    record_dtype,
-)
+from quadtree_lss.onboard.messages.maps import CELL_FIELDS, SITE_FIELDS, STATUS_FIELDS, encode_score
 
 CONFIG = config_from_values({**GROUND, "publish.rate": 5.0, "publish.lss_rate": 2.0})
 MS = 1_000_000
@@ -79,10 +73,10 @@ def test_late_subscribers_are_served_when_it_is_played(recorded):
 def test_the_last_products_are_those_of_the_results(recorded):
     result, path = recorded
     last = {topic: message for topic, _, message in messages(path)}
-    cells = np.frombuffer(last["/map/cells"].data.tobytes(), record_dtype(CELL_FIELDS))
+    cells = np.frombuffer(last["/map/cells"].data.tobytes(), CELL_FIELDS)
     np.testing.assert_array_equal(cells["elevation"], result.cells.z)
     sites = result.assessment.sites
-    table = np.frombuffer(last["/landing/site_table"].data.tobytes(), record_dtype(SITE_FIELDS))
+    table = np.frombuffer(last["/landing/site_table"].data.tobytes(), SITE_FIELDS)
     np.testing.assert_allclose(table["score"], sites.score, rtol=1e-6)
     poses = last["/landing/sites"].poses
     np.testing.assert_array_equal(
@@ -171,9 +165,7 @@ def test_an_existing_bag_is_not_overwritten(recorded, tmp_path):
 def test_the_target_is_told_in_the_bag_as_in_the_results(recorded):
     result, path = recorded
     told = products_of(path, "/landing/status")
-    records = [
-        np.frombuffer(message.data.tobytes(), record_dtype(STATUS_FIELDS))[0] for message in told
-    ]
+    records = [np.frombuffer(message.data.tobytes(), STATUS_FIELDS)[0] for message in told]
     assert [record["answer"] for record in records] == list(range(1, len(records) + 1))
     assert (np.array([record["age"] for record in records]) >= 0.0).all()
     assert records[-1]["doubts"] == len(result.assessment.doubts)

@@ -13,15 +13,15 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rclpy.qos import QoSProfile
+from ros_scene import MAKE
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PX4
 from quadtree_lss.onboard.core.landing.target import State
-from quadtree_lss.onboard.messages.maps import STATUS_FIELDS, record_dtype
-from quadtree_lss.onboard.messages.outputs import MessageMaker
+from quadtree_lss.onboard.messages.maps import STATUS_FIELDS
 from quadtree_lss.onboard.nodes.qos import latched, stream, target
-from quadtree_lss.onboard.nodes.ros_messages import TYPES, header_message, packed, time_message
+from quadtree_lss.onboard.nodes.ros_messages import header_message, time_message
 
 pytestmark = pytest.mark.xdist_group("ros_autopilot")
 FAST = {
@@ -30,7 +30,6 @@ FAST = {
     "descent_speed": 1.5,
     "touchdown_speed": 0.5,
     "transit_speed": 4.0,
-    "max_heartbeat_age": 2.0,
 }
 
 
@@ -65,7 +64,6 @@ class Scene:
             node.create_timer(0.01, tell)
             options += ["-p", "use_sim_time:=true"]
         self.node = ros.start("autopilot_node", *options)
-        self._maker, self._due = MessageMaker(TYPES, packed, "map"), 0.0
         timer = node.create_timer(0.1, self._say)
         assert timer is not None
 
@@ -78,14 +76,12 @@ class Scene:
         if self.silent:
             return
         stamp = time.time_ns()
-        message = PoseWithCovarianceStamped(header=header_message(stamp, "map"))
-        at = message.pose.pose.position
-        at.x, at.y, at.z = map(float, self.place)
-        record = np.zeros(1, dtype=record_dtype(STATUS_FIELDS))
+        record = np.zeros(1, dtype=STATUS_FIELDS)
         record["age"], record["offset_z"] = self.map_age, math.nan
         record["state"] = self.says
-        self._selected.publish(message)
-        self._status.publish(self._maker.cloud(record, STATUS_FIELDS, stamp))
+        turn = (0.0, 0.0, 0.0, 1.0)
+        self._selected.publish(MAKE.pose(stamp, self.place, turn, np.zeros((6, 6))))
+        self._status.publish(MAKE.cloud(record, stamp))
 
     def wait(self, condition, seconds=40.0):
         assert self.listener.wait_for(condition, timeout=seconds), (
@@ -239,8 +235,8 @@ def test_what_lss_node_never_says_is_passed_over(scene):
     node, wait = flight.listener.node, flight.listener.wait_for
     flight.wait(lambda: flight.states).silent = True  # so that no other status comes after it
     status = node.create_publisher(PointCloud2, "landing/status", latched())
-    empty = np.zeros(0, dtype=record_dtype(STATUS_FIELDS))
-    status.publish(MessageMaker(TYPES, packed, "map").cloud(empty, STATUS_FIELDS, 0))
+    empty = np.zeros(0, dtype=STATUS_FIELDS)
+    status.publish(MAKE.cloud(empty, 0))
     assert wait(lambda: "landing/status has 0 points" in flight.node.output())
     node.destroy_publisher(status)
     flight.silent = False

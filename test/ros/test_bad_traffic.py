@@ -22,7 +22,7 @@ from geometry_msgs.msg import (
 from nav_msgs.msg import OccupancyGrid
 from ros.conftest import status_values
 from ros.test_depth import FOCAL, SHAPE, CameraSensors
-from ros_scene import Sensors, cloud, pose
+from ros_scene import MAKE, Sensors, cloud, pose
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 
 from quadtree_lss.lab.live.listener import TOPICS
@@ -242,11 +242,9 @@ def test_bad_messages_beside_good_ones_change_nothing(ros, source):
                     bad.send()
                 print(f"seed {seed}: {dict(bad.sent)}")
                 for topic in ("landing/area", "landing/keep_out"):
-                    bad.out[topic].publish(PolygonStamped(header=header_message(1, "map")))
+                    bad.out[topic].publish(MAKE.polygon(1, []))
                 for number in range(IDS):
-                    lifted = PolygonInstanceStamped(header=header_message(1, "map"))
-                    lifted.polygon.id = number
-                    bad.out["landing/keep_outs"].publish(lifted)
+                    bad.out["landing/keep_outs"].publish(MAKE.polygon(1, [], number))
             for number in range(2, 12):  # a late bad map may take a good one's place
                 last = sensors.publish(1, offset_ns=number * LONG_NS, make_cloud=make)
                 done = functools.partial(mapped_at, listener, last)

@@ -107,23 +107,6 @@ def _stamp_in(path):
 
 
 @pytest.mark.survives(
-    "checkpoint damaged, or of another domain, or with figures in it that none can be",
-    "set aside as `….refused`, with a line, and mapping goes on from an empty map",
-)
-def test_damaged_checkpoint_is_set_aside_and_mapping_goes_on(ros):
-    path = ros.folder / "checkpoint.map"
-    path.write_bytes(b"PK\x03\x04 something else")
-    mapping = ros.start("mapping_node", "-p", f"checkpoint.path:={path}")
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
-        sensors.map(mapping, SCANS)
-        assert listener.wait_for(lambda: has(listener, "problems.checkpoint", 1))
-    assert path.with_name("checkpoint.map.refused").exists()
-    assert "starting with an empty map" in mapping.output()
-    assert "Traceback" not in mapping.output()
-
-
-@pytest.mark.survives(
     "disk full, path not writable",
     "`problems.checkpoint` counts, one line in five seconds, mapping goes on, written as soon as "
     "it can be",

@@ -3,12 +3,11 @@
 
 import numpy as np
 import pytest
-from ros_scene import POSITION, SCAN_NS, START_NS, Sensors, pose
+from ros_scene import MAKE, POSITION, SCAN_NS, START_NS, Sensors, pose
 from sensor_msgs.msg import CameraInfo, Image
 
-from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.nodes.qos import stream
-from quadtree_lss.onboard.nodes.ros_messages import packed, time_message
+from quadtree_lss.onboard.nodes.ros_messages import packed
 
 SHAPE, FOCAL = (48, 64), 200.0
 pytestmark = pytest.mark.xdist_group("ros")
@@ -23,18 +22,12 @@ class CameraSensors(Sensors):
         node.destroy_publisher(self.scans)
         self.scans = node.create_publisher(Image, "depth/image", profile)
         self.camera = node.create_publisher(CameraInfo, "depth/camera_info", profile)
-        self._make = Messages()
 
     def image(self, stamp_ns, points_lidar):
-        height, width = SHAPE
-        made = self._make.camera(stamp_ns, height, width, FOCAL)
-        info = CameraInfo(height=height, width=width, distortion_model="plumb_bob")
-        info.d, info.k, info.p = made.d.tolist(), made.k, made.p
-        self.camera.publish(info)
-        message = Image(height=height, width=width, encoding="32FC1", step=4 * width)
-        message.header.stamp, message.header.frame_id = time_message(stamp_ns), "camera"
-        depth = np.full((height, width), POSITION[2], dtype="<f4")
-        message.data = packed(depth.view(np.uint8).reshape(-1))
+        self.camera.publish(MAKE.camera(stamp_ns, *SHAPE, FOCAL))
+        message = MAKE.depth(stamp_ns, np.full(SHAPE, np.nan))
+        message.encoding, message.step = "32FC1", 4 * SHAPE[1]
+        message.data = packed(np.full(SHAPE, POSITION[2], "<f4").view(np.uint8).reshape(-1))
         return message
 
 

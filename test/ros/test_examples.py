@@ -10,20 +10,17 @@ import pytest
 from geometry_msgs.msg import PointStamped, PoseWithCovarianceStamped
 from installed import SHARE
 from rclpy.duration import Duration
+from ros_scene import MAKE
 
 from quadtree_lss.onboard.nodes.qos import latched
-from quadtree_lss.onboard.nodes.ros_messages import header_message
 
 pytestmark = pytest.mark.xdist_group("ros")
 FOLDER = SHARE / "examples"
 
 
 def selected(place, stamp_ns=7):
-    message = PoseWithCovarianceStamped(header=header_message(stamp_ns, "map"))
-    at = message.pose.pose.position
-    at.x, at.y, at.z = place
-    message.pose.covariance = np.diag([0.01, 0.04, 0.09, 0.0, 0.0, 0.0]).ravel()
-    return message
+    covariance = np.diag([0.01, 0.04, 0.09, 0.0, 0.0, 0.0])
+    return MAKE.pose(stamp_ns, place, (0.0, 0.0, 0.0, 1.0), covariance)
 
 
 @pytest.fixture

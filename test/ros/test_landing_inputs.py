@@ -7,10 +7,8 @@ import functools
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import (
-    PolygonInstanceStamped,
-    PoseWithCovarianceStamped,
-)
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from ros_scene import MAKE
 from ros_vehicle import Vehicle, flat_map, point, polygon
 from sensor_msgs.msg import PointCloud2
 
@@ -25,7 +23,7 @@ from quadtree_lss.onboard.messages.maps import SITE_FIELDS
 from quadtree_lss.onboard.messages.outputs import cloud_records
 from quadtree_lss.onboard.nodes.landing_topics import JOIN_S, UNHEARD_S
 from quadtree_lss.onboard.nodes.qos import latched
-from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages
+from quadtree_lss.onboard.nodes.ros_messages import map_messages
 
 pytestmark = pytest.mark.xdist_group("ros_landing")
 
@@ -33,14 +31,10 @@ EVERYWHERE = [(-16, -16), (16, -16), (16, 16), (-16, 16)]
 WEST = [(-16, -16), (5, -16), (5, 16), (-16, 16)]
 
 
-def dispersion(var_x, var_y, heading=0.0, heading_variance=0.0, frame="map"):
-    message = PoseWithCovarianceStamped(header=header_message(1, frame))
-    message.pose.pose.orientation.z = float(np.sin(0.5 * heading))
-    message.pose.pose.orientation.w = float(np.cos(0.5 * heading))
-    covariance = np.zeros(36)
-    covariance[[0, 7, 35]] = var_x, var_y, heading_variance
-    message.pose.covariance = covariance
-    return message
+def dispersion(var_x, var_y, heading=0.0, heading_variance=0.0):
+    turn = (0.0, 0.0, np.sin(0.5 * heading), np.cos(0.5 * heading))
+    covariance = np.diag([var_x, var_y, 0.0, 0.0, 0.0, heading_variance])
+    return MAKE.pose(1, np.zeros(3), turn, covariance)
 
 
 @pytest.fixture(scope="module")
@@ -92,9 +86,7 @@ def test_a_restarted_node_has_all_keep_outs_of_the_latched_set(ros, vehicle):
     wait = vehicle.listener.wait_for
     south = [(4, -16), (16, -16), (16, 0), (4, 0)]
     for number, corners in ((1, WEST), (2, south), (3, WEST), (3, [])):
-        message = PolygonInstanceStamped(header=header_message(1, "map"))
-        message.polygon.polygon, message.polygon.id = polygon(corners).polygon, number
-        vehicle.send("landing/keep_outs", message)
+        vehicle.send("landing/keep_outs", polygon(corners, number=number))
     stamp = vehicle.send_map(0)
     for _ in range(2):
         lss = ros.start("lss_node")

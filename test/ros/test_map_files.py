@@ -16,9 +16,8 @@ from ros_scene import COVARIANCE, POSITION, ROTATION, SCAN_NS, events
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
-from quadtree_lss.onboard.nodes.checkpoints import Checkpoints
 from quadtree_lss.onboard.nodes.files import MapFileError, write_atomically
-from quadtree_lss.onboard.nodes.map_files import WrongContentError, load, save
+from quadtree_lss.onboard.nodes.map_files import Checkpoints, WrongContentError, load, save
 
 SMALL = {"domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}}
 
@@ -52,6 +51,10 @@ def test_a_writer_killed_at_any_moment_leaves_a_whole_file(tmp_path):
     assert path.read_bytes() == b"new" and not part.exists()
 
 
+@pytest.mark.survives(
+    "checkpoint damaged, or of another domain, or with figures in it that none can be",
+    "set aside as `….refused`, with a line, and mapping goes on from an empty map",
+)
 def test_map_files_survive_what_disks_do(tmp_path):
     mapper = Mapper(load_config(overrides=SMALL))
     file = tmp_path / "file"
@@ -69,9 +72,19 @@ def test_map_files_survive_what_disks_do(tmp_path):
     assert "no checkpoint" in checkpoints.take_up(mapper)
     other = Mapper(load_config(overrides={**SMALL, "domain.max_level": 7}))
     save(tmp_path / "map", other)
-    with pytest.raises(MapFileError, match="another domain"):
+    with pytest.raises(MapFileError, match="another domain.*starting with an empty map"):
         checkpoints.take_up(mapper)
     assert (tmp_path / "map.refused").exists() and not (tmp_path / "map").exists()
+
+
+def test_without_a_path_nothing_is_kept(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    mapper, checkpoints = Mapper(load_config(overrides=SMALL)), Checkpoints("")
+    assert checkpoints.take_up(mapper) == ""
+    checkpoints.changed()
+    checkpoints.forget()
+    assert write_once(checkpoints, mapper) is None and checkpoints.close(mapper) is None
+    assert not os.listdir(tmp_path)
 
 
 def test_a_link_stays_and_what_it_points_to_is_written_and_removed(tmp_path):
@@ -89,7 +102,7 @@ def test_a_link_stays_and_what_it_points_to_is_written_and_removed(tmp_path):
     (disk / "real").write_bytes(b"damaged")
     with pytest.raises(MapFileError, match="set aside"):
         checkpoints.take_up(mapper)
-    assert [path.name for path in disk.iterdir()] == ["real.refused"]
+    assert sorted(os.listdir(disk)) == ["real.lock", "real.refused"]
 
 
 @pytest.mark.survives(
@@ -165,6 +178,15 @@ def test_a_file_larger_than_any_map_is_not_read_into_memory(tmp_path):
         load(path, Mapper(load_config(overrides=SMALL)))
 
 
+def taken_up(path, mapper):
+    """What a node that starts says of its checkpoint; it ends at once."""
+    checkpoints = Checkpoints(path)
+    try:
+        return checkpoints.take_up(mapper)
+    finally:
+        checkpoints.close(mapper)
+
+
 def kept(path, scans):
     """A keeper of checkpoints, after writing one for each of so many scans; and its mapper."""
     mapper = Mapper(load_config(overrides=SMALL))
@@ -191,18 +213,18 @@ def test_the_checkpoint_before_is_kept_and_taken_up_when_the_newest_is_damaged(t
     path.write_bytes(path.read_bytes()[:-1000])
     mapper = Mapper(load_config(overrides=SMALL))
     with pytest.raises(MapFileError, match="map: .*set aside as map.refused; .*previous taken up"):
-        Checkpoints(path).take_up(mapper)
+        taken_up(path, mapper)
     assert mapper.stamp_ns == newest.stamp_ns - SCAN_NS and not path.exists()
-    assert "map.previous taken up" in Checkpoints(path).take_up(mapper), "nothing wrong: no newer"
+    assert "map.previous taken up" in taken_up(path, mapper), "nothing wrong: no newer"
     before.write_bytes(b"damaged")
     (tmp_path / "map.refused").unlink()
     empty = Mapper(load_config(overrides=SMALL))
     with pytest.raises(MapFileError, match="previous: is not a checkpoint.*starting with an empty"):
-        Checkpoints(path).take_up(empty)
+        taken_up(path, empty)
     assert empty.stamp_ns == 0
     checkpoints, _ = kept(path, 2)
     checkpoints.forget()
-    assert not os.listdir(tmp_path), "a reset forgets both"
+    assert os.listdir(tmp_path) == ["map.lock"], "a reset forgets both"
 
 
 @pytest.mark.survives(
@@ -235,24 +257,21 @@ def test_a_broken_map_never_replaces_a_good_checkpoint(tmp_path, name, value):
 
 @pytest.mark.survives(
     "a second `mapping_node` on the same checkpoint",
-    "the second is whichever began to write later; the first's lock on the file ends with it",
+    "the second is whichever started later; the first's lock on `….lock` ends with it",
 )
 def test_a_second_keeper_of_one_checkpoint_is_told_and_writes_nothing(tmp_path):
     path = tmp_path / "map"
     mapper, other = (Mapper(load_config(overrides=SMALL)) for _ in range(2))
-    first, second, third = Checkpoints(path), Checkpoints(path), Checkpoints(path)
-    for checkpoints in (first, second):
-        assert "no checkpoint" in checkpoints.take_up(mapper), "nobody has one yet"
+    first, second = Checkpoints(path), Checkpoints(path)
+    assert "no checkpoint" in first.take_up(mapper)
+    with pytest.raises(MapFileError, match="another node keeps.*starting with an empty map"):
+        second.take_up(other)
+    assert "another node keeps" in second.foreign
     for error in write_once(first, mapper), write_once(first, mapper):
         assert error is None
     stored = path.stat()
-    assert "another node keeps" in write_once(second, other)
-    with pytest.raises(MapFileError, match="another node keeps.*starting with an empty map"):
-        third.take_up(other)
-    for checkpoints in (second, third):
-        assert "another node keeps" in checkpoints.foreign
-        assert write_once(checkpoints, other) is None and checkpoints.written == 0
-        checkpoints.forget()
+    assert write_once(second, other) is None and second.written == 0
+    second.forget()
     assert path.stat() == stored and (tmp_path / "map.previous").exists()
     assert first.close(mapper) is None
     assert "taken up" in Checkpoints(path).take_up(other), "free once the first has ended"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros.conftest import status_values
-from ros_scene import BLOCK, Sensors, cloud, events, last_scan_ns, pose, write_bag
+from ros_scene import BLOCK, Sensors, cloud, events, last_scan_ns, write_bag
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss import build
@@ -122,51 +122,6 @@ def test_live_equals_offline_cell_for_cell(ros):
     assert len(results.positions) and site_difference(live, results.sites) < 1e-6
 
 
-@pytest.mark.survives(
-    "wrong frame, bad quaternion or covariance, malformed cloud",
-    "not used, counted by reason",
-)
-def test_malformed_messages_are_counted_and_survived(ros):
-    mapping = ros.start("mapping_node")
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
-        good = next(e for e in events(1) if e.points_lidar is not None)
-        truncated = cloud(good.stamp_ns, good.points_lidar)
-        truncated.data = truncated.data[:-5]
-        nameless = cloud(good.stamp_ns, good.points_lidar)
-        nameless.fields = nameless.fields[:2]
-        endless = cloud(good.stamp_ns, good.points_lidar)
-        endless.width = 4_000_000_000
-        for bad in (truncated, nameless, endless, PointCloud2(), truncated):
-            sensors.scans.publish(bad)
-        not_unit = pose(good.stamp_ns)
-        not_unit.pose.pose.orientation.w = float("nan")
-        elsewhere = pose(good.stamp_ns)
-        elsewhere.header.frame_id = "odom"
-        negative = pose(good.stamp_ns)
-        negative.pose.covariance[0] = -1.0
-        for bad in (not_unit, elsewhere, negative):
-            sensors.poses.publish(bad)
-
-        sensors.map(mapping, SCANS)
-        counts = functools.partial(status_values, listener, "mapping_node")
-        expected = {
-            "problems.cloud_size": "2",
-            "problems.cloud_fields": "1",
-            "problems.cloud_too_large": "1",
-            "problems.cloud_empty": "1",
-            "problems.pose_quaternion": "1",
-            "problems.pose_frame": "1",
-            "problems.pose_covariance": "1",
-            "scans": str(SCANS),
-        }
-        assert listener.wait_for(lambda: counts().items() >= expected.items()), counts()
-    mapping.check()
-    warnings = [line for line in mapping.output().splitlines() if "bytes" in line]
-    assert len(warnings) == 1, "one line for two truncated clouds"
-    assert "Traceback" not in mapping.output()
-
-
 def test_late_and_restarted_subscribers_get_the_map(ros):
     mapping = ros.start("mapping_node")
     with ros.listen() as first:
@@ -201,7 +156,7 @@ def test_incompatible_qos_is_told_with_its_remedy(ros):
 def test_unknown_parameter_is_an_error_that_names_the_nearest(ros, name):
     node = ros.start(name, "-p", "domain.max_levle:=7")
     assert node.process.wait(30.0) == WRONG_CONFIGURATION
-    lines = node.output().splitlines()
+    lines = [line for line in node.output().splitlines() if "starting, waiting" not in line]
     assert len(lines) == 1
     assert "domain.max_levle" in lines[0] and "'domain.max_level'" in lines[0]
 

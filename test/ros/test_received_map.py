@@ -15,7 +15,7 @@ from ros.conftest import process
 from ros_vehicle import Vehicle, flat_map
 
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.nodes import diagnostics
+from quadtree_lss.onboard.nodes import diagnostics, entry
 from quadtree_lss.onboard.nodes.diagnostics import Problems
 from quadtree_lss.onboard.nodes.received_map import ReceivedMap
 from quadtree_lss.onboard.nodes.ros_messages import map_messages
@@ -185,13 +185,14 @@ def test_what_a_first_map_lacks(cells):
 
 def test_who_waits_says_for_what_ever_less_often(monkeypatch):
     clock = SimpleNamespace(monotonic=lambda: clock.now, now=100.0)
-    monkeypatch.setattr(diagnostics, "time", clock)
-    lines = []
-    waiting = diagnostics.Waiting(SimpleNamespace(warning=lines.append))
+    monkeypatch.setattr(entry, "time", clock)
+    lines, waiting = [], entry.Waiting("lss_node")
+    monkeypatch.setattr(entry, "_waiting", [waiting])
     for _ in range(40):
         clock.now += 1.0
-        waiting.tell("a map")
-        waiting.tell("")
+        for what in ("", "a map"):
+            entry.waits_for(what, lines.append)
+            waiting.look()
     assert lines == ["waiting for a map"] * 3, "after 5, 15 and 35 s"
 
 

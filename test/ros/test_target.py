@@ -14,6 +14,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile
 from ros.conftest import process
+from ros_scene import MAKE
 from ros_vehicle import Vehicle, flat_map, polygon
 from sensor_msgs.msg import PointCloud2
 
@@ -22,7 +23,6 @@ from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.messages.maps import SITE_FIELDS, STATUS_FIELDS
 from quadtree_lss.onboard.messages.outputs import cloud_records
 from quadtree_lss.onboard.nodes.qos import latched, stream, target
-from quadtree_lss.onboard.nodes.ros_messages import header_message
 
 pytestmark = pytest.mark.xdist_group("ros_target")
 
@@ -119,9 +119,9 @@ def test_a_vehicle_that_is_low_is_committed_by_its_poses(ros, pilot):
     number = itertools.count(1)
 
     def low():
-        pose = PoseWithCovarianceStamped(header=header_message(next(number) * 10**8, "map"))
-        pose.pose.pose.position.z = pilot.place()[2] + 19.0
-        navigation.publish(pose)
+        place = (0.0, 0.0, pilot.place()[2] + 19.0)
+        stamp, turn = next(number) * 10**8, (0.0, 0.0, 0.0, 1.0)
+        navigation.publish(MAKE.pose(stamp, place, turn, np.zeros((6, 6))))
         pilot.send_map(next(number))
         return is_in(State.COMMITTED)
 

@@ -161,9 +161,9 @@ class CloudFiles(Bag):
         if self._poses is None:
             points = (points - self._eye) @ LOOKING_DOWN
         kind = "f4" if points.dtype == np.float32 else "f8"
-        fields = tuple((axis, kind) for axis in "xyz")
-        records = np.ascontiguousarray(points, f"<{kind}").view(record_dtype(fields))[..., 0]
-        return self._of_lidar.cloud(records, fields, stamp)
+        fields = record_dtype((kind, "xyz"))
+        records = np.ascontiguousarray(points, fields["x"]).view(fields)[..., 0]
+        return self._of_lidar.cloud(records, stamp)
 
     def _pose_message(self, number: int) -> Any:
         stamp, table = self._pose_stamps[number], self._poses

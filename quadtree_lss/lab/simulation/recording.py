@@ -23,7 +23,7 @@ DEPTH_TOPIC, CAMERA_TOPIC = "/depth/image", "/depth/camera_info"
 IMAGE, CAMERA = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 DEPTH_TYPES = {DEPTH_TOPIC: IMAGE, CAMERA_TOPIC: CAMERA}
 TYPES = {SCAN_TOPIC: CLOUD, POSE_TOPIC: POSE}
-XYZ = (("x", "f4"), ("y", "f4"), ("z", "f4"))
+XYZ = record_dtype(("f4", "xyz"))
 
 
 class Messages(MessageMaker):
@@ -42,8 +42,8 @@ class Messages(MessageMaker):
 
     def scan(self, stamp_ns: int, points_lidar: Array) -> Any:
         """An organised cloud (H, W, 3): x, y, z float32, NaN = no return."""
-        points = np.ascontiguousarray(points_lidar, "<f4").view(record_dtype(XYZ))[..., 0]
-        cloud = self.cloud(points, XYZ, stamp_ns)
+        points = np.ascontiguousarray(points_lidar, "<f4").view(XYZ)[..., 0]
+        cloud = self.cloud(points, stamp_ns)
         cloud.header.frame_id = "lidar"
         cloud.is_dense = bool(np.isfinite(points_lidar).all())
         return cloud

@@ -20,7 +20,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from quadtree_lss.onboard.config.settings import ConfigError, flatten
-from quadtree_lss.onboard.config.yaml_text import MOST_BYTES, YamlError, parse_yaml
+from quadtree_lss.onboard.config.yaml_text import YamlError, read_yaml
 
 NODES = ("mapping_node", "lss_node")
 ROS_OWN = re.compile(r"use_sim_time|start_type_description_service|qos_overrides\..*")
@@ -46,7 +46,10 @@ def read_values(path: str | os.PathLike[str], faults: list[str] | None = None) -
             if not _is_ours(name):
                 continue
             sections += 1
-            values |= flatten(_keys_of(name, section))
+            if not isinstance(section or {}, Mapping):
+                msg = f"ros__parameters of '{name}' holds no keys"
+                raise ConfigError(msg)
+            values |= flatten(section or {})
         except ConfigError as error:
             if faults is None:
                 msg = f"{path}: {error}"
@@ -82,11 +85,7 @@ def check_reaches(path: str | os.PathLike[str], node: str) -> None:
 
 def _content(path: str | os.PathLike[str]) -> Mapping[Any, Any]:
     try:
-        with open(path, encoding="utf-8") as file:
-            content = parse_yaml(file.read(MOST_BYTES + 1))
-    except (OSError, UnicodeDecodeError) as error:
-        msg = f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
-        raise ConfigError(msg) from None
+        content = read_yaml(path)
     except YamlError as error:
         msg = f"{path}: {error}"
         raise ConfigError(msg) from None
@@ -114,17 +113,3 @@ def _is_ours(name: str) -> bool:
         msg = f"unknown section '{node}'; did you mean '{close[0]}'?"
         raise ConfigError(msg)
     return False
-
-
-def _keys_of(name: str, section: object) -> dict[str, object]:
-    if section is not None and not isinstance(section, Mapping):
-        msg = f"ros__parameters of '{name}' holds no keys"
-        raise ConfigError(msg)
-    return _with_text_keys(section or {})
-
-
-def _with_text_keys(values: Mapping[Any, Any]) -> dict[str, object]:
-    return {
-        str(key): _with_text_keys(value) if isinstance(value, Mapping) else value
-        for key, value in values.items()
-    }

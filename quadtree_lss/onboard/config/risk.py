@@ -6,7 +6,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import numpy as np
 
 from quadtree_lss.onboard.config.parameter import ConfigError
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.config.yaml_text import MOST_BYTES, YamlError, parse_yaml
+from quadtree_lss.onboard.config.yaml_text import YamlError, read_yaml
 
 SHIPPED = "flash_lidar.yaml"
 Row = tuple[float, ...]
@@ -140,18 +139,11 @@ def risk_model(name: str) -> RiskModel:
     Raises:
         ConfigError: there is no such file, or it holds no model.
     """
+    file = Path(name).expanduser() if name else Path(__file__).with_name(SHIPPED)
     try:
-        if name:
-            file = Path(name).expanduser()
-            with file.open("rb") as stream:
-                text = stream.read(MOST_BYTES)
-        else:
-            text = (resources.files("quadtree_lss.onboard.config") / SHIPPED).read_bytes()
-        values = parse_yaml(text.decode())
-        return _from_values(values)
-    except (OSError, UnicodeDecodeError, YamlError) as error:
-        why = getattr(error, "strerror", None) or error
-        msg = f"lss.risk_model: cannot read {name or SHIPPED}: {why}"
+        return _from_values(read_yaml(file))
+    except YamlError as error:
+        msg = f"lss.risk_model: {name or SHIPPED} {error}"
         raise ConfigError(msg) from error
     except (ConfigError, KeyError, TypeError, ValueError, AttributeError) as error:
         why = f"{error} is missing" if isinstance(error, KeyError) else error
@@ -200,9 +192,6 @@ def _from_values(values: Any) -> RiskModel:
     def row(given: Any) -> Row:
         return tuple(float(value) for value in given)
 
-    if "rise_odds" in values:
-        msg = "it is of a former version: fit-risk makes one anew"
-        raise ConfigError(msg)
     causes = {}
     for name in CAUSES:
         given = dict(values[name])

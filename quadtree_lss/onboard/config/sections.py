@@ -59,18 +59,15 @@ class LidarConfig:
     range_noise_per_metre: float = _p(
         0.0, "what each metre of range adds to this deviation", (0.0, 1.0)
     )
-    noise_model: str = _p(
-        "range",
-        "how noise grows with range: by range_noise_per_metre, or with stereo by"
-        " disparity_sigma z^2 / (focal_length baseline) at the depth z, besides"
-        " range_noise",
-        choices=("range", "stereo"),
-    )
-    disparity_sigma: float = _p(
-        0.1, "standard deviation of a disparity, with noise_model stereo", (0.0, 10.0), "px"
-    )
+    disparity_sigma: float = _p(0.1, "standard deviation of a disparity", (0.0, 10.0), "px")
     focal_length: float = _p(380.0, "of the camera in pixels of its full image", (1.0, 1e5), "px")
-    baseline: float = _p(0.05, "between the two cameras", (1e-3, 100.0), "m")
+    baseline: float = _p(
+        0.0,
+        "between two cameras: noise grows by disparity_sigma z^2 / (focal_length baseline) at the"
+        " depth z; 0 is no stereo",
+        (0.0, 100.0),
+        "m",
+    )
     beam_divergence: float = _p(
         0.0,
         "standard deviation of the beam across its axis: on inclined ground its footprint is deep",
@@ -87,15 +84,12 @@ class LidarConfig:
         (0.0, 1000.0),
         "m",
     )
-    deskew: bool = _p(
-        True, "a cloud with a time for each point is taken point by point, each at its own pose"
-    )
 
     @property
     def stereo(self) -> float:
-        """Deviation of a depth z over z^2, 1/m; 0 with another noise model."""
-        share = self.disparity_sigma / (self.focal_length * self.baseline)
-        return share if self.noise_model == "stereo" else 0.0
+        """Deviation of a depth z over z^2, 1/m; 0 without stereo."""
+        product = self.focal_length * self.baseline
+        return self.disparity_sigma / product if product else 0.0
 
 
 @dataclass(frozen=True)
@@ -306,9 +300,7 @@ class LssConfig:
         (0.0, 1.0),
     )
     settle_share: float = _live(
-        0.5,
-        "no target before this share of the area, or of the domain, is seen ...",
-        (0.0, 1.0),
+        0.5, "no target before this share of the area, or of the domain, is seen ...", (0.0, 1.0)
     )
     settle_time: float = _live(
         5.0, "... or this time has passed since the first map", (0.0, 1e5), "s"
@@ -362,10 +354,7 @@ class LightConfig:
     """Where the sun stands at touchdown, and an hour later."""
 
     azimuth: float = _live(
-        0.0,
-        "of the sun at touchdown, clockwise from north (the map's y)",
-        (-360.0, 360.0),
-        "deg",
+        0.0, "of the sun at touchdown, clockwise from north (the map's y)", (-360.0, 360.0), "deg"
     )
     elevation: float = _live(
         0.0,
@@ -513,7 +502,8 @@ class AutopilotConfig:
     max_offset: float = _live(
         0.5,
         "the vehicle descends only within this distance beside the target, and commits"
-        " within half of it; a target that moves farther is another one",
+        " within half of it; a target that moves farther is another one, and a position that"
+        " jumps farther, against its own velocity, ends the landing",
         (0.02, 100.0),
         "m",
     )
@@ -530,26 +520,14 @@ class AutopilotConfig:
         (0.0, 100.0),
         "m",
     )
-    max_heartbeat_age: float = _live(
-        2.5, "without a younger heartbeat nothing is commanded", (0.1, 60.0), "s"
-    )
     max_pose_age: float = _live(
         0.5, "with an older pose, by its stamp, the vehicle only holds", (0.02, 60.0), "s"
-    )
-    max_target_age: float = _live(
-        1.0, "a target that was not repeated for longer counts as withdrawn", (0.1, 60.0), "s"
     )
     max_map_age: float = _live(
         3.0,
         "a target on an older map counts as withdrawn, until the vehicle commits",
         (0.1, 1e3),
         "s",
-    )
-    max_jump: float = _live(
-        0.5,
-        "a greater jump of the position, against its own velocity, ends the landing",
-        (0.01, 1e3),
-        "m",
     )
     max_wave_offs: int = _live(3, "after more wave-offs the pilot has to take over", (0, 1000))
     patience: float = _live(

@@ -41,6 +41,8 @@ LEAST_STEPS = 3
 REMOVED = {
     "pose.buffer": "poses are kept for 30 s",
     "pose.queue": "20 scans may wait for each second of pose.max_wait, and at least 20",
+    "lidar.noise_model": "it is stereo where lidar.baseline is above 0",
+    "lidar.deskew": "a cloud with a time for each point is always taken point by point",
     "mapping.division_confidence": "it is fixed at 0.5 standard deviations",
     "mapping.divide_exceptions": "it is fixed at 1.5 measurements",
     "mapping.divide_area": "it follows from the vehicle",
@@ -71,6 +73,9 @@ REMOVED = {
     "qos.pose_depth": "it is 200; qos_overrides.TOPIC.subscription.depth sets another",
     "publish.marker_rate": "it is fixed at 1 Hz",
     "diagnostics.error_age": "it is five times diagnostics.warn_age",
+    "autopilot.max_heartbeat_age": "it is fixed at 2.5 s: autopilots send one a second",
+    "autopilot.max_target_age": "it is fixed at 1 s, the deadline of landing/selected",
+    "autopilot.max_jump": "it is autopilot.max_offset",
 }
 
 

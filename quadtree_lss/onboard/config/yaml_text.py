@@ -6,6 +6,7 @@ Aliases and merges could make a kilobyte mean gigabytes. ROS's own parser refuse
 
 from __future__ import annotations
 
+import os
 import re
 from typing import Any
 
@@ -57,6 +58,16 @@ _Loader.add_implicit_resolver(
     list("-+.0123456789"),
 )
 _WithAliases.yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers
+
+
+def read_yaml(path: str | os.PathLike[str]) -> object:
+    """What stands in a file. Raises `YamlError`: as of `parse_yaml`, or it cannot be read."""
+    try:
+        with open(path, encoding="utf-8") as file:
+            return parse_yaml(file.read(MOST_BYTES + 1))
+    except (OSError, UnicodeDecodeError) as error:
+        msg = f"cannot be read: {getattr(error, 'strerror', None) or error}"
+        raise YamlError(msg) from None
 
 
 def parse_yaml(text: str, *, aliases: bool = False) -> object:

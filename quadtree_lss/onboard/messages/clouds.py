@@ -85,16 +85,21 @@ def column(msg: Any, field: Any, kind: str) -> NDArray[Any]:
     """(height, width) values of one field of a cloud that `points_from_cloud` has taken. ``kind``:
     NumPy's word for the field's type, without byte order. Raises `MessageError`: ``layout`` if the
     field lies outside a point or is no single value."""
-    if int(field.count) != 1 or not 0 <= int(field.offset) <= msg.point_step - int(kind[1]):
-        text = f"cloud field '{field.name}' is not a single value within a point"
+    shape, strides = (msg.height, msg.width), (msg.row_step, msg.point_step)
+    order, (start, _) = ">" if msg.is_bigendian else "<", _span(msg, field, kind)
+    return np.ndarray(shape, order + kind, bytes_of(msg.data), start, strides)
+
+
+def _span(msg: Any, field: Any, kind: str) -> tuple[int, int]:
+    """First byte of a field in each point, and the one after its last. Raises `MessageError`."""
+    start, end = int(field.offset), int(field.offset) + int(kind[1])
+    if int(field.count) != 1 or start < 0 or end > msg.point_step:
+        text = (
+            f"cloud field '{field.name}', {field.count} at bytes {start}..{end}, is no single value"
+            f" within a point of {msg.point_step} bytes"
+        )
         raise MessageError("layout", text)
-    return np.ndarray(
-        (msg.height, msg.width),
-        (">" if msg.is_bigendian else "<") + kind,
-        bytes_of(msg.data),
-        int(field.offset),
-        (msg.row_step, msg.point_step),
-    )
+    return start, end
 
 
 def stamp_ns(header: Any) -> int:
@@ -163,17 +168,7 @@ def _check_layout(msg: Any, fields: list[Any], size: int) -> None:
                 " float32 (7) or float64 (8) is needed"
             )
             raise MessageError("field_type", text)
-        if int(field.count) != 1:
-            text = f"cloud field '{field.name}' has count {field.count}; 1 is needed"
-            raise MessageError("layout", text)
-        start, end = int(field.offset), int(field.offset) + int(kind[1])
-        if start < 0 or end > point_step:
-            text = (
-                f"cloud field '{field.name}' at bytes {start}..{end} lies outside"
-                f" a point of {point_step} bytes"
-            )
-            raise MessageError("layout", text)
-        spans.append((start, end))
+        spans.append(_span(msg, field, kind))
     if any(a[1] > b[0] for a, b in pairwise(sorted(spans))):
         text = f"cloud fields {', '.join(field.name for field in fields)} overlap"
         raise MessageError("layout", text)

@@ -84,7 +84,7 @@ class Intake:
     `ready`. No call raises on bad input: it is counted in ``rejected`` (``cloud_<reason>``,
     ``pose_<reason>``, …; as ``times_<reason>`` clouds that were taken as of one time) or
     ``queue.dropped`` and told by `notices`. Of ``config``, ``pose``, ``frames``, ``mount`` and
-    ``lidar.deskew`` matter: with a mount, poses are the body's; with ``mount.gimbal`` the mount
+    ``lidar`` matter: with a mount, poses are the body's; with ``mount.gimbal`` the mount
     comes by `on_gimbal`, with ``mount.tf`` by `on_transforms`.
     """
 
@@ -98,7 +98,6 @@ class Intake:
     ) -> None:
         self._pose_config = config.pose
         self._map_frame = config.frames.map
-        self._deskew = config.lidar.deskew
         self.camera = DepthCamera(config.lidar)
         self._body = self._buffer()
         self._gate = PoseGate(round(config.pose.max_gap * SECOND_NS))
@@ -149,15 +148,13 @@ class Intake:
             self.reject("pose", error)
             return
         if has_unknown_covariance(msg):
-            self._notices.append(
-                Notice(
-                    "pose_covariance_unknown",
-                    "pose covariance is all zero, taken as unknown: using"
-                    f" {limits.unknown_position_sigma:g} m and"
-                    f" {limits.unknown_attitude_sigma_deg:g} deg (pose.unknown_position_sigma,"
-                    " pose.unknown_attitude_sigma_deg)",
-                )
+            text = (
+                "pose covariance is all zero, taken as unknown: using"
+                f" {limits.unknown_position_sigma:g} m and"
+                f" {limits.unknown_attitude_sigma_deg:g} deg (pose.unknown_position_sigma,"
+                " pose.unknown_attitude_sigma_deg)"
             )
+            self._notices.append(Notice("pose_covariance_unknown", text))
         refused = self._gate.dropped
         for believed in self._gate.sift(pose):
             self.poses_taken += self._add(self._body, believed, "pose")
@@ -213,7 +210,7 @@ class Intake:
             self.reject("cloud", MessageError("empty", "cloud has no points"))
             return None
         times = None
-        if self._deskew and not depth:
+        if not depth:
             try:
                 times = offsets_from_cloud(msg, stamp, points)
             except MessageError as error:

@@ -7,6 +7,7 @@ that what was rounded on the way to the wire was rounded for both.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -27,83 +28,77 @@ if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs
     from quadtree_lss.onboard.core.landing.sites import LandingAssessment
 
 
-#: sensor_msgs/PointField datatype of a NumPy scalar type.
+#: ``sensor_msgs/PointField`` datatype of a NumPy scalar type.
 POINT_FIELD_TYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 
-_UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-_RANGE = tuple(f"covariance_range_{i}{j}" for i, j in _UPPER)
-_POSE = tuple(f"covariance_pose_{i}{j}" for i, j in _UPPER)
+_I, _J = np.triu_indices(3)
+_UPPER = [f"{i}{j}" for i, j in zip(_I, _J, strict=True)]
+_RANGE = tuple(f"covariance_range_{of}" for of in _UPPER)
+_POSE = tuple(f"covariance_pose_{of}" for of in _UPPER)
 _NORMAL = ("normal_x", "normal_y", "normal_z")
 _FEATURE = ("feature_a", "feature_k", "feature_x", "feature_y", "feature_sigma")
+_SAME = (
+    *("x", "y", "size", "roughness", "exception_fraction", "count", "ix", "iy", "level"),
+    *("measured", "offset_z", "offset_variance", "low", "high"),
+)
+"""Fields that are attributes of a `CellMap`."""
 
 
-def _of(kind: str, names: str | tuple[str, ...]) -> tuple[tuple[str, str], ...]:
-    """Fields of one little-endian type."""
-    return tuple((name, kind) for name in (names.split() if isinstance(names, str) else names))
+def record_dtype(*columns: tuple[str, Iterable[str]]) -> np.dtype[np.void]:
+    """Packed little-endian records: types, each with the names of its fields."""
+    return np.dtype([(name, "<" + kind) for kind, names in columns for name in names])
 
 
-#: Name and type of each field of a ``map/cells`` point, in order.
-CELL_FIELDS = (
-    *_of("f4", "x y z"),
-    *_of("f8", ("size", "elevation", *_NORMAL)),
-    *_of("f4", (*_RANGE, *_POSE, "roughness", "exception_fraction", *_FEATURE)),
-    *_of("u4", "count"),
-    *_of("u2", "ix iy"),
-    *_of("u1", "level min_level measured"),
-    *_of("f4", "offset_z offset_variance"),
-    *_of("f8", "low high"),
+#: A ``map/cells`` point.
+CELL_FIELDS = record_dtype(
+    ("f4", "xyz"),
+    ("f8", ("size", "elevation", *_NORMAL)),
+    ("f4", (*_RANGE, *_POSE, "roughness", "exception_fraction", *_FEATURE)),
+    ("u4", ["count"]),
+    ("u2", ("ix", "iy")),
+    ("u1", ("level", "min_level", "measured")),
+    ("f4", ("offset_z", "offset_variance")),
+    ("f8", ("low", "high")),
 )
 #: Of recordings from before a map told bounds.
-CELL_FIELDS_BEFORE = CELL_FIELDS[:-2]
+CELL_FIELDS_BEFORE = np.dtype(CELL_FIELDS.descr[:-2])
 
 #: Values of ``map/observed``: mapped, seen but not yet mapped, no point fell there.
 KNOWN, SEEN, NOT_SEEN = 100, 50, -1
 
-#: Fields of a ``landing/site_table`` point.
-SITE_FIELDS = (
-    *_of("f4", "x y z score slope roughness hazard_distance subscale_height"),
-    *_of("u4", "id answer"),
-    *_of("f4", "probability"),
+#: A ``landing/site_table`` point.
+SITE_FIELDS = record_dtype(
+    ("f4", (*"xyz", "score", "slope", "roughness", "hazard_distance", "subscale_height")),
+    ("u4", ("id", "answer")),
+    ("f4", ["probability"]),
 )
 
-#: Fields of the one ``landing/status`` point.
-STATUS_FIELDS = (
-    *_of("f4", "x y z hazard_distance age offset_z offset_variance"),
-    *_of("u4", "id answer"),
-    *_of("u1", "reason state"),
-    *_of("f4", "seen probability"),
-    *_of("u1", "doubts"),
-    *_of("f4", "now_x now_y now_z now_probability gain wait"),
+_NOW = ("now_x", "now_y", "now_z", "now_probability")
+#: The one ``landing/status`` point.
+STATUS_FIELDS = record_dtype(
+    ("f4", (*"xyz", "hazard_distance", "age", "offset_z", "offset_variance")),
+    ("u4", ("id", "answer")),
+    ("u1", ("reason", "state")),
+    ("f4", ("seen", "probability")),
+    ("u1", ["doubts"]),
+    ("f4", (*_NOW, "gain", "wait")),
 )
 #: ... and with a prior: how far the map lies from it, and the covariance of that.
-_OF_PRIOR = _of("f4", tuple(f"prior_{of}" for of in "x y z xx xy xz yy yz zz".split()))
-PRIOR_STATUS_FIELDS = (*STATUS_FIELDS, *_OF_PRIOR)
-
-
-def record_dtype(fields: tuple[tuple[str, str], ...]) -> np.dtype[np.void]:
-    """Packed little-endian record type of a table of fields."""
-    return np.dtype([(name, "<" + kind) for name, kind in fields])
+_OF_PRIOR = tuple(f"prior_{of}" for of in "x y z xx xy xz yy yz zz".split())
+PRIOR_STATUS_FIELDS = np.dtype([*STATUS_FIELDS.descr, *record_dtype(("f4", _OF_PRIOR)).descr])
 
 
 def encode_cells(cells: CellMap) -> NDArray[np.void]:
-    """One record per leaf, (M,) of ``record_dtype(CELL_FIELDS)``."""
-    out = np.zeros(len(cells.level), dtype=record_dtype(CELL_FIELDS))
-    out["x"], out["y"], out["size"] = cells.x, cells.y, cells.size
+    """One record per leaf, (M,) of `CELL_FIELDS`."""
+    out = np.zeros(len(cells.level), dtype=CELL_FIELDS)
+    for name in _SAME:
+        out[name] = getattr(cells, name)
     out["z"] = bounded(cells.z, cells.low, cells.high)
-    out["elevation"] = cells.z
-    for axis, name in enumerate(_NORMAL):
-        out[name] = cells.normal[:, axis]
-    for names, matrix in ((_RANGE, cells.covariance_range), (_POSE, cells.covariance_pose)):
-        for name, (i, j) in zip(names, _UPPER, strict=True):
-            out[name] = matrix[:, i, j]
-    out["roughness"], out["exception_fraction"] = cells.roughness, cells.exception_fraction
-    for column, name in enumerate(_FEATURE):
-        out[name] = cells.feature[:, column]
-    out["count"], out["ix"], out["iy"] = cells.count, cells.ix, cells.iy
-    out["level"], out["min_level"] = cells.level, cells.domain.min_level
-    out["measured"] = cells.measured
-    out["offset_z"], out["offset_variance"] = cells.offset_z, cells.offset_variance
-    out["low"], out["high"] = cells.low, cells.high
+    out["elevation"], out["min_level"] = cells.z, cells.domain.min_level
+    _put(out, _NORMAL, cells.normal)
+    _put(out, _RANGE, cells.covariance_range[:, _I, _J])
+    _put(out, _POSE, cells.covariance_pose[:, _I, _J])
+    _put(out, _FEATURE, cells.feature)
     return out
 
 
@@ -119,7 +114,7 @@ def decode_cells(
     """The map from its two messages.
 
     Args:
-        records: (M,) of ``record_dtype(CELL_FIELDS)``, or without the bounds.
+        records: (M,) of `CELL_FIELDS`, or without the bounds.
         observed: (n, n) [iy, ix] of ``map/observed``, of origin ``xmin``, ``ymin``, m.
         stamp_ns: Stamp that both messages carry.
         lss: How landing will be judged on it; None if it will not.
@@ -169,14 +164,12 @@ def decode_cells(
     if (raster < 0).any():
         msg = "map/cells has leaves that overlap"
         raise MessageError("tiling", msg)
-    measured, unbounded = records["measured"] > 0, np.full(len(records), np.nan)
-    low, high = (
-        records[name].astype(np.float64) if name in (records.dtype.names or ()) else unbounded
-        for name in ("low", "high")
-    )
-    elevation = records["elevation"].astype(np.float64)
+    measured, elevation = records["measured"] > 0, records["elevation"].astype(np.float64)
+    double = {name: np.full(len(records), np.nan) for name in ("low", "high")}
+    told = {*double, "roughness", "exception_fraction"}.intersection(records.dtype.names or ())
+    double |= {name: records[name].astype(np.float64) for name in told}
     # A map from before does not say what its inherited planes are known for.
-    before = known is None or "low" not in (records.dtype.names or ())
+    before = known is None or "low" not in told
     of_plane = measured if before else np.isfinite(elevation)
     cells = CellMap(
         stamp_ns=stamp_ns,
@@ -190,15 +183,12 @@ def decode_cells(
         covariance_pose=_matrices(records, _POSE),
         count=records["count"].astype(np.uint32),
         measured=measured,
-        roughness=records["roughness"].astype(np.float64),
-        exception_fraction=records["exception_fraction"].astype(np.float64),
         feature=_columns(records, _FEATURE),
-        low=low,
-        high=high,
         observed=observed,
         known=observed & of_plane[raster] & (True if known is None else known),
         offset_z=float(records["offset_z"][0]),
         offset_variance=float(records["offset_variance"][0]),
+        **double,
     )
     _check(cells)
     return cells
@@ -224,73 +214,60 @@ def _check(cells: CellMap) -> None:
         raise MessageError("values", msg)
 
 
+def _put(out: NDArray[np.void], names: Iterable[str], values: Array) -> None:
+    """Columns (M, K) into fields."""
+    for name, column in zip(names, np.asarray(values).T, strict=True):
+        out[name] = column
+
+
 def _columns(records: NDArray[np.void], names: tuple[str, ...]) -> Array:
     return np.stack([records[name].astype(np.float64) for name in names], axis=-1)
 
 
 def _matrices(records: NDArray[np.void], names: tuple[str, ...]) -> Array:
     out = np.empty((len(records), 3, 3))
-    for name, (i, j) in zip(names, _UPPER, strict=True):
-        out[:, i, j] = out[:, j, i] = records[name]
+    out[:, _I, _J] = out[:, _J, _I] = _columns(records, names)
     return out
 
 
 def round_trip(cells: CellMap) -> CellMap:
     """The map as a subscriber gets it: some columns in single precision."""
-
-    def single(values: Array) -> Array:
-        return values.astype(np.float32).astype(np.float64)
-
-    return replace(
-        cells,
-        covariance_range=single(cells.covariance_range),
-        covariance_pose=single(cells.covariance_pose),
-        roughness=single(cells.roughness),
-        exception_fraction=single(cells.exception_fraction),
-        feature=single(cells.feature),
-        offset_z=float(np.float32(cells.offset_z)),
-        offset_variance=float(np.float32(cells.offset_variance)),
-    )
+    names = "covariance_range covariance_pose roughness exception_fraction feature".split()
+    single = {name: getattr(cells, name).astype(np.float32).astype(np.float64) for name in names}
+    offset, variance = map(float, np.float32([cells.offset_z, cells.offset_variance]))
+    return replace(cells, **single, offset_z=offset, offset_variance=variance)
 
 
 def encode_sites(assessment: LandingAssessment) -> NDArray[np.void]:
-    """One record per ranked site, (K,) of ``record_dtype(SITE_FIELDS)``, best first."""
+    """One record per ranked site, (K,) of `SITE_FIELDS`, best first."""
     sites = assessment.sites
-    out = np.zeros(len(sites.score), dtype=record_dtype(SITE_FIELDS))
-    for axis, name in enumerate("xyz"):
-        out[name] = sites.position[:, axis]
-    out["score"], out["slope"] = sites.score, np.radians(sites.slope_deg)
-    out["roughness"], out["hazard_distance"] = sites.roughness, sites.hazard_distance
-    out["subscale_height"] = sites.subscale_height
-    out["id"], out["answer"] = sites.id, assessment.number
-    out["probability"] = sites.probability
+    out = np.zeros(len(sites.score), dtype=SITE_FIELDS)
+    _put(out, "xyz", sites.position)
+    for name in ("score", "roughness", "hazard_distance", "subscale_height", "id", "probability"):
+        out[name] = getattr(sites, name)
+    out["slope"], out["answer"] = np.radians(sites.slope_deg), assessment.number
     return out
 
 
 def encode_status(
     assessment: LandingAssessment, age: float, prior: Array | None = None
-) -> tuple[NDArray[np.void], tuple[tuple[str, str], ...]]:
-    """The one record (1,) and its fields. ``assessment``: the answer. ``age``: of its map when it
-    is sent, s; NaN if unknown. ``prior``: (9,) of `prior_from_message`, None without."""
+) -> NDArray[np.void]:
+    """The one record (1,). ``assessment``: the answer. ``age``: of its map when it is sent, s; NaN
+    if unknown. ``prior``: (9,) of `prior_from_message`, None without."""
     selected = assessment.selected
-    fields = STATUS_FIELDS if prior is None else PRIOR_STATUS_FIELDS
-    out = np.zeros(1, dtype=record_dtype(fields))
+    out = np.zeros(1, dtype=STATUS_FIELDS if prior is None else PRIOR_STATUS_FIELDS)
     if prior is not None:
-        for (name, _), value in zip(_OF_PRIOR, prior, strict=True):
-            out[name] = value
-    for axis, name in enumerate("xyz"):
-        out[name] = selected.position[axis]
+        _put(out, _OF_PRIOR, prior)
+    _put(out, "xyz", selected.position)
+    _put(out, _NOW, np.asarray(assessment.now))
+    for name in ("offset_z", "offset_variance", "seen", "gain"):
+        out[name] = getattr(assessment, name)
+    for name in ("id", "reason", "state", "probability"):
+        out[name] = getattr(selected, name)
     out["hazard_distance"] = selected.site.hazard_distance if selected.id else np.nan
-    out["age"] = age
-    out["offset_z"], out["offset_variance"] = assessment.offset_z, assessment.offset_variance
-    out["id"], out["answer"], out["reason"] = selected.id, assessment.number, selected.reason
-    out["state"], out["seen"] = selected.state, assessment.seen
-    out["probability"], out["doubts"] = selected.probability, len(assessment.doubts)
-    names = ("now_x", "now_y", "now_z", "now_probability")
-    for name, value in zip(names, assessment.now, strict=True):
-        out[name] = value
-    out["gain"], out["wait"] = assessment.gain, WAIT_S
-    return out, fields
+    out["age"], out["wait"] = age, WAIT_S
+    out["answer"], out["doubts"] = assessment.number, len(assessment.doubts)
+    return out
 
 
 def encode_observed(observed: Mask, known: Mask) -> NDArray[np.int8]:

@@ -22,7 +22,6 @@ from quadtree_lss.onboard.messages.maps import (
     CELL_FIELDS_BEFORE,
     POINT_FIELD_TYPES,
     PRIOR_STATUS_FIELDS,
-    SITE_FIELDS,
     STATUS_FIELDS,
     decode_cells,
     decode_observed,
@@ -34,7 +33,6 @@ from quadtree_lss.onboard.messages.maps import (
     encode_sites,
     encode_status,
     known_probability,
-    record_dtype,
     site_orientations,
 )
 
@@ -81,42 +79,42 @@ GRID_MAP_LAYERS = (
 )
 """Layers of it, as far as the assessment has them."""
 
-Fields = tuple[tuple[str, str], ...]
+Fields = np.dtype[np.void]
 Named = tuple[str, Any]
 """Relative name of a topic, and a message."""
 
 
 def point_layout(fields: Fields) -> list[tuple[str, int, int]]:
-    """Name, offset and PointField datatype of each field of ``record_dtype(fields)``."""
-    offsets: Mapping[str, Any] = record_dtype(fields).fields or {}
-    return [(name, offsets[name][1], POINT_FIELD_TYPES[kind]) for name, kind in fields]
+    """Name, offset and PointField datatype of each."""
+    of = fields.fields or {}
+    return [(name, at, POINT_FIELD_TYPES[kind.str[1:]]) for name, (kind, at, *_) in of.items()]
 
 
 def cloud_records(cloud: Any, fields: Fields) -> NDArray[np.void]:
     """Records (M,) of a PointCloud2 that has exactly the layout of `MessageMaker.cloud`. Raises
     `MessageError`: other fields, offsets, types or sizes (``layout``)."""
-    kinds = record_dtype(fields)
+    layout = point_layout(fields)
     found = [(item.name, item.offset, item.datatype) for item in cloud.fields]
     count = cloud.width * cloud.height
     if (
-        found != point_layout(fields)
+        found != layout
         or cloud.is_bigendian
-        or cloud.point_step != kinds.itemsize
-        or len(cloud.data) != count * kinds.itemsize
+        or cloud.point_step != fields.itemsize
+        or len(cloud.data) != count * fields.itemsize
     ):
         msg = (
             f"cloud of {count} points, {len(found)} fields and {cloud.point_step} bytes"
-            f" each is not of the layout documented in msg_docs ({len(fields)} fields,"
-            f" {kinds.itemsize} bytes)"
+            f" each is not of the layout documented in msg_docs ({len(layout)} fields,"
+            f" {fields.itemsize} bytes)"
         )
         raise MessageError("layout", msg)
-    return np.frombuffer(cloud.data, dtype=kinds)
+    return np.frombuffer(cloud.data, dtype=fields)
 
 
 def status_from_message(cloud: Any) -> np.void:
     """The one record of ``landing/status``, with a prior or without. Raises `MessageError`: it has
     another layout, or is not one (``layout``)."""
-    plain = len(cloud.fields) == len(STATUS_FIELDS)
+    plain = cloud.point_step == STATUS_FIELDS.itemsize
     records = cloud_records(cloud, STATUS_FIELDS if plain else PRIOR_STATUS_FIELDS)
     if len(records) != 1:
         raise MessageError("layout", f"{STATUS} has {len(records)} points; it is of one")
@@ -134,7 +132,7 @@ def map_from_messages(cloud: Any, grid: Any, lss: LssConfig | None = None) -> Ce
         shown = [one_line(frame, 80) for frame in frames]
         msg = f"map/cells is in frame '{shown[0]}', map/observed in '{shown[1]}'"
         raise MessageError("frame", msg)
-    before = len(cloud.fields) == len(CELL_FIELDS_BEFORE)
+    before = cloud.point_step == CELL_FIELDS_BEFORE.itemsize
     records = cloud_records(cloud, CELL_FIELDS_BEFORE if before else CELL_FIELDS)
     values = np.frombuffer(grid.data, dtype=np.int8)
     if values.size != grid.info.height * grid.info.width:
@@ -166,7 +164,7 @@ class MessageMaker:
     def of_map(self, cells: CellMap) -> Iterator[Named]:
         """``map/cells`` and ``map/observed``."""
         domain, stamp = cells.domain, cells.stamp_ns
-        yield CELLS, self.cloud(encode_cells(cells), CELL_FIELDS, stamp)
+        yield CELLS, self.cloud(encode_cells(cells), stamp)
         values, corner = encode_observed(cells.observed, cells.known), (domain.xmin, domain.ymin)
         yield OBSERVED, self.grid(values, corner, domain.finest_size, stamp)
 
@@ -178,7 +176,7 @@ class MessageMaker:
         yield HAZARDS, self.grid(encode_hazards(assessment), corner, spacing, stamp)
         yield SCORE, self.grid(encode_score(assessment), corner, spacing, stamp)
         yield PROBABILITY, self.grid(encode_probability(assessment), corner, spacing, stamp)
-        yield SITE_TABLE, self.cloud(encode_sites(assessment), SITE_FIELDS, stamp)
+        yield SITE_TABLE, self.cloud(encode_sites(assessment), stamp)
         yield SITES, self.sites(assessment)
 
     def grid_map(self, assessment: LandingAssessment) -> Any:
@@ -227,10 +225,10 @@ class MessageMaker:
         """``landing/selected`` and ``landing/status``; ``age`` of the map in s, NaN if unknown;
         ``prior``: (9,) as of `prior_from_message`, None without."""
         yield SELECTED, self.selected(assessment)
-        yield STATUS, self.cloud(*encode_status(assessment, age, prior), assessment.stamp_ns)
+        yield STATUS, self.cloud(encode_status(assessment, age, prior), assessment.stamp_ns)
 
-    def cloud(self, records: NDArray[np.void], fields: Fields, stamp: int) -> Any:
-        """PointCloud2 of records (M,) or (H, W) of ``record_dtype(fields)``, packed."""
+    def cloud(self, records: NDArray[np.void], stamp: int) -> Any:
+        """PointCloud2 of records (M,) or (H, W), packed."""
         size = records.dtype.itemsize
         height, width = records.shape if records.ndim == 2 else (1, len(records))
         return self._make(
@@ -238,7 +236,7 @@ class MessageMaker:
             header=self._header(stamp),
             height=height,
             width=width,
-            fields=self._point_fields(fields),
+            fields=self._point_fields(records.dtype),
             is_bigendian=False,
             point_step=size,
             row_step=size * width,

@@ -68,6 +68,6 @@ def offsets_from_cloud(
     text = (
         f"cloud field '{field.name}' holds times from {low:g} to {high:g}, which are not within"
         f" {MAX_OFFSET_NS / 1e9:g} s of the stamp in any known unit: the scan is taken as of one"
-        " time (lidar.deskew)"
+        " time"
     )
     raise MessageError("unreasonable", text)

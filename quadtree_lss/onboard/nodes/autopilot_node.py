@@ -15,14 +15,13 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point32, PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
-from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
-from std_srvs.srv import Trigger
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.autopilot.frames import Jumps, Nav
 from quadtree_lss.onboard.autopilot.landing import (
     GIVE_UP,
+    HEARTBEAT_S,
     HOLD,
     PILOT,
     TOUCHDOWN,
@@ -36,24 +35,17 @@ from quadtree_lss.onboard.autopilot.landing import (
 from quadtree_lss.onboard.autopilot.link import PX4, Link
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
+from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, status_from_message
 from quadtree_lss.onboard.messages.poses import check_frame
-from quadtree_lss.onboard.nodes.diagnostics import (
-    ERROR,
-    OK,
-    WARN,
-    Diagnostics,
-    Problems,
-    Status,
-    Waiting,
-)
+from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Status
+from quadtree_lss.onboard.nodes.entry import waits_for
 from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.losses import Publishers
-from quadtree_lss.onboard.nodes.node_runner import announce, run
-from quadtree_lss.onboard.nodes.parameters import NodeParameters
-from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe
-from quadtree_lss.onboard.nodes.ros_messages import header_message
+from quadtree_lss.onboard.nodes.node_runner import BaseNode, run
+from quadtree_lss.onboard.nodes.qos import advertise, latched, serve, stream, subscribe
+from quadtree_lss.onboard.nodes.ros_messages import header_message, message_maker
 
 ODOMETRY, AREA, DISPERSION = "nav/odometry", "landing/area", "landing/dispersion"
 STATE = "landing/autopilot"
@@ -62,19 +54,16 @@ CORNERS = 24
 LEVELS = {GIVE_UP: ERROR, WAVE_OFF: WARN, HOLD: WARN}
 
 
-class AutopilotNode(Node):
+class AutopilotNode(BaseNode):
     """Lands the vehicle; ``docs/autopilot.md`` says how."""
 
     def __init__(self) -> None:
-        super().__init__("autopilot_node", automatically_declare_parameters_from_overrides=True)
-        self._settings = NodeParameters(self, self._reconfigure)
-        config = self._settings.config
-        self._problems = Problems(self.get_logger())
+        super().__init__("autopilot_node")
+        config = self._config
         link = config.autopilot
         self._now: Callable[[], float] = time.monotonic
         if self.get_parameter("use_sim_time").value:  # a simulator may be slower than its time
             self._now = lambda: 1e-9 * self._clock_ns()
-        self._waiting = Waiting(self.get_logger())
         self._link = Link(link.connection, link.baud, self._clock_ns, self._now)
         self._landing, self._jumps = Landing(link), Jumps()
         self._nav: Nav | None = None
@@ -93,16 +82,13 @@ class AutopilotNode(Node):
         self._area = advertise(self, PolygonStamped, AREA, latched())
         self._dispersion = advertise(self, PoseWithCovarianceStamped, DISPERSION, latched())
         self._state = advertise(self, DiagnosticStatus, STATE, latched())
-        self.create_service(Trigger, "~/land", self._on_land)
+        serve(self, "land", self._on_land)
         steady_timer(self, POLL_S, self._poll)
         if self._now is time.monotonic:
             steady_timer(self, STEP_S, self._step)
         else:
             self.create_timer(STEP_S, self._step)
-        self._diagnostics = Diagnostics(
-            self, config.publish.diagnostics_rate, self._problems, self._collect
-        )
-        announce(self, config)
+        self._announce()
         if config.lss.commit_height < link.gate_height:
             text = "lss.commit_height is below autopilot.gate_height"
             self.get_logger().warning(f"{text}: a better target on the way down is a wave-off")
@@ -146,11 +132,11 @@ class AutopilotNode(Node):
         for nav in self._link.poll():
             self._jump = max(self._jump, self._jumps.size(nav))
             self._nav = nav
-            if self._settings.config.autopilot.odometry:
+            if self._config.autopilot.odometry:
                 self._odometry.publish(self._odometry_message(nav))
 
     def _odometry_message(self, nav: Nav) -> Odometry:
-        frames, pose = self._settings.config.frames, self._settings.config.pose
+        frames, pose = self._config.frames, self._config.pose
         message = Odometry(header=header_message(nav.stamp_ns, frames.map))
         message.child_frame_id = frames.body or "base_link"
         place, turn = message.pose.pose.position, message.pose.pose.orientation
@@ -167,7 +153,7 @@ class AutopilotNode(Node):
 
     def _step(self) -> None:
         now, link, nav = self._now(), self._link, self._nav
-        self._waiting.tell(self._lacks())
+        waits_for(self._lacks())
         if nav is None:
             text = "no heartbeat yet" if link.kind is None else "no pose of the autopilot yet"
             self._tell(Order(PILOT, text, None, None))
@@ -181,7 +167,7 @@ class AutopilotNode(Node):
         self._jump = 0.0
         began = self._landing.state
         order = self._landing.step(seen)
-        fresh = seen.heartbeat_age <= self._settings.config.autopilot.max_heartbeat_age
+        fresh = seen.heartbeat_age <= HEARTBEAT_S
         if order.point is not None:
             link.fly_to(order.point)
         elif link.kind == PX4 and fresh and order.state == PILOT:
@@ -195,7 +181,7 @@ class AutopilotNode(Node):
     def _lacks(self) -> str:
         """What there is not yet of all that a landing takes, empty after it came."""
         if self._link.kind is None:
-            connection = self._settings.config.autopilot.connection
+            connection = self._config.autopilot.connection
             return f"the heartbeat of an autopilot on {connection}"
         if self._nav is None:
             return "a pose of the autopilot"
@@ -205,7 +191,7 @@ class AutopilotNode(Node):
 
     def _on_change(self, order: Order, nav: Nav) -> None:
         """A line for the log and the pilot; what lss_node is to know; motors off once down."""
-        config = self._settings.config.autopilot
+        config = self._config.autopilot
         warn, text = order.state in LEVELS, f"{order.state}: {order.text}"
         if warn:
             self.get_logger().warning(text)
@@ -222,22 +208,22 @@ class AutopilotNode(Node):
     def _send_reach(self, nav: Nav) -> None:
         message = PolygonStamped(header=header_message(nav.stamp_ns, self._frame))
         around = np.linspace(0.0, 2.0 * np.pi, CORNERS, endpoint=False)
-        reach = self._settings.config.autopilot.reach
+        reach = self._config.autopilot.reach
         corners = nav.position[:2, None] + reach * np.array([np.cos(around), np.sin(around)])
         message.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners.T]
         self._area.publish(message)
 
     def _send_dispersion(self, nav: Nav) -> None:
-        sigma = self._settings.config.autopilot.control_sigma
-        known = self._settings.config.pose.unknown_position_sigma
+        sigma = self._config.autopilot.control_sigma
+        known = self._config.pose.unknown_position_sigma
         own = np.full(2, known**2) if nav.covariance is None else nav.covariance.diagonal()[:2]
-        message = PoseWithCovarianceStamped(header=header_message(nav.stamp_ns, self._frame))
-        message.pose.covariance = np.diag([*(own + sigma**2), 0.0, 0.0, 0.0, np.pi**2]).ravel()
-        self._dispersion.publish(message)
+        covariance = np.diag([*(own + sigma**2), 0.0, 0.0, 0.0, np.pi**2])
+        make, level = message_maker(self._frame), (0.0, 0.0, 0.0, 1.0)
+        self._dispersion.publish(make.pose(nav.stamp_ns, np.zeros(3), level, covariance.ravel()))
 
     @property
     def _frame(self) -> str:
-        return self._settings.config.frames.map
+        return self._config.frames.map
 
     def _tell(self, order: Order) -> None:
         self._order = order
@@ -255,16 +241,15 @@ class AutopilotNode(Node):
         status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
         self._state.publish(status)
 
-    def _on_land(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        allowed = self._settings.config.autopilot.may_command != "nothing"
-        response.success = allowed and self._link.kind is not None
-        if response.success:
-            self._link.follow()
-            response.message = "asked for the mode that follows set-points"
-        else:
-            lack = "autopilot.may_command is nothing" if not allowed else "no heartbeat"
-            response.message = f"{lack}: the pilot switches to guided or offboard"
-        return response
+    def _on_land(self) -> str:
+        lack = "" if self._link.kind is not None else "no heartbeat"
+        if self._config.autopilot.may_command == "nothing":
+            lack = "autopilot.may_command is nothing"
+        if lack:
+            msg = f"{lack}: the pilot switches to guided or offboard"
+            raise QuadtreeLssError(msg)
+        self._link.follow()
+        return "asked for the mode that follows set-points"
 
     def _collect(self, status: Status) -> None:
         status.note(LEVELS.get(self._order.state, OK), f"{self._order.state}: {self._order.text}")
@@ -275,8 +260,8 @@ class AutopilotNode(Node):
         status.add({"heartbeat.age_s": heard, "target.publishers": self._sources.number})
         status.add({f"autopilot.heard.{what}": n for what, n in self._link.heard_of.items()})
         status.add({f"autopilot.refused.{why}": n for why, n in self._link.refused.items()})
-        if heard > self._settings.config.autopilot.max_heartbeat_age:
-            connection = self._settings.config.autopilot.connection
+        if heard > HEARTBEAT_S:
+            connection = self._config.autopilot.connection
             status.note(ERROR, f"no heartbeat of an autopilot on {connection}")
         if (uncertainty := self._link.remote.uncertainty_ns) is not None:
             status.add({"clock.uncertainty_ms": 1e-6 * uncertainty})

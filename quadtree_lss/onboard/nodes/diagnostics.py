@@ -7,17 +7,13 @@ from __future__ import annotations
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from diagnostic_msgs.msg import DiagnosticStatus
 
-from quadtree_lss import build
 from quadtree_lss.onboard.config.settings import DiagnosticsConfig
 from quadtree_lss.onboard.errors import one_line
-from quadtree_lss.onboard.nodes.executor import steady_timer
 
 
 class Logger(Protocol):
@@ -55,26 +51,6 @@ def failure(what: str, error: Exception, logger: Logger) -> str:
     """What to say of an error that should not be; the log gets where it arose."""
     logger.warning("".join(traceback.format_exception(error)))
     return f"{what} failed: {one_line(repr(error), 200)}"
-
-
-class Waiting:
-    """Says in the log what a node waits for before it has given anything out: after five seconds,
-    then each time after twice as long.
-
-    Args:
-        logger: Where the lines go.
-    """
-
-    def __init__(self, logger: Logger) -> None:
-        self._logger = logger
-        self._told, self._period = time.monotonic(), 5.0
-
-    def tell(self, what: str) -> None:
-        """Call it often; nothing is said of nothing."""
-        now = time.monotonic()
-        if what and now - self._told >= self._period:
-            self._logger.warning(f"waiting for {what}")
-            self._told, self._period = now, 2.0 * self._period
 
 
 class Arrivals:
@@ -138,9 +114,6 @@ class Durations:
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
-MEANINGFUL_LATENCY_S = 600.0
-"""Beyond, stamps and the node's clock are not of the same time: a bag without ``/clock``."""
-
 
 class Status:
     """What a node has to say: the worst of its levels, one text, values by key."""
@@ -184,44 +157,3 @@ class Status:
         """The worst first."""
         ordered = sorted(self._notes, key=lambda note: note[0], reverse=True)
         return "; ".join(text for _, text in ordered)
-
-
-class Diagnostics:
-    """Publishes one status of a node at a ``rate`` in Hz, on a steady clock: what ``collect`` fills
-    in, and the counters of ``problems``, of which a new one is a warning."""
-
-    def __init__(
-        self, node: Node, rate: float, problems: Problems, collect: Callable[[Status], None]
-    ) -> None:
-        self._node = node
-        self._problems = problems
-        self._collect = collect
-        self._told = 0
-        self._build = build.name()
-        self._publisher = node.create_publisher(
-            DiagnosticArray, "/diagnostics", QoSProfile(depth=10)
-        )
-        steady_timer(node, 1.0 / rate, self._send)
-
-    def latency_ms(self, stamp_ns: int) -> float | None:
-        """From a stamp to now by the node's clock; None if the two are not of the same time."""
-        latency = 1e-9 * (self._node.get_clock().now().nanoseconds - stamp_ns)
-        return 1e3 * latency if abs(latency) < MEANINGFUL_LATENCY_S else None
-
-    def _send(self) -> None:
-        state = Status()
-        state.add({"build": self._build})
-        self._collect(state)
-        total = self._problems.counts.total()
-        if total > self._told:
-            latest = self._problems.latest
-            state.note(WARN, f"{total - self._told} new problems, the last: {latest}")
-        self._told = total
-        state.add({f"problems.{key}": n for key, n in self._problems.counts.items()})
-        status = DiagnosticStatus(level=state.level, message=state.text)
-        status.name = self._node.get_fully_qualified_name().lstrip("/")
-        status.hardware_id = self._node.get_namespace()
-        status.values = [KeyValue(key=key, value=str(v)) for key, v in state.values.items()]
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        self._publisher.publish(message)

@@ -54,43 +54,45 @@ class StopOnSignal:
             raise KeyboardInterrupt
 
 
-class Starting:
-    """Says what a node that starts is at, as long as it has no log of its own: after five seconds,
-    then each time after twice as long.
-
-    Args:
-        name: Of the node.
+class Waiting:
+    """Says what a node waits for before it has given anything out: after five seconds, then each
+    time after twice as long. ``name``: of the node, which has no log of its own at first.
 
     Attributes:
-        at: What it waits for at present.
+        what: It waits for at present; nothing is said of nothing.
+        say: Takes a line.
     """
 
     def __init__(self, name: str) -> None:
-        self.at, self._name = "its modules", name
-        self._over = threading.Event()
-        threading.Thread(target=self._say, daemon=True).start()
+        self.what, self._name = "its modules", name
+        self.say: Callable[[str], object] = self._print
+        self._told, self._period = time.monotonic(), 5.0
 
-    def _say(self) -> None:
-        period = 5.0
-        while not self._over.wait(period):
-            head = f"[WARN] [{time.time():.9f}] [{self._name}]"
-            print(f"{head}: starting, waiting for {self.at}", file=sys.stderr, flush=True)
-            period *= 2.0
+    def watch(self) -> None:
+        """Goes on for ever; for a thread, since whoever waits may be at work."""
+        while True:
+            time.sleep(0.5)
+            self.look()
 
-    def done(self) -> None:
-        """The node speaks for itself."""
-        self._over.set()
+    def look(self) -> None:
+        """Says what it is time to say."""
+        now = time.monotonic()
+        if self.what and now - self._told >= self._period:
+            self.say(f"waiting for {self.what}")
+            self._told, self._period = now, 2.0 * self._period
+
+    def _print(self, line: str) -> None:
+        head = f"[WARN] [{time.time():.9f}] [{self._name}]"
+        print(f"{head}: starting, {line}", file=sys.stderr, flush=True)
 
 
-_starting: list[Starting] = []
+_waiting: list[Waiting] = []
 
 
-def waits_for(what: str) -> None:
-    """What the node of this process is at while it starts; empty once it has."""
-    for starting in _starting:
-        starting.at = what
-        if not what:
-            starting.done()
+def waits_for(what: str, say: Callable[[str], object] | None = None) -> None:
+    """What the node of this process is at, empty if nothing; ``say``: its log, once it has one."""
+    for waiting in _waiting:
+        waiting.what, waiting.say = what, say or waiting.say
 
 
 _early: list[StopOnSignal] = []
@@ -103,7 +105,8 @@ def stop_on_signal() -> StopOnSignal:
 
 def _run(name: str) -> int:
     _early.append(StopOnSignal())
-    _starting.append(Starting(name))
+    _waiting.append(Waiting(name))
+    threading.Thread(target=_waiting[-1].watch, daemon=True).start()
     try:
         main: Callable[[], int] = import_module(f"quadtree_lss.onboard.nodes.{name}").main
     except QuadtreeLssError as error:  # the core is not compiled, or of other sources

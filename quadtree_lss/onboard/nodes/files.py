@@ -16,6 +16,7 @@ from pathlib import Path
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 NEW = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+LOCK = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
@@ -83,7 +84,6 @@ def write_atomically(
     root: str = "",
     verify: Callable[[bytes], None] | None = None,
     previous: str = "",
-    keeper: Keeper | None = None,
 ) -> None:
     """Replace the file in one step, once its new content is safely on the disk.
 
@@ -94,17 +94,14 @@ def write_atomically(
         content: The whole new content.
         verify: Called with what can be read back before anything is replaced.
         previous: Ending under which the file that was there is kept; empty = not.
-        keeper: Gets the right to the new file; needs that to the old one.
 
     Raises:
-        InUseError: another process has the right, or writes the file at the same time.
-        MapFileError: no regular file, not writable, disk full; the old file is then untouched.
+        MapFileError: no regular file, not writable, disk full, or another program writes it at the
+            same time; the old file is then untouched.
         Exception: whatever ``verify`` raises; the same.
     """
     target = regular_file(path, root)
     part = sibling(target, ".part")
-    if keeper is not None:
-        keeper.claim(target)
     try:
         # Of a writer that was killed, or put there by somebody; nobody is to follow or open it.
         part.unlink(missing_ok=True)
@@ -118,9 +115,7 @@ def write_atomically(
                     verify(file.read())
                 if not os.path.samestat(os.fstat(file.fileno()), part.lstat()):
                     msg = f"{path}: another program writes it at the same time"
-                    raise InUseError(msg)
-                if keeper is not None:
-                    keeper.hold(os.dup(file.fileno()))
+                    raise MapFileError(msg)
             except Exception:
                 part.unlink(missing_ok=True)  # it takes the room that there may not be
                 raise
@@ -137,43 +132,30 @@ def write_atomically(
 
 
 class Keeper:
-    """The right to write a file, which one process has at a time, until it ends.
-
-    It is a lock on the file itself, which goes over to each file that replaces it.
-    """
+    """The right to write a file, which one process has at a time, until it ends: a lock on the file
+    ``<name>.lock`` beside it, which stays."""
 
     def __init__(self) -> None:
         self._held: int | None = None
 
     def claim(self, target: Path) -> None:
-        """Have the right to a `regular_file`, if there is one yet. Raises `InUseError`: another
-        process has it."""
-        try:
-            found = os.open(target, READ)
-        except OSError:
-            return  # there is none, or it cannot be read, which is for others to tell
-        if self._held is not None and os.path.samestat(os.fstat(found), os.fstat(self._held)):
-            os.close(found)
+        """Have the right to a `regular_file` from now on. Raises `InUseError`: another process has
+        it."""
+        if self._held is not None:
             return
         try:
-            self.hold(found)
-        except InUseError:
+            found = os.open(sibling(target, ".lock"), LOCK, 0o666)
+        except OSError:
+            return  # nothing can be written there, which is for others to tell
+        try:
+            fcntl.flock(found, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
             os.close(found)
             msg = f"{target}: another node keeps its checkpoint there"
             raise InUseError(msg) from None
-
-    def hold(self, descriptor: int) -> None:
-        """Have the right to an open file, which is closed with it, instead of the one before.
-        Raises `InUseError`: another process has it."""
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            msg = "another process has locked it"
-            raise InUseError(msg) from None
         except OSError:
             pass  # a disk without locks: two nodes are not told
-        self.release()
-        self._held = descriptor
+        self._held = found
 
     def release(self) -> None:
         """Let another have it."""

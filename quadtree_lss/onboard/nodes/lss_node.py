@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
-from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
@@ -18,24 +17,13 @@ from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.outputs import CELLS, GRID_MAP, GROUND, OBSERVED, TOPIC_TYPES
-from quadtree_lss.onboard.nodes.diagnostics import (
-    ERROR,
-    OK,
-    WARN,
-    Diagnostics,
-    Durations,
-    Problems,
-    Status,
-    Waiting,
-    failure,
-)
+from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Durations, Status, failure
 from quadtree_lss.onboard.nodes.entry import waits_for
 from quadtree_lss.onboard.nodes.executor import WhenWanted, arrived, steady_timer
 from quadtree_lss.onboard.nodes.landing_topics import LandingTopics
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, site_markers
-from quadtree_lss.onboard.nodes.node_runner import announce, run
-from quadtree_lss.onboard.nodes.parameters import NodeParameters
+from quadtree_lss.onboard.nodes.node_runner import BaseNode, run
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher
 from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe
 from quadtree_lss.onboard.nodes.received_map import ReceivedMap
@@ -49,14 +37,12 @@ LOOK_PERIOD_S = 0.2
 """How often the age of the map is looked at."""
 
 
-class LssNode(Node):
+class LssNode(BaseNode):
     """Takes the map and where landing is wanted, publishes ``landing/``; see ``msg_docs``."""
 
     def __init__(self) -> None:
-        super().__init__("lss_node", automatically_declare_parameters_from_overrides=True)
-        self._settings = NodeParameters(self, self._reconfigure)
-        config = self._settings.config
-        self._problems = Problems(self.get_logger())
+        super().__init__("lss_node")
+        config = self._config
         self._output = ChangePublisher(self, config.publish.lss_rate, self._assess)
         # Before the map: of what is there when the node starts, they are to be looked at first.
         self._inputs = LandingTopics(self, self._problems, self._ask, config.lss.required_input)
@@ -65,10 +51,7 @@ class LssNode(Node):
         self._map_publishers = Publishers(self._map_topic, "map_publishers", effect, self._problems)
         binding = "frames.map" in self._settings.given
         self._map = ReceivedMap(
-            self._problems,
-            config.frames.map,
-            lambda: self._settings.config.lss,
-            binding=binding,
+            self._problems, config.frames.map, lambda: self._config.lss, binding=binding
         )
         kinds, told = (PointCloud2, OccupancyGrid), self._map_publishers.changed
         subscribe(self, kinds[0], CELLS, self._on_cells, latched(), told, raw=True)
@@ -77,7 +60,6 @@ class LssNode(Node):
         self._observed = subscribe(
             self, kinds[1], OBSERVED, self._on_observed, latched(), group=other, raw=True
         )
-        self._waiting = Waiting(self.get_logger())
         kind: Any = PoseWithCovarianceStamped
         kind, poses = (Odometry, "odometry") if config.pose.source == "odometry" else (kind, "pose")
         self._navigation = self._inputs.wishes.navigation
@@ -92,10 +74,7 @@ class LssNode(Node):
         self._withheld = ""
         self._asked = False
         self._first_told = False
-        self._lss_ms, self._latency_ms = Durations(), Durations()
-        self._diagnostics = Diagnostics(
-            self, config.publish.diagnostics_rate, self._problems, self._collect
-        )
+        self._lss_ms, self._delays = Durations(), Durations()
         self._landing = {
             topic: advertise(self, TYPES[TOPIC_TYPES[topic]], topic, latched()) for topic in GROUND
         }
@@ -109,9 +88,7 @@ class LssNode(Node):
             prior=prior,
         )
         self._markers = MarkerPublisher(
-            self,
-            advertise(self, MarkerArray, "landing/markers", latched()),
-            self._site_markers,
+            self, advertise(self, MarkerArray, "landing/markers", latched()), self._site_markers
         )
         self._grid_map = None
         if GridMap is not None:
@@ -125,7 +102,7 @@ class LssNode(Node):
         self._selector = LandingSiteSelector(config)
         if said := doubt(config):
             self.get_logger().warning(said)
-        announce(self, config)
+        self._announce()
 
     def _reconfigure(self, config: Config) -> None:
         self._selector.configure(config)
@@ -144,7 +121,7 @@ class LssNode(Node):
 
     def _age(self, stamp_ns: int) -> float:
         """Of what has a stamp, by the node's clock, s; NaN if the two are not of one time."""
-        latency = self._diagnostics.latency_ms(stamp_ns)
+        latency = self._latency_ms(stamp_ns)
         return float("nan") if latency is None else 1e-3 * latency
 
     def _on_cells(self, raw: bytes) -> None:
@@ -163,7 +140,7 @@ class LssNode(Node):
 
     def _withhold(self) -> str:
         """Why no site may be given out, empty if nothing speaks against it."""
-        limit = self._settings.config.lss.max_map_age
+        limit = self._config.lss.max_map_age
         reasons = (self._inputs.wishes.withheld, self._map.too_old(limit))
         return "; ".join(reason for reason in reasons if reason)
 
@@ -171,13 +148,13 @@ class LssNode(Node):
         """Withdraws the sites when the map has become too old; says what it waits for; ends the
         wait for a target."""
         self._take_pose()
-        self._waiting.tell(self._lacks() or self._why_none())
+        waits_for(self._lacks() or self._why_none())
         if self._result is None:
             return
         if self._withhold() != self._withheld:
             self._output.now()
         settling = self._result.selected.reason.key == "settling"
-        if settling and self._waited() >= self._settings.config.lss.settle_time:
+        if settling and self._waited() >= self._config.lss.settle_time:
             self._ask()
 
     def _waited(self) -> float:
@@ -239,9 +216,9 @@ class LssNode(Node):
         self._markers.changed()
         if self._grid_map is not None:
             self._grid_map.changed()
-        latency = self._diagnostics.latency_ms(result.stamp_ns)
+        latency = self._latency_ms(result.stamp_ns)
         if new and latency is not None:
-            self._latency_ms.add(latency)
+            self._delays.add(latency)
 
     def _tell_first(self, result: LandingAssessment) -> None:
         """One line when there are sites for the first time."""
@@ -257,7 +234,7 @@ class LssNode(Node):
     def _site_markers(self) -> MarkerArray | None:
         if self._result is None:
             return None
-        return site_markers(self._result, self._map.frame, self._settings.config.lss.zone)
+        return site_markers(self._result, self._map.frame, self._config.lss.zone)
 
     def _grid_map_message(self) -> Any:
         result = self._result
@@ -265,9 +242,9 @@ class LssNode(Node):
 
     def _collect(self, status: Status) -> None:
         self._map.take()
-        limits = self._settings.config.diagnostics
+        limits = self._config.diagnostics
         status.judge_age("map", self._map_topic, self._map.arrivals, limits)
-        latency = self._latency_ms.take()
+        latency = self._delays.take()
         text = "by the map's stamp and this node's clock, sites are sent after"
         status.judge_delay(text, latency, limits)
         status.add(

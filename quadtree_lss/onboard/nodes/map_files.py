@@ -1,19 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Maps on disk, and the services of ``mapping_node`` that keep, take up and empty its map."""
+"""The map on disk: a mapper's state to a file and back, and checkpoints while a node runs."""
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-
-from rclpy.node import Node
-from std_srvs.srv import Trigger
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, check, from_bytes, to_bytes
 from quadtree_lss.onboard.core.tree.leaves import LEAF
-from quadtree_lss.onboard.nodes.files import MapFileError, read_file, write_atomically
+from quadtree_lss.onboard.nodes.files import (
+    InUseError,
+    Keeper,
+    MapFileError,
+    error_text,
+    read_file,
+    regular_file,
+    sibling,
+    write_atomically,
+)
+
+END_TIMEOUT_S = 5.0
+"""How long a node that ends waits for a checkpoint that is being written."""
+
+PREVIOUS, REFUSED = ".previous", ".refused"
 
 OVERHEAD = 1_000_000
 """Of an archive, in bytes, over the leaves and the mask of what was observed."""
@@ -28,20 +40,20 @@ def save(path: Path, mapper: Mapper, root: str = "") -> None:
     writer(path, mapper, root)()
 
 
-def writer(path: Path, mapper: Mapper, root: str = "", **how: Any) -> Callable[[], None]:
+def writer(path: Path, mapper: Mapper, root: str = "", previous: str = "") -> Callable[[], None]:
     """What replaces the file by the mapper's present state, to be called beside its own work.
 
     The state is read back from the disk first, and must be one that a mapper can go on from.
-    ``path``, ``root``: as of `write_atomically`. ``mapper``: its state is copied now. ``how``:
-    further arguments of `write_atomically`. Raises `MapFileError`: (when called) not writable, or
-    no state to go on from; the old file is then untouched.
+    ``path``, ``root``, ``previous``: as of `write_atomically`. ``mapper``: its state is copied now.
+    Raises `MapFileError`: (when called) not writable, or no state to go on from; the old file is
+    then untouched.
     """
     state, domain, cells = mapper.export_state(), mapper.domain, mapper.config.mapping.max_cells
 
     def write() -> None:
         content = to_bytes(state)
         try:
-            write_atomically(path, content, root=root, verify=verify, **how)
+            write_atomically(path, content, root=root, verify=verify, previous=previous)
         except CheckpointError as error:
             msg = f"{path}: not written, for what would be in it {error}"
             raise MapFileError(msg) from None
@@ -71,64 +83,154 @@ def load(path: Path, mapper: Mapper, root: str = "") -> None:
         raise WrongContentError(msg) from None
 
 
-class MapServices:
-    """Answers with ``success`` and one line; a failure leaves the map as it was. ``path`` and
-    ``root`` are ``map_file.path`` and ``files.root``; ``changed`` is called after a map was loaded,
-    ``reset`` after it was emptied."""
+class Checkpoints:
+    """Keeps a file, below ``root``, in step with the map; the writing is done beside the node's own
+    work.
 
-    def __init__(
-        self,
-        node: Node,
-        mapper: Mapper,
-        *,
-        path: str,
-        root: str,
-        changed: Callable[[], None],
-        reset: Callable[[], None],
-    ) -> None:
-        self._logger = node.get_logger()
-        self._mapper = mapper
-        self._path, self._root = path, root
-        self._on_change, self._on_reset = changed, reset
-        for name, work in (
-            ("reset", self._reset),
-            ("save_map", self._save),
-            ("load_map", self._load),
-        ):
-            node.create_service(Trigger, f"~/{name}", self._answering(work))
+    Each is verified before it replaces the one before, which is kept as ``<name>.previous`` for
+    when the newest cannot be read. A file that was there from the start and could not be read may
+    hold a good map: it is not replaced. Nor is one that another node keeps: ``foreign`` says why
+    nothing is read or written here for good. ``written`` counts. With an empty ``path`` nothing is
+    kept.
+    """
 
-    def _reset(self) -> str:
-        self._mapper.reset()
-        self._on_reset()
-        return "map emptied"
+    def __init__(self, path: str | Path, root: str = "") -> None:
+        self._none = path == ""
+        self.path = Path(path)
+        self.written = 0
+        self.foreign = ""
+        self._root = root
+        self._keeper = Keeper()
+        self._error: str | None = None
+        self._thread: threading.Thread | None = None
+        self._changed = False
+        self._unread = False
+        self._due = time.monotonic()
 
-    def _save(self) -> str:
-        path = self._file()
-        save(path, self._mapper, self._root)
-        return f"{self._mapper.leaves.count} leaves saved to {path}"
-
-    def _load(self) -> str:
-        path = self._file()
-        load(path, self._mapper, self._root)
-        self._on_change()
-        return f"{self._mapper.leaves.count} leaves loaded from {path}"
-
-    def _file(self) -> Path:
-        if not self._path:
-            msg = "parameter map_file.path is not set"
-            raise MapFileError(msg)
-        return Path(self._root, self._path).absolute()
-
-    def _answering(
-        self, work: Callable[[], str]
-    ) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-        def serve(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def take_up(self, mapper: Mapper) -> str:
+        """Continue from the file if there is one; what became of it, for the log. Raises
+        `MapFileError`: the file cannot be used. The one before is taken up then, or the mapper is
+        unchanged. A file of wrong content is set aside, one that cannot be read is left alone."""
+        if self._none:
+            return ""
+        target = self._claimed()
+        troubles = []
+        for path in (target, sibling(target, PREVIOUS)):
             try:
-                response.message, response.success = work(), True
-                self._logger.info(response.message)
+                if not path.exists():
+                    continue
+                load(path, mapper, self._root)
             except MapFileError as error:
-                response.message, response.success = str(error), False
-                self._logger.warning(response.message)
-            return response
+                left = self._leave(target, error) if path == target else ""
+                troubles.append(f"{error}{left}")
+                continue
+            text = f"{mapper.leaves.count} leaves, newest scan {mapper.stamp_ns} ns"
+            text = "; ".join([*troubles, f"{path} taken up: {text}"])
+            if troubles:
+                msg = f"checkpoint {text}"
+                raise MapFileError(msg)
+            return f"checkpoint {text}"
+        if troubles:
+            msg = f"checkpoint {'; '.join(troubles)}; starting with an empty map"
+            raise MapFileError(msg)
+        return f"no checkpoint at {self.path} yet: starting with an empty map"
 
-        return serve
+    def _claimed(self) -> Path:
+        """The file, which no other node keeps. Raises `MapFileError`: another does, or it can be
+        none."""
+        try:
+            target = regular_file(self.path, self._root)
+            self._keeper.claim(target)
+        except InUseError as error:
+            self.foreign = f"checkpoint {error}: none is taken up or written here"
+            msg = f"{self.foreign}, starting with an empty map"
+            raise MapFileError(msg) from None
+        except MapFileError as error:
+            self._unread = True
+            msg = f"checkpoint {error}; left as it is, starting with an empty map"
+            raise MapFileError(msg) from None
+        return target
+
+    def _leave(self, target: Path, error: MapFileError) -> str:
+        """What becomes of a file that cannot be used."""
+        if not isinstance(error, WrongContentError):
+            self._unread = True
+            return "; left as it is"
+        aside = sibling(target, REFUSED)
+        try:
+            target.replace(aside)
+        except OSError:
+            return ""
+        return f"; set aside as {aside.name}"
+
+    def changed(self) -> None:
+        """The map changed."""
+        self._changed = not (self.foreign or self._none)
+
+    def work(self, mapper: Mapper, interval: float) -> str | None:
+        """Write if it is time; call often. The answer is what went wrong with the last one."""
+        if self._thread is not None and not self._thread.is_alive():
+            self._thread = None
+        now = time.monotonic()
+        if self._thread is None and self._changed and now >= self._due:
+            self._due = now + interval
+            self._changed = False
+            write = writer(self.path, mapper, self._root, PREVIOUS)
+            self._thread = threading.Thread(target=self._write, args=(write,), daemon=True)
+            self._thread.start()
+        error, self._error = self._error, None
+        return error
+
+    def forget(self) -> None:
+        """Remove the file and the one before: the map was reset. Raises `MapFileError`: they cannot
+        be removed."""
+        if self.foreign or self._none:
+            return
+        if not self._join():
+            self._changed = True  # the empty map then replaces what is still being written
+            msg = f"{self.path}: cannot be removed: it is still being written"
+            raise MapFileError(msg)
+        self._changed = False
+        try:
+            target = regular_file(self.path, self._root)
+            sibling(target, PREVIOUS).unlink(missing_ok=True)
+            target.unlink(missing_ok=True)
+        except (OSError, MapFileError) as error:
+            raise MapFileError(error_text(self.path, "removed", error)) from None
+        self._unread = False
+
+    def close(self, mapper: Mapper) -> str | None:
+        """Write what the file lacks and let others have it; the answer is what went wrong."""
+        if not self._join():
+            return (
+                f"checkpoint {self.path}: not written within {END_TIMEOUT_S:g} s; the one before is"
+                " intact"
+            )
+        if self._changed:
+            self._changed, self._error = False, None
+            self._write(writer(self.path, mapper, self._root, PREVIOUS))
+        self._keeper.release()
+        return self._error
+
+    def _join(self) -> bool:
+        """Wait for what is being written; False if it still is."""
+        if self._thread is not None:
+            self._thread.join(END_TIMEOUT_S)
+            if self._thread.is_alive():
+                return False
+            self._thread = None
+        return True
+
+    def _write(self, write: Callable[[], None]) -> None:
+        try:
+            if self._unread and regular_file(self.path, self._root).exists():
+                msg = f"{self.path}: could not be read at the start and is not replaced"
+                raise MapFileError(msg)
+            write()
+        except Exception as error:  # in a thread of its own nobody else would tell
+            known = isinstance(error, MapFileError)
+            self._error = f"checkpoint {error}" if known else f"checkpoint {self.path}: {error!r}"
+            self._changed = True  # the next one tries again
+        else:
+            self._unread = False
+            self.written += 1

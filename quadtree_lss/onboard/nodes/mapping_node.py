@@ -12,7 +12,6 @@ from typing import Any
 
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
-from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
@@ -30,30 +29,32 @@ from quadtree_lss.onboard.messages.lost_points import (
     overruled_text,
     unused_points_text,
 )
-from quadtree_lss.onboard.nodes.checkpoints import Checkpoints
 from quadtree_lss.onboard.nodes.diagnostics import (
     ERROR,
     OK,
     WARN,
     Arrivals,
-    Diagnostics,
     Durations,
-    Problems,
     Status,
-    Waiting,
     failure,
 )
 from quadtree_lss.onboard.nodes.entry import waits_for
 from quadtree_lss.onboard.nodes.executor import WhenWanted, arrived, steady_timer, transforms_type
 from quadtree_lss.onboard.nodes.files import MapFileError
 from quadtree_lss.onboard.nodes.losses import Overload, Publishers, ScanGaps
-from quadtree_lss.onboard.nodes.map_files import MapServices
+from quadtree_lss.onboard.nodes.map_files import Checkpoints, load, save
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, cell_markers
-from quadtree_lss.onboard.nodes.node_runner import announce, run
-from quadtree_lss.onboard.nodes.parameters import NodeParameters
+from quadtree_lss.onboard.nodes.node_runner import BaseNode, run
 from quadtree_lss.onboard.nodes.prior_output import PriorOutput, node_prior
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher, MapStamps
-from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe, subscribe_twice
+from quadtree_lss.onboard.nodes.qos import (
+    advertise,
+    latched,
+    serve,
+    stream,
+    subscribe,
+    subscribe_twice,
+)
 from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages, pose_message
 
 SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
@@ -66,15 +67,13 @@ LOOK_PERIOD_S = 0.1
 """How often poses are taken and waiting scans looked at while no scan comes."""
 
 
-class MappingNode(Node):
+class MappingNode(BaseNode):
     """Takes scans, poses and gimbal angles, publishes the map; see ``msg_docs``."""
 
     def __init__(self) -> None:
-        super().__init__("mapping_node", automatically_declare_parameters_from_overrides=True)
-        self._settings = NodeParameters(self)
-        config = self._settings.config
+        super().__init__("mapping_node")
+        config = self._config
         self._frame = config.frames.map
-        self._problems = Problems(self.get_logger())
         if config.prior.file:
             waits_for(f"prior.file {config.prior.file}")
         prior = node_prior(config, self._problems)
@@ -106,10 +105,7 @@ class MappingNode(Node):
         self._divisions_refused = 0
         self._points_dropped: Counter[str] = Counter()
         self._report: ScanReport | None = None
-        self._map_ms, self._publish_ms, self._latency_ms = Durations(), Durations(), Durations()
-        self._diagnostics = Diagnostics(
-            self, config.publish.diagnostics_rate, self._problems, self._collect
-        )
+        self._map_ms, self._publish_ms, self._delays = Durations(), Durations(), Durations()
         self._cells = advertise(self, PointCloud2, "map/cells", latched())
         self._observed = advertise(self, OccupancyGrid, "map/observed", latched())
         self._markers = MarkerPublisher(
@@ -119,33 +115,25 @@ class MappingNode(Node):
         )
         self._stamps = MapStamps()
         self._output = ChangePublisher(self, config.publish.rate, self._publish)
-        self._waiting, self._failed = Waiting(self.get_logger()), ""
-        self._checkpoints: Checkpoints | None = None
-        if config.checkpoint.path:
-            waits_for(f"checkpoint.path {config.checkpoint.path}")
-            self._checkpoints = Checkpoints(Path(config.checkpoint.path), config.files.root)
-            self._take_up_checkpoint(self._checkpoints)
-        self._map_services = MapServices(
-            self,
-            self._mapper,
-            path=config.map_file.path,
-            root=config.files.root,
-            changed=self._after_load,
-            reset=self._after_reset,
-        )
+        self._failed = ""
+        self._checkpoints = Checkpoints(config.checkpoint.path, config.files.root)
+        waits_for(f"checkpoint.path {config.checkpoint.path}")
+        self._take_up_checkpoint()
+        serve(self, "reset", self._reset)
+        serve(self, "save_map", self._save_map)
+        serve(self, "load_map", self._load_map)
         self._subscribe()
         self._look = steady_timer(self, LOOK_PERIOD_S, self._look_around)
-        announce(self, config)
+        self._announce()
 
     def finish(self) -> None:
         """Before the node ends in good order, what the checkpoint lacks is written."""
-        if self._checkpoints is not None:
-            error = self._checkpoints.close(self._mapper)
-            if error is not None:
-                self.get_logger().error(f"{error}; what it lacks is lost")
+        error = self._checkpoints.close(self._mapper)
+        if error is not None:
+            self.get_logger().error(f"{error}; what it lacks is lost")
 
     def _subscribe(self) -> None:
-        qos = self._settings.config.qos
+        qos = self._config.qos
         scan_qos = stream(SCAN_DEPTH, reliable=qos.scan_reliability == "reliable")
         pose_qos = stream(POSE_DEPTH, reliable=True)
         topic, told = self._topics[SCANS], self._gaps.on_publishers
@@ -154,7 +142,7 @@ class MappingNode(Node):
             subscribe(
                 self, CameraInfo, CAMERA, self._intake.on_camera_info, stream(1, reliable=False)
             )
-        if self._settings.config.domain.follow == "area":
+        if self._config.domain.follow == "area":
             subscribe_twice(self, PolygonStamped, f"landing/{AREA}", self._on_area)
         ahead = WhenWanted(lambda: len(self._intake.queue) > 0)
         poses = self._topics[POSES]
@@ -162,19 +150,20 @@ class MappingNode(Node):
         take = self._and_work(self._take_pose)
         pose = subscribe(self, kind, poses, take, pose_qos, group=ahead, raw=True)
         self._ahead = [(pose, self._take_pose)]
-        if self._settings.config.mount.gimbal:
+        if self._config.mount.gimbal:
             take = self._and_work(self._take_gimbal)
             gimbal = subscribe(self, TransformStamped, GIMBAL, take, pose_qos, group=ahead)
             self._ahead.append((gimbal, self._take_gimbal))
-        if self._settings.config.mount.tf:
+        if self._config.mount.tf:
             # As tf2's own listeners: every broadcaster keeps its transforms for whoever comes late.
             kept = latched(100)
             take = self._and_work(self._intake.on_transforms)
             subscribe(self, transforms_type(), TRANSFORMS, take, kept)
 
-    def _take_up_checkpoint(self, checkpoints: Checkpoints) -> None:
+    def _take_up_checkpoint(self) -> None:
         try:
-            self.get_logger().info(checkpoints.take_up(self._mapper))
+            if said := self._checkpoints.take_up(self._mapper):
+                self.get_logger().info(said)
         except MapFileError as error:
             self._problems.report("checkpoint", str(error))
         if self._mapper.stamp_ns:
@@ -186,7 +175,7 @@ class MappingNode(Node):
         self._gaps.on_scan(info["publication_sequence_number"])
         self._take_ahead()
         work_ms = self._map_ms.last + self._publish_ms.last
-        if self._overload.takes(info["received_timestamp"], self._settings.config, work_ms):
+        if self._overload.takes(info["received_timestamp"], self._config, work_ms):
             self._intake.on_cloud(message, arrival_ns)
         self._look.reset()
         self._look_around()
@@ -235,12 +224,10 @@ class MappingNode(Node):
         """What is due with each scan, and where none comes all the same."""
         self._take_ahead()
         self._work()
-        self._waiting.tell(self._lacks())
-        if self._checkpoints is not None:
-            interval = self._settings.config.checkpoint.interval
-            error = self._checkpoints.work(self._mapper, interval)
-            if error is not None:
-                self._problems.report("checkpoint", error)
+        waits_for(self._lacks())
+        error = self._checkpoints.work(self._mapper, self._config.checkpoint.interval)
+        if error is not None:
+            self._problems.report("checkpoint", error)
 
     def _lacks(self) -> str:
         """What the first scan to be mapped takes and has not come, empty after it."""
@@ -272,8 +259,7 @@ class MappingNode(Node):
         checkpoint, or if there is none as it is, provided that it is sound."""
         failed, state = failure("a scan", error, self.get_logger()), self._mapper.export_state()
         self._mapper.reset()
-        if self._checkpoints is not None:
-            self._take_up_checkpoint(self._checkpoints)
+        self._take_up_checkpoint()
         how = "the map is that of the checkpoint"
         if not self._mapper.stamp_ns:
             try:
@@ -300,7 +286,7 @@ class MappingNode(Node):
             )
         self._divisions_refused += report.refused_divisions
         self._points_dropped.update(scan.lost(report.dropped))
-        config = self._settings.config
+        config = self._config
         wrong = misplaced(report)
         why = likely_reason(scan.points_lidar, scan.pose, config) if wrong else ""
         unused = unused_points_text(report, self._mapper.domain, why)
@@ -315,23 +301,39 @@ class MappingNode(Node):
         self._stamps.content_changed |= content
         self._output.changed()
         self._markers.changed()
-        if self._checkpoints is not None:
-            self._checkpoints.changed()
+        self._checkpoints.changed()
 
-    def _after_load(self) -> None:
+    def _map_file(self) -> tuple[Path, str]:
+        config = self._config
+        if not config.map_file.path:
+            msg = "parameter map_file.path is not set"
+            raise MapFileError(msg)
+        root = config.files.root
+        return Path(root, config.map_file.path).absolute(), root
+
+    def _save_map(self) -> str:
+        path, root = self._map_file()
+        save(path, self._mapper, root)
+        return f"{self._mapper.leaves.count} leaves saved to {path}"
+
+    def _load_map(self) -> str:
+        path, root = self._map_file()
+        load(path, self._mapper, root)
         self._report = None
         self._map_changed()
+        return f"{self._mapper.leaves.count} leaves loaded from {path}"
 
-    def _after_reset(self) -> None:
+    def _reset(self) -> str:
+        self._mapper.reset()
         self._report = None
         self._stamps.reset()
         self._output.now()
         self._markers.delete_all(header_message(0, self._frame))
-        if self._checkpoints is not None:
-            try:
-                self._checkpoints.forget()
-            except MapFileError as error:  # the map is empty all the same
-                self._problems.report("checkpoint", f"checkpoint {error}")
+        try:
+            self._checkpoints.forget()
+        except MapFileError as error:  # the map is empty all the same
+            self._problems.report("checkpoint", f"checkpoint {error}")
+        return "map emptied"
 
     def _publish(self) -> None:
         start = time.perf_counter()
@@ -342,12 +344,12 @@ class MappingNode(Node):
         self._cells.publish(cells)
         self._prior.publish(snapshot.stamp_ns)
         self._publish_ms.add(1e3 * (time.perf_counter() - start))
-        latency = self._diagnostics.latency_ms(self._mapper.stamp_ns)
+        latency = self._latency_ms(self._mapper.stamp_ns)
         if self._report is not None and latency is not None:  # else of a file, however old
-            self._latency_ms.add(latency)
+            self._delays.add(latency)
 
     def _collect(self, status: Status) -> None:
-        config, report = self._settings.config, self._report
+        config, report = self._config, self._report
         # Not by an event: those of poses are looked at only while a scan waits.
         self._pose_publishers.changed(self.count_publishers(self._topics[POSES]))
         for what, name in (("scan", SCANS), ("pose", POSES), ("gimbal", GIMBAL)):
@@ -357,7 +359,7 @@ class MappingNode(Node):
         unused = self.resolve_topic_name(f"nav/{other}")
         if not self._arrived["pose"].count and self.count_publishers(unused):
             status.note(WARN, f"'{unused}' is published: pose.source: {other} takes it")
-        wait, latency = self._overload.waits.take(), self._latency_ms.take()
+        wait, latency = self._overload.waits.take(), self._delays.take()
         status.judge_delay("scans wait to be mapped for", wait, config.diagnostics)
         status.judge_delay(MAP_LATE, latency, config.diagnostics)
         dropped = Counter(self._intake.dropped, overload=self._overload.dropped)
@@ -377,10 +379,10 @@ class MappingNode(Node):
             }
         )
         self._prior.collect(status)
-        if self._checkpoints is not None:
+        if config.checkpoint.path:
             status.add({"checkpoints": self._checkpoints.written})
-            if self._checkpoints.foreign:
-                status.note(WARN, self._checkpoints.foreign)
+        if self._checkpoints.foreign:
+            status.note(WARN, self._checkpoints.foreign)
         if self._failed:
             status.note(ERROR, self._failed)
         if report is None:

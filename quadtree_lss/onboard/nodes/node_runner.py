@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What both nodes do when they start and end: arguments, one line of the log, signals."""
+"""What all nodes have: parameters, counted problems, their state on ``/diagnostics``; and how they
+start and end: arguments, one line of the log, signals."""
 
 from __future__ import annotations
 
@@ -12,10 +13,12 @@ from itertools import pairwise
 from typing import Any
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
@@ -24,8 +27,10 @@ from quadtree_lss import build
 from quadtree_lss.onboard.config.loading import read_values
 from quadtree_lss.onboard.config.settings import Config, ConfigError, parameters, values_from_config
 from quadtree_lss.onboard.errors import QuadtreeLssError
+from quadtree_lss.onboard.nodes.diagnostics import WARN, Problems, Status
 from quadtree_lss.onboard.nodes.entry import stop_on_signal, waits_for
-from quadtree_lss.onboard.nodes.executor import OneNodeExecutor
+from quadtree_lss.onboard.nodes.executor import OneNodeExecutor, steady_timer
+from quadtree_lss.onboard.nodes.parameters import ROS_TOPICS, NodeParameters
 
 ARGUMENT_ERRORS = (
     rclpy_implementation.RCLInvalidROSArgsError,
@@ -47,8 +52,79 @@ port, from hearing the sensors for ten seconds or for good. The kernel cuts the 
 net.core.rmem_max allows; docs/evidence.md says what was measured.
 """
 
+MEANINGFUL_LATENCY_S = 600.0
+"""Beyond, stamps and the node's clock are not of the same time: a bag without ``/clock``."""
 
-def run(make_node: Callable[[], Node], description: str, args: Sequence[str] | None = None) -> int:
+
+class BaseNode(Node):
+    """A node with the parameters of the table, one of whose statuses is sent at
+    ``publish.diagnostics_rate``, on a steady clock: what `_collect` fills in, and the counters of
+    its problems, of which a new one is a warning."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        self._settings = NodeParameters(self, self._reconfigure)
+        self._problems = Problems(self.get_logger())
+        self._build, self._problems_told = build.name(), 0
+        self._statuses = self.create_publisher(
+            DiagnosticArray, "/diagnostics", QoSProfile(depth=10)
+        )
+        steady_timer(self, 1.0 / self._config.publish.diagnostics_rate, self._send_status)
+
+    @property
+    def _config(self) -> Config:
+        """As it is now."""
+        return self._settings.config
+
+    def _reconfigure(self, config: Config) -> None:
+        """Live parameters were set."""
+
+    def _collect(self, status: Status) -> None:
+        """Says how the node is."""
+        raise NotImplementedError
+
+    def finish(self) -> None:
+        """What is left to do before the node ends in good order."""
+
+    def _latency_ms(self, stamp_ns: int) -> float | None:
+        """From a stamp to now by the node's clock; None if the two are not of the same time."""
+        latency = 1e-9 * (self.get_clock().now().nanoseconds - stamp_ns)
+        return 1e3 * latency if abs(latency) < MEANINGFUL_LATENCY_S else None
+
+    def _announce(self) -> None:
+        """One line: version and build, what is configured and by whom, domain, vehicle, topics."""
+        parts = (
+            f"quadtree_lss {quadtree_lss.__version__} ({self._build})",
+            configuration_text(self._config, sys.argv),
+            *ground_text(self._config),
+            f"takes {topics_text(self.subscriptions)}",
+            f"sends {topics_text(self.publishers)}",
+        )
+        waits_for("", self.get_logger().warning)
+        self.get_logger().info("; ".join(parts))
+
+    def _send_status(self) -> None:
+        state, problems = Status(), self._problems
+        state.add({"build": self._build})
+        self._collect(state)
+        total = problems.counts.total()
+        if total > self._problems_told:
+            new = total - self._problems_told
+            state.note(WARN, f"{new} new problems, the last: {problems.latest}")
+        self._problems_told = total
+        state.add({f"problems.{key}": n for key, n in problems.counts.items()})
+        status = DiagnosticStatus(level=state.level, message=state.text)
+        status.name = self.get_fully_qualified_name().lstrip("/")
+        status.hardware_id = self.get_namespace()
+        status.values = [KeyValue(key=key, value=str(v)) for key, v in state.values.items()]
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._statuses.publish(message)
+
+
+def run(
+    make_node: Callable[[], BaseNode], description: str, args: Sequence[str] | None = None
+) -> int:
     """Run one node until SIGINT, SIGTERM, SIGHUP or shutdown. ``make_node``: called once ROS is
     initialised. ``description``: what ``--help`` prints first. ``args``: command line with the
     program's name, ``sys.argv`` by default.
@@ -64,7 +140,8 @@ def run(make_node: Callable[[], Node], description: str, args: Sequence[str] | N
         return _wrong_arguments(error)
     if "-h" in own or "--help" in own:
         with contextlib.suppress(BrokenPipeError):  # the reader has gone, as with `| head`
-            print(_help(os.path.basename(argv[0]), description), flush=True)
+            usage = "[--ros-args --params-file FILE -p NAME:=VALUE -r FROM:=TO ...]"
+            print(f"{description}\n\nusage: {os.path.basename(argv[0])} {usage}", flush=True)
         return 0
     if own:
         print(f"unknown argument {own[0]!r}; ROS arguments follow --ros-args", file=sys.stderr)
@@ -75,9 +152,9 @@ def run(make_node: Callable[[], Node], description: str, args: Sequence[str] | N
     return _spin(make_node, argv)
 
 
-def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
+def _spin(make_node: Callable[[], BaseNode], argv: list[str]) -> int:
     executor: OneNodeExecutor | None = None
-    node: Node | None = None
+    node: BaseNode | None = None
     stop = stop_on_signal()
     if stop.asked:
         return 0
@@ -94,9 +171,7 @@ def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
         with contextlib.suppress(ExternalShutdownException), stop.breaking():
             while rclpy.ok() and not stop.asked:
                 executor.spin_once(timeout_sec=STOP_PERIOD_S)
-        # Not after an exception: what the node holds may be broken then.
-        if finish := getattr(node, "finish", None):
-            finish()
+        node.finish()  # not after an exception: what it holds may be broken then
     except KeyboardInterrupt:  # what it had at work is half done, and is not written
         print("asked to end once more: broken off", file=sys.stderr)
     except QuadtreeLssError as error:
@@ -111,7 +186,7 @@ def _spin(make_node: Callable[[], Node], argv: list[str]) -> int:
     return 0
 
 
-def _made(make_node: Callable[[], Node]) -> Node:
+def _made(make_node: Callable[[], BaseNode]) -> BaseNode:
     """The node. Raises `ConfigError`: it cannot be made of these parameters, names and overrides;
     or `QuadtreeLssError`: the middleware fails."""
     try:
@@ -137,53 +212,29 @@ def _wrong_arguments(error: Exception) -> int:
     return 2
 
 
-def _help(program: str, description: str) -> str:
-    lines = [
-        description,
-        "",
-        f"usage: {program} [--ros-args --params-file FILE -p NAME:=VALUE -r FROM:=TO ...]",
-        "",
-        "parameters (live ones may be set while running):",
-    ]
-    for row in parameters():
-        unit = f" {row.unit}" if row.unit else ""
-        live = ", live" if row.live else ""
-        lines.append(f"  {row.name} ({row.type.__name__}, default {row.default}{unit}{live})")
-        lines.append(f"      {row.doc}")
-    return "\n".join(lines)
-
-
-ROS_TOPICS = ("/clock", "/parameter_events", "/rosout")
-
-
-def announce(node: Node, config: Config) -> None:
-    """One line: version and build, what is configured and by whom, domain, vehicle, topics."""
-    parts = (
-        f"quadtree_lss {quadtree_lss.__version__} ({build.name()})",
-        configuration_text(config, sys.argv),
-        *ground_text(config),
-        f"takes {topics_text(node.subscriptions)}",
-        f"sends {topics_text(node.publishers)}",
-    )
-    waits_for("")
-    node.get_logger().info("; ".join(parts))
-
-
 def configuration_text(config: Config, arguments: Sequence[str]) -> str:
     """What differs from the defaults, each with the file that sets it. ``config``: what holds.
     ``arguments``: of the command line; what stands in none of its files came otherwise."""
+    origin: dict[str, str] = {}
+    for option, value in pairwise(arguments):
+        if option == "--params-file":
+            with contextlib.suppress(ConfigError):  # in ROS's own form, which is wider than ours
+                origin |= dict.fromkeys(read_values(value), value)
+        elif option in ("-p", "--param"):
+            origin.pop(value.partition(":=")[0], None)
     values = values_from_config(config)
     changed = [row.name for row in parameters() if values[row.name] != row.default]
     files = [path for option, path in pairwise(arguments) if option == "--params-file"]
     if not changed:
         return f"configuration: the defaults{' (as in ' + ', '.join(files) + ')' if files else ''}"
-    origin = _origins(arguments)
-    by_file: dict[str, list[str]] = {}
-    for name in changed:
-        by_file.setdefault(origin.get(name, "command line"), []).append(f"{name}={values[name]}")
-    groups = [f"{', '.join(names)} (from {file})" for file, names in by_file.items()]
-    unused = [f"{path} (nothing but defaults)" for path in files if path not in by_file]
-    return f"configuration other than the defaults: {', '.join([*groups, *unused])}"
+    parts, otherwise = [], "command line"
+    for source in dict.fromkeys([*files, otherwise]):
+        set_by = [f"{n}={values[n]}" for n in changed if origin.get(n, otherwise) == source]
+        if set_by:
+            parts.append(f"{', '.join(set_by)} (from {source})")
+        elif source != otherwise:
+            parts.append(f"{source} (nothing but defaults)")
+    return f"configuration other than the defaults: {', '.join(parts)}"
 
 
 def ground_text(config: Config) -> list[str]:
@@ -207,17 +258,3 @@ def topics_text(ends: Iterable[Any]) -> str:
             words += ["latched"] * (qos.durability.name == "TRANSIENT_LOCAL")
             found.setdefault(end.topic_name, []).append(", ".join([*words, str(qos.depth)]))
     return ", ".join(f"{topic} ({' and '.join(ways)})" for topic, ways in found.items())
-
-
-def _origins(arguments: Sequence[str]) -> dict[str, str]:
-    """The last file of the command line that sets a parameter, by the parameter's name."""
-    origin: dict[str, str] = {}
-    for option, value in pairwise(arguments):
-        if option == "--params-file":
-            try:
-                origin |= dict.fromkeys(read_values(value), value)
-            except ConfigError:  # in ROS's own form, which is wider than ours
-                continue
-        elif option in ("-p", "--param"):
-            origin[value.partition(":=")[0]] = "command line"
-    return origin

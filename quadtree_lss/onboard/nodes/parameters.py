@@ -21,7 +21,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
-from quadtree_lss.onboard.config.loading import check_reaches
+from quadtree_lss.onboard.config.loading import ROS_OWN, check_reaches
 from quadtree_lss.onboard.config.settings import (
     Config,
     ConfigError,
@@ -34,8 +34,6 @@ from quadtree_lss.onboard.config.settings import (
 from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.files import is_below
 
-#: Parameters that every ROS node has, whatever its package.
-ROS_OWN = ("use_sim_time", "start_type_description_service")
 QOS = "qos_overrides."
 ROS_TOPICS = ("/clock", "/parameter_events", "/rosout")
 
@@ -50,7 +48,7 @@ QOS_POLICIES: dict[str, list[str]] = {
 
 def is_ros_own(name: str) -> bool:
     """True for parameters that belong to ROS itself."""
-    return name in ROS_OWN or name.startswith(QOS)
+    return ROS_OWN.fullmatch(name) is not None
 
 
 def descriptor(row: Parameter) -> ParameterDescriptor:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quality of service of every topic, and what the log says when two ends do not match."""
+"""Topics with their quality of service, what the log says when two ends do not match; services."""
 
 from __future__ import annotations
 
@@ -22,6 +22,9 @@ from rclpy.qos import (
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
+from std_srvs.srv import Trigger
+
+from quadtree_lss.onboard.errors import QuadtreeLssError
 
 
 def latched(depth: int = 1) -> QoSProfile:
@@ -106,6 +109,22 @@ def subscribe_twice(
     subscribe(node, kind, topic, callback, stream(max(kept, 5), reliable=True))
     quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
     return node.create_subscription(kind, topic, callback, latched(kept), event_callbacks=quiet)
+
+
+def serve(node: Node, name: str, work: Callable[[], str]) -> None:
+    """A ``std_srvs/Trigger`` service ``~/name``: the line that ``work`` returns, and success; of
+    what it raises, a `QuadtreeLssError`, the line alone. Both go to the log."""
+
+    def answer(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            response.message, response.success = work(), True
+            node.get_logger().info(response.message)
+        except QuadtreeLssError as error:
+            response.message, response.success = str(error), False
+            node.get_logger().warning(response.message)
+        return response
+
+    node.create_service(Trigger, f"~/{name}", answer)
 
 
 def advertise(node: Node, kind: Any, topic: str, profile: QoSProfile) -> Publisher:

@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
-from std_srvs.srv import Trigger
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.limits import LONGEST
 from quadtree_lss.onboard.core.landing.target import WAIT_S
+from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.landing_inputs import prior_from_message
 from quadtree_lss.onboard.messages.outputs import PRIOR, SELECTED, STATUS
 from quadtree_lss.onboard.nodes.diagnostics import Problems
 from quadtree_lss.onboard.nodes.executor import steady_timer
-from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, subscribe, target
+from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, serve, subscribe, target
 from quadtree_lss.onboard.nodes.ros_messages import message_maker
 
 if TYPE_CHECKING:
@@ -60,8 +60,8 @@ class TargetOutput:
         self._chosen = False
         self._frame = ""
         self._again = steady_timer(node, 0.4 * TARGET_S, self._say)
-        node.create_service(Trigger, "~/release", self._on_release)
-        node.create_service(Trigger, "~/land_now", self._on_land_now)
+        serve(node, "release", self._on_release)
+        serve(node, "land_now", self._on_land_now)
 
     def send(self, result: LandingAssessment, frame: str) -> None:
         """Publishes the target of an assessment.
@@ -131,30 +131,26 @@ class TargetOutput:
                 f"target {last} is withdrawn ({selected.reason.key}): {result.explanation}"
             )
 
-    def _on_release(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_release(self) -> str:
         held = 0 if self._result is None else self._result.selected.id
-        response.success = held > 0 or self._urgent
-        response.message = "there is no target"
-        if response.success:
-            response.message = f"target {held} is released; the next assessment takes the best site"
-            self._urgent = False
-            self._release()
-        return response
+        if not (held or self._urgent):
+            msg = "there is no target"
+            raise QuadtreeLssError(msg)
+        self._urgent = False
+        self._release()
+        return f"target {held} is released; the next assessment takes the best site"
 
-    def _on_land_now(
-        self, request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
+    def _on_land_now(self) -> str:
         self._urgent = True
         self._land_now()
         result = self._result
-        response.success = result is not None and result.selected.id > 0
-        why = "nothing is mapped yet" if result is None else result.explanation
-        response.message = f"no place within reach ({why}); the first that there is will be it"
-        if result is not None and result.selected.id:
-            x, y, z = result.selected.position
-            response.message = (
-                f"target {result.selected.id} at x {x:.2f}, y {y:.2f}, z {z:.2f} m, safe with"
-                f" probability {result.selected.probability:.3f}; {WAIT_S:g} s of waiting would"
-                f" gain {result.gain:+.3f}"
-            )
-        return response
+        if result is None or not result.selected.id:
+            why = "nothing is mapped yet" if result is None else result.explanation
+            msg = f"no place within reach ({why}); the first that there is will be it"
+            raise QuadtreeLssError(msg)
+        chosen = result.selected
+        x, y, z = chosen.position
+        return (
+            f"target {chosen.id} at x {x:.2f}, y {y:.2f}, z {z:.2f} m, safe with probability"
+            f" {chosen.probability:.3f}; {WAIT_S:g} s of waiting would gain {result.gain:+.3f}"
+        )
