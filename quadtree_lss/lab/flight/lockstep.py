@@ -96,7 +96,7 @@ class LockstepNodes:
         else:
             self._intake.on_cloud(message, now_ns)
 
-    def work(self, now_ns: int) -> Target | None:
+    def work(self, now_ns: int) -> list[Target]:
         """Maps and assesses what is due; what ``landing/selected`` says now, if anything."""
         if "mapping" not in self._down:
             self._mapper.look_at(self._wishes.values[AREA])
@@ -111,16 +111,16 @@ class LockstepNodes:
             if now_ns - self._checkpoint_ns >= 1e9 * self._config.checkpoint.interval:
                 self._checkpoint, self._checkpoint_ns = self._mapper.export_state(), now_ns
         if "lss" in self._down:
-            return None
+            return []
         self._passes.tick(now_ns, self._mapper.snapshot)
         said = self._assessments.due(now_ns)
         if said is None:
-            return None
+            return []
         self.last = said
         self._chosen = self._chosen or not said.undecided
         if not self._chosen:  # as lss_node, of which the one before may have named a target
-            return None
-        return Target(said.selected.position.copy() if said.selected.id else None)
+            return []
+        return [Target(said.selected.position.copy() if said.selected.id else None)]
 
     def land_now(self) -> None:
         self._passes.land_now()
