@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.lab.simulation.march import march
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.elevation.archives import read_arrays
+from quadtree_lss.onboard.elevation.dem import read_dem
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -167,19 +167,12 @@ class Parabola:
 
 
 def load_terrain(path: str | Path) -> Terrain:
-    """Read a DEM from ``.npz`` with arrays x (nx,), y (ny,), elevation (ny, nx)."""
-    file = Path(path)
-    if not file.is_file():
-        raise SimulationError(f"terrain file {file} does not exist")
+    """A DEM from a file; see `read_dem`. Raises `SimulationError`: it cannot be flown over."""
     try:
-        arrays = read_arrays(file, ("x", "y", "elevation"))
-        return Terrain(arrays["x"], arrays["y"], arrays["elevation"])
-    except KeyError as error:
-        msg = f"terrain file {file}: no array {error.args[0]!r}; needed are x, y, elevation"
-        raise SimulationError(msg) from error
+        model = read_dem(Path(path))
+        return Terrain(model.x, model.y, model.elevation)
     except SimulationError as error:
-        msg = f"terrain file {file}: {str(error).removeprefix('terrain: ')}"
+        msg = f"terrain file {path}: {str(error).removeprefix('terrain: ')}"
         raise SimulationError(msg) from error
-    except (ExchangeError, ValueError, TypeError) as error:
-        msg = f"terrain is no .npz with arrays of numbers x, y, elevation: {error}"
-        raise SimulationError(msg) from error
+    except ExchangeError as error:
+        raise SimulationError(f"terrain file {error}") from error
