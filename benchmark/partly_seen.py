@@ -229,7 +229,7 @@ def small_footprints(
 
 def inside(seeds: list[int] | None, quick: bool) -> None:
     """Fields of rocks, 180 scans over 40 x 40 m: rocks of 0.25-0.5 m with 50 returns and more."""
-    config, rows, worst = configuration("flight"), [], []
+    config, rows = configuration("flight"), []
     for seed in seeds or range(421, 423 if quick else 431):
         rng = np.random.default_rng(seed)
         count = int(rng.integers(20, 80))
@@ -257,20 +257,12 @@ def inside(seeds: list[int] | None, quick: bool) -> None:
             [seed, len(high), int((returns[matter] >= 50).sum()), found.safe, len(found.wrong)]
             + [int(blame.sum()), int((blame > 0).sum()), told(found.rise, ".2f"), told(found.risk)]
         )
-        worst += [
-            [seed, f"{high[k]:.2f}", int(returns[k]), int(blame[k])]
-            + [f"{places[k, 0]:.2f}", f"{places[k, 1]:.2f}"]
-            for k in np.flatnonzero(blame)
-        ]
     table(
         "inside: 180 scans over 40 x 40 m; rocks of 0.25-0.5 m with 50 returns and more",
         ["seed", "rocks", "of these", "safe", "unsafe", "by these", "rocks to blame"]
         + ["worst rise m", "least risk"],
         rows,
     )
-    worst.sort(key=lambda row: -row[3])
-    head = ["seed", "height m", "returns", "points", "x m", "y m"]
-    table("rocks beside which most points are wrongly safe", head, worst[:10])
 
 
 CASES = {"edge": edge, "footprints": footprints, "inside": inside}
