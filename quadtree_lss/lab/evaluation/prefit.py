@@ -12,6 +12,7 @@ from scipy.stats import chi
 from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.config.settings import LidarConfig
 from quadtree_lss.onboard.core.geometry.morton import squeezed
+from quadtree_lss.onboard.core.geometry.rotations import skew
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
@@ -152,8 +153,6 @@ def _dot(one: Array, other: Array) -> Array:
 def _of_pose(arm: Array, covariance: Array) -> Array:
     """Pose part (N, 3, 3) of Eq. 17 for points (N, 3) about the lidar: J Sigma J^T with
     J = (I, -[r]_x) of the pose's covariance (6, 6)."""
-    jacobian = np.zeros((len(arm), 3, 6))
-    jacobian[:, :, :3] = np.eye(3)
-    for k in range(3):
-        jacobian[:, :, 3 + k] = np.cross(np.eye(3)[k], arm)
+    unit = np.broadcast_to(np.eye(3), (len(arm), 3, 3))
+    jacobian = np.concatenate([unit, -skew(arm)], axis=-1)
     return np.asarray(jacobian @ covariance @ jacobian.transpose(0, 2, 1))
