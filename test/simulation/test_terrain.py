@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from exchange.test_dem import tiff
 
 from quadtree_lss.lab.simulation.hazard_field import (
     HazardField,
@@ -88,6 +89,11 @@ def test_dem_file_round_trip(tmp_path):
     np.savez(path, x=terrain.x, y=terrain.y, elevation=terrain.elevation.astype(np.float32))
     loaded = load_terrain(path)
     np.testing.assert_allclose(loaded.elevation, terrain.elevation, atol=1e-6)
+
+
+def test_a_geotiff_is_read_and_its_gap_refused(tmp_path):
+    with pytest.raises(SimulationError, match="dem.tif: .* not finite"):
+        load_terrain(tiff(tmp_path / "dem.tif"))
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--rate", type=common.positive, metavar="R", help=text)
     text = "by the nodes; by the paper's rules; straight to the planned point; by the true ground"
     add("--avoidance", choices=AVOIDANCE, default="package", help=text)
-    add("--terrain", type=common.named, metavar="DEM", help=".npz with x, y, elevation (ny, nx), m")
+    text = "elevation model: GeoTIFF, or .npz with x, y, elevation (ny, nx), m"
+    add("--terrain", type=common.named, metavar="DEM", help=text)
     text = "share of the ground that rocks cover (default 0.05, with --terrain none)"
     add("--rocks", type=common.share, metavar="K", help=text)
     add("--range-noise", type=common.not_negative, default=0.06, metavar="M", help="one sigma, m")
