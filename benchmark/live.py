@@ -94,9 +94,10 @@ class Usage:
         self.process = process
         self._before = self.cpu[-1] if self.cpu else 0.0
 
-    def share(self, first: int = 0) -> float:
-        """Per cent of one core from sample ``first`` to the last."""
-        return 100.0 * (self.cpu[-1] - self.cpu[first]) / (self.seconds[-1] - self.seconds[first])
+    def share(self, first: int = 0, last: int = -1) -> float:
+        """Per cent of one core from sample ``first`` to ``last``."""
+        seconds = self.seconds[last] - self.seconds[first]
+        return 100.0 * (self.cpu[last] - self.cpu[first]) / seconds
 
 
 @dataclass(frozen=True)
@@ -371,6 +372,26 @@ def _spread(values: Any) -> list[str]:
     return [f"{v:.1f}" for v in (np.median(values), np.percentile(values, 95), values.max())]
 
 
+def by_the_minute(flight: Flight) -> None:
+    """Prints latency, scans, processor time and memory, a row a minute."""
+    start, minute_ns, rows = int(flight.sent[0]), 60 * SECOND_NS, []
+    for minute in range(int((flight.sent[-1] - start) / minute_ns) + 1):
+        sent = flight.sent[(flight.sent - start) // minute_ns == minute]
+        row = [f"{minute + 1}", f"{len(sent)}"]
+        for topic in (CELLS, SITES):
+            of_messages, _ = latencies_ms(sent, flight.observed.received[topic])
+            row += [f"{np.percentile(of_messages, 95):.0f}" if len(of_messages) else "-"]
+        for each in flight.usage.values():
+            inside = np.flatnonzero((np.array(each.seconds) - each.seconds[0]) // 60.0 == minute)
+            row += ["-", "-"]
+            if len(inside) > 1:
+                part = f"{each.share(inside[0], inside[-1]):.0f}"
+                row[-2:] = part, f"{each.memory_mb[inside[-1]]:.0f}"
+        rows.append(row)
+    head = ["minute", "scans", "cells p95 ms", "sites p95 ms"]
+    table("By the minute", head + [of for name in flight.usage for of in (f"{name} %", "MB")], rows)
+
+
 def main() -> None:
     """Fly and print."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -379,12 +400,19 @@ def main() -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="parameter of the nodes"
     )
+    text = "kill a node every S seconds and start it again, with checkpoints"
+    parser.add_argument("--kill", type=float, default=0.0, metavar="S", help=text)
     options = parser.parse_args()
     print(machine())
     extra = [word for item in options.set for word in ("-p", item.replace("=", ":=", 1))]
     with tempfile.TemporaryDirectory() as folder:
-        script = write_script(options.seed)
-        report(fly(script, options.seconds, Path(folder), extra=extra))
+        if options.kill:
+            extra += ["-p", f"checkpoint.path:={folder}/checkpoint.map"]
+        script, how = write_script(options.seed), {"extra": extra, "kill_every": options.kill}
+        flight = fly(script, options.seconds, Path(folder), **how)
+    if options.kill:
+        by_the_minute(flight)
+    report(flight)
 
 
 if __name__ == "__main__":
