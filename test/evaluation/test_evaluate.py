@@ -276,7 +276,7 @@ def test_numbers_that_do_not_exist_are_dashes(tmp_path):
 
 def test_map_somewhere_else(tmp_path):
     folder = write_results(tmp_path / "results")
-    truth = write_truth(tmp_path / "truth.npz", box=(9.0, 11.0, 9.0, 11.0))
+    truth = write_truth(tmp_path / "truth.npz", box=(9.0, 11.0, 9.0, 12.0))
     with pytest.raises(EvaluationError, match="overlap"):
         evaluate(folder, truth)
 
