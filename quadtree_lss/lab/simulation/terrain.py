@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import maximum_filter
 
 from quadtree_lss.lab.simulation.march import march
 from quadtree_lss.onboard.arrays import Array
@@ -106,13 +107,10 @@ class Terrain:
         with which rays skip empty space."""
         maxima = []
         for window in WINDOWS:
-            rows, columns = (-(-n // window) for n in self.elevation.shape)
-            blocks = np.full((rows + 2, columns + 2), -np.inf)
-            edges_y, edges_x = np.arange(rows) * window, np.arange(columns) * window
-            by_row = np.maximum.reduceat(self.elevation, edges_y, axis=0)
-            blocks[1:-1, 1:-1] = np.maximum.reduceat(by_row, edges_x, axis=1)
-            along_x = np.maximum(np.maximum(blocks[:, :-2], blocks[:, 1:-1]), blocks[:, 2:])
-            maxima.append(np.maximum(np.maximum(along_x[:-2], along_x[1:-1]), along_x[2:]))
+            blocks = self.elevation
+            for axis, count in enumerate(blocks.shape):
+                blocks = np.maximum.reduceat(blocks, np.arange(0, count, window), axis=axis)
+            maxima.append(maximum_filter(blocks, 3, mode="constant", cval=-np.inf))
         return tuple(maxima)
 
     def cast(self, origin_map: Array, directions_map: Array) -> Array:
