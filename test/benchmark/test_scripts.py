@@ -20,7 +20,10 @@ SMALL = {
     "prior": ([], ["nothing flown: --terrain names no ground"]),
     "arducopter": ([], ["nothing flown: ARDUCOPTER names no"]),
     "depth": (["--seeds", "9421", "--duration", "2"], ["unsafe called safe", "scan update"]),
-    "follow": (["--help"], ["--moments"]),
+    "follow": (
+        ["--seeds", "9481", "--length", "80", "--moments", "3"],
+        ["moves of the square", "and to the bit"],
+    ),
     "touchdown": (["--touchdowns", "100"], ["100 touchdowns, energy gained", "static unsafe"]),
     "hover": (["--flights", "1", "--scans", "20", "50"], ["white", "Gauss-Markov", "constant"]),
     "section_vi": (["--seeds", "201", "--duration", "3"], ["187", "220", "one degree"]),
