@@ -18,7 +18,6 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import tempfile
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -34,12 +33,11 @@ from quadtree_lss.lab.evaluation.risk_flights import lander_of
 from quadtree_lss.lab.simulation.hazard_field import FIELDS, hazard_field
 from quadtree_lss.lab.simulation.lidar import FlashLidar
 from quadtree_lss.lab.simulation.navigation import DriftingNavigation
-from quadtree_lss.lab.simulation.safety import worst_contact
+from quadtree_lss.lab.simulation.safety import contact_safe
 from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.lab.simulation.trajectory import NORTH, look_at
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import Config, config_from_values
-from quadtree_lss.onboard.core.geometry.rotations import quaternion_from_rotation
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
@@ -48,7 +46,6 @@ from quadtree_lss.onboard.core.tree.leaves import LEAF
 from quadtree_lss.onboard.messages.maps import (
     decode_cells,
     encode_cells,
-    record_dtype,
     round_trip,
 )
 
@@ -90,14 +87,11 @@ def main() -> None:
     parser.add_argument("--seeds", default="9481-9482", help="first-last")
     parser.add_argument("--length", type=float, default=1000.0, help="of the way, m")
     parser.add_argument("--moments", type=int, default=100)
-    parser.add_argument("--live", type=float, help="the nodes as processes, so many seconds of it")
     parser.add_argument("--field", default="default", choices=tuple(FIELDS))
     options = parser.parse_args()
     seeds = parse_seeds(options.seeds)
     print(machine())
     config = configuration("drone", domain__follow="vehicle")
-    if options.live:
-        return live(seeds[0], options.field, options.live)
     flown = [fly(seed, options, config) for seed in seeds]
     rows = [[name, *(of[k][1] for of in flown)] for k, (name, _) in enumerate(flown[0])]
     title = f"{options.length:g} m over {options.field} ground"
@@ -160,35 +154,6 @@ def fly(seed: int, options: argparse.Namespace, config: Config) -> list[list[str
     return told_of(np.array(memory), np.array(late), np.array(places), same, moves, longest)
 
 
-def live(seed: int, field: str, seconds: float) -> None:
-    """Print the latencies of both nodes as processes."""
-    from live import CELLS, SITES, Script, fly, latencies_ms
-    from rclpy.serialization import serialize_message
-
-    from quadtree_lss.onboard.nodes.ros_messages import message_maker
-
-    make, offsets, content = message_maker("map"), [], []
-    for _, _, points, pose in scans(seed, field, int(seconds * RATE) + 1):
-        turn = quaternion_from_rotation(pose.rotation_map_lidar)
-        said = make.pose(0, pose.position, turn, pose.covariance.ravel())
-        cloud = make.cloud(points.view(record_dtype(("f4", "xyz")))[..., 0], 0)
-        offsets += [pose.stamp_ns - 10**9] * 2
-        content += [bytearray(serialize_message(message)) for message in (said, cloud)]
-    script = Script(offsets, [False, True] * (len(offsets) // 2), content, offsets[-1])
-    extra = ("-p", "domain.follow:=vehicle")
-    with tempfile.TemporaryDirectory() as folder:
-        flown = fly(script, seconds, Path(folder), config="drone", extra=extra)
-    rows = []
-    for topic in (CELLS, SITES):
-        late, _ = latencies_ms(flown.sent, flown.observed.received[topic])
-        rows.append([topic, *(f"{of:.0f}" for of in np.percentile(late, (50, 95, 100)))])
-    rows += [[name, f"{of.share():.0f} %", "", ""] for name, of in flown.usage.items()]
-    title = (
-        f"{seconds:g} s: from the stamp of a message's newest scan to its arrival, ms; of a core"
-    )
-    table(title, ["", "median", "95 %", "most"], rows)
-
-
 def judge(now: Array, at: Array, ground: Terrain, config: Config) -> tuple[float, ...]:
     """Whether there is truly safe ground near; whether a place is named, whether the lander stands
     there, what was told of that, and how far it is."""
@@ -203,10 +168,7 @@ def judge(now: Array, at: Array, ground: Terrain, config: Config) -> tuple[float
 
 def safe(ground: Terrain, places: Array, config: Config) -> Mask:
     """(K,) whether the lander stands at places (K, 2)."""
-    lander = lander_of(config)
-    slope, rise = worst_contact(ground.x, ground.y, ground.elevation, places, lander)
-    steepest = np.tan(np.radians(config.vehicle.max_slope_deg))
-    return np.asarray((slope <= steepest) & (rise <= config.vehicle.clearance))
+    return contact_safe(ground.x, ground.y, ground.elevation, places, lander_of(config))
 
 
 def alike(

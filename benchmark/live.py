@@ -14,7 +14,7 @@ import struct
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from multiprocessing.synchronize import Event
@@ -36,15 +36,16 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.desk.bags.bag import Bag
-from quadtree_lss.desk.bags.message_types import POSE_TYPE
-from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC
+from quadtree_lss.desk.player.player import wait_for_subscribers
 from quadtree_lss.desk.replay.configuration import find_config
 from quadtree_lss.lab.live.processes import NodeProcess, local_domain
-from quadtree_lss.lab.simulation.simulate import simulate
+from quadtree_lss.lab.simulation.recording import SCAN_TOPIC, Messages
+from quadtree_lss.lab.simulation.simulation import Simulation
 from quadtree_lss.onboard.core.geometry.rotations import quaternion_from_rotation
+from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.messages.intake import Intake
 from quadtree_lss.onboard.nodes.qos import latched, stream
+from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed
 
 SECOND_NS = 1_000_000_000
 POSE_NS = 10_000_000
@@ -93,9 +94,10 @@ class Usage:
         self.process = process
         self._before = self.cpu[-1] if self.cpu else 0.0
 
-    def share(self, first: int = 0) -> float:
-        """Per cent of one core from sample ``first`` to the last."""
-        return 100.0 * (self.cpu[-1] - self.cpu[first]) / (self.seconds[-1] - self.seconds[first])
+    def share(self, first: int = 0, last: int = -1) -> float:
+        """Per cent of one core from sample ``first`` to ``last``."""
+        seconds = self.seconds[last] - self.seconds[first]
+        return 100.0 * (self.cpu[last] - self.cpu[first]) / seconds
 
 
 @dataclass(frozen=True)
@@ -111,41 +113,33 @@ class Flight:
 
 def write_script(seed: int, config_name: str = "morpheus") -> Script:
     """Simulate a flight and prepare its messages, poses interpolated to 100 Hz."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "bag"
-        simulate("morpheus", path, seed=seed)
-        scans: list[tuple[int, bytearray]] = []
-        intake = Intake(configuration(config_name))
-        with Bag(path) as bag:
-            for message in bag.messages([SCAN_TOPIC, POSE_TOPIC], bag.start_ns, bag.end_ns + 1):
-                if message.topic == SCAN_TOPIC:
-                    seconds, nanoseconds = struct.unpack_from("<iI", message.raw, 4)
-                    scans.append((seconds * SECOND_NS + nanoseconds, bytearray(message.raw)))
-                else:
-                    intake.on_pose(bag.decode(message.raw, POSE_TYPE))
+    scans: list[tuple[int, bytearray]] = []
+    intake = Intake(configuration(config_name))
+    simulation = Simulation("morpheus", seed)
+    make = simulation.make = Messages(TYPES, packed)
+    for topic, _, message in simulation.messages():
+        if topic == SCAN_TOPIC:
+            scans.append((stamp_ns(message.header), bytearray(serialize_message(message))))
+        else:
+            intake.on_pose(message)
     step = scans[1][0] - scans[0][0]
     start = scans[0][0] - POSE_NS // 2
     items = [(stamp - start, True, raw) for stamp, raw in scans]
     period = len(scans) * step
     for offset in range(0, period - step + 2 * POSE_NS, POSE_NS):
-        items.append((offset, False, _pose(intake, start + offset)))
+        items.append((offset, False, _pose(make, intake, start + offset)))
     items.sort(key=lambda item: item[0])
     offsets, kinds, contents = (list(column) for column in zip(*items, strict=True))
     return Script(offsets, kinds, contents, period)
 
 
-def _pose(intake: Intake, stamp_ns: int) -> bytearray:
-    pose = intake.queue.poses.at(stamp_ns)
+def _pose(make: Messages, intake: Intake, at_ns: int) -> bytearray:
+    pose = intake.queue.poses.at(at_ns)
     if pose is None:
         msg = "the flight's poses end before its scans"
         raise ValueError(msg)
-    message = PoseWithCovarianceStamped()
-    message.header.frame_id = "map"
-    place, turn = message.pose.pose.position, message.pose.pose.orientation
-    place.x, place.y, place.z = pose.position.tolist()
-    turn.x, turn.y, turn.z, turn.w = quaternion_from_rotation(pose.rotation_map_lidar).tolist()
-    message.pose.covariance = pose.covariance.ravel()
-    return bytearray(serialize_message(message))
+    turn = quaternion_from_rotation(pose.rotation_map_lidar)
+    return bytearray(serialize_message(make.pose(at_ns, pose.position, turn, pose.covariance)))
 
 
 def observe(domain: int, ready: Event, stop: Event, out: Any) -> None:
@@ -251,6 +245,36 @@ def fly(
     return flight
 
 
+def play(
+    script: Script, domain: int, patience: float | None = None
+) -> Iterator[tuple[int, bool, int]]:
+    """Flies again and again with stamps that go on, and yields of each message that was sent when
+    it was due, ns, whether it is a scan, and how late it was, ns; with ``patience`` only when both
+    topics are subscribed to, for which it waits so many s."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = Node("lidar", context=context)
+    profile = stream(200, reliable=True)
+    scans = node.create_publisher(PointCloud2, "lidar/points", profile)
+    poses = node.create_publisher(PoseWithCovarianceStamped, "nav/pose", profile)
+    try:
+        if patience is not None:
+            wait_for_subscribers(node, [scans, poses], patience)
+        start = time.time_ns()
+        while True:
+            for offset, is_scan, content in zip(
+                script.offset_ns, script.is_scan, script.content, strict=True
+            ):
+                due = start + offset
+                time.sleep(max(due - time.time_ns(), 0) / SECOND_NS)
+                struct.pack_into("<iI", content, 4, *divmod(due, SECOND_NS))
+                (scans if is_scan else poses).publish(bytes(content))
+                yield due, is_scan, time.time_ns() - due
+            start += script.period_ns
+    finally:
+        context.try_shutdown()
+
+
 def _play(
     script: Script,
     seconds: float,
@@ -260,46 +284,23 @@ def _play(
     kill: Callable[[], None],
 ) -> tuple[list[int], float]:
     """Stamps of the scans sent, and by how much the worst was sent too late, ms."""
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    node = Node("lidar", context=context)
-    profile = stream(200, reliable=True)
-    scans = node.create_publisher(PointCloud2, "lidar/points", profile)
-    poses = node.create_publisher(PoseWithCovarianceStamped, "nav/pose", profile)
-    deadline = time.monotonic() + 30.0
-    while not (scans.get_subscription_count() and poses.get_subscription_count()):
-        if time.monotonic() > deadline:
-            msg = "mapping_node does not subscribe"
-            raise RuntimeError(msg)
-        time.sleep(0.05)
-    time.sleep(1.0)
-    start, last = time.time_ns(), time.time_ns() + round(seconds * SECOND_NS)
     sent: list[int] = []
-    late = sampled = 0
-    next_kill = start + kill_every * SECOND_NS if kill_every else float("inf")
-    while start < last:
-        for offset, is_scan, content in zip(
-            script.offset_ns, script.is_scan, script.content, strict=True
-        ):
-            due = start + offset
-            if due >= last:
-                break
-            while (now := time.time_ns()) < due:
-                time.sleep((due - now) / SECOND_NS)
-            struct.pack_into("<iI", content, 4, *divmod(due, SECOND_NS))
-            (scans if is_scan else poses).publish(bytes(content))
-            if is_scan:
-                sent.append(due)
-                late = max(late, time.time_ns() - due)
-            if now - sampled >= SECOND_NS:
-                sampled = now
-                for each in usage.values():
-                    each.sample()
-            if now > next_kill:
-                next_kill = now + kill_every * SECOND_NS
-                kill()
-        start += script.period_ns
-    context.try_shutdown()
+    begin = late = sampled = killed = 0
+    for due, is_scan, behind in play(script, domain, 30.0):
+        begin = begin or due
+        if due >= begin + seconds * SECOND_NS:
+            break
+        if is_scan:
+            sent.append(due)
+            late = max(late, behind)
+        if due - sampled >= SECOND_NS:
+            sampled = due
+            for each in usage.values():
+                each.sample()
+        killed = killed or due
+        if kill_every and due > killed + kill_every * SECOND_NS:
+            killed = due
+            kill()
     return sent, late / 1e6
 
 
@@ -371,6 +372,26 @@ def _spread(values: Any) -> list[str]:
     return [f"{v:.1f}" for v in (np.median(values), np.percentile(values, 95), values.max())]
 
 
+def by_the_minute(flight: Flight) -> None:
+    """Prints latency, scans, processor time and memory, a row a minute."""
+    start, minute_ns, rows = int(flight.sent[0]), 60 * SECOND_NS, []
+    for minute in range(int((flight.sent[-1] - start) / minute_ns) + 1):
+        sent = flight.sent[(flight.sent - start) // minute_ns == minute]
+        row = [f"{minute + 1}", f"{len(sent)}"]
+        for topic in (CELLS, SITES):
+            of_messages, _ = latencies_ms(sent, flight.observed.received[topic])
+            row += [f"{np.percentile(of_messages, 95):.0f}" if len(of_messages) else "-"]
+        for each in flight.usage.values():
+            inside = np.flatnonzero((np.array(each.seconds) - each.seconds[0]) // 60.0 == minute)
+            row += ["-", "-"]
+            if len(inside) > 1:
+                part = f"{each.share(inside[0], inside[-1]):.0f}"
+                row[-2:] = part, f"{each.memory_mb[inside[-1]]:.0f}"
+        rows.append(row)
+    head = ["minute", "scans", "cells p95 ms", "sites p95 ms"]
+    table("By the minute", head + [of for name in flight.usage for of in (f"{name} %", "MB")], rows)
+
+
 def main() -> None:
     """Fly and print."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -379,12 +400,19 @@ def main() -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="parameter of the nodes"
     )
+    text = "kill a node every S seconds and start it again, with checkpoints"
+    parser.add_argument("--kill", type=float, default=0.0, metavar="S", help=text)
     options = parser.parse_args()
     print(machine())
     extra = [word for item in options.set for word in ("-p", item.replace("=", ":=", 1))]
     with tempfile.TemporaryDirectory() as folder:
-        script = write_script(options.seed)
-        report(fly(script, options.seconds, Path(folder), extra=extra))
+        if options.kill:
+            extra += ["-p", f"checkpoint.path:={folder}/checkpoint.map"]
+        script, how = write_script(options.seed), {"extra": extra, "kill_every": options.kill}
+        flight = fly(script, options.seconds, Path(folder), **how)
+    if options.kill:
+        by_the_minute(flight)
+    report(flight)
 
 
 if __name__ == "__main__":

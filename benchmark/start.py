@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import re
-import struct
 import sys
 import tempfile
 import time
@@ -24,17 +23,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 import psutil
-import rclpy
 from common import machine, table
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from live import SECOND_NS, Script, write_script
-from rclpy.context import Context
-from rclpy.node import Node
-from sensor_msgs.msg import PointCloud2
+from live import Script, play, write_script
 
 from quadtree_lss.desk.replay.configuration import find_config
 from quadtree_lss.lab.live.processes import LocalDomain, NodeProcess, local_domain
-from quadtree_lss.onboard.nodes.qos import stream
 
 LIMIT_S = 15.0
 READY, MAPPED, SITES = "quadtree_lss ", "first scan mapped", "first sites"
@@ -43,25 +36,9 @@ READY, MAPPED, SITES = "quadtree_lss ", "first scan mapped", "first sites"
 
 def sense(script: Script, domain: int, stop: Event) -> None:
     """Process that plays the flight again and again, whether somebody listens or not."""
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    node = Node("lidar", context=context)
-    profile = stream(200, reliable=True)
-    scans = node.create_publisher(PointCloud2, "lidar/points", profile)
-    poses = node.create_publisher(PoseWithCovarianceStamped, "nav/pose", profile)
-    start = time.time_ns()
-    while not stop.is_set():
-        for offset, is_scan, content in zip(
-            script.offset_ns, script.is_scan, script.content, strict=True
-        ):
-            due = start + offset
-            time.sleep(max(due - time.time_ns(), 0) / SECOND_NS)
-            struct.pack_into("<iI", content, 4, *divmod(due, SECOND_NS))
-            (scans if is_scan else poses).publish(bytes(content))
-            if stop.is_set():
-                break
-        start += script.period_ns
-    context.try_shutdown()
+    for _ in play(script, domain):
+        if stop.is_set():
+            return
 
 
 def start_once(domain: LocalDomain, log: Path) -> tuple[float, float, float]:

@@ -24,7 +24,7 @@ from quadtree_lss.desk.replay.replay import steps
 from quadtree_lss.lab.campaign.mapped import in_memory, lander_of
 from quadtree_lss.lab.campaign.study import parse_seeds
 from quadtree_lss.lab.simulation.hazard_field import FIELDS, hazard_field
-from quadtree_lss.lab.simulation.safety import contact_safe, on_dem
+from quadtree_lss.lab.simulation.safety import safety_map
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS
 from quadtree_lss.lab.simulation.simulation import Leg, Simulation
 from quadtree_lss.lab.simulation.terrain import Terrain
@@ -140,10 +140,7 @@ class Truth:
     def __init__(self, simulation: Simulation, found: LandingAssessment, config: Config) -> None:
         dem, lander = simulation.legs[0].plan.truth, lander_of(config)
         self.x, self.y = found.x, found.y
-        places = np.stack(np.meshgrid(self.x, self.y), axis=-1)
-        known = on_dem(dem.x, dem.y, places.reshape(-1, 2), lander).reshape(places.shape[:2])
-        self.safe: Mask = np.zeros(known.shape, dtype=np.bool_)
-        self.safe[known] = contact_safe(dem.x, dem.y, dem.elevation, places[known], lander)
+        self.safe: Mask = safety_map(dem.x, dem.y, dem.elevation, self.x, self.y, lander)
         spread = Dispersion.of(None, config.lss)
         self.probability = 1.0 - aimed(1.0 - self.safe.astype(float), config.lss.spacing, spread)
         xmin, xmax, ymin, ymax = simulation.box

@@ -20,10 +20,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from common import machine, table
-from scipy.stats import beta
 
+from quadtree_lss.lab.campaign.summary import rate_interval
 from quadtree_lss.lab.simulation.hazard_field import FIELDS, HazardField, hazard_field
-from quadtree_lss.lab.simulation.safety import worst_contact
+from quadtree_lss.lab.simulation.safety import contact_safe, worst_contact
 from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.lab.touchdown.legs import DRONE, LANDER, Legs
 from quadtree_lss.lab.touchdown.touchdown import OUTCOMES, Arrival, engine, touch
@@ -110,7 +110,6 @@ def main() -> None:
         judged(done, legs, speeds)
         by_speed(done, legs)
         limits(done, legs)
-        different(done, legs)
     if options.out:
         options.out.write_text("".join(json.dumps(asdict(one)) + "\n" for one in done))
 
@@ -125,9 +124,7 @@ def on_field(name: str, seed: int, legs: Legs, speeds: Sequence[str]) -> Iterato
     legs = legs if legs.skids else replace(legs, gravity=gravity)
     half = terrain.x[-1] - 3.0 * legs.gear.diameter
     places = generator.uniform(-half, half, (40 * PER_FIELD, 2))
-    slope, rise = worst_contact(terrain.x, terrain.y, terrain.elevation, places, legs.gear)
-    limit = np.tan(np.radians(legs.gear.max_slope_deg))
-    stands = (slope <= limit) & (rise <= legs.gear.max_roughness)
+    stands = contact_safe(terrain.x, terrain.y, terrain.elevation, places, legs.gear)
     aims = np.concatenate([places[stands][: 3 * PER_FIELD // 4], places[~stands]])[:PER_FIELD]
     for number, aim in enumerate(aims):
         how = speeds[number % len(speeds)]
@@ -183,8 +180,7 @@ def share(events: int, of: int) -> str:
     """Percent with a 95 % interval (Clopper-Pearson)."""
     if not of:
         return "-"
-    low = beta.ppf(0.025, events, of - events + 1) if events else 0.0
-    high = beta.ppf(0.975, events + 1, of - events) if events < of else 1.0
+    low, high = rate_interval(events, of)
     return f"{100.0 * events / of:.2f} ({100.0 * low:.2f}-{100.0 * high:.2f})"
 
 
@@ -241,24 +237,6 @@ def limits(done: Sequence[Touched], legs: Legs) -> None:
         rows.append([f"{slope_deg:g}", *cells])
     header = ["slope to, degrees", *(f"rise to {r:.2g} c" for r in RISES)]
     table("Do not stand, of all guided and soft ones within limits", header, rows)
-
-
-def different(done: Sequence[Touched], legs: Legs) -> None:
-    """Each that stands by the contact and not on its legs."""
-    rows = [
-        [
-            f"{t.ground} {t.seed}/{t.number}",
-            t.speeds,
-            t.outcome,
-            *(f"{v:.2f}" for v in (t.across, t.down, t.tilt_deg, t.friction)),
-            f"{np.degrees(np.arctan(t.slope)):.1f}",
-            *(f"{v:.2f}" for v in (t.rise, t.stroke, t.slid, t.end_tilt_deg)),
-        ]
-        for t in done
-        if t.safe(legs) and t.outcome != OUTCOMES[0]
-    ]
-    header = "field,speeds,outcome,across,down,tilt,friction,slope,rise,stroke,slid,end tilt"
-    table("Static safe, do not stand", header.split(","), rows)
 
 
 def told(seed: int, legs: Legs) -> Iterator[Touched]:

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 import functools
-import tempfile
 from dataclasses import dataclass
-from pathlib import Path
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import scans
-from quadtree_lss.lab.evaluation.results import Truth, load_truth
-from quadtree_lss.lab.simulation.simulate import simulate
+from quadtree_lss.lab.campaign.mapped import in_memory
+from quadtree_lss.lab.evaluation.results import Truth, truth_of
+from quadtree_lss.lab.simulation.simulation import Simulation
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.messages.intake import ReadyScan
 
@@ -31,9 +30,7 @@ def configuration(*names: str, **changes: object) -> Config:
 
 @functools.lru_cache(maxsize=12)
 def recording(scenario: str, seed: int, duration: float | None = None) -> Recording:
-    """Simulate ``scenario`` into a temporary bag and read it back; ``duration`` (s) cuts it."""
-    with tempfile.TemporaryDirectory() as folder:
-        bag = Path(folder) / "bag"
-        simulate(scenario, bag, seed=seed, duration=duration)
-        found = list(scans(bag, configuration(scenario)))
-        return Recording(found, load_truth(bag.parent / "truth.npz"))
+    """What is recorded of a flight of ``scenario``; ``duration`` (s) cuts it."""
+    flight = Simulation(scenario, seed, duration=duration)
+    found = list(scans(in_memory(flight), configuration(scenario)))
+    return Recording(found, truth_of(flight.truth("bag")))

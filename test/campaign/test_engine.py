@@ -258,15 +258,6 @@ def test_a_failed_flight_is_recorded_and_the_others_go_on(tmp_path):
 
 
 @pytest.mark.slow
-def test_more_flights_are_added_and_stay(first, tmp_path):
-    shutil.copytree(first[0].out, tmp_path / "c")
-    more = read_study(written(tmp_path, STUDY.replace("flights: 4", "flights: 6")))
-    result = campaign(more, tmp_path / "c", Where(workers=2))
-    assert sorted(result.records) == [*range(12)]
-    assert files(first[0].out).items() <= files(tmp_path / "c").items()
-
-
-@pytest.mark.slow
 def test_two_campaigns_are_compared_in_pairs(first, study, tmp_path):
     path = written(tmp_path, STUDY.replace("  duration", "  outliers: 0.05\n  duration"))
     other = campaign(read_study(path), tmp_path / "out", Where(workers=2))

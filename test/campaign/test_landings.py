@@ -2,7 +2,6 @@
 """The kind ``fly``: landings as flights of a study."""
 
 import csv
-from pathlib import Path
 
 import pytest
 
@@ -14,7 +13,6 @@ from quadtree_lss.lab.campaign.summary import _write_flights
 from quadtree_lss.lab.flight.fly import flown
 from quadtree_lss.lab.flight.settings import flight_settings
 
-STUDIES = Path(__file__).parents[2] / "studies"
 STUDY = """\
 kind: fly
 scenario: [none, perfect]
@@ -63,13 +61,3 @@ def test_conditions_and_parameters_reach_the_flight(study):
     )
     assert settings.plan.survey == 3.0 and settings.rock_abundance == 0.1
     assert settings.faults[0].kind == "pose_gap" and settings.config["lss.margin"] == 0.7
-
-
-@pytest.mark.parametrize("name", sorted(p.stem for p in STUDIES.glob("flight*.yaml")))
-def test_the_studies_of_the_repository_can_be_flown(name):
-    study = read_study(STUDIES / f"{name}.yaml")
-    if name == "flight_physics":
-        pytest.importorskip("mujoco")
-    for index in range(len(study.combinations)):
-        settings_of(study.case(index))
-    assert study.what is FLY

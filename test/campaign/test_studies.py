@@ -6,16 +6,23 @@ from pathlib import Path
 import pytest
 
 from quadtree_lss.lab.campaign.engine import Where, campaign, fly
+from quadtree_lss.lab.campaign.landings import FLY, settings_of
 from quadtree_lss.lab.campaign.study import read_study
 
 STUDIES = sorted((Path(__file__).parents[2] / "studies").glob("*.yaml"))
 
 
 @pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
-def test_every_study_is_read(path):
+def test_every_study_can_be_flown(path):
     study = read_study(path)
     last = study.case(study.count - 1)
     assert last.index == study.count - 1 and last.parameters
+    assert (study.what is FLY) == path.stem.startswith("flight")
+    if path.stem == "flight_physics":
+        pytest.importorskip("mujoco")
+    if study.what is FLY:
+        for index in range(len(study.combinations)):
+            settings_of(study.case(index))
 
 
 def test_small_flights_find_hazards():

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scores of results whose answers are known."""
 
+import itertools
 import json
 
 import numpy as np
@@ -98,14 +99,6 @@ def test_missed_depth_is_that_of_missed_ground(tmp_path):
     assert found.missed_depth < 0.8
 
 
-def test_calling_everything_unsafe_finds_no_safe_ground(tmp_path):
-    truth = {"safe": lambda x, y: x > 0.0}
-    result = _evaluate(tmp_path, truth=truth, called_safe=lambda x, y: x > 99.0).detection
-    assert result.hazardous_found == 1.0
-    assert result.safe_found == 0.0
-    assert np.isnan(result.precision)
-
-
 def test_unknown_counts_as_hazardous_and_is_reported_apart(tmp_path):
     # A hole 1 m wide and 10 m long is filled; the far east is unseen and left out.
     def unseen(x, y):
@@ -201,7 +194,7 @@ def test_no_site_at_all(tmp_path):
     assert "0 of 0" in result.table()
     numbers = json.loads((result.out / "evaluation.json").read_text())
     assert numbers["elevation"]["rms"] == result.elevation.rms
-    assert numbers["detection"]["hazardous_found"] is None
+    assert numbers["detection"]["hazardous_found"] is numbers["detection"]["precision"] is None
     for path in result.figures:
         assert path.read_bytes().startswith(b"\x89PNG")
 
@@ -242,31 +235,29 @@ def test_results_without_a_risk_are_scored_without(tmp_path, risk):
     assert json.loads((result.out / "evaluation.json").read_text())["risk"] is None
 
 
+ARCHIVES = ("cells.npz", "grid.npz", "truth.npz")
+
+
 @pytest.mark.parametrize(
-    "name", ["cells.npz", "grid.npz", "sites.csv", "timing.csv", "summary.json"]
+    ("name", "content"),
+    [
+        *itertools.product(
+            (*ARCHIVES, "sites.csv", "timing.csv", "summary.json"), (None, b"s\n\xff")
+        ),
+        *itertools.product(ARCHIVES, (b"", b"PK\x03\x04", "cut", "array")),
+    ],
 )
-@pytest.mark.parametrize("damage", ["missing", "garbage"])
-def test_bad_results_are_one_clear_line(tmp_path, name, damage):
-    folder = write_results(tmp_path / "results")
-    truth = write_truth(tmp_path / "truth.npz")
-    if damage == "missing":
-        (folder / name).unlink()
-    else:
-        (folder / name).write_bytes(b"stamp\n\xff\xfe\x00,1")
-    with pytest.raises(EvaluationError, match=name) as caught:
-        evaluate(folder, truth)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", "cut", "array"])
-def test_a_damaged_truth_is_one_clear_line(tmp_path, content):
-    folder, truth = write_results(tmp_path / "results"), write_truth(tmp_path / "truth.npz")
+def test_a_file_that_cannot_be_read_is_one_clear_line(tmp_path, name, content):
+    folder, truth = write_results(tmp_path), write_truth(tmp_path / "truth.npz")
+    path = folder / name
+    whole = path.read_bytes()
+    path.unlink()
     if content == "array":
-        with truth.open("wb") as file:
+        with path.open("wb") as file:
             np.save(file, np.zeros(3))
-    else:
-        truth.write_bytes(truth.read_bytes()[:1000] if content == "cut" else content)
-    with pytest.raises(EvaluationError, match=truth.name) as caught:
+    elif content is not None:
+        path.write_bytes(whole[: len(whole) // 2] if content == "cut" else content)
+    with pytest.raises(EvaluationError, match=name) as caught:
         evaluate(folder, truth)
     assert "\n" not in str(caught.value)
 
@@ -283,17 +274,9 @@ def test_numbers_that_do_not_exist_are_dashes(tmp_path):
         assert line.split()[-1] == "-"
 
 
-def test_missing_truth_and_missing_folder(tmp_path):
-    folder = write_results(tmp_path / "results")
-    with pytest.raises(EvaluationError, match="truth"):
-        evaluate(folder, tmp_path / "truth.npz")
-    with pytest.raises(EvaluationError, match="nowhere"):
-        evaluate(tmp_path / "nowhere", write_truth(tmp_path / "truth.npz"))
-
-
 def test_map_somewhere_else(tmp_path):
     folder = write_results(tmp_path / "results")
-    truth = write_truth(tmp_path / "truth.npz", box=(9.0, 11.0, 9.0, 11.0))
+    truth = write_truth(tmp_path / "truth.npz", box=(9.0, 11.0, 9.0, 12.0))
     with pytest.raises(EvaluationError, match="overlap"):
         evaluate(folder, truth)
 

@@ -35,7 +35,7 @@ def test_scans_of_the_truth_must_match_one_another(tmp_path):
     known = dict(np.load(truth))
     known["scan_flight"] = np.zeros(7, int)
     np.savez(truth, **known)
-    with pytest.raises(EvaluationError, match="scan_flight has 7 rows"):
+    with pytest.raises(EvaluationError, match=r"scan_flight has shape \(7,\), expected \(1,\)"):
         evaluate(folder, truth, figures=False)
 
 

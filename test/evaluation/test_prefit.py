@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prefit residuals: their distribution by Monte Carlo, their formula by its definition."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from core.builders import (
@@ -17,7 +19,7 @@ from core.builders import (
     slope,
 )
 from core.kernels import tangent_basis
-from scipy.stats import chi
+from scipy.special import gammainc
 
 from quadtree_lss.lab.evaluation.prefit import (
     Counts,
@@ -66,7 +68,8 @@ def one_more_scan(
 
 @pytest.mark.parametrize("degrees", [1, 2, 3])
 def test_interval_holds_95_per_cent(degrees):
-    assert acceptance_interval(degrees) == pytest.approx(chi(degrees).interval(0.95))
+    half_squares = 0.5 * np.square(acceptance_interval(degrees))
+    assert gammainc(0.5 * degrees, half_squares) == pytest.approx([0.025, 0.975])
 
 
 @pytest.mark.parametrize(
@@ -102,7 +105,8 @@ def test_treating_pose_error_as_independent_is_inconsistent():
 
 
 def test_statistics_are_those_of_equations_17_46_and_61():
-    """Point by point, with a full pose covariance, Mahalanobis distance in three dimensions."""
+    """Point by point, with a full pose covariance, Mahalanobis distance in three dimensions, and
+    noise that grows with the distance and with the footprint on inclined ground (Eq. 13)."""
     rng = np.random.default_rng(3)
     covariance = random_covariances(rng, 1, 6, 0.02)[0]
     mapper = Mapper(configured(domain={"min_level": 2, "max_level": 2}))
@@ -112,21 +116,24 @@ def test_statistics_are_those_of_equations_17_46_and_61():
     x, y = scattered(rng, 0.0, 0.0, 16.0, 50)
     seen = registered(mapper, scan(GROUND, x, y, pose, NOISE, rng), pose)
     cells = mapper.snapshot()
-    found = prefit_statistics(cells, seen, LIDAR)
-    sigma = point_covariances(seen.points + seen.origin, pose, NOISE)
+    grown = {"range_noise_per_metre": 2e-4, "beam_divergence": 2e-3}
+    found = prefit_statistics(cells, seen, replace(LIDAR, **grown))
     for k, (i, row) in enumerate(zip(found.point, found.row, strict=True)):
         n = cells.normal[row]
         arm = seen.origin + seen.points[i] - (cells.x[row], cells.y[row], cells.z[row])
         ray = seen.points[i] / np.linalg.norm(seen.points[i])
-        residual = n @ arm
+        distance, residual = np.linalg.norm(seen.points[i]), n @ arm
+        footprint = 2e-3 * distance * np.tan(np.arccos(abs(n @ ray)))
+        noise = np.hypot(NOISE + 2e-4 * distance, footprint)
+        (sigma,) = point_covariances(seen.points[i : i + 1] + seen.origin, pose, noise)
         # The predicted point moves along its ray: d r / d(dphi, dd) = u / (n.u) a.
         a = np.r_[tangent_basis(n).T @ arm, -1.0]
         jacobian = np.outer(ray, a) / (n @ ray)
         plane = cells.covariance[row]
-        total = sigma[i] + jacobian @ plane @ jacobian.T
+        total = sigma + jacobian @ plane @ jacobian.T
         vector = residual / (n @ ray) * ray
         assert found.residual[k] == pytest.approx(residual)
-        assert found.deviation[k] ** 2 == pytest.approx(n @ sigma[i] @ n + a @ plane @ a)
+        assert found.deviation[k] ** 2 == pytest.approx(n @ sigma @ n + a @ plane @ a)
         assert found.mahalanobis[k] ** 2 == pytest.approx(
             vector @ np.linalg.solve(total, vector), rel=1e-3
         )

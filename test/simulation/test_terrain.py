@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from exchange.test_dem import tiff
 
 from quadtree_lss.lab.simulation.hazard_field import (
     HazardField,
@@ -90,14 +91,23 @@ def test_dem_file_round_trip(tmp_path):
     np.testing.assert_allclose(loaded.elevation, terrain.elevation, atol=1e-6)
 
 
+def test_a_geotiff_is_read_and_its_gap_refused(tmp_path):
+    with pytest.raises(SimulationError, match="dem.tif: .* not finite"):
+        load_terrain(tiff(tmp_path / "dem.tif"))
+
+
 @pytest.mark.parametrize(
     ("arrays", "text"),
     [
         ({"x": np.arange(3.0), "y": np.arange(4.0)}, "elevation"),
-        ({"x": np.arange(3.0), "y": np.arange(4.0), "elevation": np.zeros((3, 4))}, "shape"),
+        ({"x": np.arange(3.0), "y": np.arange(4.0), "elevation": np.zeros((3, 4))}, "belong"),
         ({"x": -np.arange(3.0), "y": np.arange(4.0), "elevation": np.zeros((4, 3))}, "ascend"),
         (
-            {"x": np.arange(3.0), "y": np.arange(4.0), "elevation": np.full((4, 3), np.nan)},
+            {
+                "x": np.arange(3.0),
+                "y": np.arange(4.0),
+                "elevation": np.where(np.eye(4, 3), np.nan, 0),
+            },
             "finite",
         ),
     ],
@@ -122,5 +132,5 @@ def test_file_that_is_no_dem(tmp_path):
         path.write_bytes(damaged)
         with pytest.raises(SimulationError, match="dem.npz"):
             load_terrain(path)
-    with pytest.raises(SimulationError, match="not exist"):
+    with pytest.raises(SimulationError, match="no such file"):
         load_terrain(tmp_path / "nowhere.npz")

@@ -61,7 +61,7 @@ def test_the_command_says_what_became_of_it_on_legs(tmp_path, capsys):
     out = ["--out", str(tmp_path), "--no-page"]
     assert main(["fly", "--lockstep", "--avoidance", "none", "--seed", "3", "--physics", *out]) == 0
     figures = json.loads((tmp_path / "touchdown.json").read_text())
-    assert f"on legs: {figures['physics']}," in capsys.readouterr().out
+    assert f"on its legs: {figures['physics']}\n" in capsys.readouterr().out
 
 
 @pytest.fixture(scope="module")

@@ -32,6 +32,9 @@ SETTINGS = {
 }
 """Dask has its workers give back what they free, page by page: a sixth of a flight's time. And it
 has them look at their own stack a hundred times a second and keep what they saw for 1,000 s."""
+LOCAL = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+LOCAL |= {"processes": True, "silence_logs": logging.CRITICAL}
+"""Of the workers of this computer."""
 LOOK_S = 0.5
 TIMED_OUT = (TimeoutError, asyncio.TimeoutError)
 """One and the same from Python 3.11 on."""
@@ -207,40 +210,25 @@ def _client(where: Where) -> Iterator[Any]:
     """Dask's client of the workers that were asked for."""
     try:
         import dask
-        from dask.distributed import Client, LocalCluster
+        from dask.distributed import Client
     except ImportError as error:
         raise CampaignError(f"campaigns need Dask: {REMEDY}") from error
-    given = [v for v in (where.workers, where.scheduler_address, where.scheduler_file) if v]
-    if len(given) > 1:
+    there = {"address": where.scheduler_address, "scheduler_file": where.scheduler_file}
+    there = {name: value for name, value in there.items() if value}
+    if len(there) + bool(where.workers) > 1:
         raise CampaignError("workers, scheduler_address and scheduler_file exclude one another")
+    if where.scheduler_file and not Path(where.scheduler_file).is_file():
+        raise CampaignError(f"{where.scheduler_file}: no such file")
     for name in ("distributed", "asyncio", "tornado"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with contextlib.ExitStack() as stack:
         try:
-            if where.scheduler_address or where.scheduler_file:
-                how: dict[str, Any] = {"timeout": "20s"}
-                if where.scheduler_file:
-                    if not Path(where.scheduler_file).is_file():
-                        raise CampaignError(f"{where.scheduler_file}: no such file")
-                    how["scheduler_file"] = where.scheduler_file
-                else:
-                    how["address"] = where.scheduler_address
-                client = stack.enter_context(Client(**how))
+            if there:
+                client = stack.enter_context(Client(**there, timeout="20s"))
             else:
-                deaf = stack.enter_context(contextlib.ExitStack())
-                deaf.enter_context(_deaf_children())
-                deaf.enter_context(dask.config.set(SETTINGS))
-                cluster = LocalCluster(
-                    n_workers=where.workers,
-                    threads_per_worker=1,
-                    processes=True,
-                    dashboard_address="127.0.0.1:0",
-                    silence_logs=logging.CRITICAL,
-                )
-                client = stack.enter_context(Client(stack.enter_context(cluster)))
-                deaf.close()
+                with _deaf_children(), dask.config.set(SETTINGS):
+                    client = stack.enter_context(Client(n_workers=where.workers, **LOCAL))
         except (OSError, ValueError, RuntimeError, *TIMED_OUT) as error:
-            there = where.scheduler_address or where.scheduler_file
             which = "no scheduler" if there else "the workers could not be started"
             msg = f"{which}: {one_line(str(error) or type(error).__name__)}"
             raise CampaignError(msg) from error

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest
+from scipy import stats
 
 from quadtree_lss.desk.replay.files import plain, write_bytes, write_csv
 from quadtree_lss.lab.campaign.kinds import CampaignError, Quantity
@@ -22,8 +22,6 @@ from quadtree_lss.lab.evaluation.results import aligned
 
 WORST = 5
 """Flights that are listed."""
-RESAMPLES = 2000
-"""Of the bootstrap."""
 
 
 @dataclass(frozen=True)
@@ -86,21 +84,16 @@ def bootstrap(values: NDArray[np.float64]) -> tuple[float, float]:
     assumes no shape of the distribution; NaN for one value, which tells no spread."""
     if values.size < 2:
         return float("nan"), float("nan")
-    generator = np.random.default_rng(0)
-    rows = max(1, min(RESAMPLES, 500_000 // values.size))
-    means = [
-        values[generator.integers(0, values.size, (rows, values.size))].mean(axis=1)
-        for _ in range(-(-RESAMPLES // rows))
-    ]
-    low, high = np.percentile(np.concatenate(means), (2.5, 97.5))
-    return float(low), float(high)
+    how = {"method": "percentile", "batch": max(500_000 // values.size, 1)}
+    found = stats.bootstrap((values,), np.mean, n_resamples=2000, random_state=0, **how)
+    return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
 def rate_interval(events: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
     """Bounds of a rate from ``events`` in ``trials`` (Clopper and Pearson), both sides together."""
     if trials == 0:
         return float("nan"), float("nan")
-    bounds = binomtest(events, trials).proportion_ci(confidence)
+    bounds = stats.binomtest(events, trials).proportion_ci(confidence)
     return float(bounds.low), float(bounds.high)
 
 

@@ -41,7 +41,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--rate", type=common.positive, metavar="R", help=text)
     text = "by the nodes; by the paper's rules; straight to the planned point; by the true ground"
     add("--avoidance", choices=AVOIDANCE, default="package", help=text)
-    add("--terrain", type=common.named, metavar="DEM", help=".npz with x, y, elevation (ny, nx), m")
+    text = "elevation model: GeoTIFF, or .npz with x, y, elevation (ny, nx), m"
+    add("--terrain", type=common.named, metavar="DEM", help=text)
     text = "share of the ground that rocks cover (default 0.05, with --terrain none)"
     add("--rocks", type=common.share, metavar="K", help=text)
     add("--range-noise", type=common.not_negative, default=0.06, metavar="M", help="one sigma, m")
@@ -56,7 +57,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from quadtree_lss.lab.flight.flight_page import write_flight, write_outcome
+    from quadtree_lss.lab.flight.flight_page import headline, write_flight, write_outcome
     from quadtree_lss.lab.flight.fly import flown
     from quadtree_lss.lab.flight.settings import flight_settings
 
@@ -81,8 +82,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.json:
         common.print_json(done.figures)
     else:
-        _print(done.figures)
-        print(f"results in {options.out}")
+        print(f"{headline(done)}\nresults in {options.out}")
     if others := done.figures.get("others"):
         say(f"error: the flight says nothing, for others published {'; '.join(others)}")
         return common.ERROR
@@ -114,22 +114,3 @@ def _values(options: argparse.Namespace) -> dict[str, Any]:
         "config": common.overrides(options),
         "judge": "physics" if options.physics else "contact",
     }
-
-
-def _print(figures: dict[str, Any]) -> None:
-    f = figures
-    if f["outcome"] != "touchdown":
-        print(f"{f['outcome']} after {f['time']:.1f} s, no touchdown")
-        return
-    print(
-        f"{'safe' if f['safe'] else 'UNSAFE'} touchdown at x {f['x']:.2f}, y {f['y']:.2f} m after"
-        f" {f['time']:.1f} s: {f['error']:.2f} m from the aim,"
-        f" {f['from_planned']:.1f} m from the planned point\n"
-        f"propellant {f['propellant']:.1f} kg, {f['diverts']} diverts after the first target;"
-        f" {f['speed_down']:.2f} m/s down, {f['speed_across']:.2f} m/s across"
-    )
-    if "physics" in f:
-        print(
-            f"on legs: {f['physics']}, {f['physics_tilt_deg']:.1f} degrees from the vertical, slid"
-            f" {f['physics_slid']:.2f} m, struts gave way by {100.0 * f['physics_stroke']:.1f} cm"
-        )

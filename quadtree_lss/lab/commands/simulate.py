@@ -21,10 +21,11 @@ FLIGHTS = """flights:
   drone      10 s at 10 Hz from 25 m down to 15 m, looking down with 60 degrees, over 16 x 16 m
   depth      10 s at 5 Hz from 15 m down to 3 m, looking down with a stereo camera's depth images,
              640 x 480, over 8 x 8 m of the drone's ground
---terrain takes an elevation model: .npz with x (nx,), y (ny,) ascending in equal steps and
-elevation (ny, nx), m, z up, at least 9 x 9 m. Without it morpheus and descent fly over a field of
-rocks and craters. The flight is about the model's middle (parabola's about x 10, y 0): let
-domain.xmin, domain.ymin, domain.size of the replay fit, or take those of `config suggest BAG`.
+--terrain takes an elevation model: GeoTIFF, or .npz with x (nx,), y (ny,) ascending in the same
+equal steps and elevation (ny, nx), m, z up, at least 9 x 9 m. Without it morpheus and descent fly
+over a field of rocks and craters. The flight is about the model's middle (parabola's about x 10,
+y 0): let domain.xmin, domain.ymin, domain.size of the replay fit, or take those of `config suggest
+BAG`.
 
 """
 EXAMPLES = """examples:
@@ -46,7 +47,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--seed", type=common.whole(0), default=1, metavar="N", help=text)
     add("--out", required=True, type=common.named, metavar="BAG", help="bag to write")
     add("--duration", type=common.positive, metavar="D", help="seconds of flight")
-    add("--terrain", type=common.named, metavar="DEM", help=".npz with x, y, elevation (ny, nx), m")
+    text = "elevation model: GeoTIFF, or .npz with x, y, elevation (ny, nx), m"
+    add("--terrain", type=common.named, metavar="DEM", help=text)
     add("--range-noise", type=common.not_negative, metavar="M", help="one sigma of a range, m")
     add("--outliers", type=common.share, default=0.0, metavar="F", help="share of false returns")
     add("--dropouts", type=common.share, default=0.0, metavar="F", help="share of missing returns")

@@ -10,7 +10,7 @@ from pathlib import Path
 import quadtree_lss
 from quadtree_lss.desk.replay.replay import scans
 from quadtree_lss.lab.evaluation.prefit import Counts, prefit_statistics
-from quadtree_lss.lab.evaluation.results import COLUMNS, EvaluationError, Results
+from quadtree_lss.lab.evaluation.results import COLUMNS, EvaluationError, Results, aligned
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.register import register
@@ -25,14 +25,13 @@ class Consistency:
     scans: int
 
     def table(self) -> str:
-        lines = [f"{'Prefit residuals':<24}{'below':>9}{'above':>9}{'both':>9}"]
+        rows = [("Prefit residuals", "below", "above", "both")]
         for name, of in (
             ("one degree of freedom", self.counts.one_degree),
             ("three (the paper)", self.counts.three_degrees),
         ):
-            both = of.below + of.above
-            lines.append(f"{name:<24}{of.below:>9.2%}{of.above:>9.2%}{both:>9.2%}")
-        return "\n".join(lines)
+            rows.append((name, *(f"{share:.2%}" for share in (*of, of.below + of.above))))
+        return "\n".join(aligned(rows))
 
 
 def consistency(

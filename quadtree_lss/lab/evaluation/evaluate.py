@@ -128,18 +128,14 @@ def evaluate(
     """
     results, truth = load_results(results_dir), load_truth(truth_path)
     given = None if bag is None else Path(bag)
-    doubt = check_truth(results, Path(results_dir), truth, Path(truth_path), given)
+    doubt = check_truth(results, truth, Path(truth_path), given)
     notes = [] if doubt is None else [doubt]
-    heights = metrics.elevation_field(results.map, results.grid, truth)
-    safety = metrics.safety_field(results.grid, truth)
-    if not safety.scored.size:
-        msg = f"the map in {results_dir} does not overlap the scanned box of {truth_path}"
-        raise EvaluationError(msg)
+    scores, heights, safety = _scores(results, truth)
     table_2 = None
     if consistency or given is not None:
-        table_2, without = _table_2(results, Path(results_dir), given, progress)
+        table_2, without = _table_2(results, given, progress)
         notes += [] if without is None else [f"Table 2: {without}"]
-    folder = Path(out) if out is not None else Path(results_dir) / "evaluation"
+    folder = Path(out) if out is not None else results.folder / "evaluation"
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -149,15 +145,9 @@ def evaluate(
         from quadtree_lss.lab.evaluation.figures import draw_all
 
         written = draw_all(folder, results, truth, heights, safety)
-    result = replace(
-        _scores(results, truth, heights, safety),
-        consistency=table_2,
-        out=folder,
-        figures=written,
-        notes=tuple(notes),
-    )
+    result = replace(scores, consistency=table_2, out=folder, figures=written, notes=tuple(notes))
     if figures:
-        result = _with_page(result, Path(results_dir), truth, safety)
+        result = _with_page(result, results.folder, truth, safety)
     write_json(folder / "evaluation.json", result.as_dict())
     return result
 
@@ -225,11 +215,7 @@ def score(results: Results, truth: Truth) -> EvaluationResult:
 
     Raises `EvaluationError` when the map and the truth do not overlap.
     """
-    safety = metrics.safety_field(results.grid, truth)
-    if not safety.scored.size:
-        raise EvaluationError("the map does not overlap the scanned box")
-    heights = metrics.elevation_field(results.map, results.grid, truth)
-    return _scores(results, truth, heights, safety)
+    return _scores(results, truth)[0]
 
 
 def _with_page(
@@ -247,10 +233,7 @@ def _with_page(
 
 
 def _table_2(
-    results: Results,
-    results_dir: Path,
-    given: Path | None,
-    progress: Callable[[int, int], None] | None,
+    results: Results, given: Path | None, progress: Callable[[int, int], None] | None
 ) -> tuple[Consistency | None, str | None]:
     """Table 2 with the configuration of the results, or why there is none.
 
@@ -266,7 +249,7 @@ def _table_2(
     try:
         return consistency(
             bag,
-            results_config(results_dir),
+            results_config(results),
             results=results,
             scan_topic=scan_topic or None,
             pose_topic=pose_topic or None,
@@ -302,13 +285,18 @@ def _cells(r: EvaluationResult) -> tuple[str, ...]:
 
 
 def _scores(
-    results: Results, truth: Truth, heights: metrics.ErrorField, safety: metrics.SafetyField
-) -> EvaluationResult:
-    """Those of one run, of the fields of its errors and of its safety."""
+    results: Results, truth: Truth
+) -> tuple[EvaluationResult, metrics.ErrorField, metrics.SafetyField]:
+    """Those of one run, with the fields of its errors and of its safety."""
+    safety = metrics.safety_field(results.grid, truth)
+    if not safety.scored.size:
+        msg = f"the map in {results.folder} does not overlap the scanned box of the truth"
+        raise EvaluationError(msg)
+    heights = metrics.elevation_field(results.map, results.grid, truth)
     verdicts = metrics.site_verdicts(results.positions[:TOP], truth)
     cells, times = results.map, results.timing["map_ms"]
     times = times if times.size else np.array([math.nan])
-    return EvaluationResult(
+    scores = EvaluationResult(
         elevation=metrics.elevation_error(heights),
         detection=metrics.detection(safety),
         sites=len(results.positions),
@@ -328,3 +316,4 @@ def _scores(
         out=Path(),
         figures=(),
     )
+    return scores, heights, safety

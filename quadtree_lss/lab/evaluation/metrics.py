@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, distance_transform_edt, label
 
 from quadtree_lss.desk.replay.results import Grid
-from quadtree_lss.lab.evaluation.results import Truth
+from quadtree_lss.lab.evaluation.results import Truth, aligned
 from quadtree_lss.lab.simulation.safety import contact_safe, on_dem
+from quadtree_lss.lab.simulation.terrain import bilinear
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -116,18 +117,8 @@ class MissedPlace:
 
 def seen_at(grid: Grid, x: Array, y: Array) -> Mask:
     """Whether all grid points around each of the points x (n,), y (m,) are seen: (m, n)."""
-    u, v = (x - grid.x[0]) / grid.spacing, (y - grid.y[0]) / grid.spacing
-
-    def around(w: Array, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64], Mask]:
-        low, high = np.floor(w + 1e-9).astype(np.int64), np.ceil(w - 1e-9).astype(np.int64)
-        inside = (low >= 0) & (high <= count - 1)
-        return np.clip(low, 0, count - 1), np.clip(high, 0, count - 1), inside
-
-    i0, i1, inside_x = around(u, grid.x.size)
-    j0, j1, inside_y = around(v, grid.y.size)
-    seen = grid.seen
-    columns = seen[:, i0] & seen[:, i1] & inside_x
-    return np.asarray(columns[j0] & columns[j1] & inside_y[:, None])
+    unseen = (~grid.seen).astype(np.float64)
+    return np.asarray(bilinear(grid.x, grid.y, unseen, x[None, :], y[:, None]) < 1e-8)
 
 
 def elevation_field(cells: CellMap, grid: Grid, truth: Truth) -> ErrorField:
@@ -329,13 +320,12 @@ class Reliability:
     bins: tuple[RiskBin, ...]
 
     def table(self) -> str:
-        lines = [f"{'Risk':<14}  {'grid points':>11}  {'predicted':>9}  {'unsafe':>8}"]
+        rows = [("Risk", "grid points", "predicted", "unsafe")]
         for b in self.bins:
             if b.grid_points:
-                name = f"{100.0 * b.low:g} - {100.0 * b.high:g} %"
-                shares = f"{100.0 * b.predicted:7.2f} %  {100.0 * b.unsafe:6.2f} %"
-                lines.append(f"{name:<14}  {b.grid_points:11d}  {shares}")
-        return "\n".join(lines)
+                name, shares = f"{100.0 * b.low:g} - {100.0 * b.high:g} %", (b.predicted, b.unsafe)
+                rows.append((name, str(b.grid_points), *(f"{100.0 * p:.2f} %" for p in shares)))
+        return "\n".join(aligned(rows))
 
 
 def scores(risk: Array, failed: Mask, weight: Array | None = None) -> tuple[float, float]:

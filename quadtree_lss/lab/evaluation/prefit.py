@@ -6,43 +6,28 @@ from __future__ import annotations
 from dataclasses import astuple, dataclass
 from typing import NamedTuple
 
-import cython
 import numpy as np
-from scipy.special import gammaincinv
+from scipy.stats import chi
 
 from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.config.settings import LidarConfig
 from quadtree_lss.onboard.core.geometry.morton import squeezed
+from quadtree_lss.onboard.core.geometry.rotations import skew
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
-if cython.compiled:
-    from cython.cimports.libc.math import fabs, sqrt
-    from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at
-    from cython.cimports.quadtree_lss.onboard.core.mapping.division import mahalanobis_factor
-    from cython.cimports.quadtree_lss.onboard.core.mapping.measure import (
-        pose_variance,
-        range_variance,
-    )
-else:
-    from math import fabs, sqrt
-
-    from quadtree_lss.onboard.core.geometry.sphere import basis_at
-    from quadtree_lss.onboard.core.mapping.division import mahalanobis_factor
-    from quadtree_lss.onboard.core.mapping.measure import pose_variance, range_variance
-
-#: Share of residuals outside the acceptance interval (alpha), half of them on either side.
-OUTSIDE = 0.05
+#: Share of residuals inside the acceptance interval (1 - alpha), half of the others on either side.
+INSIDE = 0.95
 #: Least variance, m^2.
-FLOOR = cython.declare(cython.double, 1e-12)
+FLOOR = 1e-12
 #: |n.u| is taken to be at least this (grazing incidence).
-MIN_COSINE = cython.declare(cython.double, 0.05)
+MIN_COSINE = 0.05
 
 
 def acceptance_interval(degrees: int) -> tuple[float, float]:
     """Eq. 62 and Eq. 63: bounds that hold 95 % of the chi distribution of ``degrees``."""
-    low, high = 2.0 * gammaincinv(0.5 * degrees, [0.5 * OUTSIDE, 1.0 - 0.5 * OUTSIDE])
-    return float(np.sqrt(low)), float(np.sqrt(high))
+    low, high = chi(degrees).interval(INSIDE)
+    return float(low), float(high)
 
 
 class Fractions(NamedTuple):
@@ -133,65 +118,41 @@ def prefit_statistics(cells: CellMap, scan: RegisteredScan, lidar: LidarConfig) 
     of_point = cells.leaf_raster()[row, column]
     point = np.flatnonzero(cells.measured[of_point])
     leaf = of_point[point].astype(np.intp)
-    centre = np.column_stack([cells.x, cells.y, cells.z]) - scan.origin
-    total = cells.covariance.reshape(-1, 9)
-    out = np.empty((3, len(point)))
-    noise = (lidar.range_noise, lidar.range_noise_per_metre, lidar.beam_divergence)
-    residuals(
-        scan.points[point], leaf, centre, cells.normal, total, scan.pose.covariance, *noise, out
+    n, r = cells.normal[leaf], scan.points[point]
+    arm = r - (np.column_stack([cells.x, cells.y, cells.z]) - scan.origin)[leaf]
+    residual = _dot(n, arm)
+    # Both axes of the tangent plane (Eq. 2) along the arm.
+    share = _dot(n[:, :2], arm[:, :2]) / (1.0 + n[:, 2]) + arm[:, 2]
+    a = np.column_stack([arm[:, :2] - share[:, None] * n[:, :2], np.full(len(n), -1.0)])
+    plane = np.einsum("ni,nij,nj->n", a, cells.covariance[leaf], a)
+    distance = np.linalg.norm(r, axis=1)
+    ray = r / distance[:, None]
+    cosine = np.maximum(np.abs(_dot(n, ray)), MIN_COSINE)
+    noise = lidar.range_noise + lidar.range_noise_per_metre * distance  # Eq. 13
+    depth = lidar.beam_divergence * distance
+    along = noise**2 + depth**2 * (1.0 / cosine**2 - 1.0)
+    pose = _of_pose(r, scan.pose.covariance)
+    variance = plane + along * cosine**2 + np.einsum("ni,nij,nj->n", n, pose, n)
+    # What is added along the ray adds to the variance there: the pose's part alone is inverted,
+    # kept regular by a millionth of its trace.
+    trace = np.trace(pose, axis1=1, axis2=2)
+    regular = pose + (1e-6 * trace + FLOOR)[:, None, None] * np.eye(3)
+    weight = _dot(ray, np.linalg.solve(regular, ray[..., None])[..., 0])
+    total = 1.0 / np.maximum(weight, 1e-300) + along + plane / cosine**2
+    deviation = np.sqrt(np.maximum(variance, FLOOR))
+    return PrefitStatistics(
+        point, leaf, residual, deviation, np.abs(residual) / (cosine * np.sqrt(total))
     )
-    return PrefitStatistics(point, leaf, *out)
 
 
-@cython.boundscheck(False)
-@cython.locals(points=cython.double[:, ::1], leaf=cython.Py_ssize_t[::1])
-@cython.locals(centre=cython.double[:, ::1], normal=cython.double[:, ::1])
-@cython.locals(covariance=cython.double[:, ::1], sigma=cython.double[:, ::1])
-@cython.locals(out=cython.double[:, ::1])
-def residuals(
-    points: Array,
-    leaf: Index,
-    centre: Array,
-    normal: Array,
-    covariance: Array,
-    sigma: Array,
-    range_noise: float,
-    per_metre: float,
-    divergence: float,
-    out: Array,
-) -> None:
-    """Residual, its deviation, m, and the paper's d_M of each point (N, 3) about the lidar, m: rows
-    of ``out`` (3, N). ``leaf`` (N,) is which of the M leaves, of ``centre`` about the lidar and
-    ``normal`` (M, 3), ``covariance`` (M, 9) of (dphi, dd), each lies in; ``sigma`` (6, 6) is the
-    pose's, the noise as of `lidar.range_variance`."""
-    basis = cython.declare(cython.double[6])
-    n = cython.declare(cython.double[3])
-    r = cython.declare(cython.double[3])
-    a = cython.declare(cython.double[3])
-    cython.declare(i=cython.Py_ssize_t, at=cython.Py_ssize_t, j=cython.int, k=cython.int)
-    with cython.nogil:
-        for i in range(points.shape[0]):
-            at = leaf[i]
-            e = 0.0
-            for j in range(3):
-                n[j] = normal[at, j]
-                r[j] = points[i, j]
-                e += n[j] * (r[j] - centre[at, j])
-            basis_at(n, basis)
-            a[0] = a[1] = 0.0
-            a[2] = -1.0
-            for j in range(3):
-                a[0] += basis[j] * (r[j] - centre[at, j])
-                a[1] += basis[3 + j] * (r[j] - centre[at, j])
-            plane = 0.0
-            for j in range(3):
-                for k in range(3):
-                    plane += a[j] * covariance[at, 3 * j + k] * a[k]
-            distance = sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
-            cosine = fabs(n[0] * r[0] + n[1] * r[1] + n[2] * r[2]) / distance
-            cosine = max(cosine, MIN_COSINE)
-            along = range_variance(range_noise, per_metre, divergence, distance, cosine)
-            variance = plane + along * cosine * cosine + pose_variance(n, r, sigma)
-            out[0, i] = e
-            out[1, i] = sqrt(max(variance, FLOOR))
-            out[2, i] = fabs(e) * mahalanobis_factor(r, cosine, sigma, along, plane)
+def _dot(one: Array, other: Array) -> Array:
+    """Products (N,) of vectors (N, k)."""
+    return np.asarray(np.einsum("ni,ni->n", one, other))
+
+
+def _of_pose(arm: Array, covariance: Array) -> Array:
+    """Pose part (N, 3, 3) of Eq. 17 for points (N, 3) about the lidar: J Sigma J^T with
+    J = (I, -[r]_x) of the pose's covariance (6, 6)."""
+    unit = np.broadcast_to(np.eye(3), (len(arm), 3, 3))
+    jacobian = np.concatenate([unit, -skew(arm)], axis=-1)
+    return np.asarray(jacobian @ covariance @ jacobian.transpose(0, 2, 1))

@@ -13,16 +13,10 @@ from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 
-def results_config(results_dir: Path) -> Config:
+def results_config(results: Results) -> Config:
     """The configuration that lies beside results; the defaults if there is none."""
-    path = results_dir / "config.yaml"
+    path = results.folder / "config.yaml"
     return load_config([str(path)] if path.is_file() else [])
-
-
-def recorded_bag(results: Results) -> Path | None:
-    """The bag that was replayed into the results, if it is still where it was."""
-    bag = named_bag(results)
-    return bag if bag is not None and bag.is_absolute() and bag.exists() else None
 
 
 def named_bag(results: Results) -> Path | None:
@@ -31,8 +25,14 @@ def named_bag(results: Results) -> Path | None:
     return Path(name) if isinstance(name, str) and name else None
 
 
+def recorded_bag(results: Results) -> Path | None:
+    """The same, if it is still where it was."""
+    bag = named_bag(results)
+    return bag if bag is not None and bag.is_absolute() and bag.exists() else None
+
+
 def check_truth(
-    results: Results, results_dir: Path, truth: Truth, truth_path: Path, bag: Path | None = None
+    results: Results, truth: Truth, truth_path: Path, bag: Path | None = None
 ) -> str | None:
     """Make sure that the truth is of the flight that was mapped; what remains in doubt, in one
     line.
@@ -42,10 +42,17 @@ def check_truth(
     files tell. A bag of another name may be the same flight, moved or converted: where both are at
     hand their first scans decide. Raises `EvaluationError`: they are of different flights.
     """
-    _check_stamps(results, results_dir, truth, truth_path)
+    mapped, flown = (_stamps(of) for of in (results.timing["stamp_ns"], truth.scan_stamp_ns))
+    strange = mapped[~np.isin(mapped, flown)]
+    if flown.size and strange.size:
+        raise EvaluationError(
+            f"{truth_path} is of another flight than {results.folder}: {strange.size} of"
+            f" {mapped.size} mapped scans are not among its {flown.size}, the first at"
+            f" {strange[0]} ns"
+        )
     seed = results.summary.get("seed")
     if seed is not None and truth.seed is not None and seed != truth.seed:
-        msg = f"{truth_path} is of seed {truth.seed}, but {results_dir} of seed {seed}"
+        msg = f"{truth_path} is of seed {truth.seed}, but {results.folder} of seed {seed}"
         raise EvaluationError(msg)
     named = bag if bag is not None else named_bag(results)
     if truth.bag_name is None or named is None or not results.timing["stamp_ns"].size:
@@ -55,7 +62,7 @@ def check_truth(
     contradiction = f"{truth_path} is of the bag {of_truth.name}, not of {named}"
     same = None
     if of_truth.exists() and of_results is not None:
-        same = _same_scans(of_results, of_truth, results_config(results_dir))
+        same = _same_scans(of_results, of_truth, results_config(results))
         if same is False:
             raise EvaluationError(f"{contradiction}, which holds other scans")
     if same or of_truth.name in (named.name, named.parent.name):
@@ -63,17 +70,6 @@ def check_truth(
     if of_truth.exists() and of_results is None:
         raise EvaluationError(contradiction)
     return f"{contradiction}: of one flight by the stamps of their scans alone"
-
-
-def _check_stamps(results: Results, results_dir: Path, truth: Truth, truth_path: Path) -> None:
-    mapped, flown = _stamps(results.timing["stamp_ns"]), _stamps(truth.scan_stamp_ns)
-    strange = mapped[~np.isin(mapped, flown)]
-    if flown.size and strange.size:
-        raise EvaluationError(
-            f"{truth_path} is of another flight than {results_dir}: {strange.size} of"
-            f" {mapped.size} mapped scans are not among its {flown.size}, the first at"
-            f" {strange[0]} ns"
-        )
 
 
 def _stamps(stamps_ns: np.ndarray) -> np.ndarray:

@@ -29,6 +29,12 @@ COLUMNS = ("stamp_ns", "points", "points_used", "leaves", "map_ms")
 _TRUTH = ("x", "y", "elevation", "safe_x", "safe_y", "safe", "box", "scan_stamp_ns")
 _TRUTH_EXTRA = ("scan_outline", "scan_flight")
 _TRUTH_NAMES = ("bag_name", "seed", "lander")
+_SHAPES: dict[str, tuple[int | str, ...]] = {
+    axis: (axis,) for axis in ("x", "y", "safe_x", "safe_y")
+}
+_SHAPES |= {"elevation": ("y", "x"), "safe": ("safe_y", "safe_x"), "box": (4,), "lander": (4,)}
+_SHAPES |= dict.fromkeys(_TRUTH_EXTRA, ("scan_stamp_ns",))
+"""How long they are along their first axes: a number, or as many as that array has."""
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
@@ -96,23 +102,6 @@ def _arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) 
     return found
 
 
-def _check_shape(path: Path, arrays: Mapping[str, Any], x: str, y: str, *names: str) -> None:
-    for name in (x, y):
-        if arrays[name].ndim != 1 or arrays[name].size < 2:
-            raise EvaluationError(f"{path}: {name} must be a vector of at least two coordinates")
-    expected = (arrays[y].size, arrays[x].size)
-    for name in names:
-        if arrays[name].shape != expected:
-            msg = f"{path}: {name} has shape {arrays[name].shape}, expected {expected}"
-            raise EvaluationError(msg)
-
-
-def _check_length(path: Path, name: str, array: NDArray[Any], length: int, of: str) -> None:
-    if array.shape[:1] != (length,):
-        found = array.shape[0] if array.ndim else "no"
-        raise EvaluationError(f"{path}: {name} has {found} rows, expected {of}: {length}")
-
-
 def load_truth(path: str | Path) -> Truth:
     file = Path(path)
     return truth_of(_arrays(file, _TRUTH, (*_TRUTH_EXTRA, *_TRUTH_NAMES)), file)
@@ -120,24 +109,20 @@ def load_truth(path: str | Path) -> Truth:
 
 def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
     """Truth of the content of its ``file``."""
-    names = (*_TRUTH, *_TRUTH_EXTRA, *_TRUTH_NAMES)
-    a = {name: arrays[name] for name in names if name in arrays}
-    _check_shape(file, a, "x", "y", "elevation")
-    _check_shape(file, a, "safe_x", "safe_y", "safe")
-    _check_length(file, "box", a["box"], 4, "xmin, xmax, ymin, ymax")
-    xmin, xmax, ymin, ymax = (float(value) for value in a.pop("box"))
+    a = {name: arrays[name] for name in (*_TRUTH, *_TRUTH_EXTRA, *_TRUTH_NAMES) if name in arrays}
     scans = a["scan_stamp_ns"].size
     a.setdefault("scan_outline", np.empty((scans, 0, 2)))
     a.setdefault("scan_flight", np.zeros(scans, np.int64))
-    for name in _TRUTH_EXTRA:
-        _check_length(file, name, a[name], scans, "one per scan")
-    limits = np.asarray(a.pop("lander", LandingGear().limits), float)
-    _check_length(file, "lander", limits, 4, "diameter, pad radius, slope, roughness")
-    a["lander"] = LandingGear(*limits.tolist())
+    a["lander"] = np.asarray(a.get("lander", LandingGear().limits), float)
+    for name, of in _SHAPES.items():
+        shape, expected = a[name].shape, tuple(a[n].size if isinstance(n, str) else n for n in of)
+        if shape[: len(of)] != expected or (of == (name,) and shape < (2,)):
+            raise EvaluationError(f"{file}: {name} has shape {shape}, expected {expected}")
     for name, kind in (("bag_name", str), ("seed", int)):
         if name in a:
             a[name] = kind(a[name].item()) if a[name].size == 1 else None
-    return Truth(**{**a, "safe": a["safe"].astype(bool)}, box=(xmin, xmax, ymin, ymax))
+    a["box"], a["lander"] = tuple(a["box"].tolist()), LandingGear(*a["lander"].tolist())
+    return Truth(**{**a, "safe": a["safe"].astype(bool)})
 
 
 def results_of(replayed: ReplayResult) -> Results:

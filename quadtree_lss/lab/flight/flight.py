@@ -44,7 +44,7 @@ SETTLE = 0.5
 """Where a touchdown is soft: m/s across and degrees of tilt; m/s down are `SINK`."""
 TILT_DEG, SINK = 6.0, 2.0
 JUMP = np.array([2.0, 0.0, 1.0])
-
+SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 PAPER = {
     "lss.assessment": "paper",
@@ -211,7 +211,7 @@ class Flight:
             "last_divert_height": diverts[-1].height if diverts else None,
             "hovered": "hover" in whats,
             "from_planned": float(np.hypot(*(place - self.ground.planned)[:2])),
-            **self._on_legs(),
+            **({} if self.landed is None else _on_legs(self.landed)),
         }
 
     @cached_property
@@ -225,17 +225,6 @@ class Flight:
         x, y, _ = lander.position.tolist()
         arrival = Arrival(x, y, lander.velocity, lander.direction, 0.0, lander.turn)
         return touch(legs, self.ground.terrain, arrival)
-
-    def _on_legs(self) -> dict[str, Any]:
-        found = self.landed
-        if found is None:
-            return {}
-        return {
-            "physics": found.outcome,
-            "physics_tilt_deg": found.tilt_deg,
-            "physics_slid": found.slid,
-            "physics_stroke": found.stroke,
-        }
 
     def _errors(self, generator: np.random.Generator) -> None:
         longest = round(self.settings.longest / TICK) + 2
@@ -288,16 +277,14 @@ class Flight:
             yield from self._ask("landing/dispersion", variances)
             yield from self._ask("landing/target", pilot.aim)
         if self.active.get("keep_out", 0.0) and "landing/keep_out" not in self._asked:
-            square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-            yield from self._ask("landing/keep_out", pilot.aim[:2] + 4.0 * square)
+            yield from self._ask("landing/keep_out", pilot.aim[:2] + 4.0 * SQUARE)
 
     def _first_area(self) -> Array:
         """(4, 2) of the first look, asked for when it has ended: of what is seen by then a target
         may be chosen at once."""
         assert self.gimbal.first is not None
         side = self.settings.plan.first + self.settings.rules.zone
-        square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-        return np.asarray(self.gimbal.first[:2] + side * square)
+        return np.asarray(self.gimbal.first[:2] + side * SQUARE)
 
     def _scan(self, before: tuple[Array, Array]) -> Sent:
         """The flash between the last tick, ``before``, and this one."""
@@ -330,6 +317,15 @@ class Flight:
             self.outcome = "time"
         if self.outcome:
             self._sample()
+
+
+def _on_legs(found: Landed) -> dict[str, Any]:
+    return {
+        "physics": found.outcome,
+        "physics_tilt_deg": found.tilt_deg,
+        "physics_slid": found.slid,
+        "physics_stroke": found.stroke,
+    }
 
 
 def flight_config(settings: FlightSettings, ground: Ground) -> Config:

@@ -3,17 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import TargetChange
-from quadtree_lss.lab.flight.flight import Flight, flight_config
+from quadtree_lss.lab.flight.flight import Flight, Sent, flight_config
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.lockstep import LockstepNodes
+from quadtree_lss.lab.flight.pilot import Target
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
@@ -21,8 +22,25 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 OUTSIDE = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapping"}
 """Faults that hit a node."""
-LAND_NOW = "land_now"
-"""The one that calls a service."""
+
+
+class Nodes(Protocol):
+    """mapping_node and lss_node as a flight has them: in lock-step, or as processes."""
+
+    def take(self, sent: Sent, now_ns: int) -> None:
+        """A message of the flight."""
+
+    def work(self, now_ns: int) -> Sequence[Target]:
+        """Whatever is due at a time of the flight; what ``landing/selected`` says until then."""
+
+    def land_now(self) -> None:
+        """Calls the service of that name."""
+
+    def kill(self, node: str) -> None:
+        """``mapping`` or ``lss`` is no more."""
+
+    def respawn(self, node: str, *, checkpoint: bool = True) -> None:
+        """It is back, the mapper with its checkpoint or without."""
 
 
 @dataclass(frozen=True)
@@ -59,26 +77,7 @@ def flown(
         config = flight_config(settings, flight.ground)
         history = History() if record else None
         nodes = LockstepNodes(config, settings.answer_delay, history, flight.prior)
-    down: set[str] = set()
-    asked = False
-    while not flight.outcome:
-        sent = flight.step()
-        if nodes is not None:
-            if LAND_NOW in flight.active and not asked:
-                asked = True
-                nodes.land_now()
-            for kind, node in changed(flight, down):
-                if kind in down:
-                    nodes.kill(node)
-                else:
-                    nodes.respawn(node, checkpoint=kind != "forget_mapping")
-            for message in sent:
-                nodes.take(message, flight.stamp_ns)
-            said = nodes.work(flight.stamp_ns)
-            if said is not None:
-                flight.hear(said)
-        if progress is not None and int(100 * flight.time) % 100 == 0:
-            progress(flight.time)
+    fly(flight, nodes, progress)
     last = None if nodes is None else nodes.last
     figures = figures_of(seed, flight, last)
     prior = None if nodes is None else nodes.prior_offset
@@ -87,6 +86,29 @@ def flown(
     cells, at_end = nodes.finish(flight.stamp_ns)
     recorded = nodes.history, tuple(nodes.targets), nodes.told
     return Flown(flight, figures, at_end, cells, *recorded, prior)
+
+
+def fly(flight: Flight, nodes: Nodes | None, progress: Callable[[float], None] | None) -> None:
+    """To its end, with the nodes, if it has some, and what befalls them."""
+    before: set[str] = set()
+    while not flight.outcome:
+        sent = flight.step()
+        if nodes is not None:
+            now = set(flight.active)
+            if "land_now" in now - before:
+                nodes.land_now()
+            for kind, node in OUTSIDE.items():
+                if kind in now - before:
+                    nodes.kill(node)
+                elif kind in before - now:
+                    nodes.respawn(node, checkpoint=kind != "forget_mapping")
+            before = now
+            for message in sent:
+                nodes.take(message, flight.stamp_ns)
+            for said in nodes.work(flight.stamp_ns):
+                flight.hear(said)
+        if progress is not None and int(100 * flight.time) % 100 == 0:
+            progress(flight.time)
 
 
 def figures_of(seed: int, flight: Flight, last: LandingAssessment | None) -> dict[str, Any]:
@@ -109,10 +131,3 @@ def map_said(last: LandingAssessment | None, figures: Mapping[str, Any]) -> dict
         elif last.hazard[row, column] & 0x08:
             said = "unsafe"
     return {"map_said": said}
-
-
-def changed(flight: Flight, down: set[str]) -> list[tuple[str, str]]:
-    """Faults that begin now, which ``down`` has then, or end, each with the node that it hits."""
-    found = [(k, node) for k, node in OUTSIDE.items() if (k in flight.active) != (k in down)]
-    down ^= {kind for kind, _ in found}
-    return found

@@ -11,8 +11,8 @@ from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.simulation import safety
-from quadtree_lss.lab.simulation.hazard_field import HazardField, hazard_field, strewn
-from quadtree_lss.lab.simulation.terrain import Terrain, load_terrain
+from quadtree_lss.lab.simulation.scenarios import Conditions
+from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.arrays import Array
 
 GRID = 0.25
@@ -32,14 +32,9 @@ class Ground:
     def of(cls, settings: FlightSettings, generator: np.random.Generator) -> Ground:
         """As the settings say; on a large DEM the planned point lies anywhere within 100 m. Raises
         `SimulationError`: the terrain cannot be read."""
-        if settings.terrain:
-            terrain = load_terrain(settings.terrain)
-            if settings.rock_abundance:
-                terrain = strewn(generator, terrain, settings.rock_abundance)
-        elif settings.rock_abundance is None:
-            terrain = hazard_field(generator)
-        else:
-            terrain = hazard_field(generator, HazardField(rock_abundance=settings.rock_abundance))
+        given = Conditions(terrain=settings.terrain or None, rocks=settings.rock_abundance)
+        terrain = given.ground("morpheus", generator)
+        assert terrain is not None
         xmin, xmax, ymin, ymax = terrain.bounds
         x, y = GRID * round(0.5 * (xmin + xmax) / GRID), GRID * round(0.5 * (ymin + ymax) / GRID)
         room = 0.5 * min(xmax - xmin, ymax - ymin) - 4.0

@@ -8,7 +8,6 @@ killed loses what it held in memory; what is latched comes back to it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 from quadtree_lss.desk.bags.message_types import typestore
@@ -30,36 +29,11 @@ REPEAT_NS = 400_000_000
 """``landing/selected`` is said again so often, as by lss_node."""
 
 
-@dataclass
-class _Assessments:
-    """Sink of the passes: answers reach guidance after a delay."""
-
-    delay_ns: int
-    last: LandingAssessment | None = None
-    at_ns: int = 0
-    waiting: list[tuple[int, LandingAssessment]] = field(default_factory=list)
-
-    def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
-        """Nobody but lss_node hears it."""
-
-    def landing(self, now_ns: int, found: LandingAssessment) -> None:
-        self.waiting.append((now_ns + self.delay_ns, found))
-
-    def due(self, now_ns: int) -> LandingAssessment | None:
-        """What is said now: a new answer, or the last one again; None if nothing is."""
-        if self.waiting and self.waiting[0][0] <= now_ns:
-            self.last, self.at_ns = self.waiting.pop(0)[1], now_ns
-            return self.last
-        if self.last is not None and now_ns - self.at_ns >= REPEAT_NS:
-            self.at_ns = now_ns
-            return self.last
-        return None
-
-
 class LockstepNodes:
     """mapping_node and lss_node of one configuration without transport. ``answer_delay`` is from a
     pass to its answer at the guidance, s; ``last`` the last answer that reached it; ``history``
-    notes all, ``targets`` are the changes of the target; ``prior`` is `Mapper`'s."""
+    notes all, ``targets`` are the changes of the target; ``prior`` is `Mapper`'s. It is a sink of
+    its passes."""
 
     def __init__(
         self,
@@ -76,7 +50,6 @@ class LockstepNodes:
         self._checkpoint_ns = 0
         self._down: set[str] = set()
         self.last: LandingAssessment | None = None
-        self.scans = 0
         self.history, self._noise_ratio = history, float("nan")
         self.targets: list[TargetChange] = []
         self._start_mapping()
@@ -96,14 +69,13 @@ class LockstepNodes:
         else:
             self._intake.on_cloud(message, now_ns)
 
-    def work(self, now_ns: int) -> Target | None:
+    def work(self, now_ns: int) -> list[Target]:
         """Maps and assesses what is due; what ``landing/selected`` says now, if anything."""
         if "mapping" not in self._down:
             self._mapper.look_at(self._wishes.values[AREA])
             for scan in self._intake.ready(now_ns):
                 report = self._mapper.update(scan.points_lidar, scan.pose, scan.sweep)
                 self._noise_ratio = report.noise_ratio
-                self.scans += 1
                 if self.history is not None:
                     self.history.scan(scan)
                 self._passes.changed()
@@ -111,16 +83,24 @@ class LockstepNodes:
             if now_ns - self._checkpoint_ns >= 1e9 * self._config.checkpoint.interval:
                 self._checkpoint, self._checkpoint_ns = self._mapper.export_state(), now_ns
         if "lss" in self._down:
-            return None
+            return []
         self._passes.tick(now_ns, self._mapper.snapshot)
-        said = self._assessments.due(now_ns)
-        if said is None:
-            return None
-        self.last = said
+        if self._waiting and self._waiting[0][0] <= now_ns:
+            self._said = self.last = self._waiting.pop(0)[1]
+        elif self._said is None or now_ns - self._said_ns < REPEAT_NS:
+            return []
+        self._said_ns, said = now_ns, self._said
         self._chosen = self._chosen or not said.undecided
         if not self._chosen:  # as lss_node, of which the one before may have named a target
-            return None
-        return Target(said.selected.position.copy() if said.selected.id else None)
+            return []
+        return [Target(said.selected.position.copy() if said.selected.id else None)]
+
+    def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
+        """Nobody but lss_node hears it."""
+
+    def landing(self, now_ns: int, found: LandingAssessment) -> None:
+        """It reaches guidance after the delay."""
+        self._waiting.append((now_ns + self._delay_ns, found))
 
     def land_now(self) -> None:
         self._passes.land_now()
@@ -163,7 +143,9 @@ class LockstepNodes:
         self._intake, self._mapper = Intake(self._config), Mapper(self._config, self._prior)
 
     def _start_lss(self) -> None:
-        self._assessments, self._chosen = _Assessments(self._delay_ns), False
-        sinks = [self._assessments, *([self.history] if self.history is not None else [])]
+        self._waiting: list[tuple[int, LandingAssessment]] = []
+        self._said: LandingAssessment | None = None
+        self._said_ns, self._chosen = 0, False
+        sinks = [self, *([self.history] if self.history is not None else [])]
         self._passes = Passes(self._config, self._wishes.arguments, sinks)
         self._passes.changes = self.targets

@@ -29,6 +29,7 @@ class Listener:
     Args:
         domain: ROS domain to listen in.
         topics: Names and types, each latched; all of ours by default.
+        name: Of the node.
 
     Attributes:
         node: For publishers and clients of the user's own.
@@ -36,10 +37,12 @@ class Listener:
         diagnostics: Last status by name.
     """
 
-    def __init__(self, domain: int, topics: Mapping[str, Any] = TOPICS) -> None:
+    def __init__(
+        self, domain: int, topics: Mapping[str, Any] = TOPICS, name: str = "listener"
+    ) -> None:
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain)
-        self.node = Node("listener", context=self._context)
+        self.node = Node(name, context=self._context)
         self._changed = threading.Condition()
         self.newest: dict[str, Any] = {}
         self.diagnostics: dict[str, Any] = {}

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import gaussian_filter
 
 from quadtree_lss.lab.simulation.rocks import lay
@@ -68,8 +69,7 @@ def sample_rock_diameters(
     q = rock_decay(abundance)
     diameter = np.geomspace(smallest, largest, 4001)
     density = 4.0 * abundance * q * np.exp(-q * diameter) / (np.pi * diameter**2)
-    steps = 0.5 * (density[1:] + density[:-1]) * np.diff(diameter)
-    cumulative = np.concatenate([[0.0], np.cumsum(steps)])
+    cumulative = cumulative_trapezoid(density, diameter, initial=0.0)
     count = generator.poisson(area * cumulative[-1])
     drawn = np.interp(generator.uniform(0.0, cumulative[-1], count), cumulative, diameter)
     return np.asarray(drawn)

@@ -10,10 +10,11 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import maximum_filter
 
 from quadtree_lss.lab.simulation.march import march
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.elevation.archives import read_arrays
+from quadtree_lss.onboard.elevation.dem import read_dem
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -106,13 +107,10 @@ class Terrain:
         with which rays skip empty space."""
         maxima = []
         for window in WINDOWS:
-            rows, columns = (-(-n // window) for n in self.elevation.shape)
-            blocks = np.full((rows + 2, columns + 2), -np.inf)
-            edges_y, edges_x = np.arange(rows) * window, np.arange(columns) * window
-            by_row = np.maximum.reduceat(self.elevation, edges_y, axis=0)
-            blocks[1:-1, 1:-1] = np.maximum.reduceat(by_row, edges_x, axis=1)
-            along_x = np.maximum(np.maximum(blocks[:, :-2], blocks[:, 1:-1]), blocks[:, 2:])
-            maxima.append(np.maximum(np.maximum(along_x[:-2], along_x[1:-1]), along_x[2:]))
+            blocks = self.elevation
+            for axis, count in enumerate(blocks.shape):
+                blocks = np.maximum.reduceat(blocks, np.arange(0, count, window), axis=axis)
+            maxima.append(maximum_filter(blocks, 3, mode="constant", cval=-np.inf))
         return tuple(maxima)
 
     def cast(self, origin_map: Array, directions_map: Array) -> Array:
@@ -167,19 +165,12 @@ class Parabola:
 
 
 def load_terrain(path: str | Path) -> Terrain:
-    """Read a DEM from ``.npz`` with arrays x (nx,), y (ny,), elevation (ny, nx)."""
-    file = Path(path)
-    if not file.is_file():
-        raise SimulationError(f"terrain file {file} does not exist")
+    """A DEM from a file; see `read_dem`. Raises `SimulationError`: it cannot be flown over."""
     try:
-        arrays = read_arrays(file, ("x", "y", "elevation"))
-        return Terrain(arrays["x"], arrays["y"], arrays["elevation"])
-    except KeyError as error:
-        msg = f"terrain file {file}: no array {error.args[0]!r}; needed are x, y, elevation"
-        raise SimulationError(msg) from error
+        model = read_dem(Path(path))
+        return Terrain(model.x, model.y, model.elevation)
     except SimulationError as error:
-        msg = f"terrain file {file}: {str(error).removeprefix('terrain: ')}"
+        msg = f"terrain file {path}: {str(error).removeprefix('terrain: ')}"
         raise SimulationError(msg) from error
-    except (ExchangeError, ValueError, TypeError) as error:
-        msg = f"terrain is no .npz with arrays of numbers x, y, elevation: {error}"
-        raise SimulationError(msg) from error
+    except ExchangeError as error:
+        raise SimulationError(f"terrain file {error}") from error
