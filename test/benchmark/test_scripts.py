@@ -27,6 +27,7 @@ SMALL = {
     "touchdown": (["--touchdowns", "100"], ["100 touchdowns, energy gained", "static unsafe"]),
     "hover": (["--flights", "1", "--scans", "20", "50"], ["white", "Gauss-Markov", "constant"]),
     "section_vi": (["--seeds", "201", "--duration", "3"], ["187", "220", "one degree"]),
+    "baselines": (["--duration", "1", "--scans", "2"], ["lstsq", "SVD"]),
     "features": (["--seeds", "201"], ["0.15 - 0.4 m", "in 10 cm", "slope of 10 degrees"]),
     "probability": (
         ["--shipped", "--seeds", "90000-90001", "--figure", "p.png"],
@@ -35,7 +36,14 @@ SMALL = {
     "drone": (["--seeds", "201-202"], ["2 flights", "max_risk"]),
     "partly_seen": (
         ["--quick", "--seeds", "201"],
-        ["edge: rock", "footprints: 1 degree", "inside: 180"],
+        [
+            "edge: rock",
+            "footprints: 1 degree",
+            "inside: 180",
+            "strips: flat",
+            "section_vi",
+            "autzen",
+        ],
     ),
     "shares": (
         ["--draws", "200", "--of-twenty", "50", "--figure", "c.png"],
