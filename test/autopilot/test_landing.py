@@ -11,10 +11,8 @@ from quadtree_lss.onboard.autopilot.landing import (
     COMMIT,
     DESCEND,
     GIVE_UP,
-    HEARTBEAT_S,
     HOLD,
     PILOT,
-    TARGET_S,
     TOUCHDOWN,
     TRANSIT,
     WAIT,
@@ -123,7 +121,7 @@ def test_from_below_the_gate_it_climbs_first():
     "fault",
     [
         {"target": None},
-        {"target_age": TARGET_S + 0.1},
+        {"target_age": CONFIG.max_target_age + 0.1},
         {"target": SITE + (4.0, 0.0, 0.0)},
         {"target": SITE + (-80.0, 0.0, 0.0)},
         {"target": SITE + (0.0, 0.0, 15.0)},
@@ -183,7 +181,7 @@ def test_an_old_pose_stops_where_the_vehicle_was_last_seen():
 
 def test_without_heartbeats_nothing_is_commanded_and_then_it_climbs():
     flight = Flight().until(below(4.0))
-    flight.heartbeat_age = HEARTBEAT_S + 0.1
+    flight.heartbeat_age = CONFIG.max_heartbeat_age + 0.1
     flight.on(1.0)
     assert flight.order.point is None and flight.order.target is None
     flight.heartbeat_age = 0.1
@@ -212,7 +210,7 @@ def test_the_pilots_switch_ends_it_at_once(state):
 
 def test_a_jump_of_navigation_ends_at_the_pilot():
     flight = Flight().until(below(4.0))
-    flight.jump = CONFIG.max_offset + 0.01
+    flight.jump = CONFIG.max_jump + 0.01
     flight.step()
     flight.jump = 0.0
     flight.on(10.0)

@@ -31,9 +31,6 @@ hears no more stays at the last one."""
 REASONS = {int(reason): reason.key for reason in Reason}
 THROUGH_M = 1.0
 """Below the ground the last set-points lead, so that the vehicle presses on it."""
-HEARTBEAT_S, TARGET_S = 2.5, 1.0
-"""Without a younger heartbeat, of which one comes each second, nothing is commanded; a target that
-was not repeated within the deadline of ``landing/selected`` counts as withdrawn."""
 AT_M, SLOW_M_S = 1.0, 1.0
 """Of the gate's height and of standing still."""
 
@@ -143,7 +140,8 @@ class Landing:
 
     def step(self, seen: Seen) -> Order:
         """The order of this moment."""
-        if seen.heartbeat_age > HEARTBEAT_S:
+        config = self._config
+        if seen.heartbeat_age > config.max_heartbeat_age:
             if self.state != PILOT:
                 self._halt(seen, f"no heartbeat for {seen.heartbeat_age:.1f} s")
             return Order(self.state, self._text, None, None)  # whoever flies now, is not known
@@ -183,7 +181,7 @@ class Landing:
         target, config = seen.target, self._config
         if target is None:
             return None, seen.why
-        if target.age > TARGET_S:
+        if target.age > config.max_target_age:
             return None, f"the target was last said {target.age:.1f} s ago: lss_node is silent"
         if not target.map_age <= config.max_map_age and self.state != COMMIT:
             if np.isnan(target.map_age):
@@ -200,7 +198,7 @@ class Landing:
     def _decide(self, seen: Seen, target: Target | None, why: str) -> None:
         """The next state."""
         config, now = self._config, seen.now
-        if seen.jump > config.max_offset:
+        if seen.jump > config.max_jump:
             text = f"navigation jumped by {seen.jump:.1f} m: the map lies elsewhere now"
             self._give_up(seen, text)
         if self.state == GIVE_UP:

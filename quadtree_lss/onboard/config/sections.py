@@ -502,8 +502,7 @@ class AutopilotConfig:
     max_offset: float = _live(
         0.5,
         "the vehicle descends only within this distance beside the target, and commits"
-        " within half of it; a target that moves farther is another one, and a position that"
-        " jumps farther, against its own velocity, ends the landing",
+        " within half of it; a target that moves farther is another one",
         (0.02, 100.0),
         "m",
     )
@@ -520,14 +519,26 @@ class AutopilotConfig:
         (0.0, 100.0),
         "m",
     )
+    max_heartbeat_age: float = _live(
+        2.5, "without a younger heartbeat nothing is commanded", (0.1, 60.0), "s"
+    )
     max_pose_age: float = _live(
         0.5, "with an older pose, by its stamp, the vehicle only holds", (0.02, 60.0), "s"
+    )
+    max_target_age: float = _live(
+        1.0, "a target that was not repeated for longer counts as withdrawn", (0.1, 60.0), "s"
     )
     max_map_age: float = _live(
         3.0,
         "a target on an older map counts as withdrawn, until the vehicle commits",
         (0.1, 1e3),
         "s",
+    )
+    max_jump: float = _live(
+        0.5,
+        "a greater jump of the position, against its own velocity, ends the landing",
+        (0.01, 1e3),
+        "m",
     )
     max_wave_offs: int = _live(3, "after more wave-offs the pilot has to take over", (0, 1000))
     patience: float = _live(

@@ -73,9 +73,6 @@ REMOVED = {
     "qos.pose_depth": "it is 200; qos_overrides.TOPIC.subscription.depth sets another",
     "publish.marker_rate": "it is fixed at 1 Hz",
     "diagnostics.error_age": "it is five times diagnostics.warn_age",
-    "autopilot.max_heartbeat_age": "it is fixed at 2.5 s: autopilots send one a second",
-    "autopilot.max_target_age": "it is fixed at 1 s, the deadline of landing/selected",
-    "autopilot.max_jump": "it is autopilot.max_offset",
 }
 
 

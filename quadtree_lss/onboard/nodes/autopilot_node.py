@@ -21,7 +21,6 @@ from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.autopilot.frames import Jumps, Nav
 from quadtree_lss.onboard.autopilot.landing import (
     GIVE_UP,
-    HEARTBEAT_S,
     HOLD,
     PILOT,
     TOUCHDOWN,
@@ -167,7 +166,7 @@ class AutopilotNode(BaseNode):
         self._jump = 0.0
         began = self._landing.state
         order = self._landing.step(seen)
-        fresh = seen.heartbeat_age <= HEARTBEAT_S
+        fresh = seen.heartbeat_age <= self._config.autopilot.max_heartbeat_age
         if order.point is not None:
             link.fly_to(order.point)
         elif link.kind == PX4 and fresh and order.state == PILOT:
@@ -260,7 +259,7 @@ class AutopilotNode(BaseNode):
         status.add({"heartbeat.age_s": heard, "target.publishers": self._sources.number})
         status.add({f"autopilot.heard.{what}": n for what, n in self._link.heard_of.items()})
         status.add({f"autopilot.refused.{why}": n for why, n in self._link.refused.items()})
-        if heard > HEARTBEAT_S:
+        if heard > self._config.autopilot.max_heartbeat_age:
             connection = self._config.autopilot.connection
             status.note(ERROR, f"no heartbeat of an autopilot on {connection}")
         if (uncertainty := self._link.remote.uncertainty_ns) is not None:
