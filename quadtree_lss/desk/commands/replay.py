@@ -13,7 +13,7 @@ from quadtree_lss.desk.commands.console import (
     Interruption,
     ProgressBar,
     first_line,
-    print_result,
+    result_text,
     say,
     warn,
 )
@@ -128,7 +128,7 @@ def _tell(options: argparse.Namespace, result: ReplayResult, out: Path, word: st
     if options.json:
         common.print_json(result.as_dict())
     else:
-        print_result(result)
+        print(result_text(result))
 
 
 def _sites(options: argparse.Namespace) -> int:

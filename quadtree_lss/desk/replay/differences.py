@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from quadtree_lss.desk.exchange.saved import Grid, Results, ResultsError, load_results
 from quadtree_lss.desk.replay.files import plain, write_bytes, write_json
-from quadtree_lss.desk.replay.results import Grid, Results, ResultsError, load_results
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 

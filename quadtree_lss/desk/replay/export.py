@@ -14,8 +14,8 @@ from quadtree_lss.desk.exchange.geojson import sites_geojson
 from quadtree_lss.desk.exchange.geotiff import check_place, write_geotiff
 from quadtree_lss.desk.exchange.map_server import write_map
 from quadtree_lss.desk.exchange.mesh import write_meshes
+from quadtree_lss.desk.exchange.saved import Results, load_results
 from quadtree_lss.desk.replay.files import plain
-from quadtree_lss.desk.replay.results import Results, load_results
 from quadtree_lss.onboard.arrays import Bytes
 from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED
 from quadtree_lss.onboard.core.landing.raster import rasterise

@@ -19,8 +19,7 @@ from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.replay.doctor import Finding, Heard
 from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.desk.replay.points import points_line, points_warning
-from quadtree_lss.desk.replay.run import Progress
-from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Span, Stream
+from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Part, Progress, Span, Stream
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.sensing.register import register
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -127,10 +126,9 @@ def inspect_bag(
             seconds=(opened.end_ns - opened.start_ns) / SECOND_NS,
             topics=[TopicInfo(t.name, t.type, t.count) for t in opened.topics],
         )
-        stream = Stream(scan_topic, pose_topic)
-        pairs = MapPairs.alone(opened) if scan_topic is None else None
+        stream, pairs = None, MapPairs.alone(opened) if scan_topic is None else None
         try:
-            stream.resolve(opened, config)
+            stream = Stream(opened, config, scan_topic, pose_topic)
         except BagError as error:
             if pairs is None:
                 info.findings.append(Finding("topics", str(error), _other_poses(info), fatal=True))
@@ -143,7 +141,7 @@ def inspect_bag(
             info.scan_topic, info.pose_topic = stream.scans, stream.poses
             _read(info, opened, stream, config, progress)
         _rates_by_reception(info, opened)
-        info.losses = [*opened.losses, *stream.losses]
+        info.losses = [*opened.losses, *([] if stream is None else stream.losses)]
         info.findings += [Finding("bag", text) for text in opened.notes]
     return info
 
@@ -164,18 +162,17 @@ def _rates_by_reception(info: BagInfo, bag: Bag) -> None:
 def _read(
     info: BagInfo, bag: Bag, stream: Stream, config: Config, progress: Progress | None
 ) -> None:
-    intake, heard = stream.intake(config), Heard()
+    intake, heard = stream.intake, Heard()
     domain = Domain.of(config.domain)
     dropped: Counter[str] = Counter()
     missed_at: tuple[float, float] | None = None
     why = ""
     seen = {topic.name: _Stamps() for topic in info.topics}
     texts: dict[str, str] = {}
-    shown = time.monotonic()
-    for message in stream.messages(bag):
+    for message in Part.of(bag).messages(bag, stream.topics, progress):
         with contextlib.suppress(MessageError):  # counted and told by the intake
             _hear(heard, bag, message, stream, seen[message.topic])
-        stream.take(bag, intake, message)
+        stream.take(message)
         for ready in intake.ready(message.received_ns):
             info.scans_with_pose += 1
             if config.domain.follow == "vehicle":
@@ -188,9 +185,6 @@ def _read(
                 why = likely_reason(ready.points_lidar, ready.pose, config)
         for notice in intake.notices():
             texts.setdefault(notice.reason, notice.text)
-        if progress is not None and time.monotonic() - shown > 0.2:
-            shown = time.monotonic()
-            progress((message.received_ns - stream.start_ns) / SECOND_NS, stream.seconds)
     intake.finish()
     for notice in intake.notices():
         texts.setdefault(notice.reason, notice.text)

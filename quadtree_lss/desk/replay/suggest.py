@@ -13,8 +13,7 @@ from scipy.spatial import cKDTree
 
 from quadtree_lss.desk.bags.cloud_files import open_recording
 from quadtree_lss.desk.replay.configuration import dump_values
-from quadtree_lss.desk.replay.run import Progress
-from quadtree_lss.desk.replay.stream import SECOND_NS, ReplayError, Stream
+from quadtree_lss.desk.replay.stream import Part, Progress, ReplayError, Stream
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import Config, config_from_values, values_from_config
@@ -66,20 +65,13 @@ def suggest_config(
     suits. Raises `BagError` as that does, and `ReplayError`: no scan has a pose, or none a return.
     """
     seen = _Seen()
-    stream = Stream()
     with open_recording(bag, poses, config.frames.map) as opened:
-        stream.resolve(opened, config)
+        stream = Stream(opened, config)
         count = next(t.count for t in opened.topics if t.name == stream.scans)
-        intake, every = stream.intake(config), max(count // SCANS, 1)
-        for number, message in enumerate(stream.messages(opened)):
-            stream.take(opened, intake, message)
-            for scan in intake.ready(message.received_ns):
-                seen.add(scan, config, every)
-            if progress is not None and number % 50 == 0:
-                done = (message.received_ns - stream.start_ns) / SECOND_NS
-                progress(done, stream.seconds)
-        intake.finish()
-        causes = [notice.text for notice in intake.notices()]
+        for scan in stream.ready(Part.of(opened), progress):
+            seen.add(scan, config, max(count // SCANS, 1))
+        stream.intake.finish()
+        causes = [notice.text for notice in stream.intake.notices()]
     if not seen.places:
         why = causes[0] if causes else "no scan has a pose and a return"
         raise ReplayError(f"{bag}: nothing to suggest from: {why}")
