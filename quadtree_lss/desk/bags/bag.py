@@ -95,16 +95,19 @@ class Bag:
         """The message of which ``raw`` are the serialised bytes. Raises `MessageError`:
         ``encoding`` if they are not."""
         try:
-            if raw[:4] == ZSTD_MAGIC:  # bags compressed message by message
-                raw = unpack("zstd", raw, MOST_BYTES)
-            content = memoryview(raw)  # of which slices are no copies
-            if self._ros1:
-                return self._store.deserialize_ros1(content, msgtype)
-            return self._store.deserialize_cdr(content, msgtype)
+            return self._decoded(raw, msgtype)
         except Exception as error:  # any content must do: SerdeError, struct.error, ValueError, …
             line = (str(error) or type(error).__name__).splitlines()[0]
             text = f"{msgtype} cannot be decoded: {line}"
             raise MessageError("encoding", text) from None
+
+    def _decoded(self, raw: bytes, msgtype: str) -> Any:
+        if raw[:4] == ZSTD_MAGIC:  # bags compressed message by message
+            raw = unpack("zstd", raw, MOST_BYTES)
+        content = memoryview(raw)  # of which slices are no copies
+        if self._ros1:
+            return self._store.deserialize_ros1(content, msgtype)
+        return self._store.deserialize_cdr(content, msgtype)
 
     def _open(self) -> None:
         if not self.path.exists():
@@ -197,7 +200,7 @@ class MessageBag(Bag):
             if topic in topics and start_ns <= received_ns < stop_ns:
                 yield RawMessage(topic, received_ns, message)
 
-    def decode(self, raw: Any, msgtype: str) -> Any:
+    def _decoded(self, raw: Any, msgtype: str) -> Any:
         return raw() if callable(raw) else raw
 
 

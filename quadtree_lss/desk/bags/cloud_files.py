@@ -20,7 +20,6 @@ from quadtree_lss.desk.exchange.poses import PoseTable, read_poses
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.errors import one_line
-from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.maps import record_dtype
 from quadtree_lss.onboard.messages.outputs import MessageMaker
 
@@ -31,11 +30,16 @@ SECOND_NS = 10**9
 _UNITS_NS = (1, 10**3, 10**6, 10**9)
 
 
-def open_recording(path: str | Path, poses: str | Path | None = None, frame: str = "map") -> Bag:
-    """A bag, or point clouds: a file or a folder of them. ``path``: of the bag or the clouds.
+def open_recording(
+    path: str | Path | Bag, poses: str | Path | None = None, frame: str = "map"
+) -> Bag:
+    """A bag, or point clouds: a file or a folder of them. ``path``: of the bag or the clouds, or a
+    bag itself.
     ``poses``: file of poses for clouds in the lidar's axes; None for clouds in the map frame.
     ``frame``: name of the map frame, of clouds. Raises `BagError`: there is nothing to read, or a
     bag is given poses that it has itself."""
+    if isinstance(path, Bag):
+        return path
     place = Path(path)
     if is_clouds(place):
         try:
@@ -93,10 +97,7 @@ def _bag_of(path: Path, poses_path: Path | None, frame: str) -> MessageBag:
     of_lidar, of_map = (MessageMaker(types, np.asarray, name) for name in ("lidar", frame))
 
     def cloud(stamp: int, file: str, k: int) -> Any:
-        try:
-            points = read(Path(file))[0][k]
-        except ExchangeError as error:
-            raise MessageError("encoding", str(error)) from None
+        points = read(Path(file))[0][k]
         if poses_path is None:
             points = (points - eye) @ LOOKING_DOWN
         kind = "f4" if points.dtype == np.float32 else "f8"

@@ -209,13 +209,16 @@ def _numbers(text: str) -> list[list[float]] | None:
 
 def tell(options: argparse.Namespace, result: Any, *lines: str) -> None:
     """A result as JSON if that is asked for, else its table and some lines."""
+    out = {"out": str(result.out)} if hasattr(result, "out") else {}
+    show(options, {**out, **result.as_dict()}, "\n".join([result.table(), *lines]))
+
+
+def show(options: argparse.Namespace, content: Mapping[str, Any], text: str) -> None:
+    """A result as JSON if that is asked for, else as text."""
     if options.json:
-        out = {"out": str(result.out)} if hasattr(result, "out") else {}
-        print_json({**out, **result.as_dict()})
-        return
-    print(result.table())
-    for line in lines:
-        print(line)
+        print_json(content)
+    else:
+        print(text)
 
 
 def print_json(content: Mapping[str, Any]) -> None:

@@ -13,7 +13,7 @@ from quadtree_lss.desk.commands.common import (
     add_command,
     named,
     place,
-    print_json,
+    show,
     tell,
 )
 from quadtree_lss.desk.commands.console import say
@@ -108,11 +108,9 @@ def _export(options: argparse.Namespace) -> int:
         crs=options.crs,
         origin=None if origin is None else (origin[0], origin[1]),
     )
-    if options.json:
-        print_json({"files": [str(path) for path in written]})
-    else:
-        names = ", ".join(path.name for path in written)
-        print(f"{names}\n{len(written)} files in {written[0].parent}")
+    names = ", ".join(path.name for path in written)
+    text = f"{names}\n{len(written)} files in {written[0].parent}"
+    show(options, {"files": [str(path) for path in written]}, text)
     return DONE
 
 
@@ -137,8 +135,6 @@ def page_in(folder: Path) -> Path:
 def _view(options: argparse.Namespace) -> int:
     page = page_in(options.folder).resolve()
     opened = not options.no_open and webbrowser.open(page.as_uri())
-    if options.json:
-        print_json({"page": str(page), "opened": bool(opened)})
-    else:
-        print(str(page) if opened or options.no_open else f"open {page}")
+    text = str(page) if opened or options.no_open else f"open {page}"
+    show(options, {"page": str(page), "opened": bool(opened)}, text)
     return DONE

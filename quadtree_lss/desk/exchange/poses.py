@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 
 TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
-SECONDS = ("stamp", "time", "timestamp", "t")
 COVARIANCE = tuple(f"cov_{k}" for k in range(36))
 
 
@@ -63,7 +62,7 @@ def read_poses(path: Path) -> PoseTable:
     else:
         header = list(TUM)
     place = {name: k for k, name in enumerate(header)}
-    clock = next((name for name in ("stamp_ns", *SECONDS) if name in place), None)
+    clock = next((name for name in ("stamp_ns", "stamp") if name in place), None)
     missing = [name for name in TUM[1:] if name not in place]
     if clock is None or missing:
         lack = ", ".join(missing or ["stamp_ns"])

@@ -27,8 +27,6 @@ from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.onboard.messages.lost_points import likely_reason
 
-OLD_STAMP_NS = 365 * 86400 * SECOND_NS
-"""Stamps of 1970 count from the start of a computer, not from an epoch."""
 TYPE_NAMES = {1: "int8", 2: "uint8", 3: "int16", 4: "uint16", 5: "int32", 6: "uint32"}
 TYPE_NAMES |= {7: "float32", 8: "float64"}
 
@@ -108,7 +106,7 @@ class BagInfo:
 
 
 def inspect_bag(
-    bag: str | Path,
+    bag: str | Path | Bag,
     config: Config,
     *,
     scan_topic: str | None = None,
@@ -120,7 +118,7 @@ def inspect_bag(
     Raises `BagError`: there is nothing to read."""
     with open_recording(bag, poses, config.frames.map) as opened:
         info = BagInfo(
-            path=str(bag),
+            path=str(opened.path),
             kind="nothing",
             start_ns=opened.start_ns,
             seconds=(opened.end_ns - opened.start_ns) / SECOND_NS,
@@ -131,7 +129,7 @@ def inspect_bag(
             stream = Stream(opened, config, scan_topic, pose_topic)
         except BagError as error:
             if pairs is None:
-                info.findings.append(Finding("topics", str(error), _other_poses(info), fatal=True))
+                info.findings.append(Finding("topics", str(error), fatal=True))
             else:
                 info.kind = "maps"
                 text = "maps and no scans: replay ranks landing sites on the last map, `replay"
@@ -274,20 +272,10 @@ MENDS = {
     "outside": "quadtree-lss config suggest BAG writes a domain that fits",
 }
 """What mends that which the intake tells, by its keys."""
-OF_OTHER_TYPES = ("PoseStamped", "TransformStamped", "VehicleOdometry", "TFMessage", "Imu")
 
 
 def told(finding: Finding) -> str:
     return f"{finding.text}; mend: {finding.mend}" if finding.mend else finding.text
-
-
-def _other_poses(info: BagInfo) -> str:
-    """What could be turned into poses, where there are none."""
-    others = [t for t in info.topics if t.type.endswith(OF_OTHER_TYPES)]
-    if not others:
-        return ""
-    names = ", ".join(f"{t.name} ({t.type})" for t in others)
-    return f"if no pose is there, turn one of {names} into PoseWithCovarianceStamped or Odometry"
 
 
 def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> list[Finding]:
@@ -303,9 +291,6 @@ def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> list[Finding
             continue
         if topic.backward:
             found.append(Finding("order", f"{topic.name}: {topic.backward} stamps go back in time"))
-        if topic.first_stamp_ns < OLD_STAMP_NS:
-            text = f"{topic.name}: stamps of 1970: they count from a computer's start, which is"
-            found.append(Finding("boot", f"{text} fine as long as scans and poses agree"))
         if len(topic.frames) > 1:
             text = f"{topic.name}: several frames: {', '.join(topic.frames)}"
             found.append(Finding("frames", text))

@@ -90,8 +90,7 @@ def replay(
     began = time.perf_counter()
     prior = read_prior(config)
     with ExitStack() as stack:
-        given = bag if isinstance(bag, Bag) else open_recording(bag, poses, config.frames.map)
-        opened = stack.enter_context(given)
+        opened = stack.enter_context(open_recording(bag, poses, config.frames.map))
         part = Part.of(opened, start, duration)
         wishes = LandingWishes(config.frames.map, landing)
         pairs = MapPairs.alone(opened) if scan_topic is None else None
@@ -175,8 +174,7 @@ def scans(
 ) -> Iterator[ReadyScan]:
     """Scans of a bag, each with the lidar's pose at its stamp, as the nodes would map them; the
     arguments are those of `replay.replay`. Raises `BagError` or `ReplayError` as that does."""
-    given = bag if isinstance(bag, Bag) else open_recording(bag, poses, config.frames.map)
-    with given as opened:
+    with open_recording(bag, poses, config.frames.map) as opened:
         part = Part.of(opened, start, duration)
         stream = Stream(opened, config, scan_topic, pose_topic)
         for scan in stream.ready(part):

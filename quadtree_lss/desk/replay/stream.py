@@ -21,6 +21,7 @@ from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.bags.topics import (
     GIMBAL_TOPIC,
     TRANSFORMS_TOPIC,
+    candidates,
     choose_pose_topic,
     choose_scan_topic,
     choose_topic,
@@ -251,24 +252,15 @@ class MapPairs:
         self._held: dict[str, Any] = {}
 
     @classmethod
-    def find(cls, bag: Bag) -> MapPairs | None:
-        """The map topics of an open bag, None if it has none."""
-        names = {topic.name: topic.type for topic in bag.topics if topic.count}
-        for name, kind in names.items():
-            observed = name.removesuffix(CELLS) + OBSERVED
-            if name.endswith(f"/{CELLS}") and kind == SCAN_TYPE and observed in names:
-                return cls(name, observed)
-        return None
-
-    @classmethod
     def alone(cls, bag: Bag) -> MapPairs | None:
-        """The map topics of an open bag that has no scans, None if it has."""
-        pairs = cls.find(bag)
-        if pairs is None:
-            return None
-        clouds = {topic.name for topic in bag.topics if topic.type == SCAN_TYPE and topic.count}
-        ours = {pairs.topics[0].removesuffix(CELLS) + name for name in (CELLS, SITE_TABLE, STATUS)}
-        return None if clouds - ours else pairs
+        """The map topics of an open bag that has no scans, None if it has or there are none."""
+        clouds, grids = candidates(bag, SCAN_TYPE), candidates(bag, GRID_TYPE)
+        for name in clouds:
+            place = name.removesuffix(CELLS)
+            if name.endswith(f"/{CELLS}") and place + OBSERVED in grids:
+                ours = {place + own for own in (CELLS, SITE_TABLE, STATUS)}
+                return None if set(clouds) - ours else cls(name, place + OBSERVED)
+        return None
 
     def take(self, bag: Bag, message: RawMessage, lss: LssConfig | None = None) -> CellMap | None:
         """The map that this message completes, None if its other half is still missing. ``bag``,
