@@ -306,11 +306,6 @@ def test_config_checks_files_and_explains_keys(tmp_path, capsys):
     bad.write_text("/**:\n  ros__parameters:\n    lss.margn: 1.0\n")
     code, out, _ = run(capsys, "config", "check", good, "morpheus")
     assert code == 0 and out.count("good\n") == 2
-    fine = tmp_path / "fine.yaml"
-    fine.write_text("/**:\n  ros__parameters:\n    domain: {size: 60.0, max_level: 9}\n")
-    code, out, err = run(capsys, "config", "check", fine)
-    assert code == 0 and "a landing site pass may take" in err and "within 1 s" in err
-    assert "pass" not in run(capsys, "config", "check", good)[2]
     code, out, _ = run(capsys, "config", "check", good, bad)
     assert code == 1 and "lss.margin" in out.splitlines()[1]
     code, out, _ = run(capsys, "config", "explain", "lss.margin")

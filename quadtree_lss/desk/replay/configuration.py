@@ -10,12 +10,10 @@ from pathlib import Path
 
 import yaml
 
-from quadtree_lss.onboard.config.limits import pass_seconds
 from quadtree_lss.onboard.config.loading import read_values
 from quadtree_lss.onboard.config.settings import (
     Config,
     ConfigError,
-    LssConfig,
     Parameter,
     checked_values,
     config_from_values,
@@ -23,9 +21,6 @@ from quadtree_lss.onboard.config.settings import (
     parameters,
     values_from_config,
 )
-
-DEADLINE = 1.0
-"""``landing/selected`` is said again within this, s: what is said is as old as the last pass."""
 
 
 def load_config(
@@ -94,21 +89,6 @@ def _shipped() -> Iterator[Path]:
     places = [Path(p) / "share" / "quadtree_lss" / "config" for p in (sys.prefix, *prefixes)]
     for place in places:
         yield from sorted(place.glob("*.yaml"))
-
-
-def slow(size: float, finest: int, lss: LssConfig) -> str:
-    """That what ``landing/selected`` says may be older than its deadline; empty if it is not.
-
-    Args as for `why_too_much`.
-    """
-    seconds = pass_seconds(size, finest, lss)
-    if seconds <= DEADLINE:
-        return ""
-    return (
-        f"a landing site pass may take {seconds:.1f} s: landing/selected is said again within"
-        f" {DEADLINE:g} s, but a new hazard or keep-out moves it only after the pass; coarser cells"
-        " (domain.max_level), a smaller domain.size or fewer lss.sites make it shorter"
-    )
 
 
 def dump_config(config: Config, *, comments: bool = False) -> str:

@@ -19,7 +19,7 @@ from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.replay.doctor import Finding, Heard
 from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.desk.replay.points import points_line, points_warning
-from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Part, Progress, Span, Stream
+from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Part, Progress, Stream, rate
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.sensing.register import register
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -146,15 +146,14 @@ def inspect_bag(
 
 def _rates_by_reception(info: BagInfo, bag: Bag) -> None:
     """Of the clouds and poses that are not read: what they may be chosen by."""
-    spans = {t.name: Span() for t in info.topics if t.type in (*SCAN_TYPES, *POSE_TYPES)}
-    for topic in info.topics:
-        if topic.first_stamp_ns is not None:
-            spans.pop(topic.name, None)
-    for message in bag.messages(list(spans)):
-        spans[message.topic].add(message.received_ns)
-    for topic in info.topics:
-        if topic.name in spans:
-            topic.rate = spans[topic.name].rate
+    unread = {t.name: t for t in info.topics if t.first_stamp_ns is None}
+    times: dict[str, list[int]] = {
+        name: [] for name, topic in unread.items() if topic.type in (*SCAN_TYPES, *POSE_TYPES)
+    }
+    for message in bag.messages(list(times)):
+        times[message.topic].append(message.received_ns)
+    for name, received in times.items():
+        unread[name].rate = rate(received)
 
 
 def _read(
@@ -247,9 +246,7 @@ class _Stamps:
         topic.first_stamp_ns, topic.last_stamp_ns = int(stamps.min()), int(stamps.max())
         topic.backward = int(np.count_nonzero(np.diff(stamps) < 0))
         topic.delay = float(np.median(self.delays))
-        span = (topic.last_stamp_ns - topic.first_stamp_ns) / SECOND_NS
-        if span > 0.0:
-            topic.rate = (len(stamps) - 1) / span
+        topic.rate = rate(self.stamps)
         if self.points:
             topic.points = float(np.median(self.points))
             topic.layout = "; or ".join(name for name, _ in self.layouts.most_common(3))

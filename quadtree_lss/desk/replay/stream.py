@@ -6,8 +6,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from quadtree_lss.desk.bags.bag import Bag
@@ -53,24 +52,10 @@ class ReplayError(QuadtreeLssError):
     """The bag gave no map, or the results cannot be written."""
 
 
-@dataclass
-class Span:
-    """How many times there are, and the least and the greatest of them, ns."""
-
-    count: int = 0
-    first_ns: int = 0
-    last_ns: int = 0
-
-    def add(self, time_ns: int) -> None:
-        self.first_ns = min(self.first_ns, time_ns) if self.count else time_ns
-        self.last_ns = max(self.last_ns, time_ns) if self.count else time_ns
-        self.count += 1
-
-    @property
-    def rate(self) -> float:
-        """Per second between the first and the last; NaN if they do not differ."""
-        length = (self.last_ns - self.first_ns) / SECOND_NS
-        return (self.count - 1) / length if length > 0.0 else math.nan
+def rate(times_ns: Sequence[int]) -> float:
+    """Per second between the least and the greatest; NaN if they do not differ."""
+    length = (max(times_ns, default=0) - min(times_ns, default=0)) / SECOND_NS
+    return (len(times_ns) - 1) / length if length > 0.0 else math.nan
 
 
 class Part(NamedTuple):
@@ -150,7 +135,7 @@ class Stream:
             for message in bag.messages([topic]):
                 with contextlib.suppress(MessageError):
                     self.intake.on_transforms(bag.decode(message.raw, TRANSFORMS_TYPE))
-        self._stamps: dict[str, Span] = {}
+        self._stamps: dict[str, list[int]] = {}
         self._undecoded: dict[str, list[str]] = {}
 
     @property
@@ -175,7 +160,7 @@ class Stream:
             self._undecoded.setdefault(message.topic, []).append(str(error))
             return None
         with contextlib.suppress(MessageError):  # the intake tells
-            self._stamps.setdefault(message.topic, Span()).add(stamp_ns(msg.header))
+            self._stamps.setdefault(message.topic, []).append(stamp_ns(msg.header))
         if what == "cloud":
             return self.intake.on_cloud(msg, message.received_ns)
         if what == "camera":
@@ -198,12 +183,11 @@ class Stream:
 
     def counts(self) -> dict[str, Any]:
         """What ``summary.json`` has of it, so far."""
-        scans, poses = (self._stamps.get(name, Span()) for name in (self.scans, self.poses))
         return {
             "scan_topic": self.scans,
             "pose_topic": self.poses,
-            "scan_rate": scans.rate,
-            "pose_rate": poses.rate,
+            "scan_rate": rate(self._stamps.get(self.scans, ())),
+            "pose_rate": rate(self._stamps.get(self.poses, ())),
             "scans_dropped": dict(self.intake.dropped),
             "poses": self.intake.poses_taken,
             "messages_rejected": dict(self.intake.rejected),

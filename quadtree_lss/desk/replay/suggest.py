@@ -86,7 +86,6 @@ class _Seen:
         self._scans = self._used = 0
         self._noise: list[float] = []
         self._spacing: list[float] = []
-        self._above: list[float] = []
 
     def add(self, scan: ReadyScan, config: Config, every: int) -> None:
         self._scans += 1
@@ -103,7 +102,6 @@ class _Seen:
         placed = points @ scan.pose.rotation_map_lidar.T + scan.pose.position
         few = slice(None, None, max(len(points) // POINTS, 1))
         self.places.append(placed[few])
-        self._above.append(scan.pose.position[2] - float(np.median(placed[:, 2])))
         low, high = np.percentile(placed[:, :2], [10.0, 90.0], axis=0)
         area = float(np.prod(high - low)) / 0.64
         self._spacing.append(math.sqrt(area / len(points)))
@@ -152,11 +150,6 @@ class _Seen:
                 f" {most:.2g} m. Gaps wider than {config.lss.gap:.2g} m (lss.max_gap) stay unseen."
             )
         notes += filter(None, [doubt(found)])
-        if float(np.median(self._above)) < 0.0:
-            notes.append(
-                "The ground lies above the lidar by these poses: see mount.axes and frames first"
-                " (quadtree-lss info)."
-            )
         return Suggestion(values, reasons, tuple(notes))
 
 
