@@ -7,8 +7,8 @@ Two words are kept apart: ground is *allowed* by the risk of a place, an aim has
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from datetime import datetime, timezone
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -25,8 +25,7 @@ LEVELS = {"good": "Good", "care": "With care", "none": "None is good enough"}
 """How far the best aim can be trusted: good, with care, and not at all."""
 
 
-@dataclass(frozen=True)
-class Areas:
+class Areas(NamedTuple):
     """Of the ground at the grid points, m²."""
 
     seen: float
@@ -39,8 +38,7 @@ class Areas:
         return self.allowed / self.seen if self.seen else 0.0
 
 
-@dataclass(frozen=True)
-class Circle:
+class Circle(NamedTuple):
     """The largest of seen ground without a hazard that excludes; ``limit`` is what it ends at."""
 
     x: float
@@ -49,8 +47,7 @@ class Circle:
     limit: str
 
 
-@dataclass(frozen=True)
-class NearestMiss:
+class NearestMiss(NamedTuple):
     """The place that comes nearest to a site, and why it is none."""
 
     x: float
@@ -111,8 +108,7 @@ def _room(mask: Mask, spacing: float) -> Array:
     return room
 
 
-@dataclass(frozen=True)
-class Fact:
+class Fact(NamedTuple):
     """Something that trust rests on: what, how it is, and a level of `LEVELS`, or none."""
 
     name: str

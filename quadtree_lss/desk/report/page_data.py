@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -55,8 +55,8 @@ def page_data(content: Results, layers: Sequence[Layer] = ()) -> tuple[dict[str,
         "zone": content.zone,
         "noise": config.lidar.range_noise,
         "lander": {"radius": 0.5 * config.vehicle.diameter, "pad": config.vehicle.pad_radius},
-        "circle": circle and asdict(circle),
-        "miss": miss and asdict(miss),
+        "circle": circle and circle._asdict(),
+        "miss": miss and miss._asdict(),
         "landing": content.summary.get("landing") or {},
         "trust": {
             "words": LEVELS,
