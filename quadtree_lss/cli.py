@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 
 import quadtree_lss
 from quadtree_lss import build
-from quadtree_lss.desk.commands import compare, config, export, info, replay, view
+from quadtree_lss.desk.commands import config, info, replay, results
 from quadtree_lss.desk.commands.common import (
     DONE,
     ERROR,
@@ -30,7 +30,7 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 
 # No part of ROS, and not in every Ubuntu: the nodes do without.
 OF_BAGS = ("rosbags", "zstandard", "lz4", "apsw", "ruamel")
-DESK = (replay, compare, export, view, info, config)
+DESK = (replay, results, info, config)
 LAB = (simulate, evaluate, campaign, fly, fit_risk)
 REMEDY = "pip install --user --break-system-packages 'rosbags>=0.11' zstandard"
 

@@ -9,7 +9,7 @@ from core.builders import mapped
 from core.test_sites import RADIUS, small
 
 from quadtree_lss.desk.bags.message_types import typestore
-from quadtree_lss.desk.replay.results import grid_arrays
+from quadtree_lss.desk.replay.results import grid_of
 from quadtree_lss.onboard.config.sections import LightConfig
 from quadtree_lss.onboard.config.settings import ConfigError, config_from_values
 from quadtree_lss.onboard.core.landing.raster import shadow
@@ -105,7 +105,7 @@ def test_between_equals_the_lit_place_wins_by_the_weight_alone(walled, assessmen
         LandingSiteSelector(lit(sun, **rules, weight_shadow=weight)).assess(walled, **at)
         for sun, weight in (({}, 0.0), (SUN, 0.0), (SUN, 0.1))
     )
-    before, after = grid_arrays(plain), grid_arrays(layers)
+    before, after = grid_of(plain), grid_of(layers)
     assert plain.shadow is plain.reach is None and set(after) - set(before) == {"shadow"}
     for name, values in before.items():
         np.testing.assert_array_equal(after[name], values)

@@ -154,7 +154,7 @@ def test_edge_of_seen_ground_does_not_grow():
 def test_a_point_is_seen_if_all_four_grid_points_about_it_are(hidden):
     axis, hazard = np.arange(4.0), np.zeros((4, 4), np.uint8)
     hazard[hidden] = 128
-    grid = Grid(axis, axis, {"hazard": hazard})
+    grid = Grid(x=axis, y=axis, hazard=hazard)
     middle, corner = np.array([1.5]), np.array([0.5])
     assert not seen_at(grid, middle, middle)[0, 0]
     assert seen_at(grid, corner, corner)[0, 0] == (hidden != (1, 1))

@@ -10,7 +10,7 @@ import yaml
 from scipy.optimize import minimize
 
 from quadtree_lss.cli import main
-from quadtree_lss.desk.replay.configuration import load_config, shipped_names
+from quadtree_lss.desk.replay.configuration import find_config, load_config
 from quadtree_lss.lab.evaluation import risk_fit, risk_flights
 from quadtree_lss.lab.evaluation.risk_families import FAMILIES, ground
 from quadtree_lss.lab.evaluation.risk_fit import ASKED, Term, fit, risk_model_text, risks, unfitted
@@ -176,7 +176,8 @@ def test_config_check_tells_of_a_model_of_another_vehicle(tmp_path, capsys):
 
 
 def test_the_model_is_no_configuration():
-    assert "flash_lidar" not in shipped_names()
+    with pytest.raises(ConfigError):
+        find_config("flash_lidar")
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ def test_csv_goes_by_names(tmp_path):
     np.testing.assert_array_equal(found.xyzw, [[0, 0, 0, 1]])
     names = ",".join(f"cov_{k}" for k in range(36))
     values = ",".join(str(k) for k in range(36))
-    path.write_text(f"time,x,y,z,qx,qy,qz,qw,{names}\n2.5,1,2,3,0,0,0,1,{values}\n")
+    path.write_text(f"stamp,x,y,z,qx,qy,qz,qw,{names}\n2.5,1,2,3,0,0,0,1,{values}\n")
     found = read_poses(path)
     assert found.stamp_ns.tolist() == [2500000000]
     np.testing.assert_array_equal(found.covariance, [np.arange(36.0)])

@@ -94,8 +94,8 @@ def test_replay_says_where_to_look_first_and_how_far_the_map_lay(tmp_path):
     from replay.recordings import GROUND, write_ros2
     from replay.test_record import products_of
 
+    from quadtree_lss.desk.exchange.saved import load_results
     from quadtree_lss.desk.replay.replay import replay
-    from quadtree_lss.desk.report.content import read
     from quadtree_lss.desk.report.headline import trust
 
     axis = STEP * np.arange(-60, 61)
@@ -112,7 +112,7 @@ def test_replay_says_where_to_look_first_and_how_far_the_map_lay(tmp_path):
     # Along a slope nothing tells east from up, but for the prior of either.
     assert told["up_sigma"] == pytest.approx(0.05 * told["east_sigma"], rel=0.2)
     assert abs(told["up"] + 0.4 - 0.05 * told["east"]) < 0.1
-    facts = {fact.name: fact.value for fact in trust(read(tmp_path / "out"))[1]}
+    facts = {fact.name: fact.value for fact in trust(load_results(tmp_path / "out"))[1]}
     assert f"{told['up']:+.2f} ± {told['up_sigma']:.2f} m" in facts["map from its prior, e, n, up"]
     # The bag has it as the nodes say it: as a pose, behind the status, and where to look first.
     (first,), last = products_of(record, "/map/look_first"), products_of(record, "/map/prior")[-1]

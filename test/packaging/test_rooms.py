@@ -38,6 +38,7 @@ desk.player: onboard.messages onboard.nodes desk.bags desk.replay
 desk.commands: onboard.config onboard.core desk.exchange desk.replay desk.report desk.player
 lab.simulation: build onboard.elevation onboard.messages
 lab.flight: onboard.config onboard.core onboard.messages desk.report desk.bags desk.replay
+lab.flight: desk.exchange
 lab.flight: onboard.elevation lab.simulation lab.touchdown
 lab.touchdown: lab.simulation
 lab.live: onboard.config onboard.core onboard.messages onboard.nodes desk.replay desk.player
@@ -48,7 +49,7 @@ lab.campaign: build onboard.config desk.bags desk.replay desk.report lab.evaluat
 lab.campaign: lab.simulation
 lab.commands: onboard.config desk.commands desk.replay lab.simulation lab.flight lab.live
 lab.commands: lab.evaluation lab.campaign
-api: onboard.config onboard.core onboard.messages desk.bags desk.replay
+api: onboard.config onboard.core onboard.messages desk.bags desk.replay desk.exchange
 cli: build desk.commands lab.commands
 """
 MAY_IMPORT: dict[str, set[str]] = {}

@@ -5,7 +5,6 @@ import io
 import json
 import sys
 
-import numpy as np
 import pytest
 from replay.recordings import write_ros2
 from replay.test_cli import FAST, run
@@ -18,45 +17,16 @@ def bag(tmp_path_factory):
     return write_ros2(tmp_path_factory.mktemp("flight") / "bag", scans=6)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "meant"),
-    [
-        (["relay", "bag"], "'replay'"),
-        (["replay", "bag", "--recrod", "x"], "'--record'"),
-        (["replay", "bag", "--recrod=x"], "'--record'"),
-        (["config", "chekc", "x"], "'check'"),
-        (["simulate", "dessent", "--out", "x"], "'descent'"),
-        (["replay", "bag", "--config", "morfeus"], "'morpheus'"),
-        (["replay", "bag", "--set", "lss.margn=1"], "'lss.margin'"),
-    ],
-)
-def test_the_nearest_word_is_named(capsys, arguments, meant):
-    code, out, err = run(capsys, *arguments)
-    assert code in (1, 2) and not out
-    assert f"did you mean {meant}?" in err.splitlines()[-1]
-
-
-def test_a_word_that_is_near_nothing_is_left_alone(capsys):
-    code, _, err = run(capsys, "replay", "bag", "--zzzzzz")
-    assert code == 2 and "not understood: --zzzzzz" in err and "mean" not in err
-
-
-def test_a_configuration_beside_the_name_that_is_not_there(tmp_path, capsys):
-    (tmp_path / "vehicle.yaml").write_text("")
-    code, _, err = run(capsys, "config", "--config", tmp_path / "vehicel.yaml")
-    assert code == 1 and f"did you mean '{tmp_path / 'vehicle.yaml'}'?" in err
-
-
-def test_the_folder_of_a_bag_and_a_misspelt_bag(bag, capsys):
-    for wrong in (bag.parent, bag.with_name("bga")):
-        for command in ("replay", "info"):
-            code, _, err = run(capsys, command, wrong)
-            assert code == 1 and f"did you mean {bag}?" in err and err.count("\n") == 1
-    truth = bag.parent / "truth.npz"  # beside the bag, as simulate leaves it: no cloud of points
-    np.savez(truth, elevation=np.zeros((2, 2)))
-    code, _, err = run(capsys, "replay", bag.parent)
-    truth.unlink()
-    assert code == 1 and f"did you mean {bag}?" in err
+def test_words_that_are_not_known_are_named(capsys):
+    for arguments, words in (
+        (["relay", "bag"], ("'relay'", "replay")),
+        (["replay", "bag", "--recrod=x"], ("--recrod=x",)),
+        (["replay", "bag", "--config", "morfeus"], ("'morfeus'", "morpheus")),
+        (["replay", "bag", "--set", "lss.margn=1"], ("'lss.margin'",)),
+    ):
+        code, out, err = run(capsys, *arguments)
+        assert code in (1, 2) and not out and err.count("\n") == 1
+        assert all(word in err for word in words)
 
 
 def test_truth_and_results_by_their_folder(bag, tmp_path, capsys):
@@ -68,8 +38,6 @@ def test_truth_and_results_by_their_folder(bag, tmp_path, capsys):
     for wrong in (truth.parent, truth.parent / "bag"):
         code, _, err = run(capsys, "evaluate", results, "--truth", wrong)
         assert code == 1 and f"did you mean {truth}?" in err
-    code, _, err = run(capsys, "evaluate", results.parent, "--truth", truth)
-    assert code == 1 and f"did you mean {results}?" in err
 
 
 def test_every_error_of_a_configuration_is_told_at_once(tmp_path, capsys):
@@ -111,13 +79,12 @@ def test_the_last_line_names_the_page(bag, tmp_path, capsys):
     assert out.splitlines()[-1] == f"results in {tmp_path}"
 
 
-@pytest.mark.parametrize(("unit", "speed"), [("scans", " scans/s"), ("s", " x real time")])
-def test_bars_speak_in_words(monkeypatch, unit, speed):
+def test_bars_tell_what_is_done_of_how_much(monkeypatch):
     shown = io.StringIO()
     monkeypatch.setattr(sys, "stderr", shown)
-    with console.ProgressBar("work", unit, verbose=True) as bar:
+    with console.ProgressBar("work", "scans", verbose=True) as bar:
         bar.update(3, 10)
-    assert f"3 of 10 {unit}, " in shown.getvalue() and speed in shown.getvalue()
+    assert "3 of 10 scans, " in shown.getvalue()
 
 
 @pytest.mark.parametrize("flight", ["morpheus", "parabola", "descent", "--terrain"])

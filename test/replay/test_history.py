@@ -6,10 +6,10 @@ import zipfile
 import numpy as np
 from replay.recordings import GROUND, write_ros2
 
+from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.replay.files import write_npz
 from quadtree_lss.desk.replay.history import Thinned
 from quadtree_lss.desk.replay.replay import replay
-from quadtree_lss.desk.report.content import read
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 
@@ -53,7 +53,7 @@ def test_it_tells_where_the_lidar_was_and_looked(tmp_path):
 def test_passes_are_laid_on_the_last_square_wherever_they_lay(tmp_path):
     config = config_from_values({**GROUND, "domain.follow": "vehicle", "lss.grid_spacing": 0.5})
     result = replay(write_ros2(tmp_path / "bag", scans=60), tmp_path / "out", config)
-    content = read(tmp_path / "out")
+    content = load_results(tmp_path / "out")
     corner, last = content.history["answer_corner"], result.cells.domain
     assert last.xmin > 0.0 and corner[0, 0] < 0.0
     np.testing.assert_array_equal(corner[-1], (last.xmin, last.ymin))

@@ -107,7 +107,7 @@ def test_the_last_map_gets_its_landing_sites(recorded, tmp_path):
 
 def test_halves_of_different_maps_are_not_joined(recorded):
     with Bag(recorded[1]) as bag:
-        pairs = MapPairs.find(bag)
+        pairs = MapPairs.alone(bag)
         cells, observed = (list(bag.messages([topic])) for topic in pairs.topics)
         assert pairs.take(bag, cells[0], CONFIG.lss) is None
         assert pairs.take(bag, observed[1], CONFIG.lss) is None

@@ -24,7 +24,7 @@ from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.files import write_npz
 from quadtree_lss.desk.replay.replay import ReplayError, replay
 from quadtree_lss.desk.replay.results import cells_arrays
-from quadtree_lss.desk.replay.stream import Stream
+from quadtree_lss.desk.replay.stream import Part
 from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.onboard.config.settings import config_from_values
 
@@ -221,14 +221,12 @@ def test_a_part_of_the_bag(bag, tmp_path):
 
 
 def test_the_last_message_belongs_to_the_bag(bag):
-    stream = Stream()
     with Bag(bag) as opened:
-        stream.limit(opened)
+        part = Part.of(opened)
         whole = [message.received_ns for message in opened.messages([SCAN_TOPIC, POSE_TOPIC])]
-        limits = (stream.start_ns, stream.stop_ns)
-        part = [m.received_ns for m in opened.messages([SCAN_TOPIC, POSE_TOPIC], *limits)]
-        assert part == whole and part[-1] == opened.end_ns
-        assert stream.seconds == (opened.end_ns - opened.start_ns) / SECOND
+        read = [m.received_ns for m in part.messages(opened, [SCAN_TOPIC, POSE_TOPIC])]
+        assert read == whole and read[-1] == opened.end_ns
+        assert part.seconds == (opened.end_ns - opened.start_ns) / SECOND
 
 
 @pytest.mark.parametrize(

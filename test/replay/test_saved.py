@@ -75,9 +75,6 @@ def test_what_is_no_results_folder_is_said(written, tmp_path):
         load_results(tmp_path / "none")
     with pytest.raises(ResultsError, match="no summary.json"):
         load_results(tmp_path)
-    (tmp_path / "latest").symlink_to(written.out)
-    with pytest.raises(ResultsError, match="did you mean .*latest"):
-        load_results(tmp_path)
 
 
 @pytest.mark.parametrize(

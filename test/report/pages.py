@@ -14,6 +14,8 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
+from quadtree_lss.desk.exchange.saved import Grid, Results
+
 BROWSER = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
@@ -45,6 +47,13 @@ const until = async done => {
   for (let k = 1; !done(); k++) await (k % 500 ? turn() : new Promise(r => setTimeout(r, 20)));
 };
 """
+
+
+def changed(results, **parts):
+    """Results of which some files hold something else."""
+    found = Results(results.folder)
+    vars(found).update({**vars(results), **parts, "grid": Grid(parts.get("grid", results.grid))})
+    return found
 
 
 class Page(HTMLParser):

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page in a real browser: what is seen, told, reached by keys, fingers and address."""
 
-import dataclasses
 import html
 import itertools
 import json
@@ -10,10 +9,10 @@ import re
 import numpy as np
 import pytest
 from replay.recordings import GROUND, write_ros2
-from report.pages import accessible, in_a_browser, in_browser, run_browser, sheets
+from report.pages import accessible, changed, in_a_browser, in_browser, run_browser, sheets
 
+from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.replay.replay import replay
-from quadtree_lss.desk.report.content import read
 from quadtree_lss.desk.report.headline import trust
 from quadtree_lss.desk.report.report import page
 from quadtree_lss.onboard.config.risk import doubt
@@ -48,7 +47,7 @@ def test_the_first_screen_holds_map_table_and_answer(result, browse):
         const edge = e => getComputedStyle(e).borderLeftColor;
         tellTest("edges", [edge(document.querySelector(".verdict")), edge(facts[0])]);
     """)
-    level, facts = trust(read(result.out))
+    level, facts = trust(load_results(result.out))
     assert told["trust"] == [[fact.name, fact.value, fact.level] for fact in facts]
     colours = {"good": "rgb(0, 158, 115)", "care": "rgb(230, 159, 0)", "none": "rgb(213, 94, 0)"}
     assert told["edges"] == [colours[level], colours[facts[0].level]]
@@ -610,11 +609,10 @@ def test_sliders_try_other_vehicles(result, browse):
 
 
 def test_sliders_say_where_they_do_not_go(result, tmp_path):
-    config = {**result.summary["config"], "lss.ranking": "score"}
-    content = read(result.out)
-    summary = {**content.summary, "config": config}
+    content = load_results(result.out)
+    config = config_from_values({"lss.ranking": "score"}, content.config)
     told = in_browser(
-        page(dataclasses.replace(content, summary=summary)),
+        page(changed(content, config=config)),
         tmp_path,
         """tellTest("note", [byId("what-if-note").textContent,
           document.querySelectorAll(".tries input").length]);""",

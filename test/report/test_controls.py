@@ -2,15 +2,13 @@
 """The page's controls in a real browser: each button, box, list and curve does what it says."""
 
 import pytest
-from report.pages import in_a_browser, in_browser
+from report.pages import in_a_browser
 
 pytestmark = in_a_browser
 
 
-def test_buttons_of_the_map_zoom_and_boxes_show_and_hide(text, tmp_path):
-    told = in_browser(
-        text,
-        tmp_path,
+def test_buttons_of_the_map_zoom_and_boxes_show_and_hide(browse):
+    told = browse(
         """
         const drawn = () => { drawNow(); const d = map.getContext("2d").getImageData(0, 0,
           map.width, map.height).data; let n = 0;
@@ -27,7 +25,7 @@ def test_buttons_of_the_map_zoom_and_boxes_show_and_hide(text, tmp_path):
         const row = document.querySelectorAll("tr[data-site]")[1];
         row.dispatchEvent(new MouseEvent("mouseenter"));
         tellTest("pointed", [view.cursor.x - sites[1].x, view.cursor.y - sites[1].y]);
-        """,
+        """
     )
     assert told["closer"] == pytest.approx([1.5, 1 / 1.5, 2.0]) and told["whole"]
     assert told["boxes"] == [
@@ -36,10 +34,8 @@ def test_buttons_of_the_map_zoom_and_boxes_show_and_hide(text, tmp_path):
     assert told["pointed"] == [0, 0]
 
 
-def test_a_second_layer_is_beside_with_the_same_view_and_crosshair(text, tmp_path):
-    told = in_browser(
-        text,
-        tmp_path,
+def test_a_second_layer_is_beside_with_the_same_view_and_crosshair(browse):
+    told = browse(
         """
         const pick = (id, name) => { byId(id).value = name;
           byId(id).dispatchEvent(new Event("change")); };
@@ -55,17 +51,15 @@ def test_a_second_layer_is_beside_with_the_same_view_and_crosshair(text, tmp_pat
         const place = view.x; at("pointerdown", 200, y); at("pointermove", 150, y);
         at("pointerup", 150, y); tellTest("moved", [view.x > place, pixels() !== before]);
         pick("layer-2", ""); tellTest("alone", [second.hidden, width() / wide]);
-        """,
+        """
     )
     assert told["halves"] == pytest.approx([0.5, 0.5], abs=0.01)
     assert told["layers"] == ["slope", "elevation"] and told["steady"]
     assert told["crosshair"] and told["moved"] == [True, True] and told["alone"] == [True, 1]
 
 
-def test_the_link_is_of_this_view(text, tmp_path):
-    told = in_browser(
-        text,
-        tmp_path,
+def test_the_link_is_of_this_view(browse):
+    told = browse(
         """
         const copied = [];
         Object.defineProperty(navigator, "clipboard", { value: { writeText: async link => {
@@ -73,16 +67,14 @@ def test_the_link_is_of_this_view(text, tmp_path):
         setLayer("slope"); zoom(2); byId("link").click();
         await until(() => byId("link").textContent === "copied");
         tellTest("copied", [copied, location.href.split("#")[0] + "#" + address()]);
-        """,
+        """
     )
     (link,), here = told["copied"]
     assert link == here and "layer=slope" in link and "scale=" in link
 
 
-def test_the_flight_plays_and_a_click_on_a_curve_shows_its_time(text, tmp_path):
-    told = in_browser(
-        text,
-        tmp_path,
+def test_the_flight_plays_and_a_click_on_a_curve_shows_its_time(browse):
+    told = browse(
         """
         const last = frames.last, play = byId("play"), passed = new Set();
         frames.go(last - 2); play.click(); tellTest("playing", play.textContent);
@@ -98,16 +90,14 @@ def test_the_flight_plays_and_a_click_on_a_curve_shows_its_time(text, tmp_path):
         chart.over.dispatchEvent(new MouseEvent("mousemove", there));
         chart.over.dispatchEvent(new MouseEvent("mousedown", there));
         tellTest("curve", view.answer);
-        """,
+        """
     )
     assert told["playing"] == "❚❚" and told["passed"] == [-2, -1, 0]
     assert told["again"] == 0 and told["paused"] == ["▶", 0] and told["curve"] == 1
 
 
-def test_views_change_by_tab_and_key_and_space_has_its_tools(text, tmp_path):
-    told = in_browser(
-        text,
-        tmp_path,
+def test_views_change_by_tab_and_key_and_space_has_its_tools(browse):
+    told = browse(
         """
         const mode = act => { act(); return [view.mode, byId("section").hidden,
           byId("scene").hidden]; };
@@ -131,7 +121,7 @@ def test_views_change_by_tab_and_key_and_space_has_its_tools(text, tmp_path):
             clientY: box.top + box.height / 2 }));
           tellTest("values", shown().height);
         } else tellTest("warning", document.querySelector("#scene .warning").textContent);
-        """,
+        """
     )
     section, plain, solid = ["section", False, True], ["map", True, True], ["scene", True, False]
     assert told["modes"] == [section, plain, solid, plain, solid, plain, solid]

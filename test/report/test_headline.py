@@ -1,20 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was found in a sentence, with a site and without."""
 
-import dataclasses
 import re
 
 import numpy as np
 import pytest
+from report.pages import changed
 
+from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.report import headline
-from quadtree_lss.desk.report.content import read
 from quadtree_lss.desk.report.report import page
+from quadtree_lss.onboard.config.settings import config_from_values
 
 
 @pytest.fixture
 def content(result):
-    return read(result.out)
+    return load_results(result.out)
 
 
 def without_sites(content, hazard):
@@ -22,14 +23,14 @@ def without_sites(content, hazard):
     grid = {**content.grid, "hazard": hazard, "safe": np.zeros(hazard.shape, bool)}
     sites = {name: values[:0] for name, values in content.sites.items()}
     summary = {**content.summary, "explanation": "no safe site: nothing fits", "reasons": []}
-    return dataclasses.replace(content, grid=grid, sites=sites, summary=summary)
+    return changed(content, grid=grid, sites=sites, summary=summary)
 
 
 def test_the_share_is_of_the_seen_ground(content):
     found = headline.areas(content)
     size = content.config.domain.size
     assert 0.0 < found.allowed < found.seen <= size**2
-    everything = dataclasses.replace(
+    everything = changed(
         content, grid={**content.grid, "hazard": np.zeros_like(content.grid["hazard"])}
     )
     assert headline.areas(everything).seen == pytest.approx(size**2)
@@ -53,7 +54,9 @@ def test_no_site_names_the_largest_circle_and_what_ends_it(content):
     found = without_sites(content, np.where(away < 1.2, 0, 8).astype(np.uint8))
     circle = headline.largest_circle(found)
     assert (circle.x, circle.y) == (x[row, column], y[row, column])
-    assert circle.radius == pytest.approx(1.2, abs=content.spacing) and circle.limit == "hazards"
+    assert (
+        circle.radius == pytest.approx(1.2, abs=content.grid.spacing) and circle.limit == "hazards"
+    )
     unseen = without_sites(content, np.where(away < 1.2, 0, 128).astype(np.uint8))
     assert headline.largest_circle(unseen).limit == "unseen ground"
     unmapped = without_sites(content, np.where(away < 1.2, 0, 192).astype(np.uint8))
@@ -73,13 +76,13 @@ def test_the_nearest_miss_is_the_most_level_or_the_likeliest(content):
     slope[30, 20] = 9.5
     found = without_sites(content, np.full_like(content.grid["hazard"], 8))
     grid = {k: v for k, v in found.grid.items() if k not in ("probability", "risk")}
-    found = dataclasses.replace(found, grid={**grid, "slope_deg": slope})
+    found = changed(found, grid={**grid, "slope_deg": slope})
     miss = headline.nearest_miss(found)
     assert (miss.x, miss.y) == (content.grid["x"][20], content.grid["y"][30])
     assert "9.5 deg" in miss.why
     likely = np.full(slope.shape, 0.1)
     likely[25, 35] = 0.4
-    found = dataclasses.replace(found, grid={**found.grid, "probability": likely})
+    found = changed(found, grid={**found.grid, "probability": likely})
     miss = headline.nearest_miss(found)
     assert (miss.x, miss.y) == (content.grid["x"][35], content.grid["y"][25])
     assert miss.why == "probability 40 %"
@@ -92,7 +95,7 @@ def test_where_there_are_sites_nothing_is_missed(content):
 def test_no_probability_is_rounded_to_certainty(content):
     sure = {**content.sites, "probability": np.full_like(content.sites["x"], 1.0 - 1e-9)}
     reasons = {**content.summary, "reasons": ["level"] * len(sure["x"])}
-    found = dataclasses.replace(content, sites=sure, summary=reasons)
+    found = changed(content, sites=sure, summary=reasons)
     assert "99.99 % at the best of" in headline.headline(found)[0]
 
 
@@ -109,7 +112,7 @@ def test_sites_are_as_good_as_the_probability_of_the_best(content, best, doubts,
     sites = {name: np.resize(values, 5) for name, values in content.sites.items()}
     sites["probability"] = np.linspace(best, best - 0.1, 5)
     summary = {**content.summary, "doubts": doubts, "reasons": ["level"] * 5}
-    found = dataclasses.replace(content, sites=sites, summary=summary)
+    found = changed(content, sites=sites, summary=summary)
     assert headline.trust(found)[0] == level and headline.headline(found)[0].startswith(words)
     facts = {fact.name: fact for fact in headline.trust(found)[1]}
     assert facts["within the fit"].level == ("care" if doubts else "good")
@@ -131,18 +134,18 @@ def test_without_a_site_the_limit_is_named_and_by_how_much(content):
     hazard = found.grid["hazard"].copy()
     hazard[20:25, 20:25] = 0
     found = without_sites(content, hazard)
-    room = 3.0 * content.spacing
+    room = 3.0 * content.grid.spacing
     short = f"The widest seen ground is {content.zone - room:.2f} m short"
     assert headline.shortfall(found).startswith(short)
-    config = {**content.summary["config"], "lss.max_risk": 0.01}
-    content = dataclasses.replace(content, summary={**content.summary, "config": config})
+    config = config_from_values({"lss.max_risk": 0.01}, content.config)
+    content = changed(content, config=config)
     found = without_sites(content, np.full_like(hazard, 8))
     risky = np.full(hazard.shape, 0.5)
     risky[30, 30] = 0.03
-    found = dataclasses.replace(found, grid={**found.grid, "risk": risky})
+    found = changed(found, grid={**found.grid, "risk": risky})
     assert headline.shortfall(found).endswith("3 times the allowed 1 % (lss.max_risk)")
     level = {**found.grid, "risk": np.zeros(hazard.shape), "slope_deg": np.full(hazard.shape, 13.0)}
-    found = dataclasses.replace(found, grid=level)
+    found = changed(found, grid=level)
     over = 13.0 - content.config.vehicle.max_slope_deg
     assert f"{over:.1f} deg over the limit" in headline.shortfall(found)
     assert headline.shortfall(found) in headline.headline(found)[1]

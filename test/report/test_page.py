@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from replay.recordings import GROUND, write_ros2
-from report.pages import Page, column
+from report.pages import Page, changed, column
 
+from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.report import page_data, pages, palette
-from quadtree_lss.desk.report.content import read
 from quadtree_lss.desk.report.figures import hazard_figure
 from quadtree_lss.desk.report.report import page
 from quadtree_lss.onboard.config.settings import config_from_values
@@ -24,7 +24,7 @@ CONFIG = config_from_values(GROUND)
 
 @pytest.fixture
 def content(result):
-    return read(result.out)
+    return load_results(result.out)
 
 
 def unpacked(content):
@@ -89,10 +89,11 @@ def test_the_embedded_leaves_are_those_of_the_map(result, text):
 
 
 def test_bounds_of_the_leaves_are_embedded_where_there_are_any(content):
-    bare = {name: of for name, of in content.cells.items() if name not in ("low", "high")}
-    assert "low" not in unpacked(dataclasses.replace(content, cells=bare))[0]["leaves"]
-    low = np.where(content.cells["measured"], content.cells["z"] - 0.5, np.nan)
-    data, get = unpacked(dataclasses.replace(content, cells={**bare, "low": low}))
+    none = np.full(len(content.map.z), np.nan)
+    bare = dataclasses.replace(content.map, low=none, high=none)
+    assert "low" not in unpacked(changed(content, map=bare))[0]["leaves"]
+    low = np.where(content.map.measured, content.map.z - 0.5, np.nan)
+    data, get = unpacked(changed(content, map=dataclasses.replace(bare, low=low)))
     np.testing.assert_allclose(get(data["leaves"]["low"]), low, atol=data["leaves"]["low"]["step"])
     assert "high" not in data["leaves"]
 
@@ -107,16 +108,16 @@ def test_ground_not_yet_mapped_has_a_word_and_a_colour_of_its_own(content):
 
     hazard = content.grid["hazard"].copy()
     hazard[20:30, 20:30] = 192
-    figure = hazard_figure(dataclasses.replace(content, grid={**content.grid, "hazard": hazard}))
+    figure = hazard_figure(changed(content, grid={**content.grid, "hazard": hazard}))
     assert words(figure).count("seen, not yet mapped") == 2
-    none = dataclasses.replace(content, grid={**content.grid, "hazard": hazard & 63})
+    none = changed(content, grid={**content.grid, "hazard": hazard & 63})
     assert "seen, not yet mapped" not in words(hazard_figure(none))
 
 
 def test_shadow_and_reach_are_layers_of_the_page_where_the_run_had_them(content):
     assert not {"shadow", "reach"} & unpacked(content)[0]["grid"].keys()
     marks = {"shadow": content.grid["safe"], "reach": ~content.grid["safe"]}
-    data, get = unpacked(dataclasses.replace(content, grid={**content.grid, **marks}))
+    data, get = unpacked(changed(content, grid={**content.grid, **marks}))
     stride = data["grid"]["stride"]
     for name, values in marks.items():
         expected = values[::stride, ::stride].ravel()
@@ -125,8 +126,8 @@ def test_shadow_and_reach_are_layers_of_the_page_where_the_run_had_them(content)
 
 def test_roughness_is_shown_by_area_whatever_the_size_of_the_leaf(content):
     """A map whose leaves lie 7 mm off their planes in the mean, large ones and small ones."""
-    cells = {**content.cells, "roughness": 0.007 * content.cells["size"] ** 2}
-    data, get = unpacked(dataclasses.replace(content, cells=cells))
+    cells = dataclasses.replace(content.map, roughness=0.007 * content.map.size**2)
+    data, get = unpacked(changed(content, map=cells))
     np.testing.assert_allclose(get(data["leaves"]["roughness"]), 0.007)
 
 
@@ -146,16 +147,16 @@ def test_outliers_do_not_blacken_a_layer(content):
     elevation = content.grid["elevation"].copy()
     known = np.argwhere(np.isfinite(elevation))
     elevation[tuple(known[0])] = 500.0
-    data, _ = unpacked(dataclasses.replace(content, grid={**content.grid, "elevation": elevation}))
+    data, _ = unpacked(changed(content, grid={**content.grid, "elevation": elevation}))
     assert data["grid"]["elevation"]["limits"][1] < 10.0
 
 
 def test_probability_is_embedded_where_the_grid_has_it(content):
     grid = {k: v for k, v in content.grid.items() if k not in ("probability", "risk")}
-    without = dataclasses.replace(content, grid=grid)
+    without = changed(content, grid=grid)
     assert "probability" not in unpacked(without)[0]["grid"]
-    known = np.where(content.seen, 0.25, np.nan)
-    data, get = unpacked(dataclasses.replace(content, grid={**content.grid, "probability": known}))
+    known = np.where(content.grid.seen, 0.25, np.nan)
+    data, get = unpacked(changed(content, grid={**content.grid, "probability": known}))
     np.testing.assert_allclose(get(data["grid"]["probability"]), 100.0 * known.ravel())
 
 
@@ -179,12 +180,10 @@ def test_history_tells_at_what_time_ground_is_seen(result, text, content):
 def test_answers_before_the_first_scan_are_no_time_of_the_flight(content):
     stamps = content.history["answer_stamp_ns"].copy()
     stamps[0] = 0
-    data, _ = unpacked(
-        dataclasses.replace(content, history={**content.history, "answer_stamp_ns": stamps})
-    )
+    data, _ = unpacked(changed(content, history={**content.history, "answer_stamp_ns": stamps}))
     assert min(data["history"]["seconds"]) >= 0.0
     none = {**content.history, "answer_stamp_ns": np.zeros_like(stamps)}
-    assert unpacked(dataclasses.replace(content, history=none))[0]["history"] is None
+    assert unpacked(changed(content, history=none))[0]["history"] is None
 
 
 def test_rates_are_those_that_info_tells(result, text):
@@ -218,8 +217,7 @@ def test_a_page_can_be_made_again_from_the_folder(content, text):
 @pytest.mark.parametrize(("assessment", "limit"), [("touchdown", 10.8), ("probability", 12.0)])
 def test_the_slope_is_marked_where_the_reasons_say_it_ends(content, assessment, limit):
     limits = {"lss.assessment": assessment, "vehicle.max_slope_deg": 12.0}
-    config = {**content.summary["config"], **limits}
-    found = dataclasses.replace(content, summary={**content.summary, "config": config})
+    found = changed(content, config=config_from_values(limits, content.config))
     assert unpacked(found)[0]["grid"]["slope"]["mark"] == pytest.approx(limit)
 
 

@@ -8,7 +8,6 @@ put out of order.
 
 from __future__ import annotations
 
-import difflib
 import heapq
 import tempfile
 from collections import Counter
@@ -96,20 +95,23 @@ class Bag:
         """The message of which ``raw`` are the serialised bytes. Raises `MessageError`:
         ``encoding`` if they are not."""
         try:
-            if raw[:4] == ZSTD_MAGIC:  # bags compressed message by message
-                raw = unpack("zstd", raw, MOST_BYTES)
-            content = memoryview(raw)  # of which slices are no copies
-            if self._ros1:
-                return self._store.deserialize_ros1(content, msgtype)
-            return self._store.deserialize_cdr(content, msgtype)
+            return self._decoded(raw, msgtype)
         except Exception as error:  # any content must do: SerdeError, struct.error, ValueError, …
             line = (str(error) or type(error).__name__).splitlines()[0]
             text = f"{msgtype} cannot be decoded: {line}"
             raise MessageError("encoding", text) from None
 
+    def _decoded(self, raw: bytes, msgtype: str) -> Any:
+        if raw[:4] == ZSTD_MAGIC:  # bags compressed message by message
+            raw = unpack("zstd", raw, MOST_BYTES)
+        content = memoryview(raw)  # of which slices are no copies
+        if self._ros1:
+            return self._store.deserialize_ros1(content, msgtype)
+        return self._store.deserialize_cdr(content, msgtype)
+
     def _open(self) -> None:
         if not self.path.exists():
-            raise BagError(f"no such bag: {self.path}{likely_bag(self.path)}")
+            raise BagError(f"no such bag: {self.path}")
         files: list[RecordedFile] = []
         try:
             for path in self._paths():
@@ -153,8 +155,7 @@ class Bag:
         self._losses += [f"{p.name} is missing" for p in listed if not p.exists()]
         files = [p for p in listed if p.exists() and _is_stored(p)]
         if not files:
-            msg = f"{self.path}: no bag: there is no .mcap, .db3 or .bag in it"
-            raise BagError(msg + likely_bag(self.path))
+            raise BagError(f"{self.path}: no bag: there is no .mcap, .db3 or .bag in it")
         return files
 
     def _unpacked(self, file: Path) -> Path:
@@ -171,9 +172,9 @@ class Bag:
 
 
 class MessageBag(Bag):
-    """Messages that never were in a file, replayed like a bag, once: ``messages`` are (topic, time
-    of reception, message) in the order of reception, ``name`` stands for the path in texts,
-    ``topics`` have their numbers of messages, ``span_ns`` is the first and the last time of
+    """Messages that never were in a bag, replayed like one: ``messages`` are (topic, time of
+    reception, message, or what makes it) in the order of reception, ``name`` stands for the path in
+    texts, ``topics`` have their numbers of messages, ``span_ns`` is the first and the last time of
     reception."""
 
     def __init__(
@@ -182,10 +183,12 @@ class MessageBag(Bag):
         topics: Iterable[Topic],
         span_ns: tuple[int, int],
         messages: Iterable[tuple[str, int, Any]],
+        losses: Iterable[str] = (),
     ) -> None:
         super().__init__(Path(name))
         self.topics, self._messages = list(topics), messages
         self.start_ns, self.end_ns = span_ns
+        self._losses += losses
 
     def _open(self) -> None:
         return
@@ -197,8 +200,8 @@ class MessageBag(Bag):
             if topic in topics and start_ns <= received_ns < stop_ns:
                 yield RawMessage(topic, received_ns, message)
 
-    def decode(self, raw: Any, msgtype: str) -> Any:
-        return raw
+    def _decoded(self, raw: Any, msgtype: str) -> Any:
+        return raw() if callable(raw) else raw
 
 
 def _of_one_time(files: Iterable[RecordedFile]) -> list[list[RecordedFile]]:
@@ -224,30 +227,3 @@ def _beside(one: RecordedFile, other: RecordedFile) -> bool:
 def _is_stored(path: Path) -> bool:
     suffixes = [suffix for suffix in path.suffixes if suffix not in PACKED]
     return bool(suffixes) and suffixes[-1] in FORMATS
-
-
-def likely_bag(path: Path) -> str:
-    """``; did you mean flight/bag?``: bags inside a folder, or beside a name that is not there."""
-    if path.is_dir():
-        near = [p for p in _listing(path) if _holds_bag(p)]
-    else:
-        beside = {p.name: p for p in _listing(path.parent) if _holds_bag(p)}
-        names = difflib.get_close_matches(path.name, beside, n=1)
-        near = [beside[name] for name in names]
-    if not near:
-        return ""
-    more = f" (or one of {len(near) - 3} more)" if len(near) > 3 else ""
-    return f"; did you mean {' or '.join(map(str, near[:3]))}{more}?"
-
-
-def _holds_bag(path: Path) -> bool:
-    if path.is_dir():
-        return any(p.is_file() and _is_stored(p) for p in _listing(path))
-    return _is_stored(path)
-
-
-def _listing(folder: Path) -> list[Path]:
-    try:
-        return sorted(folder.iterdir())
-    except OSError:
-        return []

@@ -20,8 +20,6 @@ from quadtree_lss.desk.bags.recorded_file import INDEX, Chunk, ChunkedFile, Reco
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, STATISTICS = 2, 3, 4, 5, 6, 7, 11
 LAST_KIND, FIRST_PRIVATE = 0x0F, 0x80
-RUN_BYTES = 1 << 22
-"""Of messages outside chunks that are taken together as one."""
 
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
@@ -35,7 +33,7 @@ class McapFile(ChunkedFile):
 
     def _walk(self) -> None:
         self._schemas: dict[int, str] = {}
-        self._runs: set[int] = set()
+        self._alone: set[int] = set()  # messages outside chunks
         if self._read(0, len(MAGIC)) != MAGIC:
             self.damage[0] = "no mcap file: wrong first bytes"
             return
@@ -54,7 +52,8 @@ class McapFile(ChunkedFile):
             if kind == CHUNK:
                 self.chunks.append(Chunk(begin, length, min(length, self._size - begin)))
             elif kind == MESSAGE:
-                self._add_message(place, end)
+                self._alone.add(place)
+                self.chunks.append(Chunk(place, end - place, min(end, self._size) - place))
             else:
                 try:
                     self._declare(kind, self._read(begin, min(length, MOST_BYTES)))
@@ -105,7 +104,7 @@ class McapFile(ChunkedFile):
                 if block[found.start()] == CHUNK:
                     if self._plausible(place):
                         return place
-                elif self._runs and self._is_message(place):
+                elif self._alone and self._is_message(place):
                     return place
             after += _BLOCK
         return self._size
@@ -117,17 +116,6 @@ class McapFile(ChunkedFile):
             return False
         (channel,) = struct.unpack("<H", self._read(place + _HEAD.size, 2))
         return channel in self.topics and self._plausible(place + _HEAD.size + length)
-
-    def _add_message(self, place: int, end: int) -> None:
-        """A message outside chunks joins those right before it."""
-        last = self.chunks[-1] if self.chunks else None
-        if last and last.place in self._runs and last.place + last.length == place:
-            if last.length < RUN_BYTES:
-                last.length += end - place
-                last.there = min(last.length, self._size - last.place)
-                return
-        self._runs.add(place)
-        self.chunks.append(Chunk(place, end - place, min(end, self._size) - place))
 
     def _declare(self, kind: int, content: bytes) -> None:
         """A schema, a channel, the index of the last chunk, or the numbers at the file's end."""
@@ -141,7 +129,7 @@ class McapFile(ChunkedFile):
             (size,) = struct.unpack_from("<I", content, 42)
             pairs = struct.iter_unpack("<HQ", content[46 : 46 + size])
             self.expected = sum(min(count, 2**40) for _, count in pairs)
-        elif kind == MESSAGE_INDEX and self.chunks and self.chunks[-1].place not in self._runs:
+        elif kind == MESSAGE_INDEX and self.chunks and self.chunks[-1].place not in self._alone:
             channel, size = struct.unpack_from("<HI", content)
             pairs = np.frombuffer(content, "<u8", size // 8, 6).reshape(-1, 2)
             entries = np.zeros(len(pairs), INDEX)
@@ -150,7 +138,7 @@ class McapFile(ChunkedFile):
             self.chunks[-1].entries.append(entries)
 
     def _scan(self, chunk: Chunk) -> Iterator[Record]:
-        if chunk.place in self._runs:
+        if chunk.place in self._alone:
             records = self._read(chunk.place, chunk.there)
         else:
             records = self._unpacked(chunk)

@@ -22,31 +22,33 @@ OUTPUTS = (*(f"/{name}" for name in TOPIC_TYPES), "/landing/dispersion")
 """How topics end that are clouds or poses by type, but our own output or what guidance says."""
 
 
+def candidates(bag: Bag, kind: str, *, ours: bool = True) -> list[str]:
+    """Topics of an open bag with messages of a type; ``ours``: our own `OUTPUTS`, too."""
+    names = (topic.name for topic in bag.topics if topic.type == kind and topic.count)
+    return [name for name in names if ours or not name.endswith(OUTPUTS)]
+
+
 def choose_topic(bag: Bag, asked: str | None, default: str, msgtype: str, option: str) -> str:
     """The topic of ``msgtype`` to read: the one ``asked`` for, else the ``default``, else the only
     one. Raises `BagError`: lists the candidates, and the command-line ``option`` by which to
     choose."""
-    fitting = [t.name for t in bag.topics if t.type == msgtype and t.count]
-    if asked is None:
-        fitting = [name for name in fitting if not name.endswith(OUTPUTS)]
-    candidates = ", ".join(fitting) or "none"
+    fitting = candidates(bag, msgtype, ours=asked is not None)
+    listed = ", ".join(fitting)
     if asked is not None:
-        name = asked if asked.startswith("/") else f"/{asked}"
-        if name in fitting:
-            return name
-        if asked in fitting:
-            return asked
-        msg = f"{bag.path}: no {msgtype} on topic {asked}; candidates for {option}: {candidates}"
-        raise BagError(msg)
-    if default in fitting:
+        for name in (asked if asked.startswith("/") else f"/{asked}", asked):
+            if name in fitting:
+                return name
+        msg = f"no {msgtype} on topic {asked}; candidates for {option}: {listed or 'none'}"
+    elif default in fitting:
         return default
-    if len(fitting) == 1:
+    elif len(fitting) == 1:
         return fitting[0]
-    if not fitting:
+    elif fitting:
+        msg = f"several topics of type {msgtype}: choose one by {option}: {listed}"
+    else:
         there = ", ".join(f"{t.name} ({t.type}, {t.count})" for t in bag.topics) or "none"
-        raise BagError(f"{bag.path}: no messages of type {msgtype}; topics: {there}")
-    msg = f"{bag.path}: several topics of type {msgtype}: choose one by {option}: {candidates}"
-    raise BagError(msg)
+        msg = f"no messages of type {msgtype}; topics: {there}"
+    raise BagError(f"{bag.path}: {msg}")
 
 
 def choose_pose_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, str]:
@@ -78,9 +80,7 @@ def _choose(
     """Of two types the first that is there, or that of the topic asked for."""
     names = set() if asked is None else {asked, f"/{asked}"}
     for default, kind in kinds:
-        there = [t.name for t in bag.topics if t.type == kind and t.count]
-        if asked is None:
-            there = [name for name in there if not name.endswith(OUTPUTS)]
+        there = candidates(bag, kind, ours=asked is not None)
         if there and (asked is None or names & set(there)):
             return choose_topic(bag, asked, default, kind, option), kind
     return choose_topic(bag, asked, kinds[0][0], kinds[0][1], option), kinds[0][1]
@@ -93,9 +93,7 @@ def landing_topics(bag: Bag, *, without: tuple[str, ...] = ()) -> dict[str, str]
     found = {}
     for name, kind in TYPES.items():
         plain = f"/landing/{name}"
-        there = [
-            t.name for t in bag.topics if t.type == kind and t.count and t.name.endswith(plain)
-        ]
+        there = [topic for topic in candidates(bag, kind) if topic.endswith(plain)]
         if name in without or not there:
             continue
         if plain not in there and len(there) > 1:

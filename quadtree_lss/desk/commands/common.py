@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -31,10 +30,7 @@ class UsageError(QuadtreeLssError):
 
 
 class Parser(argparse.ArgumentParser):
-    """As of argparse; a word that is not known comes with the nearest one that is.
-
-    What begins as a negative number, as a place may, is no option.
-    """
+    """As of argparse; what begins as a negative number, as a place may, is no option."""
 
     def __init__(self, *args: Any, **named: Any) -> None:
         super().__init__(*args, **named)
@@ -42,30 +38,6 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         raise UsageError(f"{message} ({self.prog} --help)")
-
-    def parse_args(  # type: ignore[override]
-        self, args: Sequence[str] | None = None, namespace: Any = None
-    ) -> argparse.Namespace:
-        """As in the base class; an unknown option is told by the command that has it not."""
-        options, unknown = self.parse_known_args(args, namespace)
-        if unknown:
-            command = getattr(options, "parser", self)
-            names = list(command._option_string_actions)
-            told = [f"{word}{did_you_mean(word.partition('=')[0], names)}" for word in unknown]
-            command.error(f"not understood: {', '.join(told)}")
-        return options
-
-    def _check_value(self, action: argparse.Action, value: Any) -> None:
-        if action.choices is not None and value not in action.choices:
-            choices = [str(choice) for choice in action.choices]
-            text = f"there is no '{value}'{did_you_mean(str(value), choices)}"
-            raise argparse.ArgumentError(action, f"{text} (choices: {', '.join(choices)})")
-
-
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """``; did you mean 'replay'?``, or nothing if none is near."""
-    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
-    return f"; did you mean '{close[0]}'?" if close else ""
 
 
 def add_command(
@@ -237,13 +209,16 @@ def _numbers(text: str) -> list[list[float]] | None:
 
 def tell(options: argparse.Namespace, result: Any, *lines: str) -> None:
     """A result as JSON if that is asked for, else its table and some lines."""
+    out = {"out": str(result.out)} if hasattr(result, "out") else {}
+    show(options, {**out, **result.as_dict()}, "\n".join([result.table(), *lines]))
+
+
+def show(options: argparse.Namespace, content: Mapping[str, Any], text: str) -> None:
+    """A result as JSON if that is asked for, else as text."""
     if options.json:
-        out = {"out": str(result.out)} if hasattr(result, "out") else {}
-        print_json({**out, **result.as_dict()})
-        return
-    print(result.table())
-    for line in lines:
-        print(line)
+        print_json(content)
+    else:
+        print(text)
 
 
 def print_json(content: Mapping[str, Any]) -> None:

@@ -77,13 +77,11 @@ def _run(options: argparse.Namespace) -> int:
     if options.action == "suggest":
         return _suggest(options)
     rows = [row for name in options.names for row in explain(name)]
-    if options.json:
-        common.print_json({row.name: parameter_as_dict(row) for row in rows})
-    else:
-        texts = [explain_text(row) for row in rows]
-        if any(row.name.startswith("vehicle.") for row in rows):
-            texts.append(lengths_text(common.chosen_config(options).vehicle))
-        print("\n\n".join(texts))
+    texts = [explain_text(row) for row in rows]
+    if any(row.name.startswith("vehicle.") for row in rows):
+        texts.append(lengths_text(common.chosen_config(options).vehicle))
+    told = {row.name: parameter_as_dict(row) for row in rows}
+    common.show(options, told, "\n\n".join(texts))
     return common.DONE
 
 
@@ -91,10 +89,8 @@ def _print(options: argparse.Namespace) -> int:
     if options.names:
         options.parser.error(f"config print takes no names, got {' '.join(options.names)}")
     config = common.chosen_config(options)
-    if options.json:
-        common.print_json(values_from_config(config))
-    else:
-        print(dump_config(config, comments=not options.plain), end="")
+    text = dump_config(config, comments=not options.plain)
+    common.show(options, values_from_config(config), text.removesuffix("\n"))
     return common.DONE
 
 
@@ -122,8 +118,5 @@ def _suggest(options: argparse.Namespace) -> int:
     config = config_from_values(options.vehicle or {}, common.chosen_config(options))
     with ProgressBar("suggest", "s", options.verbose) as bar:
         found = suggest_config(options.names[0], config, poses=options.poses, progress=bar.update)
-    if options.json:
-        common.print_json(found.as_dict())
-    else:
-        print(found.text(), end="")
+    common.show(options, found.as_dict(), found.text().removesuffix("\n"))
     return common.DONE

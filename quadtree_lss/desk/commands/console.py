@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from quadtree_lss.onboard.core.landing.sites import Sites
 
 
-BAR = "{desc} {percentage:3.0f} % |{bar}| {n:.0f} of {total:.0f} {unit}, {speed}, {remaining} left"
+BAR = "{desc} {percentage:3.0f} % |{bar}| {n:.0f} of {total:.0f} {unit}, {remaining} left"
 
 
 class _Quiet:
@@ -48,7 +48,11 @@ class ProgressBar:
     def __init__(self, what: str, unit: str, verbose: bool) -> None:
         self._bar: Any = None
         if not _Quiet.on and (verbose or sys.stderr.isatty()):
-            self._bar = _bar(what, unit)
+            from tqdm import tqdm  # takes long to import
+
+            # Until it is told of how much: a total of None cannot be formatted.
+            how = {"total": 1, "file": sys.stderr, "leave": False, "bar_format": BAR}
+            self._bar = tqdm(desc=what, unit=unit, **how)
 
     def __enter__(self) -> ProgressBar:
         return self
@@ -62,26 +66,6 @@ class ProgressBar:
             self._bar.total = total
             self._bar.n = done
             self._bar.refresh()
-
-
-def _bar(what: str, unit: str) -> Any:
-    """A bar on stderr, gone when it is closed, that tells its speed in words."""
-    from tqdm import tqdm  # takes long to import
-
-    class Bar(tqdm):  # type: ignore[type-arg]
-        @property
-        def format_dict(self) -> dict[str, Any]:
-            """As in the base class, with ``speed``."""
-            told = super().format_dict
-            rate = told["rate"]
-            if rate is None and told["elapsed"] > 0.0:
-                rate = told["n"] / told["elapsed"]
-            number = "?" if not rate else f"{rate:.{0 if rate >= 100.0 else 1}f}"
-            told["speed"] = f"{number} x real time" if unit == "s" else f"{number} {unit}/s"
-            return told
-
-    # Until it is told of how much: a total of None cannot be formatted.
-    return Bar(desc=what, unit=unit, total=1, file=sys.stderr, leave=False, bar_format=BAR)
 
 
 class Interruption:
@@ -115,12 +99,8 @@ class Interruption:
             os.write(2, f"{end}{text}".encode(errors="replace"))
 
 
-def print_result(result: ReplayResult) -> None:
-    """Key figures of a replay and its ranked sites, on stdout; last, what to open."""
-    print(result_text(result))
-
-
 def result_text(result: ReplayResult) -> str:
+    """Key figures of a replay and its ranked sites; last, what to open."""
     from quadtree_lss.desk.replay.points import points_line  # the core: slow to import
 
     summary, sites = result.summary, result.assessment.sites

@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import tempfile
-from pathlib import Path
 
 from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.console import ProgressBar
@@ -56,23 +54,19 @@ def _doctor(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.info import inspect_bag
 
     config, how = common.chosen_config(options), common.given(options, *common.TOPICS[:2])
-    with tempfile.TemporaryDirectory() as folder:
-        bag = options.bag
-        if bag is None:
-            from quadtree_lss.desk.player.listen import record_live
+    bag = options.bag
+    if bag is None:
+        from quadtree_lss.desk.player.listen import listen
 
-            bag = record_live(Path(folder) / "live", options.seconds)
-        with ProgressBar("doctor", "s", options.verbose) as bar:
-            info = inspect_bag(bag, config, **how, progress=bar.update)
+        bag = listen(options.seconds)
+    with ProgressBar("doctor", "s", options.verbose) as bar:
+        info = inspect_bag(bag, config, **how, progress=bar.update)
     wrong = [finding for finding in info.findings if finding.mend or finding.fatal]
     notes = [finding for finding in info.findings if finding not in wrong]
-    if options.json:
-        common.print_json({"findings": [finding._asdict() for finding in (*wrong, *notes)]})
-        return common.ERROR if wrong else common.DONE
-    for finding in wrong:
-        print(f"wrong: {finding.text}\nmend:  {finding.mend or 'none known'}")
+    lines = [f"wrong: {found.text}\nmend:  {found.mend or 'none known'}" for found in wrong]
     if not wrong:
-        print(f"nothing is wrong with {info.scan_topic or 'the maps'} and {info.pose_topic}")
-    for finding in notes:
-        print(f"note:  {finding.text}")
+        lines.append(f"nothing is wrong with {info.scan_topic or 'the maps'} and {info.pose_topic}")
+    lines += [f"note:  {finding.text}" for finding in notes]
+    content = {"findings": [finding._asdict() for finding in (*wrong, *notes)]}
+    common.show(options, content, "\n".join(lines))
     return common.ERROR if wrong else common.DONE

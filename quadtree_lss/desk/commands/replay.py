@@ -13,7 +13,7 @@ from quadtree_lss.desk.commands.console import (
     Interruption,
     ProgressBar,
     first_line,
-    print_result,
+    result_text,
     say,
     warn,
 )
@@ -125,10 +125,7 @@ def _tell(options: argparse.Namespace, result: ReplayResult, out: Path, word: st
         warn(f"{word}: {line}")
     for line in result.losses:
         warn(f"damaged: {line}")
-    if options.json:
-        common.print_json(result.as_dict())
-    else:
-        print_result(result)
+    common.show(options, result.as_dict(), result_text(result))
 
 
 def _sites(options: argparse.Namespace) -> int:
@@ -158,10 +155,7 @@ def _publish(options: argparse.Namespace) -> int:
         report = play(options.bag, **how, progress=bar.update)
     scans = f"{report.scans} scans and {report.poses} poses"
     sent = f"{report.maps} maps" if report.maps else scans
-    if options.json:
-        common.print_json(asdict(report))
-    else:
-        print(f"{sent} sent in {report.duration:.1f} s")
+    common.show(options, asdict(report), f"{sent} sent in {report.duration:.1f} s")
     for line in report.losses:
         warn(f"damaged: {line}")
     return common.IN_PART if report.losses else common.DONE

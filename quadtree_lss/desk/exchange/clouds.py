@@ -55,11 +55,10 @@ def _npy(path: Path) -> Clouds:
 def _npz(path: Path) -> Clouds:
     """``points`` of one scan, or with one more axis of several and ``stamp_ns`` of each."""
     arrays = read_arrays(path)
-    points = arrays.get("points", next(iter(arrays.values())) if len(arrays) == 1 else None)
-    if points is None:
+    if "points" not in arrays:
         msg = f"{path}: has no array 'points', but {', '.join(arrays) or 'nothing'}"
         raise ExchangeError(msg)
-    stamps = arrays.get("stamp_ns")
+    points, stamps = arrays["points"], arrays.get("stamp_ns")
     if stamps is None or stamps.ndim == 0:
         one = None if stamps is None else stamps.reshape(1).astype(np.int64)
         return [_coordinates(path, points)], one

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import csv
+import re
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,6 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 
 TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
-SECONDS = ("stamp", "time", "timestamp", "t")
 COVARIANCE = tuple(f"cov_{k}" for k in range(36))
 
 
@@ -52,46 +52,32 @@ def read_poses(path: Path) -> PoseTable:
         msg = f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'it is not text'}"
         raise ExchangeError(msg) from None
     lines = [line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"]
-    if not lines:
-        msg = f"{path}: there is no pose in it"
-        raise ExchangeError(msg)
-    comma = "," in lines[0]
+    comma = bool(lines) and "," in lines[0]
     rows = list(csv.reader(lines)) if comma else [line.split() for line in lines]
-    header, known = [name.strip() for name in rows[0]], set(rows[0]) & {"x", "qw", "stamp_ns"}
-    if known or not _is_number(header[0]):
-        rows = rows[1:]
-    else:
-        header = list(TUM)
-    place = {name: k for k, name in enumerate(header)}
-    clock = next((name for name in ("stamp_ns", *SECONDS) if name in place), None)
-    missing = [name for name in TUM[1:] if name not in place]
-    if clock is None or missing:
-        lack = ", ".join(missing or ["stamp_ns"])
-        msg = f"{path}: lacks {lack}: poses are lines of TUM (stamp x y z qx qy qz qw) or CSV"
+    header = list(TUM)
+    if rows and not re.match(r"\s*[-+]?\.?\d", rows[0][0]):
+        header = [name.strip() for name in rows.pop(0)]
+    clock = "stamp_ns" if "stamp_ns" in header else "stamp"
+    lack = [name for name in TUM[1:] if name not in header]
+    if lack or clock not in header:
+        lack = lack or ["stamp_ns"]
+        msg = f"{path}: lacks {', '.join(lack)}: poses are lines of TUM ({' '.join(TUM)}) or CSV"
         raise ExchangeError(msg)
+    if not rows:
+        raise ExchangeError(f"{path}: there is no pose in it")
     stamps, values = [], []
-    known_covariance = all(name in place for name in COVARIANCE)
-    wanted = [*TUM[1:], *(COVARIANCE if known_covariance else ())]
+    known_covariance = set(COVARIANCE) <= set(header)
     for number, row in enumerate(rows, start=1):
+        cells = dict(zip(header, row, strict=False))
         try:
-            exact = Decimal(row[place[clock]].strip())
+            exact = Decimal(cells[clock].strip())
             stamps.append(np.int64(int(exact if clock == "stamp_ns" else exact * 10**9)))
-            values.append([float(row[place[name]]) for name in wanted])
-        except (ValueError, IndexError, InvalidOperation, OverflowError):
+            wanted = (*TUM[1:], *COVARIANCE[: 36 * known_covariance])
+            values.append([float(cells[name]) for name in wanted])
+        except (ValueError, KeyError, ArithmeticError):
             msg = f"{path}: pose {number} is not a row of numbers: {' '.join(row)[:80]}"
             raise ExchangeError(msg) from None
-    if not stamps:
-        msg = f"{path}: there is no pose in it"
-        raise ExchangeError(msg)
     order = np.argsort(stamps, kind="stable")
     table = np.array(values)[order]
     covariance = table[:, 7:] if known_covariance else np.zeros((len(table), 36))
     return PoseTable(np.array(stamps, np.int64)[order], table[:, :3], table[:, 3:7], covariance)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -1,18 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of a results folder: a map as the arrays of ``cells.npz``, and back; tables read back."""
+"""A results folder, read back, and a map as the arrays of ``cells.npz``."""
 
 from __future__ import annotations
 
 import csv
+import json
+import os
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.onboard.arrays import Array, Mask
+from quadtree_lss.onboard.config.loading import read_values
+from quadtree_lss.onboard.config.settings import Config, config_from_values, still_parameters
+from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.core.tree.domain import Domain, carried
+from quadtree_lss.onboard.elevation.archives import read_arrays
+from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 Table = dict[str, NDArray[Any]]
@@ -101,3 +111,174 @@ def _column(texts: list[str]) -> NDArray[Any]:
         except (ValueError, OverflowError):
             continue
     return np.array(texts)
+
+
+class Grid(dict[str, NDArray[Any]]):
+    """The landing grid by the names in ``grid.npz``: ``x`` (nx,) and ``y`` (ny,) of the grid
+    points, m, ascending, evenly spaced, and layers (ny, nx)."""
+
+    @property
+    def x(self) -> Array:
+        return self["x"]
+
+    @property
+    def y(self) -> Array:
+        return self["y"]
+
+    @property
+    def layers(self) -> dict[str, NDArray[Any]]:
+        return {name: values for name, values in self.items() if name not in ("x", "y")}
+
+    @property
+    def spacing(self) -> float:
+        """Distance of neighbouring grid points, m."""
+        return float(self.x[-1] - self.x[0]) / (self.x.size - 1) if self.x.size > 1 else 1.0
+
+    @property
+    def seen(self) -> Mask:
+        """(ny, nx) of the grid points on seen ground that is mapped."""
+        return np.asarray((self["hazard"] & UNSEEN) == 0)
+
+    @property
+    def unmapped(self) -> Mask:
+        """(ny, nx) of those whose ground is seen, but not yet mapped."""
+        return np.asarray((self["hazard"] & UNMAPPED) > 0)
+
+    def __repr__(self) -> str:
+        shape = f"{len(self.x)} x {len(self.y)} grid points, {self.spacing:g} m apart"
+        return f"<Grid: {shape}; {', '.join(self.layers)}>"
+
+
+@dataclass(frozen=True, repr=False)
+class Results:
+    """What a replay wrote; each file is read when it is asked for.
+
+    Every attribute raises `ResultsError` if its file cannot be read. Lengths m, map frame.
+    """
+
+    folder: Path
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """``summary.json``; numbers that do not exist are None."""
+        path = self.folder / "summary.json"
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise unreadable(path, error) from None
+        if not isinstance(content, dict):
+            raise unreadable(path, "it is not a JSON object")
+        return content
+
+    @cached_property
+    def config(self) -> Config:
+        """The configuration of the run."""
+        return config_from_values(still_parameters(read_values(self.folder / "config.yaml")))
+
+    @cached_property
+    def sites(self) -> Table:
+        """``sites.csv``, best first."""
+        return read_table(self.folder / "sites.csv")
+
+    @property
+    def positions(self) -> Array:
+        """(K, 3) of the ranked sites, best first, m."""
+        table = self.sites
+        return np.column_stack([np.asarray(table[name], np.float64) for name in "xyz"])
+
+    @cached_property
+    def selected(self) -> Table:
+        """``selected.csv``: changes of the target."""
+        return read_table(self.folder / "selected.csv")
+
+    @cached_property
+    def timing(self) -> Table:
+        """``timing.csv``: a row per mapped scan."""
+        return read_table(self.folder / "timing.csv")
+
+    @cached_property
+    def grid(self) -> Grid:
+        """``grid.npz``."""
+        path = self.folder / "grid.npz"
+        grid = Grid(_arrays(path))
+        sides = [grid.get(name, np.empty(0)) for name in "yx"]
+        if any(side.ndim != 1 or not side.size for side in sides):
+            raise unreadable(path, "it has no grid points x and y")
+        shape = tuple(side.size for side in sides)
+        wrong = [name for name, values in grid.layers.items() if values.shape != shape]
+        if wrong:
+            raise unreadable(path, f"{wrong[0]} is not of shape {shape}")
+        return grid
+
+    @cached_property
+    def map(self) -> CellMap:
+        """``cells.npz``: the map that landing sites were ranked on, as it was."""
+        path = self.folder / "cells.npz"
+        return cell_map(path, _arrays(path))
+
+    @cached_property
+    def history(self) -> dict[str, NDArray[Any]]:
+        """``history.npz``; empty without it."""
+        path = self.folder / "history.npz"
+        return _arrays(path) if path.exists() else {}
+
+    def then(self, name: str, answers: NDArray[np.intp]) -> NDArray[np.uint8]:
+        """(A, ny, nx) of the history at some answers, bits or per cent, on the grid of the last: a
+        domain that follows lay elsewhere. What was not in it was not seen."""
+        shape, rows = self.grid["hazard"].shape, self.history[name][answers]
+        fill = 255 if name == "probability" else 0
+        if not fill:
+            rows = np.unpackbits(rows, axis=1, count=shape[0] * shape[1])
+        found: NDArray[np.uint8] = rows.reshape(-1, *shape)
+        last, spacing = np.array([self.grid.x[0], self.grid.y[0]]), self.grid.spacing
+        steps = np.rint((last - self.history["answer_corner"][answers]) / spacing).astype(int)
+        for k in np.flatnonzero(steps.any(axis=1)):
+            found[k] = carried(found[k], *steps[k].tolist(), fill)
+        return found
+
+    @property
+    def zone(self) -> float:
+        """Radius of the ground that a landing needs, m."""
+        return 0.5 * self.config.lss.vehicle.diameter + self.config.lss.margin
+
+    @property
+    def dispersion(self) -> tuple[float, float]:
+        """1 sigma of a touchdown about its aim along x and y, m: the last heard, or as set."""
+        heard = (self.summary.get("landing") or {}).get("dispersion")
+        x, y = heard[:2] if heard else (self.config.lss.dispersion,) * 2
+        return float(x), float(y)
+
+    @property
+    def probability(self) -> Array | None:
+        """(ny, nx) of a safe touchdown, NaN where it was not judged; None if nowhere."""
+        found = self.grid.get("probability")
+        return None if found is None or not np.isfinite(found).any() else found
+
+    @property
+    def reasons(self) -> list[str]:
+        """A sentence for each site."""
+        rows = len(self.sites["x"])
+        return [*self.summary.get("reasons", ()), *[""] * rows][:rows]
+
+    def __repr__(self) -> str:
+        scans, sites = self.summary.get("scans"), len(self.positions)
+        return f"<Results: {self.folder}: {scans} scans, {sites} sites>"
+
+
+def load_results(folder: str | os.PathLike[str]) -> Results:
+    """The results of a replay, for instance of ``results/latest``. Raises `ResultsError`: the
+    folder has no ``summary.json`` or no ``grid.npz``."""
+    path = Path(folder)
+    if not path.is_dir():
+        raise ResultsError(f"{path} is not a results folder")
+    for name in ("summary.json", "grid.npz"):
+        if not (path / name).is_file():
+            raise ResultsError(f"{path} has no {name}: replay did not write this folder")
+    return Results(path)
+
+
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+    try:
+        return read_arrays(path)
+    except ExchangeError as error:
+        raise ResultsError(error) from None

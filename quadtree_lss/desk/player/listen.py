@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Some seconds of the topics that are live, as a bag: what reads bags reads them, too."""
+"""Some seconds of the topics that are live, in memory: what reads bags reads them, too."""
 
 from __future__ import annotations
 
 import importlib.util
 import time
-from pathlib import Path
+from collections import Counter
+from functools import partial
 from typing import Any
 
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rosbags.rosbag2 import StoragePlugin, Writer
 
+from quadtree_lss.desk.bags.bag import MessageBag, Topic
 from quadtree_lss.desk.bags.message_types import (
     GIMBAL_TYPE,
     POSE_TYPES,
@@ -35,69 +36,45 @@ class ListenError(QuadtreeLssError):
     """Nothing is sent that could be looked at."""
 
 
-def record_live(path: Path, seconds: float) -> Path:
-    """Writes what is sent of clouds, poses, gimbal angles and transforms.
-
-    Args:
-        path: Of the bag, which is not there yet.
-        seconds: From the first cloud or pose on, and so long it waits for one.
-
-    Raises:
-        ListenError: none came.
-    """
+def listen(seconds: float) -> MessageBag:
+    """What is sent of clouds, poses, gimbal angles and transforms. ``seconds``: from the first
+    cloud or pose on, and so long it waits for one. Raises `ListenError`: none came."""
     context = Context()
     rclpy.init(context=context)
     node = Node("doctor", context=context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    heard: dict[str, str] = {}
+    kinds: dict[str, str] = {}
+    heard: list[tuple[str, int, bytes]] = []
     try:
-        with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-            recorder = _Recorder(node, writer)
-            until = time.monotonic() + seconds
-            while time.monotonic() < until:
-                executor.spin_once(timeout_sec=LOOK_S)
-                if recorder.look() and recorder.count == 0:
-                    until = time.monotonic() + seconds
-            heard = recorder.topics
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            executor.spin_once(timeout_sec=LOOK_S)
+            for name, (kind, *_) in node.get_topic_names_and_types():
+                if name not in kinds and kind in HEARD:
+                    kinds[name] = kind
+                    _subscribe(node, name, kind, heard)
+                    if not heard:
+                        until = time.monotonic() + seconds
     finally:
         executor.shutdown()
         node.destroy_node()
         context.try_shutdown()
-    if not recorder.count:
-        there = ", ".join(sorted(heard)) or "none"
+    if not heard:
+        there = ", ".join(sorted(kinds)) or "none"
         raise ListenError(f"nothing came in {seconds:g} s; topics of clouds and poses: {there}")
-    return path
+    store, counts = typestore(False, HEARD), Counter(name for name, *_ in heard)
+    return MessageBag(
+        "live",
+        [Topic(name, kind, counts[name]) for name, kind in kinds.items()],
+        (heard[0][1], heard[-1][1]),
+        [(name, at, partial(store.deserialize_cdr, raw, kinds[name])) for name, at, raw in heard],
+    )
 
 
-class _Recorder:
-    """Subscribes to what appears, and writes its bytes.
+def _subscribe(node: Node, name: str, kind: str, heard: list[tuple[str, int, bytes]]) -> None:
+    def hear(raw: Any) -> None:
+        heard.append((name, time.time_ns(), bytes(raw)))
 
-    Attributes:
-        topics: Type by name.
-        count: Messages.
-    """
-
-    def __init__(self, node: Node, writer: Writer) -> None:
-        self._node, self._writer, self._store = node, writer, typestore(False, HEARD)
-        self.topics: dict[str, str] = {}
-        self.count = 0
-
-    def look(self) -> bool:
-        """Subscribes to what is new; whether there was something."""
-        found = False
-        for name, kinds in self._node.get_topic_names_and_types():
-            if name not in self.topics and kinds[0] in HEARD:
-                self.topics[name], found = kinds[0], True
-                self._subscribe(name, kinds[0])
-        return found
-
-    def _subscribe(self, name: str, kind: str) -> None:
-        connection = self._writer.add_connection(name, kind, typestore=self._store)
-
-        def write(raw: Any) -> None:
-            self.count += 1
-            self._writer.write(connection, time.time_ns(), bytes(raw))
-
-        profile = latched() if kind == TRANSFORMS_TYPE else stream(100, reliable=False)
-        self._node.create_subscription(TYPES[kind], name, write, profile, raw=True)
+    profile = latched() if kind == TRANSFORMS_TYPE else stream(100, reliable=False)
+    node.create_subscription(TYPES[kind], name, hear, profile, raw=True)

@@ -11,7 +11,7 @@ import contextlib
 import math
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,8 +45,8 @@ from quadtree_lss.desk.bags.topics import (
     choose_scan_topic,
     landing_topics,
 )
-from quadtree_lss.desk.player.clock import SECOND_NS, PlayTime, keys_pressed
-from quadtree_lss.desk.replay.stream import MapPairs, Stream
+from quadtree_lss.desk.player.clock import PlayTime, keys_pressed
+from quadtree_lss.desk.replay.stream import MapPairs, Part, Progress
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages import landing_inputs
 from quadtree_lss.onboard.messages.outputs import CELLS, OBSERVED, TOPIC_TYPES
@@ -56,8 +56,6 @@ from quadtree_lss.onboard.nodes.ros_messages import TYPES
 MATCH_PAUSE_S = 0.5
 """After a publisher sees its match the subscriber may not be ready yet."""
 DEPTH = 200
-BAR_S = 0.2
-"""Between two changes of the progress bar."""
 LANDING = {f"/landing/{name}": kind for name, kind in landing_inputs.TYPES.items()}
 MAPS = {f"/{name}": TOPIC_TYPES[name] for name in (CELLS, OBSERVED)}
 KINDS = {SCAN_TOPIC: SCAN_TYPE, POSE_TOPIC: POSE_TYPE, ODOMETRY_TOPIC: ODOMETRY_TYPE}
@@ -96,7 +94,7 @@ def play(
     namespace: str = "",
     remap: Sequence[str] = (),
     domain_id: int | None = None,
-    progress: Callable[[float, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> PlayReport:
     """Plays a ROS 2 bag on ``lidar/points`` and ``nav/pose``, as fast as it was recorded.
 
@@ -127,10 +125,9 @@ def play(
         msg = f"{path} is a ROS 1 bag: replay it offline, or convert it to play it to ROS 2"
         raise PlayError(msg)
     context = Context()
-    part = Stream(start=start, duration=duration)
     with Bag(path) as source:
         names = _names(source, scan_topic, pose_topic)
-        part.limit(source)
+        part = Part.of(source, start, duration)
         # Not our own options, of which --remap's look like ROS's of old.
         ours = sys.argv.index("--ros-args") if "--ros-args" in sys.argv else len(sys.argv)
         rclpy.init(args=sys.argv[ours:], context=context, domain_id=domain_id)
@@ -142,11 +139,11 @@ def play(
             wishes = [recorded for recorded, name in names.items() if name in LANDING]
             for message in source.messages(wishes, 0, part.start_ns):
                 publishers[message.topic].publish(_serialised(message.raw))
-            messages = source.messages(list(names), part.start_ns, part.stop_ns)
+            messages = part.messages(source, list(names), progress)
             with keys_pressed() as pressed:
                 times = PlayTime(node, rate, pressed)
                 began = time.monotonic()
-                sent = _send(_told(messages, part, progress), names, publishers, times)
+                sent = _send(messages, names, publishers, times)
                 seconds = time.monotonic() - began
                 times.shutdown()
             for publisher in publishers.values():
@@ -179,18 +176,6 @@ def _names(bag: Bag, scan_topic: str | None, pose_topic: str | None) -> dict[str
     if any((t.name, t.type) == (GIMBAL_TOPIC, GIMBAL_TYPE) for t in bag.topics):
         names[GIMBAL_TOPIC] = GIMBAL_TOPIC
     return names
-
-
-def _told(
-    messages: Iterable[RawMessage], part: Stream, progress: Callable[[float, float], None] | None
-) -> Iterable[RawMessage]:
-    """The same messages; ``progress`` hears of them now and then."""
-    shown = -math.inf
-    for message in messages:
-        yield message
-        if progress is not None and time.monotonic() - shown > BAR_S:
-            shown = time.monotonic()
-            progress((message.received_ns - part.start_ns) / SECOND_NS, part.seconds)
 
 
 def _send(

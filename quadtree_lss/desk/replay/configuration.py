@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -86,19 +85,8 @@ def find_config(path: str | os.PathLike[str]) -> Path:
         for candidate in shipped:
             if candidate.name == name:
                 return candidate
-    names = shipped_names()
-    msg = f"no configuration file {str(path)!r} (shipped: {', '.join(names) or 'none'})"
-    beside = [p.stem for p in given.parent.glob("*.yaml")] if given.parent.is_dir() else []
-    close = difflib.get_close_matches(given.stem, [*names, *beside], n=1)
-    if close:
-        near = close[0] if close[0] in names else given.with_name(f"{close[0]}.yaml")
-        msg += f"; did you mean '{near}'?"
-    raise ConfigError(msg)
-
-
-def shipped_names() -> list[str]:
-    """Names of the shipped configurations."""
-    return sorted({path.stem for path in _shipped()})
+    names = ", ".join(sorted({path.stem for path in shipped}))
+    raise ConfigError(f"no configuration file {str(path)!r} (shipped: {names or 'none'})")
 
 
 def _shipped() -> Iterator[Path]:

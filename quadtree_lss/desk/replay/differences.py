@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from quadtree_lss.desk.exchange.saved import Grid, Results, ResultsError, load_results
 from quadtree_lss.desk.replay.files import plain, write_bytes, write_json
-from quadtree_lss.desk.replay.results import Grid, Results, ResultsError, load_results
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 
@@ -183,12 +183,13 @@ def _seen_alone(grid: Grid, other: Grid) -> float:
 def _heights(difference: Array, deviation: Array, x: Array, y: Array, second: Array) -> Heights:
     known = np.isfinite(difference)
     values = difference[known]
-    mean = float(values.mean())
-    left = values - mean
+    left, heights = values - values.mean(), (second[known] - values, second[known])
     worst = np.unravel_index(np.nanargmax(np.abs(difference)), difference.shape)
+    with np.errstate(all="ignore"):  # of level ground it is none
+        correlation = np.corrcoef(heights)[0, 1]
     return Heights(
         points=int(values.size),
-        mean=mean,
+        mean=float(values.mean()),
         rms=float(np.sqrt(np.mean(values**2))),
         rms_mean_removed=float(np.sqrt(np.mean(left**2))),
         most=float(np.percentile(np.abs(values), 95.0)),
@@ -196,13 +197,8 @@ def _heights(difference: Array, deviation: Array, x: Array, y: Array, second: Ar
         x=float(x[worst]),
         y=float(y[worst]),
         beyond=float(np.mean(np.abs(left) > SIGMAS * deviation[known])),
-        correlation=_correlation(second[known] - values, second[known]),
+        correlation=float(correlation),
     )
-
-
-def _correlation(one: Array, other: Array) -> float:
-    spread = float(one.std() * other.std())
-    return float(np.cov(one, other, ddof=0)[0, 1]) / spread if spread > 0.0 else float("nan")
 
 
 def _sites(a: Results, b: Results) -> tuple[Any, tuple[Site, ...], tuple[Site, ...]]:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from quadtree_lss.desk.replay.result import ReplayResult, run_summary
 from quadtree_lss.desk.replay.results import write_results
 from quadtree_lss.onboard.config.settings import Config, config_from_values
-from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.elevation.dem import ElevationModel, read_dem
@@ -68,52 +68,27 @@ def rank_sites(
     asked = time.perf_counter()
     found = LandingSiteSelector(config).assess(cells, **wanted)
     lss_ms = 1e3 * (time.perf_counter() - asked)
-    notes = (*found.doubts, *_notes(model, block))
     heights = model.elevation[np.isfinite(model.elevation)]
     upward = np.median(cells.normal[cells.measured, 2]) if cells.measured.any() else np.nan
-    summary = {
-        **map_summary(cells, found, config, lss_ms, LandingWishes(None, wanted).as_lists()),
-        "bag": name,
-        "posts": [len(model.x), len(model.y)],
-        "post_spacing": model.spacing,
-        "height_range": [float(heights.min()), float(heights.max())],
-        "median_slope_deg": float(np.degrees(np.arccos(upward))),
-        "crs": model.crs,
-        "duration": time.perf_counter() - began,
-        "warnings": notes,
-    }
-    result = ReplayResult(None if out is None else Path(out), cells, found, (), summary, (), notes)
+    summary = run_summary(
+        cells,
+        found,
+        config,
+        lss_ms,
+        landing=LandingWishes(None, wanted).as_lists(),
+        bag=name,
+        posts=[len(model.x), len(model.y)],
+        post_spacing=model.spacing,
+        height_range=[float(heights.min()), float(heights.max())],
+        median_slope_deg=float(np.degrees(np.arccos(upward))),
+        crs=model.crs,
+        duration=time.perf_counter() - began,
+        warnings=[*found.doubts, *_notes(model, block)],
+    )
+    result = ReplayResult(None if out is None else Path(out), cells, found, (), summary)
     if result.out is not None:
         write_results(result.out, result, config, report)
     return result
-
-
-def map_summary(
-    cells: CellMap,
-    found: LandingAssessment,
-    config: Config,
-    lss_ms: float,
-    landing: Mapping[str, Any],
-) -> dict[str, Any]:
-    """Content of ``summary.json`` of an assessed map that is of no bag; ``landing``: the wishes."""
-    return {
-        **run_summary((), len(cells.level), config, 0.0, lss_ms),
-        **dict.fromkeys(("scans_dropped", "points_dropped", "messages_rejected"), {}),
-        **dict.fromkeys(("points_used", "poses", "refused_divisions"), 0),
-        **dict.fromkeys(("first_stamp_ns", "last_stamp_ns"), None),
-        **dict.fromkeys(("scan_rate", "pose_rate", "range_noise_ratio"), float("nan")),
-        **dict.fromkeys(("scan_topic", "pose_topic"), ""),
-        "maps": 1,
-        "landing": landing,
-        "target": found.selected.id,
-        "target_changes": int(found.selected.id > 0),
-        "explanation": found.explanation,
-        "doubts": found.doubts,
-        "reasons": found.sites.reasons,
-        "interrupted": False,
-        "losses": (),
-        "warnings": found.doubts,
-    }
 
 
 def _notes(model: ElevationModel, block: int) -> list[str]:

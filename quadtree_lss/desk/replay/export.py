@@ -3,23 +3,20 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from quadtree_lss.desk.exchange.geojson import sites_geojson
-from quadtree_lss.desk.exchange.geotiff import check_place, write_geotiff
-from quadtree_lss.desk.exchange.map_server import write_map
-from quadtree_lss.desk.exchange.mesh import write_meshes
-from quadtree_lss.desk.replay.files import plain
-from quadtree_lss.desk.replay.results import Results, load_results
-from quadtree_lss.onboard.arrays import Bytes
+from quadtree_lss.desk.exchange.geotiff import check_place, to_degrees, write_geotiff
+from quadtree_lss.desk.exchange.saved import Results, load_results
+from quadtree_lss.desk.replay.files import write_json
+from quadtree_lss.onboard.arrays import Array, Bytes
 from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED
 from quadtree_lss.onboard.core.landing.raster import rasterise
-from quadtree_lss.onboard.elevation.libraries import ExchangeError
+from quadtree_lss.onboard.elevation.libraries import ExchangeError, library
 from quadtree_lss.onboard.elevation.reference import reference
 
 NO_DATA = 255
@@ -43,6 +40,11 @@ LAYERS = {
     "map_deviation": ("m", "standard deviation of map_height"),
 }
 """Unit and meaning."""
+FAR = 10_000.0
+"""Coordinates beyond lose centimetres in the 32 bits that meshes have, m."""
+CIRCLE_POINTS = 48
+FREE, OCCUPIED, UNKNOWN = 254, 0, 205
+"""Grey of nav2's map_server."""
 MASKS = ("safe", "shadow", "reach")
 """Layers that are true or false."""
 
@@ -124,17 +126,44 @@ def _colour_tables() -> dict[str, dict[int, str]]:
 
 def _mesh(end: str) -> Callable[[Results, Path, str], list[Path]]:
     def write(results: Results, folder: Path, crs: str) -> list[Path]:
-        """The ground at the grid points, coloured by where landing is allowed, in relief."""
+        """The ground at the grid points, coloured by where landing is allowed, in relief: ``ply``
+        (z up) or ``glb`` (y up, as glTF has it). Far from the origin it is moved there, and a text
+        beside it says by how much."""
+        trimesh: Any = library("trimesh", "PLY and glTF files")
         grid, path = results.grid, folder / f"ground.{end}"
         heights = np.asarray(grid["elevation"], np.float64)
-        shift = write_meshes([path], grid.x, grid.y, heights, _colours(results))
-        if not shift.any():
-            return [path]
-        note = folder / f"ground.{end}.txt"
-        note.write_text("add to x, y, z in m: {:.1f} {:.1f} {:.1f}\n".format(*shift))
-        return [path, note]
+        vertices, faces = ground_mesh(grid.x, grid.y, heights)
+        shift, written = np.zeros(3), [path]
+        if len(vertices) and np.abs(vertices[:, :2]).max() > FAR:
+            shift[:2] = np.round(vertices[:, :2].mean(axis=0))
+            written.append(folder / f"ground.{end}.txt")
+            written[1].write_text("add to x, y, z in m: {:.1f} {:.1f} {:.1f}\n".format(*shift))
+        vertices = vertices - shift
+        if end == "glb":
+            vertices = vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
+        shown = _colours(results)[np.isfinite(heights)]
+        mesh = trimesh.Trimesh(vertices, faces, vertex_colors=shown, process=False)
+        path.write_bytes(mesh.export(file_type=end))
+        return written
 
     return write
+
+
+def ground_mesh(x: Array, y: Array, heights: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Vertices (V, 3) and triangles (T, 3), counter-clockwise from above, of known ground.
+
+    Args:
+        x, y: (nx,), (ny,) m.
+        heights: (ny, nx) m, NaN where unknown: squares that lack a corner are left out.
+    """
+    known = np.isfinite(heights)
+    number = np.cumsum(known.ravel()).reshape(known.shape) - 1
+    across, along = np.meshgrid(x, y)
+    vertices = np.column_stack([across[known], along[known], heights[known]])
+    whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    a, b = number[:-1, :-1][whole], number[:-1, 1:][whole]
+    c, d = number[1:, 1:][whole], number[1:, :-1][whole]
+    return vertices, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
 
 
 def _colours(results: Results) -> Bytes:
@@ -150,25 +179,53 @@ def _colours(results: Results) -> Bytes:
 
 
 def _geojson(results: Results, folder: Path, crs: str) -> list[Path]:
-    lss, path = results.config.lss, folder / "sites.geojson"
+    """Of each ranked site a point and the circle of its landing zone (RFC 7946), with the columns
+    of ``sites.csv``."""
     if not crs:
         msg = "GeoJSON is in longitude and latitude: --crs or --origin says where the map lies"
         raise ExchangeError(msg)
-    content = plain(sites_geojson(results.sites, 0.5 * lss.vehicle.diameter + lss.margin, crs))
-    path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+    def places(x: Any, y: Any) -> list[list[float]]:
+        return np.column_stack(to_degrees(x, y, crs)).tolist()
+
+    features: list[dict[str, Any]] = []
+    angles = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS + 1)
+    across, along = results.zone * np.cos(angles), results.zone * np.sin(angles)
+    for k, (x, y, z) in enumerate(results.positions.tolist()):
+        known = {name: column[k] for name, column in results.sites.items()}
+        (point,), ring = places([x], [y]), places(x + across, y + along)
+        ring[-1] = ring[0]
+        shapes = {"site": ("Point", [*point, z]), "zone": ("Polygon", [ring])}
+        for kind, (form, coordinates) in shapes.items():
+            shape, properties = {"type": form, "coordinates": coordinates}, {"kind": kind, **known}
+            features.append({"type": "Feature", "geometry": shape, "properties": properties})
+    path = folder / "sites.geojson"
+    write_json(path, {"type": "FeatureCollection", "features": features})
     return [path]
 
 
 def _map_server(results: Results, folder: Path, crs: str) -> list[Path]:
-    grid = results.grid
-    hazard, safe = np.asarray(grid["hazard"]), np.asarray(grid["safe"])
+    """Pictures (PGM) and YAML files, read in the mode ``trinary``."""
+    grid, seen = results.grid, results.grid.seen
     maps = {
-        "hazards": np.where((hazard & IDENTIFIED) > 0, 100, np.where(grid.seen, 0, -1)),
-        "landing": np.where(safe, 0, np.where(grid.seen, 100, -1)),
+        "hazards": np.where((grid["hazard"] & IDENTIFIED) > 0, OCCUPIED, FREE),
+        "landing": np.where(grid["safe"], FREE, OCCUPIED),
     }
-    written: list[Path] = []
+    maps["hazards"][~seen & (maps["hazards"] == FREE)] = UNKNOWN
+    maps["landing"][~seen & (maps["landing"] == OCCUPIED)] = UNKNOWN
+    written = []
     for name, values in maps.items():
-        written += write_map(folder / name, values.astype(np.int8), grid.x, grid.y)
+        picture, told = folder / f"{name}.pgm", folder / f"{name}.yaml"
+        head = b"P5\n%d %d\n255\n" % (len(grid.x), len(grid.y))
+        picture.write_bytes(head + values[::-1].astype(np.uint8).tobytes())
+        corner = [float(a[0] - 0.5 * grid.spacing) for a in (grid.x, grid.y)]
+        told.write_text(
+            f"image: {picture.name}\nmode: trinary\nresolution: {grid.spacing:.9g}\n"
+            f"origin: [{corner[0]:.9g}, {corner[1]:.9g}, 0.0]\n"
+            "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
+            encoding="utf-8",
+        )
+        written += [picture, told]
     return written
 
 

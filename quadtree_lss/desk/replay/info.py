@@ -19,8 +19,7 @@ from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.replay.doctor import Finding, Heard
 from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.desk.replay.points import points_line, points_warning
-from quadtree_lss.desk.replay.run import Progress
-from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Span, Stream
+from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Part, Progress, Stream, rate
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.sensing.register import register
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -28,8 +27,6 @@ from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.onboard.messages.lost_points import likely_reason
 
-OLD_STAMP_NS = 365 * 86400 * SECOND_NS
-"""Stamps of 1970 count from the start of a computer, not from an epoch."""
 TYPE_NAMES = {1: "int8", 2: "uint8", 3: "int16", 4: "uint16", 5: "int32", 6: "uint32"}
 TYPE_NAMES |= {7: "float32", 8: "float64"}
 
@@ -109,7 +106,7 @@ class BagInfo:
 
 
 def inspect_bag(
-    bag: str | Path,
+    bag: str | Path | Bag,
     config: Config,
     *,
     scan_topic: str | None = None,
@@ -121,19 +118,18 @@ def inspect_bag(
     Raises `BagError`: there is nothing to read."""
     with open_recording(bag, poses, config.frames.map) as opened:
         info = BagInfo(
-            path=str(bag),
+            path=str(opened.path),
             kind="nothing",
             start_ns=opened.start_ns,
             seconds=(opened.end_ns - opened.start_ns) / SECOND_NS,
             topics=[TopicInfo(t.name, t.type, t.count) for t in opened.topics],
         )
-        stream = Stream(scan_topic, pose_topic)
-        pairs = MapPairs.alone(opened) if scan_topic is None else None
+        stream, pairs = None, MapPairs.alone(opened) if scan_topic is None else None
         try:
-            stream.resolve(opened, config)
+            stream = Stream(opened, config, scan_topic, pose_topic)
         except BagError as error:
             if pairs is None:
-                info.findings.append(Finding("topics", str(error), _other_poses(info), fatal=True))
+                info.findings.append(Finding("topics", str(error), fatal=True))
             else:
                 info.kind = "maps"
                 text = "maps and no scans: replay ranks landing sites on the last map, `replay"
@@ -143,39 +139,37 @@ def inspect_bag(
             info.scan_topic, info.pose_topic = stream.scans, stream.poses
             _read(info, opened, stream, config, progress)
         _rates_by_reception(info, opened)
-        info.losses = [*opened.losses, *stream.losses]
+        info.losses = [*opened.losses, *([] if stream is None else stream.losses)]
         info.findings += [Finding("bag", text) for text in opened.notes]
     return info
 
 
 def _rates_by_reception(info: BagInfo, bag: Bag) -> None:
     """Of the clouds and poses that are not read: what they may be chosen by."""
-    spans = {t.name: Span() for t in info.topics if t.type in (*SCAN_TYPES, *POSE_TYPES)}
-    for topic in info.topics:
-        if topic.first_stamp_ns is not None:
-            spans.pop(topic.name, None)
-    for message in bag.messages(list(spans)):
-        spans[message.topic].add(message.received_ns)
-    for topic in info.topics:
-        if topic.name in spans:
-            topic.rate = spans[topic.name].rate
+    unread = {t.name: t for t in info.topics if t.first_stamp_ns is None}
+    times: dict[str, list[int]] = {
+        name: [] for name, topic in unread.items() if topic.type in (*SCAN_TYPES, *POSE_TYPES)
+    }
+    for message in bag.messages(list(times)):
+        times[message.topic].append(message.received_ns)
+    for name, received in times.items():
+        unread[name].rate = rate(received)
 
 
 def _read(
     info: BagInfo, bag: Bag, stream: Stream, config: Config, progress: Progress | None
 ) -> None:
-    intake, heard = stream.intake(config), Heard()
+    intake, heard = stream.intake, Heard()
     domain = Domain.of(config.domain)
     dropped: Counter[str] = Counter()
     missed_at: tuple[float, float] | None = None
     why = ""
     seen = {topic.name: _Stamps() for topic in info.topics}
     texts: dict[str, str] = {}
-    shown = time.monotonic()
-    for message in stream.messages(bag):
+    for message in Part.of(bag).messages(bag, stream.topics, progress):
         with contextlib.suppress(MessageError):  # counted and told by the intake
             _hear(heard, bag, message, stream, seen[message.topic])
-        stream.take(bag, intake, message)
+        stream.take(message)
         for ready in intake.ready(message.received_ns):
             info.scans_with_pose += 1
             if config.domain.follow == "vehicle":
@@ -188,9 +182,6 @@ def _read(
                 why = likely_reason(ready.points_lidar, ready.pose, config)
         for notice in intake.notices():
             texts.setdefault(notice.reason, notice.text)
-        if progress is not None and time.monotonic() - shown > 0.2:
-            shown = time.monotonic()
-            progress((message.received_ns - stream.start_ns) / SECOND_NS, stream.seconds)
     intake.finish()
     for notice in intake.notices():
         texts.setdefault(notice.reason, notice.text)
@@ -255,9 +246,7 @@ class _Stamps:
         topic.first_stamp_ns, topic.last_stamp_ns = int(stamps.min()), int(stamps.max())
         topic.backward = int(np.count_nonzero(np.diff(stamps) < 0))
         topic.delay = float(np.median(self.delays))
-        span = (topic.last_stamp_ns - topic.first_stamp_ns) / SECOND_NS
-        if span > 0.0:
-            topic.rate = (len(stamps) - 1) / span
+        topic.rate = rate(self.stamps)
         if self.points:
             topic.points = float(np.median(self.points))
             topic.layout = "; or ".join(name for name, _ in self.layouts.most_common(3))
@@ -280,20 +269,10 @@ MENDS = {
     "outside": "quadtree-lss config suggest BAG writes a domain that fits",
 }
 """What mends that which the intake tells, by its keys."""
-OF_OTHER_TYPES = ("PoseStamped", "TransformStamped", "VehicleOdometry", "TFMessage", "Imu")
 
 
 def told(finding: Finding) -> str:
     return f"{finding.text}; mend: {finding.mend}" if finding.mend else finding.text
-
-
-def _other_poses(info: BagInfo) -> str:
-    """What could be turned into poses, where there are none."""
-    others = [t for t in info.topics if t.type.endswith(OF_OTHER_TYPES)]
-    if not others:
-        return ""
-    names = ", ".join(f"{t.name} ({t.type})" for t in others)
-    return f"if no pose is there, turn one of {names} into PoseWithCovarianceStamped or Odometry"
 
 
 def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> list[Finding]:
@@ -309,9 +288,6 @@ def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> list[Finding
             continue
         if topic.backward:
             found.append(Finding("order", f"{topic.name}: {topic.backward} stamps go back in time"))
-        if topic.first_stamp_ns < OLD_STAMP_NS:
-            text = f"{topic.name}: stamps of 1970: they count from a computer's start, which is"
-            found.append(Finding("boot", f"{text} fine as long as scans and poses agree"))
         if len(topic.frames) > 1:
             text = f"{topic.name}: several frames: {', '.join(topic.frames)}"
             found.append(Finding("frames", text))

@@ -20,8 +20,15 @@ from quadtree_lss.desk.replay.passes import Passes, Sink
 from quadtree_lss.desk.replay.points import points_line
 from quadtree_lss.desk.replay.result import ReplayResult, run_summary
 from quadtree_lss.desk.replay.results import write_results
-from quadtree_lss.desk.replay.run import Progress, Run
-from quadtree_lss.desk.replay.stream import LandingTopics, MapPairs, ReplayError, Stream
+from quadtree_lss.desk.replay.run import Run
+from quadtree_lss.desk.replay.stream import (
+    LandingTopics,
+    MapPairs,
+    Part,
+    Progress,
+    ReplayError,
+    Stream,
+)
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -69,7 +76,7 @@ def replay(
             (2,), map frame, m, or None for none: what holds whatever the bag says. Those not in it
             are read from the topics
             ``landing/…`` of the bag.
-        progress: See `run.Progress`.
+        progress: See `stream.Progress`.
         stop: Asked after each message; True ends the replay there, and the results are those of
             what was processed.
 
@@ -82,18 +89,15 @@ def replay(
     folder = None if out is None else Path(out)
     began = time.perf_counter()
     prior = read_prior(config)
-    stream = Stream(scan_topic, pose_topic, start, duration)
     with ExitStack() as stack:
-        given = bag if isinstance(bag, Bag) else open_recording(bag, poses, config.frames.map)
-        opened = stack.enter_context(given)
-        pairs = MapPairs.alone(opened) if scan_topic is None else None
-        if pairs is None:
-            stream.resolve(opened, config)
-        else:
-            stream.limit(opened)
+        opened = stack.enter_context(open_recording(bag, poses, config.frames.map))
+        part = Part.of(opened, start, duration)
         wishes = LandingWishes(config.frames.map, landing)
-        stream.navigation = wishes.navigation
-        topics = LandingTopics(wishes, opened, stream.start_ns)
+        pairs = MapPairs.alone(opened) if scan_topic is None else None
+        stream = None
+        if pairs is None:
+            stream = Stream(opened, config, scan_topic, pose_topic, wishes.navigation)
+        topics = LandingTopics(wishes, opened, part.start_ns)
         made = _make_folder(folder)
         looks = () if prior is None else look_first(prior, Domain.of(config.domain), config)
         try:
@@ -106,62 +110,53 @@ def replay(
                 recorder = Recorder(Path(record), config.frames.map, **options)
                 sinks.append(stack.enter_context(recorder))
             passes = Passes(config, wishes.arguments, sinks)
-            run = Run(config, stream, passes, topics, history, progress, stop, prior=prior)
+            run = Run(opened, part, config, passes, topics, history, progress, stop)
             if recorder is not None:
                 recorder.looks, recorder.offset = looks, lambda: run.prior_offset
-            cells = run.map_scans(opened) if pairs is None else run.read_maps(opened, pairs)
+            if stream is not None:
+                cells = run.map_scans(stream, prior)
+            else:
+                assert pairs is not None
+                cells = run.read_maps(pairs)
         except BaseException:
             if made is not None:
                 with contextlib.suppress(OSError):  # not empty: somebody else's files
                     made.rmdir()
             raise
         passes.finish(run.done_ns, lambda: cells)
-        losses = (*opened.losses, *stream.losses, *run.losses)
+        losses = [*opened.losses, *([] if stream is None else stream.losses), *run.losses]
         notes = opened.notes
     if progress is not None and not run.interrupted:
-        progress(stream.seconds, stream.seconds)
+        progress(part.seconds, part.seconds)
     decoded, assessment = passes.cells, passes.last
     assert decoded is not None and assessment is not None
     if not decoded.observed.any():
         assessment = changed(assessment, explanation=_why_nothing(run))
-    seconds = stream.seconds
+    seconds = part.seconds
     if run.interrupted:
-        seconds = min(seconds, max(run.done_ns - stream.start_ns, 0) / 1e9)
-    speed = seconds / (time.perf_counter() - began)
-    warnings = (*assessment.doubts, *notes, *run.warnings())
-    summary = {
-        **run_summary(run.timings, len(decoded.level), config, speed, passes.lss_ms),
-        "scans_dropped": dict(run.intake.dropped),
-        "points_used": run.points_used,
-        "points_dropped": dict(run.points_dropped),
-        "bag": stream.bag,
-        "first_stamp_ns": min((row.stamp_ns for row in run.timings), default=None),
-        "last_stamp_ns": max((row.stamp_ns for row in run.timings), default=None),
-        "scan_topic": stream.scans,
-        "pose_topic": stream.poses,
-        "duration": seconds,
-        "maps": run.maps,
-        "poses": run.intake.poses_taken,
-        "scan_rate": stream.rate(stream.scans),
-        "pose_rate": stream.rate(stream.poses),
-        "messages_rejected": dict(run.intake.rejected),
-        "range_noise_ratio": run.noise_ratio,
-        "refused_divisions": run.refused_divisions,
-        "landing": wishes.as_lists(),
-        "target": passes.changes[-1].id if passes.changes else 0,
-        "target_changes": len(passes.changes),
-        "explanation": assessment.explanation,
-        "doubts": assessment.doubts,
-        "reasons": assessment.sites.reasons,
-        "interrupted": run.interrupted,
-        "losses": losses,
-        "warnings": warnings,
-    }
+        seconds = min(seconds, max(run.done_ns - part.start_ns, 0) / 1e9)
+    counts = run.counts() | ({} if stream is None else stream.counts())
     if prior is not None:
         found = {} if run.prior_offset is None else run.prior_offset.values
-        summary["prior"] = {**found, "look_first": [place._asdict() for place in looks]}
-    ends = losses, warnings, run.interrupted, tuple(passes.changes)
-    result = ReplayResult(folder, decoded, assessment, tuple(run.timings), summary, *ends)
+        counts["prior"] = {**found, "look_first": [place._asdict() for place in looks]}
+    summary = run_summary(
+        decoded,
+        assessment,
+        config,
+        passes.lss_ms,
+        run.timings,
+        **counts,
+        bag=str(opened.path.resolve()),
+        duration=seconds,
+        real_time_factor=seconds / (time.perf_counter() - began),
+        landing=wishes.as_lists(),
+        target=passes.changes[-1].id if passes.changes else 0,
+        target_changes=len(passes.changes),
+        losses=losses,
+        warnings=[*assessment.doubts, *notes, *run.warnings()],
+    )
+    timings, targets = tuple(run.timings), tuple(passes.changes)
+    result = ReplayResult(folder, decoded, assessment, timings, summary, targets)
     if folder is not None:
         write_results(folder, result, config, report, history)
     return result
@@ -179,15 +174,12 @@ def scans(
 ) -> Iterator[ReadyScan]:
     """Scans of a bag, each with the lidar's pose at its stamp, as the nodes would map them; the
     arguments are those of `replay.replay`. Raises `BagError` or `ReplayError` as that does."""
-    stream = Stream(scan_topic, pose_topic, start, duration)
-    given = bag if isinstance(bag, Bag) else open_recording(bag, poses, config.frames.map)
-    with given as opened:
-        stream.resolve(opened, config)
-        intake = stream.intake(config)
-        for message in stream.messages(opened):
-            stream.take(opened, intake, message)
-            yield from intake.ready(message.received_ns)
-            intake.notices()
+    with open_recording(bag, poses, config.frames.map) as opened:
+        part = Part.of(opened, start, duration)
+        stream = Stream(opened, config, scan_topic, pose_topic)
+        for scan in stream.ready(part):
+            yield scan
+            stream.intake.notices()
 
 
 class Step(NamedTuple):

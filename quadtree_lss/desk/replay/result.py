@@ -39,9 +39,7 @@ class ReplayResult:
     """What a replay produced; ``out`` is None if nothing was written.
 
     ``cells`` are as decoded from their message, ``timings`` a row per mapped scan, empty for a bag
-    of maps; ``losses`` say what could not be read of the bag, ``warnings`` each kind of trouble
-    with the messages and how often it occurred, a line each; ``targets`` are the changes of the
-    target; ``interrupted``: it was stopped before the bag's end.
+    of maps, ``summary`` the content of ``summary.json``; ``targets`` are the changes of the target.
     """
 
     out: Path | None
@@ -49,10 +47,22 @@ class ReplayResult:
     assessment: LandingAssessment
     timings: tuple[ScanTiming, ...]
     summary: dict[str, Any]
-    losses: tuple[str, ...]
-    warnings: tuple[str, ...]
-    interrupted: bool = False
     targets: tuple[TargetChange, ...] = ()
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """What could not be read of the bag, a line each."""
+        return tuple(self.summary["losses"])
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Each kind of trouble with the messages and how often it occurred, a line each."""
+        return tuple(self.summary["warnings"])
+
+    @property
+    def interrupted(self) -> bool:
+        """It was stopped before the bag's end."""
+        return bool(self.summary["interrupted"])
 
     def __repr__(self) -> str:
         part = ", interrupted" if self.interrupted else ""
@@ -80,28 +90,44 @@ class ReplayResult:
 
 
 def run_summary(
-    timings: Sequence[ScanTiming],
-    leaves: int,
+    cells: CellMap,
+    found: LandingAssessment,
     config: Config,
-    real_time_factor: float,
-    lss_ms: float,
+    lss_ms: float = float("nan"),
+    timings: Sequence[ScanTiming] = (),
+    **known: Any,
 ) -> dict[str, Any]:
-    """Scans, points, leaves, times in ms, memory, versions and configuration of a run.
-
-    Without a scan, as for a bag of maps, the times of a map update are NaN.
-    """
+    """Content of ``summary.json`` of a run: ``known`` stands over what holds for a map that is of
+    no bag. Times in ms; without a scan those of a map update are NaN."""
     map_ms = np.array([row.map_ms for row in timings] or [np.nan])
+    stamps = [row.stamp_ns for row in timings]
     return {
         "scans": len(timings),
         "points": sum(row.points for row in timings),
-        "leaves": leaves,
+        "leaves": len(cells.level),
         "map_ms_median": float(np.median(map_ms)),
         "map_ms_p99": float(np.percentile(map_ms, 99)),
         "lss_ms": lss_ms,
-        "real_time_factor": real_time_factor,
+        "real_time_factor": 0.0,
         "peak_memory_mb": peak_memory_mb(),
         "versions": versions(),
         "config": values_from_config(config),
+        **dict.fromkeys(("scans_dropped", "points_dropped", "messages_rejected", "landing"), {}),
+        **dict.fromkeys(("points_used", "poses", "refused_divisions"), 0),
+        **dict.fromkeys(("scan_rate", "pose_rate", "range_noise_ratio"), float("nan")),
+        **dict.fromkeys(("scan_topic", "pose_topic"), ""),
+        "first_stamp_ns": min(stamps, default=None),
+        "last_stamp_ns": max(stamps, default=None),
+        "maps": 1,
+        "target": found.selected.id,
+        "target_changes": int(found.selected.id > 0),
+        "explanation": found.explanation,
+        "doubts": found.doubts,
+        "reasons": found.sites.reasons,
+        "interrupted": False,
+        "losses": (),
+        "warnings": found.doubts,
+        **known,
     }
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Iterator
+from typing import Any
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.recorded_file import RawMessage
@@ -14,7 +14,14 @@ from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.desk.replay.points import points_warning
 from quadtree_lss.desk.replay.result import ScanTiming
-from quadtree_lss.desk.replay.stream import SECOND_NS, LandingTopics, MapPairs, ReplayError, Stream
+from quadtree_lss.desk.replay.stream import (
+    LandingTopics,
+    MapPairs,
+    Part,
+    Progress,
+    ReplayError,
+    Stream,
+)
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.pose_errors import LEAST
@@ -24,7 +31,7 @@ from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.prior import Prior
 from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.intake import Intake, ReadyScan, noise_notice, pose_notices
+from quadtree_lss.onboard.messages.intake import Notice, ReadyScan, noise_notice, pose_notices
 from quadtree_lss.onboard.messages.landing_inputs import AREA
 from quadtree_lss.onboard.messages.lost_points import (
     MAP_OVERRULED,
@@ -33,90 +40,83 @@ from quadtree_lss.onboard.messages.lost_points import (
     overruled_text,
 )
 
-Progress = Callable[[float, float], None]
-"""Called with the seconds of the bag that are done and the seconds there are."""
 
-
-@dataclass
 class Run:
     """What has been done so far.
 
     Args:
+        bag: An open bag.
+        part: Of it, which is read.
         config: Everything that can be set.
-        stream: What is read.
         passes: Gets the maps as they come.
         landing: Hears areas, keep-outs and targets as they come.
         history: Notes where the lidar looked.
-        progress: See `Progress`.
+        progress: See `stream.Progress`.
         stop: Asked after each message; True ends the run there, which is then ``interrupted``.
 
     Attributes:
         done_ns: Time of reception up to which the bag was processed.
         timings: A row per mapped scan.
         points_dropped: Points of mapped scans that are not in the map, by reason.
-        refused_divisions: Cells that ``mapping.max_cells`` left whole.
         maps: Maps that were read, for a bag of maps.
-        prior: What leaves begin from; ``prior_offset`` is how far the map lies from it.
     """
 
-    config: Config
-    stream: Stream
-    passes: Passes
-    landing: LandingTopics
-    history: History
-    progress: Progress | None = None
-    stop: Callable[[], bool] | None = None
-    interrupted: bool = False
-    done_ns: int = 0
-    timings: list[ScanTiming] = field(default_factory=list)
-    points_dropped: Counter[str] = field(default_factory=Counter)
-    refused_divisions: int = 0
-    noise_ratio: float = float("nan")
-    maps: int = 0
-    prior: Prior | None = None
-    mapper: Mapper | None = None
-
-    def __post_init__(self) -> None:
-        self.intake = Intake(self.config)
+    def __init__(
+        self,
+        bag: Bag,
+        part: Part,
+        config: Config,
+        passes: Passes,
+        landing: LandingTopics,
+        history: History,
+        progress: Progress | None = None,
+        stop: Callable[[], bool] | None = None,
+    ) -> None:
+        self.config, self.passes = config, passes
+        self._bag, self._part, self._landing, self._history = bag, part, landing, history
+        self._progress, self._stop = progress, stop
+        self.interrupted, self.done_ns, self.maps = False, 0, 0
+        self.timings: list[ScanTiming] = []
+        self.points_dropped: Counter[str] = Counter()
+        self._mapper: Mapper | None = None
+        self._refused_divisions, self._noise_ratio = 0, float("nan")
         self._notices: Counter[str] = Counter()
         self._texts: dict[str, str] = {}
         self._pose_texts: dict[str, str] = {}
         self._decode_ms: dict[int, float] = {}
         self._missed_at: tuple[float, float] | None = None
         self._missed_why = ""
-        self._shown_ns = 0
 
-    def map_scans(self, bag: Bag) -> CellMap:
-        """Maps every scan of the stream. Raises `ReplayError`: there was none that could be mapped;
-        or KeyboardInterrupt: stopped before there was one."""
-        stream, mapper = self.stream, Mapper(self.config, self.prior)
-        self.mapper = mapper
-        self.intake = stream.intake(self.config)
-        for message in self._messages(bag, stream.topics):
+    def map_scans(self, stream: Stream, prior: Prior | None = None) -> CellMap:
+        """Maps every scan of the stream. ``prior``: what leaves begin from. Raises `ReplayError`:
+        there was none that could be mapped; or KeyboardInterrupt: stopped before there was one."""
+        mapper = self._mapper = Mapper(self.config, prior)
+        intake = stream.intake
+        for message in self._messages(stream.topics):
             began = time.perf_counter()
-            stamp_ns = stream.take(bag, self.intake, message)
+            stamp_ns = stream.take(message)
             if stamp_ns is not None:
                 self._decode_ms[stamp_ns] = 1e3 * (time.perf_counter() - began)
-            for scan in self.intake.ready(message.received_ns):
+            for scan in intake.ready(message.received_ns):
                 self._map(mapper, scan)
                 self.passes.changed()
-            self._note()
+            self._note(intake.notices())
             self.passes.tick(message.received_ns, mapper.snapshot)
             if self._ends_after(message.received_ns):
                 break
-        self.intake.finish()
-        self._note()
+        intake.finish()
+        self._note(intake.notices())
         self._judge_poses(mapper)
-        self._need(bool(self.timings), bag, "no scan could be mapped", "there is no scan")
+        self._need(bool(self.timings), "no scan could be mapped", "there is no scan")
         return mapper.snapshot()
 
-    def read_maps(self, bag: Bag, pairs: MapPairs) -> CellMap:
+    def read_maps(self, pairs: MapPairs) -> CellMap:
         """The last map of a bag of maps; the landing passes get all of them. Raises as
         `map_scans`."""
         last: CellMap | None = None
-        for message in self._messages(bag, pairs.topics):
+        for message in self._messages(pairs.topics):
             try:
-                found = pairs.take(bag, message, self.config.lss)
+                found = pairs.take(self._bag, message, self.config.lss)
             except MessageError as error:
                 self._tell(f"map_{error.reason}", str(error))
                 found = None
@@ -129,15 +129,15 @@ class Run:
                 self.passes.tick(message.received_ns, lambda: newest)  # noqa: B023
             if self._ends_after(message.received_ns):
                 break
-        self._need(last is not None, bag, "no map can be read", "no cells with observed cells")
+        self._need(last is not None, "no map can be read", "no cells with observed cells")
         assert last is not None
         return last
 
-    def _messages(self, bag: Bag, topics: Iterable[str]) -> Iterator[RawMessage]:
+    def _messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         """Those of the topics; what is asked of landing goes where it is heard."""
-        limits = self.stream.start_ns, self.stream.stop_ns
-        for message in bag.messages([*topics, *self.landing.names], *limits):
-            if self.landing.take(bag, message):
+        wanted = [*topics, *self._landing.names]
+        for message in self._part.messages(self._bag, wanted, self._progress):
+            if self._landing.take(self._bag, message):
                 self.passes.landing_changed()
             else:
                 yield message
@@ -145,17 +145,23 @@ class Run:
     @property
     def prior_offset(self) -> PriorOffset | None:
         """As of `Mapper`."""
-        return None if self.mapper is None else self.mapper.prior_offset
+        return None if self._mapper is None else self._mapper.prior_offset
 
     @property
     def points(self) -> int:
         """Points of the mapped scans."""
         return sum(row.points for row in self.timings)
 
-    @property
-    def points_used(self) -> int:
-        """Those of them that entered the map."""
-        return self.points - sum(self.points_dropped.values())
+    def counts(self) -> dict[str, Any]:
+        """What ``summary.json`` has of it."""
+        return {
+            "points_used": self.points - self.points_dropped.total(),
+            "points_dropped": dict(self.points_dropped),
+            "maps": self.maps,
+            "range_noise_ratio": self._noise_ratio,
+            "refused_divisions": self._refused_divisions,
+            "interrupted": self.interrupted,
+        }
 
     def _lost_points(self) -> str | None:
         """Why less than half of the points entered the map; None if more did."""
@@ -166,41 +172,37 @@ class Run:
         """One line per kind of trouble, most frequent first."""
         lines = list(filter(None, [self._lost_points()]))
         lines += [f"{n} x {key}: {self._texts[key]}" for key, n in self._notices.most_common()]
-        if self.refused_divisions:
-            lines.append(f"{self.refused_divisions} divisions refused (mapping.max_cells)")
+        if self._refused_divisions:
+            lines.append(f"{self._refused_divisions} divisions refused (mapping.max_cells)")
         lines += self._pose_texts.values()
         if self.prior_offset is not None and self.prior_offset.doubt:
             lines.append(self.prior_offset.doubt)
-        noise = noise_notice(self.noise_ratio, self.config)
+        noise = noise_notice(self._noise_ratio, self.config)
         if noise is not None:
             lines.append(noise.text)
         return lines
 
-    def _need(self, found: bool, bag: Bag, failure: str, default: str) -> None:
+    def _need(self, found: bool, failure: str, default: str) -> None:
         if found:
             return
         if self.interrupted:
             raise KeyboardInterrupt
         causes = "; ".join(self.warnings()) or f"{default} in this part of the bag"
-        raise ReplayError(f"{bag.path}: {failure}: {causes}")
+        raise ReplayError(f"{self._bag.path}: {failure}: {causes}")
 
     def _ends_after(self, received_ns: int) -> bool:
         self.done_ns = received_ns
-        if self.progress is not None and received_ns - self._shown_ns >= SECOND_NS // 5:
-            self._shown_ns = received_ns
-            done = (received_ns - self.stream.start_ns) / SECOND_NS
-            self.progress(done, self.stream.seconds)
-        self.interrupted = self.stop is not None and self.stop()
+        self.interrupted = self._stop is not None and self._stop()
         return self.interrupted
 
     def _map(self, mapper: Mapper, scan: ReadyScan) -> None:
-        mapper.look_at(self.landing.wishes.values[AREA])
+        mapper.look_at(self._landing.wishes.values[AREA])
         began = time.perf_counter()
         report = mapper.update(scan.points_lidar, scan.pose, scan.sweep)
         map_ms = 1e3 * (time.perf_counter() - began) + self._decode_ms.pop(scan.stamp_ns, 0.0)
         if len(self._decode_ms) > 2 * self.config.pose.queue:
             self._decode_ms.clear()  # those of dropped scans
-        self.history.scan(scan)
+        self._history.scan(scan)
         self.points_dropped.update(scan.lost(report.dropped))
         if misplaced(report) and not self._missed_why:
             self._missed_at = report.centre
@@ -208,8 +210,8 @@ class Run:
         overruled = overruled_text(report)
         if overruled is not None:
             self._tell(MAP_OVERRULED, overruled)
-        self.refused_divisions += report.refused_divisions
-        self.noise_ratio = report.noise_ratio
+        self._refused_divisions += report.refused_divisions
+        self._noise_ratio = report.noise_ratio
         if len(self.timings) % LEAST == 0:
             self._judge_poses(mapper)
         counts = report.points, report.points_used, report.leaves, report.divisions
@@ -229,10 +231,10 @@ class Run:
         others = [key for key in keys if not key.startswith(("cloud", "pose", "gimbal"))]
         return [one_line(f"{self._notices[k]} messages lost: {self._texts[k]}") for k in others]
 
-    def _note(self) -> None:
-        for notice in (*self.intake.notices(), *self.landing.notices):
+    def _note(self, notices: Iterable[Notice] = ()) -> None:
+        for notice in (*notices, *self._landing.notices):
             self._tell(notice.reason, notice.text)
-        self.landing.notices.clear()
+        self._landing.notices.clear()
 
     def _tell(self, reason: str, text: str) -> None:
         self._notices[reason] += 1

@@ -5,15 +5,14 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Any
+import time
+from collections.abc import Callable, Collection, Iterator, Sequence
+from typing import Any, NamedTuple
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.message_types import (
     CAMERA_TYPE,
     GIMBAL_TYPE,
-    POSE_TYPE,
     SCAN_TYPE,
     TRANSFORMS_TYPE,
 )
@@ -21,6 +20,7 @@ from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.bags.topics import (
     GIMBAL_TOPIC,
     TRANSFORMS_TOPIC,
+    candidates,
     choose_pose_topic,
     choose_scan_topic,
     choose_topic,
@@ -30,7 +30,7 @@ from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.errors import QuadtreeLssError, one_line
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
-from quadtree_lss.onboard.messages.intake import Intake, Notice
+from quadtree_lss.onboard.messages.intake import Intake, Notice, ReadyScan
 from quadtree_lss.onboard.messages.landing_inputs import TYPES, LandingWishes, Navigation
 from quadtree_lss.onboard.messages.outputs import (
     CELLS,
@@ -42,141 +42,135 @@ from quadtree_lss.onboard.messages.outputs import (
 )
 
 SECOND_NS = 1_000_000_000
+BAR_S = 0.2
+"""Between two changes of a progress bar."""
+Progress = Callable[[float, float], None]
+"""Called with the seconds of the bag that are done and the seconds there are."""
 
 
 class ReplayError(QuadtreeLssError):
     """The bag gave no map, or the results cannot be written."""
 
 
-@dataclass
-class Span:
-    """How many times there are, and the least and the greatest of them, ns."""
-
-    count: int = 0
-    first_ns: int = 0
-    last_ns: int = 0
-
-    def add(self, time_ns: int) -> None:
-        self.first_ns = min(self.first_ns, time_ns) if self.count else time_ns
-        self.last_ns = max(self.last_ns, time_ns) if self.count else time_ns
-        self.count += 1
-
-    @property
-    def rate(self) -> float:
-        """Per second between the first and the last; NaN if they do not differ."""
-        length = (self.last_ns - self.first_ns) / SECOND_NS
-        return (self.count - 1) / length if length > 0.0 else math.nan
+def rate(times_ns: Sequence[int]) -> float:
+    """Per second between the least and the greatest; NaN if they do not differ."""
+    length = (max(times_ns, default=0) - min(times_ns, default=0)) / SECOND_NS
+    return (len(times_ns) - 1) / length if length > 0.0 else math.nan
 
 
-@dataclass
+class Part(NamedTuple):
+    """A part of a bag in time: messages that are received at start_ns <= t < stop_ns, which lie
+    ``seconds`` apart at the most."""
+
+    start_ns: int
+    stop_ns: int
+    seconds: float
+
+    @classmethod
+    def of(cls, bag: Bag, start: float = 0.0, duration: float | None = None) -> Part:
+        """``start``, ``duration``: in s after the first message of an open bag, None for all there
+        is. Raises `ReplayError`: the part lies outside the bag."""
+        length = (bag.end_ns - bag.start_ns) / SECOND_NS
+        if not 0.0 <= start <= length:
+            raise ReplayError(f"--start {start:g} s is outside the bag's {length:.3f} s")
+        if duration is not None and not 0.0 < duration < math.inf:
+            raise ReplayError(f"--duration {duration:g} s is not positive and finite")
+        first, end = bag.start_ns + round(start * SECOND_NS), bag.end_ns + 1
+        if duration is not None:
+            end = min(end, first + round(duration * SECOND_NS))
+        return cls(first, end, (min(end, bag.end_ns) - first) / SECOND_NS)
+
+    def messages(
+        self, bag: Bag, topics: Collection[str], progress: Progress | None = None
+    ) -> Iterator[RawMessage]:
+        """Those of the topics; ``progress`` hears of them now and then."""
+        shown = -math.inf
+        for message in bag.messages(topics, self.start_ns, self.stop_ns):
+            yield message
+            if progress is not None and time.monotonic() - shown > BAR_S:
+                shown = time.monotonic()
+                progress((message.received_ns - self.start_ns) / SECOND_NS, self.seconds)
+
+
 class Stream:
-    """Scans and poses of an open bag, or of a part of it.
+    """Scans and poses of an open bag on their way to an `Intake`.
 
     Args:
+        bag: An open bag.
+        config: Which topics are looked for, and how messages are taken.
         scan_topic, pose_topic: Topics asked for, None to find them.
-        start, duration: Part in s after the bag's first message, None for all there is.
+        navigation: Hears the poses.
 
     Attributes:
-        bag: Path of the bag, absolute.
         scans, poses, gimbal: Topics that are read; the last is empty without a gimbal.
         pose_type, scan_type: Of the messages.
         camera: Topic of the CameraInfo of depth images, empty for clouds.
-        start_ns, stop_ns: Times of reception: start_ns <= t < stop_ns.
-        seconds: Length of the part.
-        navigation: Hears the poses.
+        intake: Turns the messages into scans with their pose.
+
+    Raises:
+        BagError: a topic is missing or ambiguous.
     """
 
-    scan_topic: str | None = None
-    pose_topic: str | None = None
-    start: float = 0.0
-    duration: float | None = None
-    bag: str = field(default="", init=False)
-    scans: str = field(default="", init=False)
-    poses: str = field(default="", init=False)
-    pose_type: str = field(default=POSE_TYPE, init=False)
-    scan_type: str = field(default=SCAN_TYPE, init=False)
-    camera: str = field(default="", init=False)
-    gimbal: str = field(default="", init=False)
-    start_ns: int = field(default=0, init=False)
-    stop_ns: int = field(default=0, init=False)
-    seconds: float = field(default=0.0, init=False)
-    navigation: Navigation = field(default_factory=Navigation, init=False)
-    _stamps: dict[str, Span] = field(default_factory=dict, init=False)
-    _transforms: list[Any] = field(default_factory=list, init=False)
-    _undecoded: dict[str, list[str]] = field(default_factory=dict, init=False)
-
-    def resolve(self, bag: Bag, config: Config) -> None:
-        """Finds topics and limits in an open bag. Raises `BagError`: a topic is missing or
-        ambiguous; or `ReplayError`: the part lies outside the bag."""
-        self.limit(bag)
+    def __init__(
+        self,
+        bag: Bag,
+        config: Config,
+        scan_topic: str | None = None,
+        pose_topic: str | None = None,
+        navigation: Navigation | None = None,
+    ) -> None:
+        self._bag, self._navigation = bag, navigation
         self.scans, self.scan_type, self.camera = choose_scan_topic(
-            bag, self.scan_topic, config.lidar.source
+            bag, scan_topic, config.lidar.source
         )
-        self.poses, self.pose_type = choose_pose_topic(bag, self.pose_topic, config.pose.source)
+        self.poses, self.pose_type = choose_pose_topic(bag, pose_topic, config.pose.source)
+        self.gimbal = ""
         if config.mount.gimbal:
             self.gimbal = choose_topic(bag, None, GIMBAL_TOPIC, GIMBAL_TYPE, "mount.gimbal")
+        names = {"scan_topic": self.scans, "pose_topic": self.poses}
+        self.intake = Intake(config, **names, gimbal_topic=self.gimbal or GIMBAL_TOPIC)
         if config.mount.tf:
             # Of all the bag: latched, they stand at its beginning, whatever part is replayed.
             topic = choose_topic(bag, None, TRANSFORMS_TOPIC, TRANSFORMS_TYPE, "mount.tf")
             for message in bag.messages([topic]):
                 with contextlib.suppress(MessageError):
-                    self._transforms.append(bag.decode(message.raw, TRANSFORMS_TYPE))
-
-    def limit(self, bag: Bag) -> None:
-        """The limits in time alone."""
-        self.bag = str(bag.path.resolve())
-        length = (bag.end_ns - bag.start_ns) / SECOND_NS
-        if not 0.0 <= self.start <= length:
-            raise ReplayError(f"--start {self.start:g} s is outside the bag's {length:.3f} s")
-        if self.duration is not None and not 0.0 < self.duration < math.inf:
-            raise ReplayError(f"--duration {self.duration:g} s is not positive and finite")
-        self.start_ns = bag.start_ns + round(self.start * SECOND_NS)
-        self.stop_ns = bag.end_ns + 1
-        if self.duration is not None:
-            self.stop_ns = min(self.stop_ns, self.start_ns + round(self.duration * SECOND_NS))
-        self.seconds = (min(self.stop_ns, bag.end_ns) - self.start_ns) / SECOND_NS
+                    self.intake.on_transforms(bag.decode(message.raw, TRANSFORMS_TYPE))
+        self._stamps: dict[str, list[int]] = {}
+        self._undecoded: dict[str, list[str]] = {}
 
     @property
     def topics(self) -> list[str]:
         return [name for name in (self.scans, self.poses, self.gimbal, self.camera) if name]
 
-    def messages(self, bag: Bag) -> Iterator[RawMessage]:
-        return bag.messages(self.topics, self.start_ns, self.stop_ns)
+    def ready(self, part: Part, progress: Progress | None = None) -> Iterator[ReadyScan]:
+        """The scans of a part of the bag, each with the lidar's pose at its stamp."""
+        for message in part.messages(self._bag, self.topics, progress):
+            self.take(message)
+            yield from self.intake.ready(message.received_ns)
 
-    def intake(self, config: Config) -> Intake:
-        """What turns the messages into scans with their pose."""
-        intake = Intake(
-            config,
-            scan_topic=self.scans,
-            pose_topic=self.poses,
-            gimbal_topic=self.gimbal or GIMBAL_TOPIC,
-        )
-        for message in self._transforms:
-            intake.on_transforms(message)
-        return intake
-
-    def take(self, bag: Bag, intake: Intake, message: RawMessage) -> int | None:
-        """Gives one message to ``intake``; the stamp if it is a usable scan."""
+    def take(self, message: RawMessage) -> int | None:
+        """Gives one message to the intake; the stamp if it is a usable scan."""
         names = {self.scans: ("cloud", self.scan_type), self.poses: ("pose", self.pose_type)}
         names[self.camera] = ("camera", CAMERA_TYPE)
         what, kind = names.get(message.topic, ("gimbal", GIMBAL_TYPE))
         try:
-            msg = bag.decode(message.raw, kind)
+            msg = self._bag.decode(message.raw, kind)
         except MessageError as error:
-            intake.reject(what, error)
+            self.intake.reject(what, error)
             self._undecoded.setdefault(message.topic, []).append(str(error))
             return None
         with contextlib.suppress(MessageError):  # the intake tells
-            self._stamps.setdefault(message.topic, Span()).add(stamp_ns(msg.header))
+            self._stamps.setdefault(message.topic, []).append(stamp_ns(msg.header))
         if what == "cloud":
-            return intake.on_cloud(msg, message.received_ns)
+            return self.intake.on_cloud(msg, message.received_ns)
         if what == "camera":
-            intake.on_camera_info(msg)
+            self.intake.on_camera_info(msg)
         elif what == "pose":
-            intake.on_pose(msg)
-            self.navigation.take(msg)
+            self.intake.on_pose(msg)
+            if self._navigation is not None:
+                self._navigation.take(msg)
         else:
-            intake.on_gimbal(msg)
+            self.intake.on_gimbal(msg)
         return None
 
     @property
@@ -187,9 +181,17 @@ class Stream:
             for topic, texts in self._undecoded.items()
         ]
 
-    def rate(self, topic: str) -> float:
-        """Messages of a topic per second of their stamps, so far; NaN for fewer than two."""
-        return self._stamps[topic].rate if topic in self._stamps else math.nan
+    def counts(self) -> dict[str, Any]:
+        """What ``summary.json`` has of it, so far."""
+        return {
+            "scan_topic": self.scans,
+            "pose_topic": self.poses,
+            "scan_rate": rate(self._stamps.get(self.scans, ())),
+            "pose_rate": rate(self._stamps.get(self.poses, ())),
+            "scans_dropped": dict(self.intake.dropped),
+            "poses": self.intake.poses_taken,
+            "messages_rejected": dict(self.intake.rejected),
+        }
 
 
 class LandingTopics:
@@ -234,24 +236,15 @@ class MapPairs:
         self._held: dict[str, Any] = {}
 
     @classmethod
-    def find(cls, bag: Bag) -> MapPairs | None:
-        """The map topics of an open bag, None if it has none."""
-        names = {topic.name: topic.type for topic in bag.topics if topic.count}
-        for name, kind in names.items():
-            observed = name.removesuffix(CELLS) + OBSERVED
-            if name.endswith(f"/{CELLS}") and kind == SCAN_TYPE and observed in names:
-                return cls(name, observed)
-        return None
-
-    @classmethod
     def alone(cls, bag: Bag) -> MapPairs | None:
-        """The map topics of an open bag that has no scans, None if it has."""
-        pairs = cls.find(bag)
-        if pairs is None:
-            return None
-        clouds = {topic.name for topic in bag.topics if topic.type == SCAN_TYPE and topic.count}
-        ours = {pairs.topics[0].removesuffix(CELLS) + name for name in (CELLS, SITE_TABLE, STATUS)}
-        return None if clouds - ours else pairs
+        """The map topics of an open bag that has no scans, None if it has or there are none."""
+        clouds, grids = candidates(bag, SCAN_TYPE), candidates(bag, GRID_TYPE)
+        for name in clouds:
+            place = name.removesuffix(CELLS)
+            if name.endswith(f"/{CELLS}") and place + OBSERVED in grids:
+                ours = {place + own for own in (CELLS, SITE_TABLE, STATUS)}
+                return None if set(clouds) - ours else cls(name, place + OBSERVED)
+        return None
 
     def take(self, bag: Bag, message: RawMessage, lss: LssConfig | None = None) -> CellMap | None:
         """The map that this message completes, None if its other half is still missing. ``bag``,

@@ -13,8 +13,7 @@ from scipy.spatial import cKDTree
 
 from quadtree_lss.desk.bags.cloud_files import open_recording
 from quadtree_lss.desk.replay.configuration import dump_values
-from quadtree_lss.desk.replay.run import Progress
-from quadtree_lss.desk.replay.stream import SECOND_NS, ReplayError, Stream
+from quadtree_lss.desk.replay.stream import Part, Progress, ReplayError, Stream
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import Config, config_from_values, values_from_config
@@ -66,20 +65,13 @@ def suggest_config(
     suits. Raises `BagError` as that does, and `ReplayError`: no scan has a pose, or none a return.
     """
     seen = _Seen()
-    stream = Stream()
     with open_recording(bag, poses, config.frames.map) as opened:
-        stream.resolve(opened, config)
+        stream = Stream(opened, config)
         count = next(t.count for t in opened.topics if t.name == stream.scans)
-        intake, every = stream.intake(config), max(count // SCANS, 1)
-        for number, message in enumerate(stream.messages(opened)):
-            stream.take(opened, intake, message)
-            for scan in intake.ready(message.received_ns):
-                seen.add(scan, config, every)
-            if progress is not None and number % 50 == 0:
-                done = (message.received_ns - stream.start_ns) / SECOND_NS
-                progress(done, stream.seconds)
-        intake.finish()
-        causes = [notice.text for notice in intake.notices()]
+        for scan in stream.ready(Part.of(opened), progress):
+            seen.add(scan, config, max(count // SCANS, 1))
+        stream.intake.finish()
+        causes = [notice.text for notice in stream.intake.notices()]
     if not seen.places:
         why = causes[0] if causes else "no scan has a pose and a return"
         raise ReplayError(f"{bag}: nothing to suggest from: {why}")
@@ -94,7 +86,6 @@ class _Seen:
         self._scans = self._used = 0
         self._noise: list[float] = []
         self._spacing: list[float] = []
-        self._above: list[float] = []
 
     def add(self, scan: ReadyScan, config: Config, every: int) -> None:
         self._scans += 1
@@ -111,7 +102,6 @@ class _Seen:
         placed = points @ scan.pose.rotation_map_lidar.T + scan.pose.position
         few = slice(None, None, max(len(points) // POINTS, 1))
         self.places.append(placed[few])
-        self._above.append(scan.pose.position[2] - float(np.median(placed[:, 2])))
         low, high = np.percentile(placed[:, :2], [10.0, 90.0], axis=0)
         area = float(np.prod(high - low)) / 0.64
         self._spacing.append(math.sqrt(area / len(points)))
@@ -160,11 +150,6 @@ class _Seen:
                 f" {most:.2g} m. Gaps wider than {config.lss.gap:.2g} m (lss.max_gap) stay unseen."
             )
         notes += filter(None, [doubt(found)])
-        if float(np.median(self._above)) < 0.0:
-            notes.append(
-                "The ground lies above the lidar by these poses: see mount.axes and frames first"
-                " (quadtree-lss info)."
-            )
         return Suggestion(values, reasons, tuple(notes))
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from quadtree_lss.desk.exchange.saved import Results
 from quadtree_lss.desk.report import drawing
-from quadtree_lss.desk.report.content import Content
 from quadtree_lss.desk.report.palette import (
     CLEAR_COLOUR,
     EXCLUDED_COLOUR,
@@ -29,14 +29,14 @@ from quadtree_lss.onboard.arrays import Array
 NONE_COLOUR = "#cdcdcd"
 
 
-def figures(content: Content) -> dict[str, Figure]:
+def figures(content: Results) -> dict[str, Figure]:
     """All of them by name."""
     grid, zone = content.grid, content.zone
     limit, slope = slope_limit(content.config.lss), content.grid["slope_deg"]
     found = {"hazards": hazard_figure(content)}
     found["elevation"], axes = _map("Elevation of the map's planes", content)
     _layer(axes, content, grid["elevation"], "elevation", "elevation, m")
-    drawing.mark_sites(axes, content.places)
+    drawing.mark_sites(axes, content.positions)
     found["slope"], axes = _map("Slope at the lander's scale", content)
     label = f"slope, deg (limit {limit:g} in white; grey: unseen)"
     bar = _layer(axes, content, slope, "slope", label, slope_limits(slope, content.config.lss))
@@ -45,21 +45,21 @@ def figures(content: Content) -> dict[str, Figure]:
         axes.contour(grid["x"], grid["y"], slope, [limit], colors="white", linewidths=0.8)
     found["score"], axes = _map("Landing site score (lower is better)", content)
     _layer(axes, content, grid["score"], "score", "score (grey: excluded)")
-    drawing.mark_sites(axes, content.places, zone)
-    if not len(content.places):
+    drawing.mark_sites(axes, content.positions, zone)
+    if not len(content.positions):
         axes.text(0.5, 0.5, "no safe site", transform=axes.transAxes, ha="center", size=18)
     if content.probability is not None:
         title = "Probability of a safe touchdown if aimed here"
         found["probability"], axes = _map(title, content)
         percent = 100.0 * content.probability
         _layer(axes, content, percent, "probability", "probability, %", (0.0, 100.0))
-        drawing.mark_sites(axes, content.places, zone)
+        drawing.mark_sites(axes, content.positions, zone)
     if len(content.timing["map_ms"]):
         found["timing"] = _timing(content)
     return found
 
 
-def hazard_figure(content: Content) -> Figure:
+def hazard_figure(content: Results) -> Figure:
     """Kinds of hazards, and beside them where the vehicle may land, with the ranked sites.
 
     Kinds that do not exclude landing are outlines.
@@ -79,20 +79,21 @@ def hazard_figure(content: Content) -> Figure:
     names = [("none", CLEAR_COLOUR), *((name, colour) for _, name, colour in filled)]
     kinds = _classes(left, content, kind, names)
     for bit, name, colour in HAZARDS:
-        shown = ((grid["hazard"] & bit) > 0) & content.seen
+        shown = ((grid["hazard"] & bit) > 0) & content.grid.seen
         if not (bits | UNKNOWN) & bit and shown.any():
             left.contour(grid["x"], grid["y"], shown, [0.5], colors=colour, linewidths=0.7)
             kinds.append(Patch(facecolor="none", edgecolor=colour, label=f"{name}, not excluding"))
-    allowed = np.where(grid["safe"], 1, np.where(content.seen, 0, np.where(content.unmapped, 3, 2)))
+    unseen = np.where(grid.unmapped, 3, 2)
+    allowed = np.where(grid["safe"], 1, np.where(grid.seen, 0, unseen))
     names = [("excluded", EXCLUDED_COLOUR), ("allowed", SAFE_COLOUR), ("unseen", UNSEEN_COLOUR)]
     decisions = _classes(right, content, allowed, [*names, (UNMAPPED_NAME, UNMAPPED_COLOUR)])
     figure.legend(handles=kinds, loc="lower left", ncols=3, frameon=False)
     figure.legend(handles=decisions, loc="lower right", ncols=2, frameon=False)
-    drawing.mark_sites(right, content.places, content.zone)
+    drawing.mark_sites(right, content.positions, content.zone)
     return figure
 
 
-def _map(title: str, content: Content) -> tuple[Figure, Any]:
+def _map(title: str, content: Results) -> tuple[Figure, Any]:
     figure = Figure(figsize=(8.0, 6.6), layout="constrained")
     axes = figure.add_subplot()
     drawing.map_axes(axes, title, _box(content))
@@ -101,7 +102,7 @@ def _map(title: str, content: Content) -> tuple[Figure, Any]:
 
 def _layer(
     axes: Any,
-    content: Content,
+    content: Results,
     values: Array,
     kind: str,
     label: str,
@@ -115,7 +116,7 @@ def _layer(
     return axes.figure.colorbar(drawn, ax=axes, label=label, shrink=0.85, extend="both")
 
 
-def _timing(content: Content) -> Figure:
+def _timing(content: Results) -> Figure:
     """Time of each map update, and the leaves after it."""
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")
     axes = figure.add_subplot()
@@ -134,26 +135,26 @@ def _timing(content: Content) -> Figure:
     return figure
 
 
-def _box(content: Content) -> drawing.Box:
+def _box(content: Results) -> drawing.Box:
     """The seen ground, or all."""
     x, y = content.grid["x"], content.grid["y"]
-    if not content.seen.any():
+    if not content.grid.seen.any():
         return drawing.extent(x, y)
-    x, y = x[content.seen.any(axis=0)], y[content.seen.any(axis=1)]
-    room = 2.0 * content.spacing
+    x, y = x[content.grid.seen.any(axis=0)], y[content.grid.seen.any(axis=1)]
+    room = 2.0 * content.grid.spacing
     return x[0] - room, x[-1] + room, y[0] - room, y[-1] + room
 
 
-def _classes(axes: Any, content: Content, kind: Any, names: list[tuple[str, str]]) -> list[Patch]:
+def _classes(axes: Any, content: Results, kind: Any, names: list[tuple[str, str]]) -> list[Patch]:
     """Image of class numbers on the shaded ground, and a legend with shares of the seen ground."""
     grid = content.grid
     colours = [colour for _, colour in names]
     drawing.classes(axes, grid["x"], grid["y"], kind, colours, grid["elevation"])
-    seen = max(np.count_nonzero(content.seen), 1)
+    seen = max(np.count_nonzero(content.grid.seen), 1)
     legend = []
     for number, (name, colour) in enumerate(names):
-        share = 100.0 * np.count_nonzero((kind == number) & content.seen) / seen
+        share = 100.0 * np.count_nonzero((kind == number) & content.grid.seen) / seen
         label = name if name in ("unseen", UNMAPPED_NAME) else f"{name} {share:.1f} %"
-        if name != UNMAPPED_NAME or content.unmapped.any():
+        if name != UNMAPPED_NAME or content.grid.unmapped.any():
             legend.append(Patch(facecolor=colour, edgecolor="black", linewidth=0.4, label=label))
     return legend

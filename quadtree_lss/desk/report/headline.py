@@ -7,13 +7,13 @@ Two words are kept apart: ground is *allowed* by the risk of a place, an aim has
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from datetime import datetime, timezone
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from quadtree_lss.desk.report.content import Content
+from quadtree_lss.desk.exchange.saved import Results
 from quadtree_lss.desk.report.palette import excluding, slope_limit
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.core.landing.probability import shown
@@ -25,8 +25,7 @@ LEVELS = {"good": "Good", "care": "With care", "none": "None is good enough"}
 """How far the best aim can be trusted: good, with care, and not at all."""
 
 
-@dataclass(frozen=True)
-class Areas:
+class Areas(NamedTuple):
     """Of the ground at the grid points, m²."""
 
     seen: float
@@ -39,8 +38,7 @@ class Areas:
         return self.allowed / self.seen if self.seen else 0.0
 
 
-@dataclass(frozen=True)
-class Circle:
+class Circle(NamedTuple):
     """The largest of seen ground without a hazard that excludes; ``limit`` is what it ends at."""
 
     x: float
@@ -49,8 +47,7 @@ class Circle:
     limit: str
 
 
-@dataclass(frozen=True)
-class NearestMiss:
+class NearestMiss(NamedTuple):
     """The place that comes nearest to a site, and why it is none."""
 
     x: float
@@ -58,39 +55,39 @@ class NearestMiss:
     why: str
 
 
-def areas(content: Content) -> Areas:
+def areas(content: Results) -> Areas:
     """How much is seen, where landing is allowed, and what more is seen but not yet mapped."""
     x, y = (np.gradient(content.grid[name]) for name in "xy")
     x[[0, -1]] *= 0.5  # the outer points stand at the map's edge
     y[[0, -1]] *= 0.5
     each = y[:, None] * x
-    of = (content.seen, content.grid["safe"], content.unmapped)
+    of = (content.grid.seen, content.grid["safe"], content.grid.unmapped)
     return Areas(*(float(each[part].sum()) for part in of))
 
 
-def largest_circle(content: Content) -> Circle | None:
+def largest_circle(content: Results) -> Circle | None:
     """None where landing is allowed somewhere, or no ground is seen and clear."""
     grid = content.grid
     hazardous = (grid["hazard"] & excluding(content.config.lss.assessment)) > 0
-    clear = content.seen & ~hazardous
+    clear = grid.seen & ~hazardous
     if grid["safe"].any() or not clear.any():
         return None
-    room = _room(clear, content.spacing)
+    room = _room(clear, grid.spacing)
     row, column = np.unravel_index(np.argmax(room), room.shape)
     radius = float(room[row, column])
     away = np.hypot(grid["x"] - grid["x"][column], (grid["y"] - grid["y"][row])[:, None])
-    edge = ~clear & (away < radius + 1.5 * content.spacing)
-    unseen, blocked = np.count_nonzero(edge & ~content.seen), np.count_nonzero(edge & hazardous)
+    edge = ~clear & (away < radius + 1.5 * grid.spacing)
+    unseen, blocked = np.count_nonzero(edge & ~grid.seen), np.count_nonzero(edge & hazardous)
     limit = "hazards" if blocked > unseen else "unseen ground" if unseen else "the map's edge"
-    if unseen >= blocked and 2 * np.count_nonzero(edge & content.unmapped) > unseen:
+    if unseen >= blocked and 2 * np.count_nonzero(edge & grid.unmapped) > unseen:
         limit = "ground not yet mapped"
     return Circle(float(grid["x"][column]), float(grid["y"][row]), radius, limit)
 
 
-def nearest_miss(content: Content) -> NearestMiss | None:
+def nearest_miss(content: Results) -> NearestMiss | None:
     """The likeliest place, else the most level one of those with room; None if there is none."""
     grid, lss = content.grid, content.config.lss
-    room = _room(content.seen, content.spacing) >= content.zone
+    room = _room(content.grid.seen, content.grid.spacing) >= content.zone
     values, word = content.probability, "probability {:.0f} %"
     best = np.nanargmax if values is not None else np.nanargmin
     if values is None:
@@ -111,8 +108,7 @@ def _room(mask: Mask, spacing: float) -> Array:
     return room
 
 
-@dataclass(frozen=True)
-class Fact:
+class Fact(NamedTuple):
     """Something that trust rests on: what, how it is, and a level of `LEVELS`, or none."""
 
     name: str
@@ -123,13 +119,13 @@ class Fact:
 PRIOR = ("east", "north", "up")
 
 
-def best_probability(content: Content) -> float:
+def best_probability(content: Results) -> float:
     """Of the best aim; NaN without a site, or where nobody asked for it."""
     found = content.sites.get("probability", np.zeros(0))
     return float(found[0]) if len(found) else float("nan")
 
 
-def trust(content: Content) -> tuple[str, list[Fact]]:
+def trust(content: Results) -> tuple[str, list[Fact]]:
     """A level of `LEVELS` for the best aim, and what it rests on."""
     lss, summary, best = content.config.lss, content.summary, best_probability(content)
     doubts = list(summary.get("doubts", ()))
@@ -146,8 +142,8 @@ def trust(content: Content) -> tuple[str, list[Fact]]:
     )
     noise, ratio = content.config.lidar.range_noise, summary.get("range_noise_ratio")
     noisy = ratio is not None and noise_notice(ratio, content.config) is not None
-    seen, cells = float(np.mean(content.seen)), content.cells["domain"]
-    finest, coarsest = (cells[2] / 2.0 ** cells[k] for k in (4, 3))
+    seen, cells = float(np.mean(content.grid.seen)), content.config.domain
+    finest, coarsest = (cells.size / 2.0**k for k in (cells.max_level, cells.min_level))
     facts = [
         Fact("best aim", aim, level),
         Fact("within the fit", within, "good" if fits else "care"),
@@ -169,7 +165,7 @@ def trust(content: Content) -> tuple[str, list[Fact]]:
     return "care" if level == "good" and not fits else level, facts
 
 
-def headline(content: Content) -> tuple[str, str]:
+def headline(content: Results) -> tuple[str, str]:
     """The result in few words, and what it rests on."""
     found, sites = areas(content), content.sites
     ground = f"Landing is allowed on {few(100.0 * found.share)} % of the {few(found.seen)} m² seen"
@@ -200,12 +196,12 @@ def few(value: float) -> str:
     return f"{value:,.0f}" if value >= 9.95 or not value else f"{value:.2g}"
 
 
-def shortfall(content: Content) -> str:
+def shortfall(content: Results) -> str:
     """Without a site: the limit that is in the way, and by how much; or nothing."""
     lss, need = content.config.lss, content.zone
-    if content.grid["safe"].any() or not content.seen.any():
+    if content.grid["safe"].any() or not content.grid.seen.any():
         return ""
-    room = _room(content.seen, content.spacing)
+    room = _room(content.grid.seen, content.grid.spacing)
     if room.max() < need:
         short = need - float(room.max())
         return f"The widest seen ground is {short:.2f} m short of the {need:.2f} m radius of a zone"
@@ -232,11 +228,11 @@ def shortfall(content: Content) -> str:
     )
 
 
-def _without(content: Content, ground: str) -> str:
+def _without(content: Results, ground: str) -> str:
     """What limits and by how much, then the nearest miss and the largest circle."""
     text = f"{content.summary['explanation']}".removeprefix("no safe site: ").rstrip(".")
     lines = [shortfall(content) or f"{text[:1].upper()}{text[1:]}"]
-    lines += [ground] if content.seen.any() else []
+    lines += [ground] if content.grid.seen.any() else []
     miss, circle = nearest_miss(content), largest_circle(content)
     if miss is not None:
         lines.append(f"Nearest miss at x {miss.x:.2f}, y {miss.y:.2f} m: {miss.why}")
@@ -248,7 +244,7 @@ def _without(content: Content, ground: str) -> str:
     return ". ".join(lines) + "."
 
 
-def when(content: Content) -> str:
+def when(content: Results) -> str:
     """Frame and date of the map."""
     frame = f"frame {content.config.frames.map}"
     stamp = content.summary.get("last_stamp_ns")

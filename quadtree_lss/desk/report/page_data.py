@@ -3,19 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.desk.exchange.saved import Results
 from quadtree_lss.desk.report import palette
-from quadtree_lss.desk.report.content import Content
 from quadtree_lss.desk.report.headline import GOOD, LEVELS, largest_circle, nearest_miss
 from quadtree_lss.desk.report.pages import Columns
 from quadtree_lss.desk.report.what_if import what_if
-from quadtree_lss.onboard.core.tree.cell_map import peak
+from quadtree_lss.onboard.core.tree.cell_map import CellMap, peak
 
 MAX_GRID_POINTS = 250_000
 """Of the landing grid that are embedded; of larger grids every other, third, … point is."""
@@ -41,7 +41,7 @@ class Layer:
     note: str = ""
 
 
-def page_data(content: Content, layers: Sequence[Layer] = ()) -> tuple[dict[str, Any], Columns]:
+def page_data(content: Results, layers: Sequence[Layer] = ()) -> tuple[dict[str, Any], Columns]:
     """Everything the page's script draws, ready for JSON, and the columns it refers to."""
     columns, config = Columns(), content.config
     grid = _grid(content, columns)
@@ -50,13 +50,13 @@ def page_data(content: Content, layers: Sequence[Layer] = ()) -> tuple[dict[str,
     return {
         "grid": grid,
         "layers": [_layer(layer, columns, stride) for layer in layers],
-        "leaves": _leaves(content.cells, columns),
+        "leaves": _leaves(content.map, columns),
         "sites": _sites(content),
         "zone": content.zone,
         "noise": config.lidar.range_noise,
         "lander": {"radius": 0.5 * config.vehicle.diameter, "pad": config.vehicle.pad_radius},
-        "circle": circle and asdict(circle),
-        "miss": miss and asdict(miss),
+        "circle": circle and circle._asdict(),
+        "miss": miss and miss._asdict(),
         "landing": content.summary.get("landing") or {},
         "trust": {
             "words": LEVELS,
@@ -83,7 +83,7 @@ def page_data(content: Content, layers: Sequence[Layer] = ()) -> tuple[dict[str,
     }, columns
 
 
-def _grid(content: Content, columns: Columns) -> dict[str, Any]:
+def _grid(content: Results, columns: Columns) -> dict[str, Any]:
     grid = content.grid
     stride = int(np.ceil(np.sqrt(max(grid["hazard"].size / MAX_GRID_POINTS, 1.0))))
 
@@ -97,7 +97,7 @@ def _grid(content: Content, columns: Columns) -> dict[str, Any]:
         "ny": len(grid["y"][::stride]),
         "xmin": float(grid["x"][0]),
         "ymin": float(grid["y"][0]),
-        "spacing": content.spacing * stride,
+        "spacing": content.grid.spacing * stride,
         "stride": stride,
         "elevation": columns.quantised(part("elevation"), least=5e-4)
         | {"limits": palette.colour_limits(grid["elevation"])},
@@ -127,51 +127,47 @@ def _layer(layer: Layer, columns: Columns, stride: int) -> dict[str, Any]:
     return {**about, "kind": layer.kind, "values": {**columns.quantised(values), "limits": limits}}
 
 
-def _leaves(cells: Mapping[str, NDArray[Any]], columns: Columns) -> dict[str, Any]:
-    xmin, ymin, size, min_level, max_level = cells["domain"].tolist()
+def _leaves(cells: CellMap, columns: Columns) -> dict[str, Any]:
+    domain = cells.domain
     found: dict[str, Any] = {
-        "number": len(cells["level"]),
-        "xmin": xmin,
-        "ymin": ymin,
-        "size": size,
-        "min_level": int(min_level),
-        "max_level": int(max_level),
-        "level": columns.whole(cells["level"], "u1"),
-        "ix": columns.whole(cells["ix"], "u2"),
-        "iy": columns.whole(cells["iy"], "u2"),
+        "number": len(cells.level),
+        "xmin": domain.xmin,
+        "ymin": domain.ymin,
+        "size": domain.size,
+        "min_level": domain.min_level,
+        "max_level": domain.max_level,
+        "level": columns.whole(cells.level, "u1"),
+        "ix": columns.whole(cells.ix, "u2"),
+        "iy": columns.whole(cells.iy, "u2"),
     }
     if found["number"] > MAX_LEAVES:
         return found
-    estimated = np.isfinite(cells["z"])
+    estimated = np.isfinite(cells.z)
     with np.errstate(invalid="ignore"):
-        deviation = np.where(estimated, np.sqrt(cells["covariance"][:, 2, 2]), np.nan)
-    rough = cells["roughness"] / cells["size"] ** 2  # Eq. 55 by area: distance from the plane
-    shown = np.isfinite(cells["feature"][:, 0])
+        deviation = np.where(estimated, np.sqrt(cells.covariance[:, 2, 2]), np.nan)
+        slopes = np.where(estimated[:, None], -cells.normal[:, :2] / cells.normal[:, 2:], np.nan)
+    rough = cells.roughness / cells.size**2  # Eq. 55 by area: distance from the plane
+    shown = np.isfinite(cells.feature[:, 0])
     height = np.full(found["number"], np.nan)
-    height[shown] = peak(cells["feature"][shown])
-    bounds = {
-        name: columns.quantised(cells[name])
-        for name in ("low", "high")
-        if name in cells and np.isfinite(cells[name]).any()
+    height[shown] = peak(cells.feature[shown])
+    bounds = {"low": cells.low, "high": cells.high}
+    known = {name: columns.quantised(v) for name, v in bounds.items() if np.isfinite(v).any()}
+    return {
+        **found,
+        **known,
+        "z": columns.quantised(cells.z),
+        "slope_x": columns.quantised(slopes[:, 0]),
+        "slope_y": columns.quantised(slopes[:, 1]),
+        "deviation": columns.quantised(deviation) | {"limits": palette.top_limit(deviation)},
+        "roughness": columns.quantised(rough) | {"limits": palette.top_limit(rough)},
+        "exceptions": columns.quantised(cells.exception_fraction, "u1"),
+        "feature": columns.quantised(height),
+        "count": columns.whole(cells.count, "u4"),
+        "measured": columns.whole(cells.measured, "u1"),
     }
-    return (
-        found
-        | bounds
-        | {
-            "z": columns.quantised(cells["z"]),
-            "slope_x": columns.quantised(np.where(estimated, -cells["nx"] / cells["nz"], np.nan)),
-            "slope_y": columns.quantised(np.where(estimated, -cells["ny"] / cells["nz"], np.nan)),
-            "deviation": columns.quantised(deviation) | {"limits": palette.top_limit(deviation)},
-            "roughness": columns.quantised(rough) | {"limits": palette.top_limit(rough)},
-            "exceptions": columns.quantised(cells["exception_fraction"], "u1"),
-            "feature": columns.quantised(height),
-            "count": columns.whole(cells["count"], "u4"),
-            "measured": columns.whole(cells["measured"], "u1"),
-        }
-    )
 
 
-def _sites(content: Content) -> list[dict[str, Any]]:
+def _sites(content: Results) -> list[dict[str, Any]]:
     names = [name for name in content.sites if name not in ("rank", "nx", "ny", "nz")]
     return [
         {
@@ -188,7 +184,7 @@ def _json(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _history(content: Content, columns: Columns, stride: int) -> dict[str, Any] | None:
+def _history(content: Results, columns: Columns, stride: int) -> dict[str, Any] | None:
     """Answers and scans in seconds since the first of both; None without a second answer."""
     history = content.history
     if not history:
@@ -243,7 +239,7 @@ def _seconds(stamps: NDArray[Any], first: int) -> list[float]:
     return [round((stamp - first) / 1e9, 4) for stamp in stamps.tolist()]
 
 
-def _timing(content: Content) -> dict[str, Any]:
+def _timing(content: Results) -> dict[str, Any]:
     timing = content.timing
     stamps = timing["stamp_ns"]
     return {

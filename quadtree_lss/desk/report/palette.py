@@ -90,10 +90,10 @@ def even_limits(values: Array) -> tuple[float, float]:
 def shaded(image: Array, elevation: Array, spacing: float, strength: float = 0.75) -> Array:
     """(ny, nx, 3) colours in 0 … 1 on ground (ny, nx) that is lit from the north-west.
 
-    Level and unseen ground keeps its colours. Slopes are exaggerated until the steeper ones throw
-    shade, as on the page.
+    Level ground, unseen ground and what is beside it keeps its colours. Slopes are exaggerated
+    until the steeper ones throw shade, as on the page.
     """
-    along_y, along_x = (_rise(elevation, axis) / spacing for axis in (0, 1))
+    along_y, along_x = np.gradient(elevation, spacing)
     steep = np.nanpercentile(np.hypot(along_x, along_y), 90) if np.isfinite(along_x).any() else 0
     factor = np.clip(0.6 / max(steep, 1e-9), 0.5, 6.0)
     a, b = factor * along_x, factor * along_y
@@ -104,17 +104,3 @@ def shaded(image: Array, elevation: Array, spacing: float, strength: float = 0.7
     dark, bright = 2.0 * image * grey, 1.0 - 2.0 * (1.0 - image) * (1.0 - grey)
     result: Array = np.clip(image + strength * (np.where(grey < 0.5, dark, bright) - image), 0, 1)
     return result
-
-
-def _rise(z: Array, axis: int) -> Array:
-    """Central difference per step, one-sided beside what is not known."""
-    after = np.roll(z, -1, axis)
-    before = np.roll(z, 1, axis)
-    ends = [slice(None)] * 2
-    for place, array in ((-1, after), (0, before)):
-        ends[axis] = slice(place, None) if place else slice(0, 1)
-        array[tuple(ends)] = np.nan
-    known_after, known_before = np.isfinite(after), np.isfinite(before)
-    steps = known_after.astype(float) + known_before
-    rise = np.where(known_after, after, z) - np.where(known_before, before, z)
-    return np.where(steps > 0, rise / np.maximum(steps, 1.0), 0.0) + 0.0 * z

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.report.content import Content, read
+from quadtree_lss.desk.exchange.saved import Results, load_results
 from quadtree_lss.desk.report.drawing import png, small
 from quadtree_lss.desk.report.figures import figures, hazard_figure
 from quadtree_lss.desk.report.headline import (
@@ -42,13 +42,13 @@ SITES = (
 
 def report_files(folder: str | Path) -> dict[str, bytes]:
     """The page of a results folder and its figures: content by path in the folder."""
-    content = read(folder)
+    content = load_results(folder)
     pictures = {f"figures/{name}.png": png(figure) for name, figure in figures(content).items()}
     return {**pictures, "report.html": page(content).encode()}
 
 
 def page(
-    content: Content,
+    content: Results,
     layers: Sequence[Layer] = (),
     template: str = "desk/report/report.html",
     also: Callable[[dict[str, Any], Columns], Mapping[str, Any]] | None = None,

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.exchange.saved import ResultsError, cell_map
-from quadtree_lss.desk.report.content import Content
+from quadtree_lss.desk.exchange.saved import Results
 from quadtree_lss.desk.report.pages import Columns
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import Config, ConfigError, config_from_values
@@ -33,21 +32,20 @@ SMALL, STEP = 0.01, 0.01
 """The risk of another vehicle is told in steps of log10(risk + SMALL): to 1.2 % of that sum."""
 
 
-def what_if(content: Content, columns: Columns, stride: int) -> dict[str, Any]:
+def what_if(content: Results, columns: Columns, stride: int) -> dict[str, Any]:
     """What the sliders go by, ready for JSON; of a run that they do not go with, ``why`` not."""
     config, landing = content.config, content.summary.get("landing") or {}
-    lss, domain = config.lss, content.cells["domain"]
+    lss, cells = config.lss, content.map
     if (lss.assessment, lss.ranking) != ("probability", "probability"):
         return {"why": "only where ground is assessed and sites are ranked by probability"}
-    if stride > 1 or (2 ** int(domain[4]) + 1) ** 2 > MOST_POINTS:
+    if stride > 1 or (cells.domain.finest_count + 1) ** 2 > MOST_POINTS:
         return {"why": "the map is too large for this page"}
     keep_outs = [points for name, points in landing.items() if name.startswith("keep_out")]
     wishes = {name: landing.get(name) for name in ("area", "target")} | {"keep_outs": keep_outs}
     try:
-        cells = cell_map("cells.npz", content.cells)
         about = cells, wishes, landing
         found = _assess(config, *about)
-    except (ResultsError, ValueError) as error:
+    except ValueError as error:
         return {"why": str(error)}
     if found.ground is None or not np.array_equal(found.safe, content.grid["safe"]):
         return {"why": "this package finds other ground allowed on this map than the run did"}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quadtree_lss.desk.report.content import read
+from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.report.page_data import Layer
 from quadtree_lss.desk.report.palette import colour_limits, even_limits
 from quadtree_lss.desk.report.report import page, short_name
@@ -21,10 +21,10 @@ def evaluation_page(
     folder: Path, truth: Truth, safety: SafetyField, result: EvaluationResult
 ) -> str:
     """The page as text. Raises `KeyError`: the results lack an array that a page shows."""
-    content = read(folder)
+    content = load_results(folder)
     grid = content.grid
     true = truth.elevation_at(*np.meshgrid(grid["x"], grid["y"]))
-    error = np.where(content.seen, grid["elevation"] - true, np.nan)
+    error = np.where(grid.seen, grid["elevation"] - true, np.nan)
     mean = float(np.nanmean(error)) if np.isfinite(error).any() else 0.0
     classes = np.full(grid["hazard"].shape, 4, dtype=np.uint8)
     rows = np.searchsorted(grid["y"], safety.y - 1e-6)
@@ -39,10 +39,10 @@ def evaluation_page(
             classes=VERDICTS,
             note="Where the lander's centre would be. ",
         ),
-        Layer("truth", "True elevation", true, "m", limits=colour_limits(true[content.seen])),
+        Layer("truth", "True elevation", true, "m", limits=colour_limits(true[grid.seen])),
         Layer("error", title, error - mean, "m", "error", limits, note=note),
     )
-    found, heights = result.detection, result.elevation
+    found, heights, places = result.detection, result.elevation, content.positions
     return page(
         content,
         layers,
@@ -55,7 +55,7 @@ def evaluation_page(
             f" {heights.rms:.3f} m ({heights.rms_mean_removed:.3f} m with the mean removed)"
         ),
         bad=bool(result.unsafe_in_top_five or found.missed_depth > 0.5),
-        sites=[(*at, v) for at, v in zip(content.places, result.site_verdicts, strict=False)],
+        sites=[(*at[:2], v) for at, v in zip(places, result.site_verdicts, strict=False)],
         missed=result.missed,
         scores=result.table(),
     )

@@ -13,12 +13,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from quadtree_lss.desk.replay.elevation_model import map_summary, rank_sites
+from quadtree_lss.desk.exchange.saved import Results, load_results
+from quadtree_lss.desk.replay.elevation_model import rank_sites
 from quadtree_lss.desk.replay.files import write_csv, write_json, write_npz
-from quadtree_lss.desk.replay.result import ReplayResult
+from quadtree_lss.desk.replay.result import ReplayResult, run_summary
 from quadtree_lss.desk.replay.results import write_results
 from quadtree_lss.desk.report import drawing
-from quadtree_lss.desk.report.content import Content, read
 from quadtree_lss.desk.report.page_data import Layer
 from quadtree_lss.desk.report.pages import Columns
 from quadtree_lss.desk.report.palette import (
@@ -220,7 +220,7 @@ def _page(out: Path, flown: Flown, picture: bytes) -> str:
     )
 
 
-def _content(out: Path, flown: Flown) -> Content:
+def _content(out: Path, flown: Flown) -> Results:
     """The map of the flight, written as the results of a replay; without one, the true ground."""
     flight = flown.flight
     config = flight_config(flight.settings, flight.ground)
@@ -234,16 +234,16 @@ def _content(out: Path, flown: Flown) -> Content:
         result.summary["bag"] = bag
     else:
         cells, last = flown.cells, flown.last
-        summary = map_summary(cells, last, config, float("nan"), {})
-        summary |= {"bag": bag, "duration": flight.time, **flown.told}
-        result = ReplayResult(out, cells, last, (), summary, (), (), targets=flown.targets)
+        known = {"bag": bag, "duration": flight.time, **flown.told}
+        summary = run_summary(cells, last, config, **known)
+        result = ReplayResult(out, cells, last, (), summary, flown.targets)
     write_results(out, result, config, False, flown.history)
     if flown.history is not None:
         write_npz(out / "history.npz", flown.history.arrays())
-    return read(out)
+    return load_results(out)
 
 
-def _truth(content: Content, ground: Ground) -> tuple[Layer, Layer]:
+def _truth(content: Results, ground: Ground) -> tuple[Layer, Layer]:
     """The true ground at the grid points, and where a lander stands on it."""
     x, y = content.grid["x"], content.grid["y"]
     true = ground.terrain.elevation_at(*np.meshgrid(x, y))
@@ -255,7 +255,7 @@ def _truth(content: Content, ground: Ground) -> tuple[Layer, Layer]:
     )
     near_y, near_x = np.rint((y[rows] - at_y[0]) / GRID), np.rint((x[columns] - at_x[0]) / GRID)
     stands[np.ix_(rows, columns)] = room[np.ix_(near_y.astype(int), near_x.astype(int))] <= 0.0
-    limits = colour_limits(true[content.seen] if content.seen.any() else true)
+    limits = colour_limits(true[content.grid.seen] if content.grid.seen.any() else true)
     return (
         Layer("truth", "True elevation", true, "m", limits=limits),
         Layer(

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is done with results: ``quadtree-lss view``, ``compare`` and ``export``."""
+
+from __future__ import annotations
+
+import argparse
+import webbrowser
+from pathlib import Path
+
+from quadtree_lss.desk.commands.common import (
+    DONE,
+    ERROR,
+    add_command,
+    named,
+    place,
+    show,
+    tell,
+)
+from quadtree_lss.desk.commands.console import say
+from quadtree_lss.onboard.errors import QuadtreeLssError
+
+LATEST = Path("results/latest")
+COMPARE = "Compare two results of the same ground: heights, safe ground, sites gained and lost."
+COMPARE_EXAMPLES = """examples:
+  quadtree-lss compare results/2026-11-20_10-00-00 results/latest
+  quadtree-lss compare before after --out difference        (also as JSON and picture)
+  quadtree-lss compare before after --json
+
+Compared at the grid points of A. Exit code 1 if they are not of the same ground.
+Against the truth of a simulation: quadtree-lss evaluate A B --truth truth.npz
+"""
+
+FORMATS = ("geotiff", "ply", "gltf", "geojson", "map_server")
+EXPORT = "Write results for other programs: GeoTIFF, meshes, GeoJSON, map_server."
+EXPORT_EXAMPLES = """examples:
+  quadtree-lss export results/latest                             (all formats, into DIR/exchange)
+  quadtree-lss export results/latest --format geotiff --crs EPSG:32611
+  quadtree-lss export results/latest --format geojson --origin=38.46,-116.37
+  quadtree-lss export results/latest --format ply --format gltf --out meshes
+
+formats:
+  geotiff      cloud-optimised GeoTIFF of every layer
+  ply, gltf    the ground as a mesh in relief, green where landing is allowed
+  geojson      sites and landing zones
+  map_server   hazards and landing as pgm + yaml for nav2
+Without --crs or --origin the map frame has no place on the Earth, and there is no GeoJSON.
+"""
+
+PAGES = ("campaign.html", "flight.html", "lander/flight.html", "report.html")
+PAGES += ("evaluation/report.html", "latest/report.html")
+"""Of a campaign, a flight, the demo, a replay, an evaluation, a folder of replays; the first."""
+VIEW = "Open the page of a replay, flight, campaign or evaluation in the browser."
+VIEW_EXAMPLES = """examples:
+  quadtree-lss view                       (results/latest)
+  quadtree-lss view flight7
+  quadtree-lss view campaigns/morpheus --no-open
+
+Of results without a page (replay --no-report) the page is made.
+"""
+
+
+def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Declares the subcommands."""
+    parser = add_command(commands, "compare", _compare, COMPARE, COMPARE_EXAMPLES)
+    add = parser.add_argument
+    add("first", type=named, metavar="A", help="folder that replay or sites wrote")
+    add("second", type=named, metavar="B", help="another one of the same ground")
+    text = "folder for comparison.json and comparison.png (default: none is written)"
+    add("--out", metavar="DIR", type=named, help=text)
+    parser = add_command(commands, "export", _export, EXPORT, EXPORT_EXAMPLES)
+    add = parser.add_argument
+    text = "folder that replay or sites wrote (default results/latest)"
+    add("results", type=named, metavar="DIR", nargs="?", default=LATEST, help=text)
+    text = "one of these forms; may be repeated (default all)"
+    add("--format", action="append", choices=FORMATS, default=[], metavar="FORM", help=text)
+    add("--out", metavar="DIR", type=named, help="folder for the files (default DIR/exchange)")
+    add("--crs", metavar="CRS", default="", help="coordinate system of the map frame")
+    text = "latitude and longitude of the map frame's origin, deg; x is east, y north"
+    add("--origin", metavar="LAT,LON", type=place, help=text)
+    parser = add_command(commands, "view", _view, VIEW, VIEW_EXAMPLES)
+    add = parser.add_argument
+    text = "folder of a replay, flight, campaign or evaluation (default results/latest)"
+    add("folder", type=named, metavar="DIR", nargs="?", default=LATEST, help=text)
+    add("--no-open", action="store_true", help="only print where the page is")
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from quadtree_lss.desk.replay.differences import compare_results
+
+    result = compare_results(options.first, options.second, options.out)
+    written = f"comparison.json and comparison.png in {options.out}"
+    tell(options, result, *[written] * (options.out is not None))
+    if not result.same_ground:
+        text = f"correlation {result.heights.correlation:.2f}, RMS {result.heights.rms:.2f} m"
+        say(f"not of the same ground, or not at the same place: their heights differ: {text}")
+        return ERROR
+    return DONE
+
+
+def _export(options: argparse.Namespace) -> int:
+    from quadtree_lss.desk.replay.export import export_results
+
+    origin = None if options.origin is None else options.origin[0]
+    written = export_results(
+        options.results,
+        options.out,
+        options.format,
+        crs=options.crs,
+        origin=None if origin is None else (origin[0], origin[1]),
+    )
+    names = ", ".join(path.name for path in written)
+    text = f"{names}\n{len(written)} files in {written[0].parent}"
+    show(options, {"files": [str(path) for path in written]}, text)
+    return DONE
+
+
+def page_in(folder: Path) -> Path:
+    """The page of what is in a folder, made where there are only results.
+
+    Raises:
+        QuadtreeLssError: there is nothing to be shown.
+    """
+    for name in PAGES:
+        if (folder / name).is_file():
+            return folder / name
+    if not (folder / "grid.npz").is_file():
+        msg = f"{folder} holds no page and no results"
+        raise QuadtreeLssError(msg if folder.is_dir() else f"{folder}: no such folder")
+    from quadtree_lss.desk.replay.results import write_report
+
+    write_report(folder)
+    return folder / "report.html"
+
+
+def _view(options: argparse.Namespace) -> int:
+    page = page_in(options.folder).resolve()
+    opened = not options.no_open and webbrowser.open(page.as_uri())
+    text = str(page) if opened or options.no_open else f"open {page}"
+    show(options, {"page": str(page), "opened": bool(opened)}, text)
+    return DONE
