@@ -24,6 +24,7 @@ cdef struct Run:
     double raised_by
     double doubt
     double greatest
+    double shared
     double range_part[9]
     double pose_part[9]
     double bias[3]

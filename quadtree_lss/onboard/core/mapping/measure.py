@@ -84,6 +84,7 @@ RUN = np.dtype(
     [("points", "f8"), ("centroid", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
     + [(name, "f8") for name in ("z", "cosine", "variance", "square", "statistic", "unseen")]
     + [("sloped", "f8"), ("raised", "f8"), ("raised_by", "f8"), ("doubt", "f8"), ("greatest", "f8")]
+    + [("shared", "f8")]
     + [("range_part", "f8", 9), ("pose_part", "f8", 9), ("bias", "f8", 3)]
 )
 
@@ -379,6 +380,7 @@ def measure(
         arm[0], arm[1], arm[2] = x, y, run.z
         pose_part(run.normal, arm, sigma, run.pose_part)
     run.statistic = run.raised = run.greatest = run.raised_by = run.doubt = 0.0
+    run.shared = 1.0
 
 
 @cython.boundscheck(False)

@@ -88,8 +88,10 @@ def rest(
     n_x, n_y, n_z = leaf.normal[0], leaf.normal[1], leaf.normal[2]
     d = n_x * run.centroid[0] + n_y * run.centroid[1] + n_z * run.centroid[2]
     off = d - n_x * (leaf.x - origin[0]) - n_y * (leaf.y - origin[1]) - n_z * (leaf.z - origin[2])
-    if partial(run):
-        d -= off - min(max(off, -run.doubt), run.doubt)
+    shared = 1.0
+    if count <= 3.0 or partial(run):
+        d -= off - min(max(run.shared * off, -run.doubt), run.doubt)
+        shared = run.shared
     high = standing_out(rules, leaf, variance)
     clip = rules.clip
     total = raised = greatest = 0.0
@@ -110,7 +112,7 @@ def rest(
     run.raised_by = high
     run.greatest = greatest
     leaf.greatest = max(leaf.greatest, min(greatest, clip))
-    noise = variance * max(1.0 - 1.0 / count, 0.5)
+    noise = variance * max(1.0 - shared / count, 0.5)
     leaf.distance_sum += total
     leaf.noise_sum += count * MEAN_CHI_1 * sqrt(noise)
     leaf.raised_sum += raised

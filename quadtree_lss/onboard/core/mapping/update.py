@@ -263,7 +263,9 @@ class ScanUpdate:
             square = leaf.normal[2] * leaf.normal[2]
             pose = max(pose - 2.0 * square * self.sigma[2, 2], 0.0)
         pose *= 1.0 - self.common(leaf.last_time)
-        run.doubt = 2.0 * sqrt(own + offset_variance(leaf.range_part, first, second) + pose)
+        plane = offset_variance(leaf.range_part, first, second) + pose
+        run.doubt = 2.0 * sqrt(own + plane)
+        run.shared = plane / (plane + run.variance / run.points)
 
     def _fuse(self, leaf: Record, run: Record, same_scan: cython.bint) -> None:
         """Fuse a run's fit with what the leaf knows (paper IV.C), however little either is.
