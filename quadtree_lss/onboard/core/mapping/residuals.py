@@ -89,9 +89,10 @@ def rest(
     d = n_x * run.centroid[0] + n_y * run.centroid[1] + n_z * run.centroid[2]
     off = d - n_x * (leaf.x - origin[0]) - n_y * (leaf.y - origin[1]) - n_z * (leaf.z - origin[2])
     shared = 1.0
-    if count <= 3.0 or partial(run):
-        d -= off - min(max(run.shared * off, -run.doubt), run.doubt)
+    if count <= 3.0:
         shared = run.shared
+    if count <= 3.0 or partial(run):
+        d -= off - min(max(shared * off, -run.doubt), run.doubt)
     high = standing_out(rules, leaf, variance)
     clip = rules.clip
     total = raised = greatest = 0.0
