@@ -115,6 +115,10 @@ def rest(
     leaf.greatest = max(leaf.greatest, min(greatest, clip))
     noise = variance * max(1.0 - shared / count, 0.5)
     leaf.distance_sum += total
+    if count <= 3.0:
+        leaf.small += count
+        leaf.small_sum += total
+        leaf.small_noise += count * MEAN_CHI_1 * sqrt(noise)
     leaf.noise_sum += count * MEAN_CHI_1 * sqrt(noise)
     leaf.raised_sum += raised
     leaf.raised_noise += count * above(rules.rock_height / sqrt(variance))

@@ -2,7 +2,7 @@
 from libc.math cimport INFINITY as INFINITE, NAN, exp, fabs, sqrt
 from quadtree_lss.onboard.core.geometry.plane cimport fuse, offset_variance
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
-from quadtree_lss.onboard.core.mapping.division cimport asks, hides_rock, judge
+from quadtree_lss.onboard.core.mapping.division cimport asks, hides_rock, judge, rough
 from quadtree_lss.onboard.core.mapping.features cimport update_feature
 from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, measure, partial, pose_variance, record
 from quadtree_lss.onboard.core.mapping.room cimport Room

@@ -19,7 +19,7 @@ if not cython.compiled:
 
     from quadtree_lss.onboard.core.geometry.plane import fuse, offset_variance
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
-    from quadtree_lss.onboard.core.mapping.division import asks, hides_rock, judge
+    from quadtree_lss.onboard.core.mapping.division import asks, hides_rock, judge, rough
     from quadtree_lss.onboard.core.mapping.features import update_feature
     from quadtree_lss.onboard.core.mapping.measure import measure, partial, pose_variance, record
     from quadtree_lss.onboard.core.mapping.residuals import departs, rest, standing_out
@@ -516,7 +516,7 @@ class ScanUpdate:
             self._residuals(leaf, begin, end, run)
         if not (asked and self._divide(row, run)):
             self._rest(leaf, begin, end, run)
-            if not hides_rock(self.rules, leaf, run, side):
+            if not (hides_rock(self.rules, leaf, run, side) or rough(self.rules, leaf)):
                 return
             if asked or not self._divide(row, run):
                 return
