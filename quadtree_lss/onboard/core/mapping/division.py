@@ -202,13 +202,13 @@ def hides_rock(rules: Rules, leaf: Record, run: Record, side: float) -> cython.b
 
 
 def rough(rules: Rules, leaf: Record) -> cython.bint:
-    """Whether the points of small runs lie farther from a leaf's plane than noise puts them.
+    """Whether points that came to rest lie farther from a leaf's plane than noise puts them.
 
     The mean of n residuals must be over ``rules.division_factor`` times that of noise, by `SURE` of
-    its deviations. Runs of three points and fewer are no test of a fit of their own.
+    its deviations. Where scans leave three points and fewer in a leaf, no fit of their own tells.
     """
-    count = leaf.small
+    count = leaf.residuals
     if rules.mahalanobis or count < rules.min_residuals:
         return False
     doubt = SURE * SPREAD_CHI_1 / (MEAN_CHI_1 * sqrt(count))
-    return leaf.small_sum > leaf.small_noise * (rules.division_factor + doubt)
+    return leaf.distance_sum > leaf.noise_sum * (rules.division_factor + doubt)

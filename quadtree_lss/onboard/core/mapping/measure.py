@@ -77,6 +77,7 @@ FEATURE_POINTS = 12.0
 #: - unseen: share of the cell's width that the points leave out, 0 .. 1;
 #: - raised: points that stand out above the leaf's plane, by raised_by and more, m; greatest:
 #:   |orthogonal distance|, m; doubt: how far its mean may lie off that plane and both be right, m;
+#:   shared: of that, what its points have in common by pose and plane, and not by noise, 0 .. 1;
 #: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z);
 #: - bias: what noise along the ray may turn the fit by, rad, and lift it by, m, and how much the
 #:   slope of the fit counts, m^2 (`_bias`).

@@ -20,6 +20,8 @@ if not cython.compiled:
 MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
 #: A point stands out of curved ground if it is this many root mean square residuals above.
 OUTSTANDING = cython.declare(cython.double, 4.0)
+#: So many points a plane goes through: they are no test of a fit of their own.
+FREE = cython.declare(cython.double, 3.0)
 #: Depths of stereo err together with their neighbours': of so many one is asked for exceptions.
 ALIKE = cython.declare(cython.Py_ssize_t, 4)
 
@@ -76,11 +78,13 @@ def rest(
     end: cython.Py_ssize_t,
     origin: Vector,
 ) -> None:
-    """Add a run, two points at least, to the running statistics of the leaf it came to rest in.
+    """Add a run to the running statistics of the leaf it came to rest in.
 
     Residuals (N,), written from ``begin`` to ``end``, m, are n.(r - mean): without the scan's
     common offset in the cell, which pose error and not the ground explains; it takes one degree of
-    freedom.
+    freedom. Of so few points that no fit of their own tells, only the likeliest offset is taken
+    out: b p / (p + v / N) for a mean b off the plane, p the variance of what they have in common
+    and v that of noise. What is left of a residual has the variance v (1 - p / (N p + v)).
     """
     i: cython.Py_ssize_t
     count = run.points
@@ -89,9 +93,9 @@ def rest(
     d = n_x * run.centroid[0] + n_y * run.centroid[1] + n_z * run.centroid[2]
     off = d - n_x * (leaf.x - origin[0]) - n_y * (leaf.y - origin[1]) - n_z * (leaf.z - origin[2])
     shared = 1.0
-    if count <= 3.0:
+    if count <= FREE:
         shared = run.shared
-    if count <= 3.0 or partial(run):
+    if count <= FREE or partial(run):
         d -= off - min(max(shared * off, -run.doubt), run.doubt)
     high = standing_out(rules, leaf, variance)
     clip = rules.clip
@@ -115,10 +119,6 @@ def rest(
     leaf.greatest = max(leaf.greatest, min(greatest, clip))
     noise = variance * max(1.0 - shared / count, 0.5)
     leaf.distance_sum += total
-    if count <= 3.0:
-        leaf.small += count
-        leaf.small_sum += total
-        leaf.small_noise += count * MEAN_CHI_1 * sqrt(noise)
     leaf.noise_sum += count * MEAN_CHI_1 * sqrt(noise)
     leaf.raised_sum += raised
     leaf.raised_noise += count * above(rules.rock_height / sqrt(variance))

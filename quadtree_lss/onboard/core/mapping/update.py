@@ -247,7 +247,8 @@ class ScanUpdate:
 
         Twice the deviation: of the plane at the run's place, of the run, of what a plane leaves
         out that passes for one, and what is news of the pose's error. Its height is taken out
-        where the scan was aligned.
+        where the scan was aligned. Besides, the share of its offset that is the plane's and the
+        pose's, p / (p + v / N) with their variance p and that of noise v.
         """
         basis = cython.declare(cython.double[6])
         basis_at(leaf.normal, basis)

@@ -40,9 +40,6 @@ cdef struct Leaf:
     double division_sum
     double division_weight
     double square_sum
-    double small
-    double small_sum
-    double small_noise
     double low
     double high
     double greatest

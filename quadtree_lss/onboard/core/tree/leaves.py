@@ -66,7 +66,6 @@ LEAF = np.dtype(
     + [("noise_sum", "f8"), ("exception_sum", "f8"), ("exception_noise", "f8")]
     + [("raised_sum", "f8"), ("raised_noise", "f8"), ("residuals", "f8")]
     + [("division_sum", "f8"), ("division_weight", "f8"), ("square_sum", "f8")]
-    + [("small", "f8"), ("small_sum", "f8"), ("small_noise", "f8")]
     + [("low", "f8"), ("high", "f8"), ("greatest", "f8"), ("strip", "f8")]
     + [("bias", "f8", 3), ("feature", "f8", 5), ("feature_information", "f8", 25)]
 )
@@ -88,7 +87,6 @@ def clear(leaf: Record) -> None:
     leaf.exception_sum = leaf.exception_noise = 0.0
     leaf.raised_sum = leaf.raised_noise = leaf.residuals = 0.0
     leaf.division_sum = leaf.division_weight = leaf.square_sum = 0.0
-    leaf.small = leaf.small_sum = leaf.small_noise = 0.0
     leaf.greatest = leaf.strip = 0.0
     leaf.bias[0] = leaf.bias[1] = leaf.bias[2] = 0.0
     for i in range(5):
