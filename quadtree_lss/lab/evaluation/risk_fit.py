@@ -44,6 +44,7 @@ class Term(NamedTuple):
 _CONTACT = (0.4, 0.6, 0.8, 0.9, 1.0, 1.15, 1.5)
 _ROCKS, _SLOPES = (0.0, 0.05, 0.15, 0.3, 0.6), (0.05, 0.15, 0.35, 0.6, 0.9)
 _CELL, _NOISE = (-0.2, 0.0, 0.15, 0.35), (-1.2, -0.8, -0.35)
+_LEAN = (-0.35, -0.1, 0.15, 0.45)
 TERMS: dict[str, tuple[Term, ...]] = {
     "obstacle": (
         Term("rise", _CONTACT, by_seen=True, begin=5.5),

@@ -29,10 +29,11 @@ from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.lattice import with_neighbours
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.landing.touchdown import Limits, WorstContact
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 #: The window of what lies about a place, and that of the ground under the lander, diameters.
 WINDOW, FOOTPRINT = 4.0, 0.9
-#: Returns on a square as wide as the clearance that are as good as none.
+#: Returns on a square as wide as the least hazard that are as good as none.
 NO_RETURNS = 1e-3
 #: Entries of a table along a curve, and along what is known.
 FINE, COARSE = 128, 48
@@ -135,7 +136,15 @@ class RiskTable:
             "noise": log10(self._noise / clearance),
             "cell": log10(side / clearance),
             "clearance": log10(clearance / diameter),
+            "lean": log10(self._vehicle.leaning / clearance),
         }
+
+    def _worth(self, side: float) -> float:
+        """What log10 of the returns on a square as wide as the least hazard is less worth, for the
+        noise and for finest cells of ``side`` m."""
+        least = self._vehicle.least_hazard
+        wide = max(log10(side / (0.85 * least)), 0.0)
+        return log10(self._noise / (0.2 * least)) + 3.0 * wide
 
     def features(
         self, raster: TerrainRaster, judged: Mask, gradient: Array, worst: WorstContact
@@ -156,17 +165,18 @@ class RiskTable:
             out[k + 1] = with_neighbours(out[k])
         known = ~raster.bridged
         share = np.bincount(raster.leaf[known], minlength=len(cells.level))
-        # Returns on a square as wide as the clearance, of those that their leaf has there.
-        returns = cells.count * (clearance / side) ** 2 / np.maximum(share, 1)
+        # Returns on a square as wide as the least hazard, of those that their leaf has there.
+        returns = cells.count * (vehicle.least_hazard / side) ** 2 / np.maximum(share, 1)
         level = np.log10(returns + NO_RETURNS).astype(np.float32)
         rough = np.nan_to_num(cells.roughness / (clearance * cells.size**2))
         rough = np.minimum(rough, 2.0).astype(np.float32)
         under = max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1)
         of_cells = np.where(known, level.take(raster.leaf), np.float32(log10(NO_RETURNS)))
         set_means(of_cells, under, 0, out[4])
-        of = self.overall(side)
-        out[4] -= np.float32(of["noise"] - log10(0.2) + 3.0 * max(of["cell"] - log10(0.85), 0.0))
+        out[4] -= np.float32(self._worth(side))
         set_means(known * rough.take(raster.leaf), under, 0, out[7])
+        over = excess(cells, self._noise, vehicle.least_hazard).astype(np.float32)
+        set_means(np.where(known, over.take(raster.leaf), np.float32(-1.0)), under, 0, out[8])
         about = max(round(0.5 * WINDOW * vehicle.diameter / side), 1)
         places, share = judged.astype(np.float32), np.empty(judged.shape, dtype=np.float32)
         set_means(places, about, 1, share)
@@ -197,6 +207,26 @@ class RiskTable:
         layout = self._low, self._per, self._last, self._terms, self._tables, self._exps
         look_up(places, judged.view(np.uint8), constant, *layout, out, cause)
         return out, cause
+
+
+def excess(cells: CellMap, noise: float, least: float) -> Array:
+    """(M,) how far the highest return of each leaf lies over what its plane and noise explain.
+
+        e = (high - z - rise - noise sqrt(2 ln n)) / h,    -1 <= e <= 1.5,
+
+    with ``rise`` how far the plane rises from the leaf's centre to its corner, and n its returns:
+    of so many the highest errs by about noise sqrt(2 ln n). -1 where there is no return.
+
+    Args:
+        cells: The map.
+        noise: Range noise, one deviation, m.
+        least: h, least height of a thing that makes the vehicle fail, m.
+    """
+    x, y, z = cells.normal.T
+    rise = 0.5 * cells.size * (np.abs(x) + np.abs(y)) / z
+    tail = noise * np.sqrt(2.0 * np.log(np.maximum(cells.count, 1.0)))
+    over = np.nan_to_num((cells.high - cells.z - rise - tail) / least, nan=-1.0)
+    return np.asarray(np.clip(over, -1.0, 1.5))
 
 
 def interpolation_weights(values: Array, knots: Row) -> Array:

@@ -140,6 +140,11 @@ def partial(run: Record) -> cython.bint:
     return run.unseen >= PARTIAL
 
 
+def few(run: Record) -> cython.bint:
+    """Whether a plane goes through all points of a run: they do not test a fit of their own."""
+    return run.points <= 3.0
+
+
 def range_variance(
     noise: float, per_metre: float, divergence: float, distance: float, cosine: float
 ) -> cython.double:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from libc.math cimport fabs, sqrt
-from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, partial
+from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, few, partial
 from quadtree_lss.onboard.core.geometry.portable cimport above
 from quadtree_lss.onboard.core.tree.leaves cimport Leaf
 

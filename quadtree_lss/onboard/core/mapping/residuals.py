@@ -14,14 +14,12 @@ if not cython.compiled:
     from math import fabs, sqrt
 
     from quadtree_lss.onboard.core.geometry.portable import above
-    from quadtree_lss.onboard.core.mapping.measure import partial
+    from quadtree_lss.onboard.core.mapping.measure import few, partial
 
 #: E[chi_1] = sqrt(2 / pi).
 MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
 #: A point stands out of curved ground if it is this many root mean square residuals above.
 OUTSTANDING = cython.declare(cython.double, 4.0)
-#: So many points a plane goes through: they are no test of a fit of their own.
-FREE = cython.declare(cython.double, 3.0)
 #: Depths of stereo err together with their neighbours': of so many one is asked for exceptions.
 ALIKE = cython.declare(cython.Py_ssize_t, 4)
 
@@ -93,9 +91,9 @@ def rest(
     d = n_x * run.centroid[0] + n_y * run.centroid[1] + n_z * run.centroid[2]
     off = d - n_x * (leaf.x - origin[0]) - n_y * (leaf.y - origin[1]) - n_z * (leaf.z - origin[2])
     shared = 1.0
-    if count <= FREE:
+    if few(run):
         shared = run.shared
-    if count <= FREE or partial(run):
+    if few(run) or partial(run):
         d -= off - min(max(shared * off, -run.doubt), run.doubt)
     high = standing_out(rules, leaf, variance)
     clip = rules.clip

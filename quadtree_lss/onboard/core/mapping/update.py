@@ -21,7 +21,13 @@ if not cython.compiled:
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
     from quadtree_lss.onboard.core.mapping.division import asks, hides_rock, judge, rough
     from quadtree_lss.onboard.core.mapping.features import update_feature
-    from quadtree_lss.onboard.core.mapping.measure import measure, partial, pose_variance, record
+    from quadtree_lss.onboard.core.mapping.measure import (
+        few,
+        measure,
+        partial,
+        pose_variance,
+        record,
+    )
     from quadtree_lss.onboard.core.mapping.residuals import departs, rest, standing_out
 
     NOTHING, HINTS, INHERITED, MEASURED = range(4)
@@ -158,6 +164,7 @@ class ScanUpdate:
         """
         i: cython.Py_ssize_t
         found: cython.Py_ssize_t = 0
+        place = cython.declare(cython.double[2])
         out = np.empty((12, self.cells))
         self.columns = out
         for i in range(self.cells):
@@ -168,6 +175,14 @@ class ScanUpdate:
                 own = run.range_part[8] + leaf.range_part[8]
                 misfit = leaf.square_sum / max(leaf.division_weight, 1.0) - run.variance
                 self.columns[0, found] = run.z + self.origin[2] - leaf.z
+                if few(run):  # which tell no slope: compared where they are
+                    self._place(leaf, run, place)
+                    own = offset_variance(leaf.range_part, place[0], place[1])
+                    own += run.variance / run.points
+                    x = run.centroid[0] - (leaf.x - self.origin[0])
+                    y = run.centroid[1] - (leaf.y - self.origin[1])
+                    rise = (leaf.normal[0] * x + leaf.normal[1] * y) / leaf.normal[2]
+                    self.columns[0, found] = run.centroid[2] + rise + self.origin[2] - leaf.z
                 self.columns[1, found] = own / square + max(misfit, 0.0)
                 pose = run.pose_part[8]
                 if self.rules.independent:  # no part of a plane, but of the scan
@@ -242,6 +257,17 @@ class ScanUpdate:
         off = (leaf.z - self.origin[2] - run.z) * leaf.normal[2]
         return off * off > CONTRADICTING * CONTRADICTING * (variance + self.rules.slack)
 
+    def _place(self, leaf: Record, run: Record, out: Vector) -> None:
+        """Where a leaf's plane is at the middle of a run, from its centre along its tangent axes
+        (2), m."""
+        basis = cython.declare(cython.double[6])
+        basis_at(leaf.normal, basis)
+        x = run.centroid[0] - (leaf.x - self.origin[0])
+        y = run.centroid[1] - (leaf.y - self.origin[1])
+        z = -(leaf.normal[0] * x + leaf.normal[1] * y) / leaf.normal[2]
+        out[0] = basis[0] * x + basis[1] * y + basis[2] * z
+        out[1] = basis[3] * x + basis[4] * y + basis[5] * z
+
     def _doubt(self, leaf: Record, run: Record) -> None:
         """How far a run may lie off a leaf's plane where it was seen and both be right, m.
 
@@ -250,22 +276,17 @@ class ScanUpdate:
         where the scan was aligned. Besides, the share of its offset that is the plane's and the
         pose's, p / (p + v / N) with their variance p and that of noise v.
         """
-        basis = cython.declare(cython.double[6])
-        basis_at(leaf.normal, basis)
-        x = run.centroid[0] - (leaf.x - self.origin[0])
-        y = run.centroid[1] - (leaf.y - self.origin[1])
-        z = -(leaf.normal[0] * x + leaf.normal[1] * y) / leaf.normal[2]
-        first = basis[0] * x + basis[1] * y + basis[2] * z
-        second = basis[3] * x + basis[4] * y + basis[5] * z
+        place = cython.declare(cython.double[2])
+        self._place(leaf, run, place)
+        first, second = place[0], place[1]
         factor = self.rules.division_factor
         own = run.variance * (1.0 / run.points + factor * factor - 1.0)
-        pose = offset_variance(leaf.pose_part, first, second) + run.pose_part[8]
-        if self.aligned:
-            square = leaf.normal[2] * leaf.normal[2]
-            pose = max(pose - 2.0 * square * self.sigma[2, 2], 0.0)
-        pose *= 1.0 - self.common(leaf.last_time)
-        plane = offset_variance(leaf.range_part, first, second) + pose
-        run.doubt = 2.0 * sqrt(own + plane)
+        news = 1.0 - self.common(leaf.last_time)
+        known = offset_variance(leaf.pose_part, first, second)
+        high = leaf.normal[2] * leaf.normal[2] * self.sigma[2, 2] if self.aligned else 0.0
+        plane = offset_variance(leaf.range_part, first, second)
+        run.doubt = 2.0 * sqrt(own + plane + news * max(known + run.pose_part[8] - 2.0 * high, 0.0))
+        plane += news * (known + max(run.pose_part[8] - high, 0.0))
         run.shared = plane / (plane + run.variance / run.points)
 
     def _fuse(self, leaf: Record, run: Record, same_scan: cython.bint) -> None:
