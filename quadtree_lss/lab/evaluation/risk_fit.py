@@ -58,6 +58,7 @@ TERMS: dict[str, tuple[Term, ...]] = {
         Term("tilt_beside", _CONTACT[:-1], by_seen=True, begin=5.5),
         Term("slopes", _SLOPES),
         Term("noise", _NOISE, 0),
+        Term("lean", _LEAN, -1, begin=-0.5),
     ),
     "hidden": (
         Term("seen", (-1.5, -0.5, 0.2, 0.6, 1.0, 1.4, 1.8, 2.2, 2.6), -1, begin=-5.5),
@@ -67,6 +68,7 @@ TERMS: dict[str, tuple[Term, ...]] = {
         Term("noise", _NOISE, 0),
         Term("cell", _CELL, 0),
         Term("clearance", (-1.25, -1.1, -0.95, -0.78), 0),
+        Term("lean", _LEAN, -1, begin=-0.5),
     ),
 }
 

@@ -29,7 +29,6 @@ from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.lattice import with_neighbours
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.landing.touchdown import Limits, WorstContact
-from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 #: The window of what lies about a place, and that of the ground under the lander, diameters.
 WINDOW, FOOTPRINT = 4.0, 0.9
@@ -139,12 +138,13 @@ class RiskTable:
             "lean": log10(self._vehicle.leaning / clearance),
         }
 
-    def _worth(self, side: float) -> float:
-        """What log10 of the returns on a square as wide as the least hazard is less worth, for the
-        noise and for finest cells of ``side`` m."""
+    def _worse(self, side: float) -> float:
+        """By how much less returns tell than as many of a noise of 0.2 h on cells of 0.85 h, as a
+        log10 of their number, on finest cells of ``side`` m; h is the least hazard."""
         least = self._vehicle.least_hazard
         wide = max(log10(side / (0.85 * least)), 0.0)
-        return log10(self._noise / (0.2 * least)) + 3.0 * wide
+        blind = max(log10(3.0 * self._noise / least), 0.0)
+        return log10(self._noise / (0.2 * least)) + 3.0 * wide + 6.0 * blind
 
     def features(
         self, raster: TerrainRaster, judged: Mask, gradient: Array, worst: WorstContact
@@ -173,10 +173,8 @@ class RiskTable:
         under = max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1)
         of_cells = np.where(known, level.take(raster.leaf), np.float32(log10(NO_RETURNS)))
         set_means(of_cells, under, 0, out[4])
-        out[4] -= np.float32(self._worth(side))
+        out[4] -= np.float32(self._worse(side))
         set_means(known * rough.take(raster.leaf), under, 0, out[7])
-        over = excess(cells, self._noise, vehicle.least_hazard).astype(np.float32)
-        set_means(np.where(known, over.take(raster.leaf), np.float32(-1.0)), under, 0, out[8])
         about = max(round(0.5 * WINDOW * vehicle.diameter / side), 1)
         places, share = judged.astype(np.float32), np.empty(judged.shape, dtype=np.float32)
         set_means(places, about, 1, share)
@@ -207,26 +205,6 @@ class RiskTable:
         layout = self._low, self._per, self._last, self._terms, self._tables, self._exps
         look_up(places, judged.view(np.uint8), constant, *layout, out, cause)
         return out, cause
-
-
-def excess(cells: CellMap, noise: float, least: float) -> Array:
-    """(M,) how far the highest return of each leaf lies over what its plane and noise explain.
-
-        e = (high - z - rise - noise sqrt(2 ln n)) / h,    -1 <= e <= 1.5,
-
-    with ``rise`` how far the plane rises from the leaf's centre to its corner, and n its returns:
-    of so many the highest errs by about noise sqrt(2 ln n). -1 where there is no return.
-
-    Args:
-        cells: The map.
-        noise: Range noise, one deviation, m.
-        least: h, least height of a thing that makes the vehicle fail, m.
-    """
-    x, y, z = cells.normal.T
-    rise = 0.5 * cells.size * (np.abs(x) + np.abs(y)) / z
-    tail = noise * np.sqrt(2.0 * np.log(np.maximum(cells.count, 1.0)))
-    over = np.nan_to_num((cells.high - cells.z - rise - tail) / least, nan=-1.0)
-    return np.asarray(np.clip(over, -1.0, 1.5))
 
 
 def interpolation_weights(values: Array, knots: Row) -> Array:
