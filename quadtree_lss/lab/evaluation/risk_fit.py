@@ -44,7 +44,6 @@ class Term(NamedTuple):
 _CONTACT = (0.4, 0.6, 0.8, 0.9, 1.0, 1.15, 1.5)
 _ROCKS, _SLOPES = (0.0, 0.05, 0.15, 0.3, 0.6), (0.05, 0.15, 0.35, 0.6, 0.9)
 _CELL, _NOISE = (-0.2, 0.0, 0.15, 0.35), (-1.2, -0.8, -0.35)
-_LEAN = (-0.35, -0.1, 0.15, 0.45)
 TERMS: dict[str, tuple[Term, ...]] = {
     "obstacle": (
         Term("rise", _CONTACT, by_seen=True, begin=5.5),
@@ -58,7 +57,6 @@ TERMS: dict[str, tuple[Term, ...]] = {
         Term("tilt_beside", _CONTACT[:-1], by_seen=True, begin=5.5),
         Term("slopes", _SLOPES),
         Term("noise", _NOISE, 0),
-        Term("lean", _LEAN, -1, begin=-0.5),
     ),
     "hidden": (
         Term("seen", (-1.5, -0.5, 0.2, 0.6, 1.0, 1.4, 1.8, 2.2, 2.6), -1, begin=-5.5),
@@ -68,7 +66,7 @@ TERMS: dict[str, tuple[Term, ...]] = {
         Term("noise", _NOISE, 0),
         Term("cell", _CELL, 0),
         Term("clearance", (-1.25, -1.1, -0.95, -0.78), 0),
-        Term("lean", _LEAN, -1, begin=-0.5),
+        Term("lean", (-0.35, -0.1, 0.15, 0.45), -1, begin=-0.5),
     ),
 }
 

@@ -18,14 +18,25 @@ if not cython.compiled:
 
 #: E[chi_1] = sqrt(2 / pi).
 MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
-#: A point stands out of curved ground if it is this many root mean square residuals above.
+#: A view of a part shows something where points lie off by so many root mean square residuals.
 OUTSTANDING = cython.declare(cython.double, 4.0)
+#: Of what a plane leaves out, so many deviations are no rock.
+MISFITS = cython.declare(cython.double, 3.0)
 #: Depths of stereo err together with their neighbours': of so many one is asked for exceptions.
 ALIKE = cython.declare(cython.Py_ssize_t, 4)
 
 
+def raised_from(rules: Rules, leaf: Record, variance: float) -> cython.double:
+    """From which distance to its leaf's plane on a return is of something that the plane leaves
+    out, m: that of a rock, and more where ground is curved."""
+    misfit = 0.0
+    if leaf.division_weight > 0.0:
+        misfit = max(leaf.square_sum / leaf.division_weight - variance, 0.0)
+    return rules.rock_height + MISFITS * sqrt(misfit)
+
+
 def standing_out(rules: Rules, leaf: Record, variance: float) -> cython.double:
-    """From which distance to its leaf's plane on a return stands out, m."""
+    """From which distance to its leaf's plane on a return of a view of a part stands out, m."""
     usual = variance
     if leaf.division_weight > 0.0:
         usual = max(leaf.square_sum / leaf.division_weight, variance)
@@ -95,7 +106,7 @@ def rest(
         shared = run.shared
     if few(run) or partial(run):
         d -= off - min(max(shared * off, -run.doubt), run.doubt)
-    high = standing_out(rules, leaf, variance)
+    high = raised_from(rules, leaf, variance)
     clip = rules.clip
     total = raised = greatest = 0.0
     low = high_z = points[begin, 2]

@@ -48,6 +48,8 @@ HEIGHT_SIGMA = cython.declare(cython.double, 1e3)
 APART = cython.declare(cython.double, 4.0)
 #: Noise turns no plane by more, rad.
 TURNED = cython.declare(cython.double, 1.5)
+#: A plane that moved by such a share of what stands out is another one.
+MOVED = cython.declare(cython.double, 0.75)
 #: A run contradicts a plane that is so many deviations off.
 CONTRADICTING = cython.declare(cython.double, 30.0)
 #: Points of a scan in a cell that tell the range noise.
@@ -527,7 +529,7 @@ class ScanUpdate:
         moved = fabs(leaf.normal[0] / leaf.normal[2] - x) + fabs(
             leaf.normal[1] / leaf.normal[2] - y
         )
-        if fabs(leaf.z - z) + 0.5 * side * moved > standing_out(self.rules, leaf, run.variance):
+        if fabs(leaf.z - z) + 0.5 * side * moved > MOVED * standing_out(self.rules, leaf, run.variance):
             self.table.unknow(leaf)  # what was known, was by another plane
             leaf.low, leaf.high = INFINITE, -INFINITE
         if leaf.known != MEASURED:
