@@ -529,7 +529,8 @@ class ScanUpdate:
         moved = fabs(leaf.normal[0] / leaf.normal[2] - x) + fabs(
             leaf.normal[1] / leaf.normal[2] - y
         )
-        if fabs(leaf.z - z) + 0.5 * side * moved > MOVED * standing_out(self.rules, leaf, run.variance):
+        most = MOVED * standing_out(self.rules, leaf, run.variance)
+        if fabs(leaf.z - z) + 0.5 * side * moved > most:
             self.table.unknow(leaf)  # what was known, was by another plane
             leaf.low, leaf.high = INFINITE, -INFINITE
         if leaf.known != MEASURED:
