@@ -177,3 +177,45 @@ def test_a_strip_that_climbs_at_the_edge_of_a_leaf_leaves_its_middle_near(fit):
     cells = mapper.snapshot()
     assert cells.measured.any()
     assert abs(cells.at(8.125, 8.125).height - 0.56) < 0.5  # 0.56 m is the mean of the strip
+
+
+def sparse(ground, points: int, scans: int, seed: int, sigma: float = 0.0, **sections):
+    """Leaves of 4 m, which may divide, of so many points a scan each; poses err as they say."""
+    config = configured(
+        domain={"min_level": 2, "max_level": 6}, lidar={"range_noise": 0.06}, **sections
+    )
+    rng, mapper = np.random.default_rng(seed), Mapper(config)
+    corners = 4.0 * np.stack(np.meshgrid(*[np.arange(4.0)] * 2)).reshape(2, 1, 16)
+    for k in range(scans):
+        x, y = corners + 4.0 * rng.random((2, points, 16))
+        told = make_pose(ABOVE, pose_covariance(sigma, 1e-9), stamp_ns=100_000_000 * (k + 1))
+        off = float(sigma * rng.standard_normal())
+        look(mapper, ground, x.ravel(), y.ravel(), rng, 0.06, told, high=off)
+    return mapper
+
+
+def boulder(x, y):
+    """A block of 1.2 m, 0.45 m high, on level ground, in one leaf."""
+    return 0.45 * ((np.abs(x - 9.7) < 0.6) & (np.abs(y - 6.1) < 0.6))
+
+
+@pytest.mark.parametrize("points", [1, 2, 3])
+def test_a_rock_shows_by_single_returns(points):
+    """Its leaf divides, however few points a scan leaves there: it is on the map, or unknown."""
+    mapper = sparse(boulder, points, 90 // points, seed=5)
+    assert leaf_at(mapper, 9.7, 6.1).level > 2
+    others = [leaf_at(mapper, x, y).level for x in (2.0, 6.0, 14.0) for y in (2.0, 10.0, 14.0)]
+    assert max(others) == 2
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.2])
+@pytest.mark.parametrize("points", [1, 2, 3])
+def test_residuals_of_few_points_are_as_large_as_noise_makes_them(points, sigma):
+    """On level ground, by exact poses and by such as err from scan to scan; no leaf divides."""
+    pose = {"correlation_time": 0.0}
+    mapper = sparse(flat(), points, 300 // points, seed=6, sigma=sigma, pose=pose)
+    rows = mapper.leaves.rows[: mapper.leaves.count]
+    assert len(rows) == 16
+    ratio = rows["distance_sum"].sum() / rows["noise_sum"].sum()
+    # While poses tell little, hardly anything of a residual is left, and noise counts at least half.
+    assert 0.75 < ratio < 1.1

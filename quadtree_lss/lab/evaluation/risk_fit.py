@@ -66,6 +66,7 @@ TERMS: dict[str, tuple[Term, ...]] = {
         Term("noise", _NOISE, 0),
         Term("cell", _CELL, 0),
         Term("clearance", (-1.25, -1.1, -0.95, -0.78), 0),
+        Term("lean", (-0.35, -0.1, 0.15, 0.45), -1, begin=-0.5),
     ),
 }
 

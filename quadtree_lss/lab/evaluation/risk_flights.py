@@ -311,7 +311,7 @@ def fitted(
 def _provenance(
     families: dict[str, dict[str, Any]], overall: Array, config: Config
 ) -> dict[str, Any]:
-    noise, cell, clearance = overall
+    noise, cell, clearance, _ = overall
     of = [FAMILIES[name] for name in families]
 
     def span(name: str, usual: float) -> list[float]:

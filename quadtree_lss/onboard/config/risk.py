@@ -26,7 +26,7 @@ NEAR = 0.3
 CAUSES = ("obstacle", "slope", "hidden")
 #: What a model may ask of each place, and of a map as a whole (see `RiskModel`).
 LOCAL = ("rise", "rise_beside", "tilt", "tilt_beside", "seen", "rocks", "slopes", "roughness")
-OVERALL = ("noise", "cell", "clearance")
+OVERALL = ("noise", "cell", "clearance", "lean")
 
 
 @dataclass(frozen=True)
@@ -69,21 +69,23 @@ class RiskModel:
 
         P(unsafe) = 1 - product over `CAUSES` of 1 / (1 + exp z),    z = constant + sum of curves.
 
-    All that the curves go by is without a unit. With c the clearance and d the diameter of the
-    vehicle, in squares about the place:
+    All that the curves go by is without a unit. With c the clearance, d the diameter and h the
+    least hazard of the vehicle (`VehicleConfig.least_hazard`), in squares about the place:
 
     - ``rise``: how far ground rises over the worst resting plane on the map, over c; ``tilt``: the
       tangent of the steepest one's slope over that of the limit; ``rise_beside``,
       ``tilt_beside``: the greatest of the place and its four neighbours.
     - ``seen``: k, how well the ground under the lander (0.9 d) is known: the mean of log10 of the
-      returns on a square as wide as c, in the returns that would tell as much at a range noise of
-      0.2 c and cells of 0.85 c: less log10(noise / 0.2 c) and, for wider ones, 3 log10(cell /
-      0.85 c). Ground without a return counts 0.001.
+      returns on a square as wide as h, in the returns that would tell as much at a range noise of
+      0.2 h and cells of 0.85 h: less log10(noise / 0.2 h), for wider cells 3 log10(cell / 0.85 h),
+      and for a noise of which three are more than h, 6 log10(3 noise / h): what is raised shows by
+      three. Ground without a return counts 0.001.
     - ``rocks``: square root of the share of the places about (4 d) where something rises by more
       than c on ground that is level enough; ``slopes``: the mean tangent of the slope there over
       that of the limit; ``roughness``: square root of the mean deviation from the leaves' planes
       under the lander over c.
-    - ``noise``, ``cell``, ``clearance``: log10 of noise / c, of finest cells / c, of c / d.
+    - ``noise``, ``cell``, ``clearance``: log10 of noise / c, of finest cells / c, of c / d;
+      ``lean``: of the height under one pad that leans the vehicle too far, over c.
 
     Attributes:
         seen: (S,) knots of k between which the rows of a curve's odds are interpolated.

@@ -42,16 +42,20 @@ class VehicleConfig:
         return self._ratio("clearance")
 
     @property
-    def least_hazard(self) -> float:
-        """Least height of one thing on level ground that makes it fail, m.
+    def leaning(self) -> float:
+        """Height under one of its four pads on level ground that leans it too far, m.
 
-        It fails on what rises over its clearance; or by its lean, with one of its four pads on
-        something of height h. The diagonal through that pad carries, its middle h / 2 high. Along
+        On something of height h the diagonal through that pad carries, its middle h / 2 high. Along
         it the plane of rest falls by h / D, D the diameter, and as much across it, to a third pad
         on the ground: by sqrt(2) h / D in all.
         """
-        leans = self.diameter * tan(radians(self.max_slope_deg)) / sqrt(2.0)
-        return min(self.clearance, leans)
+        return self.diameter * tan(radians(self.max_slope_deg)) / sqrt(2.0)
+
+    @property
+    def least_hazard(self) -> float:
+        """Least height of one thing on level ground that makes it fail, m: it rises over the
+        clearance, or leans the vehicle too far."""
+        return min(self.clearance, self.leaning)
 
     @property
     def lengths(self) -> Lengths:

@@ -32,7 +32,7 @@ from quadtree_lss.onboard.core.landing.touchdown import Limits, WorstContact
 
 #: The window of what lies about a place, and that of the ground under the lander, diameters.
 WINDOW, FOOTPRINT = 4.0, 0.9
-#: Returns on a square as wide as the clearance that are as good as none.
+#: Returns on a square as wide as the least hazard that are as good as none.
 NO_RETURNS = 1e-3
 #: Entries of a table along a curve, and along what is known.
 FINE, COARSE = 128, 48
@@ -135,7 +135,16 @@ class RiskTable:
             "noise": log10(self._noise / clearance),
             "cell": log10(side / clearance),
             "clearance": log10(clearance / diameter),
+            "lean": log10(self._vehicle.leaning / clearance),
         }
+
+    def _worse(self, side: float) -> float:
+        """By how much less returns tell than as many of a noise of 0.2 h on cells of 0.85 h, as a
+        log10 of their number, on finest cells of ``side`` m; h is the least hazard."""
+        least = self._vehicle.least_hazard
+        wide = max(log10(side / (0.85 * least)), 0.0)
+        blind = max(log10(3.0 * self._noise / least), 0.0)
+        return log10(self._noise / (0.2 * least)) + 3.0 * wide + 6.0 * blind
 
     def features(
         self, raster: TerrainRaster, judged: Mask, gradient: Array, worst: WorstContact
@@ -156,16 +165,15 @@ class RiskTable:
             out[k + 1] = with_neighbours(out[k])
         known = ~raster.bridged
         share = np.bincount(raster.leaf[known], minlength=len(cells.level))
-        # Returns on a square as wide as the clearance, of those that their leaf has there.
-        returns = cells.count * (clearance / side) ** 2 / np.maximum(share, 1)
+        # Returns on a square as wide as the least hazard, of those that their leaf has there.
+        returns = cells.count * (vehicle.least_hazard / side) ** 2 / np.maximum(share, 1)
         level = np.log10(returns + NO_RETURNS).astype(np.float32)
         rough = np.nan_to_num(cells.roughness / (clearance * cells.size**2))
         rough = np.minimum(rough, 2.0).astype(np.float32)
         under = max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1)
         of_cells = np.where(known, level.take(raster.leaf), np.float32(log10(NO_RETURNS)))
         set_means(of_cells, under, 0, out[4])
-        of = self.overall(side)
-        out[4] -= np.float32(of["noise"] - log10(0.2) + 3.0 * max(of["cell"] - log10(0.85), 0.0))
+        out[4] -= np.float32(self._worse(side))
         set_means(known * rough.take(raster.leaf), under, 0, out[7])
         about = max(round(0.5 * WINDOW * vehicle.diameter / side), 1)
         places, share = judged.astype(np.float32), np.empty(judged.shape, dtype=np.float32)

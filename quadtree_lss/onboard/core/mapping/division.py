@@ -27,6 +27,9 @@ MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
 SPREAD_CHI_1 = cython.declare(cython.double, 0.6028102749890869)
 MEAN_CHI_3 = cython.declare(cython.double, 1.5957691216057308)
 SPREAD_CHI_3 = cython.declare(cython.double, 0.6734368740430634)
+#: Mean residuals are looked at after each scan: by so many deviations they must exceed what noise
+#: makes of them.
+SURE = cython.declare(cython.double, 2.0)
 #: Share of measurements that stray returns, let through by the outlier gate, make exceptions.
 STRAY = cython.declare(cython.double, 2e-4)
 
@@ -196,3 +199,16 @@ def hides_rock(rules: Rules, leaf: Record, run: Record, side: float) -> cython.b
     if run.raised >= noise + max(max(2.0, share * run.points), 3.0 * sqrt(noise)):
         return True
     return leaf.feature[4] <= rules.rock_sigma and feature_height(leaf.feature) >= rules.rock_height
+
+
+def rough(rules: Rules, leaf: Record) -> cython.bint:
+    """Whether points that came to rest lie farther from a leaf's plane than noise puts them.
+
+    The mean of n residuals must be over ``rules.division_factor`` times that of noise, by `SURE` of
+    its deviations. Where scans leave three points and fewer in a leaf, no fit of their own tells.
+    """
+    count = leaf.residuals
+    if rules.mahalanobis or count < rules.min_residuals:
+        return False
+    doubt = SURE * SPREAD_CHI_1 / (MEAN_CHI_1 * sqrt(count))
+    return leaf.distance_sum > leaf.noise_sum * (rules.division_factor + doubt)

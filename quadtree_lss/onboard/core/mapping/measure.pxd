@@ -24,6 +24,7 @@ cdef struct Run:
     double raised_by
     double doubt
     double greatest
+    double shared
     double range_part[9]
     double pose_part[9]
     double bias[3]
@@ -43,6 +44,7 @@ cdef class Rules:
 
 cdef Run* record(Run[::1] runs, Py_ssize_t at) noexcept nogil
 cdef bint partial(Run* run) noexcept nogil
+cdef bint few(Run* run) noexcept nogil
 cpdef double range_variance(double noise, double per_metre, double divergence, double distance, double cosine) noexcept nogil
 cdef double pose_variance(double* normal, double* arm, double[:, ::1] sigma) noexcept nogil
 cdef double _unseen(double square, double correlation, double side, double points) noexcept nogil

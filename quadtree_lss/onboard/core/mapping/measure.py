@@ -77,6 +77,7 @@ FEATURE_POINTS = 12.0
 #: - unseen: share of the cell's width that the points leave out, 0 .. 1;
 #: - raised: points that stand out above the leaf's plane, by raised_by and more, m; greatest:
 #:   |orthogonal distance|, m; doubt: how far its mean may lie off that plane and both be right, m;
+#:   shared: of that, what its points have in common by pose and plane, and not by noise, 0 .. 1;
 #: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z);
 #: - bias: what noise along the ray may turn the fit by, rad, and lift it by, m, and how much the
 #:   slope of the fit counts, m^2 (`_bias`).
@@ -84,6 +85,7 @@ RUN = np.dtype(
     [("points", "f8"), ("centroid", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
     + [(name, "f8") for name in ("z", "cosine", "variance", "square", "statistic", "unseen")]
     + [("sloped", "f8"), ("raised", "f8"), ("raised_by", "f8"), ("doubt", "f8"), ("greatest", "f8")]
+    + [("shared", "f8")]
     + [("range_part", "f8", 9), ("pose_part", "f8", 9), ("bias", "f8", 3)]
 )
 
@@ -136,6 +138,11 @@ def record(runs: NDArray[np.void], at: cython.Py_ssize_t) -> Record:
 def partial(run: Record) -> cython.bint:
     """Whether a run shows less than half of its cell's width, and does not stand for the cell."""
     return run.unseen >= PARTIAL
+
+
+def few(run: Record) -> cython.bint:
+    """Whether a plane goes through all points of a run: they do not test a fit of their own."""
+    return run.points <= 3.0
 
 
 def range_variance(
@@ -385,6 +392,7 @@ def measure(
         arm[0], arm[1], arm[2] = x, y, run.z
         pose_part(run.normal, arm, sigma, run.pose_part)
     run.statistic = run.raised = run.greatest = run.raised_by = run.doubt = 0.0
+    run.shared = 1.0
 
 
 @cython.boundscheck(False)

@@ -14,18 +14,29 @@ if not cython.compiled:
     from math import fabs, sqrt
 
     from quadtree_lss.onboard.core.geometry.portable import above
-    from quadtree_lss.onboard.core.mapping.measure import partial
+    from quadtree_lss.onboard.core.mapping.measure import few, partial
 
 #: E[chi_1] = sqrt(2 / pi).
 MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
-#: A point stands out of curved ground if it is this many root mean square residuals above.
+#: A view of a part shows something where points lie off by so many root mean square residuals.
 OUTSTANDING = cython.declare(cython.double, 4.0)
+#: Of what a plane leaves out, so many deviations are no rock.
+MISFITS = cython.declare(cython.double, 3.0)
 #: Depths of stereo err together with their neighbours': of so many one is asked for exceptions.
 ALIKE = cython.declare(cython.Py_ssize_t, 4)
 
 
+def raised_from(rules: Rules, leaf: Record, variance: float) -> cython.double:
+    """From which distance to its leaf's plane on a return is of something that the plane leaves
+    out, m: that of a rock, and more where ground is curved."""
+    misfit = 0.0
+    if leaf.division_weight > 0.0:
+        misfit = max(leaf.square_sum / leaf.division_weight - variance, 0.0)
+    return rules.rock_height + MISFITS * sqrt(misfit)
+
+
 def standing_out(rules: Rules, leaf: Record, variance: float) -> cython.double:
-    """From which distance to its leaf's plane on a return stands out, m."""
+    """From which distance to its leaf's plane on a return of a view of a part stands out, m."""
     usual = variance
     if leaf.division_weight > 0.0:
         usual = max(leaf.square_sum / leaf.division_weight, variance)
@@ -76,11 +87,13 @@ def rest(
     end: cython.Py_ssize_t,
     origin: Vector,
 ) -> None:
-    """Add a run, two points at least, to the running statistics of the leaf it came to rest in.
+    """Add a run to the running statistics of the leaf it came to rest in.
 
     Residuals (N,), written from ``begin`` to ``end``, m, are n.(r - mean): without the scan's
     common offset in the cell, which pose error and not the ground explains; it takes one degree of
-    freedom.
+    freedom. Of so few points that no fit of their own tells, only the likeliest offset is taken
+    out: b p / (p + v / N) for a mean b off the plane, p the variance of what they have in common
+    and v that of noise. What is left of a residual has the variance v (1 - p / (N p + v)).
     """
     i: cython.Py_ssize_t
     count = run.points
@@ -88,9 +101,12 @@ def rest(
     n_x, n_y, n_z = leaf.normal[0], leaf.normal[1], leaf.normal[2]
     d = n_x * run.centroid[0] + n_y * run.centroid[1] + n_z * run.centroid[2]
     off = d - n_x * (leaf.x - origin[0]) - n_y * (leaf.y - origin[1]) - n_z * (leaf.z - origin[2])
-    if partial(run):
-        d -= off - min(max(off, -run.doubt), run.doubt)
-    high = standing_out(rules, leaf, variance)
+    shared = 1.0
+    if few(run):
+        shared = run.shared
+    if few(run) or partial(run):
+        d -= off - min(max(shared * off, -run.doubt), run.doubt)
+    high = raised_from(rules, leaf, variance)
     clip = rules.clip
     total = raised = greatest = 0.0
     low = high_z = points[begin, 2]
@@ -110,7 +126,7 @@ def rest(
     run.raised_by = high
     run.greatest = greatest
     leaf.greatest = max(leaf.greatest, min(greatest, clip))
-    noise = variance * max(1.0 - 1.0 / count, 0.5)
+    noise = variance * max(1.0 - shared / count, 0.5)
     leaf.distance_sum += total
     leaf.noise_sum += count * MEAN_CHI_1 * sqrt(noise)
     leaf.raised_sum += raised

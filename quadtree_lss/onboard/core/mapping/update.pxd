@@ -2,9 +2,9 @@
 from libc.math cimport INFINITY as INFINITE, NAN, exp, fabs, sqrt
 from quadtree_lss.onboard.core.geometry.plane cimport fuse, offset_variance
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
-from quadtree_lss.onboard.core.mapping.division cimport asks, hides_rock, judge
+from quadtree_lss.onboard.core.mapping.division cimport asks, hides_rock, judge, rough
 from quadtree_lss.onboard.core.mapping.features cimport update_feature
-from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, measure, partial, pose_variance, record
+from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, few, measure, partial, pose_variance, record
 from quadtree_lss.onboard.core.mapping.room cimport Room
 from quadtree_lss.onboard.core.mapping.residuals cimport departs, rest, standing_out
 from quadtree_lss.onboard.core.tree.leaves cimport HINTS, INHERITED, KNOWN, MEASURED, NOTHING, OUT, SEEN, Leaf, LeafTable
@@ -39,6 +39,7 @@ cdef class ScanUpdate:
     cdef void _measure(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
     cdef void _compare(self, Leaf* leaf, Run* run, Py_ssize_t at) noexcept nogil
     cdef bint _contradicts(self, Leaf* leaf, Run* run) noexcept nogil
+    cdef void _place(self, Leaf* leaf, Run* run, double* out) noexcept nogil
     cdef void _doubt(self, Leaf* leaf, Run* run) noexcept nogil
     cdef void _fuse(self, Leaf* leaf, Run* run, bint same_scan) noexcept nogil
     cdef void _along(self, Leaf* leaf, Run* run, double* out) noexcept nogil

@@ -19,9 +19,15 @@ if not cython.compiled:
 
     from quadtree_lss.onboard.core.geometry.plane import fuse, offset_variance
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
-    from quadtree_lss.onboard.core.mapping.division import asks, hides_rock, judge
+    from quadtree_lss.onboard.core.mapping.division import asks, hides_rock, judge, rough
     from quadtree_lss.onboard.core.mapping.features import update_feature
-    from quadtree_lss.onboard.core.mapping.measure import measure, partial, pose_variance, record
+    from quadtree_lss.onboard.core.mapping.measure import (
+        few,
+        measure,
+        partial,
+        pose_variance,
+        record,
+    )
     from quadtree_lss.onboard.core.mapping.residuals import departs, rest, standing_out
 
     NOTHING, HINTS, INHERITED, MEASURED = range(4)
@@ -42,6 +48,8 @@ HEIGHT_SIGMA = cython.declare(cython.double, 1e3)
 APART = cython.declare(cython.double, 4.0)
 #: Noise turns no plane by more, rad.
 TURNED = cython.declare(cython.double, 1.5)
+#: A plane that moved by such a share of what stands out is another one.
+MOVED = cython.declare(cython.double, 0.75)
 #: A run contradicts a plane that is so many deviations off.
 CONTRADICTING = cython.declare(cython.double, 30.0)
 #: Points of a scan in a cell that tell the range noise.
@@ -159,11 +167,17 @@ class ScanUpdate:
         return out[:, :found]
 
     def _compare(self, leaf: Record, run: Record, at: cython.Py_ssize_t) -> None:
-        """One column of what `fit` returns."""
+        """One column of what `fit` returns; few points are compared where they lie, for what they
+        say of the cell's centre is the slope that the map has."""
+        place = cython.declare(cython.double[3])
         square = leaf.normal[2] * leaf.normal[2]
         own = run.range_part[8] + leaf.range_part[8]
         misfit = leaf.square_sum / max(leaf.division_weight, 1.0) - run.variance
         self.columns[0, at] = run.z + self.origin[2] - leaf.z
+        if few(run):
+            self._place(leaf, run, place)
+            own = run.variance / run.points + offset_variance(leaf.range_part, place[0], place[1])
+            self.columns[0, at] = place[2]
         self.columns[1, at] = own / square + max(misfit, 0.0)
         pose = run.pose_part[8]
         if self.rules.independent:  # no part of a plane, but of the scan
@@ -236,28 +250,38 @@ class ScanUpdate:
         off = (leaf.z - self.origin[2] - run.z) * leaf.normal[2]
         return off * off > CONTRADICTING * CONTRADICTING * (variance + self.rules.slack)
 
-    def _doubt(self, leaf: Record, run: Record) -> None:
-        """How far a run may lie off a leaf's plane where it was seen and both be right, m.
-
-        Twice the deviation: of the plane at the run's place, of the run, of what a plane leaves
-        out that passes for one, and what is news of the pose's error. Its height is taken out
-        where the scan was aligned.
-        """
+    def _place(self, leaf: Record, run: Record, out: Vector) -> None:
+        """Where a leaf's plane is at the middle of a run, from its centre along its tangent axes,
+        and how high the run lies over it there (3), m."""
         basis = cython.declare(cython.double[6])
         basis_at(leaf.normal, basis)
         x = run.centroid[0] - (leaf.x - self.origin[0])
         y = run.centroid[1] - (leaf.y - self.origin[1])
         z = -(leaf.normal[0] * x + leaf.normal[1] * y) / leaf.normal[2]
-        first = basis[0] * x + basis[1] * y + basis[2] * z
-        second = basis[3] * x + basis[4] * y + basis[5] * z
+        out[0] = basis[0] * x + basis[1] * y + basis[2] * z
+        out[1] = basis[3] * x + basis[4] * y + basis[5] * z
+        out[2] = run.centroid[2] - z - (leaf.z - self.origin[2])
+
+    def _doubt(self, leaf: Record, run: Record) -> None:
+        """How far a run may lie off a leaf's plane where it was seen and both be right, m.
+
+        Twice the deviation: of the plane at the run's place, of the run, of what a plane leaves
+        out that passes for one, and what is news of the pose's error. Its height is taken out
+        where the scan was aligned. Besides, the share of its offset that is the plane's and the
+        pose's, p / (p + v / N) with their variance p and that of noise v.
+        """
+        place = cython.declare(cython.double[3])
+        self._place(leaf, run, place)
+        first, second = place[0], place[1]
         factor = self.rules.division_factor
         own = run.variance * (1.0 / run.points + factor * factor - 1.0)
-        pose = offset_variance(leaf.pose_part, first, second) + run.pose_part[8]
-        if self.aligned:
-            square = leaf.normal[2] * leaf.normal[2]
-            pose = max(pose - 2.0 * square * self.sigma[2, 2], 0.0)
-        pose *= 1.0 - self.common(leaf.last_time)
-        run.doubt = 2.0 * sqrt(own + offset_variance(leaf.range_part, first, second) + pose)
+        news = 1.0 - self.common(leaf.last_time)
+        known = offset_variance(leaf.pose_part, first, second)
+        high = leaf.normal[2] * leaf.normal[2] * self.sigma[2, 2] if self.aligned else 0.0
+        plane = offset_variance(leaf.range_part, first, second)
+        run.doubt = 2.0 * sqrt(own + plane + news * max(known + run.pose_part[8] - 2.0 * high, 0.0))
+        plane += news * (known + max(run.pose_part[8] - high, 0.0))
+        run.shared = plane / (plane + run.variance / run.points)
 
     def _fuse(self, leaf: Record, run: Record, same_scan: cython.bint) -> None:
         """Fuse a run's fit with what the leaf knows (paper IV.C), however little either is.
@@ -497,7 +521,8 @@ class ScanUpdate:
         moved = fabs(leaf.normal[0] / leaf.normal[2] - x) + fabs(
             leaf.normal[1] / leaf.normal[2] - y
         )
-        if fabs(leaf.z - z) + 0.5 * side * moved > standing_out(self.rules, leaf, run.variance):
+        most = MOVED * standing_out(self.rules, leaf, run.variance)
+        if fabs(leaf.z - z) + 0.5 * side * moved > most:
             self.table.unknow(leaf)  # what was known, was by another plane
             leaf.low, leaf.high = INFINITE, -INFINITE
         if leaf.known != MEASURED:
@@ -508,7 +533,7 @@ class ScanUpdate:
             self._residuals(leaf, begin, end, run)
         if not (asked and self._divide(row, run)):
             self._rest(leaf, begin, end, run)
-            if not hides_rock(self.rules, leaf, run, side):
+            if not (hides_rock(self.rules, leaf, run, side) or rough(self.rules, leaf)):
                 return
             if asked or not self._divide(row, run):
                 return
