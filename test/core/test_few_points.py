@@ -217,5 +217,5 @@ def test_residuals_of_few_points_are_as_large_as_noise_makes_them(points, sigma)
     rows = mapper.leaves.rows[: mapper.leaves.count]
     assert len(rows) == 16
     ratio = rows["distance_sum"].sum() / rows["noise_sum"].sum()
-    # While poses tell little, hardly anything of a residual is left, and noise counts at least half.
+    # While poses tell little, hardly anything of a residual is left; noise counts half at least.
     assert 0.75 < ratio < 1.1
