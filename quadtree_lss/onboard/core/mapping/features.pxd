@@ -16,6 +16,6 @@ cdef double promise(Heights heights, double* state) noexcept nogil
 cdef double _linearise(Heights heights, double* state, double* mean, double* information, double* system) noexcept nogil
 cdef bint _solve(double* system, double damping, double* step) noexcept nogil
 cdef double estimate(Heights heights, double* state, double* information, bint known, double half, double finest) noexcept nogil
-cdef void first_state(Py_ssize_t raised, double* high, double count, double area, double* out) noexcept nogil
+cdef void first_state(Py_ssize_t raised, double* high, double count, double area, double least, double* out) noexcept nogil
 cdef Py_ssize_t insert_high(double* high, Py_ssize_t held, double x, double y, double z) noexcept nogil
 cdef void update_feature(Rules rules, Leaf* leaf, double[:, ::1] points, double[::1] residual, Py_ssize_t begin, Py_ssize_t end, double x, double y, double side, double variance, double greatest, Heights heights) noexcept nogil

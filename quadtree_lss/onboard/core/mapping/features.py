@@ -258,7 +258,7 @@ def insert_high(
 
 
 def first_state(
-    raised: cython.Py_ssize_t, high: Vector, count: float, area: float, out: Vector
+    raised: cython.Py_ssize_t, high: Vector, count: float, area: float, least: float, out: Vector
 ) -> None:
     """First state (5) from the data instead of Eq. 52's constants.
 
@@ -266,11 +266,11 @@ def first_state(
     centre, which a single outlier is not. Those near it stand for the feature: their share of the
     cell's area, m^2, gives sigma, their mean height over the rest its volume. ``high`` (3 raised)
     are x, y, z of each sample that stands out, one at least; all ``count`` heights of the cell sum
-    to zero.
+    to zero. ``least``: height of the lowest feature, m.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     best: cython.Py_ssize_t = 0
-    width = max(1.5 * sqrt(area / count), 0.1)
+    width = max(1.5 * sqrt(area / count), least)
     most = -1.0
     for i in range(raised):
         collected = 0.0
@@ -291,7 +291,7 @@ def first_state(
     level = -total / max(count - many, 1.0)
     footprint = area * many / count
     out[0] = level
-    out[1] = sqrt(max(total / many - level, 1e-3) * footprint)
+    out[1] = sqrt(max(total / many - level, 0.01 * least) * footprint)
     out[2] = high[3 * best]
     out[3] = high[3 * best + 1]
     out[4] = sqrt(footprint / (2.0 * PI))
@@ -353,11 +353,14 @@ def update_feature(
         for i in range(begin, end):
             if residual[i] > gate:
                 held = insert_high(high, held, points[i, 0] - x, points[i, 1] - y, residual[i] / up)
-        first_state(held, high, count, side * side, state)
-        # Eq. 52's unit covariance.
+        first_state(held, high, count, side * side, rules.feature_height, state)
+        # Eq. 52's unit covariance, of a unit that is 1 m for the vehicle of the defaults; k^2 is a
+        # volume.
+        unit = 10.0 * rules.feature_height
         for k in range(25):
-            information[k] = 1.0 if k % 6 == 0 else 0.0
-    reach = min(max(WINDOW * state[4], 0.5), side)
+            information[k] = 1.0 / (unit * unit) if k % 6 == 0 else 0.0
+        information[6] /= unit
+    reach = min(max(WINDOW * state[4], 5.0 * rules.feature_height), side)
     for i in range(begin, end):
         # Without a branch, which nobody could foretell.
         heights.near[inside] = i
