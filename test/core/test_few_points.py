@@ -211,7 +211,7 @@ def test_a_rock_shows_by_single_returns(points):
 @pytest.mark.parametrize("sigma", [0.0, 0.2])
 @pytest.mark.parametrize("points", [1, 2, 3])
 def test_residuals_of_few_points_are_as_large_as_noise_makes_them(points, sigma):
-    """On level ground, by exact poses and by such as err from scan to scan; hardly a leaf divides."""
+    """On level ground, by exact poses and such as err from scan to scan; hardly a leaf divides."""
     pose = {"correlation_time": 0.0}
     mapper = sparse(flat(), points, 300 // points, seed=6, sigma=sigma, pose=pose)
     rows = mapper.leaves.rows[: mapper.leaves.count]

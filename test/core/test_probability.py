@@ -57,6 +57,7 @@ MODEL = RiskModel(
                 Curve("roughness", (0.0, 0.5), ((0.0, 2.0),)),
                 Curve("noise", (-1.0, -0.5), ((0.0, 1.0),)),
                 Curve("clearance", (-1.2, -0.8), ((0.0, -1.0),)),
+                Curve("lean", (0.0, 0.4), ((0.0, -1.0),)),
             ),
         ),
     },
@@ -151,6 +152,7 @@ def test_the_fit_is_looked_up_as_its_equations_say(rough_ground, noise):
     of = dict(zip(LOCAL, table.features(*given)[:, judged].astype(float), strict=True))
     of |= {"noise": np.log10(noise / 0.3), "cell": np.log10(raster.domain.finest_size / 0.3)}
     of["clearance"] = np.log10(0.3 / 3.7)
+    of["lean"] = np.log10(3.7 * np.tan(np.radians(10.0)) / np.sqrt(2.0) / 0.3)
     odds = []
     for one in MODEL.causes.values():
         z = np.full(int(judged.sum()), one.constant)

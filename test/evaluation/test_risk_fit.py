@@ -130,9 +130,14 @@ def test_a_file_that_holds_no_model_is_one_clear_error(tmp_path, place, value, s
 
 
 def test_a_key_that_is_missing_or_a_file_is_told(tmp_path):
+    file = tmp_path / "model.yaml"
+    values = yaml.safe_load(risk_model_text(unfitted()))
+    del values["hidden"]["lean"]
+    file.write_text(yaml.safe_dump(values))
+    with pytest.raises(ConfigError, match="of a former version.*fit-risk makes one anew"):
+        risk_model(str(file))
     values = yaml.safe_load(risk_model_text(unfitted()))
     del values["obstacle"]["constant"]
-    file = tmp_path / "model.yaml"
     file.write_text(yaml.safe_dump(values))
     with pytest.raises(ConfigError, match="'constant' is missing"):
         risk_model(str(file))

@@ -194,6 +194,9 @@ def _from_values(values: Any) -> RiskModel:
     def row(given: Any) -> Row:
         return tuple(float(value) for value in given)
 
+    if "lean" not in values["hidden"]:
+        msg = "it is of a former version, which counted returns otherwise: fit-risk makes one anew"
+        raise ConfigError(msg)
     causes = {}
     for name in CAUSES:
         given = dict(values[name])
