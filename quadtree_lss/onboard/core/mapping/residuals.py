@@ -21,7 +21,7 @@ MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
 #: A view of a part shows something where points lie off by so many root mean square residuals.
 OUTSTANDING = cython.declare(cython.double, 4.0)
 #: Of what a plane leaves out, so many deviations are no rock.
-MISFITS = cython.declare(cython.double, 3.0)
+MISFITS = cython.declare(cython.double, 4.0)
 #: Depths of stereo err together with their neighbours': of so many one is asked for exceptions.
 ALIKE = cython.declare(cython.Py_ssize_t, 4)
 
