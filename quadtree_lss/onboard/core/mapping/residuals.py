@@ -26,21 +26,25 @@ MISFITS = cython.declare(cython.double, 4.0)
 ALIKE = cython.declare(cython.Py_ssize_t, 4)
 
 
-def raised_from(rules: Rules, leaf: Record, variance: float) -> cython.double:
-    """From which distance to its leaf's plane on a return is of something that the plane leaves
-    out, m: that of a rock, and more where ground is curved."""
-    misfit = 0.0
-    if leaf.division_weight > 0.0:
-        misfit = max(leaf.square_sum / leaf.division_weight - variance, 0.0)
-    return rules.rock_height + MISFITS * sqrt(misfit)
-
-
 def standing_out(rules: Rules, leaf: Record, variance: float) -> cython.double:
     """From which distance to its leaf's plane on a return of a view of a part stands out, m."""
     usual = variance
     if leaf.division_weight > 0.0:
         usual = max(leaf.square_sum / leaf.division_weight, variance)
     return max(rules.rock_height, OUTSTANDING * sqrt(usual))
+
+
+def raised_from(rules: Rules, leaf: Record, variance: float) -> cython.double:
+    """From which distance to its leaf's plane on a return that came to rest is raised, m.
+
+    Where ground is plane that is the height of a rock, three deviations of noise at least; where
+    the plane leaves something out, more, but no more than what stands out.
+    """
+    misfit = 0.0
+    if leaf.division_weight > 0.0:
+        misfit = max(leaf.square_sum / leaf.division_weight - variance, 0.0)
+    curved = rules.rock_height + MISFITS * sqrt(misfit)
+    return min(curved, standing_out(rules, leaf, variance))
 
 
 @cython.boundscheck(False)
