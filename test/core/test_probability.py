@@ -376,7 +376,8 @@ def test_where_the_probability_is_the_same_the_score_decides(beside_a_rock, tmp_
     """If contacts alone matter all bare ground is as good: the first is far from the rock."""
     steep = Cause(-9.0, (Curve("tilt", (0.5, 1.5), ((0.0, 12.0),)),))
     rock = Cause(-9.0, (Curve("rise", (0.5, 1.5), ((0.0, 12.0),)),))
-    causes = dict(zip(MODEL.causes, (rock, steep, Cause(-9.0, ())), strict=True))
+    nothing = Cause(-9.0, (Curve("lean", (0.0, 0.4), ((0.0, 0.0),)),))
+    causes = dict(zip(MODEL.causes, (rock, steep, nothing), strict=True))
     (tmp_path / "model.yaml").write_text(risk_model_text(replace(MODEL, causes=causes)))
     with mock.patch.object(score, "DISTANCE_CAP", 12.0):
         selector = probable(dispersion=0.1, risk_model=str(tmp_path / "model.yaml"))
