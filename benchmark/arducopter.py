@@ -251,7 +251,8 @@ class Landing:
     """A flight's outcome.
 
     Attributes:
-        outcome: landed, hovered, given to the pilot, flew away, no start, or broken off.
+        outcome: landed, hovered, given to the pilot, flew away, no target (over none that is
+            probable enough he never handed over), no start, or broken off.
         ground: Of a landing: safe, unsafe or withdrawn.
         miss: Truly, from the last target, m.
         place: Of a landing: east and north, m; at which slope, deg, and rise, m, it stands.
@@ -403,6 +404,8 @@ class Flight:
                     copter.switch(GUIDED)
                     if copter.mode == GUIDED:
                         return True
+        if copter.armed and copter.truth()[1][2] >= HEIGHT_M - 1.5:
+            self.landing.outcome = "no target"
         return False
 
     def _land(self) -> None:
@@ -569,15 +572,16 @@ def main(args: Sequence[str] | None = None) -> int:
             misses = [one.miss for one in some if one.outcome == "landed"]
             rows.append([
                 name or "none", len(some), sum(math.isnan(one.height) for one in some if name),
-                grounds["safe"], ends["hovered"],
+                ends["no target"], grounds["safe"], ends["hovered"],
                 ends["given to the pilot"], grounds["unsafe"] + grounds["withdrawn"],
                 ends["flew away"] + ends["flew on"],
                 sum(one.outcome.startswith(("no start", "broken off")) for one in some),
                 f"{max(misses):.2f}" if misses else "-",
             ])  # fmt: skip
     header = [
-        "fault", "flights", "it never came", "landed safe", "hovered", "given to the pilot",
-        "unsafe or withdrawn", "flew away", "no start or broken off", "farthest from the target, m",
+        "fault", "flights", "it never came", "no target", "landed safe", "hovered",
+        "given to the pilot", "unsafe or withdrawn", "flew away", "no start or broken off",
+        "farthest from the target, m",
     ]  # fmt: skip
     table(f"{len(found)} flights, seeds from {given.seed}", header, rows)
     print(machine())

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What leaves give out, against planar ground and against what was measured."""
+"""What leaves give out, against the true ground and against what was measured."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +17,10 @@ class Claims:
     """Of M measured leaves.
 
     Attributes:
-        height: (M,) error of the height at the middle of what was seen, over its deviation.
+        height: (M,) error of the height at the middle of what was seen, over its deviation; the
+            true one is the mean of the ground that was seen.
         slope: (M, 2) errors of the slope in the leaf's tangent, along the axes of its covariance,
-            each over its deviation.
+            each over its deviation; the true one is of the likeliest plane of all of the leaf.
         error, claimed: (M, 2) of heights, m, and of the worse axis of the slope, rad.
         share: (M,) finest cells under the leaf in which a point fell, over all.
     """
@@ -35,8 +37,19 @@ class Claims:
         return np.concatenate([self.height, self.slope.ravel()])
 
 
-def claims(cells: CellMap, gradient: tuple[float, float] = (0.0, 0.0)) -> Claims:
-    """Compare with the plane z = gradient . (x, y)."""
+#: A surface: heights (N,) at x, y (N,), m.
+Surface = Callable[[Array, Array], Array]
+#: Places across a leaf by which its true plane is found, over its side.
+LATTICE = (np.arange(16) + 0.5) / 16.0 - 0.5
+
+
+def level(x: Array, y: Array) -> Array:
+    """The surface z = 0."""
+    return np.zeros(np.broadcast_shapes(x.shape, y.shape))
+
+
+def claims(cells: CellMap, surface: Surface = level) -> Claims:
+    """Compare with the true surface."""
     finest, raster = cells.domain.finest_size, cells.leaf_raster()
     row, column = np.nonzero(cells.observed)
     x = cells.domain.xmin + (column + 0.5) * finest
@@ -44,19 +57,19 @@ def claims(cells: CellMap, gradient: tuple[float, float] = (0.0, 0.0)) -> Claims
     leaf, count = raster[row, column], len(cells.z)
     seen = np.bincount(leaf, minlength=count)
     rows = np.flatnonzero(cells.measured & (seen > 0))
-    x, y = (np.bincount(leaf, v, count)[rows] / seen[rows] for v in (x, y))
+    means = (np.bincount(leaf, v, count)[rows] / seen[rows] for v in (x, y, surface(x, y)))
+    x, y, z = means
     ground = cells.at(x, y)
-    off = ground.height - (gradient[0] * x + gradient[1] * y)
-    true = np.array([-gradient[0], -gradient[1], 1.0])
-    true /= np.linalg.norm(true)
+    off = ground.height - z
+    true = true_normals(cells, rows, surface)
     # Eq. 2: axes of the tangent at the leaf's normal.
     n = cells.normal[rows]
     share = n[:, :2, None] * n[:, None, :2] / (1.0 + n[:, 2])[:, None, None]
     axes = np.concatenate([np.eye(2) - share, -n[:, None, :2]], axis=1)
     # Eq. 4 and Eq. 9: the way from the leaf's normal to the true one.
-    across = np.einsum("mij,i->mj", axes, true)
-    sine = np.linalg.norm(across, axis=1)
-    tilt = across * (np.arctan2(sine, n @ true) / np.maximum(sine, 1e-12))[:, None]
+    across = np.einsum("mij,mi->mj", axes, true)
+    sine, cosine = np.linalg.norm(across, axis=1), np.einsum("mi,mi->m", n, true)
+    tilt = across * (np.arctan2(sine, cosine) / np.maximum(sine, 1e-12))[:, None]
     values, vectors = np.linalg.eigh(cells.covariance[rows, :2, :2])
     along, deviation = np.einsum("mi,mij->mj", tilt, vectors), np.sqrt(np.maximum(values, 1e-18))
     ratio = along / deviation
@@ -69,6 +82,17 @@ def claims(cells: CellMap, gradient: tuple[float, float] = (0.0, 0.0)) -> Claims
         np.column_stack([ground.deviation, deviation[worse]]),
         part,
     )
+
+
+def true_normals(cells: CellMap, rows: Array, surface: Surface) -> Array:
+    """(M, 3) of the likeliest planes of the ground under leaves, by a lattice of places each."""
+    x, y = (side.ravel() for side in np.meshgrid(LATTICE, LATTICE))
+    size = cells.size[rows][:, None]
+    z = surface(cells.x[rows][:, None] + size * x, cells.y[rows][:, None] + size * y)
+    # Of a regular lattice the slopes are independent of each other and of the height.
+    slopes = [z @ of / (size[:, 0] * np.sum(of**2)) for of in (x, y)]
+    normal = np.column_stack([-slopes[0], -slopes[1], np.ones(len(rows))])
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
 def summary(ratios: Array) -> tuple[float, float, float]:

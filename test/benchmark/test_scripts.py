@@ -34,6 +34,7 @@ SMALL = {
         ["the shipped model", "Brier", "Operating points"],
     ),
     "drone": (["--seeds", "201-202"], ["2 flights", "max_risk"]),
+    "scarce": (["--seeds", "97000"], ["1 flights", "with 1 m of room"]),
     "partly_seen": (
         ["--quick", "--seeds", "201"],
         [
@@ -46,7 +47,7 @@ SMALL = {
         ],
     ),
     "shares": (
-        ["--draws", "200", "--of-twenty", "50", "--figure", "c.png"],
+        ["--draws", "200", "--of-twenty", "50", "--rolling", "3", "--figure", "c.png"],
         ["error over claimed deviation", "20, all"],
     ),
     "wrong_poses": (
