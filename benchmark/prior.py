@@ -138,7 +138,7 @@ def main() -> None:
     parser.add_argument("--longest", type=float, default=150.0, help="end flights after so long, s")
     options = parser.parse_args()
     if options.terrain is None:
-        print("nothing flown: --terrain names no ground")
+        print(f"nothing flown: --terrain names no ground; {machine()}")
         return
     first, _, last = options.seeds.partition("-")
     if options.east_of is not None:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Point clouds of every format: what is written by its library comes back, and else one line."""
 
+import re
+
 import numpy as np
 import pytest
 from installed import error_without
@@ -62,9 +64,10 @@ def test_several_scans_in_one_file(tmp_path):
     found, stamps = read_clouds(tmp_path / "scans.npz")
     assert stamps.tolist() == [5, 7]
     np.testing.assert_array_equal(found, scans)
-    np.savez(tmp_path / "wrong.npz", points=scans, stamp_ns=np.array([5, 7, 9]))
-    with pytest.raises(ExchangeError, match="3 scans"):
-        read_clouds(tmp_path / "wrong.npz")
+    for wrong in ([5, 7, 9], [[5, 6], [7, 8]]):
+        np.savez(tmp_path / "wrong.npz", points=scans, stamp_ns=np.array(wrong))
+        with pytest.raises(ExchangeError, match=re.escape(str(np.shape(wrong)))):
+            read_clouds(tmp_path / "wrong.npz")
 
 
 def test_a_large_cloud_becomes_several_scans(tmp_path, monkeypatch):

@@ -62,8 +62,8 @@ def _npz(path: Path) -> Clouds:
     if stamps is None or stamps.ndim == 0:
         one = None if stamps is None else stamps.reshape(1).astype(np.int64)
         return [_coordinates(path, points)], one
-    if points.ndim < 3 or len(points) != len(stamps):
-        msg = f"{path}: points {points.shape} are not of {len(stamps)} scans, as stamp_ns says"
+    if points.ndim < 3 or stamps.shape != points.shape[:1]:
+        msg = f"{path}: points {points.shape} do not go with stamp_ns {stamps.shape}"
         raise ExchangeError(msg)
     return [_coordinates(path, cloud) for cloud in points], stamps.astype(np.int64)
 
