@@ -8,6 +8,7 @@ import struct
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -110,6 +111,18 @@ def test_a_touchdown_is_judged_by_the_true_ground_and_by_what_was_forbidden(tmp_
         flight._keep_out = places[good] + square + (beside, 0.0)
         flight._judge(np.append(places[good], 0.0))
         assert flight.landing.ground == ground
+
+
+def test_a_vehicle_that_hovers_in_vain_had_no_target(tmp_path):
+    """One that never got so high did not start."""
+    for height, outcome in ((arducopter.HEIGHT_M, "no target"), (3.0, "")):
+        flight = arducopter.Flight("", 5, "", tmp_path)
+        place = np.array([0.0, 0.0, height])
+        flight.copter = SimpleNamespace(
+            now=arducopter.START_S, armed=True, truth=lambda at=place: (0.0, at, np.eye(3))
+        )
+        assert not flight._take_off()
+        assert flight.landing.outcome == outcome
 
 
 def test_recorded_flights_are_not_flown_again(tmp_path, monkeypatch, capsys):
