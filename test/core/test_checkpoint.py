@@ -101,6 +101,8 @@ SPOILS = {
     "unheard of": put("leaves", 4, "known"),
     "unseen": become("observed", lambda observed: observed[:-1]),
     "beyond seen": put("observed", 4, at=3),
+    "piled to nowhere": put("piled", np.nan, at=(5, 0)),
+    "fewer than no returns": put("piled", -1.0, at=(5, 1)),
     "without bottom": put("leaves", -np.inf, "low"),
     "no height": put("leaves", np.nan, "high"),
     "far off": put("offset", np.inf, at=0),

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from quadtree_lss.onboard.config.settings import ConfigError, config_from_values
+from quadtree_lss.onboard.core.geometry import morton
 from quadtree_lss.onboard.core.landing.assessment import Hindsight
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.target import Reason
@@ -100,6 +101,13 @@ def test_ground_that_stays_inside_has_the_bits_of_a_fixed_map():
     for name in ("observed", "known"):
         part = getattr(whole, name)[north : north + 128, east : east + 128]
         np.testing.assert_array_equal(getattr(own, name), part)
+    np.testing.assert_array_equal(piles(following), piles(fixed)[north:, east:][:128, :128])
+
+
+def piles(mapper: Mapper) -> np.ndarray:
+    """(n, n, 2) what is kept of each finest cell, by row and column."""
+    places = morton.SPREAD[: mapper.domain.finest_count]
+    return mapper.leaves.piled[places | places[:, None] << 1]
 
 
 def test_what_leaves_is_dropped_and_forgotten():

@@ -5,11 +5,11 @@ import functools
 
 import numpy as np
 import pytest
-from core.builders import by, configured, four_leaves, mapped
+from core.builders import by, configured, flat, four_leaves, mapped
 from core.kernels import division, residuals
 from scipy.stats import norm
 
-from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
+from quadtree_lss.onboard.core.mapping.measure import Rules
 from quadtree_lss.onboard.core.tree.cell_map import SHAPE, peak
 from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
@@ -19,18 +19,11 @@ ROWS = slice(0, 4)
 NEVER = np.inf
 
 
-def hides(
-    leaves: LeafTable, noise: float = 0.02, view: tuple[int, int] = (0, 0), **constants: float
-) -> list[bool]:
-    """Which of `four_leaves` hold a rock, by the default limits but for those given.
-
-    The last view was of so many points, so many of them raised.
-    """
+def hides(leaves: LeafTable, noise: float = 0.02, **constants: float) -> list[bool]:
+    """Which of `four_leaves` hold a rock, by the default limits but for those given."""
     with by(**constants):
         rules = Rules(configured(lidar={"range_noise": noise}))
-    runs = np.zeros(1, dtype=RUN).view(np.recarray)
-    runs.points, runs.raised = view
-    return [division.hides_rock(rules, leaves.rows[row], runs[0], 8.0) for row in range(4)]
+    return [division.hides_rock(rules, leaves.rows[row]) for row in range(4)]
 
 
 def test_exceptions_beyond_their_noise_divide():
@@ -43,35 +36,6 @@ def test_exceptions_beyond_their_noise_divide():
         leaves.rows.exception_sum[ROWS] = factor * least
         assert hides(leaves) == [expected] * 4
     assert hides(leaves, ROCK_EXCEPTIONS=NEVER) == [False] * 4
-
-
-def test_raised_points_over_an_area_divide():
-    """0.04 m^2 of 64 m^2, 3 deviations of what noise makes, one point: the greatest.
-
-    However small an area is asked for, it takes 2 in 10,000 points.
-    """
-    leaves = four_leaves(20_000.0)
-    leaves.rows.residuals[1] = 1000.0
-    leaves.rows.raised_noise[ROWS] = (0.0, 0.0, 4.0, 25.0)
-    least = np.array([12.5, 1.0, 4.0 + 12.5, 25.0 + 15.0])
-    for factor, expected in ((0.99, False), (1.01, True)):
-        leaves.rows.raised_sum[ROWS] = factor * least
-        assert hides(leaves) == [expected] * 4
-        assert hides(leaves, ROCK_AREA=1e-6)[1] == expected
-    for raised, expected in ((3.9, False), (4.1, True)):
-        leaves.rows.raised_sum[0] = raised
-        assert hides(leaves, ROCK_AREA=1e-6)[0] == expected
-    assert hides(leaves, ROCK_AREA=NEVER) == [False] * 4
-
-
-def test_a_rock_in_one_view_is_not_outvoted_by_many_views_of_the_rest():
-    """A leaf of 8 m known from 20,000 points: 50 of 5,000 in a view of a part nobody saw before."""
-    leaves = four_leaves(20_000.0)
-    leaves.rows.raised_sum[ROWS] = 5.0
-    assert hides(leaves) == [False] * 4
-    assert hides(leaves, view=(5000, 50)) == [True] * 4
-    assert hides(leaves, view=(5000, 2)) == [False] * 4
-    assert hides(leaves, view=(50, 1)) == [False] * 4
 
 
 def test_features_as_high_and_narrow_as_a_rock_divide():
@@ -94,18 +58,37 @@ def bump(x, y, x0, y0, radius, height):
     return height * np.sqrt(inside)
 
 
-def test_raised_points_alone_divide():
-    """A rock lower than an exception across the border of two leaves; the other signs are off.
+def test_a_rock_that_noise_hides_in_every_scan_divides():
+    """0.25 m under noise of 0.1 m, seen by one return a finest cell and scan; without it, none.
 
-    Each leaf's half of it is 0.09 m^2 above four deviations.
+    No return stands out: an exception, three deviations, is farther off than the rock is high.
     """
-    config = configured(domain=LEAVES_4M, lidar={"range_noise": NOISE})
+    config = configured(
+        domain={**LEAVES_4M, "max_level": 5}, lidar={"range_noise": 0.1, "outlier_gate": 0.0}
+    )
+    ground = functools.partial(bump, x0=5.25, y0=6.75, radius=0.6, height=0.25)
+    for surface, share in ((ground, np.inf), (ground, 1.0 / 3.0), (flat(), 1.0 / 3.0)):
+        with by(MOUND=share, ROCK_EXCEPTIONS=NEVER, ROCK_SIGMA=0.0):
+            cells = mapped(config, surface, density=4.0, scans=30).snapshot()
+        finest = cells.size < 1.0
+        assert finest.any() == (surface is ground and share < NEVER)
+        assert (np.hypot(cells.x - 5.25, cells.y - 6.75)[finest] < 1.5).all()
+
+
+def test_every_return_lies_in_one_pile():
+    """However often the leaf above it divides on the way; and where no leaf can, in none."""
     ground = functools.partial(bump, x0=8.0, y0=6.0, radius=0.45, height=0.29)
-    for area in (NEVER, 0.04):
-        with by(ROCK_AREA=area, ROCK_EXCEPTIONS=NEVER, ROCK_SIGMA=0.0):
-            cells = mapped(config, ground, density=900.0, scans=2).snapshot()
-        under = (np.abs(cells.x - 8.0) < 4.0) & (np.abs(cells.y - 6.0) < 2.0)
-        np.testing.assert_array_equal(cells.size < 4.0, under & (area < NEVER))
+    mapper = mapped(configured(domain=LEAVES_4M, lidar={"range_noise": NOISE}), ground, scans=4)
+    table = mapper.leaves
+    above = table.rows.level[table.leaf_of] < 6
+    seen = np.bincount(table.leaf_of, table.piled[:, 1], minlength=table.count)[: table.count]
+    rested = table.rows.residuals[: table.count]
+    coarse = (table.rows.level[: table.count] < 6) & (rested > 0.0)
+    assert coarse.sum() > 20 and above.mean() < 1.0
+    assert (seen[coarse] >= rested[coarse]).all()
+    assert table.piled[:, 1].sum() <= 4 * 60 * 256
+    undivided = coarse & (table.rows.level[: table.count] == 2)
+    np.testing.assert_array_equal(seen[undivided], rested[undivided])
 
 
 def test_pits_divide_by_their_exceptions():
@@ -124,12 +107,12 @@ def test_pits_divide_by_their_exceptions():
     [
         lambda x, y: 0.0 * x,
         lambda x, y: 0.2 * x - 0.1 * y,
-        lambda x, y: 0.05 * ((x % 4.0 - 2.0) ** 2 + (y % 4.0 - 2.0) ** 2),
+        lambda x, y: 0.014 * ((x % 4.0 - 2.0) ** 2 + (y % 4.0 - 2.0) ** 2),
     ],
     ids=["level", "slope", "bowls"],
 )
 def test_noise_and_curvature_are_no_rocks(ground):
-    """Bowls raise a leaf's corners by 0.27 m; division by lack of fit is kept out of it."""
+    """Bowls raise a leaf's corners by 0.07 m; division by lack of fit is kept out of it."""
     config = configured(
         domain=LEAVES_4M, lidar={"range_noise": NOISE}, mapping={"division_factor": 20.0}
     )

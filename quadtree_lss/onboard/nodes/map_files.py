@@ -28,7 +28,9 @@ END_TIMEOUT_S = 5.0
 PREVIOUS, REFUSED = ".previous", ".refused"
 
 OVERHEAD = 1_000_000
-"""Of an archive, in bytes, over the leaves and the mask of what was observed."""
+"""Of an archive, in bytes, over the leaves and what is kept of finest cells."""
+FINEST = 9
+"""Bytes that are kept of each of these."""
 
 
 class WrongContentError(MapFileError):
@@ -71,7 +73,8 @@ def load(path: Path, mapper: Mapper, root: str = "") -> None:
         MapFileError: not readable; the mapper is then unchanged.
         WrongContentError: damaged, of another domain; the mapper is then unchanged.
     """
-    most = mapper.config.mapping.max_cells * LEAF.itemsize + 4**mapper.domain.max_level + OVERHEAD
+    cells, finest = mapper.config.mapping.max_cells, 4**mapper.domain.max_level
+    most = cells * LEAF.itemsize + finest * FINEST + OVERHEAD
     content = read_file(path, root, most + 1)
     if len(content) > most:
         msg = f"{path}: is larger than any map of this configuration, {most} bytes"

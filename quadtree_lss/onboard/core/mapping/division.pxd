@@ -10,5 +10,5 @@ cdef double mean_distance(double[:, ::1] points, Py_ssize_t begin, Py_ssize_t en
 cdef double mahalanobis_factor(double* mean, double cosine, double[:, ::1] sigma, double along, double plane) noexcept nogil
 cdef void judge(Rules rules, Leaf* leaf, Run* run, double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double* origin, double[:, ::1] sigma) noexcept nogil
 cdef bint asks(Rules rules, Leaf* leaf, Run* run) noexcept nogil
-cdef bint hides_rock(Rules rules, Leaf* leaf, Run* run, double side) noexcept nogil
+cdef bint hides_rock(Rules rules, Leaf* leaf) noexcept nogil
 cdef bint rough(Rules rules, Leaf* leaf) noexcept nogil

@@ -175,28 +175,18 @@ def asks(rules: Rules, leaf: Record, run: Record) -> cython.bint:
     return leaf.division_sum > total * (rules.division_factor * expected + doubt)
 
 
-def hides_rock(rules: Rules, leaf: Record, run: Record, side: float) -> cython.bint:
+def hides_rock(rules: Rules, leaf: Record) -> cython.bint:
     """Whether a leaf holds a rock, which the mean over a large leaf hides.
 
-    A rock of twenty points among ten thousand does not move Eq. 47's mean. It shows in one of
-    three ways: by its exceptions (Eq. 48), if beyond what noise makes of them they amount to
-    `ROCK_EXCEPTIONS` measurements and to more than stray returns leave; by raised measurements,
-    lower than these, over ``rules.divide_area`` of it; or as a feature as high and narrow as a
-    rock. A leaf has one feature, so a rock beside another, or one that lies across the border
-    of leaves, shows by its raised measurements alone.
+    A rock of twenty points among ten thousand does not move Eq. 47's mean. It shows by its
+    exceptions (Eq. 48), if beyond what noise makes of them they amount to `ROCK_EXCEPTIONS`
+    measurements and to more than stray returns leave; or as a feature as high and narrow as a
+    rock. A leaf has one feature, and what is lower than an exception shows in the pile of a finest
+    cell (`ScanUpdate._mound`).
     """
-    counted = leaf.residuals
     noise = leaf.exception_noise
-    least = max(rules.divide_exceptions, STRAY * counted)
+    least = max(rules.divide_exceptions, STRAY * leaf.residuals)
     if leaf.exception_sum >= noise + max(least, 3.0 * sqrt(noise)):
-        return True
-    noise = leaf.raised_noise
-    share = max(rules.divide_area / (side * side), STRAY)
-    if leaf.raised_sum >= noise + max(max(1.0, share * counted), 3.0 * sqrt(noise)):
-        return True
-    # A look at ground that no other saw.
-    noise *= run.points / max(counted, 1.0)
-    if run.raised >= noise + max(max(2.0, share * run.points), 3.0 * sqrt(noise)):
         return True
     return leaf.feature[4] <= rules.rock_sigma and feature_height(leaf.feature) >= rules.rock_height
 

@@ -320,6 +320,7 @@ class Mapper:
         state = {
             "leaves": np.array(self.leaves.rows[: self.leaves.count]),
             "observed": self.leaves.observed.copy(),
+            "piled": self.leaves.piled.copy(),
             "stamp_ns": np.array(self.stamp_ns),
             "start_ns": np.array(self._start_ns),
             "noise_ratio": np.array(self._noise_ratio),
@@ -339,6 +340,7 @@ class Mapper:
         self.leaves.lie_on(domain)
         self.leaves.take_up({name: leaves[name] for name in leaves.dtype.names or ()})
         self.leaves.observed[:] = state["observed"]
+        self.leaves.piled[:] = state["piled"]
         self.stamp_ns = int(state["stamp_ns"])
         self._start_ns = int(state["start_ns"])
         self._noise_ratio = float(state["noise_ratio"])

@@ -20,7 +20,6 @@ cdef struct Run:
     double statistic
     double unseen
     double sloped
-    double raised
     double raised_by
     double doubt
     double greatest
@@ -34,7 +33,7 @@ cdef class Rules:
     cdef readonly double ahead_x, ahead_y, ahead_z
     cdef readonly bint ml, independent, mahalanobis
     cdef readonly double division_factor, division_confidence, min_residuals
-    cdef readonly double divide_exceptions, divide_area
+    cdef readonly double divide_exceptions, rock_area, mound_height
     cdef readonly double min_points, slope_points
     cdef readonly double correlation_time
     cdef readonly double uneven, slack, clip, tolerance

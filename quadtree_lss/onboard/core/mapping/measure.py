@@ -55,10 +55,13 @@ CONFIDENCE = 0.5
 #: Free residuals (points less three a scan) before this mean counts.
 LEAST_RESIDUALS = 8.0
 #: Exceptions, in measurements, that show a rock and divide a leaf: more than one stray return. They
-#: find what has no raised points: a pit 0.6 m wide and deep.
+#: find what rises nowhere: a pit 0.6 m wide and deep.
 ROCK_EXCEPTIONS = 1.5
 #: Points of one scan that make a first fit: a plane has as many unknowns.
 FIT_POINTS = 3.0
+#: Share of the least hazard by which the mean of a finest cell's returns rises where a rock is: one
+#: as narrow as the cell is seldom in its middle, and poses spread its returns over the neighbours.
+MOUND = 1.0 / 3.0
 #: Weight of the parent's slope in a first height fit, in points: with it the slopes of small cells
 #: had half the 99th percentile error.
 SLOPE_POINTS = 5.0
@@ -75,17 +78,16 @@ FEATURE_POINTS = 12.0
 #: - square: mean square residual about the fit, m^2; statistic: of division;
 #: - sloped: 0 of a strip too thin to tell a slope, else 1;
 #: - unseen: share of the cell's width that the points leave out, 0 .. 1;
-#: - raised: points that stand out above the leaf's plane, by raised_by and more, m; greatest:
-#:   |orthogonal distance|, m; doubt: how far its mean may lie off that plane and both be right, m;
-#:   shared: of that, what its points have in common by pose and plane, and not by noise, 0 .. 1;
+#: - raised_by: from which distance to the leaf's plane on points stand out, m; greatest: of them,
+#:   m; doubt: how far the run's mean may lie off that plane and both be right, m; shared: of that,
+#:   what its points have in common by pose and plane, and not by noise, 0 .. 1;
 #: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z);
 #: - bias: what noise along the ray may turn the fit by, rad, and lift it by, m, and how much the
 #:   slope of the fit counts, m^2 (`_bias`).
 RUN = np.dtype(
     [("points", "f8"), ("centroid", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
     + [(name, "f8") for name in ("z", "cosine", "variance", "square", "statistic", "unseen")]
-    + [("sloped", "f8"), ("raised", "f8"), ("raised_by", "f8"), ("doubt", "f8"), ("greatest", "f8")]
-    + [("shared", "f8")]
+    + [(name, "f8") for name in ("sloped", "raised_by", "doubt", "greatest", "shared")]
     + [("range_part", "f8", 9), ("pose_part", "f8", 9), ("bias", "f8", 3)]
 )
 
@@ -107,7 +109,8 @@ class Rules:
         self.division_confidence = CONFIDENCE
         self.min_residuals = LEAST_RESIDUALS
         self.divide_exceptions = ROCK_EXCEPTIONS
-        self.divide_area = lengths.rock_area
+        self.rock_area = lengths.rock_area
+        self.mound_height = MOUND * lengths.least_hazard
         self.min_points = FIT_POINTS
         self.slope_points = SLOPE_POINTS
         self.correlation_time = config.pose.correlation_time
@@ -391,7 +394,7 @@ def measure(
     else:
         arm[0], arm[1], arm[2] = x, y, run.z
         pose_part(run.normal, arm, sigma, run.pose_part)
-    run.statistic = run.raised = run.greatest = run.raised_by = run.doubt = 0.0
+    run.statistic = run.greatest = run.raised_by = run.doubt = 0.0
     run.shared = 1.0
 
 

@@ -74,7 +74,7 @@ def departs(
         e = fabs(n_x * points[i, 0] + n_y * points[i, 1] + n_z * points[i, 2] - d)
         out += 1.0 if e > high else 0.0
         greatest = e if e > greatest else greatest
-    if out < max(2.0, rules.divide_area / (side * side) * run.points):
+    if out < max(2.0, rules.rock_area / (side * side) * run.points):
         return False
     leaf.greatest = max(leaf.greatest, min(greatest, rules.clip))
     return True
@@ -112,7 +112,7 @@ def rest(
         d -= off - min(max(shared * off, -run.doubt), run.doubt)
     high = raised_from(rules, leaf, variance)
     clip = rules.clip
-    total = raised = greatest = 0.0
+    total = greatest = 0.0
     low = high_z = points[begin, 2]
     for i in range(begin, end):
         z = points[i, 2]
@@ -120,21 +120,17 @@ def rest(
         high_z = z if z > high_z else high_z
         e = n_x * points[i, 0] + n_y * points[i, 1] + n_z * z - d
         residual[i] = e
-        raised += 1.0 if e > high else 0.0
         e = fabs(e)
         greatest = e if e > greatest else greatest
         total += e if e < clip else clip
     leaf.low = min(leaf.low, low + origin[2])
     leaf.high = max(leaf.high, high_z + origin[2])
-    run.raised = raised
     run.raised_by = high
     run.greatest = greatest
     leaf.greatest = max(leaf.greatest, min(greatest, clip))
     noise = variance * max(1.0 - shared / count, 0.5)
     leaf.distance_sum += total
     leaf.noise_sum += count * MEAN_CHI_1 * sqrt(noise)
-    leaf.raised_sum += raised
-    leaf.raised_noise += count * above(rules.rock_height / sqrt(variance))
     # xi of a residual that is noise itself: the noise counts twice.
     leaf.exception_noise += 2.0 * count * above(rules.tolerance / sqrt(2.0 * variance))
     if greatest > rules.tolerance - 3.0 * sqrt(noise):

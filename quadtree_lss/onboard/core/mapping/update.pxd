@@ -52,5 +52,6 @@ cdef class ScanUpdate:
     cdef void _go_on(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, bint same_scan) noexcept nogil
     cdef void _mark(self, Py_ssize_t begin, Py_ssize_t end, unsigned char state) noexcept nogil
     cdef void _residuals(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
+    cdef bint _mound(self, Py_ssize_t begin, Py_ssize_t end, double variance, double sign) noexcept nogil
     cdef void _rest(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
     cdef double common(self, double time) noexcept nogil

@@ -52,6 +52,9 @@ TURNED = cython.declare(cython.double, 1.5)
 MOVED = cython.declare(cython.double, 0.75)
 #: A run contradicts a plane that is so many deviations off.
 CONTRADICTING = cython.declare(cython.double, 30.0)
+#: The mean of a finest cell's returns rises so many deviations over a plane: of 65,536 cells noise
+#: lifts two so far.
+PILED = cython.declare(cython.double, 4.0)
 #: Points of a scan in a cell that tell the range noise.
 NOISE_POINTS = cython.declare(cython.double, 8.0)
 #: A first plane so many deviations from that of a prior does not begin from it.
@@ -533,10 +536,14 @@ class ScanUpdate:
             self._residuals(leaf, begin, end, run)
         if not (asked and self._divide(row, run)):
             self._rest(leaf, begin, end, run)
-            if not (hides_rock(self.rules, leaf, run, side) or rough(self.rules, leaf)):
+            if asked or leaf.level == self.table.max_level:
                 return
-            if asked or not self._divide(row, run):
+            mound: cython.bint = self._mound(begin, end, run.variance, 1.0)
+            if not (mound or hides_rock(self.rules, leaf) or rough(self.rules, leaf)):
                 return
+            if not self._divide(row, run):
+                return
+            self._mound(begin, end, run.variance, -1.0)  # they are to come to rest once
         self._go_on(row, begin, end, same_scan or fresh)
 
     @cython.boundscheck(False)
@@ -595,6 +602,32 @@ class ScanUpdate:
                 else:
                     self._mark(i, i + 1, SEEN)
                 out = count = 0.0
+
+    @cython.boundscheck(False)
+    def _mound(
+        self, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, variance: float, sign: float
+    ) -> cython.bint:
+        """Whether a finest cell rises over its leaf's plane as under a rock, by `MOUND`.
+
+        What noise of ``variance`` v hides in each scan, the mean of n returns of all of them shows:
+        it must rise by `PILED` sqrt(v / n), too. Those of this run are added, or with a ``sign`` of
+        -1 taken away again.
+        """
+        i: cython.Py_ssize_t
+        found: cython.bint = False
+        total = count = 0.0
+        for i in range(begin, end):
+            total += self.residual[i]
+            count += 1.0
+            if i == end - 1 or self.key[i + 1] != self.key[i]:
+                total = self.table.pile[self.key[i], 0] + sign * total
+                count = self.table.pile[self.key[i], 1] + sign * count
+                self.table.pile[self.key[i], 0] = cython.cast(cython.float, total)
+                self.table.pile[self.key[i], 1] = cython.cast(cython.float, count)
+                high: cython.bint = total > self.rules.mound_height * count
+                found |= high and total * total > PILED * PILED * variance * count
+                total = count = 0.0
+        return found
 
     def _rest(
         self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record

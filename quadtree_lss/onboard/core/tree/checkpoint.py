@@ -22,7 +22,7 @@ from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import LEAF, leaf_raster
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-FORMAT = 5
+FORMAT = 6
 """Goes up whenever the arrays of `Mapper.export_state` change their meaning."""
 
 ROUNDING = 1e-6
@@ -41,8 +41,8 @@ highest vehicle)."""
 MOST_TURN = 1e6
 """What noise may turn and lift a fit by (`LEAF`), rad and m."""
 NEVER_NEGATIVE = frozenset(
-    "points distance_sum noise_sum exception_sum exception_noise raised_sum raised_noise"
-    " residuals division_sum division_weight square_sum greatest strip".split()
+    "points distance_sum noise_sum exception_sum exception_noise residuals division_sum"
+    " division_weight square_sum greatest strip".split()
 )
 
 OUT = 3
@@ -132,6 +132,10 @@ def check(
     _check_leaves(state["leaves"], domain)
     if (state["observed"] > OUT).any():
         msg = "has an impossible mask of observed cells"
+        raise CheckpointError(msg)
+    rises, returns = state["piled"].T
+    if not ((np.abs(rises) < MOST) & (returns >= 0.0) & (returns < MOST)).all():
+        msg = "has finest cells with impossible returns"
         raise CheckpointError(msg)
     height, variance = state["offset"].tolist()
     none = math.isnan(height) and math.isnan(variance)

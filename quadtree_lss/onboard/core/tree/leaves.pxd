@@ -34,8 +34,6 @@ cdef struct Leaf:
     double noise_sum
     double exception_sum
     double exception_noise
-    double raised_sum
-    double raised_noise
     double residuals
     double division_sum
     double division_weight
@@ -65,6 +63,8 @@ cdef class LeafTable:
     cdef Py_ssize_t[::1] order
     cdef readonly object observed
     cdef unsigned char[::1] seen
+    cdef readonly object piled
+    cdef float[:, ::1] pile
     cdef readonly Py_ssize_t count
     cdef readonly Py_ssize_t capacity
     cdef readonly Py_ssize_t max_cells

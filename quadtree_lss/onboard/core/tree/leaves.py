@@ -46,9 +46,9 @@ Record: TypeAlias = Any
 #: - range_part, pose_part: covariance (9) of (dphi_1, dphi_2, dd), d about (x, y, z), from range
 #:   noise and from pose error;
 #: - points: measurements in the plane;
-#: - distance_sum, exception_sum, raised_sum: of |orthogonal distance| (Eq. 55), m, of exception
-#:   masses (Eq. 48), of measurements that stand out above; noise_sum, exception_noise,
-#:   raised_noise: what range noise alone adds to each; residuals: measurements in these sums;
+#: - distance_sum, exception_sum: of |orthogonal distance| (Eq. 55), m, and of exception masses
+#:   (Eq. 48); noise_sum, exception_noise: what range noise alone adds to each; residuals:
+#:   measurements in these sums;
 #: - division_sum, square_sum, division_weight: sums of the division statistic and of the mean
 #:   square residual about the scans' own fits, m^2, and of their weights;
 #: - low, high: lowest and highest return, m, of those that came to rest here, or before that of
@@ -64,8 +64,7 @@ LEAF = np.dtype(
     + [("normal", "f8", 3), ("range_part", "f8", 9), ("pose_part", "f8", 9), ("points", "f8")]
     + [(f"{name}_sum", "f8") for name in ("distance",)]
     + [("noise_sum", "f8"), ("exception_sum", "f8"), ("exception_noise", "f8")]
-    + [("raised_sum", "f8"), ("raised_noise", "f8"), ("residuals", "f8")]
-    + [("division_sum", "f8"), ("division_weight", "f8"), ("square_sum", "f8")]
+    + [("residuals", "f8"), ("division_sum", "f8"), ("division_weight", "f8"), ("square_sum", "f8")]
     + [("low", "f8"), ("high", "f8"), ("greatest", "f8"), ("strip", "f8")]
     + [("bias", "f8", 3), ("feature", "f8", 5), ("feature_information", "f8", 25)]
 )
@@ -84,8 +83,7 @@ def clear(leaf: Record) -> None:
     i: cython.int
     leaf.points = 0.0
     leaf.distance_sum = leaf.noise_sum = 0.0
-    leaf.exception_sum = leaf.exception_noise = 0.0
-    leaf.raised_sum = leaf.raised_noise = leaf.residuals = 0.0
+    leaf.exception_sum = leaf.exception_noise = leaf.residuals = 0.0
     leaf.division_sum = leaf.division_weight = leaf.square_sum = 0.0
     leaf.greatest = leaf.strip = 0.0
     leaf.bias[0] = leaf.bias[1] = leaf.bias[2] = 0.0
@@ -111,6 +109,8 @@ class LeafTable:
         observed: (4^max_level,) of the finest cells: 0 where no point fell, 1 where one did, 2
             where one was compared with the plane of the leaf, or of that which it was divided
             from, 3 where one stood out from that.
+        piled: (4^max_level, 2) of the finest cells: how far returns lie above that plane, m,
+            summed up, and how many.
         count, capacity, max_cells: Leaves, rows, and how many leaves there may be.
     """
 
@@ -123,6 +123,8 @@ class LeafTable:
         self.over = self.leaf_of
         self.observed = np.zeros(4**domain.max_level, dtype=np.uint8)
         self.seen = self.observed
+        self.piled = np.zeros((4**domain.max_level, 2), dtype=np.float32)
+        self.pile = self.piled
         self.count = self.capacity = 0
         self.rows = np.zeros(0, dtype=LEAF).view(np.recarray)
         self.plant()
@@ -130,6 +132,7 @@ class LeafTable:
     def plant(self) -> None:
         """Forget all leaves and divide to the minimum level."""
         self.observed[:] = 0
+        self.piled[:] = 0.0
         side = 1 << self.domain.min_level
         iy, ix = np.divmod(np.arange(side * side), side)
         level = np.full(side * side, self.domain.min_level)
@@ -163,7 +166,6 @@ class LeafTable:
         side: cython.int = 1 << least
         self.lie_on(self.domain.moved(east, north))
         observed = self.observed.copy()
-        self.observed[:] = 0
         kept = 0
         for row in range(self.count):
             leaf = self.at(row)
@@ -185,7 +187,9 @@ class LeafTable:
                     kept += 1
         self.count = kept
         parts = 1 << (self.max_level - least)
-        shift(observed, self.observed, side * parts, east * parts, north * parts)
+        n, east, north = side * parts, east * parts, north * parts
+        self.observed[:] = shifted(observed, n, east, north)
+        self.piled[:] = shifted(self.piled, n, east, north)
 
     def _allocate(self, rows: int) -> None:
         self.capacity = rows
@@ -314,6 +318,7 @@ class LeafTable:
         for code in range(first, first + (1 << down)):
             if self.seen[code] > SEEN:
                 self.seen[code] = SEEN
+            self.pile[code, 0] = self.pile[code, 1] = 0.0
 
     def forget(self, leaf: Record) -> None:
         """Nothing is known of a leaf, nor of the finest cells under it; seen they were."""
@@ -347,24 +352,15 @@ def unfold(values: Bytes, out: Bytes) -> None:
             out[row, column] = values[places[column] | places[row] << 1]
 
 
-@cython.boundscheck(False)
-@cython.locals(values=cython.uchar[::1], out=cython.uchar[::1])
-def shift(
-    values: Bytes,
-    out: Bytes,
-    n: cython.Py_ssize_t,
-    east: cython.Py_ssize_t,
-    north: cython.Py_ssize_t,
-) -> None:
-    """Values (n^2,) of finest cells in Morton order to those of the square that lies so many cells
-    east and north; 0 where that is new."""
-    cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t)
-    places = cython.declare(cython.longlong[::1], SPREAD)
-    for row in range(max(0, -north), min(n, n - north)):
-        for column in range(max(0, -east), min(n, n - east)):
-            out[places[column] | places[row] << 1] = values[
-                places[column + east] | places[row + north] << 1
-            ]
+def shifted(values: NDArray[Any], n: int, east: int, north: int) -> NDArray[Any]:
+    """Values (n^2, ...) of finest cells in Morton order, of the square that lies so many cells east
+    and north; 0 where that is new."""
+    out = np.zeros_like(values)
+    x = np.arange(max(0, -east), min(n, n - east))
+    y = np.arange(max(0, -north), min(n, n - north))[:, None]
+    at = SPREAD[x + east] | SPREAD[y + north] << 1
+    out[SPREAD[x] | SPREAD[y] << 1] = values[at]
+    return out
 
 
 @cython.boundscheck(False)
