@@ -10,20 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from quadtree_lss.desk.exchange.saved import Results
-from quadtree_lss.desk.report import drawing
-from quadtree_lss.desk.report.palette import (
-    CLEAR_COLOUR,
-    EXCLUDED_COLOUR,
-    HAZARDS,
-    SAFE_COLOUR,
-    UNKNOWN,
-    UNMAPPED_COLOUR,
-    UNMAPPED_NAME,
-    UNSEEN_COLOUR,
-    excluding,
-    slope_limit,
-    slope_limits,
-)
+from quadtree_lss.desk.report import drawing, palette
 from quadtree_lss.onboard.arrays import Array
 
 NONE_COLOUR = "#cdcdcd"
@@ -32,14 +19,15 @@ NONE_COLOUR = "#cdcdcd"
 def figures(content: Results) -> dict[str, Figure]:
     """All of them by name."""
     grid, zone = content.grid, content.zone
-    limit, slope = slope_limit(content.config.lss), content.grid["slope_deg"]
+    limit, slope = palette.slope_limit(content.config.lss), content.grid["slope_deg"]
     found = {"hazards": hazard_figure(content)}
     found["elevation"], axes = _map("Elevation of the map's planes", content)
     _layer(axes, content, grid["elevation"], "elevation", "elevation, m")
     drawing.mark_sites(axes, content.positions)
     found["slope"], axes = _map("Slope at the lander's scale", content)
     label = f"slope, deg (limit {limit:g} in white; grey: unseen)"
-    bar = _layer(axes, content, slope, "slope", label, slope_limits(slope, content.config.lss))
+    limits = palette.slope_limits(slope, content.config.lss)
+    bar = _layer(axes, content, slope, "slope", label, limits=limits)
     bar.ax.axhline(limit, color="white")
     if np.nanmax(slope, initial=0.0) > limit:
         axes.contour(grid["x"], grid["y"], slope, [limit], colors="white", linewidths=0.8)
@@ -51,8 +39,8 @@ def figures(content: Results) -> dict[str, Figure]:
     if content.probability is not None:
         title = "Probability of a safe touchdown if aimed here"
         found["probability"], axes = _map(title, content)
-        percent = 100.0 * content.probability
-        _layer(axes, content, percent, "probability", "probability, %", (0.0, 100.0))
+        percent, limits = 100.0 * content.probability, (0.0, 100.0)
+        _layer(axes, content, percent, "probability", "probability, %", limits=limits)
         drawing.mark_sites(axes, content.positions, zone)
     if len(content.timing["map_ms"]):
         found["timing"] = _timing(content)
@@ -71,22 +59,28 @@ def hazard_figure(content: Results) -> Figure:
         drawing.map_axes(axes, title, _box(content))
     right.set_ylabel("")
     grid = content.grid
-    bits = excluding(content.config.lss.assessment)
-    filled = [row for row in HAZARDS if row[0] & (bits | UNKNOWN)]
+    bits = palette.excluding(content.config.lss.assessment)
+    filled = [row for row in palette.HAZARDS if row[0] & (bits | palette.UNKNOWN)]
     kind = np.zeros(grid["hazard"].shape, dtype=np.int64)
     for place, (bit, _, _) in reversed(list(enumerate(filled, start=1))):
         kind[(grid["hazard"] & bit) > 0] = place
-    names = [("none", CLEAR_COLOUR), *((name, colour) for _, name, colour in filled)]
+    names = [("none", palette.CLEAR_COLOUR), *((name, colour) for _, name, colour in filled)]
     kinds = _classes(left, content, kind, names)
-    for bit, name, colour in HAZARDS:
+    for bit, name, colour in palette.HAZARDS:
         shown = ((grid["hazard"] & bit) > 0) & content.grid.seen
-        if not (bits | UNKNOWN) & bit and shown.any():
+        if not (bits | palette.UNKNOWN) & bit and shown.any():
             left.contour(grid["x"], grid["y"], shown, [0.5], colors=colour, linewidths=0.7)
             kinds.append(Patch(facecolor="none", edgecolor=colour, label=f"{name}, not excluding"))
     unseen = np.where(grid.unmapped, 3, 2)
     allowed = np.where(grid["safe"], 1, np.where(grid.seen, 0, unseen))
-    names = [("excluded", EXCLUDED_COLOUR), ("allowed", SAFE_COLOUR), ("unseen", UNSEEN_COLOUR)]
-    decisions = _classes(right, content, allowed, [*names, (UNMAPPED_NAME, UNMAPPED_COLOUR)])
+    names = [
+        ("excluded", palette.EXCLUDED_COLOUR),
+        ("allowed", palette.SAFE_COLOUR),
+        ("unseen", palette.UNSEEN_COLOUR),
+    ]
+    decisions = _classes(
+        right, content, allowed, [*names, (palette.UNMAPPED_NAME, palette.UNMAPPED_COLOUR)]
+    )
     figure.legend(handles=kinds, loc="lower left", ncols=3, frameon=False)
     figure.legend(handles=decisions, loc="lower right", ncols=2, frameon=False)
     drawing.mark_sites(right, content.positions, content.zone)
@@ -100,18 +94,11 @@ def _map(title: str, content: Results) -> tuple[Figure, Any]:
     return figure, axes
 
 
-def _layer(
-    axes: Any,
-    content: Results,
-    values: Array,
-    kind: str,
-    label: str,
-    limits: tuple[float, float] | None = None,
-) -> Any:
+def _layer(axes: Any, content: Results, values: Array, kind: str, label: str, **style: Any) -> Any:
     """Values (ny, nx) on the shaded ground; returns their colour bar."""
     grid = content.grid
-    heights = {"heights": grid["elevation"], "unknown": NONE_COLOUR}
-    drawn = drawing.layer(axes, grid["x"], grid["y"], values, kind, limits, **heights)
+    style |= {"heights": grid["elevation"], "unknown": NONE_COLOUR}
+    drawn = drawing.layer(axes, grid.x, grid.y, values, kind, **style)
     label += "" if "grey" in label else " (grey: unseen)"
     return axes.figure.colorbar(drawn, ax=axes, label=label, shrink=0.85, extend="both")
 
@@ -137,24 +124,23 @@ def _timing(content: Results) -> Figure:
 
 def _box(content: Results) -> drawing.Box:
     """The seen ground, or all."""
-    x, y = content.grid["x"], content.grid["y"]
-    if not content.grid.seen.any():
-        return drawing.extent(x, y)
-    x, y = x[content.grid.seen.any(axis=0)], y[content.grid.seen.any(axis=1)]
-    room = 2.0 * content.grid.spacing
+    grid = content.grid
+    if not grid.seen.any():
+        return drawing.extent(grid.x, grid.y)
+    x, y = grid.x[grid.seen.any(axis=0)], grid.y[grid.seen.any(axis=1)]
+    room = 2.0 * grid.spacing
     return x[0] - room, x[-1] + room, y[0] - room, y[-1] + room
 
 
 def _classes(axes: Any, content: Results, kind: Any, names: list[tuple[str, str]]) -> list[Patch]:
     """Image of class numbers on the shaded ground, and a legend with shares of the seen ground."""
-    grid = content.grid
-    colours = [colour for _, colour in names]
-    drawing.classes(axes, grid["x"], grid["y"], kind, colours, grid["elevation"])
-    seen = max(np.count_nonzero(content.grid.seen), 1)
+    grid, colours = content.grid, [colour for _, colour in names]
+    drawing.classes(axes, grid.x, grid.y, kind, colours, grid["elevation"])
+    seen = max(np.count_nonzero(grid.seen), 1)
     legend = []
     for number, (name, colour) in enumerate(names):
-        share = 100.0 * np.count_nonzero((kind == number) & content.grid.seen) / seen
-        label = name if name in ("unseen", UNMAPPED_NAME) else f"{name} {share:.1f} %"
-        if name != UNMAPPED_NAME or content.grid.unmapped.any():
+        share = 100.0 * np.count_nonzero((kind == number) & grid.seen) / seen
+        label = name if name in ("unseen", palette.UNMAPPED_NAME) else f"{name} {share:.1f} %"
+        if name != palette.UNMAPPED_NAME or grid.unmapped.any():
             legend.append(Patch(facecolor=colour, edgecolor="black", linewidth=0.4, label=label))
     return legend

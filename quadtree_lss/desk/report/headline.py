@@ -87,13 +87,12 @@ def largest_circle(content: Results) -> Circle | None:
 def nearest_miss(content: Results) -> NearestMiss | None:
     """The likeliest place, else the most level one of those with room; None if there is none."""
     grid, lss = content.grid, content.config.lss
-    room = _room(content.grid.seen, content.grid.spacing) >= content.zone
-    values, word = content.probability, "probability {:.0f} %"
-    best = np.nanargmax if values is not None else np.nanargmin
-    if values is None:
-        values, word = grid["slope_deg"], "slope {:.1f} deg, but a hazard within the zone"
-    else:
-        values = 100.0 * values
+    room = _room(grid.seen, grid.spacing) >= content.zone
+    best, word = np.nanargmin, "slope {:.1f} deg, but a hazard within the zone"
+    values = grid["slope_deg"]
+    if content.probability is not None:
+        best, word = np.nanargmax, "probability {:.0f} %"
+        values = 100.0 * content.probability
     values = np.where(room, values, np.nan)
     if lss.assessment == "paper" or grid["safe"].any() or not np.isfinite(values).any():
         return None
@@ -116,9 +115,6 @@ class Fact(NamedTuple):
     level: str = ""
 
 
-PRIOR = ("east", "north", "up")
-
-
 def best_probability(content: Results) -> float:
     """Of the best aim; NaN without a site, or where nobody asked for it."""
     found = content.sites.get("probability", np.zeros(0))
@@ -129,17 +125,16 @@ def trust(content: Results) -> tuple[str, list[Fact]]:
     """A level of `LEVELS` for the best aim, and what it rests on."""
     lss, summary, best = content.config.lss, content.summary, best_probability(content)
     doubts = list(summary.get("doubts", ()))
+    level = "none" if best < lss.min_probability else "good" if best >= GOOD else "care"
+    aim = f"{shown(best)}: {LEVELS[level].lower()}"
     if np.isnan(best):
-        level, aim = (
-            ("care", "not computed") if len(content.sites["x"]) else ("none", "there is none")
-        )
-    else:
-        level = "none" if best < lss.min_probability else "good" if best >= GOOD else "care"
-        aim = f"{shown(best)}: {LEVELS[level].lower()}"
+        level, aim = "care", "not computed"
+    if not len(content.sites["x"]):
+        level, aim = "none", "there is none"
     fits = not doubts and "probability" in (lss.assessment, lss.ranking)
-    within = (
-        "yes" if fits else f"no: {len(doubts)} in the warnings" if doubts else "no risk is computed"
-    )
+    within = "yes" if fits else "no risk is computed"
+    if doubts:
+        within = f"no: {len(doubts)} in the warnings"
     noise, ratio = content.config.lidar.range_noise, summary.get("range_noise_ratio")
     noisy = ratio is not None and noise_notice(ratio, content.config) is not None
     seen, cells = float(np.mean(content.grid.seen)), content.config.domain
@@ -159,7 +154,8 @@ def trust(content: Results) -> tuple[str, list[Fact]]:
     if lss.assessment == "probability":
         facts.append(Fact("risk allowed at a place", f"{100.0 * lss.max_risk:.3g} %"))
     if "east" in (prior := summary.get("prior") or {}):
-        off = "m, ".join(f"{prior[k]:+.2f} ± {prior[k + '_sigma']:.2f} " for k in PRIOR) + "m"
+        axes = ("east", "north", "up")
+        off = ", ".join(f"{prior[k]:+.2f} ± {prior[k + '_sigma']:.2f} m" for k in axes)
         off = "refused: it is of another place" if prior["refused"] else off
         facts.append(Fact("map from its prior, e, n, up", off, "care" if prior["refused"] else ""))
     return "care" if level == "good" and not fits else level, facts
@@ -181,14 +177,11 @@ def headline(content: Results) -> tuple[str, str]:
     if np.isfinite(best):
         words = f"{shown(best)} at {of}"
         if level == "none":
-            least = shown(content.config.lss.min_probability)
-            words += f", and a target needs {least}"
+            words += f", and a target needs {shown(content.config.lss.min_probability)}"
     x, y, z = (f"{sites[name][0]:.2f}" for name in "xyz")
     why = re.sub(r"^probability [^:]*: ", "", content.reasons[0])  # the words have it already
-    return (
-        f"{LEVELS[level]}: {words}.",
-        f"At x {x}, y {y}, z {z} m. {why[:1].upper()}{why[1:]}. {ground}.",
-    )
+    place = f"At x {x}, y {y}, z {z} m. {why[:1].upper()}{why[1:]}. {ground}."
+    return f"{LEVELS[level]}: {words}.", place
 
 
 def few(value: float) -> str:
@@ -210,9 +203,9 @@ def shortfall(content: Results) -> str:
     if lss.assessment == "probability" and risk is not None:
         least = float(np.nanmin(risk[fits], initial=1.0))
         if least > lss.max_risk:
-            times = (
-                f", {least / lss.max_risk:.3g} times the allowed" if lss.max_risk else ", not the"
-            )
+            times = ", not the"
+            if lss.max_risk:
+                times = f", {least / lss.max_risk:.3g} times the allowed"
             limit = f"{100.0 * lss.max_risk:.3g} % (lss.max_risk)"
             return f"The lowest risk of a place is {100.0 * least:.2g} %{times} {limit}"
     slope = float(np.nanmin(content.grid["slope_deg"][fits], initial=90.0))
@@ -223,9 +216,8 @@ def shortfall(content: Results) -> str:
     circle = largest_circle(content)
     if circle is None or circle.radius >= need:
         return ""
-    return (
-        f"Clear ground is {need - circle.radius:.2f} m short of the {need:.2f} m radius of a zone"
-    )
+    short = need - circle.radius
+    return f"Clear ground is {short:.2f} m short of the {need:.2f} m radius of a zone"
 
 
 def _without(content: Results, ground: str) -> str:

@@ -90,8 +90,9 @@ def _grid(content: Results, columns: Columns) -> dict[str, Any]:
     def part(name: str) -> NDArray[Any]:
         return grid[name][::stride, ::stride]
 
-    limit = palette.slope_limit(content.config.lss)
-    slopes = palette.slope_limits(grid["slope_deg"], content.config.lss)
+    lss, limits = content.config.lss, palette.colour_limits
+    slope: dict[str, Any] = {"limits": palette.slope_limits(grid["slope_deg"], lss)}
+    slope["mark"] = palette.slope_limit(lss)
     found: dict[str, Any] = {
         "nx": len(grid["x"][::stride]),
         "ny": len(grid["y"][::stride]),
@@ -99,21 +100,18 @@ def _grid(content: Results, columns: Columns) -> dict[str, Any]:
         "ymin": float(grid["y"][0]),
         "spacing": content.grid.spacing * stride,
         "stride": stride,
-        "elevation": columns.quantised(part("elevation"), least=5e-4)
-        | {"limits": palette.colour_limits(grid["elevation"])},
-        "slope": columns.quantised(part("slope_deg"), least=5e-3)
-        | {"limits": slopes, "mark": limit},
-        "score": columns.quantised(part("score"), least=2e-4)
-        | {"limits": palette.colour_limits(grid["score"])},
-        "hazard": columns.whole(part("hazard"), "u1"),
-        "safe": columns.whole(part("safe"), "u1"),
+        "elevation": columns.quantised(
+            part("elevation"), least=5e-4, limits=limits(grid["elevation"])
+        ),
+        "slope": columns.quantised(part("slope_deg"), least=5e-3, **slope),
+        "score": columns.quantised(part("score"), least=2e-4, limits=limits(grid["score"])),
     }
-    for name in ("shadow", "reach"):
+    for name in ("hazard", "safe", "shadow", "reach"):
         if name in grid:
             found[name] = columns.whole(part(name), "u1")
     if content.probability is not None:
-        found["probability"] = columns.quantised(100.0 * part("probability"), least=5e-3)
-        found["probability"]["limits"] = (0.0, 100.0)
+        percent = 100.0 * part("probability")
+        found["probability"] = columns.quantised(percent, least=5e-3, limits=(0.0, 100.0))
     return found
 
 
@@ -124,18 +122,14 @@ def _layer(layer: Layer, columns: Columns, stride: int) -> dict[str, Any]:
         classes = [{"name": name, "colour": colour} for name, colour in layer.classes]
         return {**about, "classes": classes, "values": columns.whole(values, "u1")}
     limits = layer.limits or palette.colour_limits(layer.values)
-    return {**about, "kind": layer.kind, "values": {**columns.quantised(values), "limits": limits}}
+    return {**about, "kind": layer.kind, "values": columns.quantised(values, limits=limits)}
 
 
 def _leaves(cells: CellMap, columns: Columns) -> dict[str, Any]:
     domain = cells.domain
     found: dict[str, Any] = {
         "number": len(cells.level),
-        "xmin": domain.xmin,
-        "ymin": domain.ymin,
-        "size": domain.size,
-        "min_level": domain.min_level,
-        "max_level": domain.max_level,
+        **{k: getattr(domain, k) for k in ("xmin", "ymin", "size", "min_level", "max_level")},
         "level": columns.whole(cells.level, "u1"),
         "ix": columns.whole(cells.ix, "u2"),
         "iy": columns.whole(cells.iy, "u2"),
@@ -158,8 +152,8 @@ def _leaves(cells: CellMap, columns: Columns) -> dict[str, Any]:
         "z": columns.quantised(cells.z),
         "slope_x": columns.quantised(slopes[:, 0]),
         "slope_y": columns.quantised(slopes[:, 1]),
-        "deviation": columns.quantised(deviation) | {"limits": palette.top_limit(deviation)},
-        "roughness": columns.quantised(rough) | {"limits": palette.top_limit(rough)},
+        "deviation": columns.quantised(deviation, limits=palette.top_limit(deviation)),
+        "roughness": columns.quantised(rough, limits=palette.top_limit(rough)),
         "exceptions": columns.quantised(cells.exception_fraction, "u1"),
         "feature": columns.quantised(height),
         "count": columns.whole(cells.count, "u4"),
@@ -168,15 +162,16 @@ def _leaves(cells: CellMap, columns: Columns) -> dict[str, Any]:
 
 
 def _sites(content: Results) -> list[dict[str, Any]]:
-    names = [name for name in content.sites if name not in ("rank", "nx", "ny", "nz")]
+    normal = ("nx", "ny", "nz")
+    names = [name for name in content.sites if name not in ("rank", *normal)]
     return [
         {
             "rank": k + 1,
             **{name: _json(content.sites[name][k]) for name in names},
-            "normal": [float(content.sites[name][k]) for name in ("nx", "ny", "nz")],
-            "reason": content.reasons[k],
+            "normal": [float(content.sites[name][k]) for name in normal],
+            "reason": reason,
         }
-        for k in range(len(content.sites["x"]))
+        for k, reason in enumerate(content.reasons)
     ]
 
 
@@ -187,12 +182,11 @@ def _json(value: float) -> float | None:
 def _history(content: Results, columns: Columns, stride: int) -> dict[str, Any] | None:
     """Answers and scans in seconds since the first of both; None without a second answer."""
     history = content.history
-    if not history:
-        return None
-    scans, answers = history["scan_stamp_ns"], history["answer_stamp_ns"]
+    answers = history.get("answer_stamp_ns", np.zeros(0))
     mapped = np.flatnonzero(answers > 0)  # of a map with a scan in it
     if len(mapped) < 2:
         return None
+    scans = history["scan_stamp_ns"]
     first = int(min(scans.min(initial=answers[mapped[0]]), answers[mapped].min()))
     shown = mapped[np.unique(np.linspace(0, len(mapped) - 1, MAX_ANSWERS).round().astype(int))]
 
@@ -203,22 +197,13 @@ def _history(content: Results, columns: Columns, stride: int) -> dict[str, Any] 
     # Of what is seen hardly anything changes from one answer to the next.
     seen = packed("seen")
     seen[1:] ^= seen[:-1].copy()
-    place = {answer: k for k, answer in enumerate(shown.tolist())}
     likely = {}
     if "probability" in history:
         found = content.then("probability", shown)[:, ::stride, ::stride]
         # Changes from one answer to the next, modulo 256, are nearly all zero.
         likely["probability"] = columns.whole(np.diff(found, axis=0, prepend=np.uint8(0)), "u1")
-    sites: list[list[list[float | None]]] = [[] for _ in shown]
-    for row, answer in enumerate(history["site_answer"].tolist()):
-        if answer in place:
-            values = (
-                history["site_id"][row],
-                *history["site_position"][row],
-                history["site_score"][row],
-                history["site_probability"][row],
-            )
-            sites[place[answer]].append([_json(value) for value in values])
+    names = ("site_id", "site_position", "site_score", "site_probability")
+    sites = np.column_stack([history[name] for name in names])
     outline = history["scan_outline"]
     return {
         "first_ns": first,
@@ -226,13 +211,17 @@ def _history(content: Results, columns: Columns, stride: int) -> dict[str, Any] 
         "seen": columns.whole(seen, "u1"),
         "allowed": columns.whole(packed("allowed"), "u1"),
         **likely,
-        "sites": sites,
-        "targets": [[_json(value) for value in row] for row in history["target"][shown]],
+        "sites": [_rows(sites[history["site_answer"] == answer]) for answer in shown],
+        "targets": _rows(history["target"][shown]),
         "scan_seconds": _seconds(scans, first),
         "position": columns.floats(history["scan_position"]),
         "outline": columns.floats(outline),
         "corners": outline.shape[1],
     }
+
+
+def _rows(table: NDArray[Any]) -> list[list[float | None]]:
+    return [[_json(value) for value in row] for row in table]
 
 
 def _seconds(stamps: NDArray[Any], first: int) -> list[float]:

@@ -75,9 +75,11 @@ class Columns:
         self._end = 0
         self._known: dict[bytes, int] = {}
 
-    def quantised(self, values: ArrayLike, kind: str = "u2", least: float = 0.0) -> dict[str, Any]:
+    def quantised(
+        self, values: ArrayLike, kind: str = "u2", least: float = 0.0, **more: Any
+    ) -> dict[str, Any]:
         """Entry i is low + step · data[i], with steps of ``least`` or more; the greatest number
-        stands for NaN."""
+        stands for NaN. ``more`` is told of it besides."""
         flat = np.asarray(values, dtype=np.float64).ravel()
         finite = np.isfinite(flat)
         low, high = (flat[finite].min(), flat[finite].max()) if finite.any() else (0.0, 0.0)
@@ -85,7 +87,7 @@ class Columns:
         step = max(float(high - low) / top, least) if high > low else 1.0
         data = np.full(flat.shape, _NONE[kind], dtype=f"<{kind}")
         data[finite] = np.rint((flat[finite] - low) / step)
-        return {"low": float(low), "step": step, **self._add(data, kind)}
+        return {"low": float(low), "step": step, **self._add(data, kind), **more}
 
     def whole(self, values: NDArray[Any], kind: str) -> dict[str, Any]:
         """Integers as they are, kind ``u1``, ``u2`` or ``u4``."""

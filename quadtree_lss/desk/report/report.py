@@ -12,13 +12,7 @@ import numpy as np
 from quadtree_lss.desk.exchange.saved import Results, load_results
 from quadtree_lss.desk.report.drawing import png, small
 from quadtree_lss.desk.report.figures import figures, hazard_figure
-from quadtree_lss.desk.report.headline import (
-    headline,
-    largest_circle,
-    nearest_miss,
-    trust,
-    when,
-)
+from quadtree_lss.desk.report.headline import headline, largest_circle, nearest_miss, trust, when
 from quadtree_lss.desk.report.page_data import Layer, page_data
 from quadtree_lss.desk.report.pages import Columns, render
 from quadtree_lss.onboard.config.settings import parameters, values_from_config
@@ -62,11 +56,8 @@ def page(
     summary, config, sites = content.summary, content.config, content.sites
     answer, ground = headline(content)
     level, facts = trust(content)
-    shown_columns = [
-        row
-        for row in SITES
-        if row[2] != "probability" or np.isfinite(sites.get(row[2], np.array([]))).any()
-    ]
+    known = np.isfinite(sites.get("probability", np.array([]))).any()
+    shown_columns = [row for row in SITES if row[2] != "probability" or known]
     marks = (
         nearest_miss(content) and "? the nearest miss",
         largest_circle(content) and "the dashed circle the largest one of clear ground",
@@ -87,7 +78,7 @@ def page(
             [_cell(name, sites[name][k], form) for _, _, name, form, _ in shown_columns]
             for k in range(len(sites["x"]))
         ],
-        "drawn": [mark for mark in marks if mark],
+        "drawn": list(filter(None, marks)),
         "reasons": content.reasons,
         "timed": len(content.timing["map_ms"]) > 0,
         "run": _run(summary),
@@ -114,32 +105,36 @@ def _cell(name: str, value: float, form: str) -> str:
     return shown(value).removesuffix(" %") if name == "probability" else form.format(value)
 
 
-def _ms(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2f} ms"
-
-
 def _run(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-    ratio, times = summary["range_noise_ratio"], (summary["map_ms_median"], summary["map_ms_p99"])
+    def known(form: str, *names: str) -> str:
+        values = [summary[name] for name in names]
+        return "" if None in values else form.format(*values)
+
     speed = summary["real_time_factor"]
     rows = [
-        ("map update, median / 99 %", " / ".join(map(_ms, times))),
-        ("landing site selection", _ms(summary["lss_ms"])),
-        ("speed, bag reading included", f"{speed:.1f} × real time" if speed else "–"),
-        ("leaves", f"{summary['leaves']}"),
-        ("divisions refused", f"{summary['refused_divisions']}"),
-        ("observed / configured range noise", "–" if ratio is None else f"{ratio:.2f}"),
-        ("peak memory", f"{summary['peak_memory_mb']:.0f} MB"),
+        (
+            "map update, median / 99 %",
+            known("{:.2f} ms / {:.2f} ms", "map_ms_median", "map_ms_p99"),
+        ),
+        ("landing site selection", known("{:.2f} ms", "lss_ms")),
+        ("speed, bag reading included", f"{speed:.1f} × real time" if speed else ""),
+        ("leaves", known("{}", "leaves")),
+        ("divisions refused", known("{}", "refused_divisions")),
+        ("observed / configured range noise", known("{:.2f}", "range_noise_ratio")),
+        ("peak memory", known("{:.0f} MB", "peak_memory_mb")),
         ("versions", ", ".join(f"{k} {v}" for k, v in summary["versions"].items())),
     ]
-    return [row for row in rows if row[1].strip("– /")]  # of maps alone, some are not known
+    return [row for row in rows if row[1]]  # of maps alone, some are not known
 
 
 def _input(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     topics = ", ".join(filter(None, (summary["scan_topic"], summary["pose_topic"])))
+    rates = (summary["scan_rate"], summary["pose_rate"])
+    recorded = ["" if rate is None else f", recorded at {rate:.2f} Hz" for rate in rates]
     scans = [
-        ("scans mapped", _with_rate(summary["scans"], summary["scan_rate"])),
+        ("scans mapped", f"{summary['scans']}{recorded[0]}"),
         ("scans dropped", _counts(summary["scans_dropped"])),
-        ("poses", _with_rate(summary["poses"], summary["pose_rate"])),
+        ("poses", f"{summary['poses']}{recorded[1]}"),
     ]
     rows = [
         ("bag", f"{summary['bag']}, {summary['duration']:.2f} s"),
@@ -150,11 +145,6 @@ def _input(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     if summary["maps"]:
         rows.append(("maps read, the last assessed", f"{summary['maps']}"))
     return rows
-
-
-def _with_rate(count: int, rate: float | None) -> str:
-    """A number of messages and the rate of their topic, as ``info`` tells it."""
-    return f"{count}" if rate is None else f"{count}, recorded at {rate:.2f} Hz"
 
 
 def _some(counts: Mapping[str, int]) -> dict[str, int]:

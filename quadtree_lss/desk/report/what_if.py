@@ -22,7 +22,6 @@ from quadtree_lss.onboard.core.landing.hazards import EXCEPTION
 from quadtree_lss.onboard.core.landing.lattice import grown
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.target import Restrictions
-from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 MOST_POINTS = 100_000
 """Of the finest lattice, for which the page takes a second at most."""
@@ -42,9 +41,9 @@ def what_if(content: Results, columns: Columns, stride: int) -> dict[str, Any]:
         return {"why": "the map is too large for this page"}
     keep_outs = [points for name, points in landing.items() if name.startswith("keep_out")]
     wishes = {name: landing.get(name) for name in ("area", "target")} | {"keep_outs": keep_outs}
+    told = {**wishes, "dispersion": landing.get("dispersion")}
     try:
-        about = cells, wishes, landing
-        found = _assess(config, *about)
+        found = LandingSiteSelector(config).assess(cells, **told)
     except ValueError as error:
         return {"why": str(error)}
     if found.ground is None or not np.array_equal(found.safe, content.grid["safe"]):
@@ -62,12 +61,13 @@ def what_if(content: Results, columns: Columns, stride: int) -> dict[str, Any]:
         except ConfigError:  # it is no vehicle
             continue
         if wide != 1.0 or high != 1.0:
-            tried = _assess(other, *about)
+            tried = LandingSiteSelector(other).assess(cells, **told)
             assert tried.ground is not None  # as of the run
             risk = STEP * np.rint(np.log10(tried.ground[1].risk + SMALL) / STEP)
             risk_of = {"about": columns.quantised(risk, least=0.5 * STEP)}
             vehicles.append(_vehicle(tried, other, wishes, columns) | risk_of)
     judged, score = at.everywhere(ground.around.judged), at.nearest(ground.score)
+    unscored = judged & np.isnan(content.grid["score"])
     bound = bool(keep_outs) or wishes["area"] is not None
     return {
         "run": "sites" if content.summary.get("posts") else "replay",
@@ -76,22 +76,13 @@ def what_if(content: Results, columns: Columns, stride: int) -> dict[str, Any]:
         "side": cells.domain.finest_size,
         "vehicles": vehicles,
         "small": SMALL,
-        "score": columns.quantised(
-            np.where(judged & np.isnan(content.grid["score"]), score, np.nan)
-        ),
+        "score": columns.quantised(np.where(unscored, score, np.nan)),
         "number": lss.sites,
         "dispersion": content.dispersion,
         "max_risk": lss.max_risk,
         "margin": None if bound else lss.margin,
         "own_margin": lss.margin,
     }
-
-
-def _assess(
-    config: Config, cells: CellMap, wishes: dict[str, Any], landing: dict[str, Any]
-) -> LandingAssessment:
-    dispersion = landing.get("dispersion")
-    return LandingSiteSelector(config).assess(cells, dispersion=dispersion, **wishes)
 
 
 def _vehicle(
