@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
 import re
@@ -95,25 +96,19 @@ def whole(least: int) -> Callable[[str], int]:
     """Type of an option: a whole number, ``least`` or greater."""
 
     def convert(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = least - 1
-        if value < least:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of {least} or more")
-        return value
+        with contextlib.suppress(ValueError):
+            if (value := int(text)) >= least:
+                return value
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of {least} or more")
 
     return convert
 
 
 def _number(text: str, fits: Callable[[float], bool], wanted: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and fits(value)):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number {wanted}")
-    return value
+    with contextlib.suppress(ValueError):
+        if math.isfinite(value := float(text)) and fits(value):
+            return value
+    raise argparse.ArgumentTypeError(f"{text!r} is not a finite number {wanted}")
 
 
 def add_topics(parser: argparse.ArgumentParser, *, poses: bool = True) -> None:
@@ -154,57 +149,52 @@ def chosen_config(options: argparse.Namespace) -> Config:
 
 
 def add_landing_options(parser: argparse._ActionsContainer, default: str) -> None:
-    """``--area``, ``--keep-out`` and ``--target``; ``default`` says what holds without them."""
-    corners: dict[str, Any] = {"metavar": "'X,Y X,Y X,Y ...'", "type": polygon}
+    """``--area``, ``--keep-out`` and ``--target``, no attributes where they are not given: ``none``
+    lifts what a bag says. ``default`` says what holds without them."""
+    absent: dict[str, Any] = {"default": argparse.SUPPRESS}
+    corners: dict[str, Any] = {"metavar": "'X,Y X,Y X,Y ...'", "type": polygon, **absent}
     text = f"this polygon, map frame, m{default}"
     parser.add_argument("--area", **corners, help=f"land inside {text}")
     text = f"never land in {text}; may be given several times"
     parser.add_argument("--keep-out", **corners, action="append", help=text)
     text = "land near this place, or none; as --area" if default else "land near this place"
-    parser.add_argument("--target", metavar="X,Y", type=place, help=text)
+    parser.add_argument("--target", metavar="X,Y", type=place, **absent, help=text)
 
 
 def landing_of(options: argparse.Namespace) -> dict[str, Any]:
     """What the options say of landing, by name."""
-    given = {"area": options.area, "target": options.target}
-    found = {name: value[0] for name, value in given.items() if value is not None}
-    if options.keep_out is not None:
-        found["keep_out"], *found["keep_outs"] = [value[0] for value in options.keep_out]
+    found = {name: getattr(options, name) for name in ("area", "target") if name in options}
+    if "keep_out" in options:
+        found["keep_out"], *found["keep_outs"] = options.keep_out
     return found
 
 
-def polygon(text: str) -> tuple[list[list[float]] | None]:
-    """``'0,0 9,0 9,9'``, or ``none``.
-
-    A tuple of one, so that ``none``, which lifts what a bag says, differs from no option.
-    """
+def polygon(text: str) -> list[list[float]] | None:
+    """``'0,0 9,0 9,9'``, or ``none``."""
     corners = _numbers(text)
     if corners is not None and len(corners) < 3:
         msg = f"'{text}' has {len(corners)} corners; a polygon has three or more"
         raise argparse.ArgumentTypeError(msg)
-    return (corners,)
+    return corners
 
 
-def place(text: str) -> tuple[list[float] | None]:
+def place(text: str) -> list[float] | None:
     """``3,-4``, or ``none``."""
     corners = _numbers(text)
     if corners is not None and len(corners) != 1:
         raise argparse.ArgumentTypeError(f"'{text}' is not a place X,Y")
-    return (None if corners is None else corners[0],)
+    return None if corners is None else corners[0]
 
 
 def _numbers(text: str) -> list[list[float]] | None:
     if text.strip() == "none":
         return None
-    try:
+    with contextlib.suppress(ValueError):
         corners = [[float(v) for v in pair.split(",")] for pair in text.split()]
-    except ValueError:
-        corners = []
-    good = all(len(pair) == 2 and all(map(math.isfinite, pair)) for pair in corners)
-    if not corners or not good:
-        msg = f"'{text}' does not consist of pairs X,Y of numbers in m, apart by blanks"
-        raise argparse.ArgumentTypeError(msg)
-    return corners
+        if corners and all(len(pair) == 2 and all(map(math.isfinite, pair)) for pair in corners):
+            return corners
+    msg = f"'{text}' does not consist of pairs X,Y of numbers in m, apart by blanks"
+    raise argparse.ArgumentTypeError(msg)
 
 
 def tell(options: argparse.Namespace, result: Any, *lines: str) -> None:

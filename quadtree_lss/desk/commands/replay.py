@@ -20,7 +20,7 @@ from quadtree_lss.desk.commands.console import (
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 if TYPE_CHECKING:
-    from quadtree_lss.desk.replay.result import ReplayResult
+    from quadtree_lss.desk.replay.results import ReplayResult
 
 TEXT = "Map a recorded bag and rank landing sites, offline and deterministically."
 EXAMPLES = """examples:
@@ -138,8 +138,13 @@ def _sites(options: argparse.Namespace) -> int:
 
 
 def _publish(options: argparse.Namespace) -> int:
-    offline = ("out", "config", "set", "poses", "no_report", "record", "area", "keep_out", "target")
-    given = ", ".join(f"--{name.replace('_', '-')}" for name in offline if getattr(options, name))
+    offline = [
+        name
+        for name in ("out", "config", "set", "poses", "no_report", "record")
+        if getattr(options, name)
+    ]
+    offline += [name for name in ("area", "keep_out", "target") if name in options]
+    given = ", ".join(f"--{name.replace('_', '-')}" for name in offline)
     if given:
         text = "does" if "," not in given else "do"
         text = f"{given} {text} not go with --publish: the nodes map and rank the sites"

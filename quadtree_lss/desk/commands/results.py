@@ -100,14 +100,8 @@ def _compare(options: argparse.Namespace) -> int:
 def _export(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.export import export_results
 
-    origin = None if options.origin is None else options.origin[0]
-    written = export_results(
-        options.results,
-        options.out,
-        options.format,
-        crs=options.crs,
-        origin=None if origin is None else (origin[0], origin[1]),
-    )
+    where = {"crs": options.crs, "origin": options.origin and tuple(options.origin)}
+    written = export_results(options.results, options.out, options.format, **where)
     names = ", ".join(path.name for path in written)
     text = f"{names}\n{len(written)} files in {written[0].parent}"
     show(options, {"files": [str(path) for path in written]}, text)
