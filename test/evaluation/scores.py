@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from quadtree_lss.desk.replay.results import cells_arrays
+from quadtree_lss.desk.exchange.saved import cells_arrays
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 

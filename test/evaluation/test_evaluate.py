@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from evaluation.scores import ground, write_results, write_truth
 
-from quadtree_lss.desk.replay.results import Grid
+from quadtree_lss.desk.exchange.saved import Grid
 from quadtree_lss.lab.evaluation.evaluate import evaluate
 from quadtree_lss.lab.evaluation.metrics import fill_holes, seen_at
 from quadtree_lss.lab.evaluation.results import EvaluationError

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from quadtree_lss.desk.exchange.poses import read_poses
+from quadtree_lss.desk.exchange.clouds import read_poses
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 
 

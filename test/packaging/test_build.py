@@ -13,7 +13,7 @@ import pytest
 
 import quadtree_lss
 from quadtree_lss import build
-from quadtree_lss.desk.replay.result import versions
+from quadtree_lss.desk.replay.results import versions
 
 ROOT = Path(__file__).parents[2]
 INSTALLED = Path(quadtree_lss.__file__).parent

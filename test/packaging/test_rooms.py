@@ -42,7 +42,7 @@ lab.flight: desk.exchange
 lab.flight: onboard.elevation lab.simulation lab.touchdown
 lab.touchdown: lab.simulation
 lab.live: onboard.config onboard.core onboard.messages onboard.nodes desk.replay desk.player
-lab.live: lab.flight lab.simulation
+lab.live: desk.exchange lab.flight lab.simulation
 lab.evaluation: build onboard.config onboard.core onboard.messages desk.bags desk.replay
 lab.evaluation: onboard.elevation desk.exchange desk.report lab.simulation
 lab.campaign: build onboard.config desk.bags desk.replay desk.report lab.evaluation lab.flight

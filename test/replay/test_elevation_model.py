@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from replay.test_cli import run
 
+from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.replay import elevation_model
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.elevation_model import cells_of, rank_sites
-from quadtree_lss.desk.replay.results import load_results
 from quadtree_lss.onboard.elevation.dem import ElevationModel
 
 CONFIG = load_config((), {"lss.grid_spacing": 0.5, "lidar.range_noise": 0.02})
@@ -24,6 +24,13 @@ def model(rise=0.0):
     z = z + 0.6 * np.maximum(x - 25.0, 0.0)
     z[np.ix_(y > 27.0, x < 3.0)] = np.nan
     return ElevationModel(x, y, z)
+
+
+@pytest.fixture
+def dem_file(tmp_path):
+    dem = model()
+    np.savez(tmp_path / "dem.npz", x=dem.x, y=dem.y, elevation=dem.elevation)
+    return tmp_path / "dem.npz"
 
 
 def test_the_map_is_the_models_ground():
@@ -69,11 +76,10 @@ def test_a_large_model_gets_coarser_leaves_and_says_so(monkeypatch):
     assert any("3 x 3" in line for line in rank_sites(model(), None, CONFIG).warnings)
 
 
-def test_doubts_are_told_by_the_command_its_files_and_its_page(tmp_path, capsys):
-    dem, out = model(), tmp_path / "out"
-    np.savez(tmp_path / "dem.npz", x=dem.x, y=dem.y, elevation=dem.elevation)
+def test_doubts_are_told_by_the_command_its_files_and_its_page(dem_file, tmp_path, capsys):
+    out = tmp_path / "out"
     options = ["--set", "vehicle.max_slope_deg=25", "--set", "lss.grid_spacing=1", "--out", out]
-    code, _, err = run(capsys, "sites", tmp_path / "dem.npz", *options)
+    code, _, err = run(capsys, "sites", dem_file, *options)
     told = "was fitted for a slope of"
     summary = json.loads((out / "summary.json").read_text())
     assert code == 0 and told in err and told in summary["doubts"][0]
@@ -81,17 +87,15 @@ def test_doubts_are_told_by_the_command_its_files_and_its_page(tmp_path, capsys)
     assert told in (out / "report.html").read_text()
 
 
-def test_the_command_writes_results_like_a_replay(tmp_path, capsys):
-    dem = model()
-    np.savez(tmp_path / "dem.npz", x=dem.x, y=dem.y, elevation=dem.elevation)
+def test_the_command_writes_results_like_a_replay(dem_file, tmp_path, capsys):
     options = ["--set", "lss.grid_spacing=0.5", "--out", tmp_path / "out"]
-    code, out, _ = run(capsys, "sites", tmp_path / "dem.npz", *options)
+    code, out, _ = run(capsys, "sites", dem_file, *options)
     assert code == 0 and "161 x 121 posts, 0.25 m apart; heights 0.0 to 9.0 m" in out
     assert "median slope 0.0°" in out
     assert out.splitlines()[-1] == f"open {tmp_path / 'out' / 'report.html'}"
     results = load_results(tmp_path / "out")
     assert len(results.positions) == 5 and results.map.at(18.0, 20.0).height == pytest.approx(0.0)
-    shown = json.loads(run(capsys, "sites", tmp_path / "dem.npz", *options, "--json", "-q")[1])
+    shown = json.loads(run(capsys, "sites", dem_file, *options, "--json", "-q")[1])
     assert len(shown["sites"]) == 5 and shown["posts"] == [161, 121]
 
 

@@ -13,9 +13,9 @@ from replay.recordings import GROUND, write_ros2
 from replay.test_cli import run
 
 from quadtree_lss.desk.commands import results as commands
-from quadtree_lss.desk.replay.export import FORMATS, LAYERS, export_results
+from quadtree_lss.desk.exchange.saved import Grid, load_results
+from quadtree_lss.desk.replay.export import FORMATS, LAYERS, check_place, export_results
 from quadtree_lss.desk.replay.replay import replay
-from quadtree_lss.desk.replay.results import Grid, load_results
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.messages.maps import encode_hazards
@@ -177,7 +177,6 @@ def test_a_system_that_cannot_be_the_maps_is_refused(written, tmp_path, crs, wor
 )
 def test_areas_of_systems(crs, x, y, good):
     pytest.importorskip("rasterio")
-    from quadtree_lss.desk.exchange.geotiff import check_place
     from quadtree_lss.onboard.elevation.reference import reference
 
     with contextlib.nullcontext() if good else pytest.raises(ExchangeError, match="which is for"):

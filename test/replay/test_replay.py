@@ -20,10 +20,10 @@ from replay.recordings import (
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC
+from quadtree_lss.desk.exchange.saved import cells_arrays
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.files import write_npz
 from quadtree_lss.desk.replay.replay import ReplayError, replay
-from quadtree_lss.desk.replay.results import cells_arrays
 from quadtree_lss.desk.replay.stream import Part
 from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.onboard.config.settings import config_from_values
@@ -119,8 +119,7 @@ def test_grid_holds_the_contract(result):
 def test_tables_hold_the_contract(result):
     header, rows = columns(result.out / "sites.csv")
     names = "rank,x,y,z,nx,ny,nz,score,slope_deg,roughness,hazard_distance,subscale_height,id,"
-    names += "probability"
-    assert ",".join(header) == names
+    assert ",".join(header) == f"{names}probability"
     assert [int(row[0]) for row in rows] == list(range(1, len(rows) + 1))
     safe = [float(row[13]) for row in rows]
     # Of equally probable sites the score decides.
@@ -205,15 +204,8 @@ def test_points_that_miss_the_map_are_counted_and_told(bag):
 
 def test_a_part_of_the_bag(bag, tmp_path):
     seen = []
-    part = replay(
-        bag,
-        tmp_path,
-        CONFIG,
-        start=0.3,
-        duration=0.4,
-        report=False,
-        progress=lambda done, total: seen.append((done, total)),
-    )
+    how = {"report": False, "progress": lambda *done_of: seen.append(done_of)}
+    part = replay(bag, tmp_path, CONFIG, start=0.3, duration=0.4, **how)
     assert 2 <= part.summary["scans"] <= 4
     first, last = part.timings[0].stamp_ns, part.timings[-1].stamp_ns
     assert START + 0.3 * SECOND <= first <= last < START + 0.7 * SECOND

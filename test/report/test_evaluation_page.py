@@ -8,7 +8,7 @@ import pytest
 from evaluation.scores import write_truth
 from report.pages import Page, accessible, in_a_browser, in_browser, sheets
 
-from quadtree_lss.desk.replay.results import load_results
+from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.lab.evaluation.evaluate import evaluate
 from quadtree_lss.lab.evaluation.figures import VERDICTS
 from quadtree_lss.lab.evaluation.results import load_truth

@@ -10,8 +10,8 @@ from ros_scene import cloud, events, gimbal, level_body
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from quadtree_lss.desk.exchange.saved import cells_arrays, load_results
 from quadtree_lss.desk.replay.files import write_npz
-from quadtree_lss.desk.replay.results import cells_arrays, load_results
 from quadtree_lss.lab.live.demo import differing, run_live
 from quadtree_lss.lab.live.processes import program
 

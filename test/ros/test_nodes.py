@@ -13,8 +13,8 @@ from ros_scene import BLOCK, Sensors, cloud, events, last_scan_ns, write_bag
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss import build
+from quadtree_lss.desk.exchange.saved import cells_arrays, load_results
 from quadtree_lss.desk.replay.files import write_npz
-from quadtree_lss.desk.replay.results import cells_arrays, load_results
 from quadtree_lss.lab.live.demo import differing, run_live, site_difference
 from quadtree_lss.lab.live.listener import TOPICS
 from quadtree_lss.lab.live.processes import program

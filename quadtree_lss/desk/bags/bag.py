@@ -19,7 +19,7 @@ from typing import Any
 
 from quadtree_lss.desk.bags.compression import MOST_BYTES, ZSTD_MAGIC, unpack, unpack_file
 from quadtree_lss.desk.bags.mcap_file import McapFile
-from quadtree_lss.desk.bags.message_types import OURS, typestore
+from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.bags.recorded_file import LAST_NS, RawMessage, RecordedFile
 from quadtree_lss.desk.bags.ros1_file import Ros1File
 from quadtree_lss.desk.bags.sqlite_file import SqliteFile
@@ -47,11 +47,11 @@ class Topic:
 
 
 class Bag:
-    """Context manager that opens a bag for reading. ``path``: rosbag2 directory (mcap or sqlite3,
-    also without its metadata), a single ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file; each also
-    compressed with zstd. ``topics`` are those recorded, by name; ``start_ns`` and ``end_ns`` times
-    of reception of the first and the last message; ``notes`` what to know of the recording, a line
-    each. Raises `BagError`: there is nothing to read."""
+    """Context manager that opens a bag for reading: a rosbag2 directory (mcap or sqlite3, also
+    without its metadata), a single ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file; each also compressed
+    with zstd. ``topics`` are by name, ``start_ns`` and ``end_ns`` times of reception of the first
+    and the last message, ``notes`` what to know, a line each. Raises `BagError`: there is nothing
+    to read."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -135,7 +135,7 @@ class Bag:
         self.end_ns = max(file.end_ns for file in self._files)
         self.notes = [one_line(note) for file in self._files for note in file.notes]
         self._ros1 = self._files[0].ros1
-        self._store = typestore(self._ros1, set(types.values()) & set(OURS))
+        self._store = typestore(self._ros1)
 
     def _paths(self) -> list[Path]:
         if self.path.is_file():
@@ -172,10 +172,9 @@ class Bag:
 
 
 class MessageBag(Bag):
-    """Messages that never were in a bag, replayed like one: ``messages`` are (topic, time of
-    reception, message, or what makes it) in the order of reception, ``name`` stands for the path in
-    texts, ``topics`` have their numbers of messages, ``span_ns`` is the first and the last time of
-    reception."""
+    """Messages that never were in a bag, replayed like one: (topic, time of reception, message, or
+    what makes it) in the order of reception. ``name`` stands for the path in texts, ``span_ns`` is
+    the first and the last time of reception."""
 
     def __init__(
         self,

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from quadtree_lss.desk.bags.bag import Bag, BagError, MessageBag, Topic
 from quadtree_lss.desk.bags.message_types import POSE_TYPE, SCAN_TYPE, typestore
 from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC
-from quadtree_lss.desk.exchange.clouds import READERS, read_clouds
-from quadtree_lss.desk.exchange.poses import PoseTable, read_poses
+from quadtree_lss.desk.exchange.clouds import READERS, PoseTable, read_clouds, read_poses
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.errors import one_line
@@ -33,11 +32,9 @@ _UNITS_NS = (1, 10**3, 10**6, 10**9)
 def open_recording(
     path: str | Path | Bag, poses: str | Path | None = None, frame: str = "map"
 ) -> Bag:
-    """A bag, or point clouds: a file or a folder of them. ``path``: of the bag or the clouds, or a
-    bag itself.
-    ``poses``: file of poses for clouds in the lidar's axes; None for clouds in the map frame.
-    ``frame``: name of the map frame, of clouds. Raises `BagError`: there is nothing to read, or a
-    bag is given poses that it has itself."""
+    """A bag, itself or by its path, or point clouds: a file or a folder of them. ``poses``: file of
+    poses for clouds in the lidar's axes; None for clouds in the map frame, which ``frame`` names.
+    Raises `BagError`: there is nothing to read, or a bag is given poses that it has itself."""
     if isinstance(path, Bag):
         return path
     place = Path(path)
@@ -93,7 +90,7 @@ def _bag_of(path: Path, poses_path: Path | None, frame: str) -> MessageBag:
         eye = np.round(np.append(0.5 * (low + high)[:2], high[2] + ABOVE))
         table = _from_above(eye, [stamp for stamp, *_ in scans])
         notes.append("no --poses: the clouds are taken to be in the map's frame, seen from above")
-    types = typestore(ros1=False, wanted=(SCAN_TYPE, POSE_TYPE)).types
+    types = typestore(ros1=False).types
     of_lidar, of_map = (MessageMaker(types, np.asarray, name) for name in ("lidar", frame))
 
     def cloud(stamp: int, file: str, k: int) -> Any:

@@ -92,7 +92,7 @@ class McapFile(ChunkedFile):
         begins = _CHUNK.size + named + 8
         if begins + packed != length:
             return None
-        name = head[_CHUNK.size : _CHUNK.size + named].decode("ascii", "replace")
+        name = head[_CHUNK.size : begins - 8].decode("ascii", "replace")
         return name, size, checksum, begin + begins
 
     def _next_chunk(self, after: int) -> int:

@@ -279,11 +279,10 @@ class ChunkedFile(RecordedFile):
 
     def _checked(self, chunk: Chunk) -> dict[int, Record]:
         """Messages of a chunk that the index has; the others that it has are lost."""
-        found, sound = self._records(chunk), {}
-        for entry in self.index[chunk.first : chunk.first + chunk.count]:
-            record = found.get(int(entry["offset"]))
-            if record is not None and record.channel == entry["channel"]:
-                sound[record.offset] = record
+        entries = self.index[chunk.first : chunk.first + chunk.count]
+        told = {*zip(entries["offset"].tolist(), entries["channel"].tolist(), strict=True)}
+        found = self._records(chunk)
+        sound = {at: record for at, record in found.items() if (at, record.channel) in told}
         if len(sound) < chunk.count:
             self.lost[chunk.place] = chunk.count - len(sound)
             self.damage.setdefault(chunk.place, "messages missing in a chunk")

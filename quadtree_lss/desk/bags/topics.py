@@ -3,21 +3,24 @@
 
 from __future__ import annotations
 
+from quadtree_lss.desk.bags import message_types as types
 from quadtree_lss.desk.bags.bag import Bag, BagError
-from quadtree_lss.desk.bags.message_types import (
-    CAMERA_TYPE,
-    IMAGE_TYPE,
-    ODOMETRY_TYPE,
-    POSE_TYPE,
-    SCAN_TYPE,
-)
 from quadtree_lss.onboard.messages.landing_inputs import TYPES
 from quadtree_lss.onboard.messages.outputs import TOPIC_TYPES
 
 SCAN_TOPIC, POSE_TOPIC, GIMBAL_TOPIC = "/lidar/points", "/nav/pose", "/lidar/gimbal"
 DEPTH_TOPIC, CAMERA_TOPIC = "/depth/image", "/depth/camera_info"
 ODOMETRY_TOPIC, TRANSFORMS_TOPIC = "/nav/odometry", "/tf_static"
-
+KINDS = {
+    SCAN_TOPIC: types.SCAN_TYPE,
+    DEPTH_TOPIC: types.IMAGE_TYPE,
+    CAMERA_TOPIC: types.CAMERA_TYPE,
+    POSE_TOPIC: types.POSE_TYPE,
+    ODOMETRY_TOPIC: types.ODOMETRY_TYPE,
+    GIMBAL_TOPIC: types.GIMBAL_TYPE,
+    TRANSFORMS_TOPIC: types.TRANSFORMS_TYPE,
+}
+"""Type of what is recorded on a topic by these names."""
 OUTPUTS = (*(f"/{name}" for name in TOPIC_TYPES), "/landing/dispersion")
 """How topics end that are clouds or poses by type, but our own output or what guidance says."""
 
@@ -28,10 +31,11 @@ def candidates(bag: Bag, kind: str, *, ours: bool = True) -> list[str]:
     return [name for name in names if ours or not name.endswith(OUTPUTS)]
 
 
-def choose_topic(bag: Bag, asked: str | None, default: str, msgtype: str, option: str) -> str:
-    """The topic of ``msgtype`` to read: the one ``asked`` for, else the ``default``, else the only
-    one. Raises `BagError`: lists the candidates, and the command-line ``option`` by which to
-    choose."""
+def choose_topic(bag: Bag, asked: str | None, default: str, option: str, msgtype: str = "") -> str:
+    """The topic to read of ``msgtype``, or of the default's: the one ``asked`` for, else the
+    ``default``, else the only one. Raises `BagError`: lists the candidates, and the command-line
+    ``option`` by which to choose."""
+    msgtype = msgtype or KINDS[default]
     fitting = candidates(bag, msgtype, ours=asked is not None)
     listed = ", ".join(fitting)
     if asked is not None:
@@ -55,35 +59,30 @@ def choose_pose_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, st
     """Topic and type of the poses: of the type preferred, of the other if there is none of it.
     ``bag``: an open bag. ``asked``: topic that the user named, or None. ``source``: ``pose`` or
     ``odometry``, as ``pose.source`` has it. Raises `BagError`: lists the candidates."""
-    kinds = [(POSE_TOPIC, POSE_TYPE), (ODOMETRY_TOPIC, ODOMETRY_TYPE)]
-    if source == "odometry":
-        kinds.reverse()
-    return _choose(bag, asked, kinds, "--pose-topic")
+    order = (ODOMETRY_TOPIC, POSE_TOPIC) if source == "odometry" else (POSE_TOPIC, ODOMETRY_TOPIC)
+    return _choose(bag, asked, order, "--pose-topic")
 
 
 def choose_scan_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, str, str]:
     """Topic and type of the scans, as of `choose_pose_topic` by ``lidar.source``, and the topic of
     the CameraInfo of depth images, empty for clouds. Raises `BagError`: lists the candidates."""
-    kinds = [(SCAN_TOPIC, SCAN_TYPE), (DEPTH_TOPIC, IMAGE_TYPE)]
-    if source == "depth":
-        kinds.reverse()
-    topic, kind = _choose(bag, asked, kinds, "--scan-topic")
-    if kind == SCAN_TYPE:
+    order = (DEPTH_TOPIC, SCAN_TOPIC) if source == "depth" else (SCAN_TOPIC, DEPTH_TOPIC)
+    topic, kind = _choose(bag, asked, order, "--scan-topic")
+    if kind == types.SCAN_TYPE:
         return topic, kind, ""
     beside = topic.rpartition("/")[0] + "/camera_info"
-    return topic, kind, choose_topic(bag, None, beside, CAMERA_TYPE, "the CameraInfo")
+    return topic, kind, choose_topic(bag, None, beside, "the CameraInfo", types.CAMERA_TYPE)
 
 
-def _choose(
-    bag: Bag, asked: str | None, kinds: list[tuple[str, str]], option: str
-) -> tuple[str, str]:
-    """Of two types the first that is there, or that of the topic asked for."""
-    names = set() if asked is None else {asked, f"/{asked}"}
-    for default, kind in kinds:
-        there = candidates(bag, kind, ours=asked is not None)
-        if there and (asked is None or names & set(there)):
-            return choose_topic(bag, asked, default, kind, option), kind
-    return choose_topic(bag, asked, kinds[0][0], kinds[0][1], option), kinds[0][1]
+def _choose(bag: Bag, asked: str | None, order: tuple[str, str], option: str) -> tuple[str, str]:
+    """Of the types of two topics the first that is there, or that of the topic asked for."""
+
+    def fits(kind: str) -> bool:
+        there = {*candidates(bag, kind, ours=asked is not None)}
+        return bool(there if asked is None else there & {asked, f"/{asked}"})
+
+    default = next((name for name in order if fits(KINDS[name])), order[0])
+    return choose_topic(bag, asked, default, option), KINDS[default]
 
 
 def landing_topics(bag: Bag, *, without: tuple[str, ...] = ()) -> dict[str, str]:

@@ -18,7 +18,6 @@ from quadtree_lss.desk.replay.configuration import dump_config, load_config, slo
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import config_from_values, values_from_config
 
-ACTIONS = ("print", "check", "explain", "suggest")
 TEXT = (
     "Print a configuration as a ROS parameter file, check files, explain parameters, or suggest"
     " domain, noise and cells for a bag."
@@ -46,12 +45,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("names", nargs="*", metavar="NAME", help=text)
     common.add_config_options(parser)
     add("--poses", type=common.named, metavar="FILE", help=common.POSES)
-    add(
-        "--node",
-        default="",
-        metavar="NAME",
-        help="check: the files are for this node, /uav1/lss_node",
-    )
+    text = "check: the files are for this node, /uav1/lss_node"
+    add("--node", default="", metavar="NAME", help=text)
     text = "suggest for a vehicle of this diameter and clearance, m"
     add("--vehicle", type=vehicle, metavar="D,C", help=text)
     add("--plain", action="store_true", help="print without the explanations")
@@ -68,14 +63,12 @@ def vehicle(text: str) -> dict[str, float]:
 
 
 def _run(options: argparse.Namespace) -> int:
-    if options.action == "print":
-        return _print(options)
-    if not options.names:
+    if options.action != "print" and not options.names:
         options.parser.error(f"config {options.action}: name at least one")
-    if options.action == "check":
-        return _check(options)
-    if options.action == "suggest":
-        return _suggest(options)
+    return ACTIONS[options.action](options)
+
+
+def _explain(options: argparse.Namespace) -> int:
     rows = [row for name in options.names for row in explain(name)]
     texts = [explain_text(row) for row in rows]
     if any(row.name.startswith("vehicle.") for row in rows):
@@ -96,17 +89,12 @@ def _print(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> int:
     found = check_files(options.names, options.node)
-    if options.json:
-        common.print_json(found)
-    else:
-        for name, errors in found.items():
-            print("\n".join(f"{name}: {line}" for line in errors or ["good"]))
-            if not errors:
-                config = load_config([name])
-                finest = 1 << config.domain.max_level
-                for said in (doubt(config), slow(config.domain.size, finest, config.lss)):
-                    if said:
-                        warn(f"{name}: {said}")
+    lines = (f"{name}: {line}" for name, errors in found.items() for line in errors or ["good"])
+    common.show(options, found, "\n".join(lines))
+    for name in (name for name, errors in found.items() if not errors and not options.json):
+        config = load_config([name])
+        for said in filter(None, (doubt(config), slow(config))):
+            warn(f"{name}: {said}")
     return common.ERROR if any(found.values()) else common.DONE
 
 
@@ -120,3 +108,6 @@ def _suggest(options: argparse.Namespace) -> int:
         found = suggest_config(options.names[0], config, poses=options.poses, progress=bar.update)
     common.show(options, found.as_dict(), found.text().removesuffix("\n"))
     return common.DONE
+
+
+ACTIONS = {"print": _print, "check": _check, "explain": _explain, "suggest": _suggest}

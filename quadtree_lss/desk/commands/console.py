@@ -14,10 +14,25 @@ from typing import TYPE_CHECKING, Any
 from quadtree_lss.onboard.errors import one_line
 
 if TYPE_CHECKING:
-    from quadtree_lss.desk.replay.result import ReplayResult
+    from quadtree_lss.desk.replay.results import ReplayResult
     from quadtree_lss.onboard.core.landing.sites import Sites
 
 
+SCANS = """\
+{scans} scans mapped, {dropped} dropped; {leaves} leaves; {duration:.1f} s of bag at \
+{real_time_factor:.1f} x real time
+{used}
+map update {map_ms_median:.2f} ms median, {map_ms_p99:.2f} ms 99 %; \
+landing site selection {lss_ms:.1f} ms; peak memory {peak_memory_mb:.0f} MB"""
+MAPS = """\
+{maps} maps read, the last one assessed; {leaves} leaves; {duration:.1f} s of bag at \
+{real_time_factor:.1f} x real time
+landing site selection {lss_ms:.1f} ms"""
+MODEL = """\
+{posts[0]} x {posts[1]} posts, {post_spacing:g} m apart; heights {height_range[0]:.1f} to \
+{height_range[1]:.1f} m, median slope {median_slope_deg:.1f}°
+landing site selection {lss_ms:.0f} ms; {explanation}"""
+"""Key figures of a replay of scans, one of maps, and of an elevation model, of its summary."""
 BAR = "{desc} {percentage:3.0f} % |{bar}| {n:.0f} of {total:.0f} {unit}, {remaining} left"
 
 
@@ -101,40 +116,17 @@ class Interruption:
 
 def result_text(result: ReplayResult) -> str:
     """Key figures of a replay and its ranked sites; last, what to open."""
-    from quadtree_lss.desk.replay.points import points_line  # the core: slow to import
+    from quadtree_lss.desk.replay.results import points_line  # the core: slow to import
 
     summary, sites = result.summary, result.assessment.sites
+    form = SCANS if result.timings else MODEL if "posts" in summary else MAPS
     dropped = sum(summary["scans_dropped"].values())
-    speed = f"{summary['duration']:.1f} s of bag at {summary['real_time_factor']:.1f} x real time"
-    if result.timings:
-        text = (
-            f"{summary['scans']} scans mapped, {dropped} dropped; {summary['leaves']} leaves;"
-            f" {speed}\n"
-            f"{points_line(summary['points'], summary['points_dropped'])}\n"
-            f"map update {summary['map_ms_median']:.2f} ms median,"
-            f" {summary['map_ms_p99']:.2f} ms 99 %;"
-            f" landing site selection {summary['lss_ms']:.1f} ms;"
-            f" peak memory {summary['peak_memory_mb']:.0f} MB"
-        )
-    elif "posts" in summary:
-        across, along = summary["posts"]
-        low, high = summary["height_range"]
-        text = (
-            f"{across} x {along} posts, {summary['post_spacing']:g} m apart; heights {low:.1f} to"
-            f" {high:.1f} m, median slope {summary['median_slope_deg']:.1f}°\n"
-            f"landing site selection {summary['lss_ms']:.0f} ms; {result.assessment.explanation}"
-        )
-    else:
-        text = (
-            f"{summary['maps']} maps read, the last one assessed; {summary['leaves']} leaves;"
-            f" {speed}\nlanding site selection {summary['lss_ms']:.1f} ms"
-        )
-    lines = [text]
-    if not len(sites.score):
+    used = points_line(summary["points"], summary["points_dropped"])
+    text = form.format(**summary, dropped=dropped, used=used)
+    lines = [text, *table([_SITE_HEADER, *_site_rows(sites)])]
+    if not len(sites):
         reason = result.assessment.explanation.removeprefix("no safe site: ")
-        lines.append(f"no safe site: {reason}")
-    else:
-        lines += table([_SITE_HEADER, *_site_rows(sites)])
+        lines = [text, f"no safe site: {reason}"]
     if result.out is not None:
         lines.append(f"results in {one_line(result.out)}")
         page = result.out / "report.html"

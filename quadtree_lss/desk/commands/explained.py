@@ -24,12 +24,8 @@ from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
 
 
 def check_files(paths: Iterable[str | os.PathLike[str]], node: str = "") -> dict[str, list[str]]:
-    """Each file by itself over the defaults: all that is wrong with it, a line each.
-
-    Args:
-        paths: The files.
-        node: Full name of a node that is to get something of each.
-    """
+    """Each file by itself over the defaults: all that is wrong with it, a line each. ``node``: full
+    name of a node that is to get something of each."""
     return {str(path): _errors_of(path, node) for path in paths}
 
 
@@ -78,8 +74,8 @@ def explain_text(row: Parameter) -> str:
 
 def lengths_text(vehicle: VehicleConfig) -> str:
     """What follows from a vehicle, value and rule of each, a line each."""
-    lines = [f"what follows from a vehicle of {vehicle.diameter:g} m that clears"]
-    lines[0] += f" {vehicle.clearance:g} m:"
+    of = f"{vehicle.diameter:g} m that clears {vehicle.clearance:g} m"
+    lines = [f"what follows from a vehicle of {of}:"]
     for item in dataclasses.fields(Lengths):
         value = f"{getattr(vehicle.lengths, item.name):.4g} {item.metadata['unit']}"
         text = f"{rule(item.name)}: {item.metadata['doc']}"

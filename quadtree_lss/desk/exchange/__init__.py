@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Other programs' files: point clouds, poses and elevation models in; layers, meshes, sites out."""
+"""Files that are read: other programs' point clouds and poses, and results folders."""

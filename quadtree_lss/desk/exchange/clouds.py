@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Point clouds in files: NPY, NPZ, PLY, PCD, LAS and LAZ."""
+"""Point clouds in files, NPY, NPZ, PLY, PCD, LAS and LAZ, and poses in text: TUM's form or CSV."""
 
 from __future__ import annotations
 
+import csv
+import re
 from collections.abc import Callable
+from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +24,9 @@ MOST_POINTS = 1 << 20
 
 
 def read_clouds(path: Path) -> Clouds:
-    """The clouds of a file, and their stamps in ns if it has any.
-
-    Each is (N, 3), or (H, W, 3) if the file says that it is organised; m, NaN for no return.
-
-    Raises:
-        ExchangeError: the file cannot be read, or the library for it is missing.
-    """
+    """The clouds of a file, and their stamps in ns if it has any; each (N, 3), or (H, W, 3) if the
+    file says that it is organised, m, NaN for no return. Raises `ExchangeError`: the file cannot be
+    read, or the library for it is missing."""
     try:
         clouds, stamps = READERS[path.suffix.lower()](path)
     except ExchangeError:
@@ -46,10 +45,6 @@ def _parts(cloud: Array) -> list[Array]:
         return [cloud]
     flat = cloud.reshape(-1, 3)
     return [flat[k : k + MOST_POINTS] for k in range(0, len(flat), MOST_POINTS)]
-
-
-def _npy(path: Path) -> Clouds:
-    return [_coordinates(path, np.load(path, allow_pickle=False))], None
 
 
 def _npz(path: Path) -> Clouds:
@@ -106,7 +101,7 @@ def _coordinates(path: Path, array: Array) -> Array:
 
 
 READERS: dict[str, Callable[[Path], Clouds]] = {
-    ".npy": _npy,
+    ".npy": lambda path: ([_coordinates(path, np.load(path, allow_pickle=False))], None),
     ".npz": _npz,
     ".ply": _ply,
     ".pcd": _pcd,
@@ -114,3 +109,58 @@ READERS: dict[str, Callable[[Path], Clouds]] = {
     ".laz": _las,
 }
 """By the end of a file's name."""
+TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
+COVARIANCE = tuple(f"cov_{k}" for k in range(36))
+
+
+class PoseTable(NamedTuple):
+    """Poses of the lidar in the map frame in the order of their stamps (K,): positions (K, 3) m,
+    quaternions (K, 4) that take lidar axes to the map, and covariances (K, 36) of x, y, z and
+    rotations about the map's axes, row by row, zeros where they are not known."""
+
+    stamp_ns: NDArray[np.int64]
+    position: NDArray[np.float64]
+    xyzw: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+
+
+def read_poses(path: Path) -> PoseTable:
+    """Poses of a file. TUM: lines ``stamp x y z qx qy qz qw`` in s and m, ``#`` begins a comment.
+    CSV: a header with ``stamp_ns`` (or ``stamp`` in s) and the other names of TUM, in any order,
+    and perhaps ``cov_0`` … ``cov_35``; further columns do not matter. Raises `ExchangeError`: the
+    file cannot be read, or is neither."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        msg = f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'it is not text'}"
+        raise ExchangeError(msg) from None
+    lines = [line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"]
+    comma = bool(lines) and "," in lines[0]
+    rows = list(csv.reader(lines)) if comma else [line.split() for line in lines]
+    header = list(TUM)
+    if rows and not re.match(r"\s*[-+]?\.?\d", rows[0][0]):
+        header = [name.strip() for name in rows.pop(0)]
+    clock = "stamp_ns" if "stamp_ns" in header else "stamp"
+    lack = [name for name in TUM[1:] if name not in header]
+    if lack or clock not in header:
+        lack = lack or ["stamp_ns"]
+        msg = f"{path}: lacks {', '.join(lack)}: poses are lines of TUM ({' '.join(TUM)}) or CSV"
+        raise ExchangeError(msg)
+    if not rows:
+        raise ExchangeError(f"{path}: there is no pose in it")
+    stamps, values = [], []
+    known_covariance = set(COVARIANCE) <= set(header)
+    for number, row in enumerate(rows, start=1):
+        cells = dict(zip(header, row, strict=False))
+        try:
+            exact = Decimal(cells[clock].strip())
+            stamps.append(np.int64(int(exact if clock == "stamp_ns" else exact * 10**9)))
+            wanted = (*TUM[1:], *COVARIANCE[: 36 * known_covariance])
+            values.append([float(cells[name]) for name in wanted])
+        except (ValueError, KeyError, ArithmeticError):
+            msg = f"{path}: pose {number} is not a row of numbers: {' '.join(row)[:80]}"
+            raise ExchangeError(msg) from None
+    order = np.argsort(stamps, kind="stable")
+    table = np.array(values)[order]
+    covariance = table[:, 7:] if known_covariance else np.zeros((len(table), 36))
+    return PoseTable(np.array(stamps, np.int64)[order], table[:, :3], table[:, 3:7], covariance)

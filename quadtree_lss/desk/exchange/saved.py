@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import os
@@ -30,9 +31,7 @@ Table = dict[str, NDArray[Any]]
 SAME = ("level", "ix", "iy", "z", "covariance_pose", "count", "measured", "roughness")
 SAME += ("exception_fraction", "feature", "low", "high")
 """Arrays of ``cells.npz`` that are the columns of a map of that name."""
-NEEDED = (*SAME, "nx", "ny", "nz", "covariance")
-MASKS = ("observed_cells", "known_cells")
-NEEDED_ELSE = (*MASKS, "domain", "stamp_ns", "offset")
+COLUMNS, MASKS = (*SAME, "nx", "ny", "nz", "covariance"), ("observed_cells", "known_cells")
 
 
 class ResultsError(QuadtreeLssError):
@@ -57,7 +56,8 @@ def cells_arrays(cells: CellMap) -> dict[str, NDArray[Any]]:
 
 def cell_map(path: str | Path, a: Mapping[str, NDArray[Any]]) -> CellMap:
     """The map in the arrays of ``cells.npz``. Raises `ResultsError`: they are none."""
-    missing = [name for name in (*NEEDED, *NEEDED_ELSE) if name not in a]
+    needed = (*COLUMNS, *MASKS, "domain", "stamp_ns", "offset")
+    missing = [name for name in needed if name not in a]
     if missing:
         raise unreadable(path, f"it lacks {', '.join(missing)}: replay the bag again")
     if a["domain"].shape != (5,):
@@ -65,15 +65,14 @@ def cell_map(path: str | Path, a: Mapping[str, NDArray[Any]]) -> CellMap:
     xmin, ymin, size, low, high = a["domain"].tolist()
     domain = Domain(xmin, ymin, size, int(low), int(high))
     leaves, sides = len(a["level"]), (domain.finest_count,) * 2
-    wrong = [name for name in NEEDED if len(a[name]) != leaves]
+    wrong = [name for name in COLUMNS if len(a[name]) != leaves]
     wrong += [name for name in MASKS if a[name].shape != sides]
     if wrong:
         raise unreadable(path, f"{wrong[0]} has another size than the map")
-    kinds = {"level": np.uint8, "ix": np.uint32, "iy": np.uint32, "count": np.uint32}
-    kinds["measured"] = np.bool_
-    columns = {name: a[name].astype(kinds.get(name, a[name].dtype)) for name in SAME}
+    kinds = {"level": np.uint8, "measured": np.bool_}
+    kinds |= dict.fromkeys(("ix", "iy", "count"), np.uint32)
     return CellMap(
-        **columns,
+        **{name: a[name].astype(kinds.get(name, a[name].dtype)) for name in SAME},
         stamp_ns=int(a["stamp_ns"]),
         domain=domain,
         normal=np.column_stack([a["nx"], a["ny"], a["nz"]]),
@@ -105,11 +104,9 @@ def read_table(path: Path) -> Table:
 
 
 def _column(texts: list[str]) -> NDArray[Any]:
-    for kind in (np.int64, np.float64):
-        try:
-            return np.array([int(t) if kind is np.int64 else float(t) for t in texts], dtype=kind)
-        except (ValueError, OverflowError):
-            continue
+    for kind, dtype in ((int, np.int64), (float, np.float64)):
+        with contextlib.suppress(ValueError, OverflowError):
+            return np.array([kind(text) for text in texts], dtype)
     return np.array(texts)
 
 

@@ -12,7 +12,7 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from functools import partial
 
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -46,7 +46,7 @@ class PlayTime:
         self._looked = 0.0
         self._clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
         for name, wanted in (("pause", True), ("resume", False), ("toggle_paused", None)):
-            node.create_service(Trigger, f"~/{name}", self._serving(wanted))
+            node.create_service(Trigger, f"~/{name}", partial(self._serve, wanted))
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
         self._last = time.monotonic()
@@ -83,21 +83,16 @@ class PlayTime:
 
     def _ask(self, wanted: bool | None) -> None:
         """Pause (True), go on (False), or the other of the two (None)."""
-        if wanted is None:
-            wanted = self._asked is None
-        if not wanted:
-            self._asked = None
-        elif self._asked is None:
-            self._asked = time.monotonic()
+        if wanted is None or wanted == (self._asked is None):
+            self._asked = time.monotonic() if self._asked is None else None
 
-    def _serving(self, wanted: bool | None) -> Callable[[Any, Any], Any]:
-        def serve(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            self._ask(wanted)
-            response.success = True
-            response.message = "playing" if self._asked is None else "paused"
-            return response
-
-        return serve
+    def _serve(
+        self, wanted: bool | None, _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        self._ask(wanted)
+        response.success = True
+        response.message = "playing" if self._asked is None else "paused"
+        return response
 
 
 @contextmanager

@@ -14,21 +14,15 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+from quadtree_lss.desk.bags import message_types as types
 from quadtree_lss.desk.bags.bag import MessageBag, Topic
-from quadtree_lss.desk.bags.message_types import (
-    GIMBAL_TYPE,
-    POSE_TYPES,
-    SCAN_TYPE,
-    TRANSFORMS_TYPE,
-    typestore,
-)
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.nodes.qos import latched, stream
 from quadtree_lss.onboard.nodes.ros_messages import TYPES
 
-HEARD = (SCAN_TYPE, *POSE_TYPES, GIMBAL_TYPE)
+HEARD = (types.SCAN_TYPE, *types.POSE_TYPES, types.GIMBAL_TYPE)
 if importlib.util.find_spec("tf2_msgs") is not None:  # no wheel has it
-    HEARD = (*HEARD, TRANSFORMS_TYPE)
+    HEARD = (*HEARD, types.TRANSFORMS_TYPE)
 LOOK_S = 0.2
 
 
@@ -63,7 +57,7 @@ def listen(seconds: float) -> MessageBag:
     if not heard:
         there = ", ".join(sorted(kinds)) or "none"
         raise ListenError(f"nothing came in {seconds:g} s; topics of clouds and poses: {there}")
-    store, counts = typestore(False, HEARD), Counter(name for name, *_ in heard)
+    store, counts = types.typestore(ros1=False), Counter(name for name, *_ in heard)
     return MessageBag(
         "live",
         [Topic(name, kind, counts[name]) for name, kind in kinds.items()],
@@ -76,5 +70,5 @@ def _subscribe(node: Node, name: str, kind: str, heard: list[tuple[str, int, byt
     def hear(raw: Any) -> None:
         heard.append((name, time.time_ns(), bytes(raw)))
 
-    profile = latched() if kind == TRANSFORMS_TYPE else stream(100, reliable=False)
+    profile = latched() if kind == types.TRANSFORMS_TYPE else stream(100, reliable=False)
     node.create_subscription(TYPES[kind], name, hear, profile, raw=True)

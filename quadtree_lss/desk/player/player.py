@@ -11,6 +11,7 @@ import contextlib
 import math
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,28 +24,12 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
+from quadtree_lss.desk.bags import message_types as types
+from quadtree_lss.desk.bags import topics
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.compression import MOST_BYTES, ZSTD_MAGIC, DamagedError, unpack
-from quadtree_lss.desk.bags.message_types import (
-    CAMERA_TYPE,
-    GIMBAL_TYPE,
-    IMAGE_TYPE,
-    ODOMETRY_TYPE,
-    POSE_TYPE,
-    SCAN_TYPE,
-)
 from quadtree_lss.desk.bags.recorded_file import RawMessage, stamp_of
-from quadtree_lss.desk.bags.topics import (
-    CAMERA_TOPIC,
-    DEPTH_TOPIC,
-    GIMBAL_TOPIC,
-    ODOMETRY_TOPIC,
-    POSE_TOPIC,
-    SCAN_TOPIC,
-    choose_pose_topic,
-    choose_scan_topic,
-    landing_topics,
-)
+from quadtree_lss.desk.bags.topics import choose_pose_topic, choose_scan_topic, landing_topics
 from quadtree_lss.desk.player.clock import PlayTime, keys_pressed
 from quadtree_lss.desk.replay.stream import MapPairs, Part, Progress
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -58,10 +43,8 @@ MATCH_PAUSE_S = 0.5
 DEPTH = 200
 LANDING = {f"/landing/{name}": kind for name, kind in landing_inputs.TYPES.items()}
 MAPS = {f"/{name}": TOPIC_TYPES[name] for name in (CELLS, OBSERVED)}
-KINDS = {SCAN_TOPIC: SCAN_TYPE, POSE_TOPIC: POSE_TYPE, ODOMETRY_TOPIC: ODOMETRY_TYPE}
-KINDS |= {DEPTH_TOPIC: IMAGE_TYPE, CAMERA_TOPIC: CAMERA_TYPE}
-KINDS |= {GIMBAL_TOPIC: GIMBAL_TYPE, **LANDING, **MAPS}
-OPTIONAL = (GIMBAL_TOPIC, *LANDING)
+KINDS = topics.KINDS | LANDING | MAPS
+OPTIONAL = (topics.GIMBAL_TOPIC, *LANDING)
 """Played though nobody may listen."""
 
 
@@ -71,9 +54,8 @@ class PlayError(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class PlayReport:
-    """What was sent. ``scans``, ``poses``, ``maps``: number of messages. ``duration``: time from
-    the first to the last of them, s. ``losses``: one line for each piece of the bag that could not
-    be read."""
+    """How many messages were sent, and what could not be read of the bag, a line each.
+    ``duration``: time from the first to the last of them, s."""
 
     scans: int
     poses: int
@@ -148,13 +130,13 @@ def play(
                 times.shutdown()
             for publisher in publishers.values():
                 publisher.wait_for_all_acked(Duration(seconds=5))
-            counts = {name: sent[recorded] for recorded, name in names.items()}
+            counts = Counter({name: sent[recorded] for recorded, name in names.items()})
             return PlayReport(
-                counts.get(SCAN_TOPIC, 0) + counts.get(DEPTH_TOPIC, 0),
-                counts.get(POSE_TOPIC, 0) + counts.get(ODOMETRY_TOPIC, 0),
-                seconds,
-                tuple(source.losses),
-                counts.get(f"/{CELLS}", 0),
+                scans=counts[topics.SCAN_TOPIC] + counts[topics.DEPTH_TOPIC],
+                poses=counts[topics.POSE_TOPIC] + counts[topics.ODOMETRY_TOPIC],
+                duration=seconds,
+                losses=tuple(source.losses),
+                maps=counts[f"/{CELLS}"],
             )
         finally:
             context.try_shutdown()
@@ -168,13 +150,13 @@ def _names(bag: Bag, scan_topic: str | None, pose_topic: str | None) -> dict[str
     poses, kind = choose_pose_topic(bag, pose_topic, "pose")
     scans, _, camera = choose_scan_topic(bag, scan_topic, "points")
     names = {
-        scans: DEPTH_TOPIC if camera else SCAN_TOPIC,
-        **({camera: CAMERA_TOPIC} if camera else {}),
-        poses: ODOMETRY_TOPIC if kind == ODOMETRY_TYPE else POSE_TOPIC,
+        scans: topics.DEPTH_TOPIC if camera else topics.SCAN_TOPIC,
+        **({camera: topics.CAMERA_TOPIC} if camera else {}),
+        poses: topics.ODOMETRY_TOPIC if kind == types.ODOMETRY_TYPE else topics.POSE_TOPIC,
     }
     names |= {topic: f"/landing/{name}" for topic, name in landing_topics(bag).items()}
-    if any((t.name, t.type) == (GIMBAL_TOPIC, GIMBAL_TYPE) for t in bag.topics):
-        names[GIMBAL_TOPIC] = GIMBAL_TOPIC
+    if any((t.name, t.type) == (topics.GIMBAL_TOPIC, types.GIMBAL_TYPE) for t in bag.topics):
+        names[topics.GIMBAL_TOPIC] = topics.GIMBAL_TOPIC
     return names
 
 
@@ -185,8 +167,8 @@ def _send(
     times: PlayTime,
 ) -> dict[str, int]:
     counts = dict.fromkeys(publishers, 0)
-    newest = {name: 0 for name in names.values() if name not in (CAMERA_TOPIC, *LANDING)}
-    scans = next((name for name in (SCAN_TOPIC, DEPTH_TOPIC) if name in newest), "")
+    newest = {name: 0 for name in names.values() if name not in (topics.CAMERA_TOPIC, *LANDING)}
+    scans = next((name for name in (topics.SCAN_TOPIC, topics.DEPTH_TOPIC) if name in newest), "")
     for topic, received_ns, raw in messages:
         # A scan that waits for the pose after it during a pause would be dropped by the node.
         served = not scans or min(newest.values()) == newest[scans]
@@ -207,17 +189,14 @@ def _serialised(raw: bytes) -> bytes:
 
 
 def _publishers(node: Node, names: Mapping[str, str]) -> dict[str, Publisher]:
-    """For each topic of the bag the publisher of its messages."""
-    return {
-        recorded: node.create_publisher(
-            TYPES[KINDS[name]],
-            name.lstrip("/"),
-            latched(landing_inputs.MAX_KEEP_OUTS if name == "/landing/keep_outs" else 1)
-            if name in (*MAPS, *LANDING)
-            else stream(DEPTH, reliable=True),
-        )
-        for recorded, name in names.items()
-    }
+    """By topic of the bag."""
+    found = {}
+    for recorded, name in names.items():
+        profile = stream(DEPTH, reliable=True)
+        if name in (*MAPS, *LANDING):
+            profile = latched(landing_inputs.MAX_KEEP_OUTS if name.endswith("keep_outs") else 1)
+        found[recorded] = node.create_publisher(TYPES[KINDS[name]], name.lstrip("/"), profile)
+    return found
 
 
 def player_node(
@@ -226,19 +205,15 @@ def player_node(
     """What publishes. Raises `PlayError`: the namespace or another name is none, or no such topic
     is played."""
     known = [name.lstrip("/") for name in played]
+    arguments = ["--ros-args"]
     for rule in remap:
-        if rule.partition(":=")[0].lstrip("/") not in known:
+        name, _, to = rule.lstrip("/").partition(":=")
+        if name not in known:
             msg = f"--remap {rule}: of the form FROM:=TO, where FROM is one of {', '.join(known)}"
             raise PlayError(msg)
-    rules = [f"{name.lstrip('/')}:={to}" for name, _, to in (r.partition(":=") for r in remap)]
-    arguments = [item for rule in rules for item in ("-r", rule)]
+        arguments += ["-r", f"{name}:={to}"]
     try:
-        return Node(
-            "bag_player",
-            context=context,
-            namespace=namespace,
-            cli_args=["--ros-args", *arguments] if arguments else None,
-        )
+        return Node("bag_player", context=context, namespace=namespace, cli_args=arguments)
     except (NameValidationException, rclpy_implementation.RCLError) as error:
         msg = f"--namespace or --remap: {str(error).splitlines()[0].split(', at /')[0]}"
         raise PlayError(msg) from None

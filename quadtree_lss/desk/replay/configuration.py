@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import yaml
@@ -15,7 +15,6 @@ from quadtree_lss.onboard.config.loading import read_values
 from quadtree_lss.onboard.config.settings import (
     Config,
     ConfigError,
-    LssConfig,
     Parameter,
     checked_values,
     config_from_values,
@@ -79,29 +78,19 @@ def find_config(path: str | os.PathLike[str]) -> Path:
     given = Path(path)
     if given.is_file():
         return given
-    name = given.name if given.suffix else f"{given.name}.yaml"
-    shipped = list(_shipped())
-    if given.parent in (Path("."), Path("config")):
-        for candidate in shipped:
-            if candidate.name == name:
-                return candidate
-    names = ", ".join(sorted({path.stem for path in shipped}))
+    prefixes = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
+    places = (Path(p, "share/quadtree_lss/config") for p in (sys.prefix, *prefixes))
+    shipped = [file for place in places for file in sorted(place.glob("*.yaml"))]
+    named = [file for file in shipped if file.name == given.name or file.stem == given.name]
+    if named and given.parent in (Path("."), Path("config")):
+        return named[0]
+    names = ", ".join(sorted({file.stem for file in shipped}))
     raise ConfigError(f"no configuration file {str(path)!r} (shipped: {names or 'none'})")
 
 
-def _shipped() -> Iterator[Path]:
-    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    places = [Path(p) / "share" / "quadtree_lss" / "config" for p in (sys.prefix, *prefixes)]
-    for place in places:
-        yield from sorted(place.glob("*.yaml"))
-
-
-def slow(size: float, finest: int, lss: LssConfig) -> str:
-    """That what ``landing/selected`` says may be older than its deadline; empty if it is not.
-
-    Args as for `why_too_much`.
-    """
-    seconds = pass_seconds(size, finest, lss)
+def slow(config: Config) -> str:
+    """That what ``landing/selected`` says may be older than its deadline; empty if it is not."""
+    seconds = pass_seconds(config.domain.size, 1 << config.domain.max_level, config.lss)
     if seconds <= DEADLINE:
         return ""
     return (
@@ -141,11 +130,7 @@ def scalar_text(value: object) -> str:
 
 
 def _explanation(row: Parameter) -> str:
-    parts = [row.doc]
-    if row.unit:
-        parts.append(row.unit)
-    if row.choices:
-        parts.append(" | ".join(row.choices))
-    elif row.type in (int, float):
-        parts.append(f"{row.low:g} .. {row.high:g}")
-    return "; ".join(parts)
+    values = " | ".join(row.choices)
+    if not row.choices and row.type in (int, float):
+        values = f"{row.low:g} .. {row.high:g}"
+    return "; ".join(filter(None, (row.doc, row.unit, values)))

@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from quadtree_lss.desk.exchange.saved import Grid, Results, ResultsError, load_results
 from quadtree_lss.desk.replay.files import plain, write_bytes, write_json
-from quadtree_lss.onboard.arrays import Array, Mask
+from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 
 HAZARDS = {1: "slope", 2: "elevation", 4: "exception", 8: "touchdown"}
@@ -22,8 +23,7 @@ SAME_GROUND = 0.5
 yard of mounds that is 1 or 3 m off 0.94 or 0.71."""
 
 
-@dataclass(frozen=True)
-class Heights:
+class Heights(NamedTuple):
     """Second less first height where both maps have seen the ground, m: 95 % of the differences are
     less than ``most``, the ``greatest`` is at (``x``, ``y``), and of ``beyond``, a share, what is
     left without the mean is more than three deviations by both maps' covariances."""
@@ -40,8 +40,7 @@ class Heights:
     correlation: float
 
 
-@dataclass(frozen=True)
-class Site:
+class Site(NamedTuple):
     """A site that only one of the two results has, and what the other says of its place."""
 
     rank: int
@@ -85,19 +84,17 @@ class Comparison:
     def as_dict(self) -> dict[str, Any]:
         """In JSON's types."""
         names = ("safe_first", "safe_second", "gained", "lost", "seen_first", "seen_second")
-        content: dict[str, Any] = plain(
-            {
-                "first": str(self.first.folder),
-                "second": str(self.second.folder),
-                "same_ground": self.same_ground,
-                "heights": asdict(self.heights),
-                "area": {name: getattr(self, name) for name in names},
-                "sites_kept": self.sites_kept,
-                "sites_gained": [asdict(site) for site in self.sites_gained],
-                "sites_lost": [asdict(site) for site in self.sites_lost],
-            }
-        )
-        return content
+        content = {
+            "first": str(self.first.folder),
+            "second": str(self.second.folder),
+            "same_ground": self.same_ground,
+            "heights": self.heights._asdict(),
+            "area": {name: getattr(self, name) for name in names},
+            "sites_kept": self.sites_kept,
+            "sites_gained": [site._asdict() for site in self.sites_gained],
+            "sites_lost": [site._asdict() for site in self.sites_lost],
+        }
+        return dict(plain(content))
 
     def table(self) -> str:
         """For people."""
@@ -133,9 +130,7 @@ def compare_results(
     the two have seen no ground in common."""
     a, b = (r if isinstance(r, Results) else load_results(r) for r in (first, second))
     grid = a.grid
-    row, column, inside = _nearest(b.grid, grid.x, grid.y)
-    seen_a, seen_b = grid.seen, inside & b.grid.seen[row, column]
-    both = seen_a & seen_b
+    both = grid.seen & _laid(b.grid, b.grid.seen, grid.x, grid.y)
     y, x = np.meshgrid(grid.y, grid.x, indexing="ij")
     one, other = a.map.at(x, y), b.map.at(x, y)
     difference = np.where(both, other.height - one.height, np.nan)
@@ -143,7 +138,8 @@ def compare_results(
     if not known.any():
         raise ResultsError(f"{a.folder} and {b.folder} have seen no ground in common")
     area = float(grid.spacing**2)
-    safe_a, safe_b = both & grid["safe"], both & b.grid["safe"][row, column]
+    safe_a = both & grid["safe"]
+    safe_b = both & _laid(b.grid, b.grid["safe"], grid.x, grid.y)
     kept, lost, gained = _sites(a, b)
     deviation = np.hypot(one.deviation, other.deviation)
     result = Comparison(
@@ -166,18 +162,21 @@ def compare_results(
     return result
 
 
-def _nearest(grid: Grid, x: Array, y: Array) -> tuple[Any, Any, Mask]:
-    """Row and column (ny, nx) of the grid points nearest to places, and whether they are near."""
-    at = [np.rint((b - a[0]) / grid.spacing).astype(np.intp) for a, b in ((grid.y, y), (grid.x, x))]
-    inside = [(k >= 0) & (k < len(a)) for k, a in zip(at, (grid.y, grid.x), strict=True)]
-    row, column = (np.clip(k, 0, len(a) - 1) for k, a in zip(at, (grid.y, grid.x), strict=True))
-    return row[:, None], column[None, :], inside[0][:, None] & inside[1][None, :]
+def _laid(grid: Grid, values: NDArray[Any], x: Array, y: Array) -> NDArray[Any]:
+    """Of a layer of a grid (ny, nx) at the grid points nearest to places; 0 beyond the grid."""
+    rows, columns = (
+        np.rint((places - axis[0]) / grid.spacing).astype(np.intp)
+        for axis, places in ((grid.y, y), (grid.x, x))
+    )
+    near = values.take(rows, axis=0, mode="clip").take(columns, axis=1, mode="clip")
+    inside = ((rows >= 0) & (rows < grid.y.size))[:, None] & (columns >= 0)
+    return np.where(inside & (columns < grid.x.size), near, 0).astype(values.dtype)
 
 
 def _seen_alone(grid: Grid, other: Grid) -> float:
     """Ground that a grid has seen and the other has not, m^2."""
-    row, column, inside = _nearest(other, grid.x, grid.y)
-    return grid.spacing**2 * np.count_nonzero(grid.seen & ~(inside & other.seen[row, column]))
+    alone = grid.seen & ~_laid(other, other.seen, grid.x, grid.y)
+    return grid.spacing**2 * np.count_nonzero(alone)
 
 
 def _heights(difference: Array, deviation: Array, x: Array, y: Array, second: Array) -> Heights:
@@ -227,12 +226,12 @@ def _alone(places: Array, paired: set[int], other: Results, name: str) -> tuple[
 
 def _verdict(grid: Grid, x: float, y: float, name: str) -> str:
     """What a result says of a place."""
-    row, column, inside = _nearest(grid, np.array([x]), np.array([y]))
-    if not inside.all():
+    place = np.array([x]), np.array([y])
+    if not _laid(grid, np.ones_like(grid.seen), *place).all():
         return f"outside the {name}'s domain"
-    if grid["safe"][row, column].all():
+    if _laid(grid, grid["safe"], *place).all():
         return f"allowed in the {name}, but others rank before it"
-    bits = int(grid["hazard"][row, column][0, 0])
+    bits = int(_laid(grid, grid["hazard"], *place)[0, 0])
     bits &= ~UNSEEN if bits & UNMAPPED else 255
     kinds = ", ".join(kind for bit, kind in HAZARDS.items() if bits & bit)
     return f"not allowed in the {name}{f' ({kinds})' if kinds else ', which has a hazard near it'}"
@@ -254,7 +253,6 @@ def _picture(result: Comparison) -> bytes:
     from quadtree_lss.desk.report.palette import MAPS, even_limits
 
     grid, other = result.first.grid, result.second.grid
-    row, column, inside = _nearest(other, grid.x, grid.y)
     figure = Figure(figsize=(13.0, 6.0), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     title = "Where landing is allowed; sites of the second"
@@ -268,7 +266,7 @@ def _picture(result: Comparison) -> bytes:
     image = drawing.image(left, grid.x, grid.y, result.difference, **style)
     figure.colorbar(image, ax=left, label="second less first height, m", extend="both", shrink=0.8)
     both = np.isfinite(result.difference)
-    kind = np.where(both, 1 + 2 * grid["safe"] + (inside & other["safe"][row, column]), 0)
+    kind = np.where(both, 1 + 2 * grid["safe"] + _laid(other, other["safe"], grid.x, grid.y), 0)
     names = ("not compared", "excluded by both", "gained", "lost", "allowed by both")
     colours = ("#cdcdcd", "#882255", "#56b4e9", "#e69f00", "#009e73")
     drawing.classes(right, grid.x, grid.y, kind, colours)

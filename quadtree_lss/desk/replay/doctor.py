@@ -55,19 +55,17 @@ FLIP = np.diag([1.0, -1.0, -1.0])
 
 
 class Finding(NamedTuple):
-    """Something that is wrong, or to know.
-
-    Attributes:
-        key: Short name.
-        text: What, in one line.
-        mend: What to do about it, in one line; empty where nothing need be done.
-        fatal: Whether nothing can be mapped.
-    """
+    """What is wrong or to know by a short name, in one line, what to do about it, in another, empty
+    where nothing need be done; ``fatal``: nothing can be mapped."""
 
     key: str
     text: str
     mend: str = ""
     fatal: bool = False
+
+    @property
+    def line(self) -> str:
+        return f"{self.text}; mend: {self.mend}" if self.mend else self.text
 
 
 class Heard:
@@ -98,15 +96,12 @@ class Heard:
 
     def add_pose(self, msg: Any) -> None:
         """One pose as it stands, whatever its frame."""
-        pose = msg.pose.pose
-        place = np.array([pose.position.x, pose.position.y, pose.position.z])
-        q = pose.orientation
-        turn = np.array([q.x, q.y, q.z, q.w])
-        if np.isfinite(place).all() and np.linalg.norm(turn) > 0.5:
-            covariance = np.asarray(msg.pose.covariance)
-            unit = turn / np.linalg.norm(turn)
-            known = bool(covariance.any())
-            self._poses.append((stamp_ns(msg.header), place, unit, known))
+        p, q = msg.pose.pose.position, msg.pose.pose.orientation
+        place, turn = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
+        size = np.linalg.norm(turn)
+        if np.isfinite(place).all() and size > 0.5:
+            known = bool(np.asarray(msg.pose.covariance).any())
+            self._poses.append((stamp_ns(msg.header), place, turn / size, known))
 
     def add_gimbal(self, msg: Any) -> None:
         self._gimbal.append(mount_from_message(msg))
@@ -114,10 +109,10 @@ class Heard:
     def findings(self, config: Config) -> list[Finding]:
         found = []
         if self._poses and not any(known for *_, known in self._poses):
-            sigmas = config.pose.unknown_position_sigma, config.pose.unknown_attitude_sigma_deg
+            place, turn = config.pose.unknown_position_sigma, config.pose.unknown_attitude_sigma_deg
             text = "the poses' covariances are all zero: nothing says how well they are known"
-            mend = "publish the filter's own, or set pose.unknown_position_sigma (now {:g} m) and"
-            mend = f"{mend.format(sigmas[0])} pose.unknown_attitude_sigma_deg (now {sigmas[1]:g})"
+            mend = f"publish the filter's own, or set pose.unknown_position_sigma (now {place:g} m)"
+            mend += f" and pose.unknown_attitude_sigma_deg (now {turn:g})"
             found.append(Finding("covariance", text, mend))
         flight = self._flight(config)
         return found if flight is None else found + _judged(flight, config)
@@ -191,10 +186,8 @@ class _Flight:
     def _on_body(self, times: Array) -> tuple[Array, Array]:
         if self._gimbal is not None:
             return self._gimbal.at(times)
-        shape = (len(times), 1, 1)
-        return np.tile(self._mount.position, shape[:2]), np.tile(
-            self._mount.rotation_map_lidar, shape
-        )
+        n, mount = len(times), self._mount
+        return np.tile(mount.position, (n, 1)), np.tile(mount.rotation_map_lidar, (n, 1, 1))
 
     def late(self, lag: float, chosen: NDArray[np.bool_]) -> float:
         """Disagreement of some scans with the poses of so many seconds later, m."""
@@ -211,11 +204,7 @@ class _Flight:
 
         In each cell with `FEWEST` points of two scans z = a + b x + c y is fitted; of the variances
         of what is left the median over the points counts. Infinite where scans do not overlap.
-
-        Args:
-            origins, turns: (K, 3) and (K, 3, 3) of the lidar.
-            scale: Of the points.
-            chosen: Of the scans; None for all.
+        ``origins``, ``turns``: (K, 3) and (K, 3, 3) of the lidar. ``chosen``: scans, None for all.
         """
         points, of = scale * self.points, self.of
         if chosen is not None:
@@ -232,10 +221,8 @@ class _Flight:
         z = placed[:, 2] - float(np.median(placed[:, 2]))
         m = len(cells)
         basis = np.stack([np.ones_like(x), x, y])
-        normal = np.array(
-            [[np.bincount(inside, a * b, m) for a in basis] for b in basis]
-        ).transpose(2, 0, 1)
-        right = np.array([np.bincount(inside, a * z, m) for a in basis]).T
+        sums = [[np.bincount(inside, a * b, m) for a in basis] for b in (*basis, z)]
+        normal, right = np.array(sums[:3]).transpose(2, 0, 1), np.array(sums[3]).T
         count = normal[:, 0, 0]
         good = (count >= FEWEST) & (np.bincount(scans, minlength=m) >= 2)
         if count[good].sum() < OVERLAP * len(x):
@@ -316,19 +303,16 @@ def _judged(flight: _Flight, config: Config) -> list[Finding]:
             continue
         if sound and (tried.scale != 1.0 and cost < 30.0 * noise):
             continue
-        height = flight.places[:, 2] if not tried.origins.any() else tried.origins[:, 2]
-        origins = tried.origins
-        found, over = flight.disagreement(origins, tried.turns, tried.scale)
+        found, over = flight.disagreement(tried.origins, tried.turns, tried.scale)
         if tried.key == "map_cloud":
-            over = float(np.mean(flight.points[:, 2] > height[flight.of]))
+            over = float(np.mean(flight.points[:, 2] > flight.places[flight.of, 2]))
         if over <= MENDED_ABOVE and (best is None or found < 0.8 * best[0]):
             best = found, tried
     limit = BETTER * cost if np.isfinite(cost) else ALIKE * noise
     wrong = not sound or (cost > NOISES * noise and best is not None and best[0] < limit)
     if wrong and best is not None and (np.isfinite(best[0]) or not sound):
-        return [
-            Finding(best[1].key, f"{best[1].text}: {_state(cost, above, best[0])}", best[1].mend)
-        ]
+        mended, tried = best
+        return [Finding(tried.key, f"{tried.text}: {_state(cost, above, mended)}", tried.mend)]
     if above > MOST_ABOVE:
         text = f"{100 * above:.0f} % of the ground lies above the lidar, and no usual mistake"
         mend = "look at frames and axes (docs/connecting.md)"

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.desk.replay.result import ReplayResult, run_summary
-from quadtree_lss.desk.replay.results import write_results
+from quadtree_lss.desk.replay.results import ReplayResult, run_summary, write_results
 from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -57,11 +56,9 @@ def rank_sites(
         part = model.within(corners.min(axis=0) - room, corners.max(axis=0) + room)
         model = part if min(len(part.x), len(part.y)) >= 3 else model
     cells, block = cells_of(model, config.lidar.range_noise)
-    domain = cells.domain
-    values = {"xmin": domain.xmin, "ymin": domain.ymin, "size": domain.size}
-    levels = {"min_level": 0, "max_level": domain.max_level}
-    own: dict[str, Any] = {f"domain.{key}": value for key, value in (values | levels).items()}
-    coarsest = domain.size / MOST_POINTS
+    names = ("xmin", "ymin", "size", "min_level", "max_level")
+    own: dict[str, Any] = {f"domain.{name}": getattr(cells.domain, name) for name in names}
+    coarsest = cells.domain.size / MOST_POINTS
     if config.lss.spacing < coarsest:
         own["lss.grid_spacing"] = coarsest
     config = config_from_values(own, config)
@@ -92,17 +89,10 @@ def rank_sites(
 
 
 def _notes(model: ElevationModel, block: int) -> list[str]:
-    notes = []
-    if block > 1:
-        notes.append(
-            f"a leaf has {block} x {block} of the model's cells, which are too many for a map;"
-            " an area (--area) cuts the model to it"
-        )
-    if model.spacing > 0.5:
-        notes.append(
-            f"posts are {model.spacing:g} m apart: what is smaller, as rocks, is not in the model"
-        )
-    return notes
+    many = f"a leaf has {block} x {block} of the model's cells, which are too many for a map;"
+    many += " an area (--area) cuts the model to it"
+    coarse = f"posts are {model.spacing:g} m apart: what is smaller, as rocks, is not in the model"
+    return [many] * (block > 1) + [coarse] * (model.spacing > 0.5)
 
 
 def cells_of(model: ElevationModel, deviation: float) -> tuple[CellMap, int]:
@@ -111,10 +101,8 @@ def cells_of(model: ElevationModel, deviation: float) -> tuple[CellMap, int]:
     A leaf's plane is the least-squares one through its posts; one that lacks a post is not
     measured. ``model``: the heights. ``deviation``: standard deviation of each, m.
     """
-    block = 1
     count = max(len(model.x), len(model.y)) - 1
-    while -(-count // block) > MOST_CELLS:
-        block += 1
+    block = max(-(-count // MOST_CELLS), 1)
     level = max(int(np.ceil(np.log2(-(-count // block)))), 0)
     side = block * model.spacing
     domain = Domain(float(model.x[0]), float(model.y[0]), side * 2**level, 0, level)
@@ -124,17 +112,16 @@ def cells_of(model: ElevationModel, deviation: float) -> tuple[CellMap, int]:
     steps = (np.arange(block + 1) / block - 0.5) * side
     posts = (block + 1) ** 2
     spread = float(np.sum(steps**2) * (block + 1))
-    middle, slope_x, slope_y, square = np.zeros((4, n, n))
-    for j, y in enumerate(steps):
-        for i, x in enumerate(steps):
-            z = heights[j : j + n * block : block, i : i + n * block : block]
-            middle += z / posts
-            slope_x += z * x / spread
-            slope_y += z * y / spread
-    for j, y in enumerate(steps):
-        for i, x in enumerate(steps):
-            z = heights[j : j + n * block : block, i : i + n * block : block]
-            square += (z - middle - slope_x * x - slope_y * y) ** 2 / posts
+    of_leaves = [  # each post of all leaves: its place in them, and heights (n, n)
+        (x, y, heights[j : j + n * block : block, i : i + n * block : block])
+        for j, y in enumerate(steps)
+        for i, x in enumerate(steps)
+    ]
+    middle = sum(z for _, _, z in of_leaves) / posts
+    slope_x = sum(z * x for x, _, z in of_leaves) / spread
+    slope_y = sum(z * y for _, y, z in of_leaves) / spread
+    left = ((z - middle - slope_x * x - slope_y * y) ** 2 for x, y, z in of_leaves)
+    square = sum(left) / posts
     iy, ix = np.divmod(np.arange(n * n), n)
     known = np.isfinite(middle).ravel()
     normal = np.stack([-slope_x.ravel(), -slope_y.ravel(), np.ones(n * n)], axis=-1)

@@ -3,21 +3,22 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.desk.exchange.geotiff import check_place, to_degrees, write_geotiff
 from quadtree_lss.desk.exchange.saved import Results, load_results
 from quadtree_lss.desk.replay.files import write_json
-from quadtree_lss.onboard.arrays import Array, Bytes
+from quadtree_lss.onboard.arrays import Array, Bytes, Mask
 from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.elevation.libraries import ExchangeError, library
-from quadtree_lss.onboard.elevation.reference import reference
+from quadtree_lss.onboard.elevation.reference import WHAT, reference
 
 NO_DATA = 255
 """Where a layer of `MASKS` is of unseen ground."""
@@ -42,6 +43,8 @@ LAYERS = {
 """Unit and meaning."""
 FAR = 10_000.0
 """Coordinates beyond lose centimetres in the 32 bits that meshes have, m."""
+FARTHEST_DEG = 1.0
+"""Beyond the area of a coordinate system; neighbouring zones of UTM are used so."""
 CIRCLE_POINTS = 48
 FREE, OCCUPIED, UNKNOWN = 254, 0, 205
 """Grey of nav2's map_server."""
@@ -87,28 +90,90 @@ def export_results(
         raise ExchangeError(msg) from None
 
 
+def check_place(x: Array, y: Array, crs: str) -> None:
+    """See that places in m lie in the area that a coordinate system is made for; systems that name
+    no area, as those about an origin, have none. Raises `ExchangeError`: they are farther from it
+    than a degree, at which its metres are wrong."""
+    rasterio = library("rasterio", WHAT)
+    system = rasterio.crs.CRS.from_wkt(crs)
+    code = system.to_epsg()
+    known = rasterio.crs.CRS.from_epsg(code) if code else system
+    area = re.search(r"BBOX\[(.*?)\]", known.to_wkt(version="WKT2_2019"))
+    if area is None:
+        return
+    south, west, north, east = map(float, area[1].split(","))
+    longitude, latitude = to_degrees(x, y, crs)
+    inside = (longitude - west) % 360.0 <= ((east - west) % 360.0 or 360.0)
+    aside = np.minimum((longitude - east) % 360.0, (west - longitude) % 360.0)
+    beyond = np.where(inside, 0.0, aside)
+    off = np.max([beyond, south - latitude, latitude - north])
+    if not off <= FARTHEST_DEG:
+        msg = (
+            f"the map lies at latitude {latitude[0]:.2f}, longitude {longitude[0]:.2f} by its"
+            f" coordinate system, which is for {area[1]} (south, west, north, east):"
+            " a map about a place has --origin instead"
+        )
+        raise ExchangeError(msg)
+
+
+def to_degrees(x: Array, y: Array, crs: str) -> tuple[Array, Array]:
+    """Longitude and latitude of places in a coordinate reference system, deg (WGS 84). Raises
+    `ExchangeError`: the system has no place on the Earth."""
+    rasterio = library("rasterio", WHAT)
+    warp = library("rasterio.warp", WHAT)
+    try:
+        found = warp.transform(crs, "EPSG:4326", list(map(float, x)), list(map(float, y)))
+    except (rasterio.errors.RasterioError, rasterio.errors.CRSError) as error:
+        msg = f"no longitude and latitude by the coordinate system: {str(error).splitlines()[0]}"
+        raise ExchangeError(msg) from None
+    return np.array(found[0]), np.array(found[1])
+
+
 def _geotiff(results: Results, folder: Path, crs: str) -> list[Path]:
     """Every layer of the landing grid, and height and deviation of the map's own cells where the
     ground is known."""
     grid, domain = results.grid, results.map.domain
-    layers = [(name, values, grid.x, grid.y) for name, values in grid.layers.items()]
+    written = [
+        _write_geotiff(folder, name, values, grid.x, grid.y, grid.seen, crs)
+        for name, values in grid.layers.items()
+    ]
     middles = (np.arange(domain.finest_count) + 0.5) * domain.finest_size
     x, y = domain.xmin + middles, domain.ymin + middles
     raster = rasterise(results.map, results.config.lss)
     deviation = results.map.at(x, y[:, None]).deviation
-    known = (np.where(raster.seen, values, np.nan) for values in (raster.elevation, deviation))
-    names = ("map_height", "map_deviation")
-    layers += [(name, v, x, y) for name, v in zip(names, known, strict=True)]
-    tables, written = _colour_tables(), []
-    for name, values, across, along in layers:
-        unit, words = LAYERS.get(name, ("", ""))
-        how: dict[str, Any] = {"crs": crs, "name": name, "unit": unit, "description": words}
-        if name in MASKS:
-            values = np.where(grid.seen, values, NO_DATA).astype(np.uint8)
-            how["nodata"] = NO_DATA
-        written.append(folder / f"{name}.tif")
-        write_geotiff(written[-1], values, across, along, colours=tables.get(name), **how)
+    for name, values in (("map_height", raster.elevation), ("map_deviation", deviation)):
+        known = np.where(raster.seen, values, np.nan)
+        written.append(_write_geotiff(folder, name, known, x, y, raster.seen, crs))
     return written
+
+
+def _write_geotiff(
+    folder: Path, name: str, values: NDArray[Any], x: Array, y: Array, seen: Mask, crs: str
+) -> Path:
+    """One layer (ny, nx) as cloud-optimised GeoTIFF; pixels are about the places x (nx,), y (ny,),
+    ascending, evenly spaced, m; NaN is no data, of `MASKS` that is unseen ground."""
+    rasterio = library("rasterio", WHAT)
+    unit, words = LAYERS.get(name, ("", ""))
+    exact, path = values.dtype in (np.bool_, np.uint8), folder / f"{name}.tif"
+    options: dict[str, Any] = {"driver": "COG", "compress": "deflate", "crs": crs or None}
+    options["nodata"] = None if exact else float("nan")
+    if name in MASKS:
+        values, options["nodata"] = np.where(seen, values, NO_DATA), NO_DATA
+    if exact:  # a mean of bits is none of them
+        options["overview_resampling"] = "nearest"
+    pixels = np.ascontiguousarray(values[::-1], np.uint8 if exact else np.float32)
+    dx, dy = (float(a[-1] - a[0]) / (len(a) - 1) if len(a) > 1 else 1.0 for a in (x, y))
+    options["transform"] = rasterio.Affine(dx, 0.0, x[0] - 0.5 * dx, 0.0, -dy, y[-1] + 0.5 * dy)
+    shape = {"width": len(x), "height": len(y), "count": 1, "dtype": pixels.dtype.name}
+    with rasterio.open(path, "w", **options, **shape) as file:
+        file.write(pixels, 1)
+        file.units = (unit or None,)
+        file.update_tags(TIFFTAG_IMAGEDESCRIPTION=f"{name}: {words}")
+        if name in (tables := _colour_tables()):
+            shades = {value: bytes.fromhex(text[1:]) for value, text in tables[name].items()}
+            file.write_colormap(1, {value: tuple(shade) for value, shade in shades.items()})
+        file.set_band_description(1, name)
+    return path
 
 
 def _colour_tables() -> dict[str, dict[int, str]]:
@@ -124,38 +189,31 @@ def _colour_tables() -> dict[str, dict[int, str]]:
     return {"hazard": hazard} | {name: table | none for name, table in tables.items()}
 
 
-def _mesh(end: str) -> Callable[[Results, Path, str], list[Path]]:
-    def write(results: Results, folder: Path, crs: str) -> list[Path]:
-        """The ground at the grid points, coloured by where landing is allowed, in relief: ``ply``
-        (z up) or ``glb`` (y up, as glTF has it). Far from the origin it is moved there, and a text
-        beside it says by how much."""
-        trimesh: Any = library("trimesh", "PLY and glTF files")
-        grid, path = results.grid, folder / f"ground.{end}"
-        heights = np.asarray(grid["elevation"], np.float64)
-        vertices, faces = ground_mesh(grid.x, grid.y, heights)
-        shift, written = np.zeros(3), [path]
-        if len(vertices) and np.abs(vertices[:, :2]).max() > FAR:
-            shift[:2] = np.round(vertices[:, :2].mean(axis=0))
-            written.append(folder / f"ground.{end}.txt")
-            written[1].write_text("add to x, y, z in m: {:.1f} {:.1f} {:.1f}\n".format(*shift))
-        vertices = vertices - shift
-        if end == "glb":
-            vertices = vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
-        shown = _colours(results)[np.isfinite(heights)]
-        mesh = trimesh.Trimesh(vertices, faces, vertex_colors=shown, process=False)
-        path.write_bytes(mesh.export(file_type=end))
-        return written
-
-    return write
+def _mesh(end: str, results: Results, folder: Path, crs: str) -> list[Path]:
+    """The ground at the grid points, coloured by where landing is allowed, in relief: ``ply``
+    (z up) or ``glb`` (y up, as glTF has it). Far from the origin it is moved there, and a text
+    beside it says by how much."""
+    trimesh: Any = library("trimesh", "PLY and glTF files")
+    grid, path = results.grid, folder / f"ground.{end}"
+    heights = np.asarray(grid["elevation"], np.float64)
+    vertices, faces = ground_mesh(grid.x, grid.y, heights)
+    shift, written = np.zeros(3), [path]
+    if len(vertices) and np.abs(vertices[:, :2]).max() > FAR:
+        shift[:2] = np.round(vertices[:, :2].mean(axis=0))
+        written.append(folder / f"ground.{end}.txt")
+        written[1].write_text("add to x, y, z in m: {:.1f} {:.1f} {:.1f}\n".format(*shift))
+    vertices = vertices - shift
+    if end == "glb":
+        vertices = vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
+    shown = _colours(results)[np.isfinite(heights)]
+    mesh = trimesh.Trimesh(vertices, faces, vertex_colors=shown, process=False)
+    path.write_bytes(mesh.export(file_type=end))
+    return written
 
 
 def ground_mesh(x: Array, y: Array, heights: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Vertices (V, 3) and triangles (T, 3), counter-clockwise from above, of known ground.
-
-    Args:
-        x, y: (nx,), (ny,) m.
-        heights: (ny, nx) m, NaN where unknown: squares that lack a corner are left out.
-    """
+    """Vertices (V, 3) and triangles (T, 3), counter-clockwise from above, of heights (ny, nx) m at
+    x (nx,), y (ny,); squares that lack a corner, which is NaN, are left out."""
     known = np.isfinite(heights)
     number = np.cumsum(known.ravel()).reshape(known.shape) - 1
     across, along = np.meshgrid(x, y)
@@ -231,8 +289,8 @@ def _map_server(results: Results, folder: Path, crs: str) -> list[Path]:
 
 FORMATS: dict[str, Callable[[Results, Path, str], Any]] = {
     "geotiff": _geotiff,
-    "ply": _mesh("ply"),
-    "gltf": _mesh("glb"),
+    "ply": partial(_mesh, "ply"),
+    "gltf": partial(_mesh, "glb"),
     "geojson": _geojson,
     "map_server": _map_server,
 }

@@ -8,8 +8,8 @@ import csv
 import io
 import json
 import os
-import tempfile
 import time
+import uuid
 import zipfile
 import zlib
 from collections.abc import Iterable, Mapping
@@ -26,16 +26,12 @@ SAMPLE, WORTH_PACKING = 1 << 14, 0.85
 def write_bytes(path: Path, content: bytes) -> None:
     """Writes a file beside ``path`` and moves it there; makes the folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    beside = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(name, 0o666 & ~mask)
-        os.replace(name, path)
+        beside.write_bytes(content)
+        beside.replace(path)
     except BaseException as error:
-        Path(name).unlink(missing_ok=True)
+        beside.unlink(missing_ok=True)
         if isinstance(error, OSError):
             error.filename = str(path)  # not the one beside it
         raise

@@ -17,7 +17,6 @@ from quadtree_lss.onboard.messages.maps import known_probability
 
 ANSWERS, SCANS = 240, 4000
 """At most so many are kept of a flight however long, evenly spread, and the last."""
-
 _EVERY = 16
 _ANGLES = np.arange(12) * (2.0 * np.pi / 12)
 _DIRECTIONS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
@@ -76,9 +75,9 @@ class History:
         points = scan.points_lidar.reshape(-1, 3)[::_EVERY]
         ground = points @ scan.pose.rotation_map_lidar[:2].T + scan.pose.position[:2]
         ground = ground[np.isfinite(ground[:, 0]) & np.isfinite(ground[:, 1])]
-        outline = np.full((len(_DIRECTIONS), 2), np.nan)
-        if len(ground):
-            outline = ground[(ground @ _DIRECTIONS.T).argmax(axis=0)]
+        if not len(ground):
+            ground = np.full((1, 2), np.nan)
+        outline = ground[(ground @ _DIRECTIONS.T).argmax(axis=0)]
         self._scans.add((scan.stamp_ns, scan.pose.position.copy(), outline))
 
     def arrays(self, *, probability: bool = True) -> dict[str, NDArray[Any]]:
@@ -86,22 +85,21 @@ class History:
         ``probability``: also of each grid point, which is most of the file."""
         scans, answers = self._scans.all(), self._answers.all()
         sites = np.concatenate([a["sites"] for a in answers]) if answers else np.zeros((0, 6))
+        outlines = np.array([edge for _, _, edge in scans])
+
+        def column(name: str, kind: type | None = None) -> NDArray[Any]:
+            return np.array([answer[name] for answer in answers], kind)
+
         return {
             "scan_stamp_ns": np.array([stamp for stamp, _, _ in scans], dtype=np.int64),
             "scan_position": np.array([place for _, place, _ in scans]).reshape(-1, 3),
-            "scan_outline": np.array([edge for _, _, edge in scans]).reshape(
-                -1, len(_DIRECTIONS), 2
-            ),
-            "answer_stamp_ns": np.array([a["stamp_ns"] for a in answers], dtype=np.int64),
-            "answer_corner": np.array([a["corner"] for a in answers]).reshape(-1, 2),
-            "seen": np.array([a["seen"] for a in answers], dtype=np.uint8),
-            "allowed": np.array([a["allowed"] for a in answers], dtype=np.uint8),
-            **(
-                {"probability": np.array([a["probability"] for a in answers])}
-                if probability
-                else {}
-            ),
-            "target": np.array([a["target"] for a in answers]).reshape(-1, 4),
+            "scan_outline": outlines.reshape(-1, len(_DIRECTIONS), 2),
+            "answer_stamp_ns": column("stamp_ns", np.int64),
+            "answer_corner": column("corner").reshape(-1, 2),
+            "seen": column("seen", np.uint8),
+            "allowed": column("allowed", np.uint8),
+            **({"probability": column("probability")} if probability else {}),
+            "target": column("target").reshape(-1, 4),
             "site_answer": np.repeat(np.arange(len(answers)), [len(a["sites"]) for a in answers]),
             "site_id": sites[:, 0].astype(np.int64),
             "site_position": sites[:, 1:4],

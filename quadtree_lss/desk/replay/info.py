@@ -18,7 +18,7 @@ from quadtree_lss.desk.bags.message_types import GIMBAL_TYPE, POSE_TYPES, SCAN_T
 from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.replay.doctor import Finding, Heard
 from quadtree_lss.desk.replay.files import plain
-from quadtree_lss.desk.replay.points import points_line, points_warning
+from quadtree_lss.desk.replay.results import points_line, points_warning
 from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Part, Progress, Stream, rate
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.sensing.register import register
@@ -81,12 +81,12 @@ class BagInfo:
     @property
     def problems(self) -> list[str]:
         """Why it cannot be replayed, one line each; empty if it can."""
-        return [told(finding) for finding in self.findings if finding.fatal]
+        return [finding.line for finding in self.findings if finding.fatal]
 
     @property
     def notes(self) -> list[str]:
         """What else is wrong, or to know, one line each."""
-        return [told(finding) for finding in self.findings if not finding.fatal]
+        return [finding.line for finding in self.findings if not finding.fatal]
 
     @property
     def works(self) -> bool:
@@ -96,8 +96,8 @@ class BagInfo:
     def as_dict(self) -> dict[str, Any]:
         """In JSON's types."""
         told = {"works": self.works, "problems": self.problems, "notes": self.notes}
-        content: dict[str, Any] = plain({**told, **asdict(self)})
-        content["findings"] = [finding._asdict() for finding in self.findings]
+        found = {"findings": [finding._asdict() for finding in self.findings]}
+        content: dict[str, Any] = plain(told | asdict(self) | found)
         return content
 
     def table(self) -> str:
@@ -146,14 +146,13 @@ def inspect_bag(
 
 def _rates_by_reception(info: BagInfo, bag: Bag) -> None:
     """Of the clouds and poses that are not read: what they may be chosen by."""
-    unread = {t.name: t for t in info.topics if t.first_stamp_ns is None}
-    times: dict[str, list[int]] = {
-        name: [] for name, topic in unread.items() if topic.type in (*SCAN_TYPES, *POSE_TYPES)
-    }
+    kinds = (*SCAN_TYPES, *POSE_TYPES)
+    unread = [t for t in info.topics if t.first_stamp_ns is None and t.type in kinds]
+    times: dict[str, list[int]] = {topic.name: [] for topic in unread}
     for message in bag.messages(list(times)):
         times[message.topic].append(message.received_ns)
-    for name, received in times.items():
-        unread[name].rate = rate(received)
+    for topic in unread:
+        topic.rate = rate(times[topic.name])
 
 
 def _read(
@@ -166,6 +165,11 @@ def _read(
     why = ""
     seen = {topic.name: _Stamps() for topic in info.topics}
     texts: dict[str, str] = {}
+
+    def note() -> None:
+        for notice in intake.notices():
+            texts.setdefault(notice.reason, notice.text)
+
     for message in Part.of(bag).messages(bag, stream.topics, progress):
         with contextlib.suppress(MessageError):  # counted and told by the intake
             _hear(heard, bag, message, stream, seen[message.topic])
@@ -180,11 +184,9 @@ def _read(
             if not why and not len(scan.key):
                 missed_at = scan.centre
                 why = likely_reason(ready.points_lidar, ready.pose, config)
-        for notice in intake.notices():
-            texts.setdefault(notice.reason, notice.text)
+        note()
     intake.finish()
-    for notice in intake.notices():
-        texts.setdefault(notice.reason, notice.text)
+    note()
     info.scans_dropped, info.points_dropped = dict(intake.dropped), dict(dropped)
     for topic in info.topics:
         seen[topic.name].tell(topic)
@@ -200,11 +202,7 @@ def _read(
 
 
 def _hear(heard: Heard, bag: Bag, message: RawMessage, stream: Stream, seen: _Stamps) -> None:
-    """A message as it stands.
-
-    Raises:
-        MessageError: it cannot be read.
-    """
+    """A message as it stands. Raises `MessageError`: it cannot be read."""
     if message.topic == stream.gimbal:
         heard.add_gimbal(bag.decode(message.raw, GIMBAL_TYPE))
         return
@@ -253,11 +251,9 @@ class _Stamps:
 
 
 def _layout(msg: Any) -> str:
-    items = [
-        f"{item.name} {TYPE_NAMES.get(item.datatype, '?')} @{item.offset}" for item in msg.fields
-    ]
     shape = f"{msg.height} x {msg.width} organised" if msg.height > 1 else "unorganised"
     order = "big" if msg.is_bigendian else "little"
+    items = (f"{f.name} {TYPE_NAMES.get(f.datatype, '?')} @{f.offset}" for f in msg.fields)
     fields = one_line(", ".join(items), 400)
     return f"{fields}; {msg.point_step} bytes a point, {order} endian, {shape}"
 
@@ -271,16 +267,11 @@ MENDS = {
 """What mends that which the intake tells, by its keys."""
 
 
-def told(finding: Finding) -> str:
-    return f"{finding.text}; mend: {finding.mend}" if finding.mend else finding.text
-
-
 def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> list[Finding]:
     """Of headers, rates and what the intake refused."""
     by_name = {topic.name: topic for topic in info.topics}
     scans, poses = by_name[info.scan_topic], by_name[info.pose_topic]
-    found = []
-    lacks = not info.scans_with_pose
+    found, lacks = [], not info.scans_with_pose
     for topic in (scans, poses):
         if topic.first_stamp_ns is None:
             text = f"{topic.name}: no message has a usable header"
@@ -294,9 +285,9 @@ def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> list[Finding
     both = (scans.first_stamp_ns, scans.last_stamp_ns, poses.first_stamp_ns, poses.last_stamp_ns)
     if None not in both:
         first, last, begin, end = (value or 0 for value in both)
-        if first > end or last < begin:
-            gap = max(first - end, begin - last) / SECOND_NS
-            text = f"stamps of scans and poses do not overlap, {gap:.3f} s lie between them:"
+        between = max(first - end, begin - last) / SECOND_NS
+        if between > 0.0:
+            text = f"stamps of scans and poses do not overlap, {between:.3f} s lie between them:"
             mend = _clock_mend(scans, poses)
             found.append(Finding("clocks", f"{text} different clocks?", mend, fatal=True))
     wrong_frame = lacks and "pose_frame" in texts and len(poses.frames) == 1
@@ -319,10 +310,8 @@ def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> list[Finding
 def _clock_mend(scans: TopicInfo, poses: TopicInfo) -> str:
     """By which of the two clocks is not that of reception."""
     off = max(scans, poses, key=lambda topic: abs(topic.delay))
-    return (
-        f"stamp {off.name} by the clock of the other: its stamps are {abs(off.delay):.1f} s"
-        f" {'before' if off.delay > 0.0 else 'after'} their reception"
-    )
+    late = f"{abs(off.delay):.1f} s {'before' if off.delay > 0.0 else 'after'} their reception"
+    return f"stamp {off.name} by the clock of the other: its stamps are {late}"
 
 
 def _lines(info: BagInfo) -> list[str]:
@@ -337,10 +326,10 @@ def _lines(info: BagInfo) -> list[str]:
             continue
         frames = ", ".join(f"{name!r}" for name in topic.frames)
         order = f"{topic.backward} go back" if topic.backward else "in order"
+        first, last = (f"{t / SECOND_NS:.3f}" for t in (topic.first_stamp_ns, topic.last_stamp_ns))
         lines.append(
-            f"      stamps {topic.first_stamp_ns / SECOND_NS:.3f} … "
-            f"{topic.last_stamp_ns / SECOND_NS:.3f} s, {order}; received {topic.delay:.3f} s"
-            f" later; frame {frames}"
+            f"      stamps {first} … {last} s, {order};"
+            f" received {topic.delay:.3f} s later; frame {frames}"
         )
         if topic.layout:
             lines.append(f"      {topic.points:.0f} points: {topic.layout}")

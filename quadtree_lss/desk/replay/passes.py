@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import cache
-from math import hypot, inf
+from math import hypot, inf, nan
 from typing import Any, NamedTuple, Protocol
 
 from quadtree_lss.onboard.config.settings import Config
@@ -44,16 +44,9 @@ class Passes:
     """Makes maps at most ``publish.rate`` times a second of the bag's time, answers at most
     ``publish.lss_rate`` times, and the last state always.
 
-    Args:
-        config: Rates and everything about landing sites.
-        restrictions: Keyword arguments of ``LandingSiteSelector.assess`` at the time.
-        sinks: Get maps and answers.
-
-    Attributes:
-        cells: The last map, as its message gives it to ``lss_node``.
-        last: The last answer.
-        lss_ms: What it took.
-        changes: Of the target.
+    ``restrictions`` gives the keyword arguments of ``LandingSiteSelector.assess`` at the time,
+    ``sinks`` get maps and answers. ``cells`` is the last map, as its message gives it to
+    ``lss_node``, ``last`` the last answer, which took ``lss_ms``; ``changes`` are the target's.
     """
 
     def __init__(
@@ -105,10 +98,8 @@ class Passes:
         return 0.0 if self._began_ns is None else 1e-9 * (now_ns - self._began_ns)
 
     def _make_map(self, now_ns: int, snapshot: Callable[[], CellMap]) -> None:
-        """A map that nobody looks at need not be taken.
-
-        Where the next one is due before an answer is, it either comes first or is the same.
-        """
+        """A map that nobody looks at need not be taken: where the next one is due before an answer
+        is, it either comes first or is the same."""
         self._map.sent(now_ns)
         if self._began_ns is None or now_ns < self._began_ns:  # a recorder's clock stepped back
             self._began_ns = now_ns
@@ -138,11 +129,9 @@ class Passes:
         """A row where the target is another one, another place or none any more."""
         x, y, z = found.selected.position.tolist()
         row = TargetChange(found.stamp_ns, found.selected.id, x, y, z, found.selected.reason.key)
-        last = self.changes[-1] if self.changes else None
-        same = last is not None and row.id == last.id
-        if last is not None and row.id and same:
-            same = hypot(row.x - last.x, row.y - last.y) < ROUNDING
-        if not same and (row.id or last is not None):
+        last = self.changes[-1] if self.changes else TargetChange(0, 0, nan, nan, nan, "")
+        moved = hypot(row.x - last.x, row.y - last.y) >= ROUNDING
+        if row.id != last.id or (row.id and moved):
             self.changes.append(row)
 
 

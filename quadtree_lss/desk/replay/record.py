@@ -40,17 +40,21 @@ LATCHED = ros.Qos(*_KEPT, _NO_TIME, _NO_TIME, ros.QosLiveliness.AUTOMATIC, _NO_T
 class Recorder:
     """Context manager that writes the output topics into a new mcap bag: a sink of `Passes`.
 
-    Args:
-        path: Folder to write, which must not exist.
-        frame: Of the map.
-        maps: Write maps too; not for a bag that holds them already.
-
-    Raises:
-        ReplayError: ``path`` exists or cannot be written.
+    ``path``: folder to write, which must not exist. ``frame``: of the map. ``maps``: write maps
+    too; not for a bag that holds them already. ``looks``: where to look first. ``offset``: tells
+    how far the map lies from its prior. Raises `ReplayError`: ``path`` exists or cannot be written.
     """
 
-    def __init__(self, path: Path, frame: str, *, maps: bool = True) -> None:
-        self._path, self._maps = path, maps
+    def __init__(
+        self,
+        path: Path,
+        frame: str,
+        *,
+        maps: bool = True,
+        looks: tuple[Look, ...] = (),
+        offset: Callable[[], PriorOffset | None] = lambda: None,
+    ) -> None:
+        self._path, self._maps, self._looks, self._offset = path, maps, looks, offset
         self._writer = self._open()
         self._store = typestore(ros1=False)
         self._messages = MessageMaker(self._store.types, np.asarray, frame)
@@ -58,9 +62,6 @@ class Recorder:
         self._viewed_ns: int | None = None
         self._unseen: tuple[int, LandingAssessment] | None = None
         self._prior: Array | None = None
-        #: How far the map lies from its prior, None without; and where to look first.
-        self.offset: Callable[[], PriorOffset | None] = lambda: None
-        self.looks: tuple[Look, ...] = ()
 
     def __enter__(self) -> Recorder:
         return self
@@ -73,16 +74,15 @@ class Recorder:
             shutil.rmtree(self._path, ignore_errors=True)
 
     def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
-        """Writes a map."""
         if not self._maps:
             return
-        cells, offset = take(), self.offset()
+        cells, offset = take(), self._offset()
         for topic, message in self._messages.of_map(cells):
             self._write(topic, message, now_ns)
         if offset is None:
             return
         if self._prior is None:
-            self._write(LOOK_FIRST, self._messages.looks(self.looks), now_ns)
+            self._write(LOOK_FIRST, self._messages.looks(self._looks), now_ns)
         prior = self._messages.prior(offset, cells.stamp_ns)
         self._prior = prior_from_message(prior, prior.header.frame_id)  # as lss_node hears it
         self._write(PRIOR, prior, now_ns)
@@ -107,6 +107,7 @@ class Recorder:
             writer = Writer(self._path, version=9, storage_plugin=StoragePlugin.MCAP)
             writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             writer.open()
+            return writer
         except (WriterError, OSError) as error:
             text = str(error)
             if isinstance(error, OSError) and error.strerror:
@@ -114,7 +115,6 @@ class Recorder:
             if self._path.exists():
                 text = "it exists already"
             raise ReplayError(f"--record {self._path}: cannot be written: {text}") from None
-        return writer
 
     def _write(self, topic: str, message: Any, now_ns: int) -> None:
         kind = RECORDED_TYPES[topic]

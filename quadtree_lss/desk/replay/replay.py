@@ -17,9 +17,7 @@ from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.cloud_files import open_recording
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import Passes, Sink
-from quadtree_lss.desk.replay.points import points_line
-from quadtree_lss.desk.replay.result import ReplayResult, run_summary
-from quadtree_lss.desk.replay.results import write_results
+from quadtree_lss.desk.replay.results import ReplayResult, points_line, run_summary, write_results
 from quadtree_lss.desk.replay.run import Run
 from quadtree_lss.desk.replay.stream import (
     LandingTopics,
@@ -68,14 +66,12 @@ def replay(
         config: Everything that can be set.
         scan_topic, pose_topic: Topics; by default found by name, then by type.
         poses: File of poses for point clouds.
-        start: Seconds after the bag's first message at which to begin.
-        duration: Seconds to process, None for all.
+        start, duration: As of `stream.Part.of`.
         report: Also draw figures and ``report.html``.
         record: New bag for what the nodes would have published (see `record.Recorder`).
         landing: By ``area``, ``keep_out`` (V, 2), ``keep_outs``, a list of such, and ``target``
             (2,), map frame, m, or None for none: what holds whatever the bag says. Those not in it
-            are read from the topics
-            ``landing/…`` of the bag.
+            are read from the topics ``landing/…`` of the bag.
         progress: See `stream.Progress`.
         stop: Asked after each message; True ends the replay there, and the results are those of
             what was processed.
@@ -98,31 +94,28 @@ def replay(
         if pairs is None:
             stream = Stream(opened, config, scan_topic, pose_topic, wishes.navigation)
         topics = LandingTopics(wishes, opened, part.start_ns)
-        made = _make_folder(folder)
+        stack.enter_context(_made(folder))
         looks = () if prior is None else look_first(prior, Domain.of(config.domain), config)
-        try:
-            history, recorder = History(), None
-            sinks: list[Sink] = [history]
-            if record is not None:
-                from quadtree_lss.desk.replay.record import Recorder  # rosbags' writer takes long
+        history, frame = History(), config.frames.map
+        sinks: list[Sink] = [history]
+        passes = Passes(config, wishes.arguments, sinks)
+        run = Run(opened, part, config, passes, topics, history, progress, stop)
+        if record is not None:
+            from quadtree_lss.desk.replay.record import Recorder  # rosbags' writer takes long
 
-                options = {"maps": pairs is None}
-                recorder = Recorder(Path(record), config.frames.map, **options)
-                sinks.append(stack.enter_context(recorder))
-            passes = Passes(config, wishes.arguments, sinks)
-            run = Run(opened, part, config, passes, topics, history, progress, stop)
-            if recorder is not None:
-                recorder.looks, recorder.offset = looks, lambda: run.prior_offset
-            if stream is not None:
-                cells = run.map_scans(stream, prior)
-            else:
-                assert pairs is not None
-                cells = run.read_maps(pairs)
-        except BaseException:
-            if made is not None:
-                with contextlib.suppress(OSError):  # not empty: somebody else's files
-                    made.rmdir()
-            raise
+            recorder = Recorder(
+                Path(record),
+                frame,
+                maps=pairs is None,
+                looks=looks,
+                offset=lambda: run.prior_offset,
+            )
+            sinks.append(stack.enter_context(recorder))
+        if stream is not None:
+            cells = run.map_scans(stream, prior)
+        else:
+            assert pairs is not None
+            cells = run.read_maps(pairs)
         passes.finish(run.done_ns, lambda: cells)
         losses = [*opened.losses, *([] if stream is None else stream.losses), *run.losses]
         notes = opened.notes
@@ -207,14 +200,20 @@ def _why_nothing(run: Run) -> str:
     return f"nothing is mapped: {points_line(run.points, run.points_dropped)}"
 
 
-def _make_folder(folder: Path | None) -> Path | None:
-    """Before the work begins: a folder that cannot be written would waste it. Returns the folder if
-    it is new."""
-    if folder is None:
-        return None
-    fresh = not folder.exists()
+@contextlib.contextmanager
+def _made(folder: Path | None) -> Iterator[None]:
+    """Makes a folder before the work begins, which one that cannot be written would waste; where
+    that fails, a new folder goes again."""
+    fresh = folder is not None and not folder.exists()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ReplayError(f"{folder}: cannot be written: {error.strerror}") from None
-    return folder if fresh else None
+    try:
+        yield
+    except BaseException:
+        if folder is not None and fresh:
+            with contextlib.suppress(OSError):  # not empty: somebody else's files
+                folder.rmdir()
+        raise

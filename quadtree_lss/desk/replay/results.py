@@ -1,39 +1,162 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A results folder, written: names, keys and units other tools rely on."""
+"""What a run produced, its key figures, and its folder: names, keys and units others rely on."""
 
 from __future__ import annotations
 
 import contextlib
+import platform
+import resource
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadtree_lss.desk.exchange.saved import (
-    Grid,
-    Results,
-    ResultsError,
-    Table,
-    cells_arrays,
-    load_results,
-)
+import quadtree_lss
+from quadtree_lss import build
+from quadtree_lss.desk.exchange.saved import Grid, cells_arrays
 from quadtree_lss.desk.replay.configuration import dump_config
-from quadtree_lss.desk.replay.files import write_bytes, write_csv, write_json, write_npz
+from quadtree_lss.desk.replay.files import plain, write_bytes, write_csv, write_json, write_npz
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import TargetChange
-from quadtree_lss.desk.replay.result import ReplayResult, ScanTiming
 from quadtree_lss.desk.replay.stream import ReplayError
-from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.config.settings import Config, values_from_config
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.messages.lost_points import REASONS, domain_text, lost_points_text
 from quadtree_lss.onboard.messages.maps import known_probability
 
-__all__ = ["Grid", "Results", "ResultsError", "Table", "cells_arrays", "grid_of", "load_results"]
-__all__ += ["write_report", "write_results"]
-SITE_COLUMNS = ("rank", "x", "y", "z", "nx", "ny", "nz", "score", "slope_deg", "roughness")
-SITE_COLUMNS += ("hazard_distance", "subscale_height", "id", "probability")
-REPORT = "report.html"
+JUDGED = ("score", "slope_deg", "roughness", "hazard_distance", "subscale_height")
+SITE_COLUMNS = ("rank", *"xyz", "nx", "ny", "nz", *JUDGED, "id", "probability")
 FIGURES = ("elevation", "slope", "hazards", "probability", "score", "timing")
 """Names of the figures, ``figures/<name>.png``, in the order of the page."""
+
+
+class ScanTiming(NamedTuple):
+    """A row of ``timing.csv``; ``map_ms`` is from the decoded message to the divided map."""
+
+    stamp_ns: int
+    points: int
+    points_used: int
+    leaves: int
+    divisions: int
+    map_ms: float
+
+
+@dataclass(frozen=True, repr=False)
+class ReplayResult:
+    """What a replay produced; ``out`` is None if nothing was written.
+
+    ``cells`` are as decoded from their message, ``timings`` a row per mapped scan, empty for a bag
+    of maps, ``summary`` the content of ``summary.json``; ``targets`` are the changes of the target.
+    """
+
+    out: Path | None
+    cells: CellMap
+    assessment: LandingAssessment
+    timings: tuple[ScanTiming, ...]
+    summary: dict[str, Any]
+    targets: tuple[TargetChange, ...] = ()
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """What could not be read of the bag, a line each."""
+        return tuple(self.summary["losses"])
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Each kind of trouble with the messages and how often it occurred, a line each."""
+        return tuple(self.summary["warnings"])
+
+    @property
+    def interrupted(self) -> bool:
+        """It was stopped before the bag's end."""
+        return bool(self.summary["interrupted"])
+
+    def __repr__(self) -> str:
+        part = ", interrupted" if self.interrupted else ""
+        where = "" if self.out is None else f", in {self.out}"
+        return f"<ReplayResult: {len(self.timings)} scans{part}{where}; {self.assessment}>"
+
+    def as_dict(self) -> dict[str, Any]:
+        """The summary with the ranked sites, in JSON's types."""
+        sites = self.assessment.sites
+        names = ("position", "normal", "score", "probability", *JUDGED[1:], "id")
+        rows = [
+            {
+                "rank": k + 1,
+                **{name: getattr(sites, name)[k].tolist() for name in names},
+                "reason": sites.reasons[k],
+            }
+            for k in range(len(sites.score))
+        ]
+        out = None if self.out is None else str(self.out)
+        content: dict[str, Any] = plain({"out": out, "sites": rows, **self.summary})
+        return content
+
+
+def run_summary(
+    cells: CellMap,
+    found: LandingAssessment,
+    config: Config,
+    lss_ms: float = float("nan"),
+    timings: Sequence[ScanTiming] = (),
+    **known: Any,
+) -> dict[str, Any]:
+    """Content of ``summary.json`` of a run: ``known`` stands over what holds for a map that is of
+    no bag. Times in ms; without a scan those of a map update are NaN."""
+    map_ms = np.array([row.map_ms for row in timings] or [np.nan])
+    stamps = [row.stamp_ns for row in timings]
+    return {
+        "scans": len(timings),
+        "points": sum(row.points for row in timings),
+        "leaves": len(cells.level),
+        "map_ms_median": float(np.median(map_ms)),
+        "map_ms_p99": float(np.percentile(map_ms, 99)),
+        "lss_ms": lss_ms,
+        "real_time_factor": 0.0,
+        "peak_memory_mb": peak_memory_mb(),
+        "versions": versions(),
+        "config": values_from_config(config),
+        **dict.fromkeys(("scans_dropped", "points_dropped", "messages_rejected", "landing"), {}),
+        **dict.fromkeys(("points_used", "poses", "refused_divisions"), 0),
+        **dict.fromkeys(("scan_rate", "pose_rate", "range_noise_ratio"), float("nan")),
+        **dict.fromkeys(("scan_topic", "pose_topic"), ""),
+        "first_stamp_ns": min(stamps, default=None),
+        "last_stamp_ns": max(stamps, default=None),
+        "maps": 1,
+        "target": found.selected.id,
+        "target_changes": int(found.selected.id > 0),
+        "explanation": found.explanation,
+        "doubts": found.doubts,
+        "reasons": found.sites.reasons,
+        "interrupted": False,
+        "losses": (),
+        "warnings": found.doubts,
+        **known,
+    }
+
+
+def peak_memory_mb() -> float:
+    """Largest resident size of this process so far, MB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1e6 if sys.platform == "darwin" else 1e6 / 1024.0)
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package and of what its numbers depend on."""
+    found = {"quadtree_lss": quadtree_lss.__version__, "build": build.name()}
+    found["python"] = platform.python_version()
+    for name in ("numpy", "scipy", "rosbags"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found
 
 
 def write_results(
@@ -41,25 +164,24 @@ def write_results(
 ) -> None:
     """The files of a results folder, which is made if it is missing; ``report`` adds the page.
     Raises `ReplayError`: they cannot be written."""
+    sites, rows = result.assessment.sites, np.arange(len(result.assessment.sites))
     try:
-        _write(out, result, config, report, history or History())
+        columns = (rows + 1, *sites.position.T, *sites.normal.T)
+        columns += tuple(getattr(sites, name) for name in (*JUDGED, "id", "probability"))
+        write_csv(out / "sites.csv", SITE_COLUMNS, zip(*(c.tolist() for c in columns), strict=True))
+        write_csv(out / "selected.csv", TargetChange._fields, result.targets)
+        write_npz(out / "cells.npz", cells_arrays(result.cells))
+        write_npz(out / "grid.npz", grid_of(result.assessment))
+        timings = ([*row[:-1], f"{row.map_ms:.4f}"] for row in result.timings)
+        write_csv(out / "timing.csv", ScanTiming._fields, timings)
+        write_npz(out / "history.npz", (history or History()).arrays(probability=report))
+        write_bytes(out / "config.yaml", dump_config(config).encode())
+        write_json(out / "summary.json", result.summary)
+        _remove_report(out)
+        if report:
+            write_report(out)
     except OSError as error:
         raise ReplayError(f"{out}: cannot be written: {error.strerror}") from None
-
-
-def _write(out: Path, result: ReplayResult, config: Config, report: bool, history: History) -> None:
-    write_csv(out / "sites.csv", SITE_COLUMNS, _site_rows(result.assessment))
-    write_csv(out / "selected.csv", TargetChange._fields, result.targets)
-    write_npz(out / "cells.npz", cells_arrays(result.cells))
-    write_npz(out / "grid.npz", grid_of(result.assessment))
-    rows = ([*row[:-1], f"{row.map_ms:.4f}"] for row in result.timings)
-    write_csv(out / "timing.csv", ScanTiming._fields, rows)
-    write_npz(out / "history.npz", history.arrays(probability=report))
-    write_bytes(out / "config.yaml", dump_config(config).encode())
-    write_json(out / "summary.json", result.summary)
-    _remove_report(out)
-    if report:
-        write_report(out)
 
 
 def write_report(out: Path) -> None:
@@ -71,31 +193,15 @@ def write_report(out: Path) -> None:
 
 
 def _remove_report(out: Path) -> None:
-    """Takes away page, figures and evaluation of an earlier run, which would contradict this one.
-
-    Of the folder ``evaluation`` those files go that `evaluate` writes.
-    """
-    (out / REPORT).unlink(missing_ok=True)
-    for name in FIGURES:
-        (out / "figures" / f"{name}.png").unlink(missing_ok=True)
+    """Takes away page, figures and evaluation of an earlier run, which would contradict these."""
     folder = out / "evaluation"
-    for path in (*folder.glob("fig[0-9][0-9]_*.png"), folder / "evaluation.json", folder / REPORT):
+    old = [out / "report.html", *(out / "figures" / f"{name}.png" for name in FIGURES)]
+    # Those that `evaluate` writes.
+    old += [*folder.glob("fig[0-9][0-9]_*.png"), folder / "evaluation.json", folder / "report.html"]
+    for path in old:
         path.unlink(missing_ok=True)
     with contextlib.suppress(OSError):  # not there, or somebody else's files in it
         folder.rmdir()
-
-
-def _site_rows(assessment: LandingAssessment) -> list[list[Any]]:
-    """Ranked sites, best first; map frame, m."""
-    sites = assessment.sites
-    names = ("score", "slope_deg", "roughness", "hazard_distance", "subscale_height")
-    columns = [sites.position, sites.normal, *(getattr(sites, name) for name in names)]
-    return [
-        [rank, *map(float, row), int(number), float(probability)]
-        for rank, (row, number, probability) in enumerate(
-            zip(np.column_stack(columns), sites.id, sites.probability, strict=True), start=1
-        )
-    ]
 
 
 def grid_of(assessment: LandingAssessment) -> Grid:
@@ -106,3 +212,55 @@ def grid_of(assessment: LandingAssessment) -> Grid:
     layers = {name: getattr(assessment, name) for name in ("shadow", "reach")}
     found |= {name: values for name, values in layers.items() if values is not None}
     return found
+
+
+def points_line(points: int, dropped: Mapping[str, int]) -> str:
+    """``points 5.9 of 6.6 million used (10 % outside the domain)``. ``points``: of all mapped
+    scans. ``dropped``: those of them that are not in the map, by the keys of
+    `lost_points.REASONS`."""
+    used = points - sum(dropped.values())
+    text = f"points {used} of {points} used"
+    if points >= 1e6:
+        text = f"points {_significant(used)} of {_significant(points)} million used"
+    told = sorted(((n, reason) for reason, n in dropped.items() if n), reverse=True)
+    lost = [f"{share_text(n, points)} {REASONS[key].partition(' (')[0]}" for n, key in told]
+    return f"{text} ({', '.join(lost)})" if lost else text
+
+
+def points_warning(
+    points: int,
+    dropped: Mapping[str, int],
+    domain: Domain,
+    missed_at: tuple[float, float] | None = None,
+    why: str = "",
+) -> str | None:
+    """Why less than half of the points enter the map, in one line; None if more do.
+
+    ``domain`` is named, with its place, when points missed it, ``missed_at`` is the middle of a
+    scan that did, map frame, m, and ``why`` the `lost_points.likely_reason` of that."""
+    used = points - sum(dropped.values())
+    if not points or 2 * used >= points:
+        return None
+    share = f"only {share_text(used, points)}" if used else "none"
+    text = f"{share} of {points} points can be used: {lost_points_text(dropped)}"
+    if dropped.get("outside", 0):
+        text += f"; {domain_text(domain)}"
+        if missed_at is not None:
+            text += f", the middle of the first scan that missed it is at x {missed_at[0]:.1f},"
+            text += f" y {missed_at[1]:.1f}"
+    return f"{text}; {why}" if why else text
+
+
+def share_text(part: int, of: int) -> str:
+    """Per cent: not 0 % of a few, not 100 % of nearly all."""
+    percent = 100.0 * part / of
+    if 0.0 < percent < 0.1:
+        return "< 0.1 %"
+    if 99.9 < percent < 100.0:
+        return "> 99.9 %"
+    return f"{percent:.{1 if percent < 10.0 or 99.0 < percent < 100.0 else 0}f} %"
+
+
+def _significant(number: int) -> str:
+    """Millions, to a tenth or to two digits."""
+    return f"{1e-6 * number:.1f}" if number >= 1e6 or not number else f"{1e-6 * number:.2g}"

@@ -12,8 +12,7 @@ from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import Passes
-from quadtree_lss.desk.replay.points import points_warning
-from quadtree_lss.desk.replay.result import ScanTiming
+from quadtree_lss.desk.replay.results import ScanTiming, points_warning
 from quadtree_lss.desk.replay.stream import (
     LandingTopics,
     MapPairs,
@@ -42,23 +41,13 @@ from quadtree_lss.onboard.messages.lost_points import (
 
 
 class Run:
-    """What has been done so far.
+    """What has been done so far of a part of an open bag.
 
-    Args:
-        bag: An open bag.
-        part: Of it, which is read.
-        config: Everything that can be set.
-        passes: Gets the maps as they come.
-        landing: Hears areas, keep-outs and targets as they come.
-        history: Notes where the lidar looked.
-        progress: See `stream.Progress`.
-        stop: Asked after each message; True ends the run there, which is then ``interrupted``.
-
-    Attributes:
-        done_ns: Time of reception up to which the bag was processed.
-        timings: A row per mapped scan.
-        points_dropped: Points of mapped scans that are not in the map, by reason.
-        maps: Maps that were read, for a bag of maps.
+    ``passes`` gets the maps as they come, ``landing`` hears areas, keep-outs and targets, and
+    ``history`` notes where the lidar looked. ``stop`` is asked after each message; True ends the
+    run there, which is then ``interrupted``. The bag was processed up to the time of reception
+    ``done_ns``; ``points_dropped`` are points of mapped scans that are not in the map, by reason,
+    ``maps`` counts those read of a bag of maps.
     """
 
     def __init__(
@@ -107,7 +96,8 @@ class Run:
         intake.finish()
         self._note(intake.notices())
         self._judge_poses(mapper)
-        self._need(bool(self.timings), "no scan could be mapped", "there is no scan")
+        if not self.timings:
+            raise self._nothing("no scan could be mapped", "there is no scan")
         return mapper.snapshot()
 
     def read_maps(self, pairs: MapPairs) -> CellMap:
@@ -125,12 +115,11 @@ class Run:
                 self.passes.changed()
             self._note()
             if last is not None:
-                newest = last
-                self.passes.tick(message.received_ns, lambda: newest)  # noqa: B023
+                self.passes.tick(message.received_ns, lambda newest=last: newest)
             if self._ends_after(message.received_ns):
                 break
-        self._need(last is not None, "no map can be read", "no cells with observed cells")
-        assert last is not None
+        if last is None:
+            raise self._nothing("no map can be read", "no cells with observed cells")
         return last
 
     def _messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
@@ -163,32 +152,26 @@ class Run:
             "interrupted": self.interrupted,
         }
 
-    def _lost_points(self) -> str | None:
-        """Why less than half of the points entered the map; None if more did."""
-        lost, domain = self.points_dropped, Domain.of(self.config.domain)
-        return points_warning(self.points, lost, domain, self._missed_at, self._missed_why)
-
     def warnings(self) -> list[str]:
         """One line per kind of trouble, most frequent first."""
-        lines = list(filter(None, [self._lost_points()]))
-        lines += [f"{n} x {key}: {self._texts[key]}" for key, n in self._notices.most_common()]
-        if self._refused_divisions:
-            lines.append(f"{self._refused_divisions} divisions refused (mapping.max_cells)")
-        lines += self._pose_texts.values()
-        if self.prior_offset is not None and self.prior_offset.doubt:
-            lines.append(self.prior_offset.doubt)
+        lost, domain = self.points_dropped, Domain.of(self.config.domain)
+        refused, offset = self._refused_divisions, self.prior_offset
         noise = noise_notice(self._noise_ratio, self.config)
-        if noise is not None:
-            lines.append(noise.text)
-        return lines
+        lines = [
+            points_warning(self.points, lost, domain, self._missed_at, self._missed_why),
+            *(f"{n} x {key}: {self._texts[key]}" for key, n in self._notices.most_common()),
+            f"{refused} divisions refused (mapping.max_cells)" if refused else "",
+            *self._pose_texts.values(),
+            "" if offset is None else offset.doubt,
+            "" if noise is None else noise.text,
+        ]
+        return list(filter(None, lines))
 
-    def _need(self, found: bool, failure: str, default: str) -> None:
-        if found:
-            return
-        if self.interrupted:
-            raise KeyboardInterrupt
+    def _nothing(self, failure: str, default: str) -> BaseException:
+        """Why there is no map."""
         causes = "; ".join(self.warnings()) or f"{default} in this part of the bag"
-        raise ReplayError(f"{self._bag.path}: {failure}: {causes}")
+        text = f"{self._bag.path}: {failure}: {causes}"
+        return KeyboardInterrupt() if self.interrupted else ReplayError(text)
 
     def _ends_after(self, received_ns: int) -> bool:
         self.done_ns = received_ns
@@ -223,10 +206,7 @@ class Run:
 
     @property
     def losses(self) -> list[str]:
-        """Messages of maps and of what is asked of landing that could not be decoded, a line each.
-
-        `Stream` tells of the others.
-        """
+        """Messages that could not be decoded, a line for each kind; `Stream` tells of its own."""
         keys = [key for key in self._notices if key.endswith("_encoding")]
         others = [key for key in keys if not key.startswith(("cloud", "pose", "gimbal"))]
         return [one_line(f"{self._notices[k]} messages lost: {self._texts[k]}") for k in others]

@@ -9,23 +9,10 @@ import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any, NamedTuple
 
+from quadtree_lss.desk.bags import message_types as types
+from quadtree_lss.desk.bags import topics
 from quadtree_lss.desk.bags.bag import Bag
-from quadtree_lss.desk.bags.message_types import (
-    CAMERA_TYPE,
-    GIMBAL_TYPE,
-    SCAN_TYPE,
-    TRANSFORMS_TYPE,
-)
 from quadtree_lss.desk.bags.recorded_file import RawMessage
-from quadtree_lss.desk.bags.topics import (
-    GIMBAL_TOPIC,
-    TRANSFORMS_TOPIC,
-    candidates,
-    choose_pose_topic,
-    choose_scan_topic,
-    choose_topic,
-    landing_topics,
-)
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.errors import QuadtreeLssError, one_line
@@ -93,23 +80,11 @@ class Part(NamedTuple):
 
 
 class Stream:
-    """Scans and poses of an open bag on their way to an `Intake`.
-
-    Args:
-        bag: An open bag.
-        config: Which topics are looked for, and how messages are taken.
-        scan_topic, pose_topic: Topics asked for, None to find them.
-        navigation: Hears the poses.
-
-    Attributes:
-        scans, poses, gimbal: Topics that are read; the last is empty without a gimbal.
-        pose_type, scan_type: Of the messages.
-        camera: Topic of the CameraInfo of depth images, empty for clouds.
-        intake: Turns the messages into scans with their pose.
-
-    Raises:
-        BagError: a topic is missing or ambiguous.
-    """
+    """Scans and poses of an open bag on their way to an `Intake`, which makes them scans with their
+    pose. ``scan_topic``, ``pose_topic`` are asked for, None to find them; ``navigation`` hears the
+    poses. Read are the topics ``scans``, ``poses``, ``gimbal`` and, with the CameraInfo of depth
+    images, ``camera``, of which the latter two may be empty. Raises `BagError`: a topic is missing
+    or ambiguous."""
 
     def __init__(
         self,
@@ -120,27 +95,29 @@ class Stream:
         navigation: Navigation | None = None,
     ) -> None:
         self._bag, self._navigation = bag, navigation
-        self.scans, self.scan_type, self.camera = choose_scan_topic(
-            bag, scan_topic, config.lidar.source
-        )
-        self.poses, self.pose_type = choose_pose_topic(bag, pose_topic, config.pose.source)
+        source = config.lidar.source
+        self.scans, self.scan_type, self.camera = topics.choose_scan_topic(bag, scan_topic, source)
+        self.poses, self.pose_type = topics.choose_pose_topic(bag, pose_topic, config.pose.source)
         self.gimbal = ""
         if config.mount.gimbal:
-            self.gimbal = choose_topic(bag, None, GIMBAL_TOPIC, GIMBAL_TYPE, "mount.gimbal")
+            self.gimbal = topics.choose_topic(bag, None, topics.GIMBAL_TOPIC, "mount.gimbal")
         names = {"scan_topic": self.scans, "pose_topic": self.poses}
-        self.intake = Intake(config, **names, gimbal_topic=self.gimbal or GIMBAL_TOPIC)
+        self.intake = Intake(config, **names, gimbal_topic=self.gimbal or topics.GIMBAL_TOPIC)
         if config.mount.tf:
             # Of all the bag: latched, they stand at its beginning, whatever part is replayed.
-            topic = choose_topic(bag, None, TRANSFORMS_TOPIC, TRANSFORMS_TYPE, "mount.tf")
+            topic = topics.choose_topic(bag, None, topics.TRANSFORMS_TOPIC, "mount.tf")
             for message in bag.messages([topic]):
                 with contextlib.suppress(MessageError):
-                    self.intake.on_transforms(bag.decode(message.raw, TRANSFORMS_TYPE))
+                    self.intake.on_transforms(bag.decode(message.raw, types.TRANSFORMS_TYPE))
+        self._read: dict[str, tuple[str, str, Callable[..., object]]] = {
+            self.camera: ("camera", types.CAMERA_TYPE, self.intake.on_camera_info),
+            self.gimbal: ("gimbal", types.GIMBAL_TYPE, self.intake.on_gimbal),
+            self.poses: ("pose", self.pose_type, self._on_pose),
+            self.scans: ("cloud", self.scan_type, self.intake.on_cloud),
+        }
+        self.topics = [name for name in self._read if name]
         self._stamps: dict[str, list[int]] = {}
         self._undecoded: dict[str, list[str]] = {}
-
-    @property
-    def topics(self) -> list[str]:
-        return [name for name in (self.scans, self.poses, self.gimbal, self.camera) if name]
 
     def ready(self, part: Part, progress: Progress | None = None) -> Iterator[ReadyScan]:
         """The scans of a part of the bag, each with the lidar's pose at its stamp."""
@@ -150,9 +127,7 @@ class Stream:
 
     def take(self, message: RawMessage) -> int | None:
         """Gives one message to the intake; the stamp if it is a usable scan."""
-        names = {self.scans: ("cloud", self.scan_type), self.poses: ("pose", self.pose_type)}
-        names[self.camera] = ("camera", CAMERA_TYPE)
-        what, kind = names.get(message.topic, ("gimbal", GIMBAL_TYPE))
+        what, kind, hear = self._read[message.topic]
         try:
             msg = self._bag.decode(message.raw, kind)
         except MessageError as error:
@@ -163,15 +138,13 @@ class Stream:
             self._stamps.setdefault(message.topic, []).append(stamp_ns(msg.header))
         if what == "cloud":
             return self.intake.on_cloud(msg, message.received_ns)
-        if what == "camera":
-            self.intake.on_camera_info(msg)
-        elif what == "pose":
-            self.intake.on_pose(msg)
-            if self._navigation is not None:
-                self._navigation.take(msg)
-        else:
-            self.intake.on_gimbal(msg)
+        hear(msg)
         return None
+
+    def _on_pose(self, msg: Any) -> None:
+        self.intake.on_pose(msg)
+        if self._navigation is not None:
+            self._navigation.take(msg)
 
     @property
     def losses(self) -> list[str]:
@@ -201,7 +174,7 @@ class LandingTopics:
 
     def __init__(self, wishes: LandingWishes, bag: Bag, start_ns: int) -> None:
         self.wishes = wishes
-        self.names = landing_topics(bag, without=tuple(wishes.fixed))
+        self.names = topics.landing_topics(bag, without=tuple(wishes.fixed))
         self.notices: list[Notice] = []
         if self.names:
             for message in bag.messages(list(self.names), 0, start_ns):
@@ -212,20 +185,15 @@ class LandingTopics:
         name = self.names.get(message.topic)
         if name is None:
             return False
+        msg = None
         try:
             msg = bag.decode(message.raw, TYPES[name])
-        except MessageError as error:
-            self.wishes.refuse(name, error)
-            self._tell(name, error)
-            return True
-        try:
             self.wishes.take(name, msg)
         except MessageError as error:
-            self._tell(name, error)
+            if msg is None:
+                self.wishes.refuse(name, error)
+            self.notices.append(Notice(f"{name}_{error.reason}", f"landing/{name}: {error}"))
         return True
-
-    def _tell(self, name: str, error: MessageError) -> None:
-        self.notices.append(Notice(f"{name}_{error.reason}", f"landing/{name}: {error}"))
 
 
 class MapPairs:
@@ -238,7 +206,7 @@ class MapPairs:
     @classmethod
     def alone(cls, bag: Bag) -> MapPairs | None:
         """The map topics of an open bag that has no scans, None if it has or there are none."""
-        clouds, grids = candidates(bag, SCAN_TYPE), candidates(bag, GRID_TYPE)
+        clouds, grids = topics.candidates(bag, types.SCAN_TYPE), topics.candidates(bag, GRID_TYPE)
         for name in clouds:
             place = name.removesuffix(CELLS)
             if name.endswith(f"/{CELLS}") and place + OBSERVED in grids:
@@ -251,7 +219,7 @@ class MapPairs:
         ``message``: an open bag and one of its messages on ``topics``. ``lss``: how landing will be
         judged on the map, None if it will not. Raises `MessageError`: a message is not what
         ``mapping_node`` sends."""
-        kind = SCAN_TYPE if message.topic == self.topics[0] else GRID_TYPE
+        kind = types.SCAN_TYPE if message.topic == self.topics[0] else GRID_TYPE
         self._held[message.topic] = bag.decode(message.raw, kind)
         cells, observed = (self._held.get(topic) for topic in self.topics)
         if cells is None or observed is None:

@@ -109,7 +109,7 @@ class _Seen:
         self._noise.append(math.sqrt(float(np.quantile(variance, QUANTILE)) / AT_QUANTILE))
 
     def suggestion(self, bag: Path, config: Config) -> Suggestion:
-        noise = max(_rounded(float(np.median(self._noise))), 1e-3)
+        noise = max(float(f"{np.median(self._noise):.2g}"), 1e-3)
         spacing = float(np.median(self._spacing))
         low, high = np.percentile(np.concatenate(self.places)[:, :2], [0.5, 99.5], axis=0)
         middle, side = 0.5 * (low + high), 1.04 * float(np.max(high - low))
@@ -131,16 +131,16 @@ class _Seen:
             "lss.grid_spacing": round(grid, 3),
         }
         coarse = size / 2 ** max(level - LEVELS, 0)
+        x, y = (f"{a:.1f} ... {b:.1f}" for a, b in zip(low, high, strict=True))
+        apart = f"returns of a scan are {spacing:.2g} m apart on the ground, and the vehicle"
+        sizes = f"cells of {coarse:g} ... {finest:g} m: {apart} measures {vehicle.diameter:g} m"
         reasons = {
-            "domain.xmin": f"99 % of the returns lie in x {low[0]:.1f} ... {high[0]:.1f}, "
-            f"y {low[1]:.1f} ... {high[1]:.1f} m",
-            "domain.max_level": f"cells of {coarse:g} ... {finest:g} m: returns of a scan are"
-            f" {spacing:.2g} m apart on the ground, and the vehicle measures"
-            f" {vehicle.diameter:g} m",
+            "domain.xmin": f"99 % of the returns lie in x {x}, y {y} m",
+            "domain.max_level": sizes,
             "lidar.range_noise": "scatter of neighbouring returns where the ground is smoothest",
         }
-        set_to = values_from_config(config)
-        lander = {name: set_to[name] for name in set_to if name.startswith("vehicle.")}
+        set_to = values_from_config(config).items()
+        lander = {name: value for name, value in set_to if name.startswith("vehicle.")}
         found = config_from_values(values := lander | values, config)
         notes = [f"Suggested for {bag} from {self._used} of its {self._scans} scans."]
         if by_data > most:
@@ -168,7 +168,3 @@ def _scatter(rays: Array, ranges: Array, chosen: slice) -> Array:
     values = ranges[near] - ranges[near].mean(axis=1, keepdims=True)
     fitted = np.einsum("knj,kj->kn", orthogonal, np.einsum("knj,kn->kj", orthogonal, values))
     return np.asarray(np.sum((values - fitted) ** 2, axis=1) / (NEIGHBOURS - 3))
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.2g}")

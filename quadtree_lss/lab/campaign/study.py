@@ -17,7 +17,7 @@ import numpy as np
 
 from quadtree_lss import build
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.desk.replay.result import versions
+from quadtree_lss.desk.replay.results import versions
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Kind, Value, kind_of
 from quadtree_lss.lab.campaign.store import MOST_FLIGHTS
 from quadtree_lss.onboard.config.settings import values_from_config

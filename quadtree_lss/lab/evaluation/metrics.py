@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, distance_transform_edt, label
 
-from quadtree_lss.desk.replay.results import Grid
+from quadtree_lss.desk.exchange.saved import Grid
 from quadtree_lss.lab.evaluation.results import Truth, aligned
 from quadtree_lss.lab.simulation.safety import contact_safe, on_dem
 from quadtree_lss.lab.simulation.terrain import bilinear

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from quadtree_lss.desk.replay import results as saved
-from quadtree_lss.desk.replay.result import ReplayResult
-from quadtree_lss.desk.replay.results import Results
+from quadtree_lss.desk.exchange import saved
+from quadtree_lss.desk.exchange.saved import Results
+from quadtree_lss.desk.replay.results import ReplayResult, grid_of
 from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.lab.simulation.simulate import TRUTH_NAME
 from quadtree_lss.lab.simulation.terrain import bilinear
@@ -131,7 +131,7 @@ def results_of(replayed: ReplayResult) -> Results:
     places = replayed.assessment.sites.position.reshape(-1, 3)
     vars(found).update(
         map=replayed.cells,
-        grid=saved.grid_of(replayed.assessment),
+        grid=grid_of(replayed.assessment),
         sites=dict(zip("xyz", places.T, strict=True)),
         timing={name: np.array([getattr(row, name) for row in rows]) for name in COLUMNS},
         summary=replayed.summary,

@@ -16,8 +16,7 @@ from matplotlib.patches import Circle
 from quadtree_lss.desk.exchange.saved import Results, load_results
 from quadtree_lss.desk.replay.elevation_model import rank_sites
 from quadtree_lss.desk.replay.files import write_csv, write_json, write_npz
-from quadtree_lss.desk.replay.result import ReplayResult, run_summary
-from quadtree_lss.desk.replay.results import write_results
+from quadtree_lss.desk.replay.results import ReplayResult, run_summary, write_results
 from quadtree_lss.desk.report import drawing
 from quadtree_lss.desk.report.page_data import Layer
 from quadtree_lss.desk.report.pages import Columns

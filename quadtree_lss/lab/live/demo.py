@@ -20,10 +20,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.desk.exchange.saved import Table, cells_arrays, load_results
 from quadtree_lss.desk.player.player import play
 from quadtree_lss.desk.replay.configuration import find_config
 from quadtree_lss.desk.replay.files import write_npz
-from quadtree_lss.desk.replay.results import Table, cells_arrays, load_results
 from quadtree_lss.lab.flight.flight_page import headline, write_flight
 from quadtree_lss.lab.flight.fly import Flown
 from quadtree_lss.lab.flight.settings import flight_settings
