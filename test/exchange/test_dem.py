@@ -15,27 +15,31 @@ X, Y = 500_000.0 + 2.0 * np.arange(7), 4_000_000.0 + 2.0 * np.arange(5)
 Z = np.round(np.random.default_rng(1).uniform(0.0, 9.0, (5, 7)), 2)
 
 
-def tiff(path, crs="EPSG:32611", **options):
-    """North first, as rasters are; one post unknown."""
+def band(path, values=Z, crs="EPSG:32611", unit=None, scale=1.0, offset=0.0, bands=1, **shape):
+    """A raster, north first, whose band says how its numbers are heights."""
     rasterio = pytest.importorskip("rasterio")
-    values = Z[::-1].astype(np.float32)
-    values[0, 0] = -9999.0
     grid = rasterio.Affine(2.0, 0.0, X[0] - 1.0, 0.0, -2.0, Y[-1] + 1.0)
-    shape = {"width": 7, "height": 5, "count": 1, "dtype": "float32", "nodata": -9999.0}
-    options = {"transform": grid, **options}
-    with rasterio.open(path, "w", driver="GTiff", crs=crs, **shape, **options) as file:
-        file.write(values, 1)
+    shape = {"width": 7, "height": 5, "count": bands, "dtype": "float64"} | shape
+    shape = {"driver": "GTiff", "crs": crs, "transform": grid} | shape
+    with rasterio.open(path, "w", **shape) as file:
+        file.scales, file.offsets = [scale] * bands, [offset] * bands
+        if unit:
+            file.units = [unit] * bands
+        for k in range(bands if values is not None else 0):
+            file.write(values[::-1].astype(shape["dtype"]), k + 1)
     return path
 
 
 def test_npz_and_geotiff_are_the_same_ground(tmp_path):
     np.savez(tmp_path / "dem.npz", x=X, y=Y, elevation=Z)
-    one, other = read_dem(tmp_path / "dem.npz"), read_dem(tiff(tmp_path / "dem.tif"))
+    expected = Z.copy()
+    expected[-1, 0] = np.nan  # the north-western post
+    told = np.nan_to_num(expected, nan=-9999.0)
+    path = band(tmp_path / "dem.tif", told, dtype="float32", nodata=-9999.0)
+    one, other = read_dem(tmp_path / "dem.npz"), read_dem(path)
     np.testing.assert_array_equal(one.elevation, Z)
     for name in "xy":
         np.testing.assert_allclose(getattr(other, name), getattr(one, name))
-    expected = Z.copy()
-    expected[-1, 0] = np.nan  # the north-western post
     np.testing.assert_allclose(other.elevation, expected, atol=1e-6)
     assert one.spacing == other.spacing == 2.0 and "32611" in other.crs and not one.crs
     part = one.within(np.array([X[1], Y[2]]), np.array([X[3], Y[4]]))
@@ -54,21 +58,7 @@ def test_what_is_not_metric_or_turned_is_told(tmp_path, crs, turned, word):
     rasterio = pytest.importorskip("rasterio")
     options = {"transform": rasterio.Affine(2, 1, 0, 0, -2, 0)} if turned else {}
     with pytest.raises(ExchangeError, match=word):
-        read_dem(tiff(tmp_path / "dem.tif", crs, **options))
-
-
-def band(path, values=Z, crs="EPSG:32611", unit=None, scale=1.0, offset=0.0, bands=1, **shape):
-    """A raster whose band says how its numbers are heights."""
-    rasterio = pytest.importorskip("rasterio")
-    grid = rasterio.Affine(2.0, 0.0, X[0] - 1.0, 0.0, -2.0, Y[-1] + 1.0)
-    shape = {"width": 7, "height": 5, "count": bands, "dtype": "float64", **shape}
-    with rasterio.open(path, "w", driver="GTiff", crs=crs, transform=grid, **shape) as file:
-        file.scales, file.offsets = [scale] * bands, [offset] * bands
-        if unit:
-            file.units = [unit] * bands
-        for k in range(bands if values is not None else 0):
-            file.write(values[::-1].astype(shape["dtype"]), k + 1)
-    return path
+        read_dem(band(tmp_path / "dem.tif", crs=crs, **options))
 
 
 @pytest.mark.parametrize(

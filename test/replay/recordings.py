@@ -140,15 +140,10 @@ def recording(path, kind=Recorder, plugin="mcap", compression=None):
 
 
 def write_ros2(path, *, plugin="mcap", compression=None, **options):
-    """A rosbag2 directory of a `flight`."""
+    """A rosbag2 directory of a `flight`, or a ROS 1 file of it."""
     with recording(path, plugin=plugin, compression=compression) as recorder:
         flight(recorder, **options)
     return path
-
-
-def write_ros1(path, *, compression="", **options):
-    """A ROS 1 bag file of a `flight`."""
-    return write_ros2(path, compression=compression, **options)
 
 
 def storage_file(path):

@@ -28,11 +28,6 @@ NOT_PUBLISHED += [["--rate", value] for value in ("0", "-1", "inf", "nan")]
 FAST = [*COARSE, "--set", "lss.max_gap=3.0", "--set", "lss.max_risk=0.9", "--no-report"]
 
 
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory):
-    return write_ros2(tmp_path_factory.mktemp("bag") / "bag", scans=6)
-
-
 def run(capsys, *arguments):
     code = main([str(argument) for argument in arguments])
     out, err = capsys.readouterr()
@@ -195,11 +190,14 @@ def test_a_missing_package_for_bags_is_told_with_its_remedy(module, tmp_path):
     assert f"'{module}' is not installed" in told and "pip install" in told
 
 
+def started(*arguments):
+    command = [PREFIX / "lib" / "quadtree_lss" / "quadtree-lss", *arguments]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
 def interrupted(bag, out):
     """Exit code, stdout, stderr of a replay that gets SIGINT when it has mapped a second."""
-    command = [str(PREFIX / "lib" / "quadtree_lss" / "quadtree-lss"), "replay", str(bag)]
-    command += ["--out", str(out), "-v", *FAST]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = started("replay", bag, "--out", out, "-v", *FAST)
     bar = ""
     while not re.search(r"[1-9]\d* of \d\d+ s", bar):
         part = process.stderr.read(1)
@@ -227,14 +225,7 @@ def test_interrupting_keeps_what_was_computed(tmp_path):
 
 def test_interrupting_a_simulation_keeps_what_was_flown(tmp_path):
     bag = tmp_path / "bag"
-    command = [
-        str(PREFIX / "lib" / "quadtree_lss" / "quadtree-lss"),
-        "simulate",
-        "descent",
-        "--out",
-        str(bag),
-    ]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = started("simulate", "descent", "--out", bag)
     while not bag.exists() or sum(p.stat().st_size for p in bag.iterdir()) < 100_000:
         assert process.poll() is None  # until scans are in the bag
         time.sleep(0.02)

@@ -6,15 +6,9 @@ import json
 import sys
 
 import pytest
-from replay.recordings import write_ros2
 from replay.test_cli import FAST, run
 
 from quadtree_lss.desk.commands import console
-
-
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory):
-    return write_ros2(tmp_path_factory.mktemp("flight") / "bag", scans=6)
 
 
 def test_words_that_are_not_known_are_named(capsys):

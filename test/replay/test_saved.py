@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from replay.recordings import write_ros2
+from replay.recordings import GROUND
 
 from quadtree_lss import plot
 from quadtree_lss.api import (
@@ -17,23 +17,8 @@ from quadtree_lss.api import (
 )
 from quadtree_lss.onboard.messages.maps import known_probability
 
-CONFIG = load_config(
-    (),
-    {
-        "domain.xmin": -16.0,
-        "domain.ymin": -16.0,
-        "domain.size": 32.0,
-        "domain.min_level": 3,
-        "domain.max_level": 5,
-        "lss.max_gap": 3.0,
-        "lss.max_risk": 0.5,  # few returns
-    },
-)
-
-
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory):
-    return write_ros2(tmp_path_factory.mktemp("bag") / "bag", scans=6)
+#: So few returns say little.
+CONFIG = load_config((), {**GROUND, "domain.max_level": 5, "lss.max_risk": 0.5})
 
 
 @pytest.fixture(scope="module")
@@ -77,25 +62,17 @@ def test_what_is_no_results_folder_is_said(written, tmp_path):
         load_results(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("name", "attribute"),
-    [
-        ("cells.npz", "map"),
-        ("grid.npz", "grid"),
-        ("summary.json", "summary"),
-        ("sites.csv", "sites"),
-    ],
-)
+FILES = {"cells.npz": "map", "grid.npz": "grid", "summary.json": "summary", "sites.csv": "sites"}
+
+
+@pytest.mark.parametrize(("name", "attribute"), FILES.items())
 def test_a_damaged_file_is_named(written, tmp_path, name, attribute):
     for path in written.out.iterdir():
         if path.is_file():
             (tmp_path / path.name).write_bytes(path.read_bytes())
     content = (tmp_path / name).read_bytes()
-    for damaged in (
-        content[: len(content) // 2],
-        b"\x80\xff",
-        b"[1]" if "json" in name else b"a\n1,2",
-    ):
+    other = b"[1]" if "json" in name else b"a\n1,2"
+    for damaged in (content[: len(content) // 2], b"\x80\xff", other):
         (tmp_path / name).write_bytes(damaged)
         with pytest.raises(ResultsError, match=f"{name}: cannot be read"):
             getattr(load_results(tmp_path), attribute)

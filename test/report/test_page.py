@@ -114,14 +114,16 @@ def test_ground_not_yet_mapped_has_a_word_and_a_colour_of_its_own(content):
     assert "seen, not yet mapped" not in words(hazard_figure(none))
 
 
-def test_shadow_and_reach_are_layers_of_the_page_where_the_run_had_them(content):
-    assert not {"shadow", "reach"} & unpacked(content)[0]["grid"].keys()
-    marks = {"shadow": content.grid["safe"], "reach": ~content.grid["safe"]}
-    data, get = unpacked(changed(content, grid={**content.grid, **marks}))
-    stride = data["grid"]["stride"]
-    for name, values in marks.items():
-        expected = values[::stride, ::stride].ravel()
-        np.testing.assert_array_equal(get(data["grid"][name]) > 0, expected)
+def test_layers_are_those_that_the_run_had(content):
+    bare = {name: v for name, v in content.grid.items() if name not in ("probability", "risk")}
+    there = unpacked(changed(content, grid=bare))[0]["grid"].keys()
+    assert not {"shadow", "reach", "probability"} & there
+    likely = np.where(content.grid.seen, 0.25, np.nan)
+    layers = {"shadow": content.grid["safe"], "reach": ~content.grid["safe"], "probability": likely}
+    data, get = unpacked(changed(content, grid=bare | layers))
+    for name, values in layers.items():
+        scale = 100.0 if name == "probability" else 1.0
+        np.testing.assert_allclose(get(data["grid"][name]), scale * values.ravel())
 
 
 def test_roughness_is_shown_by_area_whatever_the_size_of_the_leaf(content):
@@ -149,15 +151,6 @@ def test_outliers_do_not_blacken_a_layer(content):
     elevation[tuple(known[0])] = 500.0
     data, _ = unpacked(changed(content, grid={**content.grid, "elevation": elevation}))
     assert data["grid"]["elevation"]["limits"][1] < 10.0
-
-
-def test_probability_is_embedded_where_the_grid_has_it(content):
-    grid = {k: v for k, v in content.grid.items() if k not in ("probability", "risk")}
-    without = changed(content, grid=grid)
-    assert "probability" not in unpacked(without)[0]["grid"]
-    known = np.where(content.grid.seen, 0.25, np.nan)
-    data, get = unpacked(changed(content, grid={**content.grid, "probability": known}))
-    np.testing.assert_allclose(get(data["grid"]["probability"]), 100.0 * known.ravel())
 
 
 def test_history_tells_at_what_time_ground_is_seen(result, text, content):
