@@ -36,6 +36,8 @@ const press = (key, on = document.body) =>
   on.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, cancelable: true }));
 const shown = () => Object.fromEntries([...document.querySelectorAll("#tooltip tr")].map(
   r => [r.children[0].textContent, r.children[1].textContent]));
+const move = (id, value) => { byId(id).value = value;
+  for (const type of ["input", "change"]) byId(id).dispatchEvent(new Event(type)); };
 const colourAt = (x, y) => { drawNow(); const r = window.devicePixelRatio || 1;
   return [...map.getContext("2d").getImageData(x * r, y * r, 1, 1).data].slice(0, 3).join(); };
 // Timers let virtual time run out, which waits for no thread that unpacks; messages do not.

@@ -155,8 +155,7 @@ def test_rows_and_keys(best, browse):
         press("Enter", map); tellTest("told", shown().place);
         press("x"); tellTest("section", [view.mode, byId("section").hidden]);
         press("Escape"); tellTest("back", view.mode);
-        document.querySelector("#filter").value = "lss.margin";
-        document.querySelector("#filter").dispatchEvent(new Event("input"));
+        move("filter", "lss.margin");
         const left = document.querySelectorAll("#configuration tbody tr:not([hidden])");
         tellTest("found", left.length);
     """)
@@ -209,7 +208,7 @@ def test_the_slider_shows_the_map_growing(browse):
           const d = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
           let n = 0; for (let i = 0; i < d.length; i += 4) n += d[i] === 0xbb && d[i + 1] === 0xbb;
           return n; };
-        byId("instant").value = 0; byId("instant").dispatchEvent(new Event("input"));
+        move("instant", 0);
         tellTest("at", [view.answer, byId("clock").textContent]);
         tellTest("unseen", [grey(0), grey(last)]);
         // Of each grid point: unseen, or how probable and allowed or not, as the history has it.
@@ -537,8 +536,6 @@ def test_sliders_recompute_what_a_landing_pass_would_find(result, browse):
           const now = recompute({{ ...whole, ...t, dispersion: [t.dispersion, t.dispersion] }});
           return [[...now.allowed], [...now.probability], now.found.map(s => [s.x, s.y])]; }});
         tellTest("found", found);
-        const move = (id, v) => {{ byId(id).value = v; byId(id).dispatchEvent(new Event("input"));
-          byId(id).dispatchEvent(new Event("change")); }};
         move("try-max_risk", Math.log10(0.15)); move("try-margin", 1.1);
         tellTest("shown", [grid.safe.reduce((a, b) => a + b), sites.length,
           byId("sites").tBodies[0].rows.length, byId("verdict").textContent,
@@ -572,8 +569,6 @@ def test_sliders_try_other_vehicles(result, browse):
           const now = recompute({ ...own, diameter, clearance });
           return [diameter, clearance, doubt, [...now.allowed], [...now.probability],
                   now.found.map(s => s.probability)]; }));
-        const move = (id, v) => { byId(id).value = v; byId(id).dispatchEvent(new Event("input"));
-          byId(id).dispatchEvent(new Event("change")); };
         vehicleOf({ diameter: whatIf.vehicles.at(-1).diameter, clearance }).doubt = "no fit";
         move("try-diameter", 2); tellTest("care", byId("what-if-doubt").textContent);
         move("try-clearance", 0);

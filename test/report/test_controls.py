@@ -37,9 +37,7 @@ def test_buttons_of_the_map_zoom_and_boxes_show_and_hide(browse):
 def test_a_second_layer_is_beside_with_the_same_view_and_crosshair(browse):
     told = browse(
         """
-        const pick = (id, name) => { byId(id).value = name;
-          byId(id).dispatchEvent(new Event("change")); };
-        const wide = width(); pick("layer", "slope"); pick("layer-2", "elevation"); drawNow();
+        const wide = width(); move("layer", "slope"); move("layer-2", "elevation"); drawNow();
         tellTest("halves", [width() / wide, second.clientWidth / wide]);
         tellTest("layers", [view.layer, view.beside]);
         const pixels = () => { drawNow(); return [...second.getContext("2d").getImageData(
@@ -50,7 +48,7 @@ def test_a_second_layer_is_beside_with_the_same_view_and_crosshair(browse):
         at("pointermove", width() / 2, y); tellTest("crosshair", pixels() !== before);
         const place = view.x; at("pointerdown", 200, y); at("pointermove", 150, y);
         at("pointerup", 150, y); tellTest("moved", [view.x > place, pixels() !== before]);
-        pick("layer-2", ""); tellTest("alone", [second.hidden, width() / wide]);
+        move("layer-2", ""); tellTest("alone", [second.hidden, width() / wide]);
         """
     )
     assert told["halves"] == pytest.approx([0.5, 0.5], abs=0.01)
@@ -111,7 +109,7 @@ def test_views_change_by_tab_and_key_and_space_has_its_tools(browse):
           tellTest("zoom", [tab("zoom-in"), tab("zoom-out"), () =>
             space.renderer.domElement.dispatchEvent(new WheelEvent("wheel", { deltaY: -100,
               cancelable: true }))].map(factor));
-          byId("exaggeration").value = 3; byId("exaggeration").dispatchEvent(new Event("input"));
+          move("exaggeration", 3);
           tellTest("height", space.ground.scale.z);
           const before = space.camera(); byId("scene-track").click();
           tellTest("track", [before !== space.camera(), byId("show-track").checked]);

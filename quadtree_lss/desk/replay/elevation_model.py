@@ -121,36 +121,31 @@ def cells_of(model: ElevationModel, deviation: float) -> tuple[CellMap, int]:
     slope_x = sum(z * x for x, _, z in of_leaves) / spread
     slope_y = sum(z * y for _, y, z in of_leaves) / spread
     left = ((z - middle - slope_x * x - slope_y * y) ** 2 for x, y, z in of_leaves)
-    square = sum(left) / posts
+    square = (sum(left) / posts).ravel()  # NaN, as the other two, where a post lacks
     iy, ix = np.divmod(np.arange(n * n), n)
     known = np.isfinite(middle).ravel()
     normal = np.stack([-slope_x.ravel(), -slope_y.ravel(), np.ones(n * n)], axis=-1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    variance = deviation**2 + square.ravel()
-    covariance = np.zeros((n * n, 3, 3))
-    for k, share in enumerate((1.0 / spread, 1.0 / spread, 1.0 / posts)):
-        covariance[:, k, k] = variance * share
-    covariance[~known] = np.nan
-    return (
-        CellMap(
-            stamp_ns=1,
-            domain=domain,
-            level=np.full(n * n, level, np.uint8),
-            ix=ix.astype(np.uint32),
-            iy=iy.astype(np.uint32),
-            z=middle.ravel(),
-            normal=normal,
-            covariance_range=covariance,
-            covariance_pose=np.where(known[:, None, None], 0.0, np.nan) * np.ones((3, 3)),
-            count=np.where(known, posts, 0).astype(np.uint32),
-            measured=known,
-            roughness=np.where(known, side**2 * np.sqrt(square.ravel()), np.nan),
-            exception_fraction=np.where(known, 0.0, np.nan),
-            feature=np.full((n * n, 5), np.nan),
-            low=np.full(n * n, np.nan),
-            high=np.full(n * n, np.nan),
-            observed=known.reshape(n, n),
-            known=known.reshape(n, n),
-        ),
-        block,
+    variance = (deviation**2 + square)[:, None, None]
+    covariance = variance * np.diag([1.0 / spread, 1.0 / spread, 1.0 / posts])
+    cells = CellMap(
+        stamp_ns=1,
+        domain=domain,
+        level=np.full(n * n, level, np.uint8),
+        ix=ix.astype(np.uint32),
+        iy=iy.astype(np.uint32),
+        z=middle.ravel(),
+        normal=normal,
+        covariance_range=covariance,
+        covariance_pose=0.0 * covariance,
+        count=np.where(known, posts, 0).astype(np.uint32),
+        measured=known,
+        roughness=side**2 * np.sqrt(square),
+        exception_fraction=0.0 * square,
+        feature=np.full((n * n, 5), np.nan),
+        low=np.full(n * n, np.nan),
+        high=np.full(n * n, np.nan),
+        observed=known.reshape(n, n),
+        known=known.reshape(n, n),
     )
+    return cells, block
