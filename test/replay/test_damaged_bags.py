@@ -25,7 +25,7 @@ from replay.recordings import (
 from quadtree_lss.cli import main
 from quadtree_lss.desk.bags.bag import Bag, BagError
 from quadtree_lss.desk.bags.compression import MOST_BYTES, DamagedError, unpack
-from quadtree_lss.desk.bags.mcap_file import CHUNK, McapFile
+from quadtree_lss.desk.bags.mcap_file import McapFile
 from quadtree_lss.desk.replay.info import inspect_bag
 from quadtree_lss.desk.replay.passes import _Clock
 from quadtree_lss.desk.replay.replay import replay as run_replay
@@ -49,42 +49,25 @@ STORAGES = {
 }
 
 
-def chunked(path, shift=lambda k: 0, **more):
-    """An mcap bag with compressed chunks; message k is received ``shift(k)`` ns later."""
-    with recording(path) as recorder:
-        flight(shifted(recorder, shift), **more)
+def chunked(path, **more):
+    """An mcap bag as a vehicle's recorder writes it: chunks compressed, with checksums."""
+    write_ros2(path, compression="storage", **more)
     file = storage_file(path)
-    file.write_bytes(with_chunks(file.read_bytes(), "zstd"))
+    content = bytearray(file.read_bytes())
+    with closing(McapFile(file)) as opened:
+        for chunk in opened.chunks:
+            begin = opened._records_of(chunk.place, chunk.length)[3]
+            records = zstandard.decompress(content[begin : chunk.place + chunk.length])
+            struct.pack_into("<I", content, chunk.place + 24, zlib.crc32(records))
+    file.write_bytes(content)
     return path
 
 
 def shifted(recorder, shift):
+    """Message k is received ``shift(k)`` ns later."""
     plain, number = recorder.write, iter(range(10**6))
     recorder.write = lambda topic, msg, kind, at: plain(topic, msg, kind, at + shift(next(number)))
     return recorder
-
-
-def with_chunks(content, compression):
-    """An mcap file as a vehicle's recorder writes it: chunks compressed, with checksums."""
-    out, place = bytearray(content[:8]), 8
-    while place < len(content) - 8:
-        kind, length = struct.unpack_from("<BQ", content, place)
-        record = content[place : place + 9 + length]
-        place += 9 + length
-        if kind == CHUNK:
-            first, last, size, _, named = struct.unpack_from("<QQQII", record, 9)
-            data = record[9 + 32 + named + 8 :]
-            packed = zstandard.compress(data) if compression == "zstd" else data
-            head = struct.pack("<QQQII", first, last, size, zlib.crc32(data), len(compression))
-            head += compression.encode() + struct.pack("<Q", len(packed))
-            out += struct.pack("<BQ", CHUNK, len(head) + len(packed)) + head + packed
-        elif kind in (0x02, 0x08, 0x0E):  # footer, chunk index, summary offset
-            continue
-        else:
-            out += record
-    start = out.index(b"\x0f" + (4).to_bytes(8, "little")) + 13
-    out += struct.pack("<BQQQI", 2, 20, start, 0, 0) + content[:8]
-    return bytes(out)
 
 
 def file_of(path):
@@ -145,8 +128,9 @@ def test_one_flipped_bit_costs_one_chunk_and_is_told(sound, tmp_path, capsys):
 @pytest.mark.parametrize("summary", [True, False])
 def test_a_chunk_that_is_cut_out_is_missed(sound, tmp_path, summary):
     places, content = chunks_of(sound[0])
-    less = content[: places[2] + 5] + content[places[3] + 7 :]
-    found, losses = spoilt(sound, tmp_path, less if summary else less[:-40])
+    end = None if summary else content.rindex(b"\x0f" + (4).to_bytes(8, "little"))
+    less = content[: places[2] + 5] + content[places[3] + 7 : end]
+    found, losses = spoilt(sound, tmp_path, less)
     (line,) = losses
     lost = len(sound[1]) - len(found)
     assert 0 < lost < len(sound[1]) // 2 and "damaged or cut out" in line
