@@ -41,11 +41,14 @@ class Recorder:
         self.connections = {}
 
     def write(self, topic, message, kind, received_ns):
+        serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
+        self.write_raw(topic, serialize(message, kind), kind, received_ns)
+
+    def write_raw(self, topic, raw, kind, received_ns):
         if topic not in self.connections:
             connection = self.writer.add_connection(topic, kind, typestore=self.store)
             self.connections[topic] = connection
-        serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
-        self.writer.write(self.connections[topic], received_ns, serialize(message, kind))
+        self.writer.write(self.connections[topic], received_ns, raw)
 
     def type(self, name):
         return self.store.types[name]

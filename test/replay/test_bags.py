@@ -190,23 +190,15 @@ def test_ambiguous_and_missing_topics_list_the_candidates(tmp_path, reference):
 
 def write_split(split, whole, plugin, choose):
     """The messages of a bag in two files of one folder: ``choose(k, message)`` tells which."""
-    kinds = {"/lidar/points": CLOUD, "/nav/pose": POSE}
     with Bag(whole) as bag:
-        messages = list(bag.messages(list(kinds)))
+        messages = list(bag.messages(list(TOPICS)))
     split.mkdir()
     names = []
     for part in (0, 1):
         path = split.with_name(f"part{part}")
         with recording(path, plugin=plugin) as recorder:
-            connections = {}
-            for message in (m for k, m in enumerate(messages) if choose(k, m) == part):
-                topic, raw = message.topic, bytes(message.raw)
-                if topic not in connections:
-                    kind = kinds[topic]
-                    connections[topic] = recorder.writer.add_connection(
-                        topic, kind, typestore=recorder.store
-                    )
-                recorder.writer.write(connections[topic], message.received_ns, raw)
+            for topic, at, raw in (m for k, m in enumerate(messages) if choose(k, m) == part):
+                recorder.write_raw(topic, raw, TOPICS[topic], at)
         file = storage_file(path)
         names.append(f"split_{part}{file.suffix}")
         shutil.copy(file, split / names[-1])
@@ -251,13 +243,8 @@ def test_stamps_of_1970_and_bags_received_long_after_their_stamps(
 def test_a_map_without_its_other_half(tmp_path):
     bag = write_ros2(tmp_path / "flight")
     run_replay(bag, None, CONFIG, record=tmp_path / "products")
-    half = tmp_path / "half"
-    with Bag(tmp_path / "products") as products:
-        cells = list(products.messages(["/map/cells"]))
-        with recording(half) as recorder:
-            store = recorder.store
-            connection = recorder.writer.add_connection("/map/cells", CLOUD, typestore=store)
-            for message in cells:
-                recorder.writer.write(connection, message.received_ns, bytes(message.raw))
+    with Bag(tmp_path / "products") as products, recording(tmp_path / "half") as recorder:
+        for topic, received_ns, raw in products.messages(["/map/cells"]):
+            recorder.write_raw(topic, raw, CLOUD, received_ns)
     with pytest.raises(BagError, match="no messages of type"):
-        run_replay(half, None, CONFIG)
+        run_replay(tmp_path / "half", None, CONFIG)

@@ -290,8 +290,8 @@ def test_a_keep_out_that_cannot_be_decoded_is_a_loss(tmp_path):
     with recording(tmp_path / "bag") as recorder:
         flight(recorder)
         kind = "geometry_msgs/msg/PolygonStamped"
-        topic = recorder.writer.add_connection("/landing/keep_out", kind, typestore=recorder.store)
-        recorder.writer.write(topic, 1_700_000_000 * SECOND, b"\x00\x01\x00\x00none")
+        raw = b"\x00\x01\x00\x00none"
+        recorder.write_raw("/landing/keep_out", raw, kind, 1_700_000_000 * SECOND)
     result = run_replay(tmp_path / "bag", None, CONFIG)
     (line,) = result.losses
     assert "1 messages lost: landing/keep_out" in line and not len(result.assessment.sites.score)

@@ -6,9 +6,9 @@ import json
 
 import numpy as np
 import pytest
-from replay.recordings import GROUND, START, Recorder, flight, write_ros2
+from replay.recordings import GROUND, START, flight, recording, write_ros2
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from quadtree_lss.desk.bags.bag import Bag, BagError
@@ -138,15 +138,12 @@ def test_a_bag_of_maps_alone_gives_the_same_sites(recorded, tmp_path):
 def test_scans_without_poses_beside_maps_do_not_work_and_info_says_so(tmp_path, recorded):
     _, maps = recorded
     path = tmp_path / "both"
-    store = typestore(ros1=False)
-    with Bag(maps) as bag, Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        flight(Recorder(writer), scans=3, pose_topics=())
+    with Bag(maps) as bag, recording(path) as recorder:
+        flight(recorder, scans=3, pose_topics=())
+        recorder.store = typestore(ros1=False)
         kinds = {topic.name: topic.type for topic in bag.topics}
-        names = {
-            name: writer.add_connection(name, kind, typestore=store) for name, kind in kinds.items()
-        }
-        for message in bag.messages(list(kinds)):
-            writer.write(names[message.topic], message.received_ns, message.raw)
+        for topic, received_ns, raw in bag.messages(list(kinds)):
+            recorder.write_raw(topic, raw, kinds[topic], received_ns)
     with pytest.raises(BagError, match="PoseWithCovarianceStamped"):
         replay(path, None, CONFIG)
     info = inspect_bag(path, CONFIG)

@@ -239,9 +239,7 @@ def test_unusable_messages_are_counted_and_the_rest_is_mapped(tmp_path):
         recorder.write(SCAN_TOPIC, bad, CLOUD, START + SECOND)
         wrong = recorder.pose(START + SECOND, (0, 0, 0), frame="odom")
         recorder.write(POSE_TOPIC, wrong, POSE, START + SECOND)
-        recorder.writer.write(
-            recorder.connections[SCAN_TOPIC], START + SECOND, b"\x00\x01\x00\x00junk"
-        )
+        recorder.write_raw(SCAN_TOPIC, b"\x00\x01\x00\x00junk", CLOUD, START + SECOND)
     result = replay(path, tmp_path / "out", CONFIG, report=False)
     assert result.summary["scans"] == 10
     assert result.summary["scans_dropped"] == {"cloud_size": 1, "cloud_encoding": 1}
