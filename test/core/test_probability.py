@@ -129,6 +129,10 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     expected = square_means(known, under, under, size)
     expected -= 3.0 * np.log10(side / c / 0.85)  # noise is 0.2 clearances
     np.testing.assert_allclose(found["seen"], expected, atol=1e-4)
+    noisy = RiskTable(MODEL, config.lss, 0.12).features(*given)
+    np.testing.assert_allclose(  # four times the returns would tell as much
+        noisy[LOCAL.index("seen")], expected - np.log10(4.0), atol=1e-4
+    )
     rough = np.nan_to_num(cells.roughness / cells.size**2)[raster.leaf] / c * seen
     np.testing.assert_allclose(
         found["roughness"], np.sqrt(square_means(rough, under, under, size)), atol=1e-4

@@ -77,9 +77,8 @@ class RiskModel:
       ``tilt_beside``: the greatest of the place and its four neighbours.
     - ``seen``: k, how well the ground under the lander (0.9 d) is known: the mean of log10 of the
       returns on a square as wide as h, in the returns that would tell as much at a range noise of
-      0.2 h and cells of 0.85 h: less log10(noise / 0.2 h), for wider cells 3 log10(cell / 0.85 h),
-      and for a noise of which three are more than h, 6 log10(3 noise / h): what is raised shows by
-      three. Ground without a return counts 0.001.
+      0.2 h and cells of 0.85 h: less 2 log10(noise / 0.2 h), and for wider cells
+      3 log10(cell / 0.85 h). Ground without a return counts 0.001.
     - ``rocks``: square root of the share of the places about (4 d) where something rises by more
       than c on ground that is level enough; ``slopes``: the mean tangent of the slope there over
       that of the limit; ``roughness``: square root of the mean deviation from the leaves' planes

@@ -112,7 +112,11 @@ class Lengths:
     )
     rock_sigma: float = _follows(0.5, "a feature of greater sigma divides no leaf", "least_hazard")
     rock_area: float = _follows(
-        0.04, "points raised by rock_height over this area divide a leaf", "least_hazard", "m^2", 2
+        0.04,
+        "what stands out over this area in a view of a part divides a leaf",
+        "least_hazard",
+        "m^2",
+        2,
     )
     tolerance: float = _follows(
         0.3, "a measurement farther from its plane is an exception (Eq. 48)", "least_hazard"

@@ -140,11 +140,11 @@ class RiskTable:
 
     def _worse(self, side: float) -> float:
         """By how much less returns tell than as many of a noise of 0.2 h on cells of 0.85 h, as a
-        log10 of their number, on finest cells of ``side`` m; h is the least hazard."""
+        log10 of their number, on finest cells of ``side`` m; h is the least hazard. A mean shows h
+        after as many returns as go with the square of the noise."""
         least = self._vehicle.least_hazard
         wide = max(log10(side / (0.85 * least)), 0.0)
-        blind = max(log10(3.0 * self._noise / least), 0.0)
-        return log10(self._noise / (0.2 * least)) + 3.0 * wide + 6.0 * blind
+        return 2.0 * log10(self._noise / (0.2 * least)) + 3.0 * wide
 
     def features(
         self, raster: TerrainRaster, judged: Mask, gradient: Array, worst: WorstContact
