@@ -483,10 +483,9 @@ class Flight:
         terrain, landing = self.terrain, self.landing
         gear = SCENARIOS["drone"].lander
         spot = place[None, :2]
-        grid = terrain.x, terrain.y, terrain.elevation
-        slope, rise = (one[0] for one in worst_contact(*grid, spot, gear))
+        slope, rise = (one[0] for one in worst_contact(terrain, spot, gear))
         landing.place = [*map(float, spot[0]), math.degrees(math.atan(slope)), float(rise)]
-        landing.ground = "safe" if contact_safe(*grid, spot, gear)[0] else "unsafe"
+        landing.ground = "safe" if contact_safe(terrain, spot, gear)[0] else "unsafe"
         if self._keep_out is not None:
             beside = np.abs(place[:2] - self._keep_out.mean(axis=0)).max()
             landing.ground = "withdrawn" if beside < 2.0 else landing.ground

@@ -168,7 +168,7 @@ def judge(now: Array, at: Array, ground: Terrain, config: Config) -> tuple[float
 
 def safe(ground: Terrain, places: Array, config: Config) -> Mask:
     """(K,) whether the lander stands at places (K, 2)."""
-    return contact_safe(ground.x, ground.y, ground.elevation, places, lander_of(config))
+    return contact_safe(ground, places, lander_of(config))
 
 
 def alike(

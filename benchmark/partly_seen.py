@@ -22,6 +22,7 @@ from common.rays import Scene, View, fan, rocks, view
 from common.recorded import autzen, section_vi
 
 from quadtree_lss.lab.simulation.safety import LandingGear, worst_contact
+from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing import hazards
@@ -81,7 +82,7 @@ def verdict(cells: CellMap, config: Config, scene: Scene) -> Verdict:
         return Verdict(found, 0, places, np.nan, np.nan, np.nan)
     reach = 0.5 * LandingGear().diameter + 0.5
     x, y = (np.arange(v.min() - reach, v.max() + reach, POST) for v in places.T)
-    slope, rises = worst_contact(x, y, scene.dem(x, y), places, LandingGear())
+    slope, rises = worst_contact(Terrain(x, y, scene.dem(x, y)), places, LandingGear())
     gear = LandingGear()
     wrong = (slope > np.tan(np.radians(gear.max_slope_deg))) | (rises > gear.max_roughness)
     row, column, some = row[wrong], column[wrong], wrong.any()

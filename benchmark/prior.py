@@ -106,8 +106,7 @@ def true_probability(ground: Ground, x: float, y: float, settings: FlightSetting
     step = np.arange(-2.0, 2.01, 0.25)
     dx, dy = (axis.ravel() for axis in np.meshgrid(step, step))
     weight = np.exp(-(dx**2 + dy**2) / (2.0 * settings.rules.miss**2))
-    t = ground.terrain
-    stands = contact_safe(t.x, t.y, t.elevation, np.column_stack([x + dx, y + dy]))
+    stands = contact_safe(ground.terrain, np.column_stack([x + dx, y + dy]))
     return float(weight @ stands / weight.sum())
 
 

@@ -140,7 +140,7 @@ class Truth:
     def __init__(self, simulation: Simulation, found: LandingAssessment, config: Config) -> None:
         dem, lander = simulation.legs[0].plan.truth, lander_of(config)
         self.x, self.y = found.x, found.y
-        self.safe: Mask = safety_map(dem.x, dem.y, dem.elevation, self.x, self.y, lander)
+        self.safe: Mask = safety_map(dem, self.x, self.y, lander)
         spread = Dispersion.of(None, config.lss)
         self.probability = 1.0 - aimed(1.0 - self.safe.astype(float), config.lss.spacing, spread)
         xmin, xmax, ymin, ymax = simulation.box

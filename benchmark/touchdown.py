@@ -124,7 +124,7 @@ def on_field(name: str, seed: int, legs: Legs, speeds: Sequence[str]) -> Iterato
     legs = legs if legs.skids else replace(legs, gravity=gravity)
     half = terrain.x[-1] - 3.0 * legs.gear.diameter
     places = generator.uniform(-half, half, (40 * PER_FIELD, 2))
-    stands = contact_safe(terrain.x, terrain.y, terrain.elevation, places, legs.gear)
+    stands = contact_safe(terrain, places, legs.gear)
     aims = np.concatenate([places[stands][: 3 * PER_FIELD // 4], places[~stands]])[:PER_FIELD]
     for number, aim in enumerate(aims):
         how = speeds[number % len(speeds)]
@@ -144,9 +144,7 @@ def touched(
     """One touchdown at a place (2,)."""
     legs = replace(legs, friction=float(generator.uniform(0.3, 0.9)))
     came = arrival(generator, place, how)
-    ((slope,), (rise,)) = worst_contact(
-        terrain.x, terrain.y, terrain.elevation, place[None], legs.gear
-    )
+    ((slope,), (rise,)) = worst_contact(terrain, place[None], legs.gear)
     found = touch(legs, terrain, came)
     across, down = float(np.hypot(*came.velocity[:2])), -float(came.velocity[2])
     tilt = float(np.degrees(np.arccos(came.up[2])))

@@ -98,7 +98,7 @@ def test_a_touchdown_is_judged_by_the_true_ground_and_by_what_was_forbidden(tmp_
     flight = arducopter.Flight("", 5, "", tmp_path)
     terrain, gear = flight.terrain, SCENARIOS["drone"].lander
     places = np.random.default_rng(6).uniform(-10.0, 10.0, (200, 2))
-    slope, rise = worst_contact(terrain.x, terrain.y, terrain.elevation, places, gear)
+    slope, rise = worst_contact(terrain, places, gear)
     good = np.flatnonzero((slope < 0.05) & (rise < 0.03))[0]
     bad = np.flatnonzero(rise > 0.15)[0]
     for row, ground in ((good, "safe"), (bad, "unsafe")):

@@ -8,6 +8,7 @@ import pytest
 from core.builders import configured, mapped
 
 from quadtree_lss.lab.simulation.safety import LandingGear, contact_safe
+from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 
@@ -45,8 +46,8 @@ def test_a_block_under_one_pad_fails_from_the_least_hazard_on(slope, clearance):
     stands = []
     for share in (0.99, 1.01):
         ground = block(share * vehicle.least_hazard, 0.2, 0.0, 1.0)
-        high = ground(posts[None], posts[:, None])
-        stands.append(contact_safe(posts, posts, high, points, gear))
+        high = Terrain(posts, posts, ground(posts[None], posts[:, None]))
+        stands.append(contact_safe(high, points, gear))
     assert stands[0].all()
     assert not stands[1][-1], "its northern pad stands on the block"
 
@@ -82,13 +83,9 @@ def test_no_pad_may_stand_on_a_block_that_leans_the_vehicle_too_far():
     x, y = np.meshgrid(found.x, found.y)
     near = (np.abs(x - 8.0) < 3.0) & (np.abs(y - 8.0) < 3.0)
     posts = np.linspace(3.5, 12.5, 226)
-    stands = contact_safe(
-        posts,
-        posts,
-        ground(posts[None], posts[:, None]),
-        np.stack([x[near], y[near]], axis=1),
-        LandingGear(2.0, 0.1, 6.0, 0.34),
-    )
+    dem = Terrain(posts, posts, ground(posts[None], posts[:, None]))
+    places = np.stack([x[near], y[near]], axis=1)
+    stands = contact_safe(dem, places, LandingGear(2.0, 0.1, 6.0, 0.34))
     allowed = found.safe[near]
     assert (~stands).sum() > 150
     # What is left lies at the rim: by the simulator's headings a pad there is just on the block.

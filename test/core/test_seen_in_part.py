@@ -19,6 +19,7 @@ from common.rays import EXACT, Scene, View, fan, looking, rocks, view
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.simulation.safety import LandingGear, worst_contact
+from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
@@ -129,8 +130,8 @@ def test_no_rock_that_was_measured_is_stood_on(kind):
         row, column = np.nonzero(found.safe)
         places = np.column_stack([found.x[column], found.y[row]])
         axis = np.arange(-HALF - 4.0, HALF + 4.0, 0.05)
-        dem = well_seen(scene, high, seen).dem(axis, axis)
-        slope, rise = worst_contact(axis, axis, dem, places, LandingGear())
+        dem = Terrain(axis, axis, well_seen(scene, high, seen).dem(axis, axis))
+        slope, rise = worst_contact(dem, places, LandingGear())
         bad = (rise > 0.3 + SPARE) | (slope > np.tan(np.radians(10.0 + SPARE_DEG)))
         judged += len(places)
         if bad.any():

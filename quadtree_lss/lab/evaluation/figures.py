@@ -49,11 +49,9 @@ TOP = 5
 def draw_all(
     folder: Path, results: Results, truth: Truth, heights: ErrorField, safety: SafetyField
 ) -> tuple[Path, ...]:
-    """Draw every figure of one run into ``folder``; returns the paths.
-
-    A map of one level only stands for the paper's fixed-resolution map (Figs. 10, 13 instead of 9,
-    12), one of several flights for FF13 + FF14 (Fig. 24 instead of 23).
-    """
+    """Every figure of one run. A map of one level only stands for the paper's fixed-resolution map
+    (Figs. 10, 13 instead of 9, 12), one of several flights for FF13 + FF14 (Fig. 24 instead of
+    23)."""
     sites = {"sites": results.positions[:TOP]}
     fixed, several = _fixed(results.map), truth.flights_of(results.timing["stamp_ns"]) > 1
     cells = "fig10_fixed_resolution_and_scans" if fixed else "fig09_quadtree_and_scans"
@@ -345,7 +343,7 @@ def _contours(axes: Axes, truth: Truth, box: Box) -> None:
 def _around(truth: Truth) -> Box:
     """The scanned box and the lander's reach around it."""
     xmin, xmax, ymin, ymax = truth.box
-    reach = 0.5 * truth.lander.diameter + truth.lander.pad_radius
+    reach = truth.lander.reach
     return xmin - reach, xmax + reach, ymin - reach, ymax + reach
 
 

@@ -12,7 +12,7 @@ from scipy.ndimage import binary_closing, distance_transform_edt, label
 
 from quadtree_lss.desk.exchange.saved import Grid
 from quadtree_lss.lab.evaluation.results import Truth, aligned
-from quadtree_lss.lab.simulation.safety import contact_safe, on_dem
+from quadtree_lss.lab.simulation.safety import contact_safe, on_dem, safety_map
 from quadtree_lss.lab.simulation.terrain import bilinear
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED
@@ -145,23 +145,19 @@ def elevation_error(field: ErrorField) -> ElevationError:
     error = field.error[np.isfinite(field.error)]
     if not error.size:
         return ElevationError(*[float("nan")] * 7, 0, field.without_estimate)
-    centred = error - error.mean()
-    return ElevationError(
-        mean_absolute=float(np.abs(error).mean()),
-        rms=float(np.sqrt(np.square(error).mean())),
-        maximum=float(np.abs(error).max()),
-        mean=float(error.mean()),
-        mean_absolute_mean_removed=float(np.abs(centred).mean()),
-        rms_mean_removed=float(np.sqrt(np.square(centred).mean())),
-        maximum_mean_removed=float(np.abs(centred).max()),
-        samples=int(error.size),
-        without_estimate=field.without_estimate,
-    )
+
+    def sizes(of: Array) -> tuple[float, float, float]:
+        size = np.abs(of)
+        return float(size.mean()), float(np.sqrt(np.square(of).mean())), float(size.max())
+
+    mean = float(error.mean())
+    values = *sizes(error), mean, *sizes(error - mean)
+    return ElevationError(*values, error.size, field.without_estimate)
 
 
-def fill_holes(seen: Mask, spacing: float, width: float = 2.0) -> Mask:
-    """Close unseen gaps up to ``width`` (m) wide: morphological closing with a disc."""
-    radius = 0.5 * width / spacing
+def fill_holes(seen: Mask, spacing: float) -> Mask:
+    """Close unseen gaps up to 2 m wide: morphological closing with a disc."""
+    radius = 1.0 / spacing
     reach = int(np.floor(radius + 1e-9))
     if reach == 0:
         return seen
@@ -174,9 +170,8 @@ def fill_holes(seen: Mask, spacing: float, width: float = 2.0) -> Mask:
 def safety_field(grid: Grid, truth: Truth) -> SafetyField:
     """Bring the map's verdict and the truth to the same grid points of the scanned box.
 
-    Grid points that both have are compared. Where they share none, the contact simulation is run
-    at the map's own: reading a safety map between its grid points would by itself cost several
-    per cent.
+    Where they share none, the contact simulation is run at the map's own: reading a safety map
+    between its grid points would by itself cost several per cent.
     """
     xmin, xmax, ymin, ymax = truth.box
     i, in_x = _matches(grid.x, truth.safe_x, xmin, xmax)
@@ -184,11 +179,11 @@ def safety_field(grid: Grid, truth: Truth) -> SafetyField:
     if in_x.size and in_y.size:
         truly_safe = truth.safe[np.ix_(j, i)]
     else:
-        in_x = np.flatnonzero((grid.x >= xmin - _COINCIDE) & (grid.x <= xmax + _COINCIDE))
-        in_y = np.flatnonzero((grid.y >= ymin - _COINCIDE) & (grid.y <= ymax + _COINCIDE))
-        points = np.stack(np.meshgrid(grid.x[in_x], grid.y[in_y]), axis=-1).reshape(-1, 2)
-        truly_safe = contact_safe(truth.x, truth.y, truth.elevation, points, truth.lander)
-        truly_safe = truly_safe.reshape(in_y.size, in_x.size)
+        in_x, in_y = (
+            np.flatnonzero((axis >= low - _COINCIDE) & (axis <= high + _COINCIDE))
+            for axis, low, high in ((grid.x, xmin, xmax), (grid.y, ymin, ymax))
+        )
+        truly_safe = safety_map(truth, grid.x[in_x], grid.y[in_y], truth.lander)
     window = np.ix_(in_y, in_x)
     looked_at = grid.seen | ((grid["hazard"] & UNMAPPED) > 0)
     risk = grid.layers.get("risk")
@@ -230,7 +225,7 @@ def detection(field: SafetyField) -> Detection:
     missed = hazardous & called
 
     def share(part: Mask, whole: Mask) -> float:
-        return float((part & whole).sum() / whole.sum()) if whole.any() else float("nan")
+        return float(part[whole].mean()) if whole.any() else float("nan")
 
     return Detection(
         hazardous_found=share(~called, hazardous),
@@ -253,47 +248,30 @@ def site_verdicts(sites: Array, truth: Truth) -> tuple[SiteVerdict, ...]:
     outside the scanned box, is simulated on the DEM. Where the lander would reach over the edge of
     the DEM nothing is known.
     """
-    lander = truth.lander
-    known = on_dem(truth.x, truth.y, sites[:, :2], lander)
-    safe = contact_safe(truth.x, truth.y, truth.elevation, sites[:, :2], lander)
-    verdicts = []
-    for k, (x, y) in enumerate(sites[:, :2]):
+    places = sites[:, :2]
+    known, safe = on_dem(truth, places, truth.lander), contact_safe(truth, places, truth.lander)
+    for k, (x, y) in enumerate(places):
         i, j = int(np.abs(truth.safe_x - x).argmin()), int(np.abs(truth.safe_y - y).argmin())
         if max(abs(truth.safe_x[i] - x), abs(truth.safe_y[j] - y)) < _COINCIDE:
-            verdict: SiteVerdict = "safe" if truth.safe[j, i] else "unsafe"
-        elif known[k]:
-            verdict = "safe" if safe[k] else "unsafe"
-        else:
-            verdict = "unknown"
-        verdicts.append(verdict)
-    return tuple(verdicts)
+            known[k], safe[k] = True, truth.safe[j, i]
+    words: tuple[SiteVerdict, ...] = ("unknown", "unsafe", "safe")
+    return tuple(words[k] for k in known * (1 + safe))
 
 
 def missed_places(field: SafetyField, truth: Truth) -> tuple[MissedPlace, ...]:
     """Connected patches of hazardous ground called safe, the largest first."""
     missed = field.scored & ~field.truly_safe & field.called_safe & field.seen
     patch, count = label(missed, np.ones((3, 3), int))
-    if not count:
-        return ()
-    depth, places = _depth(field), []
+    depth, reach, places = _depth(field), truth.lander.reach, []
     for k in range(1, count + 1):
         j, i = np.nonzero(patch == k)
         x, y = float(field.x[i].mean()), float(field.y[j].mean())
-        reach = 0.5 * truth.lander.diameter + truth.lander.pad_radius
-        box = np.ix_(np.abs(truth.y - y) <= reach, np.abs(truth.x - x) <= reach)
-        ground = truth.elevation[box]
-        peak_j, peak_i = np.unravel_index(int(ground.argmax()), ground.shape)
-        places.append(
-            MissedPlace(
-                x=x,
-                y=y,
-                grid_points=int(j.size),
-                depth=float(depth[j, i].max()),
-                relief=float(ground.max() - np.median(ground)),
-                peak_x=float(truth.x[np.abs(truth.x - x) <= reach][peak_i]),
-                peak_y=float(truth.y[np.abs(truth.y - y) <= reach][peak_j]),
-            )
-        )
+        near_x, near_y = np.abs(truth.x - x) <= reach, np.abs(truth.y - y) <= reach
+        ground = truth.elevation[np.ix_(near_y, near_x)]
+        row, column = np.unravel_index(int(ground.argmax()), ground.shape)
+        relief = float(ground.max() - np.median(ground))
+        peak = float(truth.x[near_x][column]), float(truth.y[near_y][row])
+        places.append(MissedPlace(x, y, j.size, float(depth[j, i].max()), relief, *peak))
     return tuple(sorted(places, key=lambda place: -place.grid_points))
 
 

@@ -51,14 +51,9 @@ TAKEN = 500
 
 @dataclass(frozen=True)
 class Mapped:
-    """A map at a time of a flight, and what was true at the grid points of its finest lattice.
-
-    Attributes:
-        config: It was mapped with.
-        part: Of the flight.
-        cells: The map, as its message gives it.
-        slope, rise: (n + 1, n + 1) of the worst true contact, over run and m; NaN if not known.
-    """
+    """A map after a ``part`` of a flight, as its message gives it, the configuration it was mapped
+    with, and slope (over run) and rise (m) of the worst true contact at the grid points of its
+    finest lattice, (n + 1, n + 1); NaN if not known."""
 
     config: Config
     part: float
@@ -80,14 +75,9 @@ class Mapped:
 
 
 def fly(family: Family, seed: int, config: Config, terrain: Terrain | None = None) -> list[Mapped]:
-    """A simulated flight, mapped, after each of `PARTS` of it.
-
-    Args:
-        family: What it draws from.
-        seed: Of all that is drawn.
-        config: Vehicle, noise and cells of families that vary none; and how to map.
-        terrain: At the scale of `LANDER`; None for one of the family.
-    """
+    """A simulated flight, mapped, after each of `PARTS` of it. ``config``: vehicle, noise and cells
+    of families that vary none; and how to map. ``terrain``: at the scale of `LANDER`; None for one
+    of the family."""
     rng = np.random.default_rng([seed, 77])
     own, noise, outliers = _drawn(rng, family, config)
     vehicle = own.vehicle
@@ -130,9 +120,8 @@ def _drawn(rng: np.random.Generator, family: Family, config: Config) -> tuple[Co
     clearance = diameter * between(family.clearance, usual.clearance / usual.diameter)
     slope = usual.max_slope_deg if family.slopes is None else float(rng.choice(family.slopes))
     pad = usual.pad_radius * diameter / usual.diameter
-    vehicle = replace(
-        usual, diameter=diameter, clearance=clearance, max_slope_deg=slope, pad_radius=pad
-    )
+    vehicle = replace(usual, diameter=diameter, clearance=clearance)
+    vehicle = replace(vehicle, max_slope_deg=slope, pad_radius=pad)
     noise = clearance * between(family.noise, config.lidar.range_noise / usual.clearance)
     domain = config.domain
     cells = usual.diameter / (domain.size / 2**domain.max_level)
@@ -140,14 +129,8 @@ def _drawn(rng: np.random.Generator, family: Family, config: Config) -> tuple[Co
     level = int(np.log2(64.1 / LANDER * diameter / side))
     size = side * 2**level
     above = int(rng.integers(3, 5)) if family.cells else domain.max_level - domain.min_level
-    own = replace(
-        domain,
-        xmin=-0.5 * size,
-        ymin=-0.5 * size,
-        size=size,
-        min_level=max(level - above, 0),
-        max_level=level,
-    )
+    own = replace(domain, xmin=-0.5 * size, ymin=-0.5 * size, size=size)
+    own = replace(own, min_level=max(level - above, 0), max_level=level)
     gate = config.lidar.outlier_gate * diameter / usual.diameter
     told = max(noise * float(rng.choice(family.told)), 1e-4)
     lidar = replace(config.lidar, range_noise=told, outlier_gate=gate)
@@ -161,9 +144,9 @@ def _truth(cells: CellMap, surface: Terrain, config: Config) -> tuple[Single, Si
     domain, lander = cells.domain, lander_of(config)
     along = domain.finest_size * np.arange(domain.finest_count + 1)
     points = np.stack(np.meshgrid(domain.xmin + along, domain.ymin + along), axis=-1)
-    known = on_dem(surface.x, surface.y, points.reshape(-1, 2), lander).reshape(points.shape[:2])
+    known = on_dem(surface, points, lander)
     out = np.full((2, *known.shape), np.nan, dtype=np.float32)
-    out[:, known] = worst_contact(surface.x, surface.y, surface.elevation, points[known], lander)
+    out[:, known] = worst_contact(surface, points[known], lander)
     return out[0], out[1]
 
 
@@ -175,13 +158,9 @@ def lander_of(config: Config) -> LandingGear:
 
 @dataclass(frozen=True)
 class Landings:
-    """Landings at the grid points of a map.
-
-    Attributes:
-        raster, around, worst: The map, what lies about its points, and contacts there.
-        counts: (n + 1, n + 1) where all ground under the lander is seen and the truth is known.
-        failed: (K,) of these: whether the lander fails there.
-    """
+    """Landings at the grid points of a map: it, what lies about its points, and contacts there.
+    ``counts``: (n + 1, n + 1) where all ground under the lander is seen and the truth is known.
+    ``failed``: (K,) of these: whether the lander fails there."""
 
     raster: TerrainRaster
     around: Surroundings
@@ -242,26 +221,16 @@ def sampled(rng: np.random.Generator, mapped: Mapped) -> Sample:
     return Sample(asked[some], failed[some], 1.0 / share[some])
 
 
-Progress = Callable[[int, int], None]
-
-
 def fit_risk(
     config: Config,
     seeds: Sequence[int],
     families: Iterable[str] = tuple(FAMILIES),
-    progress: Progress | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> RiskModel:
-    """Flies, and fits; each family has its weight, however many flights it has.
-
-    Args:
-        config: Vehicle, noise and cells of families that vary none.
-        seeds: Dealt to the families in turn, a flight each.
-        families: Names in `FAMILIES`.
-        progress: Gets the flights that are done and those there are.
-
-    Raises:
-        EvaluationError: there is no such family, or no seed or no landing for one.
-    """
+    """Flies, and fits; each of the `FAMILIES` has its weight, however many flights it has. Seeds
+    are dealt to them in turn, a flight each; ``config`` has vehicle, noise and cells of those that
+    vary none. Raises `EvaluationError`: there is no such family, or no seed or no landing for
+    one."""
     names = list(dict.fromkeys(families))
     for name in names:
         if name not in FAMILIES:

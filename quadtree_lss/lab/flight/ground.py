@@ -58,8 +58,7 @@ class Ground:
 
     def safe_at(self, x: float, y: float) -> bool:
         """Whether a lander stands safely there at every heading."""
-        t = self.terrain
-        return bool(safety.contact_safe(t.x, t.y, t.elevation, [[x, y]])[0])
+        return bool(safety.contact_safe(self.terrain, [[x, y]])[0])
 
     @cached_property
     def _highest(self) -> float:
@@ -74,8 +73,7 @@ class Ground:
         n = int(self.half / GRID)
         x = self.planned[0] + GRID * np.arange(-n, n + 1)
         y = self.planned[1] + GRID * np.arange(-n, n + 1)
-        t = self.terrain
-        safe = safety.safety_map(t.x, t.y, t.elevation, x, y)
+        safe = safety.safety_map(self.terrain, x, y)
         return x, y, GRID * distance_transform_edt(np.pad(safe, 1))[1:-1, 1:-1]
 
     def best(self) -> Array | None:

@@ -10,7 +10,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import gaussian_filter
 
 from quadtree_lss.lab.simulation.rocks import lay
-from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
+from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.arrays import Array
 
 
@@ -51,11 +51,6 @@ FIELDS = {
 }
 
 
-def rock_decay(abundance: float) -> float:
-    """Exponent q (1/m) of the size-frequency law: 1.79 + 0.152/k."""
-    return 1.79 + 0.152 / abundance
-
-
 def sample_rock_diameters(
     generator: np.random.Generator, area: float, abundance: float, smallest: float, largest: float
 ) -> Array:
@@ -63,10 +58,7 @@ def sample_rock_diameters(
 
     The cover of a rock is π D²/4, so the number density is n(D) = 4 k q exp(−q D)/(π D²).
     """
-    if not (0.0 < smallest < largest and abundance > 0.0):
-        msg = "rocks: need 0 < smallest < largest diameter and a positive abundance"
-        raise SimulationError(msg)
-    q = rock_decay(abundance)
+    q = 1.79 + 0.152 / abundance
     diameter = np.geomspace(smallest, largest, 4001)
     density = 4.0 * abundance * q * np.exp(-q * diameter) / (np.pi * diameter**2)
     cumulative = cumulative_trapezoid(density, diameter, initial=0.0)
@@ -75,19 +67,18 @@ def sample_rock_diameters(
     return np.asarray(drawn)
 
 
-def hazard_field(generator: np.random.Generator, field: HazardField | None = None) -> Terrain:
+def hazard_field(generator: np.random.Generator, field: HazardField) -> Terrain:
     """Build a field centred on the origin; the same generator state gives the same field."""
-    field = field or HazardField()
     count = round(field.size / field.post) + 1
     axis = np.linspace(-0.5 * field.size, 0.5 * field.size, count)
     ground = _undulation(generator, axis, field.slope_rms_deg)
-    ground += field.texture * _texture(generator, count, field.texture_length / field.post)
+    soil, length = generator.standard_normal((count, count)), field.texture_length / field.post
+    soil = gaussian_filter(soil, length / np.sqrt(2.0), mode="wrap")
+    ground += field.texture * (soil / soil.std())
     _add_craters(generator, axis, ground, field)
-    rocks = np.zeros((count, count))
     if field.rock_abundance > 0.0:
-        _add_rocks(generator, axis, rocks, field)
-        _add_piles(generator, axis, rocks, field)
-    return Terrain(axis, axis, ground + rocks)
+        ground += _rocks(generator, axis, field)
+    return Terrain(axis, axis, ground)
 
 
 def strewn(generator: np.random.Generator, terrain: Terrain, abundance: float) -> Terrain:
@@ -97,11 +88,9 @@ def strewn(generator: np.random.Generator, terrain: Terrain, abundance: float) -
     size = field.post * np.floor(min(field.size, xmax - xmin, ymax - ymin) / field.post)
     field = replace(field, size=float(size))
     own = np.linspace(-0.5 * field.size, 0.5 * field.size, round(field.size / field.post) + 1)
-    x, y = own + 0.5 * (xmin + xmax), own + 0.5 * (ymin + ymax)
-    rocks = np.zeros((own.size, own.size))
-    _add_rocks(generator, own, rocks, field)
-    _add_piles(generator, own, rocks, field)
-    x, y = np.clip(x, xmin, xmax), np.clip(y, ymin, ymax)
+    rocks = _rocks(generator, own, field)
+    x = np.clip(own + 0.5 * (xmin + xmax), xmin, xmax)
+    y = np.clip(own + 0.5 * (ymin + ymax), ymin, ymax)
     return Terrain(x, y, terrain.elevation_at(x[None, :], y[:, None]) + rocks)
 
 
@@ -120,21 +109,6 @@ def _undulation(generator: np.random.Generator, axis: Array, slope_rms_deg: floa
     return np.ascontiguousarray((along_y @ along_x).real)
 
 
-def _texture(generator: np.random.Generator, count: int, length: float) -> Array:
-    """Unit-variance noise with a correlation length in posts."""
-    noise = gaussian_filter(
-        generator.standard_normal((count, count)), length / np.sqrt(2.0), mode="wrap"
-    )
-    return np.asarray(noise / noise.std())
-
-
-def _patch(axis: Array, centre_x: float, centre_y: float, reach: float) -> tuple[slice, slice]:
-    """Rows and columns of the posts within ``reach`` of a centre, along each axis."""
-    x0, x1 = np.searchsorted(axis, (centre_x - reach, centre_x + reach))
-    y0, y1 = np.searchsorted(axis, (centre_y - reach, centre_y + reach))
-    return slice(int(y0), int(y1)), slice(int(x0), int(x1))
-
-
 def _add_craters(
     generator: np.random.Generator, axis: Array, ground: Array, field: HazardField
 ) -> None:
@@ -145,7 +119,9 @@ def _add_craters(
     centres = generator.uniform(axis[0], axis[-1], (count, 2))
     freshness = generator.uniform(0.5, 1.0, count)
     for diameter, (cx, cy), fresh in zip(diameters, centres, freshness, strict=True):
-        rows, columns = _patch(axis, cx, cy, diameter)
+        rows, columns = (
+            slice(*np.searchsorted(axis, (c - diameter, c + diameter))) for c in (cy, cx)
+        )
         rho = np.hypot(axis[None, columns] - cx, axis[rows, None] - cy) / (0.5 * diameter)
         depth = field.crater_depth * diameter * fresh
         bowl = np.square(np.maximum(1.0 - rho**2, 0.0))
@@ -153,32 +129,10 @@ def _add_craters(
         ground[rows, columns] += depth * (0.15 * rim - 1.0 * bowl)
 
 
-def _lay(
-    axis: Array,
-    rocks: Array,
-    centres: Array,
-    sizes: tuple[Array, Array, Array, Array],
-    *,
-    heaped: bool,
-) -> None:
-    """Ellipsoids about ``centres`` (K, 2): diameters, heights, axes and headings, (K,) each.
-
-    Their plan area is π D²/4.
-    """
-    diameters, heights, axes, yaws = sizes
-    long, short = 0.5 * diameters / np.sqrt(axes), 0.5 * diameters * np.sqrt(axes)
-    reach = long[:, None]
-    ends = np.hstack([centres[:, 1:] - reach, centres[:, 1:] + reach])
-    ends = np.hstack([ends, centres[:, :1] - reach, centres[:, :1] + reach])
-    posts = np.searchsorted(axis, ends).astype(np.intp)
-    stones = np.column_stack([centres, heights, long, short, np.cos(yaws), np.sin(yaws)])
-    lay(rocks, axis, posts, stones, heaped)
-
-
-def _add_rocks(
-    generator: np.random.Generator, axis: Array, rocks: Array, field: HazardField
-) -> None:
-    """Single rocks, half buried: ellipsoids about half as high as wide."""
+def _rocks(generator: np.random.Generator, axis: Array, field: HazardField) -> Array:
+    """Height of rocks over the ground (n, n): single ones, half buried, about half as high as wide;
+    and heaps of 8 to 20, about a metre wide and up to about a metre high."""
+    rocks = np.zeros((axis.size, axis.size))
     diameters = sample_rock_diameters(
         generator, field.size**2, field.rock_abundance, field.rock_smallest, field.rock_largest
     )
@@ -187,13 +141,7 @@ def _add_rocks(
     heights = diameters * generator.uniform(*field.rock_height, count)
     axes = generator.uniform(*field.rock_axes, count)
     yaws = generator.uniform(0.0, np.pi, count)
-    _lay(axis, rocks, centres, (diameters, heights, axes, yaws), heaped=False)
-
-
-def _add_piles(
-    generator: np.random.Generator, axis: Array, rocks: Array, field: HazardField
-) -> None:
-    """Heaps of 8 to 20 rocks, about a metre wide and up to about a metre high."""
+    _lay(axis, rocks, centres, diameters, heights, axes, yaws)
     stones = []
     for _ in range(generator.poisson(field.piles * field.size**2)):
         centre = generator.uniform(axis[0] + 2.0, axis[-1] - 2.0, 2)
@@ -202,7 +150,28 @@ def _add_piles(
             x, y = centre + np.clip(generator.normal(0.0, spread, 2), -1.0, 1.0)
             diameter = generator.uniform(0.25, 0.7)
             stones.append((x, y, diameter, generator.uniform(0.0, np.pi)))
-    x, y, diameters, yaws = np.array(stones).reshape(-1, 4).T
+    piled = np.array(stones).reshape(-1, 4)
+    diameters, yaws = piled[:, 2:].T
     axes = np.full(len(stones), 0.85)
-    sizes = diameters, 0.5 * diameters, axes, yaws
-    _lay(axis, rocks, np.column_stack([x, y]), sizes, heaped=True)
+    _lay(axis, rocks, piled[:, :2], diameters, 0.5 * diameters, axes, yaws, heaped=True)
+    return rocks
+
+
+def _lay(
+    axis: Array,
+    rocks: Array,
+    centres: Array,
+    diameters: Array,
+    heights: Array,
+    axes: Array,
+    yaws: Array,
+    *,
+    heaped: bool = False,
+) -> None:
+    """Ellipsoids (K,) of a plan area of π D²/4."""
+    long, short = 0.5 * diameters / np.sqrt(axes), 0.5 * diameters * np.sqrt(axes)
+    x, y = centres.T
+    ends = np.column_stack([y - long, y + long, x - long, x + long])
+    posts = np.searchsorted(axis, ends).astype(np.intp)
+    stones = np.column_stack([centres, heights, long, short, np.cos(yaws), np.sin(yaws)])
+    lay(rocks, axis, posts, stones, heaped)

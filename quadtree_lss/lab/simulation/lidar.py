@@ -14,19 +14,15 @@ from quadtree_lss.onboard.arrays import Array
 
 OUTLINE = 8
 """Beams per side of the outline of a field of view."""
+WRONG = 10.0
+"""m, at most, of a false return."""
 
 
 def _beams(azimuth: Array, elevation: Array) -> Array:
     """Unit directions (..., 3) in the lidar frame: Eq. 14 with ρ = 1."""
     azimuth, elevation = np.broadcast_arrays(azimuth, elevation)
-    return np.stack(
-        [
-            np.sin(azimuth) * np.cos(elevation),
-            np.sin(-elevation),
-            np.cos(azimuth) * np.cos(elevation),
-        ],
-        axis=-1,
-    )
+    level = np.cos(elevation)
+    return np.stack([np.sin(azimuth) * level, np.sin(-elevation), np.cos(azimuth) * level], axis=-1)
 
 
 @cache
@@ -54,11 +50,11 @@ class FlashLidar:
     range_noise: float = 0.06
     outliers: float = 0.0
     dropouts: float = 0.0
-    outlier_error: float = 10.0
 
     def directions(self) -> Array:
         """Unit beam directions (pixels, pixels, 3) in the lidar frame (Eq. 14 with ρ = 1)."""
-        return pixel_beams(*(self.field_of_view_deg,) * 2, *(self.pixels,) * 2)
+        side, count = self.field_of_view_deg, self.pixels
+        return pixel_beams(side, side, count, count)
 
     def outline(self, surface: Surface, position_map: Array, rotation_map_lidar: Array) -> Array:
         """Edge of the field of view on the ground, map frame: (4·OUTLINE, 2) m; NaN = no hit."""
@@ -87,14 +83,14 @@ class FlashLidar:
     ) -> Array:
         """Measured points (pixels, pixels, 3) in the lidar frame, NaN = no return.
 
-        Ranges have Gaussian noise (Eq. 13); a fraction ``outliers`` is off by up to ±
-        ``outlier_error`` metres, a fraction ``dropouts`` is lost.
+        Ranges have Gaussian noise (Eq. 13); a fraction ``outliers`` is off by up to `WRONG`, a
+        fraction ``dropouts`` is lost.
         """
         ranges = self.true_ranges(surface, position_map, rotation_map_lidar)
         ranges = ranges + generator.normal(0.0, self.range_noise, ranges.shape)
         if self.outliers > 0.0:
             wrong = generator.random(ranges.shape) < self.outliers
-            error = generator.uniform(-self.outlier_error, self.outlier_error, ranges.shape)
+            error = generator.uniform(-WRONG, WRONG, ranges.shape)
             ranges = np.where(wrong, ranges + error, ranges)
         if self.dropouts > 0.0:
             ranges[generator.random(ranges.shape) < self.dropouts] = np.nan

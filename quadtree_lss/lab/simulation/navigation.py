@@ -46,9 +46,8 @@ class WhiteNavigation:
         sigma = np.radians(self.attitude_sigma_deg)
         offset = generator.normal(0.0, self.position_sigma, positions.shape)
         tilt = Rotation.from_rotvec(generator.normal(0.0, sigma, positions.shape)).as_matrix()
-        return Estimate(
-            positions + offset, rotations @ tilt, _isotropic(self.position_sigma, sigma)
-        )
+        covariance = _isotropic(self.position_sigma, sigma)
+        return Estimate(positions + offset, rotations @ tilt, covariance)
 
 
 @dataclass(frozen=True)
@@ -73,9 +72,8 @@ class DriftingNavigation:
         offset = self._error(generator, times, self.position_bias, self.position_drift)
         bias, drift = np.radians([self.attitude_bias_deg, self.attitude_drift_deg])
         tilt = Rotation.from_rotvec(self._error(generator, times, bias, drift)).as_matrix()
-        covariance = self.conservatism**2 * _isotropic(
-            float(np.hypot(self.position_bias, self.position_drift)), float(np.hypot(bias, drift))
-        )
+        sigma = float(np.hypot(self.position_bias, self.position_drift))
+        covariance = self.conservatism**2 * _isotropic(sigma, float(np.hypot(bias, drift)))
         return Estimate(positions + offset, tilt @ rotations, covariance)
 
     def _error(

@@ -14,6 +14,7 @@ it (vertically) than the clearance. Yaws divide the 90° after which the four pa
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,50 +36,56 @@ class LandingGear:
     yaws: int = 16
 
     @property
+    def reach(self) -> float:
+        """From the centre to the outer edges of the pads, m."""
+        return 0.5 * self.diameter + self.pad_radius
+
+    @property
     def limits(self) -> tuple[float, float, float, float]:
         """Diameter, radius of a pad, greatest slope in degrees and roughness, for a file."""
         return self.diameter, self.pad_radius, self.max_slope_deg, self.max_roughness
 
 
-def contact_safe(
-    x: ArrayLike,
-    y: ArrayLike,
-    elevation: ArrayLike,
-    points: ArrayLike,
-    lander: LandingGear | None = None,
-) -> Mask:
-    """Whether a lander centred at each of ``points`` (K, 2), map frame, m, stands safely: (K,).
-
-    ``x`` (nx,), ``y`` (ny,), ``elevation`` (ny, nx) are the DEM. A point whose lander would reach
-    over the edge of the DEM is unsafe.
-    """
-    lander = lander or LandingGear()
-    slope, rise = worst_contact(x, y, elevation, points, lander)
-    return np.asarray(
-        (slope <= np.tan(np.radians(lander.max_slope_deg))) & (rise <= lander.max_roughness)
-    )
+LANDER = LandingGear()
+"""The paper's (Fig. 21)."""
 
 
-def worst_contact(
-    x: ArrayLike, y: ArrayLike, elevation: ArrayLike, points: ArrayLike, lander: LandingGear
-) -> tuple[Array, Array]:
+class Dem(Protocol):
+    """Posts x (nx,), y (ny,), ascending in equal steps, and elevation (ny, nx); m."""
+
+    @property
+    def x(self) -> Array: ...
+    @property
+    def y(self) -> Array: ...
+    @property
+    def elevation(self) -> Array: ...
+
+
+def contact_safe(dem: Dem, points: ArrayLike, lander: LandingGear = LANDER) -> Mask:
+    """Whether a lander centred at each of ``points`` (K, 2), map frame, m, stands safely: (K,). One
+    that would reach over the edge of the DEM does not."""
+    slope, rise = worst_contact(dem, points, lander)
+    level = slope <= np.tan(np.radians(lander.max_slope_deg))
+    return np.asarray(level & (rise <= lander.max_roughness))
+
+
+def worst_contact(dem: Dem, points: ArrayLike, lander: LandingGear) -> tuple[Array, Array]:
     """The worst over yaws and resting planes, for landers at each of ``points`` (K, 2).
 
     Tangent of the slope (K,), and how far the highest post within the circle is above the plane
     (K,) in m; infinite where the lander would reach over the edge of the DEM. What remains to
     the limits says by how much a place is safe or unsafe.
     """
-    posts_x, posts_y = np.asarray(x, np.float64), np.asarray(y, np.float64)
     centres = np.asarray(points, np.float64).reshape(-1, 2)
-    on = on_dem(posts_x, posts_y, centres, lander)
-    steps = ((axis[-1] - axis[0]) / (axis.size - 1) for axis in (posts_x, posts_y))
+    on = on_dem(dem, centres, lander)
+    steps = ((axis[-1] - axis[0]) / (axis.size - 1) for axis in (dem.x, dem.y))
     angles = 0.5 * np.pi / lander.yaws * np.arange(4 * lander.yaws)
     worst = np.full((len(centres), 2), np.inf)
     stood = np.empty((int(on.sum()), 2))
     contact.stand(
-        np.ascontiguousarray(elevation, np.float64),
-        np.array([posts_x[0], posts_y[0], *steps]),
-        np.ascontiguousarray(centres[on]),
+        np.ascontiguousarray(dem.elevation, np.float64),
+        np.array([dem.x[0], dem.y[0], *steps]),
+        centres[on],
         np.stack([np.cos(angles), np.sin(angles)], axis=1),
         0.5 * lander.diameter,
         lander.pad_radius,
@@ -88,28 +95,14 @@ def worst_contact(
     return worst[:, 0], worst[:, 1]
 
 
-def on_dem(x: ArrayLike, y: ArrayLike, points: ArrayLike, lander: LandingGear) -> Mask:
-    """Whether all of a lander centred at ``points`` (K, 2) is over the DEM: (K,)."""
-    posts_x, posts_y = np.asarray(x, np.float64), np.asarray(y, np.float64)
-    centres = np.asarray(points, np.float64).reshape(-1, 2)
-    reach = 0.5 * lander.diameter + lander.pad_radius - _TOLERANCE
-    return np.asarray(
-        (centres[:, 0] - reach >= posts_x[0])
-        & (centres[:, 0] + reach <= posts_x[-1])
-        & (centres[:, 1] - reach >= posts_y[0])
-        & (centres[:, 1] + reach <= posts_y[-1])
-    )
+def on_dem(dem: Dem, points: Array, lander: LandingGear) -> Mask:
+    """Whether all of a lander centred at ``points`` (..., 2) is over the DEM: (...)."""
+    reach = lander.reach - _TOLERANCE
+    low, high = np.array([(axis[0], axis[-1]) for axis in (dem.x, dem.y)]).T
+    return np.asarray(((points - reach >= low) & (points + reach <= high)).all(axis=-1))
 
 
-def safety_map(
-    x: ArrayLike,
-    y: ArrayLike,
-    elevation: ArrayLike,
-    grid_x: ArrayLike,
-    grid_y: ArrayLike,
-    lander: LandingGear | None = None,
-) -> Mask:
-    """True safety at the points of a grid: (len(grid_y), len(grid_x)); see `contact_safe`."""
-    x_of, y_of = np.asarray(grid_x, np.float64), np.asarray(grid_y, np.float64)
-    points = np.stack(np.meshgrid(x_of, y_of), axis=-1).reshape(-1, 2)
-    return contact_safe(x, y, elevation, points, lander).reshape(y_of.size, x_of.size)
+def safety_map(dem: Dem, x: ArrayLike, y: ArrayLike, lander: LandingGear = LANDER) -> Mask:
+    """True safety at the points x (n,), y (m,) of a grid: (m, n); see `contact_safe`."""
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    return contact_safe(dem, points, lander).reshape(points.shape[:2])

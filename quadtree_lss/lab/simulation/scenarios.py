@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from quadtree_lss.lab.simulation.hazard_field import HazardField, hazard_field, strewn
 from quadtree_lss.lab.simulation.lidar import FlashLidar, StereoCamera
@@ -34,6 +35,8 @@ GRID_SPACING = 0.25
 
 EDGE = 2.25
 """Ground (m) that a box leaves free to the edge of a DEM: a lander's radius and more."""
+LEAD = 0.1
+"""s: poses begin so long before the flight and end after it."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,8 @@ LIMITS = {
 
 @dataclass(frozen=True)
 class Conditions:
-    """What the user asks of a flight; None for the scenario's own.
+    """What the user asks of a flight; None for the scenario's own. Raises `SimulationError` for
+    values that make no sense.
 
     Attributes:
         duration, range_noise: Of the flight, s; one sigma of a range, m.
@@ -78,8 +82,6 @@ class Conditions:
         rocks: Share of the ground that rocks cover, the k of Golombek and Rapp (a made field has
             0.05); on a given terrain rocks are added, over 100 m about its centre at most.
         slope_deg: Root mean square slope of a made field (1.5).
-
-    Raises `SimulationError` for values that make no sense.
     """
 
     duration: float | None = None
@@ -104,13 +106,10 @@ class Conditions:
         terrain, rocks, slope_deg = self.terrain, self.rocks, self.slope_deg
         if isinstance(terrain, (str, Path)):
             terrain = load_terrain(terrain)
-        if terrain is None and SCENARIOS[scenario].default_field:
-            field = HazardField()
-            if rocks is not None:
-                field = replace(field, rock_abundance=rocks)
-            if slope_deg is not None:
-                field = replace(field, slope_rms_deg=slope_deg)
-            made, scale = hazard_field(generator, field), SCENARIOS[scenario].scale
+        if terrain is None and (scale := SCENARIOS[scenario].scale):
+            given: dict[str, Any] = {"rock_abundance": rocks, "slope_rms_deg": slope_deg}
+            field = HazardField(**{k: v for k, v in given.items() if v is not None})
+            made = hazard_field(generator, field)
             return Terrain(scale * made.x, scale * made.y, scale * made.elevation)
         if terrain is None and (rocks is not None or slope_deg is not None):
             raise SimulationError(f"{scenario} has no rocks and no field: give a terrain")
@@ -120,37 +119,30 @@ class Conditions:
 
     def lidar(self, field_of_view_deg: float, range_noise: float) -> FlashLidar:
         """Lidar of a scenario with the user's noise where one is given."""
-        return FlashLidar(
-            field_of_view_deg=field_of_view_deg,
-            range_noise=range_noise if self.range_noise is None else self.range_noise,
-            outliers=self.outliers,
-            dropouts=self.dropouts,
-        )
+        noise = range_noise if self.range_noise is None else self.range_noise
+        wrong: dict[str, Any] = {"outliers": self.outliers, "dropouts": self.dropouts}
+        return FlashLidar(field_of_view_deg, range_noise=noise, **wrong)
 
     def drifting(self, attitude_bias_deg: float, attitude_drift_deg: float) -> DriftingNavigation:
         """Navigation of a scenario, its errors as many times as large as the user says."""
-        usual = DriftingNavigation()
-        return DriftingNavigation(
-            self.navigation_error * usual.position_bias,
-            self.navigation_error * usual.position_drift,
-            self.navigation_error * attitude_bias_deg,
-            self.navigation_error * attitude_drift_deg,
-            conservatism=self.conservatism,
-        )
+        usual, many = DriftingNavigation(), self.navigation_error
+        place = many * usual.position_bias, many * usual.position_drift
+        turn = many * attitude_bias_deg, many * attitude_drift_deg
+        return DriftingNavigation(*place, *turn, conservatism=self.conservatism)
 
 
 def _box(terrain: Terrain, half: float) -> tuple[float, float, float, float]:
     """A square box about the terrain's centre, on its grid, clear of the DEM's edge."""
     xmin, xmax, ymin, ymax = terrain.bounds
-    centre = [
+    x, y = (
         GRID_SPACING * round(0.5 * (low + high) / GRID_SPACING)
         for low, high in ((xmin, xmax), (ymin, ymax))
-    ]
-    room = min(centre[0] - xmin, xmax - centre[0], centre[1] - ymin, ymax - centre[1]) - EDGE
+    )
+    room = min(x - xmin, xmax - x, y - ymin, ymax - y) - EDGE
     half = GRID_SPACING * float(np.floor(min(half, room) / GRID_SPACING + 1e-9))
     if half < 2.0:
         raise SimulationError("terrain: too small; a scan needs a DEM of at least 9 m by 9 m")
-    return (centre[0] - half, centre[0] + half, centre[1] - half, centre[1] + half)
+    return x - half, x + half, y - half, y + half
 
 
 def _centre(terrain: Terrain, box: tuple[float, float, float, float]) -> Array:
@@ -175,16 +167,8 @@ def _parabola(
         raise SimulationError(msg)
     box = _box(terrain, 60.0) if terrain else (-60.0, 60.0, -60.0, 60.0)
     times = _times(min(duration, 60.0), 1.0)
-    return FlightPlan(
-        surface=surface,
-        truth=truth,
-        lidar=given.lidar(10.0, 0.08),
-        trajectory=section_vi_trajectory(target_z),
-        navigation=WhiteNavigation(),
-        scan_times=times,
-        pose_times=times,
-        box=box,
-    )
+    trajectory, lidar = section_vi_trajectory(target_z), given.lidar(10.0, 0.08)
+    return FlightPlan(surface, truth, lidar, trajectory, WhiteNavigation(), times, times, box)
 
 
 def _morpheus(
@@ -192,9 +176,8 @@ def _morpheus(
 ) -> FlightPlan:
     """Section VII; a shorter ``duration`` sweeps a smaller box (20 m at least) as densely."""
     assert terrain is not None
-    half = float(np.clip(30.0 * np.sqrt(duration / 20.0), 10.0, 30.0))
-    box = _box(terrain, half)
-    rate, lead = 20.0, 0.1
+    box = _box(terrain, float(np.clip(30.0 * np.sqrt(duration / 20.0), 10.0, 30.0)))
+    rate = 20.0
     sweep = Sweep(
         centre_map=tuple(_centre(terrain, box)),
         half_x=0.5 * (box[1] - box[0]),
@@ -206,107 +189,70 @@ def _morpheus(
     )
     # Scans at 20 Hz, none on a pose; poses begin before the first scan and end after the last.
     scans = (np.arange(int(np.floor(duration * rate + 1e-9)), dtype=np.float64) + 0.37 / 5.0) / rate
-    return FlightPlan(
-        surface=terrain,
-        truth=terrain,
-        lidar=given.lidar(1.0, 0.06),
-        trajectory=sweep.trajectory(),
-        navigation=given.drifting(0.01, 0.0015),
-        scan_times=scans,
-        pose_times=_times(duration + 2.0 * lead, 100.0, -lead),
-        box=box,
-    )
-
-
-def _descent(
-    given: Conditions, terrain: Terrain | None, duration: float, flight: int
-) -> FlightPlan:
-    """From 200 m to 50 m above any terrain, looking down with 20°, 5 Hz; faster if shorter."""
-    return _looking_down(
-        given, terrain, duration, 30.0, 5.0, (200.0, 50.0), given.lidar(20.0, 0.06)
-    )
-
-
-def _drone(given: Conditions, terrain: Terrain | None, duration: float, flight: int) -> FlightPlan:
-    """From 25 m to 15 m above any terrain, looking down with 60°, 10 Hz; faster if shorter."""
-    lidar = given.lidar(60.0, 0.02)
-    plan = _looking_down(given, terrain, duration, 8.0, 10.0, (25.0, 15.0), lidar)
-    return replace(plan, spacing=0.25 * GRID_SPACING)
-
-
-def _depth(given: Conditions, terrain: Terrain | None, duration: float, flight: int) -> FlightPlan:
-    """A stereo camera from 15 m to 3 m above any terrain, 5 Hz; faster if shorter."""
-    camera = StereoCamera(dropouts=given.dropouts)
-    plan = _looking_down(given, terrain, duration, 4.0, 5.0, (15.0, 3.0), camera)
-    return replace(plan, spacing=0.25 * GRID_SPACING)
+    poses = _times(duration + 2.0 * LEAD, 100.0, -LEAD)
+    lidar, navigation = given.lidar(1.0, 0.06), given.drifting(0.01, 0.0015)
+    trajectory = sweep.trajectory()
+    return FlightPlan(terrain, terrain, lidar, trajectory, navigation, scans, poses, box)
 
 
 def _looking_down(
     given: Conditions,
     terrain: Terrain | None,
     duration: float,
+    flight: int,
+    *,
     half: float,
     rate: float,
     heights: tuple[float, float],
-    lidar: FlashLidar,
+    lidar: Callable[[Conditions], FlashLidar],
+    spacing: float = GRID_SPACING,
 ) -> FlightPlan:
-    """A descent between two heights over a box."""
+    """A descent between two heights over any terrain, m; faster if shorter."""
     assert terrain is not None
-    box, lead = _box(terrain, half), 0.1
+    box = _box(terrain, half)
+    trajectory = descent_trajectory(_centre(terrain, box), duration, *heights)
     count = max(int(np.floor(duration * rate + 1e-9)), 1)
-    return FlightPlan(
-        surface=terrain,
-        truth=terrain,
-        lidar=lidar,
-        trajectory=descent_trajectory(_centre(terrain, box), duration, *heights),
-        navigation=given.drifting(0.02, 0.005),
-        scan_times=(np.arange(count, dtype=np.float64) + 0.137) / rate,
-        pose_times=_times(duration + 2.0 * lead, 50.0, -lead),
-        box=box,
-    )
+    scans = (np.arange(count, dtype=np.float64) + 0.137) / rate
+    poses = _times(duration + 2.0 * LEAD, 50.0, -LEAD)
+    seen = terrain, terrain, lidar(given), trajectory, given.drifting(0.02, 0.005)
+    return FlightPlan(*seen, scans, poses, box, spacing)
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """A named flight: how to plan it, how long it lasts (s), what it needs, its field's scale.
-
-    The truth is that of ``lander`` unless another is given.
-    """
+    """A named flight: how to plan it, how long it lasts (s), the scale of its field (0: it has
+    none), and the lander whose safety is the truth unless another is given."""
 
     plan: Callable[[Conditions, Terrain | None, float, int], FlightPlan]
     duration: float
-    default_field: bool
     scale: float = 1.0
     lander: LandingGear = LandingGear()
 
 
+_SMALL = LandingGear(0.6, 0.02, 10.0, 0.08)
+_DESCENT = partial(
+    _looking_down, half=30.0, rate=5.0, heights=(200.0, 50.0), lidar=lambda of: of.lidar(20.0, 0.06)
+)
+_DRONE = partial(
+    _looking_down,
+    half=8.0,
+    rate=10.0,
+    heights=(25.0, 15.0),
+    lidar=lambda of: of.lidar(60.0, 0.02),
+    spacing=0.25 * GRID_SPACING,
+)
+_DEPTH = partial(
+    _looking_down,
+    half=4.0,
+    rate=5.0,
+    heights=(15.0, 3.0),
+    lidar=lambda of: StereoCamera(dropouts=of.dropouts),
+    spacing=0.25 * GRID_SPACING,
+)
 SCENARIOS: dict[str, Scenario] = {
-    "morpheus": Scenario(_morpheus, 20.0, True),
-    "parabola": Scenario(_parabola, 60.0, False),
-    "descent": Scenario(_descent, 30.0, True),
-    "depth": Scenario(_depth, 10.0, True, 0.35, LandingGear(0.6, 0.02, 10.0, 0.08)),
-    "drone": Scenario(_drone, 10.0, True, 0.35, LandingGear(0.6, 0.02, 10.0, 0.08)),
+    "morpheus": Scenario(_morpheus, 20.0),
+    "parabola": Scenario(_parabola, 60.0, 0.0),
+    "descent": Scenario(_DESCENT, 30.0),
+    "depth": Scenario(_DEPTH, 10.0, 0.35, _SMALL),
+    "drone": Scenario(_DRONE, 10.0, 0.35, _SMALL),
 }
-
-
-def plans(
-    scenario: str, flights: int, generator: np.random.Generator, conditions: Conditions
-) -> list[FlightPlan]:
-    """Flights over one ground, made or read.
-
-    Raises `SimulationError` if there is no such scenario, or if they do not fit the terrain.
-    """
-    if scenario not in SCENARIOS:
-        msg = f"unknown scenario {scenario!r}; there are {', '.join(sorted(SCENARIOS))}"
-        raise SimulationError(msg)
-    of = SCENARIOS[scenario]
-    seconds = of.duration if conditions.duration is None else float(conditions.duration)
-    terrain = conditions.ground(scenario, generator)
-    return [of.plan(conditions, terrain, seconds, number) for number in range(flights)]
-
-
-def quaternions(rotations: Array) -> Array:
-    """Unit quaternions (n, 4) x, y, z, w of rotations (n, 3, 3)."""
-    if not len(rotations):  # which SciPy 1.11 does not take
-        return np.zeros((0, 4))
-    return np.asarray(Rotation.from_matrix(rotations).as_quat())

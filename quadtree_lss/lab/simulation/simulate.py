@@ -6,6 +6,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -55,12 +56,11 @@ class SimulationResult:
             rows.append(("Truth", str(self.truth_path)))
         if self.safe_fraction is not None:
             rows.append(("Safe part of the box", f"{100.0 * self.safe_fraction:.1f} %"))
-        ends = (*self.starts[1:], None)
-        for k, (start, end) in enumerate(zip(self.starts, ends, strict=True), start=1):
-            if len(self.starts) > 1:
-                options = [f"--start {start:.1f}"] if start else []
-                options += [f"--duration {end - start:.1f}"] if end is not None else []
-                rows.append((f"Flight {k} alone", f"replay {' '.join(options)}"))
+        ends = (*self.starts[1:], None) if len(self.starts) > 1 else ()
+        for k, (start, end) in enumerate(zip(self.starts, ends, strict=False), start=1):
+            options = [f"--start {start:.1f}"] if start else []
+            options += [f"--duration {end - start:.1f}"] if end is not None else []
+            rows.append((f"Flight {k} alone", f"replay {' '.join(options)}"))
         width = max(len(label) for label, _ in rows)
         return "\n".join(f"{label:<{width}}  {value}" for label, value in rows)
 
@@ -139,10 +139,8 @@ def simulate(
 def _starts(flown: list[Leg]) -> tuple[float, ...]:
     """Tenths of seconds in the middle of the gaps before the flights."""
     first = flown[0].arrivals[0][0]
-    middles = [
-        (0.5 * (before.arrivals[-1][0] - first) + 0.5 * (leg.arrivals[0][0] - first)) * 1e-9
-        for before, leg in zip(flown[:-1], flown[1:], strict=True)
-    ]
+    gaps = [(one.arrivals[-1][0], other.arrivals[0][0]) for one, other in pairwise(flown)]
+    middles = ((0.5 * (begin - first) + 0.5 * (end - first)) * 1e-9 for begin, end in gaps)
     return (0.0, *(round(middle, 1) for middle in middles))
 
 

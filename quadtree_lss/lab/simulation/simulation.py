@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from quadtree_lss.lab.simulation.lidar import StereoCamera
 from quadtree_lss.lab.simulation.recording import (
@@ -19,13 +20,7 @@ from quadtree_lss.lab.simulation.recording import (
     Messages,
 )
 from quadtree_lss.lab.simulation.safety import LandingGear, safety_map
-from quadtree_lss.lab.simulation.scenarios import (
-    SCENARIOS,
-    Conditions,
-    FlightPlan,
-    plans,
-    quaternions,
-)
+from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions, FlightPlan
 from quadtree_lss.lab.simulation.terrain import SimulationError
 from quadtree_lss.onboard.arrays import Array
 
@@ -78,14 +73,19 @@ class Simulation:
         if seed < 0:
             raise SimulationError(f"seed must not be negative, not {seed}")
         self.scenario, self.seed, self.stopped = scenario, seed, False
-        terrain, navigation, lidar = map(
-            np.random.default_rng, np.random.SeedSequence(seed).spawn(3)
-        )
-        self._navigation, self._noise = navigation, lidar
+        seeds = np.random.SeedSequence(seed).spawn(3)
+        terrain, self._navigation, self._noise = map(np.random.default_rng, seeds)
         self.make = Messages()
         self.legs: list[Leg] = []
         start_ns = _START_NS
-        for plan in plans(scenario, flights, terrain, Conditions(**conditions)):
+        if scenario not in SCENARIOS:
+            msg = f"unknown scenario {scenario!r}; there are {', '.join(sorted(SCENARIOS))}"
+            raise SimulationError(msg)
+        of, given = SCENARIOS[scenario], Conditions(**conditions)
+        seconds = of.duration if given.duration is None else float(given.duration)
+        ground = given.ground(scenario, terrain)
+        for number in range(flights):
+            plan = of.plan(given, ground, seconds, number)
             self.legs.append(Leg(plan, start_ns))
             start_ns += round((plan.pose_times[-1] + _GAP_S) * 1e9)
 
@@ -113,7 +113,7 @@ class Simulation:
             plan = leg.plan
             poses = plan.trajectory.poses(plan.pose_times)
             estimate = plan.navigation.estimate(self._navigation, plan.pose_times, *poses)
-            rotations = quaternions(estimate.rotations)
+            rotations = Rotation.from_matrix(estimate.rotations).as_quat()
             for received_ns, kind, k in leg.arrivals:
                 if stop is not None and stop():
                     self.stopped = True
@@ -152,14 +152,14 @@ class Simulation:
             "elevation": dem.elevation,
             "safe_x": safe_x,
             "safe_y": safe_y,
-            "safe": safety_map(dem.x, dem.y, dem.elevation, safe_x, safe_y, lander),
+            "safe": safety_map(dem, safe_x, safe_y, lander),
             "box": np.array(self.box),
             "lander": np.array(lander.limits),
             "scan_stamp_ns": np.concatenate([leg.scan_ns[: leg.scans] for leg in flown]),
             "scan_position": np.concatenate([leg.positions[: leg.scans] for leg in flown]),
-            "scan_quaternion_xyzw": quaternions(
+            "scan_quaternion_xyzw": Rotation.from_matrix(
                 np.concatenate([leg.rotations[: leg.scans] for leg in flown])
-            ),
+            ).as_quat(),
             "scan_outline": np.concatenate([np.array(leg.outlines) for leg in flown]),
             "bag_name": np.array(bag_name),
             "seed": np.array(self.seed),

@@ -36,6 +36,11 @@ class Surface(Protocol):
         ...
 
 
+def spacing(axis: Array) -> float:
+    """Distance of neighbours of an even axis."""
+    return float(axis[-1] - axis[0]) / (axis.size - 1)
+
+
 def bilinear(posts_x: Array, posts_y: Array, elevation: Array, x: ArrayLike, y: ArrayLike) -> Array:
     """Elevation (m) at map coordinates of any equal shape; NaN outside the posts.
 
@@ -43,8 +48,8 @@ def bilinear(posts_x: Array, posts_y: Array, elevation: Array, x: ArrayLike, y: 
     """
     x_map, y_map = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
     nx, ny = posts_x.size, posts_y.size
-    u = (x_map - posts_x[0]) / (float(posts_x[-1] - posts_x[0]) / (nx - 1))
-    v = (y_map - posts_y[0]) / (float(posts_y[-1] - posts_y[0]) / (ny - 1))
+    u = (x_map - posts_x[0]) / spacing(posts_x)
+    v = (y_map - posts_y[0]) / spacing(posts_y)
     slack = 1e-9
     inside = (u >= -slack) & (u <= nx - 1 + slack) & (v >= -slack) & (v <= ny - 1 + slack)
     u, v = np.where(inside, u, 0.0), np.where(inside, v, 0.0)
@@ -74,9 +79,9 @@ class Terrain:
         if self.x.ndim != 1 or self.y.ndim != 1 or min(self.x.size, self.y.size) < 2:
             raise SimulationError("terrain: x and y must be vectors of at least two posts")
         if self.elevation.shape != (self.y.size, self.x.size):
+            expected = f"expected (ny, nx) = ({self.y.size}, {self.x.size})"
             raise SimulationError(
-                f"terrain: elevation has shape {self.elevation.shape}, "
-                f"expected (ny, nx) = ({self.y.size}, {self.x.size})"
+                f"terrain: elevation has shape {self.elevation.shape}, {expected}"
             )
         for name, axis in (("x", self.x), ("y", self.y)):
             steps = np.diff(axis)
@@ -88,10 +93,7 @@ class Terrain:
     @property
     def post(self) -> tuple[float, float]:
         """Distance between posts (m) along x and y."""
-        return (
-            float(self.x[-1] - self.x[0]) / (self.x.size - 1),
-            float(self.y[-1] - self.y[0]) / (self.y.size - 1),
-        )
+        return spacing(self.x), spacing(self.y)
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
@@ -157,10 +159,9 @@ class Parabola:
         hit = np.fmin(plane, bowl)
         return np.where(np.isfinite(hit) & (hit > 0.0), hit, np.nan)
 
-    def terrain(self, half_width: float = 70.0, post: float = 0.25) -> Terrain:
-        """Sample as a DEM about the origin (for the truth file)."""
-        count = round(2.0 * half_width / post) + 1
-        axis = np.linspace(-half_width, half_width, count)
+    def terrain(self) -> Terrain:
+        """Sample as a DEM of 140 m about the origin (for the truth file)."""
+        axis = np.linspace(-70.0, 70.0, 561)
         return Terrain(axis, axis, self.elevation_at(axis[None, :], axis[:, None]))
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
+from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain, spacing
 from quadtree_lss.lab.touchdown.legs import Legs
 from quadtree_lss.onboard.arrays import Array
 
@@ -42,15 +42,9 @@ class NoPhysics(SimulationError):
 
 @dataclass(frozen=True)
 class Arrival:
-    """The last moment of free flight, map frame; m, rad, s.
-
-    Attributes:
-        x, y: Of the middle of the pads' plane; its height follows from the ground.
-        velocity: (3,) of the centre of mass.
-        up: (3,) unit vector of the vehicle's axis.
-        heading: Of its x axis, from the map's.
-        turn: (3,) angular velocity.
-    """
+    """The last moment of free flight, map frame; m, rad, s: the middle of the pads' plane, whose
+    height follows from the ground; velocity (3,) of the centre of mass; unit vector ``up`` (3,) of
+    the vehicle's axis; heading of its x axis, from the map's; angular velocity ``turn`` (3,)."""
 
     x: float
     y: float
@@ -97,13 +91,9 @@ class Landed:
     film: Array
 
 
-def touch(legs: Legs, terrain: Terrain, arrival: Arrival, longest: float = LONGEST) -> Landed:
-    """One touchdown; the same for the same arguments.
-
-    Raises:
-        NoPhysics: the extra ``physics`` is not installed.
-        SimulationError: the touchdown is too near to the edge of the terrain.
-    """
+def touch(legs: Legs, terrain: Terrain, arrival: Arrival) -> Landed:
+    """One touchdown; the same for the same arguments. Raises `NoPhysics`: the extra ``physics`` is
+    not installed; `SimulationError`: it is too near to the edge of the terrain."""
     mujoco = engine()
     model, data, corner = placed(legs, terrain, arrival)
     posts, diameter = ground(legs, terrain, arrival), legs.gear.diameter
@@ -111,7 +101,7 @@ def touch(legs: Legs, terrain: Terrain, arrival: Arrival, longest: float = LONGE
     had = float(data.energy[1]) + legs.mass * legs.gravity * legs.gear.max_roughness
     film: list[Array] = []
     struck, calm, most, stroke, gained = False, 0, 0.0, 0.0, 0.0
-    while data.time < longest and calm < CALM:
+    while data.time < LONGEST and calm < CALM:
         if data.time * FILM >= len(film):
             film.append(np.r_[data.time, data.qpos[:7]])
         mujoco.mj_step(model, data, LOOK)
@@ -185,7 +175,7 @@ def ground(legs: Legs, terrain: Terrain, arrival: Arrival) -> tuple[Array, Array
     """Posts x (nx,), y (ny,) and elevation (ny, nx) about a touchdown, the terrain's among them."""
     reach, axes = REACH * legs.gear.diameter, []
     for axis, place in ((terrain.x, arrival.x), (terrain.y, arrival.y)):
-        post = float(axis[-1] - axis[0]) / (axis.size - 1)
+        post = spacing(axis)
         first, last = np.searchsorted(axis, (place - reach, place + reach))
         first, last = max(int(first) - 1, 0), min(int(last), axis.size - 1)
         least = (0.5 + SLID) * legs.gear.diameter
