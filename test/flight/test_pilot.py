@@ -4,11 +4,10 @@
 import numpy as np
 import pytest
 
-from quadtree_lss.lab.flight.pilot import Pilot, Rules, Target
+from quadtree_lss.lab.flight.pilot import Pilot, Rules
 from quadtree_lss.lab.flight.vehicle import Vehicle, VehicleState
 
 VEHICLE, RULES, COMMIT = Vehicle(), Rules(), 20.0
-NONE = Target(None)
 
 
 class Course:
@@ -37,7 +36,7 @@ class Course:
 
 
 def at(x, y):
-    return Target(np.array([x, y, 0.0]))
+    return np.array([x, y, 0.0])
 
 
 def whats(pilot):
@@ -87,7 +86,7 @@ def test_one_that_is_lost_leads_up_or_to_a_hover_and_the_next_one_down(height, t
     """Lost low, it is left upwards before another is flown to."""
     course = Course()
     course.fly(2.0).pilot.hear(at(3.0, 0.0))
-    course.below(height).pilot.hear(NONE)
+    course.below(height).pilot.hear(None)
     course.fly(then).pilot.hear(at(12.0, 0.0))
     assert said in whats(course.pilot)
     course.fly(15.0).pilot.hear(at(12.0, 0.0))

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.flight.gimbal import Gimbal, quaternion
 from quadtree_lss.lab.flight.ground import Ground, start
-from quadtree_lss.lab.flight.pilot import Pilot, Target
+from quadtree_lss.lab.flight.pilot import Pilot
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.flight.vehicle import VehicleState
 from quadtree_lss.lab.simulation.lidar import FlashLidar
@@ -112,9 +112,8 @@ class Flight:
         self._errors(navigation)
         planned = self.ground.planned + np.array([0.0, 0.0, scatter.normal(0.0, 1.0)])
         avoid = settings.avoidance in ("package", "paper")
-        if settings.avoidance == "perfect":
-            best = self.ground.best()
-            planned = planned if best is None else best
+        if settings.avoidance == "perfect" and (best := self.ground.best()) is not None:
+            planned = best
         config = flight_config(settings, self.ground)
         flown = settings.vehicle, settings.rules, planned
         self.pilot = Pilot(*flown, avoid=avoid, commit_height=config.lss.commit_height)
@@ -167,9 +166,6 @@ class Flight:
             off = off + JUMP
         return self.lander.position + off, self.lander.velocity + self._slip[self._ticks]
 
-    def hear(self, said: Target) -> None:
-        self.pilot.hear(said)
-
     def step(self) -> list[Sent]:
         """One tick: what was sent during it, in order."""
         position, velocity = self.navigated()
@@ -211,7 +207,7 @@ class Flight:
             "last_divert_height": diverts[-1].height if diverts else None,
             "hovered": "hover" in whats,
             "from_planned": float(np.hypot(*(place - self.ground.planned)[:2])),
-            **({} if self.landed is None else _on_legs(self.landed)),
+            **self._on_legs(),
         }
 
     @cached_property
@@ -226,16 +222,20 @@ class Flight:
         arrival = Arrival(x, y, lander.velocity, lander.direction, 0.0, lander.turn)
         return touch(legs, self.ground.terrain, arrival)
 
+    def _on_legs(self) -> dict[str, Any]:
+        if (found := self.landed) is None:
+            return {}
+        moved = {"physics_slid": found.slid, "physics_stroke": found.stroke}
+        return {"physics": found.outcome, "physics_tilt_deg": found.tilt_deg, **moved}
+
     def _errors(self, generator: np.random.Generator) -> None:
-        longest = round(self.settings.longest / TICK) + 2
-        times = TICK * np.arange(longest)
-        level = np.broadcast_to(np.eye(3), (longest, 3, 3))
-        model = DriftingNavigation()
-        found = model.estimate(generator, times, np.zeros((longest, 3)), level)
+        times = TICK * np.arange(round(self.settings.longest / TICK) + 2)
+        still = np.zeros((times.size, 3)), np.broadcast_to(np.eye(3), (times.size, 3, 3))
+        found = DriftingNavigation().estimate(generator, times, *still)
         self._offset, self._tilt = found.positions, found.rotations
         self._covariance = found.covariance
         slow = DriftingNavigation(position_bias=0.02, position_drift=0.01)
-        self._slip = slow.estimate(generator, times, np.zeros((longest, 3)), level).positions
+        self._slip = slow.estimate(generator, times, *still).positions
 
     def _sample(self) -> None:
         lander = self.lander
@@ -244,9 +244,7 @@ class Flight:
 
     def _fail(self, height: float) -> None:
         """Faults that begin and end now."""
-        for kind, until in list(self.active.items()):
-            if self.time >= until:
-                del self.active[kind]
+        self.active = {kind: until for kind, until in self.active.items() if self.time < until}
         for fault in [fault for fault in self._due if height <= fault.height]:
             self.active[fault.kind] = self.time + fault.seconds
             self.failed.append((fault.kind, self.time, self.active[fault.kind]))
@@ -276,7 +274,7 @@ class Flight:
             variances = np.diag(self._covariance)[:2] + self.settings.rules.miss**2
             yield from self._ask("landing/dispersion", variances)
             yield from self._ask("landing/target", pilot.aim)
-        if self.active.get("keep_out", 0.0) and "landing/keep_out" not in self._asked:
+        if "keep_out" in self.active and "landing/keep_out" not in self._asked:
             yield from self._ask("landing/keep_out", pilot.aim[:2] + 4.0 * SQUARE)
 
     def _first_area(self) -> Array:
@@ -317,15 +315,6 @@ class Flight:
             self.outcome = "time"
         if self.outcome:
             self._sample()
-
-
-def _on_legs(found: Landed) -> dict[str, Any]:
-    return {
-        "physics": found.outcome,
-        "physics_tilt_deg": found.tilt_deg,
-        "physics_slid": found.slid,
-        "physics_stroke": found.stroke,
-    }
 
 
 def flight_config(settings: FlightSettings, ground: Ground) -> Config:

@@ -68,24 +68,16 @@ def figure(flown: Flown) -> Figure:
 
 def _side(axes: Axes, flown: Flown) -> None:
     flight = flown.flight
-    rows = np.array([(s.time, s.x, s.y, s.z) for s in flight.samples])
-    place = flight.ground.planned
-    height = rows[:, 3] - place[2]
-    away = rows[:, 1] - place[0]
+    times, x, z = np.array([(s.time, s.x, s.z) for s in flight.samples]).T
+    away, height = x - flight.ground.planned[0], z - flight.ground.planned[2]
     axes.plot(away, height, color=PATH, lw=2)
     axes.axhline(flight.pilot.commit_height, color="0.5", lw=1, ls=":")
     for number, (began, what) in enumerate(_episodes(flown)):
-        k = int(np.abs(rows[:, 0] - began).argmin())
+        k = int(np.abs(times - began).argmin())
         axes.plot(away[k], height[k], "o", color=PLACE, zorder=3)
-        above = number % 2 == 0
-        axes.annotate(
-            f"{began:.1f} s: {what}",
-            (away[k], height[k]),
-            textcoords="offset points",
-            xytext=(6, 14) if above else (-6, -18),
-            ha="left" if above else "right",
-            fontsize="small",
-        )
+        offset, side = ((6, 14), "left") if number % 2 == 0 else ((-6, -18), "right")
+        text: dict[str, Any] = {"textcoords": "offset points", "xytext": offset, "ha": side}
+        axes.annotate(f"{began:.1f} s: {what}", (away[k], height[k]), **text, fontsize="small")
     axes.set(xlabel="from the planned point along the approach [m]", ylabel="height [m]")
     axes.set_title(headline(flown), fontsize="medium")
     axes.grid(alpha=0.3)
@@ -252,21 +244,13 @@ def _truth(content: Results, ground: Ground) -> tuple[Layer, Layer]:
         np.flatnonzero((at >= own[0] - 1e-6) & (at <= own[-1] + 1e-6))
         for at, own in ((y, at_y), (x, at_x))
     )
-    near_y, near_x = np.rint((y[rows] - at_y[0]) / GRID), np.rint((x[columns] - at_x[0]) / GRID)
-    stands[np.ix_(rows, columns)] = room[np.ix_(near_y.astype(int), near_x.astype(int))] <= 0.0
+    near = np.rint((y[rows] - at_y[0]) / GRID), np.rint((x[columns] - at_x[0]) / GRID)
+    stands[np.ix_(rows, columns)] = room[np.ix_(*(index.astype(int) for index in near))] <= 0.0
     limits = colour_limits(true[content.grid.seen] if content.grid.seen.any() else true)
+    words = ("stands", SAFE_COLOUR), ("falls", EXCLUDED_COLOUR), ("beyond", UNSEEN_COLOUR)
     return (
         Layer("truth", "True elevation", true, "m", limits=limits),
-        Layer(
-            "stands",
-            "Where a lander stands, in truth",
-            stands,
-            classes=(
-                ("stands", SAFE_COLOUR),
-                ("falls", EXCLUDED_COLOUR),
-                ("beyond", UNSEEN_COLOUR),
-            ),
-        ),
+        Layer("stands", "Where a lander stands, in truth", stands, classes=words),
     )
 
 

@@ -1,25 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One flight in lock-step, from a seed and settings to figures."""
+"""One flight in lock-step, from a seed and settings to figures.
+
+Both nodes do with each message what they do, without transport, in the flight's time: the functions
+are those that nodes and replay call, `Intake`, `Mapper`, `Passes`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-import numpy as np
-
+from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay.history import History
-from quadtree_lss.desk.replay.passes import TargetChange
+from quadtree_lss.desk.replay.passes import Passes, TargetChange
 from quadtree_lss.lab.flight.flight import Flight, Sent, flight_config
 from quadtree_lss.lab.flight.ground import Ground
-from quadtree_lss.lab.flight.lockstep import LockstepNodes
-from quadtree_lss.lab.flight.pilot import Target
 from quadtree_lss.lab.flight.settings import FlightSettings
+from quadtree_lss.lab.simulation.recording import Messages
+from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
+from quadtree_lss.onboard.core.landing.hazards import TOUCHDOWN, UNMAPPED, UNSEEN
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.prior import Prior
+from quadtree_lss.onboard.messages.intake import Intake
+from quadtree_lss.onboard.messages.landing_inputs import AREA, LandingWishes
 
+REPEAT_NS = 400_000_000
+"""``landing/selected`` is said again so often, as by lss_node."""
 OUTSIDE = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapping"}
 """Faults that hit a node."""
 
@@ -30,8 +41,9 @@ class Nodes(Protocol):
     def take(self, sent: Sent, now_ns: int) -> None:
         """A message of the flight."""
 
-    def work(self, now_ns: int) -> Sequence[Target]:
-        """Whatever is due at a time of the flight; what ``landing/selected`` says until then."""
+    def work(self, now_ns: int) -> Sequence[Array | None]:
+        """Whatever is due at a time of the flight; what ``landing/selected`` says until then:
+        places (3,), None for none."""
 
     def land_now(self) -> None:
         """Calls the service of that name."""
@@ -72,17 +84,15 @@ def flown(
     """One flight; with ``record`` all that its page shows. ``ground`` is of this seed, if it is
     there already; ``progress`` is told the seconds flown."""
     flight = Flight(seed, settings, ground)
-    nodes = None
-    if flight.looks:
-        config = flight_config(settings, flight.ground)
-        history = History() if record else None
-        nodes = LockstepNodes(config, settings.answer_delay, history, flight.prior)
+    if not flight.looks:
+        fly(flight, None, progress)
+        return Flown(flight, figures_of(seed, flight, None), None)
+    config, history = flight_config(settings, flight.ground), History() if record else None
+    nodes = LockstepNodes(config, settings.answer_delay, history, flight.prior)
     fly(flight, nodes, progress)
-    last = None if nodes is None else nodes.last
-    figures = figures_of(seed, flight, last)
-    prior = None if nodes is None else nodes.prior_offset
-    if nodes is None or not record:
-        return Flown(flight, figures, last, prior=prior)
+    figures, prior = figures_of(seed, flight, nodes.last), nodes.prior_offset
+    if not record:
+        return Flown(flight, figures, nodes.last, prior=prior)
     cells, at_end = nodes.finish(flight.stamp_ns)
     recorded = nodes.history, tuple(nodes.targets), nodes.told
     return Flown(flight, figures, at_end, cells, *recorded, prior)
@@ -106,7 +116,7 @@ def fly(flight: Flight, nodes: Nodes | None, progress: Callable[[float], None] |
             for message in sent:
                 nodes.take(message, flight.stamp_ns)
             for said in nodes.work(flight.stamp_ns):
-                flight.hear(said)
+                flight.pilot.hear(said)
         if progress is not None and int(100 * flight.time) % 100 == 0:
             progress(flight.time)
 
@@ -115,19 +125,134 @@ def figures_of(seed: int, flight: Flight, last: LandingAssessment | None) -> dic
     """What became of a flight, ready for JSON."""
     figures = {"seed": seed, "avoidance": flight.settings.avoidance, **flight.result()}
     warnings = "; ".join(() if last is None else last.doubts)
-    return figures | map_said(last, figures) | {"warnings": warnings}
+    said = "nothing" if last is None else map_said(last, figures["x"], figures["y"])
+    return figures | {"map_said": said, "warnings": warnings}
 
 
-def map_said(last: LandingAssessment | None, figures: Mapping[str, Any]) -> dict[str, Any]:
-    """What the last map said of the ground of the touchdown: safe, unsafe, unseen, unmapped
-    (seen, not yet mapped) or nothing."""
-    said = "nothing"
-    if last is not None:
-        column = int(np.abs(last.x - figures["x"]).argmin())
-        row = int(np.abs(last.y - figures["y"]).argmin())
-        said = "safe" if last.safe[row, column] else "margin"
-        if last.hazard[row, column] & 0x80:
-            said = "unmapped" if last.hazard[row, column] & 0x40 else "unseen"
-        elif last.hazard[row, column] & 0x08:
-            said = "unsafe"
-    return {"map_said": said}
+def map_said(last: LandingAssessment, x: float, y: float) -> str:
+    """What a map says of a place: safe, margin, unsafe, unseen, or unmapped, which is seen."""
+    at = int(abs(last.y - y).argmin()), int(abs(last.x - x).argmin())
+    hazard = int(last.hazard[at])
+    if hazard & UNSEEN:
+        return "unmapped" if hazard & UNMAPPED else "unseen"
+    return "unsafe" if hazard & TOUCHDOWN else "safe" if last.safe[at] else "margin"
+
+
+class LockstepNodes:
+    """mapping_node and lss_node of one configuration without transport. One that is killed loses
+    what it held in memory; what is latched comes back to it. ``answer_delay`` is from a pass to its
+    answer at the guidance, s; ``last`` the last answer that reached it; ``history``
+    notes all, ``targets`` are the changes of the target; ``prior`` is `Mapper`'s. It is a sink of
+    its passes."""
+
+    def __init__(
+        self,
+        config: Config,
+        answer_delay: float,
+        history: History | None = None,
+        prior: Prior | None = None,
+    ) -> None:
+        self._config, self._prior = config, prior
+        self._make = Messages(typestore(ros1=False).types, frame=config.frames.map)
+        self._delay_ns = round(1e9 * answer_delay)
+        self._wishes = LandingWishes(config.frames.map)
+        self._checkpoint: Any = None
+        self._checkpoint_ns = 0
+        self._down: set[str] = set()
+        self.last: LandingAssessment | None = None
+        self.history, self._noise_ratio = history, float("nan")
+        self.targets: list[TargetChange] = []
+        self._start_mapping()
+        self._start_lss()
+
+    def take(self, sent: Sent, now_ns: int) -> None:
+        topic, message = sent.topic, sent.message(self._make)
+        if topic == "nav/pose":
+            self._wishes.navigation.take(message)
+        if topic.startswith("landing/"):
+            self._wishes.take(topic.removeprefix("landing/"), message)
+            self._passes.landing_changed()
+        elif "mapping" in self._down:
+            return
+        elif topic == "nav/pose":
+            self._intake.on_pose(message)
+        else:
+            self._intake.on_cloud(message, now_ns)
+
+    def work(self, now_ns: int) -> list[Array | None]:
+        """Maps and assesses what is due; what ``landing/selected`` says now, if anything."""
+        if "mapping" not in self._down:
+            self._mapper.look_at(self._wishes.values[AREA])
+            for scan in self._intake.ready(now_ns):
+                report = self._mapper.update(scan.points_lidar, scan.pose, scan.sweep)
+                self._noise_ratio = report.noise_ratio
+                if self.history is not None:
+                    self.history.scan(scan)
+                self._passes.changed()
+            self._intake.notices()
+            if now_ns - self._checkpoint_ns >= 1e9 * self._config.checkpoint.interval:
+                self._checkpoint, self._checkpoint_ns = self._mapper.export_state(), now_ns
+        if "lss" in self._down:
+            return []
+        self._passes.tick(now_ns, self._mapper.snapshot)
+        if self._waiting and self._waiting[0][0] <= now_ns:
+            self._said = self.last = self._waiting.pop(0)[1]
+        elif self._said is None or now_ns - self._said_ns < REPEAT_NS:
+            return []
+        self._said_ns, said = now_ns, self._said
+        self._chosen = self._chosen or not said.undecided
+        if not self._chosen:  # as lss_node, of which the one before may have named a target
+            return []
+        return [said.selected.position.copy() if said.selected.id else None]
+
+    def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
+        """Nobody but lss_node hears it."""
+
+    def landing(self, now_ns: int, found: LandingAssessment) -> None:
+        """It reaches guidance after the delay."""
+        self._waiting.append((now_ns + self._delay_ns, found))
+
+    def land_now(self) -> None:
+        self._passes.land_now()
+
+    def finish(self, now_ns: int) -> tuple[CellMap | None, LandingAssessment | None]:
+        """The map at the end, and what is found on it; of the landing wishes, the last."""
+        self._passes.finish(now_ns, self._mapper.snapshot)
+        return self._passes.cells, self._passes.last
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """What guidance said last, how the returns scatter, and of the prior, for a summary."""
+        found = {"landing": self._wishes.as_lists(), "range_noise_ratio": self._noise_ratio}
+        return found | ({} if self.prior_offset is None else {"prior": self.prior_offset.values})
+
+    @property
+    def prior_offset(self) -> PriorOffset | None:
+        return self._mapper.prior_offset
+
+    def kill(self, node: str) -> None:
+        """``mapping`` or ``lss`` is no more; of the mapper its last map stays latched."""
+        self._down.add(node)
+
+    def respawn(self, node: str, *, checkpoint: bool = True) -> None:
+        """It is back, without what it had in memory."""
+        self._down.discard(node)
+        if node == "lss":
+            self._start_lss()
+        else:
+            self._start_mapping()
+            if checkpoint and self._checkpoint is not None:
+                self._mapper.import_state(self._checkpoint)
+        if self._mapper.stamp_ns:
+            self._passes.changed()
+
+    def _start_mapping(self) -> None:
+        self._intake, self._mapper = Intake(self._config), Mapper(self._config, self._prior)
+
+    def _start_lss(self) -> None:
+        self._waiting: list[tuple[int, LandingAssessment]] = []
+        self._said: LandingAssessment | None = None
+        self._said_ns, self._chosen = 0, False
+        sinks = [self, *([self.history] if self.history is not None else [])]
+        self._passes = Passes(self._config, self._wishes.arguments, sinks)
+        self._passes.changes = self.targets

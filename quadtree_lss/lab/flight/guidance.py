@@ -14,6 +14,7 @@ burns least is taken.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.integrate import trapezoid
@@ -58,14 +59,21 @@ def zem_zev(
     velocity: Array,
     end: Array,
     end_velocity: Array,
-    time_to_go: float,
+    time_to_go: float | Array,
     weight: Array,
 ) -> Array:
-    """Acceleration (3,) by thrust, now; all in the map frame, m and s."""
-    t = time_to_go
+    """Acceleration (..., 3) by thrust, now; all in the map frame, m and s."""
+    return _profile(position, velocity, end, end_velocity, time_to_go, weight)[0]
+
+
+def _profile(
+    position: Array, velocity: Array, end: Array, end_velocity: Array, t: Any, weight: Array
+) -> tuple[Array, Array]:
+    """The acceleration now, and its change until the end."""
     miss = end - position - velocity * t - 0.5 * weight * t * t
     wrong = end_velocity - velocity - weight * t
-    return 6.0 / (t * t) * miss - 2.0 / t * wrong
+    change = 6.0 / t * wrong - 12.0 / (t * t) * miss
+    return 6.0 / (t * t) * miss - 2.0 / t * wrong, change
 
 
 def paths(
@@ -79,12 +87,8 @@ def paths(
     limits: Limits,
 ) -> Paths:
     """What it takes to reach each of ``ends`` (K, 3) in each of ``times`` (M,)."""
-    t = times[None, :, None]
-    weight = vehicle.weight
-    miss = ends[:, None] - position - velocity * t - 0.5 * weight * t * t
-    wrong = end_velocity - velocity - weight * t
-    first = 6.0 / t**2 * miss - 2.0 / t * wrong
-    change = 6.0 / t * wrong - 12.0 / t**2 * miss
+    t, weight = times[None, :, None], vehicle.weight
+    first, change = _profile(position, velocity, ends[:, None], end_velocity, t, weight)
     at = _AT[:, None, None, None]
     acceleration = first + change * at  # (n, K, M, 3)
     s = at * t

@@ -26,7 +26,6 @@ class Rules:
     """How it is flown; m, s.
 
     Attributes:
-        limits: Of paths that can be flown.
         ease: Factor on the greatest tilt and thrust of the path that is flown, while there is a
             choice: the rest is for diverts and errors.
         gate: Height over the aim from which it is straight down.
@@ -55,12 +54,6 @@ class Rules:
     reserve: float = 15.0
 
 
-class Target(NamedTuple):
-    """What ``landing/selected`` said: a place, or None where there is none."""
-
-    place: Array | None
-
-
 class Decision(NamedTuple):
     """Something the pilot did, for the record: time, height over the aim, what, and where to."""
 
@@ -72,21 +65,10 @@ class Decision(NamedTuple):
 
 
 class Pilot:
-    """Guidance with its decisions.
-
-    Args:
-        vehicle: What it flies.
-        rules: How.
-        planned: (3,) point to be flown to until something is known.
-        avoid: False flies to the planned point whatever is said.
-        commit_height: ``lss.commit_height``: lower over the aim, no other target is flown to, m.
-
-    Attributes:
-        aim: (3,) where it is going to land by now.
-        target: The one that holds, None while there is none.
-        mode: See above.
-        decisions: What was done, in order.
-    """
+    """Guidance with its decisions, in order. ``planned``: (3,) point to be flown to until something
+    is known, and whatever is said unless ``avoid``. ``commit_height``: ``lss.commit_height``: lower
+    over the aim, no other target is flown to, m. ``aim``: (3,) where it is going to land by now.
+    ``target``: the one that holds, None while there is none. ``mode``: see above."""
 
     def __init__(
         self, vehicle: Vehicle, rules: Rules, planned: Array, *, avoid: bool, commit_height: float
@@ -108,31 +90,28 @@ class Pilot:
         """Too low for another target."""
         return self._height < self.commit_height
 
-    def hear(self, said: Target) -> None:
-        """Takes what ``landing/selected`` says, as often as it says it."""
+    def hear(self, place: Array | None) -> None:
+        """Takes what ``landing/selected`` says, as often as it says it: a place (3,), or None where
+        there is none."""
         if not self.avoid or self.mode in ("terminal", "abort"):
             return
-        if said.place is None:
-            if self.target is not None:
-                self.target = None
-                self._note("lost")
-            return
-        place = np.asarray(said.place, dtype=np.float64)
         first = self.target is None
-        if np.hypot(*(place - self.aim)[:2]) < 0.3:
+        if place is None:
+            self.target = None
+            if not first:
+                self._note("lost")
+        elif np.hypot(*(place - self.aim)[:2]) < 0.3:
             self.aim[2] = place[2]
             self.target = place
             if first:
                 self._resume("target")
-            return
-        if self.committed:
+        elif self.committed:
             self._note("too late", place)
-            return
-        if not self._reaches(place):
+        elif not self._reaches(place):
             self._note("out of reach", place)
-            return
-        self.aim, self.target = place.copy(), place
-        self._resume("target" if first else "divert")
+        else:
+            self.aim, self.target = place.copy(), place
+            self._resume("target" if first else "divert")
 
     def guide(self, now: float, position: Array, velocity: Array, mass: float) -> Array:
         """Thrust (3,), N, from navigation's position and velocity (3,) and the mass."""
@@ -281,9 +260,8 @@ class Pilot:
                 self.time_to_go = np.nan if found is None else found[0]
             if self.time_to_go > 1.5:
                 self.time_to_go -= 0.1
-                push = zem_zev(
-                    position, velocity, over, np.zeros(3), self.time_to_go, self.vehicle.weight
-                )
+                end, weight = (over, np.zeros(3)), self.vehicle.weight
+                push = zem_zev(position, velocity, *end, self.time_to_go, weight)
                 return thrust_for(self.vehicle, mass, push)
         push = np.clip(0.25 * off, -2.0, 2.0) - 0.8 * velocity
         push[:2] *= min(1.0, 0.5 * gravity / max(float(np.hypot(*push[:2])), 1e-9))

@@ -71,16 +71,13 @@ class FlightSettings:
 
     Attributes:
         avoidance: One of `AVOIDANCE`.
-        terrain: ``.npz`` as of ``simulate --terrain``; empty for a field of rocks and craters.
+        terrain: As of ``simulate --terrain``; empty for a field of rocks and craters.
         rock_abundance: Share of the ground that rocks cover; None for 0.05 on that field, and none
             on a terrain, over 100 m of which they are strewn otherwise.
-        range_noise, outliers, dropouts: Of the lidar.
         half: Half side of the candidate area about the planned point, m.
         slant_range, speed: At the start, on a glide slope of ``glide_slope_deg``.
         scatter: 1 sigma of the start's place, m; the speed's is a twentieth of it, m/s.
         config: Parameters by dotted key, over ``config/flight.yaml``.
-        vehicle, rules, plan: See there.
-        faults: What goes wrong.
         answer_delay: From a pass's begin to its answer at the guidance in lock-step, s.
         longest: Flights are ended after so many seconds.
         judge: ``contact``, four rigid pads set down, or ``physics`` beside it: legs that come down
@@ -108,35 +105,26 @@ class FlightSettings:
     judge: str = "contact"
 
     def __post_init__(self) -> None:
-        if self.avoidance not in AVOIDANCE:
-            msg = f"unknown avoidance {self.avoidance!r}; there are {', '.join(AVOIDANCE)}"
-            raise FlightError(msg)
-        if self.judge not in JUDGES:
-            raise FlightError(f"unknown judge {self.judge!r}; there are {', '.join(JUDGES)}")
+        for name, known in (("avoidance", AVOIDANCE), ("judge", JUDGES)):
+            if (value := getattr(self, name)) not in known:
+                raise FlightError(f"unknown {name} {value!r}; there are {', '.join(known)}")
         if self.judge == "physics":
             engine()
 
 
 def flight_settings(values: Mapping[str, Any]) -> FlightSettings:
-    """From plain values by name, as a study's file holds them.
-
-    ``faults`` are texts as of `Fault.read`; ``vehicle``, ``rules`` and ``plan`` mappings. Raises
-    `FlightError`: a name that does not exist, or a value that cannot be used.
-    """
-    base = FlightSettings()
-    known = {item.name for item in fields(FlightSettings)}
+    """From plain values by name, as a study's file holds them: ``faults`` are texts as of
+    `Fault.read`; ``vehicle``, ``rules`` and ``plan`` mappings. Raises `FlightError`: a name that
+    does not exist, or a value that cannot be used."""
+    base, known = FlightSettings(), sorted(item.name for item in fields(FlightSettings))
     given = dict(values)
-    for name in given:
-        if name not in known:
-            msg = f"unknown setting {name!r} of a flight; there are {', '.join(sorted(known))}"
-            raise FlightError(msg)
-    for name in ("vehicle", "rules", "plan"):
-        part = given.get(name)
-        if isinstance(part, Mapping):
-            try:
-                given[name] = replace(getattr(base, name), **part)
-            except TypeError as error:
-                raise FlightError(f"{name}: {error}") from None
-    faults = given.get("faults", ())
-    given["faults"] = tuple(f if isinstance(f, Fault) else Fault.read(str(f)) for f in faults)
+    if unknown := [name for name in given if name not in known]:
+        msg = f"unknown setting {unknown[0]!r} of a flight; there are {', '.join(known)}"
+        raise FlightError(msg)
+    for name in [part for part in ("vehicle", "rules", "plan") if part in given]:
+        try:
+            given[name] = replace(getattr(base, name), **given[name])
+        except TypeError as error:
+            raise FlightError(f"{name}: {error}") from None
+    given["faults"] = tuple(Fault.read(str(fault)) for fault in given.get("faults", ()))
     return replace(base, **given)

@@ -52,13 +52,8 @@ class DemoError(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class LiveResult:
-    """What the nodes published last.
-
-    Attributes:
-        cells: The map.
-        position: (K, 3) ranked sites, map frame, m.
-        table: (K,) records of ``SITE_FIELDS``.
-    """
+    """What the nodes published last: the map; ranked sites (K, 3), map frame, m; and their
+    ``table`` (K,), records of ``SITE_FIELDS``."""
 
     cells: CellMap
     position: NDArray[np.float64]
@@ -74,19 +69,12 @@ def run_live(
     rate: float = 1.0,
     given: int | None = None,
 ) -> LiveResult:
-    """Starts both nodes, plays the bag to them and waits for the sites on its last map.
+    """Starts both nodes with a ROS parameter file, plays the bag to them, ``rate`` bag seconds per
+    second, and waits for the sites on its last map, which is of ``last_stamp_ns``. Output of the
+    nodes goes to ``folder``. Without a ``given`` ROS domain it takes a free one.
 
-    Args:
-        bag: ROS 2 bag with scans and poses.
-        params: ROS parameter file for both nodes.
-        last_stamp_ns: Stamp of the last scan that can be mapped.
-        folder: For the nodes' output.
-        rate: Bag seconds per second.
-        given: ROS domain; None takes a free one.
-
-    Raises:
-        DemoError: the sites did not come, or others published what the nodes did.
-        ProcessError: a node ended by itself, or not cleanly when told to.
+    Raises `DemoError`: the sites did not come, or others published what the nodes did;
+    `ProcessError`: a node ended by itself, or not cleanly when told to.
     """
     # No scan may be lost, however busy the computer is: this is compared with a replay.
     depth = "qos_overrides./lidar/points.subscription.depth:=500"

@@ -18,11 +18,11 @@ from quadtree_lss.desk.player.player import PlayError, wait_for_subscribers
 from quadtree_lss.desk.replay.configuration import dump_config
 from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent, flight_config
 from quadtree_lss.lab.flight.fly import Flown, figures_of, fly
-from quadtree_lss.lab.flight.pilot import Target
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.live.listener import TOPICS, Listener
 from quadtree_lss.lab.live.processes import NodeProcess, local_domain, refuse_company, strangers
 from quadtree_lss.lab.simulation.recording import CLOUD, POSE, Messages
+from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -46,16 +46,11 @@ class Heard(NamedTuple):
     """What ``landing/selected`` said, and at which tick of the flight guidance heard it."""
 
     tick: int
-    said: Target
+    said: Array | None
 
 
 class LiveFlight(NamedTuple):
-    """A flight that has ended.
-
-    Attributes:
-        flown: As in lock-step.
-        heard: Every answer, with which the flight can be flown again without ROS.
-    """
+    """A flight that has ended, and every answer, with which it can be flown again without ROS."""
 
     flown: Flown
     heard: tuple[Heard, ...]
@@ -70,21 +65,16 @@ def fly_live(
     progress: Callable[[float], None] | None = None,
     domain: int | None = None,
 ) -> LiveFlight:
-    """Starts both nodes, flies with them, and ends them.
+    """Starts both nodes, flies with them, and ends them; arguments as of ``flight.fly.flown``.
 
-    Args:
-        seed, settings: As of ``flight.fly.flown``; the avoidance must be one by the nodes.
-        folder: For parameters, checkpoint and the nodes' output.
-        rate: Seconds of flight per second; where the computer is slower, so is ``/clock``.
-        progress: Told the seconds flown, now and then.
-        domain: ROS domain; None takes a free one.
+    The avoidance must be one by the nodes, whose parameters, checkpoint and output go to
+    ``folder``. ``rate`` is seconds of flight per second; where the computer is slower, so is
+    ``/clock``. Without a ROS ``domain`` it takes a free one. Nodes that end are started again
+    (``restarts``). Where others published what we do, the outcome is ``disturbed``, and ``others``
+    says who.
 
-    Nodes that end are started again (``restarts``). Where others published what we do, the outcome
-    is ``disturbed``, and ``others`` says who.
-
-    Raises:
-        PlayError: the nodes did not start in time.
-        ProcessError: a node is not installed or ended at its start, or others are in the domain.
+    Raises `PlayError`: the nodes did not start in time; `ProcessError`: a node is not installed or
+    ended at its start, or others are in the domain.
     """
     flight = Flight(seed, settings)
     config = flight_config(settings, flight.ground)
@@ -102,13 +92,8 @@ def fly_live(
 
 
 class LiveNodes:
-    """Both nodes as processes that end with ``stack``; those that end before are started again.
-
-    Attributes:
-        starts: How often each was started.
-        heard: What ``landing/selected`` said.
-        others: Topics that others published, with their nodes.
-    """
+    """Both nodes as processes that end with ``stack``; those that end before are started again:
+    ``starts`` is how often each was. ``others``: topics that others published, with their nodes."""
 
     def __init__(
         self, stack: ExitStack, config: Config, folder: Path, rate: float, domain: int | None
@@ -137,7 +122,7 @@ class LiveNodes:
             for topic, kind in KINDS.items()
         }
         self._service = node.create_client(Trigger, "lss_node/land_now")
-        self._said: list[Target] = []
+        self._said: list[Array | None] = []
         node.create_subscription(TOPICS[SELECTED], SELECTED, self._hear, latched())
         refuse_company(node, dict.fromkeys(SPOKEN, 1) | dict.fromkeys(HEARD, 0))
         self.starts = {"mapping": 0, "lss": 0}
@@ -159,7 +144,7 @@ class LiveNodes:
         """Publishes a message."""
         self._publishers[sent.topic].publish(sent.message(self._make))
 
-    def work(self, now_ns: int) -> list[Target]:
+    def work(self, now_ns: int) -> list[Array | None]:
         """Tells the time, waits for its moment, and returns what was said until then."""
         self._clock.publish(Clock(clock=time_message(now_ns)))
         seconds = 1e-9 * (now_ns - START_NS)
@@ -212,4 +197,4 @@ class LiveNodes:
     def _hear(self, message: Any) -> None:
         place = message.pose.pose.position
         known = not math.isnan(place.x)
-        self._said.append(Target(np.array([place.x, place.y, place.z]) if known else None))
+        self._said.append(np.array([place.x, place.y, place.z]) if known else None)

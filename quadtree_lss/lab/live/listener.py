@@ -24,18 +24,9 @@ TOPICS: Mapping[str, Any] = {name: TYPES[kind] for name, kind in TOPIC_TYPES.ite
 
 
 class Listener:
-    """Context manager that holds the newest message of each topic.
-
-    Args:
-        domain: ROS domain to listen in.
-        topics: Names and types, each latched; all of ours by default.
-        name: Of the node.
-
-    Attributes:
-        node: For publishers and clients of the user's own.
-        newest: Last message by topic.
-        diagnostics: Last status by name.
-    """
+    """Context manager that holds the ``newest`` message of each latched topic, by default of all of
+    ours, and the last status of ``diagnostics`` by name. ``node`` is for publishers and clients of
+    the user's own."""
 
     def __init__(
         self, domain: int, topics: Mapping[str, Any] = TOPICS, name: str = "listener"

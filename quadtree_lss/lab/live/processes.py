@@ -77,11 +77,8 @@ class ProcessError(QuadtreeLssError):
 
 
 def program(name: str) -> Path:
-    """Path of an installed executable as ``ros2 run quadtree_lss <name>`` finds it.
-
-    Raises:
-        ProcessError: it is not installed.
-    """
+    """Path of an installed executable as ``ros2 run quadtree_lss <name>`` finds it. Raises
+    `ProcessError`: it is not installed."""
     prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     for prefix in (sys.prefix, *prefixes):
         path = Path(prefix) / "lib" / PACKAGE / name
@@ -93,23 +90,15 @@ def program(name: str) -> Path:
 
 @dataclass(frozen=True)
 class LocalDomain:
-    """A ROS domain that stays on this computer.
-
-    Attributes:
-        number: ``ROS_DOMAIN_ID``.
-        env: Environment of the processes that take part in it.
-    """
+    """A ROS domain that stays on this computer: its ``ROS_DOMAIN_ID``, and the environment of the
+    processes that take part in it."""
 
     number: int
     env: dict[str, str]
 
 
 def given_domain() -> int | None:
-    """What ``ROS_DOMAIN_ID`` says, None without it.
-
-    Raises:
-        ProcessError: it is no domain.
-    """
+    """What ``ROS_DOMAIN_ID`` says, None without it. Raises `ProcessError`: it is no domain."""
     text = os.environ.get("ROS_DOMAIN_ID", "")
     if not text:
         return None
@@ -120,12 +109,8 @@ def given_domain() -> int | None:
 
 
 def strangers(node: Any, ours: Mapping[str, int]) -> list[str]:
-    """Topics that more publish than we do, each with the nodes that do.
-
-    Args:
-        node: Of rclpy.
-        ours: How many of us publish each.
-    """
+    """Topics that more publish than we do, each with the nodes that do. ``ours``: how many of us
+    publish each."""
     found = []
     for topic, count in ours.items():
         there = node.get_publishers_info_by_topic(topic)
@@ -136,11 +121,8 @@ def strangers(node: Any, ours: Mapping[str, int]) -> list[str]:
 
 
 def refuse_company(node: Any, ours: Mapping[str, int]) -> None:
-    """Look before we speak.
-
-    Raises:
-        ProcessError: others are there that publish what we shall; arguments as of `strangers`.
-    """
+    """Look before we speak: raises `ProcessError` where others publish what we shall; arguments as
+    of `strangers`."""
     time.sleep(LOOK_S)
     if found := strangers(node, ours):
         msg = f"others in this ROS domain publish {'; '.join(found)}: set another ROS_DOMAIN_ID"
@@ -149,17 +131,10 @@ def refuse_company(node: Any, ours: Mapping[str, int]) -> None:
 
 @contextmanager
 def local_domain(log_dir: Path, given: int | None = None) -> Iterator[LocalDomain]:
-    """A ROS domain of one's own, for this process and those started with its environment.
-
-    However many ask at once on this computer, each has another one until it leaves the context.
-
-    Args:
-        log_dir: For ROS's logs.
-        given: Take this one, who else may be there.
-
-    Raises:
-        ProcessError: all domains are taken, or another asked for the given one.
-    """
+    """A ROS domain for this process and those started with its environment: the ``given`` one,
+    whoever else may be there, or one of one's own. However many ask at once on this computer, each
+    has another one until it leaves the context. Raises `ProcessError`: all domains are taken, or
+    another asked for the given one."""
     number, reservation = _reserve_domain() if given is None else (given, None)
     reservation = reservation or _bound(number, RESERVATION_PORT)
     if reservation is None:
@@ -219,14 +194,8 @@ def _local_environment(domain: int, log_dir: Path) -> dict[str, str]:
 
 
 class NodeProcess:
-    """One of our nodes as a process; ends it when the context is left.
-
-    Args:
-        name: Executable, ``mapping_node`` or ``lss_node``.
-        ros_args: What follows ``--ros-args``.
-        env: Its environment.
-        log: File that takes its output.
-    """
+    """One of our nodes as a process, with what follows ``--ros-args`` and a file that takes its
+    output; ends it when the context is left."""
 
     def __init__(self, name: str, ros_args: Sequence[str], env: dict[str, str], log: Path) -> None:
         self.name = name
