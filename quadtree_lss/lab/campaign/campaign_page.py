@@ -125,15 +125,12 @@ def _reliability(kind: Kind, flights: Sequence[Record]) -> list[tuple[str, ...]]
     rows = []
     for quantity in kind.quantities:
         expected = quantity.name.replace("_unsafe", "_expected")
-        if quantity.of is None or not any(expected in record.figures for record in flights):
-            continue
-        if expected == quantity.name:
-            continue
-        line = line_of(quantity, flights)
-        total = np.nansum([number(record, expected) for record in flights])
-        _, _, interval, _, _ = line.cells()
-        label = quantity.label.rpartition(" told ")[2]
-        rows.append((label, f"{line.count}", f"{total:.0f}", f"{line.events}", interval))
+        told = expected != quantity.name and any(expected in record.figures for record in flights)
+        if quantity.of is not None and told:
+            line, label = line_of(quantity, flights), quantity.label.rpartition(" told ")[2]
+            total = np.nansum([number(record, expected) for record in flights])
+            counts = f"{line.count}", f"{total:.0f}", f"{line.events}"
+            rows.append((label, *counts, line.cells()[2]))
     return rows
 
 

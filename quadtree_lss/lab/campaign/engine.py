@@ -23,8 +23,6 @@ from quadtree_lss.onboard.errors import one_line
 
 Progress = Callable[[int, int], None]
 """Called with the flights that are done and the flights there are."""
-
-REMEDY = "pip install 'quadtree_lss[campaign]'"
 SETTINGS = {
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 1 << 30,
     "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 1 << 30,
@@ -34,7 +32,6 @@ SETTINGS = {
 has them look at their own stack a hundred times a second and keep what they saw for 1,000 s."""
 LOCAL = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
 LOCAL |= {"processes": True, "silence_logs": logging.CRITICAL}
-"""Of the workers of this computer."""
 LOOK_S = 0.5
 TIMED_OUT = (TimeoutError, asyncio.TimeoutError)
 """One and the same from Python 3.11 on."""
@@ -56,46 +53,36 @@ def campaign(
     out: str | Path,
     where: Where | None = None,
     *,
-    rerun: Collection[int] | None = None,
+    rerun: Collection[int] = (),
     rerun_failed: bool = False,
     progress: Progress | None = None,
     stop: Callable[[], bool] | None = None,
     tell: Callable[[str], None] | None = None,
 ) -> CampaignResult:
-    """Flies what of a study has no file yet, and writes the summary.
+    """Flies what of a study has no file in the folder ``out`` yet, or is to be flown again
+    (``rerun`` by number), and writes the summary. ``stop`` is asked now and then: True keeps and
+    sums up what is done. ``tell`` gets the address of the dashboard.
 
-    Args:
-        study: See `study.read_study`.
-        out: Folder; flights that were flown there are not flown again.
-        where: Who flies.
-        rerun: Numbers of flights to fly again.
-        rerun_failed: Fly those again that failed.
-        progress: See `Progress`.
-        stop: Asked now and then; once it answers True, what is done is kept and summed up.
-        tell: Gets the address of the dashboard.
-
-    Raises:
-        CampaignError: the study cannot be flown there, or Dask is not installed.
-        KeyboardInterrupt: stopped before a flight was done.
+    Raises `CampaignError`: the study cannot be flown there, or Dask is not installed;
+    KeyboardInterrupt: stopped before a flight was done.
     """
     store, stopped = Store(out), stop or (lambda: False)
     with store.opened():
-        for index in rerun or ():
+        for index in rerun:
             if not 0 <= index < study.count:
                 msg = f"there is no flight {index}; the study has 0 to {study.count - 1}"
                 raise CampaignError(msg)
             store.forget(study.case(index))
         records: dict[int, Record] = {}
-        for index in range(study.count):
-            record = store.read(study.case(index))
+        for case in map(study.case, range(study.count)):
+            record = store.read(case)
             if record is not None and record.error and rerun_failed:
-                store.forget(study.case(index))
+                store.forget(case)
             elif record is not None:
-                records[index] = record
+                records[case.index] = record
         missing = iter(i for i in range(study.count) if i not in records)
         tell_progress = progress or (lambda done, total: None)
         tell_progress(len(records), study.count)
-        interrupted = False
         if len(records) < study.count:
             with _client(where or Where()) as client:
                 if tell is not None:
@@ -103,7 +90,7 @@ def campaign(
                 for record in _fly_all(client, study, store, missing, stopped):
                     records[record.index] = record
                     tell_progress(len(records), study.count)
-                interrupted = stopped() and len(records) < study.count
+        interrupted = len(records) < study.count
         if interrupted and not records:
             raise KeyboardInterrupt
         result = CampaignResult(store.out, study, dict(sorted(records.items())), interrupted)
@@ -112,11 +99,8 @@ def campaign(
 
 
 def flagged(out: str | Path) -> list[int]:
-    """The flights that the campaign's page names as the worst.
-
-    Raises:
-        CampaignError: there is no campaign.
-    """
+    """The flights that the campaign's page names as the worst. Raises `CampaignError`: there is
+    none."""
     try:
         worst = json.loads((Path(out) / "campaign.json").read_text("utf-8"))["worst"]
         return sorted({int(index) for pairs in worst.values() for index, _ in pairs})
@@ -125,11 +109,8 @@ def flagged(out: str | Path) -> list[int]:
 
 
 def keep(study: Study, out: str | Path, index: int) -> Path:
-    """Flies flight ``index`` again; returns the folder with what it left.
-
-    Raises:
-        CampaignError: there is no such flight.
-    """
+    """Flies flight ``index`` again; returns the folder with what it left. Raises `CampaignError`:
+    there is no such flight."""
     if not 0 <= index < study.count:
         raise CampaignError(f"there is no flight {index}")
     folder = Path(out) / "kept" / f"{index:06d}"
@@ -200,9 +181,7 @@ def _take(future: Any, case: Case, store: Store) -> Record:
         why = one_line(f"{type(error).__name__}: {error}") if error else "it was cancelled"
         return store.write(case, {}, why)
     answer = future.result()
-    if isinstance(answer, str):
-        return store.write(case, {}, answer)
-    return store.write(case, answer)
+    return store.write(case, *(({}, answer) if isinstance(answer, str) else (answer,)))
 
 
 @contextlib.contextmanager
@@ -212,7 +191,8 @@ def _client(where: Where) -> Iterator[Any]:
         import dask
         from dask.distributed import Client
     except ImportError as error:
-        raise CampaignError(f"campaigns need Dask: {REMEDY}") from error
+        msg = "campaigns need Dask: pip install 'quadtree_lss[campaign]'"
+        raise CampaignError(msg) from error
     there = {"address": where.scheduler_address, "scheduler_file": where.scheduler_file}
     there = {name: value for name, value in there.items() if value}
     if len(there) + bool(where.workers) > 1:

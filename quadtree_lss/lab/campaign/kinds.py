@@ -32,18 +32,10 @@ class CampaignError(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class Case:
-    """One flight of a study, with everything decided.
-
-    Attributes:
-        index: Number of the flight in the study, from 0.
-        kind: See `kind_of`.
-        scenario: What is flown.
-        seed: Of everything that is random in it.
-        conditions: What differs from the scenario's own, by the names that the kind knows.
-        parameters: All parameters, dotted; see `config.settings.values_from_config`.
-        labels: What varies over the study, by name, for tables and plots.
-        version, build: Of the package that is to fly it.
-    """
+    """One flight of a study, with everything decided: its number, from 0; the seed of all that is
+    random in it; ``conditions`` that differ from the scenario's own, by the names that the kind
+    knows; all ``parameters``, dotted; ``labels``: what varies over the study, for tables and plots;
+    version and build of the package that is to fly it."""
 
     index: int
     kind: str
@@ -79,17 +71,10 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Kind:
-    """How to fly a case, and what its figures mean.
-
-    Attributes:
-        fly: Gives the figures of a case; raises `QuadtreeLssError` if it fails.
-        keep: Flies a case again and leaves everything there is to see in a folder.
-        page: The page in that folder.
-        scenarios, conditions: Names that a study may use.
-        quantities: Of the table.
-        first: Figure that the page's points show first; empty for the first mean.
-        by: Figures that may explain it, beside what the study varies.
-    """
+    """How to fly a case, and what its figures mean. ``fly`` raises `QuadtreeLssError` if it fails;
+    ``keep`` leaves everything there is to see in a folder, with a ``page``. A study may use the
+    names of ``scenarios`` and ``conditions``. The page's points show ``first`` first (empty: the
+    first mean), and it may be explained ``by`` those figures, beside what the study varies."""
 
     fly: Callable[[Case], Figures]
     keep: Callable[[Case, Path], None]

@@ -11,6 +11,7 @@ import numpy as np
 
 from quadtree_lss.desk.bags.bag import MessageBag, Topic
 from quadtree_lss.desk.replay.configuration import load_config
+from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.campaign.kinds import Case, Figures, Kind, Quantity
 from quadtree_lss.lab.evaluation.evaluate import EvaluationResult, evaluate, score
@@ -89,18 +90,13 @@ def figures(scores: EvaluationResult, results: Results, truth: Truth) -> Figures
         "truly_safe": 100.0 * float(truth.safe.mean()),
         "true_slope_deg": float(np.degrees(np.arctan(np.median(np.hypot(rise_x, rise_y))))),
     }
-    found |= risks(scores.risk)
-    return {
-        name: None if value is None or not np.isfinite(value) else value
-        for name, value in found.items()
-    }
+    whole: Figures = plain(found | risks(scores.risk))
+    return whole
 
 
 def risks(of: Reliability | None) -> dict[str, float | int | None]:
-    """Scores of the predicted risks, and how many grid points failed of those told such a risk.
-
-    By bin of ``TOLD``, beside how many were expected to. Of a map without risks there are none.
-    """
+    """Scores of the predicted risks, and how many grid points failed of those told such a risk, by
+    bin of ``TOLD``, beside how many were expected to. Of a map without risks there are none."""
     bins = {} if of is None else {one.low: one for one in of.bins}
     found: dict[str, float | int | None] = {
         "brier": None if of is None else of.brier,
@@ -116,16 +112,9 @@ def risks(of: Reliability | None) -> dict[str, float | int | None]:
 
 
 def keep(case: Case, folder: Path) -> None:
-    config = load_config([], case.parameters)
-    options: dict[str, Any] = dict(case.conditions)
-    simulate(
-        case.scenario,
-        folder / "bag",
-        seed=case.seed,
-        overwrite=True,
-        lander=lander_of(config),
-        **options,
-    )
+    config, given = load_config([], case.parameters), dict[str, Any](case.conditions)
+    given |= {"seed": case.seed, "overwrite": True, "lander": lander_of(config)}
+    simulate(case.scenario, folder / "bag", **given)
     replay(folder / "bag", folder / "results", config)
     evaluate(folder / "results", folder / "truth.npz", folder / "evaluation", consistency=False)
 

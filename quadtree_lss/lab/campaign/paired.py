@@ -59,16 +59,13 @@ class Comparison:
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
-        rows = {d.quantity.name: numbers(d) for d in self.differences}
-        whole: dict[str, Any] = plain({"differences": rows, "unpaired": self.unpaired})
-        return whole
+        rows = {d.quantity.name: plain(numbers(d)) for d in self.differences}
+        return {"differences": rows, "unpaired": self.unpaired}
 
 
 def compare_campaigns(first: str | Path, second: str | Path) -> Comparison:
-    """Compare two campaigns' folders, whose flights are paired by number and seed.
-
-    Raises `CampaignError` if they are of different kinds or have no pair.
-    """
+    """Compare two campaigns' folders, whose flights are paired by number and seed. Raises
+    `CampaignError`: they are of different kinds or have no pair."""
     (kind, one), (other_kind, two) = read_campaign(Path(first)), read_campaign(Path(second))
     if kind != other_kind:
         raise CampaignError(f"{first} is of kind {kind}, {second} of {other_kind}")

@@ -53,12 +53,10 @@ def _hash_of(path: str) -> str:
     try:
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
     except OSError as error:
-        msg = f"{path}: {error.strerror}"
-        raise CampaignError(msg) from error
+        raise CampaignError(f"{path}: {error.strerror}") from error
 
 
 def record_name(index: int, key: str) -> str:
-    """Name of a flight's file."""
     return f"{index:06d}-{key}.json"
 
 
@@ -76,35 +74,26 @@ class Store:
             self._flights.mkdir(parents=True, exist_ok=True)
             lock = (self.out / ".lock").open("w")
         except OSError as error:
-            msg = f"{self.out}: cannot be written: {error.strerror}"
-            raise CampaignError(msg) from error
+            raise CampaignError(f"{self.out}: cannot be written: {error.strerror}") from error
         with lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
-                msg = f"{self.out}: another campaign runs there"
-                raise CampaignError(msg) from None
+                raise CampaignError(f"{self.out}: another campaign runs there") from None
             yield
 
     def path(self, case: Case) -> Path:
-        """File of a flight."""
         return self._flights / record_name(case.index, key_of(case))
 
     def read(self, case: Case) -> Record | None:
-        """The record of a flight, None if it has not been flown.
-
-        Raises:
-            CampaignError: what is there is no record of it.
-        """
+        """The record of a flight, None if it has not been flown; raises as of `read_record`."""
         path = self.path(case)
         return read_record(path) if path.exists() else None
 
     def write(self, case: Case, figures: dict[str, Value], error: str = "") -> Record:
         """Keep what a flight gave."""
-        labels = dict(case.labels)
-        of = (case.index, case.seed, case.scenario, labels)
-        made_by = (key_of(case), case.version, case.build)
-        record = Record(*of, plain(figures), error, *made_by)
+        of = case.index, case.seed, case.scenario, dict(case.labels)
+        record = Record(*of, plain(figures), error, key_of(case), case.version, case.build)
         content = plain(asdict(record))
         text = json.dumps({**content, "checksum": _checksum(content)}, indent=1, allow_nan=False)
         write_bytes(self.path(case), (text + "\n").encode())
@@ -116,11 +105,7 @@ class Store:
 
 
 def read_record(path: Path) -> Record:
-    """A flight's file.
-
-    Raises:
-        CampaignError: it is none, or was changed or copied.
-    """
+    """A flight's file. Raises `CampaignError`: it is none, or was changed or copied."""
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
         told = content.pop("checksum")

@@ -20,8 +20,9 @@ from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.results import versions
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Kind, Value, kind_of
 from quadtree_lss.lab.campaign.store import MOST_FLIGHTS
+from quadtree_lss.lab.evaluation.risk_families import even
 from quadtree_lss.onboard.config.settings import values_from_config
-from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
+from quadtree_lss.onboard.config.yaml_text import YamlError, read_yaml
 
 KEYS = tuple("name kind scenario config seed flights seeds conditions parameters cases".split())
 OF_CASES = ("name", "scenario", "config", "conditions", "parameters")
@@ -29,9 +30,7 @@ OF_CASES = ("name", "scenario", "config", "conditions", "parameters")
 
 DRAWN: dict[str, Callable[[np.random.Generator, float, float], float]] = {
     "uniform": lambda generator, low, high: float(generator.uniform(low, high)),
-    "log_uniform": lambda generator, low, high: float(
-        np.exp(generator.uniform(np.log(low), np.log(high)))
-    ),
+    "log_uniform": even,
     "normal": lambda generator, mean, sigma: float(generator.normal(mean, sigma)),
 }
 
@@ -44,7 +43,6 @@ class Drawn:
     of: tuple[Any, ...]
 
     def draw(self, generator: np.random.Generator) -> Value:
-        """One value."""
         if self.how == "choice":
             chosen: Value = self.of[int(generator.integers(len(self.of)))]
             return chosen
@@ -57,16 +55,9 @@ Combination = Mapping[tuple[str, str], Any]
 
 @dataclass(frozen=True)
 class Study:
-    """Flights by number; `case` gives each.
-
-    Attributes:
-        name: For people.
-        kind: See `kinds.kind_of`.
-        seed: Entropy of the flights' seeds, unless ``seeds`` names them.
-        repeats: Flights of each combination.
-        combinations: What of the lists goes together, in turn.
-        files: Configurations of each case.
-    """
+    """Flights by number; `case` gives each. ``seed`` is the entropy of the flights' seeds, unless
+    ``seeds`` names them; ``repeats`` the flights of each combination of what the lists hold;
+    ``files`` the configurations of each case."""
 
     name: str
     kind: str
@@ -79,7 +70,6 @@ class Study:
 
     @property
     def count(self) -> int:
-        """Number of flights."""
         return self.repeats * len(self.combinations)
 
     @cached_property
@@ -90,7 +80,6 @@ class Study:
 
     @cached_property
     def what(self) -> Kind:
-        """The kind itself."""
         return kind_of(self.kind)
 
     def case(self, index: int) -> Case:
@@ -112,18 +101,17 @@ class Study:
                 sequence = np.random.SeedSequence(entropy, spawn_key=(turn, own))
                 value = value.draw(np.random.default_rng(sequence))
             values[key] = value
-        labels = {name: v for (_, name), v in values.items() if name in self.varied}
         files = self.files[str(values[("case", "case")])]
         overrides = {name: v for (part, name), v in values.items() if part == "parameters"}
         return Case(
-            index=index,
-            kind=self.kind,
-            scenario=str(values[("scenario", "scenario")]),
-            seed=seed,
-            conditions={n: v for (p, n), v in values.items() if p == "conditions"},
-            parameters=_parameters(files, json.dumps(overrides, sort_keys=True)),
-            labels=labels,
-            **dict(zip(("version", "build"), this_build(), strict=True)),
+            index,
+            self.kind,
+            str(values[("scenario", "scenario")]),
+            seed,
+            {name: v for (part, name), v in values.items() if part == "conditions"},
+            _parameters(files, json.dumps(overrides, sort_keys=True)),
+            {name: v for (_, name), v in values.items() if name in self.varied},
+            *this_build(),
         )
 
 
@@ -136,10 +124,8 @@ def _parameters(files: tuple[str, ...], overrides: str) -> dict[str, Any]:
 @cache
 def this_build() -> tuple[str, str]:
     """Version and build of what runs here, of all its sources."""
-    found = versions()
-    files = sorted(build.PACKAGE.rglob("*.py"))
-    names = [path.relative_to(build.PACKAGE).as_posix() for path in files]
-    sources = {name: path.read_text("utf-8") for name, path in zip(names, files, strict=True)}
+    found, files = versions(), sorted(build.PACKAGE.rglob("*.py"))
+    sources = {p.relative_to(build.PACKAGE).as_posix(): p.read_text("utf-8") for p in files}
     return found["quadtree_lss"], f"{build.digest(sources)[:8]}, {found['build']}"
 
 
@@ -147,19 +133,13 @@ def read_study(path: str | Path) -> Study:
     """Read and check a study; raises `CampaignError`, and what its parts raise."""
     file = Path(path)
     try:
-        content = parse_yaml(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        msg = f"{file}: cannot be read: {getattr(error, 'strerror', None) or error}"
-        raise CampaignError(msg) from None
-    except YamlError as error:
-        raise CampaignError(f"{file}: {error}") from None
-    if not isinstance(content, Mapping):
-        raise CampaignError(f"{file}: a study is a mapping with some of {', '.join(KEYS)}")
-    try:
+        content = read_yaml(file)
+        if not isinstance(content, Mapping):
+            raise CampaignError(f"a study is a mapping with some of {', '.join(KEYS)}")
         study = _study(content, file)
         for index in range(min(study.count, len(study.combinations))):
             study.case(index)
-    except CampaignError as error:
+    except (CampaignError, YamlError) as error:
         raise CampaignError(f"{file}: {error}") from None
     return study
 
@@ -188,10 +168,12 @@ def _study(content: Mapping[Any, Any], file: Path) -> Study:
         listed = [named] if isinstance(named, str) else list(named or [])
         files[name] = tuple(str(_beside(entry, file)) for entry in listed)
         combinations += _combinations(content, case, name, kind, file)
-    drawn = {n for c in combinations for (_, n), v in c.items() if isinstance(v, Drawn)}
     keys = {key for c in combinations for key in c}
-    listed_names = {
-        name for part, name in keys if len({repr(c.get((part, name))) for c in combinations}) > 1
+    values = {key: [c.get(key) for c in combinations] for key in keys}
+    varied = {
+        name
+        for (_, name), of in values.items()
+        if len({*map(repr, of)}) > 1 or any(isinstance(value, Drawn) for value in of)
     }
     if repeats * len(combinations) > MOST_FLIGHTS:
         raise CampaignError(f"{repeats * len(combinations)} flights; {MOST_FLIGHTS} is the most")
@@ -203,7 +185,7 @@ def _study(content: Mapping[Any, Any], file: Path) -> Study:
         seeds=seeds,
         combinations=tuple(combinations),
         files=files,
-        varied=tuple(sorted(drawn | listed_names)),
+        varied=tuple(sorted(varied)),
     )
 
 

@@ -89,11 +89,11 @@ def bootstrap(values: NDArray[np.float64]) -> tuple[float, float]:
     return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
-def rate_interval(events: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Bounds of a rate from ``events`` in ``trials`` (Clopper and Pearson), both sides together."""
+def rate_interval(events: int, trials: int) -> tuple[float, float]:
+    """Bounds of a rate from ``events`` in ``trials`` with 95 % confidence (Clopper and Pearson)."""
     if trials == 0:
         return float("nan"), float("nan")
-    bounds = stats.binomtest(events, trials).proportion_ci(confidence)
+    bounds = stats.binomtest(events, trials).proportion_ci(0.95)
     return float(bounds.low), float(bounds.high)
 
 
@@ -114,26 +114,20 @@ def flown(records: Iterable[Record]) -> list[Record]:
 
 def groups(study: Study, records: Iterable[Record]) -> list[tuple[str, list[Record]]]:
     """Flights of each combination of the study's lists, by what tells it from the others."""
-    count = len(study.combinations)
-    names: dict[int, str] = {}
     parts: dict[int, list[Record]] = {}
     for record in records:
-        which = record.index % count
-        parts.setdefault(which, []).append(record)
-        drawn = study.drawn
-        own = [f"{k} {v}" for k, v in record.labels.items() if k not in drawn]
-        names[which] = ", ".join(own) or "all flights"
-    return [(names[which], parts[which]) for which in sorted(parts)]
+        parts.setdefault(record.index % len(study.combinations), []).append(record)
+    found = []
+    for _, part in sorted(parts.items()):
+        own = [f"{k} {v}" for k, v in part[0].labels.items() if k not in study.drawn]
+        found.append((", ".join(own) or "all flights", part))
+    return found
 
 
 @dataclass(frozen=True)
 class CampaignResult:
-    """What a campaign found.
-
-    Attributes:
-        records: Flights by number, failed ones too.
-        interrupted: Stopped before all were flown.
-    """
+    """What a campaign found: flights by number, failed ones too; whether it was ``interrupted``
+    before all were flown."""
 
     out: Path
     study: Study
@@ -164,14 +158,9 @@ class CampaignResult:
         return found
 
     def table(self) -> str:
-        lines = []
+        head, lines = ("", "mean", "95 % interval", "worst", "flight"), []
         for name, part in self.lines:
-            rows = [
-                ("", "mean", "95 % interval", "worst", "flight"),
-                *(row.cells() for row in part),
-            ]
-            lines += [name, *aligned(rows)]
-            lines.append("")
+            lines += [name, *aligned([head, *(row.cells() for row in part)]), ""]
         lines += [f"flight {index} failed: {why}" for index, why in list(self.failed.items())[:10]]
         return "\n".join(lines).rstrip()
 
@@ -180,20 +169,17 @@ class CampaignResult:
             {"name": name, "quantities": {row.quantity.name: numbers(row) for row in rows}}
             for name, rows in self.lines
         ]
-        worst = {q.name: [list(pair) for pair in pairs] for q, pairs in self.worst()}
-        content: dict[str, Any] = plain(
-            {
-                "study": self.study.name,
-                "kind": self.study.kind,
-                "flights": len(self.records),
-                "of": self.study.count,
-                "interrupted": self.interrupted,
-                "summary": parts,
-                "worst": worst,
-                "failed": {str(index): why for index, why in self.failed.items()},
-            }
-        )
-        return content
+        content: dict[str, Any] = {
+            "study": self.study.name,
+            "kind": self.study.kind,
+            "flights": len(self.records),
+            "of": self.study.count,
+            "interrupted": self.interrupted,
+            "summary": parts,
+            "worst": {q.name: pairs for q, pairs in self.worst()},
+            "failed": self.failed,
+        }
+        return {name: plain(value) for name, value in content.items()}
 
 
 def numbers(row: Any) -> dict[str, Any]:
