@@ -10,6 +10,7 @@ import numpy as np
 
 from common.flights import Recording
 from quadtree_lss.desk.replay.results import grid_of
+from quadtree_lss.lab.evaluation.consistency import Counts, prefit_statistics
 from quadtree_lss.lab.evaluation.metrics import (
     Detection,
     ElevationError,
@@ -18,8 +19,7 @@ from quadtree_lss.lab.evaluation.metrics import (
     elevation_field,
     safety_field,
 )
-from quadtree_lss.lab.evaluation.prefit import Counts, prefit_statistics
-from quadtree_lss.lab.simulation.safety import LandingGear, contact_safe
+from quadtree_lss.lab.simulation.safety import contact_safe
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
@@ -52,7 +52,7 @@ def score(flight: Recording, config: Config, *, consistent: bool = True) -> MapS
     found = LandingSiteSelector(config).assess(cells)
     grid, truth = grid_of(found), flight.truth
     sites = found.sites.position[:5, :2]
-    stands = contact_safe(truth.x, truth.y, truth.elevation, sites, LandingGear())
+    stands = contact_safe(truth, sites)
     return MapScore(
         leaves=int(cells.estimated.sum()),
         elevation=elevation_error(elevation_field(cells, grid, truth)),

@@ -13,7 +13,7 @@ from core.builders import METHODS, assert_sound, configured, random_covariances
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from quadtree_lss.lab.evaluation.prefit import prefit_statistics
+from quadtree_lss.lab.evaluation.consistency import prefit_statistics
 from quadtree_lss.onboard.core.geometry.rotations import exp
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose

@@ -14,7 +14,7 @@ import numpy as np
 from core.builders import by, configured, make_pose, pose_covariance, scan, scattered
 
 from quadtree_lss import build
-from quadtree_lss.lab.evaluation.prefit import prefit_statistics
+from quadtree_lss.lab.evaluation.consistency import prefit_statistics
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper

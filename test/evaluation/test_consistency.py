@@ -1,14 +1,178 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Consistency of maps over simulated bags."""
+"""Prefit residuals: their distribution by Monte Carlo, their formula by its definition; of bags."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
+from core.builders import (
+    EXACT,
+    configured,
+    disturbed,
+    flat,
+    make_pose,
+    point_covariances,
+    pose_covariance,
+    random_covariances,
+    scan,
+    scattered,
+    slope,
+)
+from core.kernels import tangent_basis
 from replay.recordings import write_ros2
+from scipy.special import gammainc
 
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.lab.evaluation.consistency import Consistency, consistency
-from quadtree_lss.lab.evaluation.prefit import Counts
+from quadtree_lss.lab.evaluation.consistency import (
+    Consistency,
+    Counts,
+    acceptance_interval,
+    consistency,
+    prefit_statistics,
+)
 from quadtree_lss.lab.evaluation.results import EvaluationError
 from quadtree_lss.lab.simulation.simulate import simulate
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing import lidar
+from quadtree_lss.onboard.core.sensing.register import RegisteredScan, register
+
+GROUND = slope(0.12, -0.07, 30.0)
+NOISE = 0.05
+LIDAR = configured(lidar={"range_noise": NOISE}).lidar
+
+
+def registered(mapper: Mapper, points: np.ndarray, pose: lidar.Pose) -> RegisteredScan:
+    return register(points, pose, mapper.config.lidar, mapper.domain)[0]
+
+
+def one_more_scan(
+    true: np.ndarray, claimed: np.ndarray, trials: int, treatment: str = "common"
+) -> Counts:
+    """Maps of two scans of planar ground, each compared with a third scan of it."""
+    config = configured(
+        domain={"min_level": 1, "max_level": 1},
+        lidar={"range_noise": NOISE},
+        mapping={"covariance": treatment},
+        pose={"correlation_time": 0.0},
+    )
+    rng = np.random.default_rng(1)
+    counts = Counts()
+    for _ in range(trials):
+        mapper = Mapper(config)
+        for k in range(3):
+            pose = make_pose((60.0, -40.0 + 30.0 * k, 300.0), true, k)
+            x, y = scattered(rng, -1.0, -1.0, 18.0, 500)
+            points = scan(GROUND, x, y, disturbed(pose, rng), NOISE, rng)
+            pose = make_pose((60.0, -40.0 + 30.0 * k, 300.0), claimed, k)
+            if k == 2:
+                counts += prefit_statistics(
+                    mapper.snapshot(), registered(mapper, points, pose), config.lidar
+                ).counts()
+            mapper.update(points, pose)
+    return counts
+
+
+@pytest.mark.parametrize("degrees", [1, 2, 3])
+def test_interval_holds_95_per_cent(degrees):
+    half_squares = 0.5 * np.square(acceptance_interval(degrees))
+    assert gammainc(0.5 * degrees, half_squares) == pytest.approx([0.025, 0.975])
+
+
+@pytest.mark.parametrize(
+    ("covariance", "trials"),
+    [(EXACT, 40), (pose_covariance(0.2, 3e-4), 250)],
+    ids=["range noise", "pose and range noise"],
+)
+def test_residuals_of_a_sound_map_are_consistent(covariance, trials):
+    """Pose error is common to a scan, so a trial is hardly more than one draw of it."""
+    counts = one_more_scan(covariance, covariance, trials)
+    draws = trials if covariance[0, 0] > 1e-6 else counts.points
+    tolerance = 5.0 * np.sqrt(0.025 * 0.975 / draws)
+    assert counts.points > 300 * trials
+    assert abs(counts.one_degree.below - 0.025) < tolerance
+    assert abs(counts.one_degree.above - 0.025) < tolerance
+    # The residual has one degree of freedom: the interval of three is not its own.
+    assert counts.three_degrees.below > 0.3
+    assert counts.three_degrees.above < 0.01
+
+
+def test_too_small_a_pose_covariance_shows_above_and_too_large_a_one_below():
+    true, small, large = (pose_covariance(s, 1e-5) for s in (0.5, 0.1, 2.5))
+    assert one_more_scan(true, small, 60).one_degree.above > 0.3
+    assert one_more_scan(true, large, 60).one_degree.below > 0.06
+
+
+def test_treating_pose_error_as_independent_is_inconsistent():
+    """The leaf then believes that a thousand points average its pose error out."""
+    pose = pose_covariance(0.3, 1e-5)
+    common = one_more_scan(pose, pose, 150)
+    independent = one_more_scan(pose, pose, 150, "independent")
+    assert independent.one_degree.above > 1.5 * common.one_degree.above
+
+
+def test_statistics_are_those_of_equations_17_46_and_61():
+    """Point by point, with a full pose covariance, Mahalanobis distance in three dimensions, and
+    noise that grows with the distance and with the footprint on inclined ground (Eq. 13)."""
+    rng = np.random.default_rng(3)
+    covariance = random_covariances(rng, 1, 6, 0.02)[0]
+    mapper = Mapper(configured(domain={"min_level": 2, "max_level": 2}))
+    pose = make_pose((20.0, -10.0, 150.0), covariance)
+    x, y = scattered(rng, 0.0, 0.0, 16.0, 800)
+    mapper.update(scan(GROUND, x, y, pose, NOISE, rng), pose)
+    x, y = scattered(rng, 0.0, 0.0, 16.0, 50)
+    seen = registered(mapper, scan(GROUND, x, y, pose, NOISE, rng), pose)
+    cells = mapper.snapshot()
+    grown = {"range_noise_per_metre": 2e-4, "beam_divergence": 2e-3}
+    found = prefit_statistics(cells, seen, replace(LIDAR, **grown))
+    for k, (i, row) in enumerate(zip(found.point, found.row, strict=True)):
+        n = cells.normal[row]
+        arm = seen.origin + seen.points[i] - (cells.x[row], cells.y[row], cells.z[row])
+        ray = seen.points[i] / np.linalg.norm(seen.points[i])
+        distance, residual = np.linalg.norm(seen.points[i]), n @ arm
+        footprint = 2e-3 * distance * np.tan(np.arccos(abs(n @ ray)))
+        noise = np.hypot(NOISE + 2e-4 * distance, footprint)
+        (sigma,) = point_covariances(seen.points[i : i + 1] + seen.origin, pose, noise)
+        # The predicted point moves along its ray: d r / d(dphi, dd) = u / (n.u) a.
+        a = np.r_[tangent_basis(n).T @ arm, -1.0]
+        jacobian = np.outer(ray, a) / (n @ ray)
+        plane = cells.covariance[row]
+        total = sigma + jacobian @ plane @ jacobian.T
+        vector = residual / (n @ ray) * ray
+        assert found.residual[k] == pytest.approx(residual)
+        assert found.deviation[k] ** 2 == pytest.approx(n @ sigma @ n + a @ plane @ a)
+        assert found.mahalanobis[k] ** 2 == pytest.approx(
+            vector @ np.linalg.solve(total, vector), rel=1e-3
+        )
+
+
+def test_only_points_of_measured_leaves_are_compared():
+    """The map is not changed, and empty or inherited leaves say nothing."""
+    mapper = Mapper(configured(domain={"min_level": 2, "max_level": 2}))
+    pose = make_pose()
+    rng = np.random.default_rng(4)
+    x, y = scattered(rng, 0.0, 0.0, 16.0, 600)
+    everywhere = registered(mapper, scan(flat(), x, y, pose, NOISE, rng), pose)
+    nothing = prefit_statistics(mapper.snapshot(), everywhere, LIDAR)
+    assert len(nothing.residual) == 0
+    assert nothing.counts() == Counts()
+    assert np.isnan(nothing.counts().one_degree).all()
+    half = x < 8.0
+    mapper.update(scan(flat(), x[half], y[half], pose, NOISE, rng), pose)
+    cells = mapper.snapshot()
+    before = cells.z.copy()
+    found = prefit_statistics(cells, everywhere, LIDAR)
+    assert cells.measured[found.row].all()
+    assert (everywhere.points[found.point, 0] + everywhere.origin[0] < 8.0).all()
+    assert len(found.residual) == np.count_nonzero(half)
+    np.testing.assert_array_equal(cells.z, before)
+
+
+def test_counts_add_up():
+    one, other = Counts(10, 1, 2, 3, 4), Counts(30, 0, 1, 2, 3)
+    assert one + other == Counts(40, 1, 3, 5, 7)
+    assert (one + other).one_degree == (1 / 40, 3 / 40)
+    assert (one + other).three_degrees == (5 / 40, 7 / 40)
+
 
 SMALL = {
     "domain.xmin": -30.0,

@@ -26,12 +26,15 @@ SMALL = {
 }
 
 
-@pytest.fixture(scope="module")
-def made_up():
+@pytest.fixture
+def small(monkeypatch):
+    monkeypatch.setattr(risk_fit, "TERMS", SMALL)
+
+
+@pytest.fixture
+def made_up(small):
     """Places drawn evenly, and how often landings there fail by a small model."""
-    with mock.patch.object(risk_fit, "TERMS", SMALL):
-        model = unfitted()
-    rise, tilt, hidden = model.causes.values()
+    model = unfitted()
     odds = {"rise": ((0.0, 4.0, 9.0),), "tilt": ((0.0, 5.0, 8.0),), "noise": ((0.0, -1.0),)}
     odds |= {"seen": ((0.0, -2.0, -4.0),), "rocks": ((0.0, 1.5),)}
     causes = {
@@ -40,8 +43,7 @@ def made_up():
     }
     model = replace(model, causes=causes)
     rng = np.random.default_rng(1)
-    low, high = np.full(len(ASKED), -1.2), np.full(len(ASKED), 1.6)
-    places = rng.uniform(low, high, (6000, len(ASKED)))
+    places = rng.uniform(-1.2, 1.6, (6000, len(ASKED)))
     places[:, ASKED.index("seen")] = rng.uniform(-1.5, 2.5, len(places))
     # Each place stands for landings that fail and some that do not.
     risk = risks(model, places)
@@ -53,8 +55,7 @@ def made_up():
 
 def test_a_model_is_found_again_from_what_it_made(made_up):
     model, places, failed, weight = made_up
-    with mock.patch.object(risk_fit, "TERMS", SMALL):
-        found = fit(places, failed, weight)
+    found = fit(places, failed, weight)
     expected, again = risks(model, places), risks(found, places)
     np.testing.assert_allclose(again, expected, atol=0.01)
     assert np.mean(np.abs(again - expected)) < 1e-3
@@ -65,34 +66,32 @@ def test_an_independent_optimiser_finds_nothing_better(made_up):
     rng = np.random.default_rng(2)
     some = rng.random(len(places)) < 0.2
     places, failed, weight = places[some], rng.random(some.sum()) < 0.2, weight[some] + 0.1
-    with mock.patch.object(risk_fit, "TERMS", SMALL):
-        found = fit(places, failed, weight)
+    found = fit(places, failed, weight)
 
-        def score(values):
-            at, causes = iter(values), {}
-            for name, cause in found.causes.items():
-                constant, curves = next(at), []
-                for curve, term in zip(cause.curves, SMALL[name], strict=True):
-                    steps = [next(at) for _ in curve.knots[1:]]
-                    steps = [term.sign * abs(step) if term.sign else step for step in steps]
-                    curves.append(replace(curve, odds=((0.0, *np.cumsum(steps)),)))
-                causes[name] = Cause(constant, tuple(curves))
-            risk = np.clip(risks(replace(found, causes=causes), places), 1e-12, 1.0 - 1e-12)
-            log = np.where(failed, np.log(risk), np.log1p(-risk))
-            return -np.average(log, weights=weight)
+    def score(values):
+        at, causes = iter(values), {}
+        for name, cause in found.causes.items():
+            constant, curves = next(at), []
+            for curve, term in zip(cause.curves, SMALL[name], strict=True):
+                steps = [next(at) for _ in curve.knots[1:]]
+                steps = [term.sign * abs(step) if term.sign else step for step in steps]
+                curves.append(replace(curve, odds=((0.0, *np.cumsum(steps)),)))
+            causes[name] = Cause(constant, tuple(curves))
+        risk = np.clip(risks(replace(found, causes=causes), places), 1e-12, 1.0 - 1e-12)
+        log = np.where(failed, np.log(risk), np.log1p(-risk))
+        return -np.average(log, weights=weight)
 
-        begin = []
-        for cause in found.causes.values():
-            begin += [cause.constant, *np.concatenate([np.diff(c.odds[0]) for c in cause.curves])]
-        best = minimize(score, begin, method="Powell", options={"maxfev": 6000})
+    begin = []
+    for cause in found.causes.values():
+        begin += [cause.constant, *np.concatenate([np.diff(c.odds[0]) for c in cause.curves])]
+    best = minimize(score, begin, method="Powell", options={"maxfev": 6000})
     assert score(begin) <= best.fun + 2e-4
 
 
 def test_steps_keep_their_signs_where_chance_does_not(made_up):
     _, places, _, weight = made_up
     rng = np.random.default_rng(3)
-    with mock.patch.object(risk_fit, "TERMS", SMALL):
-        model = fit(places[:3000], rng.random(3000) < 0.3, weight[:3000])
+    model = fit(places[:3000], rng.random(3000) < 0.3, weight[:3000])
     for name, terms in SMALL.items():
         for curve, term in zip(model.causes[name].curves, terms, strict=True):
             assert (term.sign * np.diff(curve.odds[0]) >= 0.0).all()
@@ -130,17 +129,16 @@ def test_a_file_that_holds_no_model_is_one_clear_error(tmp_path, place, value, s
 
 
 def test_a_key_that_is_missing_or_a_file_is_told(tmp_path):
-    file = tmp_path / "model.yaml"
-    values = yaml.safe_load(risk_model_text(unfitted()))
-    del values["hidden"]["lean"]
-    file.write_text(yaml.safe_dump(values))
-    with pytest.raises(ConfigError, match="of a former version.*fit-risk makes one anew"):
-        risk_model(str(file))
-    values = yaml.safe_load(risk_model_text(unfitted()))
-    del values["obstacle"]["constant"]
-    file.write_text(yaml.safe_dump(values))
-    with pytest.raises(ConfigError, match="'constant' is missing"):
-        risk_model(str(file))
+    former = "of a former version.*fit-risk makes one anew"
+    for cause, key, said in (
+        ("hidden", "lean", former),
+        ("obstacle", "constant", "'constant' is missing"),
+    ):
+        values, file = yaml.safe_load(risk_model_text(unfitted())), tmp_path / f"{key}.yaml"
+        del values[cause][key]
+        file.write_text(yaml.safe_dump(values))
+        with pytest.raises(ConfigError, match=said):
+            risk_model(str(file))
     with pytest.raises(ConfigError, match="cannot be read"):
         risk_model(str(tmp_path / "none.yaml"))
 

@@ -14,14 +14,16 @@ import numpy as np
 from quadtree_lss.desk.replay.files import new_folder, plain, write_json
 from quadtree_lss.lab.evaluation import metrics
 from quadtree_lss.lab.evaluation.consistency import Consistency, consistency
-from quadtree_lss.lab.evaluation.provenance import check_truth, recorded_bag, results_config
 from quadtree_lss.lab.evaluation.results import (
     EvaluationError,
     Results,
     Truth,
     aligned,
+    check_truth,
     load_results,
     load_truth,
+    recorded_bag,
+    results_config,
 )
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -56,16 +58,14 @@ class EvaluationResult:
     map_ms_p99: float
     map_s_total: float
     lss_ms: float
-    consistency: Consistency | None
-    out: Path
-    figures: tuple[Path, ...]
+    consistency: Consistency | None = None
+    out: Path = Path()
+    figures: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        values = asdict(self)
-        values.pop("out")
-        values.pop("figures")
-        return {key: plain(value) for key, value in values.items()}
+        values = asdict(self).items()
+        return {key: plain(value) for key, value in values if key not in ("out", "figures")}
 
     def table(self) -> str:
         e, d = self.elevation, self.detection
@@ -86,16 +86,12 @@ class EvaluationResult:
             ("Map update, median / 99 %", times),
             ("Landing site selection", _show(self.lss_ms, ".1f", " ms")),
         ]
-        width = max(len(label) for label, _ in rows)
-        lines = [f"{label:<{width}}  {value}" for label, value in rows]
+        tables = [part.table() for part in (self.risk, self.consistency) if part is not None]
         if self.risk is not None:
-            lines += [f"{'Brier score of the risk':<{width}}  {self.risk.brier:.4f}"]
-            lines += ["", self.risk.table()]
-        if self.consistency is not None:
-            lines += ["", self.consistency.table()]
-        if self.notes:
-            lines += ["", *self.notes]
-        return "\n".join(lines)
+            rows.append(("Brier score of the risk", f"{self.risk.brier:.4f}"))
+        width = max(len(label) for label, _ in rows)
+        text = "\n".join(f"{label:<{width}}  {value}" for label, value in rows)
+        return "\n\n".join([text, *tables, *(["\n".join(self.notes)] if self.notes else [])])
 
     def _unsafe_sites(self) -> str:
         text = f"{self.unsafe_in_top_five} of {len(self.site_verdicts)}"
@@ -124,7 +120,7 @@ def evaluate(
     ``summary.json`` names if it is still there; ``progress(done, total)`` counts its scans.
 
     Raises `EvaluationError` when a file is missing or malformed, when results, truth and bag are
-    not of one flight (`provenance.check_truth`), or when the map and the truth do not overlap.
+    not of one flight (`results.check_truth`), or when the map and the truth do not overlap.
     """
     results, truth = load_results(results_dir), load_truth(truth_path)
     given = None if bag is None else Path(bag)
@@ -187,22 +183,22 @@ def compare(
     ``out`` (default: a new folder ``results/<time>``). Runs bear the names of their directories.
     Raises `EvaluationError` as `evaluate` does, and for two directories of one name.
     """
-    folders = [Path(directory) for directory in results_dirs]
-    names = [folder.resolve().name for folder in folders]
-    if len(set(names)) < len(names):
+    names = [Path(directory).resolve().name for directory in results_dirs]
+    folders = dict(zip(names, results_dirs, strict=True))
+    if len(folders) < len(names):
         msg = f"runs are told apart by their directories' names, but these are {', '.join(names)}"
         raise EvaluationError(msg)
     together = Path(out) if out is not None else new_folder(Path("results"))
     runs = {
         name: evaluate(folder, truth_path, together / name, figures=figures, progress=progress)
-        for name, folder in zip(names, folders, strict=True)
+        for name, folder in folders.items()
     }
     drawn: tuple[Path, ...] = ()
     if figures:
         from quadtree_lss.lab.evaluation.figures import draw_together
 
         truth = load_truth(truth_path)
-        results = {name: load_results(f) for name, f in zip(names, folders, strict=True)}
+        results = {name: load_results(folder) for name, folder in folders.items()}
         heights = metrics.elevation_field(results[names[-1]].map, results[names[-1]].grid, truth)
         drawn = draw_together(together, truth, heights, results)
     result = ComparisonResult(runs, together, drawn)
@@ -312,8 +308,5 @@ def _scores(
         map_ms_p99=float(np.percentile(times, 99.0)),
         map_s_total=float(times.sum() * 1e-3),
         lss_ms=float(results.summary.get("lss_ms") or math.nan),
-        consistency=None,
-        out=Path(),
-        figures=(),
     )
     return scores, heights, safety

@@ -26,14 +26,10 @@ LANDER, HALF = 3.7, 30.0
 class Family:
     """What flights of a kind draw from; None is as the configuration has it.
 
-    Attributes:
-        grounds: Names in `FIELDS`, or ``any``, ``mixed`` or ``bare``.
-        views: Names in `VIEWS`.
-        diameter: Of the vehicle, m; clearance: over it; slopes: that it stands on, deg.
-        cells: Along the diameter.
-        noise: Of a range over the clearance; told: times that the mapping is told.
-        outliers: Shares of false returns.
-        weight: In a fit, beside others.
+    ``grounds`` are names in `FIELDS`, or ``any``, ``mixed`` or ``bare``; ``views`` names in
+    `VIEWS`. The vehicle's diameter, m; its clearance over that; slopes that it stands on, deg;
+    cells along the diameter; noise of a range over the clearance, and so many times that is what
+    the mapping is ``told``; shares of false returns; the weight in a fit, beside others.
     """
 
     grounds: tuple[str, ...] = tuple(FIELDS)

@@ -72,13 +72,8 @@ TERMS: dict[str, tuple[Term, ...]] = {
 
 
 def fit(places: Array, failed: Mask, weight: Array) -> RiskModel:
-    """The likeliest model.
-
-    Args:
-        places: (K, len(ASKED)) what was asked of each place.
-        failed: (K,) whether the lander failed there.
-        weight: (K,) of each landing.
-    """
+    """The likeliest model: of what was asked of places (K, len(ASKED)), whether the lander failed
+    there (K,), and the weight of each landing (K,)."""
     columns = [_columns(places, terms) for terms in TERMS.values()]
     ends = np.cumsum([part.shape[1] for part in columns])
     begin = np.concatenate([_steps(unfitted().causes[name]) for name in CAUSES])
