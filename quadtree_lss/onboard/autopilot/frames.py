@@ -63,12 +63,9 @@ def covariance_enu(upper: Array, quaternion: Array) -> Array | None:
     """(6, 6) as ROS has it, from the 21 numbers of MAVLink's ODOMETRY; None if it does not say.
 
     Of the latter place is along north, east, down and the attitude's error about the body's
-    forward, right, down: with T = diag(R_enu_ned, R_enu_frd) it becomes T C T^T.
-
-    Args:
-        upper: Upper triangle, row by row; a first number that is NaN, and any infinite
-            one, says unknown.
-        quaternion: FLU to ENU.
+    forward, right, down: with T = diag(R_enu_ned, R_enu_frd) it becomes T C T^T. ``upper``: the
+    upper triangle, row by row; a first number that is NaN, and any infinite one, says unknown.
+    ``quaternion``: FLU to ENU.
     """
     values = np.asarray(upper, dtype=np.float64)
     if not np.isfinite(values[0]) or np.isinf(values).any():

@@ -36,13 +36,8 @@ AT_M, SLOW_M_S = 1.0, 1.0
 
 
 class Target(NamedTuple):
-    """Where to land.
-
-    Attributes:
-        place: (3,) in the map by navigation's height, m.
-        age: Since it was last said, s.
-        map_age: Since the newest scan of its map, s; NaN if that cannot be known.
-    """
+    """Where to land: a place (3,) in the map by navigation's height, m; ``age`` since it was last
+    said, and since the newest scan of its map, s; NaN if that cannot be known."""
 
     place: Array
     age: float
@@ -91,14 +86,9 @@ class Seen(NamedTuple):
 
 @dataclass(frozen=True)
 class Order:
-    """What to do.
-
-    Attributes:
-        state: One of `STATES`.
-        text: Why.
-        point: (3,) set-point in the map, m; None: nothing is to be commanded.
-        target: The one that landing goes by; None while landing anywhere is out of the question.
-    """
+    """What to do, one of `STATES`, and why. ``point``: (3,) set-point in the map, m; None: nothing
+    is to be commanded. ``target``: the one that landing goes by; None while landing anywhere is out
+    of the question."""
 
     state: str
     text: str
@@ -107,15 +97,8 @@ class Order:
 
 
 class Landing:
-    """Flies to the gate over the target, down to it, and up again when it may not go on.
-
-    Args:
-        config: Its limits, speeds and heights.
-
-    Attributes:
-        state: The present one.
-        wave_offs: Since the pilot handed over.
-    """
+    """Flies to the gate over the target, down to it, and up again when it may not go on. ``state``
+    is the present one; ``wave_offs`` counts since the pilot handed over."""
 
     def __init__(self, config: AutopilotConfig) -> None:
         self._config = config

@@ -7,6 +7,8 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -54,11 +56,7 @@ MOST_NS = 2**31 * 10**9
 
 
 def dialect() -> Any:
-    """pymavlink's, MAVLink 2.
-
-    Raises:
-        ConfigError: it is not installed.
-    """
+    """pymavlink's, MAVLink 2. Raises `ConfigError`: it is not installed."""
     os.environ["MAVLINK20"] = "1"
     try:
         from pymavlink import mavutil
@@ -71,22 +69,12 @@ def dialect() -> Any:
 class Link:
     """One autopilot at the other end; the first that is heard is the one that counts.
 
-    Args:
-        connection, baud: As of the parameters.
-        clock: This computer's time, ns: poses are stamped by it.
-        now: A steady clock, s: of what is due, and of ``heard``.
-
-    Attributes:
-        kind: ``ARDUPILOT``, ``PX4`` or None before the first heartbeat.
-        mode, armed, landed: As last heard.
-        heard: When the last heartbeat came.
-        remote: Its clock.
-        heard_of: How many messages told a ``pose``, ``half`` of one, the vehicle's ``state``, or
-            nothing: those that were ``passed_over``, of others or without a meaning here.
-        refused: How many messages could not be used, by reason; with ``heard_of`` these are all.
-
-    Raises:
-        ConfigError: no pymavlink, or the connection cannot be opened.
+    ``clock`` is this computer's time, ns, which poses are stamped by; ``now`` a steady one, s, of
+    what is due, and of ``heard``: when the last heartbeat came. ``kind`` is ``ARDUPILOT``, ``PX4``
+    or None before the first. ``heard_of`` counts messages that told a ``pose``, ``half`` of one,
+    the vehicle's ``state``, or nothing: those that were ``passed_over``, of others or without a
+    meaning here; ``refused`` those that could not be used, by reason. Together these are all.
+    Raises `ConfigError`: no pymavlink, or the connection cannot be opened.
     """
 
     def __init__(
@@ -123,7 +111,6 @@ class Link:
         return self.kind is not None and self.mode == FOLLOWS[self.kind]
 
     def close(self) -> None:
-        """Lets the port go."""
         self._port.close()
 
     def poll(self) -> list[Nav]:
@@ -154,9 +141,8 @@ class Link:
     def fly_to(self, point: Array) -> None:
         """A set-point: a place in the map."""
         north, east, down = enu(point)
-        say = self._port.mav.set_position_target_local_ned_send
-        nothing = (0.0,) * 8
-        self._try(say, 0, self._system, 1, LOCAL_NED, PLACE_ALONE, north, east, down, *nothing)
+        to, nothing = (0, self._system, 1, LOCAL_NED, PLACE_ALONE), (0.0,) * 8
+        self._say("set_position_target_local_ned", *to, north, east, down, *nothing)
 
     def show_target(self, place: Array, nav: Nav) -> None:
         """LANDING_TARGET, for the autopilot's own precision landing if it takes over."""
@@ -166,9 +152,8 @@ class Link:
         offset = self.remote.offset_ns or 0
         stamp_us = max(nav.stamp_ns - offset, 0) // 1000
         distance = float(np.linalg.norm(place - nav.position))
-        level = (1.0, 0.0, 0.0, 0.0)
-        say = self._port.mav.landing_target_send
-        self._try(say, stamp_us, 0, frame, 0.0, 0.0, distance, 0.0, 0.0, *vector, level, 3, 1)
+        seen, level = (0.0, 0.0, distance, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+        self._say("landing_target", stamp_us, 0, frame, *seen, *vector, level, 3, 1)
 
     def follow(self) -> None:
         """Asks for the mode in which set-points are followed."""
@@ -191,25 +176,17 @@ class Link:
             self._say("statustext", SEVERITY[warn], piece, 0 if whole else self._told, number)
 
     def _set_mode(self, mode: int) -> None:
-        if self.kind == PX4:
-            self._command(DO_SET_MODE, CUSTOM_MODE, mode >> 16 & 0xFF, mode >> 24)
-        else:
-            self._command(DO_SET_MODE, CUSTOM_MODE, mode)
+        parts = (mode >> 16 & 0xFF, mode >> 24) if self.kind == PX4 else (mode,)
+        self._command(DO_SET_MODE, CUSTOM_MODE, *parts)
 
     def _command(self, command: int, *values: float) -> None:
         padded = [*values, *[0.0] * (7 - len(values))]
-        self._try(self._port.mav.command_long_send, self._system, 1, command, 0, *padded)
+        self._say("command_long", self._system, 1, command, 0, *padded)
 
     def _say(self, name: str, *values: Any) -> None:
-        self._try(getattr(self._port.mav, f"{name}_send"), *values)
-
-    @staticmethod
-    def _try(send: Callable[..., None], *values: Any) -> None:
         """Sends; a link that is gone is seen by the age of its heartbeats."""
-        try:
-            send(*values)
-        except OSError:
-            return
+        with suppress(OSError):
+            getattr(self._port.mav, f"{name}_send")(*values)
 
     def _is_due(self, what: str, period: float, now: float) -> bool:
         if now < self._due[what]:
@@ -218,10 +195,9 @@ class Link:
         return True
 
     def _receive(self) -> Any:
-        try:
+        with suppress(OSError):
             return self._port.recv_msg()
-        except OSError:
-            return None
+        return None
 
     def _take(self, message: Any) -> Nav | str:
         """Takes one message: the pose that is known by it, or what it is instead."""
@@ -276,9 +252,7 @@ class Link:
     def _paired(self) -> Nav | str:
         """Place and velocity of one moment, with the attitude between the two about it."""
         for at, place, velocity in reversed(self._positions):
-            for (before, q0), (after, q1) in zip(
-                self._attitudes, self._attitudes[1:], strict=False
-            ):
+            for (before, q0), (after, q1) in pairwise(self._attitudes):
                 if before <= at <= after and after - before < 200:
                     self._positions = [one for one in self._positions if one[0] > at]
                     share = (at - before) / max(after - before, 1)

@@ -35,13 +35,8 @@ YAWS = 12
 
 
 def why_too_much(size: float, finest: int, lss: LssConfig) -> str | None:
-    """Why landing sites cannot be computed on a map; None if they can.
-
-    Args:
-        size: Side of its domain, m.
-        finest: Finest cells along it.
-        lss: How landing is judged.
-    """
+    """Why landing sites cannot be computed on a map, of a domain with sides of ``size`` m and so
+    many ``finest`` cells along them; None if they can."""
     if size / finest < LEAST_SIDE:
         return f"the finest cells are {size / finest:.3g} m wide; {LEAST_SIDE:g} is the least"
     points = size / lss.spacing

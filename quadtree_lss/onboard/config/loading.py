@@ -31,13 +31,8 @@ def read_values(path: str | os.PathLike[str], faults: list[str] | None = None) -
     """Dotted values of the sections ``/**`` and of this package's nodes, in the file's order.
 
     Sections of other nodes are left alone, unless their name looks like a misspelt one of ours.
-
-    Args:
-        path: The file.
-        faults: Gets what is wrong with single sections, instead of an error.
-
-    Raises:
-        ConfigError: not readable, no YAML, not in the form of a parameter file.
+    ``faults`` gets what is wrong with single sections, instead of an error. Raises `ConfigError`:
+    not readable, no YAML, not in the form of a parameter file.
     """
     values: dict[str, object] = {}
     sections = 0
@@ -62,21 +57,13 @@ def read_values(path: str | os.PathLike[str], faults: list[str] | None = None) -
 
 
 def check_reaches(path: str | os.PathLike[str], node: str) -> None:
-    """See that something in a parameter file is for a node.
-
-    Args:
-        path: The file.
-        node: Full name, with its namespace.
-
-    Raises:
-        ConfigError: not readable, or ROS would give the node nothing of it.
-    """
+    """See that something in a parameter file is for a node, by its full name. Raises `ConfigError`:
+    not readable, or ROS would give the node nothing of it."""
     names = [name for name, _ in _sections(_content(path))]
     # As rcl has it: /** stands for any namespaces, /* for one of them or a name.
-    wildcards = {r"/\*\*": r"(/\w+)*", r"/\*": r"/\w+"}
-    patterns = [re.escape(name) for name in names]
-    for sign, stands_for in wildcards.items():
-        patterns = [pattern.replace(sign, stands_for) for pattern in patterns]
+    patterns = [
+        re.escape(name).replace(r"/\*\*", r"(/\w+)*").replace(r"/\*", r"/\w+") for name in names
+    ]
     if not any(re.fullmatch(pattern, node) for pattern in patterns):
         found = ", ".join(f"'{name}'" for name in names) or "none"
         msg = f"{path}: no section is for '{node}', which would run on the defaults: it has {found}"

@@ -21,18 +21,8 @@ class ConfigError(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class Parameter:
-    """One row of the table.
-
-    Attributes:
-        name: Dotted name, for instance ``domain.min_level``.
-        type: ``bool``, ``int``, ``float`` or ``str``.
-        default: Value used when none is given.
-        unit: Unit of the value, empty for none.
-        low, high: Inclusive range of numbers.
-        choices: Allowed texts, empty for any.
-        live: True if a running node accepts a change.
-        doc: What it does.
-    """
+    """One row of the table: the dotted name; the unit, empty for none; the inclusive range of
+    numbers; allowed texts, empty for any; whether a running node accepts a change."""
 
     name: str
     type: type

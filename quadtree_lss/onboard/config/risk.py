@@ -31,13 +31,8 @@ OVERALL = ("noise", "cell", "clearance", "lean")
 
 @dataclass(frozen=True)
 class Curve:
-    """Log odds by something that is asked, straight between knots and level beyond them.
-
-    Attributes:
-        of: In `LOCAL` or `OVERALL`.
-        knots: (K,).
-        odds: (1, K) at the knots, or (S, K), a row for each knot of what is seen.
-    """
+    """Log odds by something that is asked, in `LOCAL` or `OVERALL`, straight between knots (K,) and
+    level beyond them: (1, K), or (S, K), a row for each knot of what is seen."""
 
     of: str
     knots: Row
@@ -135,11 +130,8 @@ class RiskModel:
 
 @functools.lru_cache(maxsize=8)
 def risk_model(name: str) -> RiskModel:
-    """The model in a file, or for an empty name the one that comes with the package.
-
-    Raises:
-        ConfigError: there is no such file, or it holds no model.
-    """
+    """The model in a file, or for an empty name the one that comes with the package. Raises
+    `ConfigError`: there is no such file, or it holds no model."""
     file = Path(name).expanduser() if name else Path(__file__).with_name(SHIPPED)
     try:
         return _from_values(read_yaml(file))
@@ -156,10 +148,8 @@ def doubt(config: Config) -> str:
     """In which way the model of a configuration was fitted to another vehicle or map; or nothing.
 
     The provenance of a model says what it was ``fitted`` to, from and to: ``diameter``, m;
-    ``clearance`` and ``cell``, diameters; ``noise``, clearances; ``max_slope_deg``.
-
-    Raises:
-        ConfigError: as of `risk_model`.
+    ``clearance`` and ``cell``, diameters; ``noise``, clearances; ``max_slope_deg``. Raises as of
+    `risk_model`.
     """
     lss, model = config.lss, risk_model(config.lss.risk_model)
     if "probability" not in (lss.assessment, lss.ranking):

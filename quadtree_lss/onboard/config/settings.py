@@ -164,15 +164,9 @@ def flatten(values: Mapping[str, object], prefix: str = "") -> dict[str, object]
 def checked_values(
     values: Mapping[str, object], faults: list[str] | None = None
 ) -> dict[str, dict[str, Value]]:
-    """Dotted values converted to their parameters' types, by section and name.
-
-    Args:
-        values: Each is looked at by itself.
-        faults: Gets what is wrong with single ones, instead of an error.
-
-    Raises:
-        ConfigError: unknown key (see `unknown_parameter`), wrong type or range.
-    """
+    """Dotted values converted to their parameters' types, by section and name. ``faults`` gets what
+    is wrong with single ones, instead of an error. Raises `ConfigError`: unknown key (see
+    `unknown_parameter`), wrong type or range."""
     table = {row.name: row for row in parameters()}
     found: dict[str, dict[str, Value]] = {}
     for key, value in values.items():

@@ -71,15 +71,8 @@ def read_yaml(path: str | os.PathLike[str]) -> object:
 
 
 def parse_yaml(text: str, *, aliases: bool = False) -> object:
-    """What stands in a text.
-
-    Args:
-        text: Of one document.
-        aliases: Read them; for a caller who follows few of them.
-
-    Raises:
-        YamlError: it cannot be understood, or is too long or too deep.
-    """
+    """What stands in a text of one document; ``aliases`` are read for a caller who follows few of
+    them. Raises `YamlError`: it cannot be understood, or is too long or too deep."""
     if len(text) > MOST_BYTES:
         msg = f"{len(text)} characters of YAML; {MOST_BYTES} is the most"
         raise YamlError(msg)

@@ -17,11 +17,8 @@ MOST_BYTES = 2 << 30
 
 
 def read_arrays(path: Path, names: Collection[str] = ()) -> dict[str, NDArray[Any]]:
-    """Arrays by name: all, or those of ``names`` that there are.
-
-    Raises:
-        ExchangeError: there is no such file, it is damaged, or unpacks to too much.
-    """
+    """Arrays by name: all, or those of ``names`` that there are. Raises `ExchangeError`: there is
+    no such file, it is damaged, or unpacks to too much."""
     try:
         # A single array, which is none, is mapped and not read.
         with np.load(path, mmap_mode="r", allow_pickle=False) as file:

@@ -35,13 +35,8 @@ UNITS |= {"us-ft": 1200.0 / 3937.0, "us_survey_foot": 1200.0 / 3937.0}
 
 @dataclass(frozen=True)
 class ElevationModel:
-    """Heights at posts.
-
-    Attributes:
-        x, y: (nx,), (ny,) ascending, evenly spaced alike, m.
-        elevation: (ny, nx) m, NaN where it is not known.
-        crs: Coordinate reference system as WKT, empty if it is not told.
-    """
+    """Heights (ny, nx), m, NaN where they are not known, at posts x (nx,) and y (ny,), ascending
+    and evenly spaced alike, m; coordinate reference system as WKT, empty if it is not told."""
 
     x: Array
     y: Array
@@ -64,11 +59,9 @@ class ElevationModel:
 def read_dem(path: Path) -> ElevationModel:
     """An elevation model: ``.npz`` with x (nx,), y (ny,), elevation (ny, nx), or what GDAL reads.
 
-    A raster's heights are scale * value + offset of its only band, in the band's unit.
-
-    Raises:
-        ExchangeError: the file cannot be read, is too large, no heights, turned, or x and y are not
-            in m.
+    A raster's heights are scale * value + offset of its only band, in the band's unit. Raises
+    `ExchangeError`: the file cannot be read, is too large, no heights, turned, or x and y are not
+    in m.
     """
     if not path.is_file():
         msg = f"{path}: there is no such file"

@@ -14,15 +14,8 @@ class ExchangeError(QuadtreeLssError):
 
 
 def library(name: str, what: str) -> Any:
-    """A module of the extra ``exchange``.
-
-    Args:
-        name: Of the module.
-        what: It is needed for.
-
-    Raises:
-        ExchangeError: it is not installed; says how to get it.
-    """
+    """A module of the extra ``exchange``, which ``what`` needs. Raises `ExchangeError`: it is not
+    installed; says how to get it."""
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:

@@ -43,14 +43,8 @@ class Look(NamedTuple):
 def look_first(
     prior: Prior, domain: Domain, config: Config, near: Array | None = None
 ) -> tuple[Look, ...]:
-    """Places where a first look promises most, best first; none where the prior says nothing.
-
-    Args:
-        prior: See there.
-        domain: The square; a first look lies within it.
-        config: The vehicle, and what way costs.
-        near: (2,) x and y of where the vehicle is going, m; by default the middle of the square.
-    """
+    """Places in the domain where a first look promises most, best first; none where the prior says
+    nothing. ``near`` (2,): x and y of where the vehicle is going, m; by default the middle."""
     from scipy.special import ndtr
 
     vehicle = config.vehicle

@@ -23,11 +23,9 @@ def read_prior(config: Config, path: Path | None = None) -> Prior | None:
 
     Its heights are in m whatever the file's unit. Without ``prior.origin`` its x and y are the
     map's; with it they are those of the plane about that place, x east and y north, as of
-    ``export --origin``. ``path``: the file, if not by its name.
-
-    Raises:
-        ExchangeError: the file cannot be read, is no elevation model, of a unit that is not known,
-            or without a place where it needs one; or a library lacks, by name.
+    ``export --origin``. ``path``: the file, if not by its name. Raises `ExchangeError`: the file
+    cannot be read, is no elevation model, of a unit that is not known, or without a place where it
+    needs one; or a library lacks, by name.
     """
     if not config.prior.file:
         return None

@@ -11,15 +11,9 @@ WHAT = "GeoTIFF and coordinates of the Earth"
 
 
 def reference(crs: str = "", origin: tuple[float, float] | None = None) -> str:
-    """A coordinate reference system as WKT, empty if none is given.
-
-    Args:
-        crs: The map frame's, as ``EPSG:32611``, PROJ or WKT.
-        origin: Latitude and longitude of the map frame's origin, deg, with x east and y north.
-
-    Raises:
-        ExchangeError: it is none, or both are given.
-    """
+    """A coordinate reference system as WKT, empty if none is given: the map frame's, as
+    ``EPSG:32611``, PROJ or WKT, or by latitude and longitude of its origin, deg, with x east and y
+    north. Raises `ExchangeError`: it is none, or both are given."""
     if crs and origin is not None:
         msg = "a map has either a coordinate system (crs) or an origin, not both"
         raise ExchangeError(msg)
