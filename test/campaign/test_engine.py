@@ -65,10 +65,8 @@ def first(study, tmp_path_factory):
     """By one worker."""
     out = tmp_path_factory.mktemp("first")
     steps = []
-    result = campaign(
-        read_study(study), out, Where(workers=1), progress=lambda n, of: steps.append((n, of))
-    )
-    return result, steps
+    progress = {"progress": lambda done, of: steps.append((done, of))}
+    return campaign(read_study(study), out, Where(workers=1), **progress), steps
 
 
 def files(out):
@@ -148,28 +146,21 @@ def test_what_was_flown_is_not_flown_again(first, study, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_campaign_killed_and_resumed(first, study, tmp_path):
-    """By two workers, with the same files as by one."""
+@pytest.mark.parametrize("killed", ["campaign", "worker"])
+def test_what_is_killed_loses_nothing(first, study, tmp_path, killed):
+    """A worker, or the campaign, which is resumed: by two the same files as by one."""
     process = start(study, tmp_path, "--workers", 2)
     wait_until(lambda: flown(tmp_path) >= 2)
     children = psutil.Process(process.pid).children(recursive=True)
-    process.kill()
-    process.communicate()
-    assert 2 <= flown(tmp_path) < COUNT
-    psutil.wait_procs(children, timeout=30.0)
-    assert not any(child.is_running() for child in children)
-    again = start(study, tmp_path, "--workers", 2)
-    _, told = again.communicate(timeout=120)
-    assert again.returncode == 0, told
-    assert files(tmp_path) == files(first[0].out)
-
-
-@pytest.mark.slow
-def test_a_worker_killed_loses_nothing(first, study, tmp_path):
-    process = start(study, tmp_path, "--workers", 2)
-    wait_until(lambda: flown(tmp_path) >= 1)
-    children = psutil.Process(process.pid).children(recursive=True)
-    max(children, key=lambda child: child.cpu_times().user).kill()  # one that flies
+    if killed == "worker":
+        max(children, key=lambda child: child.cpu_times().user).kill()  # one that flies
+    else:
+        process.kill()
+        process.communicate()
+        assert 2 <= flown(tmp_path) < COUNT
+        psutil.wait_procs(children, timeout=30.0)
+        assert not any(child.is_running() for child in children)
+        process = start(study, tmp_path, "--workers", 2)
     _, told = process.communicate(timeout=120)
     assert process.returncode == 0, told
     assert files(tmp_path) == files(first[0].out)
@@ -262,10 +253,11 @@ def test_two_campaigns_are_compared_in_pairs(first, study, tmp_path):
     path = written(tmp_path, STUDY.replace("  duration", "  outliers: 0.05\n  duration"))
     other = campaign(read_study(path), tmp_path / "out", Where(workers=2))
     found = compare_campaigns(first[0].out, other.out)
-    errors = [
-        other.records[k].figures["mean_absolute"] - first[0].records[k].figures["mean_absolute"]
-        for k in range(COUNT)
-    ]
+    one, two = (
+        [result.records[k].figures["mean_absolute"] for k in range(COUNT)]
+        for result in (first[0], other)
+    )
+    errors = [b - a for a, b in zip(one, two, strict=True)]
     row = next(d for d in found.differences if d.quantity.name == "mean_absolute")
     assert row.mean == pytest.approx(sum(errors) / COUNT)
     assert row.low <= row.mean <= row.high

@@ -38,9 +38,8 @@ def _same(one, two, where=""):
 
 @pytest.mark.parametrize("scenario", list(CASES))
 def test_the_same_bits_as_through_a_bag(scenario, tmp_path):
-    config = load_config(
-        [scenario] if scenario != "descent" else [], {"vehicle.max_slope_deg": 8.0}
-    )
+    named = [scenario] if scenario != "descent" else []
+    config = load_config(named, {"vehicle.max_slope_deg": 8.0})
     options = CASES[scenario]
     simulate(scenario, tmp_path / "bag", seed=30001, lander=lander_of(config), **options)
     replay(tmp_path / "bag", tmp_path / "results", config, report=False)

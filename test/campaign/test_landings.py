@@ -56,8 +56,6 @@ def test_every_quantity_is_a_figure_and_a_column(study, tmp_path):
 def test_conditions_and_parameters_reach_the_flight(study):
     case = study.case(0)
     more = {**case.conditions, "fault": "pose_gap@40+1", "survey": 3.0}
-    settings = settings_of(
-        Case(0, "fly", "package", 1, conditions=more, parameters=case.parameters)
-    )
+    settings = settings_of(Case(0, "fly", "package", 1, more, case.parameters))
     assert settings.plan.survey == 3.0 and settings.rock_abundance == 0.1
     assert settings.faults[0].kind == "pose_gap" and settings.config["lss.margin"] == 0.7

@@ -43,15 +43,11 @@ def test_the_same_seed_is_the_same_flight(short):
     assert fly(faults=("pose_gap@60+1",)) == short.figures
 
 
-def test_without_avoidance_it_lands_on_the_planned_point():
+def test_without_avoidance_it_lands_on_the_planned_point_and_by_perfect_knowledge_safely():
     figures = fly(avoidance="none")
     assert figures["outcome"] == "touchdown" and figures["soft"]
     assert figures["from_planned"] < 0.5 and figures["map_said"] == "nothing"
-
-
-def test_perfect_knowledge_lands_safely():
-    figures = fly(avoidance="perfect", rock_abundance=0.1)
-    assert figures["safe"]
+    assert fly(avoidance="perfect", rock_abundance=0.1)["safe"]
 
 
 def test_a_target_outlives_the_node_that_chose_it():
@@ -100,7 +96,11 @@ WRONG_TIMES = ("nan", "inf", "-1", "60+-3", "60+1e99", "60+nan", "60+0")
 @pytest.mark.parametrize(
     ("values", "word"),
     [
-        ({"avoidance": "luck"}, "avoidance"),
+        (
+            {"avoidance": "luck"},
+            "unknown avoidance 'luck'; there are package, paper, none, perfect",
+        ),
+        ({"judge": "luck"}, "unknown judge 'luck'; there are contact, physics"),
         ({"speeed": 3.0}, "speeed"),
         ({"faults": ("meteor@50",)}, "meteor"),
         ({"faults": ("pose_gap",)}, "KIND@HEIGHT"),

@@ -17,9 +17,8 @@ def test_axes_and_quaternion_are_those_of_the_simulations():
         sight = sight / np.linalg.norm(sight)
         rotation = axes(sight)
         np.testing.assert_allclose(rotation, look_at(np.zeros(3), sight), atol=1e-12)
-        np.testing.assert_allclose(
-            Rotation.from_quat(quaternion(rotation)).as_matrix(), rotation, atol=1e-12
-        )
+        back = Rotation.from_quat(quaternion(rotation)).as_matrix()
+        np.testing.assert_allclose(back, rotation, atol=1e-12)
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.6, 2.0])

@@ -11,6 +11,7 @@ VEHICLE = Vehicle()
 START = np.array([-510.0, 20.0, 300.0])
 SPEED = np.array([34.0, -1.0, -20.0])
 END, DOWN = np.array([5.0, -8.0, 8.0]), np.array([0.0, 0.0, -1.5])
+LIMITS = Limits()
 
 
 def flown(seconds, dt=0.002):
@@ -28,20 +29,22 @@ def flown(seconds, dt=0.002):
     return mass, position, velocity, sizes
 
 
+def ways(times, limits=LIMITS, ends=(END,), began=(START, SPEED)):
+    """What it takes in such times."""
+    return paths(VEHICLE, VEHICLE.mass, *began, np.array(ends), DOWN, np.array(times), limits)
+
+
 def test_it_ends_where_and_as_fast_as_asked_and_costs_what_was_said():
     seconds = 32.0
     mass, position, velocity, _ = flown(seconds)
     np.testing.assert_allclose(position, END, atol=0.05)
     np.testing.assert_allclose(velocity, DOWN, atol=0.05)
-    found = paths(
-        VEHICLE, VEHICLE.mass, START, SPEED, END[None], DOWN, np.array([seconds]), Limits()
-    )
+    found = ways([seconds])
     assert found.propellant[0, 0] == pytest.approx(VEHICLE.mass - mass, rel=5e-3)
 
 
 def test_what_is_allowed_keeps_the_engine_within_its_limits():
-    times = np.arange(15.0, 60.0)
-    found = paths(VEHICLE, VEHICLE.mass, START, SPEED, END[None], DOWN, times, Limits())
+    found = ways(np.arange(15.0, 60.0))
     assert found.allowed.any() and not found.allowed.all()
     seconds, propellant = found.best()
     assert propellant == found.propellant[found.allowed].min()
@@ -51,17 +54,12 @@ def test_what_is_allowed_keeps_the_engine_within_its_limits():
 
 @pytest.mark.parametrize("limits", [Limits(tilt_deg=5.0), Limits(thrust_share=0.4)])
 def test_a_limit_that_cannot_be_kept_leaves_no_path(limits):
-    times = np.arange(15.0, 60.0)
-    found = paths(VEHICLE, VEHICLE.mass, START, SPEED, END[None], DOWN, times, limits)
-    assert found.best() is None
+    assert ways(np.arange(15.0, 60.0), limits).best() is None
 
 
 def test_a_place_behind_the_vehicle_is_out_of_reach():
     behind = START + np.array([-200.0, 0.0, -290.0])
-    times = np.arange(5.0, 60.0)
-    found = paths(
-        VEHICLE, VEHICLE.mass, START, SPEED, np.array([END, behind]), DOWN, times, Limits()
-    )
+    found = ways(np.arange(5.0, 60.0), ends=(END, behind))
     assert found.best(0) is not None and found.best(1) is None
 
 
@@ -74,12 +72,9 @@ def test_thrust_is_cut_across_before_it_is_cut_upwards():
 
 def test_a_path_that_sinks_below_the_glide_slope_is_not_allowed():
     """From straight above on the cone's edge, fast downwards: it would arrive from the side."""
-    start, speed = np.array([-100.0, 0.0, 115.0]), np.array([10.0, 0.0, -15.0])
-    times, end = np.arange(8.0, 40.0, 0.5), np.zeros((1, 3))
-    allowed = [
-        paths(
-            VEHICLE, VEHICLE.mass, start, speed, end, DOWN, times, Limits(glide_slope_deg=slope)
-        ).allowed.sum()
+    began = np.array([-100.0, 0.0, 115.0]), np.array([10.0, 0.0, -15.0])
+    shallow, steep = (
+        ways(np.arange(8.0, 40.0, 0.5), Limits(glide_slope_deg=slope), np.zeros((1, 3)), began)
         for slope in (5.0, 45.0)
-    ]
-    assert allowed[0] > allowed[1] > 0
+    )
+    assert shallow.allowed.sum() > steep.allowed.sum() > 0

@@ -9,14 +9,19 @@ from quadtree_lss.lab.flight.vehicle import Vehicle, VehicleState
 DT = 0.01
 
 
-def at_rest(vehicle):
-    return VehicleState(vehicle, np.array([0.0, 0.0, 100.0]), np.zeros(3))
+def at_rest(vehicle, command=None, steps=0):
+    """100 m up; so many steps after a command."""
+    lander = VehicleState(vehicle, np.array([0.0, 0.0, 100.0]), np.zeros(3))
+    if command is not None:
+        lander.command(np.array(command))
+    for _ in range(steps):
+        lander.step(DT)
+    return lander
 
 
 def test_thrust_and_tilt_change_no_faster_than_they_can():
     vehicle = Vehicle()
-    lander = at_rest(vehicle)
-    lander.command(np.array([1e5, 0.0, 1e3]))
+    lander = at_rest(vehicle, [1e5, 0.0, 1e3])
     thrust, tilt = [lander.thrust], [lander.tilt_deg]
     for _ in range(500):
         lander.step(DT)
@@ -29,22 +34,12 @@ def test_thrust_and_tilt_change_no_faster_than_they_can():
 
 
 def test_the_engine_is_never_off():
-    lander = at_rest(Vehicle())
-    lander.command(np.zeros(3))
-    for _ in range(200):
-        lander.step(DT)
-    assert lander.thrust == Vehicle().thrust_min
+    assert at_rest(Vehicle(), np.zeros(3), 200).thrust == Vehicle().thrust_min
 
 
 def test_a_command_has_no_effect_before_the_delay():
-    lander = at_rest(Vehicle(delay=0.1))
-    before = lander.thrust
-    lander.command(np.array([0.0, 0.0, 6000.0]))
-    for _ in range(10):
-        lander.step(DT)
-        assert lander.thrust == before
-    lander.step(DT)
-    assert lander.thrust > before
+    thrusts = [at_rest(Vehicle(delay=0.1), [0, 0, 6e3], steps).thrust for steps in (0, 10, 11)]
+    assert thrusts[0] == thrusts[1] < thrusts[2]
 
 
 def test_hovering_stays_and_burns_by_the_rocket_equation():
@@ -61,8 +56,5 @@ def test_hovering_stays_and_burns_by_the_rocket_equation():
 
 
 def test_without_propellant_it_falls():
-    vehicle = Vehicle(propellant=0.5)
-    lander = at_rest(vehicle)
-    for _ in range(300):
-        lander.step(DT)
+    lander = at_rest(Vehicle(propellant=0.5), steps=300)
     assert lander.thrust == 0.0 and lander.velocity[2] < -1.0

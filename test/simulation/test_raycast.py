@@ -97,9 +97,8 @@ def test_parabola_is_hit_where_its_elevation_says():
 
 
 def test_parabola_straight_down_and_its_dem_agree():
-    parabola = Parabola()
-    down = np.array([[0.0, 0.0, -1.0]])
-    origin = np.array([30.0, 20.0, 100.0])
+    """Eq. 60."""
+    parabola, down, origin = Parabola(), np.array([[0.0, 0.0, -1.0]]), np.array([30.0, 20.0, 100.0])
     expected = 100.0 - 3e-3 * (30.0**2 + 20.0**2 - 12.0**2)
     assert parabola.cast(origin, down)[0] == pytest.approx(expected)
     assert parabola.terrain().cast(origin, down)[0] == pytest.approx(expected, abs=1e-3)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from quadtree_lss.lab.simulation.safety import LandingGear, contact_safe, safety_map, worst_contact
+from quadtree_lss.lab.simulation.terrain import Terrain
 
 TAN_LIMIT = np.tan(np.radians(10.0))
 
@@ -71,10 +72,10 @@ def test_equals_brute_force(seed, post):
     grid_x, grid_y = np.arange(-2.5, 2.6, 0.5), np.arange(-2.0, 2.1, 0.5)
     points = [(px, py) for py in grid_y for px in grid_x]
     slow = np.array([brute_force(x, y, z, px, py, lander) for px, py in points])
-    np.testing.assert_allclose(
-        np.stack(worst_contact(x, y, z, points, lander), axis=1), slow, rtol=0.0, atol=1e-9
-    )
-    safe = safety_map(x, y, z, grid_x, grid_y, lander)
+    dem = Terrain(x, y, z)
+    found = np.stack(worst_contact(dem, points, lander), axis=1)
+    np.testing.assert_allclose(found, slow, rtol=0.0, atol=1e-9)
+    safe = safety_map(dem, grid_x, grid_y, lander)
     np.testing.assert_array_equal(
         safe.ravel(), (slow[:, 0] <= TAN_LIMIT) & (slow[:, 1] <= lander.max_roughness)
     )
@@ -86,7 +87,7 @@ X, Y = np.meshgrid(AXIS, AXIS)
 
 
 def _safe(z, point=(0.0, 0.0), **lander):
-    return bool(contact_safe(AXIS, AXIS, z, [point], LandingGear(**lander))[0])
+    return bool(contact_safe(Terrain(AXIS, AXIS, z), [point], LandingGear(**lander))[0])
 
 
 def test_reaching_over_the_edge_is_unsafe():

@@ -26,8 +26,12 @@ def _read(path):
     return rows
 
 
-def _points(message):
-    return message.data.view("<f4").reshape(message.height, message.width, 3).astype(float)
+def _places(rows, truth, k):
+    """(128, 128, 3) points of a scan, map frame, from its true pose."""
+    cloud = [row[3] for row in rows if row[0] == "/lidar/points"][k]
+    points = cloud.data.view("<f4").reshape(cloud.height, cloud.width, 3).astype(float)
+    rotation = Rotation.from_quat(truth["scan_quaternion_xyzw"][k]).as_matrix()
+    return points @ rotation.T + truth["scan_position"][k]
 
 
 @pytest.fixture(scope="module")
@@ -51,13 +55,11 @@ def test_messages_look_like_a_recording(morpheus):
     assert all(row[1] > row[2] for row in rows)
     clouds = [row for row in rows if row[0] == "/lidar/points"]
     poses = [row for row in rows if row[0] == "/nav/pose"]
-    assert len(clouds) == result.scans == 20
-    assert len(poses) == result.poses
-    np.testing.assert_array_equal([row[2] for row in clouds], truth["scan_stamp_ns"])
-    pose_stamps = [row[2] for row in poses]
-    assert not set(pose_stamps) & {row[2] for row in clouds}
-    assert pose_stamps[0] < clouds[0][2]
-    assert clouds[-1][2] < pose_stamps[-1]
+    assert (len(clouds), len(poses)) == (result.scans, result.poses) and result.scans == 20
+    stamps, pose_stamps = [row[2] for row in clouds], [row[2] for row in poses]
+    np.testing.assert_array_equal(stamps, truth["scan_stamp_ns"])
+    assert not set(pose_stamps) & set(stamps)
+    assert pose_stamps[0] < stamps[0] and stamps[-1] < pose_stamps[-1]
     message = clouds[0][3]
     assert message.header.frame_id == "lidar"
     assert (message.height, message.width, message.point_step) == (128, 128, 12)
@@ -66,14 +68,8 @@ def test_messages_look_like_a_recording(morpheus):
 
 
 def test_points_lie_on_the_terrain_seen_from_the_true_pose(morpheus, hill):
-    _, rows, truth = morpheus
-    clouds = [row[3] for row in rows if row[0] == "/lidar/points"]
-    errors = []
-    for k in (0, 10, 19):
-        rotation = Rotation.from_quat(truth["scan_quaternion_xyzw"][k]).as_matrix()
-        points = _points(clouds[k]).reshape(-1, 3) @ rotation.T + truth["scan_position"][k]
-        errors.append(points[:, 2] - hill.elevation_at(points[:, 0], points[:, 1]))
-    error = np.concatenate(errors)
+    points = np.stack([_places(*morpheus[1:], k) for k in (0, 10, 19)])
+    error = points[..., 2] - hill.elevation_at(points[..., 0], points[..., 1])
     error = error[np.isfinite(error)]
     assert abs(error.mean()) < 2e-3
     # 6 cm along a ray at 30° are 3 cm of height; slopes add a little.
@@ -119,27 +115,19 @@ def test_box_was_swept(morpheus):
     result, rows, truth = morpheus
     xmin, xmax, ymin, ymax = result.box
     assert xmax - xmin >= 20.0
-    hits = np.zeros((int(ymax - ymin), int(xmax - xmin)))
-    clouds = [row[3] for row in rows if row[0] == "/lidar/points"]
-    for k, cloud in enumerate(clouds):
-        rotation = Rotation.from_quat(truth["scan_quaternion_xyzw"][k]).as_matrix()
-        points = _points(cloud).reshape(-1, 3) @ rotation.T + truth["scan_position"][k]
-        hits += np.histogram2d(
-            points[:, 1], points[:, 0], bins=hits.shape, range=[[ymin, ymax], [xmin, xmax]]
-        )[0]
-    assert hits.min() > 50
+    places = np.concatenate([_places(rows, truth, k).reshape(-1, 3) for k in range(20)])
+    bins = np.arange(xmin, xmax + 0.5), np.arange(ymin, ymax + 0.5)
+    assert np.histogram2d(*places[:, :2].T, bins)[0].min() > 50
 
 
 def test_parabola_poses_bear_the_stamps_of_the_scans(tmp_path):
     result = simulate("parabola", tmp_path / "bag", seed=2, duration=3.0, truth=False)
     rows = _read(tmp_path / "bag")
-    assert result.truth_path is None
-    assert not (tmp_path / "truth.npz").exists()
-    scans = [row[2] for row in rows if row[0] == "/lidar/points"]
-    poses = [row[2] for row in rows if row[0] == "/nav/pose"]
-    assert scans == poses
-    assert len(scans) == 4
-    assert set(np.diff(scans)) == {10**9}
+    assert result.truth_path is None and not (tmp_path / "truth.npz").exists()
+    scans, poses = (
+        [row[2] for row in rows if row[0] == topic] for topic in ("/lidar/points", "/nav/pose")
+    )
+    assert scans == poses and len(scans) == 4 and set(np.diff(scans)) == {10**9}
 
 
 def test_same_seed_same_messages(tmp_path, hill):
@@ -218,11 +206,8 @@ def test_place_that_cannot_be_written_is_one_clear_line(tmp_path, hill):
 
 def test_outlines_go_round_the_points_of_their_scan(morpheus):
     _, rows, truth = morpheus
-    clouds = [row[3] for row in rows if row[0] == "/lidar/points"]
     for k in (0, 19):
-        rotation = Rotation.from_quat(truth["scan_quaternion_xyzw"][k]).as_matrix()
-        points = _points(clouds[k]) @ rotation.T + truth["scan_position"][k]
-        outline = truth["scan_outline"][k]
+        points, outline = _places(rows, truth, k), truth["scan_outline"][k]
         side = len(outline) // 4
         # Beams at the corners of the array, half a pixel inside the corners of the outline.
         corners = points[[-1, -1, 0, 0], [0, -1, -1, 0], :2]
@@ -262,16 +247,10 @@ def test_flights_follow_one_another_and_the_table_tells_how_to_replay_one_alone(
 
 
 def test_a_flight_that_is_stopped_is_a_whole_shorter_one(tmp_path, hill):
-    asked = iter([False] * 60)
-    part = simulate(
-        "morpheus",
-        tmp_path / "part" / "bag",
-        seed=5,
-        duration=1.0,
-        terrain=hill,
-        stop=lambda: next(asked, True),
-    )
-    whole = simulate("morpheus", tmp_path / "whole" / "bag", seed=5, duration=1.0, terrain=hill)
+    asked, how = iter([False] * 60), {"seed": 5, "duration": 1.0, "terrain": hill}
+    until = {"stop": lambda: next(asked, True)}
+    part = simulate("morpheus", tmp_path / "part" / "bag", **how, **until)
+    whole = simulate("morpheus", tmp_path / "whole" / "bag", **how)
     assert part.interrupted and not whole.interrupted
     assert 0 < part.scans < whole.scans and part.scans + part.poses == 60
     rows, all_rows = _read(part.bag_path), _read(whole.bag_path)

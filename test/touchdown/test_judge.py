@@ -14,7 +14,7 @@ from quadtree_lss.lab.campaign.kinds import Case
 from quadtree_lss.lab.campaign.landings import FLY, settings_of
 from quadtree_lss.lab.flight.flight_page import write_flight
 from quadtree_lss.lab.flight.fly import flown
-from quadtree_lss.lab.flight.settings import FlightError, flight_settings
+from quadtree_lss.lab.flight.settings import flight_settings
 from quadtree_lss.lab.touchdown.legs import LANDER
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -49,11 +49,6 @@ def test_without_the_engine_nothing_is_flown_and_one_line_names_it(monkeypatch, 
     assert main(["fly", "--lockstep", "--avoidance", "none", "--physics", *out]) == 1
     said = capsys.readouterr().err.strip()
     assert "physics" in said and "\n" not in said
-
-
-def test_a_judge_that_there_is_not():
-    with pytest.raises(FlightError, match="contact, physics"):
-        flight_settings({"judge": "luck"})
 
 
 def test_the_command_says_what_became_of_it_on_legs(tmp_path, capsys):

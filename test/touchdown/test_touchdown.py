@@ -68,9 +68,9 @@ def test_a_drone_rests_on_its_springs():
     assert found.film[-1, 3] == pytest.approx(-sunk, abs=0.001)
 
 
-@pytest.mark.parametrize(("slope_deg", "friction"), [(20.0, 0.2)])
-def test_it_slides_down_as_friction_lets_it(slope_deg, friction):
+def test_it_slides_down_as_friction_lets_it():
     """a = g (sin - mu cos)."""
+    slope_deg, friction = 20.0, 0.2
     legs = replace(STIFF, friction=friction, centre=0.6)
     early, late = (run(legs, ground(slope_deg), across(slope_deg), s) for s in (0.5, 1.5))
     t = np.radians(slope_deg)
