@@ -17,6 +17,13 @@ alpha + beta <= sqrt 2,
     plane >= low - h (sqrt 2 - 1) / 2 =: floor    and    its slope <= h / radius.
 
 Ground that is not higher over the floor than the limit is in the way at no heading.
+
+Where some is, the lowest of the resting planes at a point, which is concave, bounds what the others
+may find: with ``sink`` the depth of the lowest plane under the grid point and ``fall`` what it
+falls at the most per metre from there to the corner of a diamond about the cells (east, west, north
+or south of the grid point), a cell of height z at x, y rises by no more than
+
+    z + sink + |x| fall_x + |y| fall_y.
 """
 
 from __future__ import annotations
@@ -39,7 +46,7 @@ from quadtree_lss.onboard.core.tree.domain import Domain, carried
 if cython.compiled:
     from cython.cimports.cpython.exc import PyErr_CheckSignals
 else:  # otherwise from the .pxd
-    BLOCK, BINS, FAR = 8, 32, 1e9
+    BLOCK, POINTS, PLANES, FAR = 8, 64, 24, 1e9
 
     def PyErr_CheckSignals() -> None:
         """Python sees to signals by itself."""
@@ -150,22 +157,21 @@ class Blocks:
         half: (2 reach,) half width of the disc of cells under the lander in each row, in cells.
         top, pad, slope_x, slope_y: (width^2,) window over the block's plane: highest ground of
             each cell, height of a pad at its centre, slopes.
-        stand: (4 yaws, BLOCK^2) heights of the pads at each grid point, over the plane, m.
-        floor: (BLOCK^2,) below every resting plane of a grid point, over the plane, m.
-        spread: (BLOCK^2,) of the pads' heights, m.
-        step: Of height in the order of the cells, m.
+        stand: (4 yaws POINTS,) heights of the pads at each grid point, over the plane, m.
+        floor: (POINTS,) below every resting plane of a grid point, over the plane, m.
+        spread: (POINTS,) of the pads' heights, m.
         rounding: Bounds find nothing by less than single precision can err, m.
-        roof: (BLOCK^2,) highest ground under the lander, over the plane, m.
-        high, height: Row and column in the window of the cells, ``highs`` of them, that may be in
-            the way of some grid point, and their highest ground over the plane, m.
-        most: Greatest height of such a cell and those after it, m.
-        resting_x, resting_y, resting_z: (2 yaws,) resting planes at the grid point at
-            hand: slopes and height there, over the block's plane.
-        along, across: (2 yaws,) their rise over a radius in the heading and across it, m.
+        roof: (POINTS,) highest ground under the lander, over the plane, m.
+        highest: (2 reach POINTS,) in each row of the cells under it, m.
+        middle, away: (2 reach,) of these cells from the grid point, and that without a sign, m.
+        aside: (2 reach,) farthest of a row of them from its middle, m.
+        corner: Of the diamond about them from the grid point, m.
+        resting_x, resting_y, resting_z: (PLANES,) resting planes at the grid point at hand: slopes
+            and height there, over the block's plane.
         cos, sin: (2 yaws,) of the headings, over the radius.
-        least_x, most_x, least_y, most_y, least_z: Bounds of the planes.
-        above: (2 yaws,) rise of a cell over them, m.
+        sink, fall_east, fall_west, fall_north, fall_south: Bounds of the planes, m, m/m.
         worst_rise, worst_slope: Worst found there.
+        spoiler_row, spoiler_column: Of the cell in the window that was last found in the way.
         base_x, base_y: Slopes of the block's plane.
     """
 
@@ -176,7 +182,7 @@ class Blocks:
         under = disc(0.5 * config.vehicle.diameter, side)
         self.side, self.radius = side, 0.5 * config.vehicle.diameter
         self.pad_radius = config.vehicle.pad_radius
-        self.step, self.rounding = 0.02 * config.vehicle.height, 1e-4 * config.vehicle.size
+        self.rounding = 1e-4 * config.vehicle.size
         self.low_rise, self.high_rise = limits.rise
         self.low_slope, self.high_slope = limits.slope
         self.yaws = YAWS if heading is None else 1
@@ -204,17 +210,18 @@ class Blocks:
             (4, self.width**2), dtype=np.float32
         )
         self.run = np.zeros(self.width * BLOCK, dtype=np.float32)
-        self.stand = np.zeros((4 * self.yaws, BLOCK**2), dtype=np.float32)
-        self.floor, self.spread, self.roof = np.zeros((3, BLOCK**2), dtype=np.float32)
-        self.high = np.zeros((2, self.width**2), dtype=np.intp)
-        self.height, self.most = np.zeros((2, self.width**2), dtype=np.float32)
-        self.begin = np.zeros(BINS + 1, dtype=np.intp)
-        self.resting_x, self.resting_y, self.resting_z, self.above, self.along, self.across = (
-            np.zeros((6, 2 * self.yaws), dtype=np.float32)
-        )
-        self.highs = self.spoiler = 0
+        self.stand = np.zeros(4 * self.yaws * POINTS, dtype=np.float32)
+        self.floor, self.spread, self.roof = np.zeros((3, POINTS), dtype=np.float32)
+        self.highest = np.zeros(2 * self.reach * POINTS, dtype=np.float32)
+        self.middle = ((np.arange(-self.reach, self.reach) + 0.5) * side).astype(np.float32)
+        self.away = np.abs(self.middle)
+        self.aside = (np.maximum(half - 0.5, 0.0) * side).astype(np.float32)
+        self.corner = float((np.abs(under.x) + np.abs(under.y)).max())
+        if not cython.compiled:  # otherwise parts of the object
+            self.resting_x, self.resting_y, self.resting_z = np.zeros((3, PLANES), np.float32)
+        self.sink = self.fall_east = self.fall_west = self.fall_north = self.fall_south = 0.0
         self.worst_rise = self.worst_slope = 0.0
-        self.least_x = self.most_x = self.least_y = self.most_y = self.least_z = 0.0
+        self.spoiler_row = self.spoiler_column = 0
         self.base_x = self.base_y = 0.0
 
     def follow(self, east: int, north: int) -> int:
@@ -345,6 +352,11 @@ class Blocks:
         """Heights of the pads about every grid point of the block, and their bounds."""
         cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
         cython.declare(here=cython.Py_ssize_t, place=cython.Py_ssize_t)
+        height = cython.declare(cython.float[POINTS])
+        lowest = cython.declare(cython.float[POINTS])
+        highest = cython.declare(cython.float[POINTS])
+        for i in range(POINTS):
+            lowest[i], highest[i] = FAR, -FAR
         for k in range(4 * self.yaws):
             x, y = self.pad_x[k], self.pad_y[k]
             for i in range(BLOCK):
@@ -352,20 +364,18 @@ class Blocks:
                 place = (self.reach + i) * self.width + self.reach + self.pad_place[k]
                 for j in range(BLOCK):
                     z = self.pad[place + j] + self.slope_x[place + j] * x
-                    self.stand[k, here + j] = z + self.slope_y[place + j] * y
-        self.floor[:] = self.stand[0]
-        self.spread[:] = self.stand[0]
-        for k in range(1, 4 * self.yaws):
-            for i in range(BLOCK * BLOCK):
-                z = self.stand[k, i]
-                self.floor[i] = z if z < self.floor[i] else self.floor[i]
-                self.spread[i] = z if z > self.spread[i] else self.spread[i]
-        for i in range(BLOCK * BLOCK):
-            self.spread[i] -= self.floor[i]
+                    height[here + j] = z + self.slope_y[place + j] * y
+            here = k * POINTS
+            for i in range(POINTS):
+                self.stand[here + i] = height[i]
+                lowest[i] = height[i] if height[i] < lowest[i] else lowest[i]
+                highest[i] = height[i] if height[i] > highest[i] else highest[i]
+        for i in range(POINTS):
+            self.spread[i], self.floor[i] = highest[i] - lowest[i], lowest[i]
             self.floor[i] -= SAG * self.spread[i] + self.rounding if self.bounded else FAR
 
     def cover(self) -> None:
-        """Highest ground under the lander at every grid point, and the cells that matter.
+        """Highest ground under the lander at every grid point, in all and row by row.
 
         A disc is a stack of centred runs of cells.
         """
@@ -373,6 +383,7 @@ class Blocks:
         cython.declare(half=cython.Py_ssize_t, place=cython.Py_ssize_t)
         self.run[:] = -FAR
         self.roof[:] = -FAR
+        self.highest[:] = -FAR
         for half in range(1, self.reach + 1):
             for i in range(self.width):
                 place = i * self.width + self.reach
@@ -383,39 +394,10 @@ class Blocks:
                     self.run[k + j] = z if z > self.run[k + j] else self.run[k + j]
             for i in range(2 * self.reach):
                 if self.half[i] == half:
-                    for k in range(BLOCK * BLOCK):
+                    for k in range(POINTS):
                         z = self.run[i * BLOCK + k]
+                        self.highest[i * POINTS + k] = z
                         self.roof[k] = z if z > self.roof[k] else self.roof[k]
-        lowest = 1.0 * FAR
-        for k in range(BLOCK * BLOCK):
-            if self.roof[k] > self.floor[k] + self.low_rise and self.floor[k] < lowest:
-                lowest = self.floor[k]
-        self.list_highs(lowest + self.low_rise)
-
-    def list_highs(self, above: float) -> None:
-        """List the cells of the window that are higher than ``above``, the higher ones first.
-
-        They are in order of height to a ``step``: more would not pay.
-        """
-        cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
-        self.begin[:] = 0
-        for i in range(self.width * self.width):
-            if self.top[i] > above:
-                self.begin[bin_of((self.top[i] - above) / self.step) + 1] += 1
-        for i in range(BINS):
-            self.begin[i + 1] += self.begin[i]
-        self.highs, self.spoiler = self.begin[BINS], 0
-        for i in range(self.width):
-            for j in range(self.width):
-                z = self.top[i * self.width + j]
-                if z > above:
-                    k = self.begin[bin_of((z - above) / self.step)]
-                    self.begin[bin_of((z - above) / self.step)] += 1
-                    self.high[0, k], self.high[1, k], self.height[k] = i, j, z
-        highest: cython.float = -FAR
-        for k in range(self.highs - 1, -1, -1):
-            highest = max(highest, self.height[k])
-            self.most[k] = highest
 
     def find_worst(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> None:
         """Find the worst contact of the lander at a grid point of the block."""
@@ -430,10 +412,7 @@ class Blocks:
         if self.worst_slope > self.high_slope or not under:
             return
         self.bound_planes()
-        # What is in the way of one grid point mostly is of the next.
-        self.find_rise(row, column, self.spoiler, self.spoiler + 1)
-        if self.worst_rise <= self.high_rise:
-            self.find_rise(row, column, 0, self.highs)
+        self.find_rise(row, column)
 
     def find_planes(self, place: cython.Py_ssize_t) -> None:
         """The resting planes at a grid point, two for each heading.
@@ -441,94 +420,117 @@ class Blocks:
         Sets their slopes in x and y and height at the grid point, over the block's plane, and the
         steepest slope.
         """
-        k: cython.Py_ssize_t
+        cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t)
         n: cython.Py_ssize_t = self.yaws
         east_up: cython.float = self.base_x
         north_up: cython.float = self.base_y
-        steepest: cython.float = 0.0
+        # One end of the diagonal that carries is as far over its middle as the other is under: the
+        # rise over a radius, in the heading and across it, of the one plane and the other.
+        along = cython.declare(cython.float[PLANES])
+        across = cython.declare(cython.float[PLANES])
+        square = cython.declare(cython.float[PLANES])
         for k in range(n):
-            east, north = self.stand[4 * k, place], self.stand[4 * k + 1, place]
-            west, south = self.stand[4 * k + 2, place], self.stand[4 * k + 3, place]
-            # One end of the diagonal that carries is as far over its middle as the other is under:
-            # the rise over a radius, in the heading and across it, of the one plane and the other.
+            i = 4 * k * POINTS + place
+            east, north = self.stand[i], self.stand[i + POINTS]
+            west, south = self.stand[i + 2 * POINTS], self.stand[i + 3 * POINTS]
             centre: cython.float = 0.5 * max(east + west, north + south)
-            self.along[k], self.across[k] = east - centre, north - centre
-            self.along[n + k], self.across[n + k] = centre - west, centre - south
+            along[k], across[k] = east - centre, north - centre
+            along[n + k], across[n + k] = centre - west, centre - south
             self.resting_z[k] = self.resting_z[n + k] = centre
         for k in range(2 * n):
-            self.resting_x[k] = self.along[k] * self.cos[k] - self.across[k] * self.sin[k]
-            self.resting_y[k] = self.along[k] * self.sin[k] + self.across[k] * self.cos[k]
-        for k in range(2 * n):
+            self.resting_x[k] = along[k] * self.cos[k] - across[k] * self.sin[k]
+            self.resting_y[k] = along[k] * self.sin[k] + across[k] * self.cos[k]
+        for k in range(2 * n, PLANES):  # of one heading alone
+            self.resting_x[k], self.resting_y[k] = self.resting_x[0], self.resting_y[0]
+            self.resting_z[k] = self.resting_z[0]
+        for k in range(PLANES):
             x, y = self.resting_x[k] + east_up, self.resting_y[k] + north_up
-            self.above[k] = x * x + y * y
-        for k in range(n):
-            steepest = max(steepest, max(self.above[k], self.above[n + k]))
-        self.worst_slope = max(self.worst_slope, sqrt(steepest))
+            square[k] = x * x + y * y
+        self.worst_slope = max(self.worst_slope, sqrt(greatest(square)))
 
     def bound_planes(self) -> None:
         """Bounds of the resting planes."""
         k: cython.Py_ssize_t
-        n: cython.Py_ssize_t = self.yaws
-        least_x, least_y, least_z = self.resting_x[0], self.resting_y[0], self.resting_z[0]
-        most_x, most_y = least_x, least_y
-        for k in range(n):
-            least_x = min(least_x, min(self.resting_x[k], self.resting_x[n + k]))
-            most_x = max(most_x, max(self.resting_x[k], self.resting_x[n + k]))
-            least_y = min(least_y, min(self.resting_y[k], self.resting_y[n + k]))
-            most_y = max(most_y, max(self.resting_y[k], self.resting_y[n + k]))
-            least_z = min(least_z, self.resting_z[k])
-        self.least_x, self.most_x, self.least_y, self.most_y = least_x, most_x, least_y, most_y
-        self.least_z = least_z
+        corner: cython.float = self.corner
+        under = cython.declare(cython.float[PLANES])
+        for k in range(PLANES):
+            under[k] = -self.resting_z[k]
+        self.sink = greatest(under)
+        for k in range(PLANES):
+            under[k] = -self.resting_z[k] - corner * self.resting_x[k]
+        self.fall_east = (greatest(under) - self.sink) / corner
+        for k in range(PLANES):
+            under[k] = -self.resting_z[k] + corner * self.resting_x[k]
+        self.fall_west = (greatest(under) - self.sink) / corner
+        for k in range(PLANES):
+            under[k] = -self.resting_z[k] - corner * self.resting_y[k]
+        self.fall_north = (greatest(under) - self.sink) / corner
+        for k in range(PLANES):
+            under[k] = -self.resting_z[k] + corner * self.resting_y[k]
+        self.fall_south = (greatest(under) - self.sink) / corner
 
-    def find_rise(
-        self,
-        row: cython.Py_ssize_t,
-        column: cython.Py_ssize_t,
-        first: cython.Py_ssize_t,
-        last: cython.Py_ssize_t,
-    ) -> None:
-        """Set the lander at a grid point over some of the cells that may be in its way.
+    def find_rise(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> None:
+        """Set the lander at a grid point over the cells that may be in its way.
 
         Until one rises over the limit: by how much does not matter.
         """
-        cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
-        floor: cython.float = self.floor[row * BLOCK + column]
-        above: cython.float = floor + self.worst_rise
-        for k in range(first, last):
-            if self.most[k] <= above:
-                return
-            if self.height[k] > above:
-                i, j = self.high[0, k] - row, self.high[1, k] - column - self.reach
-                if 0 <= i < 2 * self.reach and -self.half[i] <= j < self.half[i]:
-                    if self.rise_at(k, (j + 0.5) * self.side, (i - self.reach + 0.5) * self.side):
-                        above = floor + self.worst_rise
-                        if self.worst_rise > self.high_rise:
-                            return
-
-    def rise_at(self, k: cython.Py_ssize_t, east: cython.float, north: cython.float) -> cython.bint:
-        """Whether a cell of the list, at a place from the grid point, rises higher than others."""
-        i: cython.Py_ssize_t
-        n: cython.Py_ssize_t = self.yaws
+        cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, place=cython.Py_ssize_t)
+        # What is in the way of one grid point mostly is of the next.
+        i, j = self.spoiler_row - row, self.spoiler_column - column
         worst: cython.float = self.worst_rise
-        height: cython.float = self.height[k]
-        # No plane stands lower there than the least of all their heights and slopes would.
-        lowest = self.least_z + (self.least_x if east > 0.0 else self.most_x) * east
-        lowest += (self.least_y if north > 0.0 else self.most_y) * north
-        if height - lowest <= worst - self.rounding:
-            return False
-        for i in range(2 * n):
-            self.above[i] = (
-                height - self.resting_x[i] * east - self.resting_y[i] * north - self.resting_z[i]
+        if 0 <= i < 2 * self.reach and -self.half[i] <= j - self.reach < self.half[i]:
+            worst = self.rise_at(row, column, i, j, worst)
+        level: cython.float = self.sink + self.rounding
+        aside: cython.float = max(max(self.fall_east, self.fall_west), 0.0)
+        for i in range(2 * self.reach):
+            deep = self.away[i] * (self.fall_south if i < self.reach else self.fall_north) + level
+            most = self.aside[i] * aside + deep
+            if self.highest[i * POINTS + row * BLOCK + column] + most <= worst:
+                continue
+            place = (row + i) * self.width + column
+            for j in range(self.reach - self.half[i], self.reach + self.half[i]):
+                height = self.top[place + j]
+                if height + most <= worst:
+                    continue
+                fall = self.fall_west if j < self.reach else self.fall_east
+                if height + (self.away[j] * fall + deep) > worst:
+                    worst = self.rise_at(row, column, i, j, worst)
+                    if worst > self.high_rise:
+                        break
+        self.worst_rise = worst
+
+    def rise_at(
+        self,
+        row: cython.Py_ssize_t,
+        column: cython.Py_ssize_t,
+        i: cython.Py_ssize_t,
+        j: cython.Py_ssize_t,
+        worst: cython.float,
+    ) -> cython.float:
+        """By how much a cell under the lander rises over the resting planes, or others do, m."""
+        k: cython.Py_ssize_t
+        north: cython.float = self.middle[i]
+        east: cython.float = self.middle[j]
+        height: cython.float = self.top[(row + i) * self.width + column + j]
+        above = cython.declare(cython.float[PLANES])
+        for k in range(PLANES):
+            above[k] = (
+                height - self.resting_x[k] * east - self.resting_y[k] * north - self.resting_z[k]
             )
-        for i in range(n):
-            worst = max(worst, max(self.above[i], self.above[n + i]))
-        if worst <= self.worst_rise:
-            return False
-        self.worst_rise, self.spoiler = worst, k
-        return True
+        rise: cython.float = greatest(above)
+        if rise > worst:
+            self.spoiler_row, self.spoiler_column = row + i, column + j
+            return rise
+        return worst
 
 
-def bin_of(steps: float) -> cython.Py_ssize_t:
-    """Number of the bin for a height over the least, in steps, the highest ones first."""
-    number: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, min(steps, BINS - 1.0))
-    return BINS - 1 - number
+def greatest(values: cython.p_float) -> cython.float:
+    """Of (PLANES,) values."""
+    k: cython.Py_ssize_t
+    half = cython.declare(cython.float[PLANES])
+    least = cython.declare(cython.float[PLANES])
+    for k in range(PLANES // 2):
+        half[k] = max(values[k], values[k + PLANES // 2])
+    for k in range(PLANES // 6):
+        least[k] = max(half[k], max(half[k + PLANES // 6], half[k + PLANES // 3]))
+    return max(max(least[0], least[1]), max(least[2], least[3]))
