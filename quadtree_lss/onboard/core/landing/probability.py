@@ -358,27 +358,37 @@ def set_means(
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
     cython.declare(south=cython.Py_ssize_t, north=cython.Py_ssize_t)
-    cython.declare(west=cython.Py_ssize_t, east=cython.Py_ssize_t)
+    cython.declare(west=cython.Py_ssize_t, east=cython.Py_ssize_t, below=cython.Py_ssize_t)
     n: cython.Py_ssize_t = values.shape[0]
+    m: cython.Py_ssize_t = out.shape[0]
+    edge: cython.Py_ssize_t = min(reach, m)
     column = cython.declare(cython.double[::1], np.zeros(n))
     sums = cython.declare(cython.double[::1], np.zeros(n + 1))
-    k = 0
+    least: cython.double = 0.0 if after else -np.inf  # round-off may leave less than nothing
+    below = 0
     with cython.nogil:
-        for i in range(out.shape[0]):
+        for i in range(m):
             south, north = max(i - reach, 0), min(i + reach + after, n)
-            while k < north:
+            while below < north:
                 for j in range(n):
-                    column[j] += values[k, j]
-                k += 1
+                    column[j] += values[below, j]
+                below += 1
             if i - reach > 0:
                 for j in range(n):
                     column[j] -= values[i - reach - 1, j]
             for j in range(n):
                 sums[j + 1] = sums[j] + column[j]
-            for j in range(out.shape[1]):
+            # All but the outermost have squares of the same width.
+            for j in range(reach, n + 1 - after - reach):
+                z = (sums[j + reach + after] - sums[j - reach]) / (
+                    (2 * reach + after) * (north - south)
+                )
+                out[i, j] = z if z > least else least
+            for k in range(2 * edge):
+                j = k if k < edge else m - 1 - k + edge
                 west, east = max(j - reach, 0), min(j + reach + after, n)
                 z = (sums[east] - sums[west]) / ((east - west) * (north - south))
-                out[i, j] = max(z, 0.0) if after else z
+                out[i, j] = z if z > least else least
 
 
 @cython.boundscheck(False)
