@@ -2,7 +2,7 @@ cimport cython
 
 # Known when it is compiled: loops of so many steps take several at a time.
 cdef enum:
-    #: Side of the blocks of grid points that are judged together.
+    #: Side of the blocks of grid points that are judged together, and points of one.
     BLOCK = 8
     POINTS = 64
     #: Resting planes at a grid point: two for each heading (``config.limits.YAWS``).

@@ -186,6 +186,7 @@ class Blocks:
         self.low_rise, self.high_rise = limits.rise
         self.low_slope, self.high_slope = limits.slope
         self.yaws = YAWS if heading is None else 1
+        assert 2 * self.yaws <= PLANES
         self.reach = max(int(np.floor(self.radius / side)) + 1, under.reach)
         self.width = BLOCK - 1 + 2 * self.reach
         self.offset = (np.arange(self.width) - 0.5 * (self.width - 1)) * side
@@ -426,16 +427,21 @@ class Blocks:
         north_up: cython.float = self.base_y
         # One end of the diagonal that carries is as far over its middle as the other is under: the
         # rise over a radius, in the heading and across it, of the one plane and the other.
+        east = cython.declare(cython.float[PLANES])
+        north = cython.declare(cython.float[PLANES])
+        west = cython.declare(cython.float[PLANES])
+        south = cython.declare(cython.float[PLANES])
         along = cython.declare(cython.float[PLANES])
         across = cython.declare(cython.float[PLANES])
         square = cython.declare(cython.float[PLANES])
         for k in range(n):
             i = 4 * k * POINTS + place
-            east, north = self.stand[i], self.stand[i + POINTS]
-            west, south = self.stand[i + 2 * POINTS], self.stand[i + 3 * POINTS]
-            centre: cython.float = 0.5 * max(east + west, north + south)
-            along[k], across[k] = east - centre, north - centre
-            along[n + k], across[n + k] = centre - west, centre - south
+            east[k], north[k] = self.stand[i], self.stand[i + POINTS]
+            west[k], south[k] = self.stand[i + 2 * POINTS], self.stand[i + 3 * POINTS]
+        for k in range(n):
+            centre: cython.float = 0.5 * max(east[k] + west[k], north[k] + south[k])
+            along[k], across[k] = east[k] - centre, north[k] - centre
+            along[n + k], across[n + k] = centre - west[k], centre - south[k]
             self.resting_z[k] = self.resting_z[n + k] = centre
         for k in range(2 * n):
             self.resting_x[k] = along[k] * self.cos[k] - across[k] * self.sin[k]
@@ -482,15 +488,21 @@ class Blocks:
             worst = self.rise_at(row, column, i, j, worst)
         level: cython.float = self.sink + self.rounding
         aside: cython.float = max(max(self.fall_east, self.fall_west), 0.0)
+        # What is not higher than this is in the way in no row.
+        most: cython.float = max(max(self.fall_south, self.fall_north), aside) * self.corner + level
+        low: cython.float = worst - most
         for i in range(2 * self.reach):
+            if self.highest[i * POINTS + row * BLOCK + column] <= low:
+                continue
             deep = self.away[i] * (self.fall_south if i < self.reach else self.fall_north) + level
             most = self.aside[i] * aside + deep
             if self.highest[i * POINTS + row * BLOCK + column] + most <= worst:
                 continue
+            least: cython.float = worst - most
             place = (row + i) * self.width + column
             for j in range(self.reach - self.half[i], self.reach + self.half[i]):
                 height = self.top[place + j]
-                if height + most <= worst:
+                if height <= least:
                     continue
                 fall = self.fall_west if j < self.reach else self.fall_east
                 if height + (self.away[j] * fall + deep) > worst:
