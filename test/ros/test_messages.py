@@ -14,7 +14,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from ros_scene import mapped
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import PointCloud2, PointField
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.messages.clouds import MessageError
@@ -22,7 +22,12 @@ from quadtree_lss.onboard.messages.maps import CELL_FIELDS
 from quadtree_lss.onboard.messages.outputs import cloud_records, map_from_messages
 from quadtree_lss.onboard.nodes.diagnostics import Problems
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher
-from quadtree_lss.onboard.nodes.ros_messages import map_messages, message_maker, pose_message
+from quadtree_lss.onboard.nodes.ros_messages import (
+    cloud_message,
+    map_messages,
+    message_maker,
+    pose_message,
+)
 
 pytestmark = pytest.mark.xdist_group("ros")
 
@@ -92,6 +97,42 @@ def test_bytes_that_are_no_pose_are_refused(kind):
     for some in (*(raw[:n] for n in range(0, 300, 7)), raw[:12] + b"\xff" * 4 + raw[16:]):
         with pytest.raises(MessageError, match=f"no {kind.__name__}"):
             pose_message(some, kind)
+
+
+@pytest.mark.parametrize("frame", ["", "m", "ma", "map", "größe"])
+@pytest.mark.parametrize("names", ["", "x", "xyz", ["intensity", "t", "größe"]])
+def test_clouds_are_read_from_their_bytes_as_rclpy_reads_them(frame, names):
+    rng = np.random.default_rng(len(frame) + len(names))
+    message = PointCloud2(height=3, width=7, point_step=11, row_step=80, is_dense=not names)
+    message.header.frame_id, message.is_bigendian = frame, len(names) > 1
+    message.header.stamp.sec, message.header.stamp.nanosec = -3, 999_999_999
+    for name in names:
+        offset, kind, count = (int(n) for n in rng.integers(0, 200, 3))
+        message.fields.append(PointField(name=name, offset=offset, datatype=kind, count=count))
+    message.data = rng.integers(0, 256, 30 * len(names), dtype=np.uint8).tobytes()
+    read = cloud_message(serialize_message(message))
+    assert not isinstance(read, PointCloud2) and bytes(read.data) == bytes(message.data)
+    assert (read.header.frame_id, read.header.stamp.sec) == (frame, -3)
+    assert read.header.stamp.nanosec == 999_999_999
+    for name in "height width is_bigendian point_step row_step is_dense".split():
+        assert getattr(read, name) == getattr(message, name), name
+    for field, of in zip(read.fields, message.fields, strict=True):
+        assert PointField(**vars(field)) == of
+
+
+def test_a_cloud_in_the_other_byte_order_is_read_too():
+    numbers = (1, 2, 0, 0, 3, 4, 5, b"bytes", 1)
+    raw = bytes(4) + struct.pack(">iII4s3IB3x3I5sB", 5, 6, 4, b"map", *numbers)
+    read = cloud_message(raw)
+    assert (read.header.stamp.nanosec, read.header.frame_id, read.width) == (6, "map", 2)
+    assert bytes(read.data) == b"bytes"
+
+
+def test_bytes_that_are_no_cloud_are_refused(cells):
+    raw = map_messages(cells, "map")[0]
+    for some in (*(raw[:n] for n in range(0, len(raw), 4999)), raw[:12] + b"\xff" * 4 + raw[16:]):
+        with pytest.raises(MessageError, match="no PointCloud2"):
+            cloud_message(some)
 
 
 def test_foreign_clouds_are_refused(cells):

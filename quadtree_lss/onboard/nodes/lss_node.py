@@ -16,6 +16,7 @@ from visualization_msgs.msg import MarkerArray
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.outputs import CELLS, GRID_MAP, GROUND, OBSERVED, TOPIC_TYPES
 from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Durations, Status, failure
 from quadtree_lss.onboard.nodes.entry import waits_for
@@ -27,7 +28,7 @@ from quadtree_lss.onboard.nodes.node_runner import BaseNode, run
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher
 from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe
 from quadtree_lss.onboard.nodes.received_map import ReceivedMap
-from quadtree_lss.onboard.nodes.ros_messages import TYPES, GridMap, message_maker
+from quadtree_lss.onboard.nodes.ros_messages import TYPES, GridMap, message_maker, pose_message
 from quadtree_lss.onboard.nodes.target_output import TargetOutput
 
 if TYPE_CHECKING:
@@ -60,13 +61,17 @@ class LssNode(BaseNode):
         self._observed = subscribe(
             self, kinds[1], OBSERVED, self._on_observed, latched(), group=other, raw=True
         )
-        kind: Any = PoseWithCovarianceStamped
-        kind, poses = (Odometry, "odometry") if config.pose.source == "odometry" else (kind, "pose")
+        self._pose_kind: Any = PoseWithCovarianceStamped
+        poses = "pose"
+        if config.pose.source == "odometry":
+            self._pose_kind, poses = Odometry, "odometry"
         self._navigation = self._inputs.wishes.navigation
         # Best effort: it matches any publisher. The newest is enough, and taken when it is needed.
         first = WhenWanted(lambda: not self._navigation.known)
-        take, profile = self._navigation.take, stream(1, reliable=False)
-        self._poses = subscribe(self, kind, f"nav/{poses}", take, profile, group=first)
+        kind, profile = self._pose_kind, stream(1, reliable=False)
+        self._poses = subscribe(
+            self, kind, f"nav/{poses}", self._on_pose, profile, group=first, raw=True
+        )
         self._began = float("nan")
         self._result: LandingAssessment | None = None
         self._failed = ""
@@ -134,9 +139,15 @@ class LssNode(BaseNode):
         if self._map.complete_with("observed", raw):
             self._output.changed()
 
+    def _on_pose(self, raw: bytes) -> None:
+        try:
+            self._navigation.take(pose_message(raw, self._pose_kind))
+        except MessageError as error:
+            self._problems.report(f"pose_{error.reason}", f"pose not used: {error}")
+
     def _take_pose(self) -> None:
-        for message in arrived(self._poses):
-            self._navigation.take(message)
+        for raw in arrived(self._poses):
+            self._on_pose(raw)
 
     def _withhold(self) -> str:
         """Why no site may be given out, empty if nothing speaks against it."""

@@ -55,7 +55,12 @@ from quadtree_lss.onboard.nodes.qos import (
     subscribe,
     subscribe_twice,
 )
-from quadtree_lss.onboard.nodes.ros_messages import header_message, map_messages, pose_message
+from quadtree_lss.onboard.nodes.ros_messages import (
+    cloud_message,
+    header_message,
+    map_messages,
+    pose_message,
+)
 
 SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
 DEPTH, CAMERA = "depth/image", "depth/camera_info"
@@ -137,7 +142,8 @@ class MappingNode(BaseNode):
         scan_qos = stream(SCAN_DEPTH, reliable=qos.scan_reliability == "reliable")
         pose_qos = stream(POSE_DEPTH, reliable=True)
         topic, told = self._topics[SCANS], self._gaps.on_publishers
-        subscribe(self, self._scan_kind, topic, self._on_scan, scan_qos, told)
+        clouds = self._scan_kind is PointCloud2
+        subscribe(self, self._scan_kind, topic, self._on_scan, scan_qos, told, raw=clouds)
         if self._scan_kind is Image:
             subscribe(
                 self, CameraInfo, CAMERA, self._intake.on_camera_info, stream(1, reliable=False)
@@ -176,9 +182,18 @@ class MappingNode(BaseNode):
         self._take_ahead()
         work_ms = self._map_ms.last + self._publish_ms.last
         if self._overload.takes(info["received_timestamp"], self._config, work_ms):
-            self._intake.on_cloud(message, arrival_ns)
+            self._take_scan(message, arrival_ns)
         self._look.reset()
         self._look_around()
+
+    def _take_scan(self, message: Any, arrival_ns: int) -> None:
+        """An image, or the bytes of a cloud."""
+        try:
+            scan = cloud_message(message) if isinstance(message, bytes) else message
+        except MessageError as error:
+            self._intake.reject("cloud", error)
+        else:
+            self._intake.on_cloud(scan, arrival_ns)
 
     def _and_work(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
         """Callback of what scans may be waiting for."""

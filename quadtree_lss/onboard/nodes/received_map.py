@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from nav_msgs.msg import OccupancyGrid
-from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -14,7 +13,7 @@ from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.outputs import map_from_messages
 from quadtree_lss.onboard.messages.poses import check_frame
 from quadtree_lss.onboard.nodes.diagnostics import Arrivals, Problems
-from quadtree_lss.onboard.nodes.ros_messages import deserialised
+from quadtree_lss.onboard.nodes.ros_messages import cloud_message, deserialised
 
 STAMP = slice(4, 12)
 """Of a serialised message that begins with a header."""
@@ -77,9 +76,9 @@ class ReceivedMap:
         """Decodes the newest complete map if that was not done yet."""
         if self._whole is None:
             return
-        (*halves, arrival), self._whole = self._whole, None
+        (raw_cells, raw_observed, arrival), self._whole = self._whole, None
         try:
-            cells, observed = map(deserialised, halves, (PointCloud2, OccupancyGrid))
+            cells, observed = cloud_message(raw_cells), deserialised(raw_observed, OccupancyGrid)
             frame = cells.header.frame_id
             if self._binding:
                 check_frame(frame, self._configured, "map/cells")

@@ -15,6 +15,7 @@ from builtin_interfaces.msg import Time
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -93,7 +94,14 @@ def deserialised(raw: bytes, kind: Any) -> Any:
 
 
 LITTLE_ENDIAN = b"\x00\x01"
-"""What is serialised begins with it, as far as `pose_message` reads it."""
+"""What is serialised begins with it, as far as it is read here."""
+
+
+def _text(raw: bytes, at: int) -> tuple[str, int]:
+    """A string that begins at ``at`` or up to three bytes behind, and where it ends."""
+    at += -at % 4
+    (length,) = struct.unpack_from("<I", raw, at)
+    return raw[at + 4 : at + 3 + length].decode(), at + 4 + length
 
 
 def pose_message(raw: bytes, kind: Any) -> Any:
@@ -103,10 +111,8 @@ def pose_message(raw: bytes, kind: Any) -> Any:
     try:
         seconds, nanoseconds = struct.unpack_from("<iI", raw, 4)
         for _ in range(2 if kind is Odometry else 1):
-            at += -at % 4
-            (length,) = struct.unpack_from("<I", raw, at)
-            names.append(raw[at + 4 : at + 3 + length].decode())
-            at += 4 + length
+            name, at = _text(raw, at)
+            names.append(name)
         numbers = np.frombuffer(raw, "<f8", 7 + 36, at + (4 - at) % 8)
     except (struct.error, ValueError):
         return deserialised(raw, kind)
@@ -121,6 +127,41 @@ def pose_message(raw: bytes, kind: Any) -> Any:
     if len(names) > 1:
         message.child_frame_id = names[1]
     return message
+
+
+def cloud_message(raw: bytes) -> Any:
+    """As of `deserialised` for ``PointCloud2``, in a quarter of the time: its data are those of
+    ``raw``, not copied. Raises `MessageError`."""
+    fields = []
+    try:
+        seconds, nanoseconds = struct.unpack_from("<iI", raw, 4)
+        frame, at = _text(raw, 12)
+        height, width, count = struct.unpack_from("<3I", raw, at + -at % 4)
+        at += -at % 4 + 12
+        for _ in range(count):
+            name, at = _text(raw, at)
+            offset, kind, number = struct.unpack_from("<IB3xI", raw, at + -at % 4)
+            at += -at % 4 + 12
+            of = {"name": name, "offset": offset, "datatype": kind, "count": number}
+            fields.append(SimpleNamespace(**of))
+        big, point_step, row_step, size = struct.unpack_from("<B3x3I", raw, at)
+        data, dense = memoryview(raw)[at + 16 : at + 16 + size], raw[at + 16 + size]
+    except (struct.error, ValueError, IndexError):
+        return deserialised(raw, PointCloud2)
+    if raw[:2] != LITTLE_ENDIAN:
+        return deserialised(raw, PointCloud2)
+    stamp = SimpleNamespace(sec=seconds, nanosec=nanoseconds)
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=stamp, frame_id=frame),
+        height=height,
+        width=width,
+        fields=fields,
+        is_bigendian=big > 0,
+        point_step=point_step,
+        row_step=row_step,
+        data=data,
+        is_dense=dense > 0,
+    )
 
 
 def packed(values: NDArray[Any]) -> array[int]:
