@@ -19,9 +19,10 @@ from quadtree_lss.onboard.config.limits import MOST_LEAVES, MOST_LEVELS, why_too
 from quadtree_lss.onboard.config.settings import ConfigError, LssConfig, checked_values
 from quadtree_lss.onboard.core.geometry.bounds import MOST, MOST_HEIGHT, bounded
 from quadtree_lss.onboard.core.landing.target import WAIT_S
-from quadtree_lss.onboard.core.tree.cell_map import CellMap, sound_planes
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import leaf_raster
+from quadtree_lss.onboard.core.tree.soundness import sound_planes
 from quadtree_lss.onboard.messages.clouds import MessageError
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
@@ -33,6 +34,8 @@ POINT_FIELD_TYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4":
 
 _I, _J = np.triu_indices(3)
 _UPPER = [f"{i}{j}" for i, j in zip(_I, _J, strict=True)]
+_OF_UPPER = [0, 1, 2, 1, 3, 4, 2, 4, 5]
+"""Of a symmetric matrix (3, 3) row by row, where its entries are among those of `_UPPER`."""
 _RANGE = tuple(f"covariance_range_{of}" for of in _UPPER)
 _POSE = tuple(f"covariance_pose_{of}" for of in _UPPER)
 _NORMAL = ("normal_x", "normal_y", "normal_z")
@@ -198,7 +201,7 @@ def _check(cells: CellMap) -> None:
     """Refuse estimates that none can be. Raises `MessageError`: reason ``values``."""
     known = cells.estimated
     parts = cells.covariance_range, cells.covariance_pose
-    sound = sound_planes(cells.z, cells.normal, parts, cells.feature)
+    sound = sound_planes(cells.z, cells.normal, *parts, cells.feature)
     sound &= ~cells.measured | ((cells.roughness >= 0.0) & (cells.roughness < MOST))
     off = (cells.offset_z, cells.offset_variance)
     sound_offset = np.isnan(off).all() or (abs(off[0]) < MOST_HEIGHT and 0.0 <= off[1] < MOST)
@@ -221,13 +224,14 @@ def _put(out: NDArray[np.void], names: Iterable[str], values: Array) -> None:
 
 
 def _columns(records: NDArray[np.void], names: tuple[str, ...]) -> Array:
-    return np.stack([records[name].astype(np.float64) for name in names], axis=-1)
+    """(M, K) of fields of one type that lie side by side, read at once: a fourth of the time."""
+    kind, start = (records.dtype.fields or {})[names[0]][:2]
+    shape, strides = (len(records), len(names)), (records.itemsize, kind.itemsize)
+    return np.ndarray(shape, kind, np.ascontiguousarray(records), start, strides).astype(float)
 
 
 def _matrices(records: NDArray[np.void], names: tuple[str, ...]) -> Array:
-    out = np.empty((len(records), 3, 3))
-    out[:, _I, _J] = out[:, _J, _I] = _columns(records, names)
-    return out
+    return _columns(records, names).take(_OF_UPPER, axis=1).reshape(-1, 3, 3)
 
 
 def round_trip(cells: CellMap) -> CellMap:

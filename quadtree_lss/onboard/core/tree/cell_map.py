@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -12,12 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask, Numbers
-from quadtree_lss.onboard.core.geometry.bounds import MOST, MOST_HEIGHT, bounded
+from quadtree_lss.onboard.core.geometry.bounds import bounded
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import leaf_raster
 
-#: The least sigma of a feature, m, and the least n_z of a normal (`geometry.plane.keep_up`).
-LEAST_SIGMA, LEAST_UP = 1e-6, 1e-3
 #: Peak of the bell that fits a hemisphere (Eq. 53) best over the hemisphere's height.
 SHAPE = 1.25
 
@@ -41,30 +38,6 @@ def height_by_error(normal: Array, x: Array, y: Array) -> Array:
     first = x - share * nx * along - nx * rise
     second = y - share * ny * along - ny * rise
     return np.asarray(np.column_stack([-first, -second, np.ones_like(x)]) / nz[:, None])
-
-
-def sound_planes(z: Array, normal: Array, covariances: Sequence[Array], feature: Array) -> Mask:
-    """Whether each of M planes, with its feature, is one that can be.
-
-    Args:
-        z: (M,) m.
-        normal: (M, 3).
-        covariances: (M, 3, 3) of range noise and of the poses.
-        feature: (M, 5).
-    """
-    with np.errstate(invalid="ignore", over="ignore"):
-        sound = np.abs(np.sum(normal**2, axis=1) - 1.0) < 1e-6
-        sound &= (normal[:, 2] >= LEAST_UP) & (np.abs(z) < MOST_HEIGHT)
-        # (9, M) each: NumPy is slow along short axes.
-        parts = [np.ascontiguousarray(part.reshape(-1, 9).T) for part in covariances]
-        for part in parts:
-            sound &= (part[::4] >= 0.0).all(axis=0) & (np.abs(part) < MOST).all(axis=0)
-        # As far as round-off leaves that of each part: none is surer than certain anywhere.
-        deviation = np.sqrt(np.sum(parts, axis=0)[::4])
-        limit = (1.1 * deviation[:, None] * deviation).reshape(9, -1)
-        sound &= np.all([(np.abs(part) <= limit).all(axis=0) for part in parts], axis=0)
-        bell = (np.abs(feature) < MOST_HEIGHT).all(axis=1) & (feature[:, 4] >= LEAST_SIGMA)
-    return np.asarray(sound & (bell | np.isnan(feature).all(axis=1)))
 
 
 class Ground(NamedTuple):

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.onboard.core.geometry.bounds import MOST, MOST_HEIGHT
-from quadtree_lss.onboard.core.tree.cell_map import sound_planes
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import LEAF, leaf_raster
+from quadtree_lss.onboard.core.tree.soundness import sound_planes
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 FORMAT = 6
@@ -167,9 +167,9 @@ def _check_leaves(leaves: NDArray[Any], domain: Domain) -> None:
         raise CheckpointError(msg)
     known = leaves["known"]
     planes = leaves[known > 0]
-    parts = [planes[name].reshape(-1, 3, 3) for name in ("range_part", "pose_part")]
+    of_plane = (planes[name] for name in ("z", "normal", "range_part", "pose_part", "feature"))
     whole = np.isin(known, (0, 1, 2, 3)).all()
-    whole &= sound_planes(planes["z"], planes["normal"], parts, planes["feature"]).all()
+    whole &= sound_planes(*of_plane).all()
     for name in LEAF.names or ():
         if LEAF[name].base.kind == "f" and name not in {"low", "high", "feature"}:
             most = MOST**2 if name == "feature_information" else MOST
