@@ -42,6 +42,7 @@ def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, 
     own: cython.bint
     with cython.nogil:
         for i in range(rows.shape[0]):
+            table.expect(rows[min(i + 4, m - 1)])
             leaf = table.at(rows[i])
             own = leaf.known == MEASURED
             # Adding a number that is none makes none of what is not known.

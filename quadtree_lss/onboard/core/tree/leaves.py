@@ -330,14 +330,26 @@ class LeafTable:
         leaf.normal[2] = 1.0
 
     def in_order(self) -> Index:
-        """Rows of the leaves in Morton order: neighbours in space are near in the table."""
+        """Rows of the leaves in Morton order: neighbours in space are near in the table.
+
+        Where a leaf ends, the finest cells tell: they lie side by side, the leaves all over memory.
+        """
         code: cython.Py_ssize_t = 0
         at: cython.Py_ssize_t = 0
+        size: cython.Py_ssize_t
+        finest: cython.Py_ssize_t = self.over.shape[0]
+        row: cython.int
         out = np.empty(self.count, dtype=np.intp)
         self.order = out
-        while code < self.over.shape[0]:
-            self.order[at] = self.over[code]
-            code += 1 << (2 * (self.max_level - self.leaf[self.over[code]].level))
+        while code < finest:
+            row = self.over[code]
+            size = 1
+            while code % (4 * size) == 0 and 4 * size <= finest:
+                if self.over[code + 4 * size - 1] != row:
+                    break
+                size *= 4
+            self.order[at] = row
+            code += size
             at += 1
         return out
 
