@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 from math import acos, hypot, sqrt
-
-import numpy as np
+from operator import mul
 
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 
@@ -65,15 +64,27 @@ def leads_to(before: Pose | None, last: Pose, pose: Pose) -> bool:
     """Whether a pose can follow on another, at the velocity from the one before that."""
     seconds = 1e-9 * (pose.stamp_ns - last.stamp_ns)
     ahead = 0.0 if before is None else seconds / (1e-9 * (last.stamp_ns - before.stamp_ns))
-    step = pose.position - last.position
-    variances = pose.covariance.diagonal() + (1.0 + ahead) ** 2 * last.covariance.diagonal()
+    # Poses come one by one, at hundreds a second: plain numbers take a third of the time.
+    place, turn = _variances(pose)
+    last_place, last_turn = _variances(last)
+    place, turn = place + (1.0 + ahead) ** 2 * last_place, turn + (1.0 + ahead) ** 2 * last_turn
+    now, then = pose.position.tolist(), last.position.tolist()
+    earlier = then
     if before is not None:
-        step = step - ahead * (last.position - before.position)
-        variances = variances + ahead**2 * before.covariance.diagonal()
-    x, y, z, roll, pitch, yaw = variances.tolist()
-    moved = SLACK + 0.5 * ACCELERATION * seconds**2 + DEVIATIONS * sqrt(x + y + z)
-    turned = TURN + TURN_RATE * seconds + DEVIATIONS * sqrt(roll + pitch + yaw)
+        earlier = before.position.tolist()
+        first_place, first_turn = _variances(before)
+        place, turn = place + ahead**2 * first_place, turn + ahead**2 * first_turn
+    step = [c - b - ahead * (b - a) for a, b, c in zip(earlier, then, now, strict=True)]
+    moved = SLACK + 0.5 * ACCELERATION * seconds**2 + DEVIATIONS * sqrt(place)
+    turned = TURN + TURN_RATE * seconds + DEVIATIONS * sqrt(turn)
     # tr(R_1 R_2^T) = 1 + 2 cos(angle) is the sum of the products of their entries.
-    cosine = 0.5 * float(np.sum(pose.rotation_map_lidar * last.rotation_map_lidar)) - 0.5
+    matrices = pose.rotation_map_lidar, last.rotation_map_lidar
+    cosine = 0.5 * sum(map(mul, *(of.ravel().tolist() for of in matrices))) - 0.5
     angle = acos(min(max(cosine, -1.0), 1.0))
-    return hypot(*step.tolist()) <= moved and angle <= turned
+    return hypot(*step) <= moved and angle <= turned
+
+
+def _variances(pose: Pose) -> tuple[float, float]:
+    """Of a pose's place, m^2, and turn, rad^2, of all three axes."""
+    x, y, z, roll, pitch, yaw = pose.covariance.diagonal().tolist()
+    return x + y + z, roll + pitch + yaw
