@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import log_ndtr, ndtr
 
-from quadtree_lss.onboard.core.geometry.portable import above, eigen, product
+from quadtree_lss.onboard.core.geometry.portable import above, eigen, limited, product
 
 
 def matrix(seed: int, n: int) -> np.ndarray:
@@ -45,10 +45,20 @@ def test_no_numbers_are_too_large_or_too_small_to_be_turned(a, b, c):
     np.testing.assert_allclose(values.sum() / 4.0, a / 4.0 + c / 4.0, atol=1e-14 * scale)
 
 
+@given(st.integers(0, 10**6), st.sampled_from([1, 3, 6]))
+def test_eigenvalues_are_limited_and_axes_stay(seed, n):
+    values, vectors = eigen(matrix(seed, n) - np.eye(n))
+    most = float(np.median(values))
+    expected = (vectors * np.clip(values, 0.0, max(most, 0.0))) @ vectors.T
+    found = limited((vectors * values) @ vectors.T, max(most, 0.0))
+    np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(values).max())
+
+
 @pytest.mark.parametrize("bad", [np.zeros(3), np.zeros((2, 3)), np.zeros((3, 2))])
 def test_only_square_matrices_have_eigenvalues(bad):
-    with pytest.raises(ValueError, match="square"):
-        eigen(bad)
+    for of in (eigen, lambda matrix: limited(matrix, 1.0)):
+        with pytest.raises(ValueError, match="square"):
+            of(bad)
 
 
 @pytest.mark.parametrize(

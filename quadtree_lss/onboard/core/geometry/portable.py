@@ -62,13 +62,39 @@ def multiply(a: Array, b: Array, out: Array) -> cython.void:
 def eigen(matrix: Array) -> tuple[Array, Array]:
     """Eigenvalues (n,), in no order, and unit eigenvectors, the columns of (n, n), by Jacobi's
     method, of a symmetric matrix (n, n), of which what lies above the diagonal is not read."""
+    left, vectors = _diagonal(matrix)
+    return left.diagonal(), vectors
+
+
+def limited(matrix: Array, most: float) -> Array:
+    """A symmetric matrix (n, n), as `eigen` reads it, with its eigenvalues from 0 to ``most``."""
+    left, vectors = _diagonal(matrix)
+    scale_columns(vectors, left, most)
+    multiply(vectors, vectors.T, left)
+    return left
+
+
+def _diagonal(matrix: Array) -> tuple[Array, Array]:
+    """The matrix (n, n) about the axes where it is diagonal, and these axes."""
     left = np.array(matrix, dtype=np.float64, order="C")
     if left.ndim != 2 or left.shape[0] != left.shape[1]:
         msg = f"no square matrix: {left.shape}"
         raise ValueError(msg)
     vectors = np.empty(left.shape)
     diagonalise(left, vectors)
-    return left.diagonal(), vectors
+    return left, vectors
+
+
+@cython.boundscheck(False)
+@cython.locals(v=cython.double[:, ::1], a=cython.double[:, ::1])
+def scale_columns(v: Array, a: Array, most: float) -> None:
+    """Each of the columns v (n, n) times the root of its value, on the diagonal of a (n, n), which
+    is taken for 0 or ``most`` if it is beyond."""
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    for j in range(v.shape[1]):
+        root = sqrt(min(max(a[j, j], 0.0), most))
+        for i in range(v.shape[0]):
+            v[i, j] *= root
 
 
 @cython.boundscheck(False)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.core.geometry.portable import eigen, product
+from quadtree_lss.onboard.core.geometry.portable import limited
 
 #: Variances (m^2, rad^2) above this say no more than this: nothing is known.
 MAX_VARIANCE = 1e6
@@ -101,6 +101,4 @@ def points_from_ranges(ranges: ArrayLike, azimuth: ArrayLike, elevation: ArrayLi
 
 def sound_covariance(covariance: Array) -> Array:
     """A covariance (K, K) made positive semidefinite and bounded: eigenvalues 0 .. 1e6."""
-    values, vectors = eigen(covariance)
-    root = vectors * np.sqrt(np.minimum(np.maximum(values, 0.0), MAX_VARIANCE))
-    return product(root, root.T)
+    return limited(covariance, MAX_VARIANCE)
