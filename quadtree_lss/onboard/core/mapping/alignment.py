@@ -8,7 +8,7 @@ otherwise average other errors: level ground would come out in steps.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cython
 import numpy as np
@@ -46,8 +46,7 @@ HIGHEST = cython.declare(cython.double, HEIGHTS)
 MIN_CELLS = 3
 
 
-@dataclass(frozen=True)
-class Offset:
+class Offset(NamedTuple):
     """Where a scan lies by its pose, against the map.
 
     Attributes:

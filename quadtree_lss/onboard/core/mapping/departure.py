@@ -7,7 +7,7 @@ any of them, and is to be judged by what the pose claims in common.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cython
 import numpy as np
@@ -45,8 +45,7 @@ BEYOND = 5.0
 MIN_CELLS = 3
 
 
-@dataclass(frozen=True)
-class Departure:
+class Departure(NamedTuple):
     """A scan's rigid motion from the map.
 
     Attributes:

@@ -201,8 +201,10 @@ class Mapper:
 
     def _follow(self, pose: Pose) -> None:
         """Move the square after what it follows."""
+        if self.config.domain.follow == "none":
+            return
         at = self._area if self.config.domain.follow == "area" else pose.position[:2].tolist()
-        if self.config.domain.follow != "none" and at is not None:
+        if at is not None:
             east, north = self.domain.steps_to(*at)
             if east or north:
                 self.leaves.follow(east, north)
@@ -269,11 +271,11 @@ class Mapper:
             return 0.0
         # Cells are summed up in an order that follows from where the square lies: it is to change
         # no bit.
-        of_scan, of_map, since = (round(x, 9) for x in (offset.scan, offset.map, offset.since))
+        of_scan, of_map = round(offset.scan, 9), round(offset.map, 9)
         self._owed += of_map
         self._lifted += of_map
         if abs(self._owed) >= LEAST_LIFT * metre:
-            lift(self.leaves, self._owed, since)
+            lift(self.leaves, self._owed, round(offset.since, 9))
             self._owed = 0.0
         self._offset = (offset.height - of_map + self._owed, offset.variance)
         change.align(of_scan + self._owed)

@@ -47,8 +47,8 @@ def isolated_in_image(ranges: Array, gate: float) -> int:
     ``ranges``: m. ``gate``: m; 0 keeps every return."""
     pixels = np.empty(ranges.size, dtype=np.int32)
     few = pixels_with_few_links(ranges, gate, pixels) if gate > 0.0 else 0
-    # A wider gate leaves no return alone that a narrower one does not.
-    few = pixels_without_hold(ranges, gate, pixels[:few])
+    if few:  # a wider gate leaves no return alone that a narrower one does not
+        few = pixels_without_hold(ranges, gate, pixels[:few])
     if few == 0 or few < 3 and np.count_nonzero(ranges > 0.0) < 3:
         return 0
     sample = spread_over(ranges.size, min(ranges.size, SAMPLED))

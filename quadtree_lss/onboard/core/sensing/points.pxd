@@ -20,18 +20,18 @@ cpdef void turn(
     long long[::1] spread,
     double[:, ::1] points,
     double[::1] ranges,
-    int[::1] codes,
     long long[::1] runs,
     int[::1] begins,
     long long[::1] counts,
 )
 cpdef bint reach_beyond(const Coordinate[:, :] points, double limit)
-cpdef Py_ssize_t find_runs(int[::1] codes, long long[::1] runs, int[::1] begins)
-cpdef void arrange(
+cpdef Py_ssize_t arrange(
     double[::1] points,
+    double[::1] ranges,
+    bint isolated,
     long long[::1] runs,
     int[::1] begins,
+    long long nowhere,
     double[::1] arranged,
     long long[::1] keys,
-    Py_ssize_t count,
 )

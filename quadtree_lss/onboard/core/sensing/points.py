@@ -29,7 +29,6 @@ def turn(
     spread: Keys,
     points: Array,
     ranges: Array,
-    codes: Ints,
     runs: Keys,
     begins: Ints,
     counts: Keys,
@@ -44,15 +43,16 @@ def turn(
         spread: `morton.SPREAD`.
         points: (N, 3) for the answer.
         ranges: (N,) for their ranges, NaN where there is no return.
-        codes: (N,) for the Morton codes of the finest cells; ``count`` squared for none.
-        runs, begins: For what `find_runs` tells of the codes.
-        counts: (5,) for how many are not finite, out of range, in a cell, of these above the
-            origin, and how many runs there are.
+        runs: (N,) for the runs of points in one cell that follow one another: the Morton code of
+            the finest cell, ``count`` squared for none, and the number of the run, packed as
+            `morton.sort_packed` needs them.
+        begins: (N + 1,) for the first point of each run, and the end of the last.
+        counts: (4,) for how many are not finite, out of range, in a cell above the origin, and how
+            many runs there are.
     """
     i: cython.Py_ssize_t
     missing: cython.longlong = 0
     beyond: cython.longlong = 0
-    inside: cython.longlong = 0
     above: cython.longlong = 0
     cython.declare(x=cython.double, y=cython.double, z=cython.double, k=cython.Py_ssize_t)
     at: cython.Py_ssize_t = 0
@@ -95,7 +95,6 @@ def turn(
                 if 0.0 <= column < side and 0.0 <= row < side:
                     code = spread[cython.cast(cython.Py_ssize_t, column)]
                     code |= spread[cython.cast(cython.Py_ssize_t, row)] << 1
-                    inside += 1
                     above += up > 0.0
             else:
                 ranges[i] = NAN
@@ -104,16 +103,15 @@ def turn(
                     beyond += 1
                 else:
                     missing += 1
-            codes[i] = code
+            # Without a branch, which nobody could foretell.
             run += code != last
             last = code
             runs[run] = (code << PLACE_BITS) | run
             begins[run + 1] = i + 1
     counts[0] = missing
     counts[1] = beyond
-    counts[2] = inside
-    counts[3] = above
-    counts[4] = run + 1
+    counts[2] = above
+    counts[3] = run + 1
 
 
 @cython.boundscheck(False)
@@ -128,49 +126,43 @@ def reach_beyond(points: Points, limit: float) -> cython.bint:
 
 
 @cython.boundscheck(False)
-def find_runs(codes: Ints, runs: Keys, begins: Ints) -> cython.Py_ssize_t:
-    """Points of one code (N,) that follow one another are a run; how many runs there are. ``runs``:
-    (N,) for the code and the number of each run, packed as `morton.sort_packed` needs them.
-    ``begins``: (N + 1,) for the first point of each run, and the end of the last."""
-    i: cython.Py_ssize_t
-    run: cython.Py_ssize_t = -1
-    code: cython.longlong
-    last: cython.longlong = -1
-    begins[0] = 0
-    with cython.nogil:
-        for i in range(codes.shape[0]):
-            code = cython.cast(cython.longlong, codes[i])
-            # Without a branch, which nobody could foretell.
-            run += code != last
-            last = code
-            runs[run] = (code << PLACE_BITS) | run
-            begins[run + 1] = i + 1
-    return run + 1
-
-
-@cython.boundscheck(False)
 def arrange(
-    points: Array, runs: Keys, begins: Ints, arranged: Array, keys: Keys, count: cython.Py_ssize_t
-) -> cython.void:
-    """Copy points run by run to ``arranged`` (3 M + 9,), the key of each to ``keys``; ``count`` is
-    M.
+    points: Array,
+    ranges: Array,
+    isolated: cython.bint,
+    runs: Keys,
+    begins: Ints,
+    nowhere: cython.longlong,
+    arranged: Array,
+    keys: Keys,
+) -> cython.Py_ssize_t:
+    """Copy points run by run to ``arranged`` (3 M + 9,), the key of each to ``keys``; how many.
 
     How long a run is, nobody could foretell: four points of each are copied, the next run replaces
     what is too much, and the last three of ``points`` (3 N + 9,) are anything. ``runs`` are sorted;
-    those of points in no cell, the last, are left.
+    those of points in no cell, ``nowhere``, the last, are left. If points are ``isolated``, those
+    without a range (N,) are left, too.
     """
     four = cython.declare(cython.double[12])
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, run=cython.Py_ssize_t)
-    cython.declare(begin=cython.Py_ssize_t, end=cython.Py_ssize_t)
+    cython.declare(begin=cython.Py_ssize_t, end=cython.Py_ssize_t, at=cython.Py_ssize_t)
     key: cython.longlong
     to: cython.Py_ssize_t = 0
     with cython.nogil:
         for i in range(runs.shape[0]):
-            if to >= count:
-                break
             key = runs[i] >> PLACE_BITS
+            if key == nowhere:
+                break
             run = runs[i] - (key << PLACE_BITS)
             begin, end = begins[run], begins[run + 1]
+            if isolated:
+                for at in range(begin, end):
+                    if ranges[at] > 0.0:
+                        for j in range(3):
+                            arranged[3 * to + j] = points[3 * at + j]
+                        keys[to] = key
+                        to += 1
+                continue
             for j in range(12):
                 four[j] = points[3 * begin + j]
             for j in range(12):
@@ -182,3 +174,4 @@ def arrange(
             for j in range(4, end - begin):
                 keys[to + j] = key
             to += end - begin
+    return to

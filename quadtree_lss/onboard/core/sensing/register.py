@@ -16,7 +16,7 @@ from quadtree_lss.onboard.core.geometry.bounds import MOST_HEIGHT
 from quadtree_lss.onboard.core.geometry.morton import SPREAD, sort_packed
 from quadtree_lss.onboard.core.sensing.isolated import isolated_in_image, isolated_in_space
 from quadtree_lss.onboard.core.sensing.lidar import Pose, sound_covariance
-from quadtree_lss.onboard.core.sensing.points import arrange, find_runs, turn
+from quadtree_lss.onboard.core.sensing.points import arrange, turn
 from quadtree_lss.onboard.core.sensing.sweep import Sweep, still
 
 if TYPE_CHECKING:
@@ -78,11 +78,10 @@ def register(
         raise ValueError(msg)
     work = _workspace(len(flat))
     turned = work.points[: len(flat)]
-    counts = np.empty(5, np.int64)
+    counts = np.empty(4, np.int64)
     moved = still(pose.rotation_map_lidar) if sweep is None else sweep
     x, y, z = pose.position.tolist()
     n = 1 << domain.max_level
-    nowhere = n * n
     turn(
         flat,
         moved.offsets,
@@ -97,7 +96,6 @@ def register(
         SPREAD,
         work.points,
         work.ranges,
-        work.codes,
         work.runs,
         work.begins,
         counts,
@@ -107,18 +105,22 @@ def register(
         isolated = isolated_in_image(image, lidar.outlier_gate)
     else:
         isolated = isolated_in_space(turned, work.ranges, lidar.outlier_gate)
-    missing, beyond, inside, above, run_count = counts.tolist()
-    if isolated:
-        work.codes[np.isnan(work.ranges)] = nowhere
-        inside = int(np.count_nonzero(work.codes != nowhere))
-        run_count = find_runs(work.codes, work.runs, work.begins)
-    if not abs(z) < HIGHEST:
-        inside = 0
+    missing, beyond, above, run_count = counts.tolist()
     sound = len(flat) - missing - beyond - isolated
-    runs, spare = work.runs[:run_count], work.spare[:run_count]
+    inside = 0
     points, key = work.answer()
-    ordered = spare if sort_packed(runs, spare) else runs
-    arrange(work.points.reshape(-1), ordered, work.begins, points.reshape(-1), key, inside)
+    if abs(z) < HIGHEST:
+        runs, spare = work.runs[:run_count], work.spare[:run_count]
+        inside = arrange(
+            work.points.reshape(-1),
+            work.ranges,
+            isolated > 0,
+            spare if sort_packed(runs, spare) else runs,
+            work.begins,
+            n * n,
+            points.reshape(-1),
+            key,
+        )
     middle = None
     if sound and not inside:
         middle = (turned[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]).tolist()
@@ -149,7 +151,7 @@ class _Workspace:
     def __init__(self, size: int) -> None:
         self.points, self.ranges = np.empty((size + 3, 3)), np.empty(size)
         self.runs, self.spare = np.empty((2, size), np.int64)
-        self.codes, self.begins = np.empty(size, np.int32), np.empty(size + 1, np.int32)
+        self.begins = np.empty(size + 1, np.int32)
         self._fresh()
 
     def _fresh(self) -> None:
