@@ -205,12 +205,12 @@ def memory(flight: Recording) -> None:
         mapper.update(*scan[1:3])
     leaves = mapper.leaves
     records = encode_cells(mapper.snapshot())
-    finest = leaves.leaf_of.itemsize + leaves.observed.itemsize
+    finest = leaves.leaf_of.itemsize + leaves.observed.itemsize + 2 * leaves.piled.itemsize
     rows = [
         ["leaves", f"{leaves.count:,}", ""],
         ["a leaf in the mapper", f"{leaves.rows.dtype.itemsize}", "B"],
         ["  allocated for all", f"{leaves.rows.nbytes / 2**20:.1f}", "MiB"],
-        ["index and mask of finest cells, a cell", f"{finest}", "B"],
+        ["index, mask and pile of finest cells, a cell", f"{finest}", "B"],
         ["a leaf in map/cells", f"{records.dtype.itemsize}", "B"],
         ["  the message", f"{records.nbytes / 2**20:.2f}", "MiB"],
     ]
