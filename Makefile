@@ -122,7 +122,8 @@ test-autopilot: setup
 	@$(BIN)/python benchmark/arducopter.py $(FLIGHTS)
 
 # What Ubuntu 24.04 has, in an environment of its own. Other tests than all: VEHICLE_TESTS=test/core
-VEHICLE_PYTHON ?= $(shell for python in python3.12 ~/.pyenv/versions/3.12*/bin/python3.12 \
+VEHICLE_PYTHON ?= $(shell for python in python3.12 "$${PYENV_ROOT:-$$HOME/.pyenv}"/versions/3.12*/bin/python3.12 \
+    "$$(dirname "$$(command -v python3.12)")"/../versions/3.12*/bin/python3.12 \
     $$(uv python find 3.12 2>/dev/null); do \
     if $$python --version >/dev/null 2>&1; then echo $$python; break; fi; done)
 VEHICLE_TESTS ?= test

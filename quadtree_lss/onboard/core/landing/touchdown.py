@@ -353,9 +353,10 @@ class Blocks:
         """Heights of the pads about every grid point of the block, and their bounds."""
         cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
         cython.declare(here=cython.Py_ssize_t, place=cython.Py_ssize_t)
-        height = cython.declare(cython.float[POINTS])
-        lowest = cython.declare(cython.float[POINTS])
-        highest = cython.declare(cython.float[POINTS])
+        # Numbers, for Cython 3.0 takes no names here: 64 is POINTS, 24 is PLANES.
+        height = cython.declare(cython.float[64])
+        lowest = cython.declare(cython.float[64])
+        highest = cython.declare(cython.float[64])
         for i in range(POINTS):
             lowest[i], highest[i] = FAR, -FAR
         for k in range(4 * self.yaws):
@@ -427,13 +428,13 @@ class Blocks:
         north_up: cython.float = self.base_y
         # One end of the diagonal that carries is as far over its middle as the other is under: the
         # rise over a radius, in the heading and across it, of the one plane and the other.
-        east = cython.declare(cython.float[PLANES])
-        north = cython.declare(cython.float[PLANES])
-        west = cython.declare(cython.float[PLANES])
-        south = cython.declare(cython.float[PLANES])
-        along = cython.declare(cython.float[PLANES])
-        across = cython.declare(cython.float[PLANES])
-        square = cython.declare(cython.float[PLANES])
+        east = cython.declare(cython.float[24])
+        north = cython.declare(cython.float[24])
+        west = cython.declare(cython.float[24])
+        south = cython.declare(cython.float[24])
+        along = cython.declare(cython.float[24])
+        across = cython.declare(cython.float[24])
+        square = cython.declare(cython.float[24])
         for k in range(n):
             i = 4 * k * POINTS + place
             east[k], north[k] = self.stand[i], self.stand[i + POINTS]
@@ -458,7 +459,7 @@ class Blocks:
         """Bounds of the resting planes."""
         k: cython.Py_ssize_t
         corner: cython.float = self.corner
-        under = cython.declare(cython.float[PLANES])
+        under = cython.declare(cython.float[24])
         for k in range(PLANES):
             under[k] = -self.resting_z[k]
         self.sink = greatest(under)
@@ -524,7 +525,7 @@ class Blocks:
         north: cython.float = self.middle[i]
         east: cython.float = self.middle[j]
         height: cython.float = self.top[(row + i) * self.width + column + j]
-        above = cython.declare(cython.float[PLANES])
+        above = cython.declare(cython.float[24])
         for k in range(PLANES):
             above[k] = (
                 height - self.resting_x[k] * east - self.resting_y[k] * north - self.resting_z[k]
@@ -539,8 +540,8 @@ class Blocks:
 def greatest(values: cython.p_float) -> cython.float:
     """Of (PLANES,) values."""
     k: cython.Py_ssize_t
-    half = cython.declare(cython.float[PLANES])
-    least = cython.declare(cython.float[PLANES])
+    half = cython.declare(cython.float[24])
+    least = cython.declare(cython.float[24])
     for k in range(PLANES // 2):
         half[k] = max(values[k], values[k + PLANES // 2])
     for k in range(PLANES // 6):
