@@ -88,5 +88,6 @@ def fit(rules, points: Array, x: float, y: float, side: float, prior, sigma: Arr
     """All points (N, 3) fitted in one cell: a record of type `measure.RUN`."""
     runs = np.zeros(1, dtype=measure.RUN).view(np.recarray)
     normal = np.asarray(prior).tolist()
-    measure.measure(rules, points, 0, len(points), x, y, z, side, normal, sigma, runs[0])
+    flat, sigma = points.ravel().tolist(), sigma.ravel().tolist()
+    measure.measure(rules, flat, len(points), x, y, z, side, normal, sigma, runs[0])
     return runs

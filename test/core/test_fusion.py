@@ -31,7 +31,7 @@ def fused(prior: Plane, other: Plane, common: float = 0.0) -> Plane:
     normal, rise = other.normal.tolist(), [0.0]
     parts = prior.range_part, prior.pose_part, other.range_part, other.pose_part
     *known, p, q = (part.ravel().tolist() for part in parts)
-    plane.fuse(prior.normal.tolist(), prior.z - other.z, *known, normal, p, q, common, True, rise)
+    plane.fuse(prior.normal.tolist(), prior.z - other.z, *known, normal, p, q, common, rise)
     fused = (np.array(part).reshape(3, 3) for part in known)
     return Plane(np.array(normal), other.z + rise[0], *fused)
 
@@ -56,6 +56,48 @@ def pairs(scale: float, seed: int = 1, count: int = 50):
     for truth in upward_normals(rng, count):
         parts = random_covariances(rng, 4, 3, scale)
         yield estimate(rng, truth, parts[:2]), estimate(rng, truth, parts[2:])
+
+
+def with_height(
+    prior: Plane, lever: np.ndarray, variance: float, other: Plane, common: float, sloped: bool
+) -> Plane:
+    """A height over one place of a plane parallel to the prior, ``lever`` (2,) from its origin."""
+    normal, rise = prior.normal.tolist(), [0.0]
+    *known, q = (v.ravel().tolist() for v in (prior.range_part, prior.pose_part, other.pose_part))
+    given = lever.tolist(), variance, q, common, sloped
+    plane.fuse_height(normal, prior.z - other.z, *known, *given, rise)
+    fused = (np.array(part).reshape(3, 3) for part in known)
+    return Plane(np.array(normal), other.z + rise[0], *fused)
+
+
+@pytest.mark.parametrize("common", [0.0, 0.6, 1.0])
+def test_a_height_alone_is_a_plane_of_any_slope(common):
+    rng = np.random.default_rng(8)
+    for prior, other in pairs(0.05):
+        other = other._replace(normal=prior.normal)
+        lever, variance, any_slope = rng.uniform(-2.0, 2.0, 2), rng.uniform(1e-3, 1e-1), 1e4
+        back = np.column_stack([np.eye(2), lever]).T
+        part = any_slope * back @ back.T
+        part[2, 2] += variance
+        expected = fused(prior, other._replace(range_part=part), common)
+        found = with_height(prior, lever, variance, other, common, True)
+        np.testing.assert_allclose(found.normal, expected.normal, atol=1e-4)
+        assert found.z == pytest.approx(expected.z, abs=1e-4)
+        np.testing.assert_allclose(found.range_part, expected.range_part, atol=3e-4)
+        np.testing.assert_allclose(found.pose_part, expected.pose_part, atol=3e-4)
+
+
+def test_the_height_of_a_strip_turns_nothing():
+    """Its slope is what it was, and so is how certain that is; the height gains what it can."""
+    level, none = np.array([0.0, 0.0, 1.0]), np.zeros((3, 3))
+    prior = Plane(level, 0.2, np.diag([0.04, 0.09, 0.01]), none)
+    lever, variance = np.array([0.5, -1.0]), 0.02
+    found = with_height(prior, lever, variance, Plane(level, 0.0, none, none), 0.0, False)
+    gain = 0.01 / (0.01 + 0.5**2 * 0.04 + 0.09 + variance)
+    assert found.z == pytest.approx(0.2 * (1.0 - gain))
+    np.testing.assert_array_equal(found.normal, level)
+    np.testing.assert_allclose(found.range_part[:2, :2], np.diag([0.04, 0.09]))
+    assert found.range_part[2, 2] == pytest.approx(0.01 * (1.0 - gain))
 
 
 def test_information_adds_and_the_plane_is_the_weighted_mean():

@@ -75,6 +75,20 @@ def test_children_of_planar_ground_are_as_sure_as_a_quarter_of_its_points():
     assert np.sqrt(cells.covariance[:, 2, 2]).max() < 0.03
 
 
+def test_children_keep_how_far_noise_may_have_turned_their_parent():
+    """Points that tell no slope leave that as it is; fits of their own come to outweigh it."""
+    config = configured(domain={"min_level": 2, "max_level": 3}, lidar={"range_noise": 0.02})
+    mapper, rng = mapped(config, flat(), density=60.0, scans=4), np.random.default_rng(3)
+    leaf_at(mapper, 1.0, 1.0).bias[0] = 0.5
+    divide(mapper.leaves, 0, 0.02**2, 12.0 * 0.02**2 / (5.0 * 2.0**2))
+    turned = []
+    for count in (1, 1, 2, 500, 500):
+        look(mapper, flat(), *scattered(rng, 0.2, 0.2, 1.6, count), rng, 0.02)
+        turned.append(leaf_at(mapper, 1.0, 1.0).bias[0])
+    assert turned[:3] == [0.5] * 3
+    assert turned[3] < 0.05 and turned[4] < turned[3]
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(("x0", "width"), [(4.0, 0.39), (7.8, 0.2), (4.0, 1.5)])
 def test_a_strip_does_not_spoil_a_leaf_that_is_well_known(seed, x0, width):

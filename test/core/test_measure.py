@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from core.builders import configured, flat, lattice, look, pose_covariance
-from core.kernels import fit, shifted
+from core.kernels import fit, shifted, tangent_basis
 
 from quadtree_lss.onboard.core.geometry import rotations
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
@@ -33,6 +33,9 @@ class Found(NamedTuple):
     range_part: np.ndarray
     pose_part: np.ndarray
     unseen: float
+    alone: float
+    own: float
+    lever: np.ndarray
 
     @property
     def total(self) -> np.ndarray:
@@ -50,7 +53,8 @@ def fitted(
 ) -> Found:
     run = fit(of, points - lidar, *(np.array(centre) - lidar[:2]), side, prior, sigma)[0]
     parts = run.range_part.reshape(3, 3), run.pose_part.reshape(3, 3)
-    return Found(run.normal, run.z + lidar[2], *parts, run.unseen)
+    rest = run.unseen, run.alone, run.own, run.lever
+    return Found(run.normal, run.z + lidar[2], *parts, *rest)
 
 
 def tilted(rng: np.random.Generator, per_side: int, noise: float) -> np.ndarray:
@@ -99,7 +103,7 @@ def test_where_points_tell_no_slope_the_prior_is_kept_and_called_unknown():
     for cloud in (np.zeros((1, 3)), np.tile([[0.3, 0.2, 0.1]], (50, 1))):
         found = fitted(rules(), cloud, prior=prior)
         np.testing.assert_allclose(found.normal, prior, atol=1e-9)
-        assert found.range_part[0, 0] + found.range_part[1, 1] > 90.0
+        assert found.alone
 
 
 @pytest.mark.parametrize("share", [0.1, 0.25, 0.5])
@@ -144,13 +148,14 @@ def test_a_strip_tells_its_height_alone(middle, width):
     seen = truth + 0.05 * rng.standard_normal((400, 1)) * ray
     found = fitted(by, seen, lidar=lidar, prior=prior)
     np.testing.assert_array_equal(found.normal, prior)
-    assert min(found.range_part[0, 0], found.range_part[1, 1]) > 90.0
+    assert found.alone
     # Where the points are, the plane lies at their mean height.
     at = seen.mean(axis=0)
     over = found.z - (prior[0] * at[0] + prior[1] * at[1]) / prior[2]
     assert over == pytest.approx(at[2], abs=1e-9)
-    known = shifted(found.range_part, prior, at - (0.0, 0.0, found.z))
-    assert np.sqrt(known[2, 2]) < 0.2
+    lever = (at - (0.0, 0.0, found.z)) @ tangent_basis(prior)
+    np.testing.assert_allclose(found.lever, lever, atol=1e-9)
+    assert np.sqrt(found.own) < 0.2
 
 
 def test_range_noise_grows_with_the_range_and_with_the_footprint():

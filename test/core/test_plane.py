@@ -173,5 +173,12 @@ def test_pose_part_is_the_covariance_of_a_rigid_motion():
 
         jacobian = differentiated(moved, 6)
         expected = jacobian @ sigma @ jacobian.T
-        (found,) = filled(plane.pose_part, (9,), normal, arm, sigma)
+        (found,) = filled(
+            plane.pose_part,
+            (9,),
+            normal,
+            kernels.tangent_basis(normal).T.ravel(),
+            arm,
+            sigma.ravel(),
+        )
         np.testing.assert_allclose(found.reshape(3, 3), expected, rtol=1e-5, atol=1e-8)

@@ -32,13 +32,15 @@ def sizes(draws: list[shares.Draw], of: str) -> np.ndarray:
     return np.abs(shares.pooled(draws, of))
 
 
-@pytest.mark.parametrize(("of", "least"), [("height", 0.7), ("slope", 0.5)])
-def test_errors_are_as_claimed_over_all_shares(leaves, of, least):
+@pytest.mark.parametrize(
+    ("of", "least", "beyond"), [("height", 0.7, 2e-3), ("slope", 0.5, 5e-4), ("all", 0.6, 1e-3)]
+)
+def test_errors_are_as_claimed_over_all_shares(leaves, of, least, beyond):
     """Pooled: claims are rather wide than narrow, and almost none is off."""
     ratios = sizes(leaves, of)
     assert len(ratios) > 1000
     assert least < np.sqrt(np.mean(ratios**2)) < 1.0
-    assert np.mean(ratios > 4.0) < 2e-3
+    assert np.mean(ratios > 4.0) < beyond
 
 
 @pytest.mark.parametrize("scans", [1, 20])

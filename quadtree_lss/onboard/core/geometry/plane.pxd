@@ -14,13 +14,16 @@ cdef double offset_variance(double* c, double first, double second) noexcept nog
 cdef void keep_possible(double* c) noexcept nogil
 cdef void shift_origin(double* c, double first, double second) noexcept nogil
 cdef void shift_origins(double* pair, double first, double second) noexcept nogil
-cdef void moments(double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double* mean, double* scatter) noexcept nogil
+cdef void moments(double* points, Py_ssize_t count, double* mean, double* scatter) noexcept nogil
 cdef void height_normal(double* scatter, double slope_x, double slope_y, double spread, double* normal) noexcept nogil
 cdef void orthogonal_normal(double* scatter, double* normal) noexcept nogil
 cdef void line_normal(double* scatter, double* prior, double along, double spread, double* normal, double* line) noexcept nogil
 cdef void keep_up(double* normal) noexcept nogil
 cdef void slope_covariance(double* scatter, double* normal, double variance, double tilt, double* out) noexcept nogil
 cdef void covariance_about(double* slope, double offset_variance, double first, double second, double* out) noexcept nogil
-cdef void pose_part(double* normal, double* arm, double[:, ::1] sigma, double* out) noexcept nogil
-cdef void fuse(double* prior_normal, double prior_rise, double* prior_range, double* prior_pose, double* normal, double* range_part, double* pose_part, double common, bint sloped, double* out_rise) noexcept nogil
+cdef void pose_part(double* normal, double* basis, double* arm, double* sigma, double* out) noexcept nogil
+cdef void fuse(double* prior_normal, double prior_rise, double* prior_range, double* prior_pose, double* normal, double* range_part, double* pose_part, double common, double* out_rise) noexcept nogil
+cdef void fuse_height(double* normal, double rise, double* range_part, double* pose_part, double* lever, double variance, double* other_pose, double common, bint sloped, double* out_rise) noexcept nogil
+cdef void _pivot(double* c, double rise, double* basis, double* arm, double* out) noexcept nogil
+cdef void _from_pivot(double* pair, double* pivot, double* step, double* normal, double* range_part, double* pose_part, double* out_rise) noexcept nogil
 cdef double _quadratic(double* scatter, double* a, double* b) noexcept nogil

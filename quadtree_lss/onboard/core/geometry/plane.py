@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import cython
 
-from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.geometry.sphere import Vector
 
 if not cython.compiled:
@@ -27,6 +26,8 @@ MIN_UP = cython.declare(cython.double, 0.25)
 SURE = cython.declare(cython.double, 1e-12)
 #: Square of a correlation that is not of rounding alone.
 OFF = cython.declare(cython.double, 1.02)
+#: Beyond so far a move (squared, m^2) rounding shows in a covariance.
+REMOTE = cython.declare(cython.double, 1e6)
 #: Information on a slope that a fit has at least, rad^-2.
 LEAST = cython.declare(cython.double, 1e-2)
 
@@ -176,26 +177,23 @@ def offset_variance(c: Vector, first: float, second: float) -> cython.double:
     return c[8] + first * (x - 2.0 * c[2]) + second * (y - 2.0 * c[5])
 
 
-@cython.boundscheck(False)
-def moments(
-    points: Array, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, mean: Vector, scatter: Vector
-) -> None:
-    """Centroid (3), m, and scatter (6), m^2, of the points ``begin`` to ``end`` of (N, 3).
+def moments(points: Vector, count: cython.Py_ssize_t, mean: Vector, scatter: Vector) -> None:
+    """Centroid (3), m, and scatter (6), m^2, of points, x, y and z of one after the other (3 N).
 
     Sums are about the first point, so that squares stay small.
     """
     i: cython.Py_ssize_t
-    x0, y0, z0 = points[begin, 0], points[begin, 1], points[begin, 2]
-    if end - begin == 1:
+    x0, y0, z0 = points[0], points[1], points[2]
+    if count == 1:
         mean[0], mean[1], mean[2] = x0, y0, z0
         for i in range(6):
             scatter[i] = 0.0
         return
     sx = sy = sz = sxx = sxy = sxz = syy = syz = szz = 0.0
-    for i in range(begin, end):
-        x = points[i, 0] - x0
-        y = points[i, 1] - y0
-        z = points[i, 2] - z0
+    for i in range(0, 3 * count, 3):
+        x = points[i] - x0
+        y = points[i + 1] - y0
+        z = points[i + 2] - z0
         sx += x
         sy += y
         sz += z
@@ -205,7 +203,7 @@ def moments(
         syy += y * y
         syz += y * z
         szz += z * z
-    share = 1.0 / (end - begin)
+    share = 1.0 / count
     mean[0], mean[1], mean[2] = x0 + share * sx, y0 + share * sy, z0 + share * sz
     scatter[0] = max(sxx - share * sx * sx, 0.0)
     scatter[1] = sxy - share * sx * sy
@@ -376,19 +374,16 @@ def covariance_about(
     out[6], out[7], out[8] = x, y, offset_variance + first * x + second * y
 
 
-@cython.boundscheck(False)
-def pose_part(normal: Vector, arm: Vector, sigma: Array, out: Vector) -> None:
-    """J Sigma_pose J^T (9): how a scan's pose error, ``sigma`` (6, 6) of (dm, dw), moves one of its
-    planes.
+def pose_part(normal: Vector, basis: Vector, arm: Vector, sigma: Vector, out: Vector) -> None:
+    """J Sigma_pose J^T (9): how a scan's pose error, ``sigma`` (36) of (dm, dw), moves one of its
+    planes, with the basis (6) of its tangent.
 
     A rigid motion (dm, dw), m and rad, about map axes turns n by dw x n and carries the plane's
     point at the origin along by dm + dw x arm, ``arm`` (3) from the lidar to it, m, so dphi = B^T
     (dw x n) and dd = n.dm + (arm x n).dw.
     """
-    basis = cython.declare(cython.double[6])
     turn = cython.declare(cython.double[3])
-    cython.declare(j=cython.int, k=cython.int)
-    basis_at(normal, basis)
+    cython.declare(j=cython.int, k=cython.int, at=cython.int)
     turn[0] = arm[1] * normal[2] - arm[2] * normal[1]
     turn[1] = arm[2] * normal[0] - arm[0] * normal[2]
     turn[2] = arm[0] * normal[1] - arm[1] * normal[0]
@@ -397,11 +392,12 @@ def pose_part(normal: Vector, arm: Vector, sigma: Array, out: Vector) -> None:
     for k in range(3):
         moved = turned = first = second = 0.0
         for j in range(3):
-            moved += sigma[k, j] * normal[j] + sigma[k, 3 + j] * turn[j]
-            turned += sigma[3 + k, j] * normal[j] + sigma[3 + k, 3 + j] * turn[j]
+            at = 6 * k + j
+            moved += sigma[at] * normal[j] + sigma[at + 3] * turn[j]
+            turned += sigma[at + 18] * normal[j] + sigma[at + 21] * turn[j]
             # b . (dw x n) = dw . (n x b), and b_1, b_2, n are right-handed.
-            first += sigma[3 + k, 3 + j] * basis[3 + j]
-            second -= sigma[3 + k, 3 + j] * basis[j]
+            first += sigma[at + 21] * basis[3 + j]
+            second -= sigma[at + 21] * basis[j]
         out[0] += basis[3 + k] * first
         out[1] += basis[3 + k] * second
         out[2] += basis[3 + k] * turned
@@ -420,7 +416,6 @@ def fuse(
     range_part: Vector,
     pose_part: Vector,
     common: float,
-    sloped: cython.bint,
     out_rise: Vector,
 ) -> None:
     """Two estimates of a plane made one (Eq. 37 to Eq. 45), which Eq. 22 does of scans' offsets.
@@ -447,8 +442,6 @@ def fuse(
         normal: (3) measured; replaced by the fused one.
         range_part, pose_part: (9) parts of its covariance; spoilt.
         common: Correlation of the two pose errors, 0 .. 1.
-        sloped: Whether the measured slope counts; if not, the prior's stays, and its error is
-            considered: the covariances above hold for any K.
         out_rise: (1) height of the fused plane above the measured one, m.
     """
     basis = cython.declare(cython.double[6])
@@ -464,19 +457,11 @@ def fuse(
     rest = cython.declare(cython.double[9])
     kept = cython.declare(cython.double[18])
     taken = cython.declare(cython.double[18])
-    fused = cython.declare(cython.double[3])
-    cython.declare(i=cython.int, k=cython.int)
-    square = prior_range[0] * prior_range[4]
-    share = square - prior_range[1] * prior_range[1]
-    share = 1.0 / share if share > 1e-9 * square else 0.0
-    first = share * (prior_range[4] * prior_range[2] - prior_range[1] * prior_range[5])
-    second = share * (prior_range[0] * prior_range[5] - prior_range[1] * prior_range[2])
+    cython.declare(i=cython.int)
     basis_at(prior_normal, basis)
-    for i in range(3):
-        pivot[i] = first * basis[i] + second * basis[3 + i]
-    pivot[2] += prior_rise
+    _pivot(prior_range, prior_rise, basis, error, pivot)
     beside(prior_range, prior_pose, prior)
-    shift_origins(prior, first, second)
+    shift_origins(prior, error[0], error[1])
     error[0] = error[1] = 0.0
     if prior_normal[0] != normal[0] or prior_normal[1] != normal[1]:
         minus_at(prior_normal, normal, error, change)
@@ -492,9 +477,6 @@ def fuse(
         spread[i] = one[i] + (measured[2 * i] + (1.0 - common) * measured[2 * i + 1])
     inverse_symmetric(spread, inverse)
     multiply(one, inverse, gain)
-    if not sloped:
-        for i in range(6):
-            gain[i] = 0.0
     for i in range(9):
         rest[i] = (1.0 if i % 4 == 0 else 0.0) - gain[i]
     congruent(rest, prior, kept)
@@ -507,9 +489,120 @@ def fuse(
         prior[2 * i + 1] = own + common * both
     for i in range(3):
         spread[i] = rest[3 * i] * error[0] + rest[3 * i + 1] * error[1] + rest[3 * i + 2] * error[2]
-    plus_at(normal, spread, fused)
+    spread[2] -= error[2]
+    _from_pivot(prior, pivot, spread, normal, prior_range, prior_pose, out_rise)
+
+
+def fuse_height(
+    normal: Vector,
+    rise: float,
+    range_part: Vector,
+    pose_part: Vector,
+    lever: Vector,
+    variance: float,
+    other_pose: Vector,
+    common: float,
+    sloped: cython.bint,
+    out_rise: Vector,
+) -> None:
+    """`fuse` with a height that was measured at one place, and no slope.
+
+    With l the lever from the pivot to the place, the height there errs by h.e, h = (-l, 1). Of a
+    measurement of variance v, and q from pose error, the covariance of Eq. 40 is that of one
+    number: K = k h^T, k = A h / (h.A h + v + (1 - common) q), and
+    (I - K) P (I - K)^T = P - k (P h)^T - (P h) k^T + (h.P h) k k^T.
+
+    Args:
+        normal: (3) of the plane that is known; replaced by the fused one.
+        rise: Height of its origin above that of the parallel plane through the place, m.
+        range_part, pose_part: (9) parts of its covariance; replaced by the fused plane's, about
+            its own height.
+        lever: (2) from the parallel plane's origin to the place, along its tangent axes, m.
+        variance: v, m^2.
+        other_pose: (9) pose part of the parallel plane; spoilt.
+        common: Correlation of the two pose errors, 0 .. 1.
+        sloped: Whether the slope may change; if not, its error is considered: the covariances above
+            hold for any K.
+        out_rise: (1) height of the fused plane above the parallel one, m.
+    """
+    basis = cython.declare(cython.double[6])
+    pivot = cython.declare(cython.double[3])
+    step = cython.declare(cython.double[3])
+    noise = cython.declare(cython.double[2])
+    own = cython.declare(cython.double[2])
+    across = cython.declare(cython.double[6])
+    gain = cython.declare(cython.double[3])
+    prior = cython.declare(cython.double[18])
+    cython.declare(i=cython.int, j=cython.int, k=cython.int)
+    basis_at(normal, basis)
+    _pivot(range_part, rise, basis, step, pivot)
+    beside(range_part, pose_part, prior)
+    shift_origins(prior, step[0], step[1])
+    first, second = step[0] + rise * basis[2], step[1] + rise * basis[5]
+    shift_origin(other_pose, first, second)
+    x, y = first - lever[0], second - lever[1]
+    for i in range(3):
+        for k in range(2):
+            j = 6 * i + k
+            across[2 * i + k] = x * prior[j] + y * prior[j + 2] + prior[j + 4]
+    for k in range(2):
+        own[k] = x * across[k] + y * across[2 + k] + across[4 + k]
+    noise[0], noise[1] = variance, offset_variance(other_pose, -x, -y)
+    apart = 1.0 - common
+    share = 1.0 / (own[0] + noise[0] + apart * (own[1] + noise[1]))
+    for i in range(3):
+        gain[i] = share * (across[2 * i] + apart * across[2 * i + 1])
+    if not sloped:
+        gain[0] = gain[1] = 0.0
+    share = common * min(max(gain[2], 0.0), 1.0)
+    for k in range(2):
+        own[k] += noise[k]
+    for i in range(3):
+        for j in range(i + 1):
+            k = 2 * (3 * i + j)
+            x = prior[k] - gain[i] * across[2 * j] - gain[j] * across[2 * i]
+            y = prior[k + 1] - gain[i] * across[2 * j + 1] - gain[j] * across[2 * i + 1]
+            y = apart * (y + gain[i] * gain[j] * own[1]) + (common - share) * prior[k + 1]
+            prior[k] = x + gain[i] * gain[j] * own[0]
+            prior[k + 1] = y + share * other_pose[3 * i + j]
+    for k in range(2):
+        prior[2 + k], prior[4 + k], prior[10 + k] = prior[6 + k], prior[12 + k], prior[14 + k]
+    for i in range(3):
+        step[i] = -gain[i] * normal[2] * rise
+    _from_pivot(prior, pivot, step, normal, range_part, pose_part, out_rise)
+
+
+def _pivot(c: Vector, rise: float, basis: Vector, arm: Vector, out: Vector) -> None:
+    """The place (3) where errors (9) of a plane's slope and height are independent, from an origin
+    that lies ``rise`` below the plane's, and the arm (2) to it from there in the tangent, m."""
+    cython.declare(i=cython.int)
+    square = c[0] * c[4]
+    share = square - c[1] * c[1]
+    share = 1.0 / share if share > 1e-9 * square else 0.0
+    arm[0] = share * (c[4] * c[2] - c[1] * c[5])
+    arm[1] = share * (c[0] * c[5] - c[1] * c[2])
+    for i in range(3):
+        out[i] = arm[0] * basis[i] + arm[1] * basis[3 + i]
+    out[2] += rise
+
+
+def _from_pivot(
+    pair: Vector,
+    pivot: Vector,
+    step: Vector,
+    normal: Vector,
+    range_part: Vector,
+    pose_part: Vector,
+    out_rise: Vector,
+) -> None:
+    """A plane (normal, 3) after a step (3) of (dphi, dd) about the pivot (3), and its covariances,
+    of a pair (18) about the pivot, about its own height over the origin."""
+    basis = cython.declare(cython.double[6])
+    fused = cython.declare(cython.double[3])
+    cython.declare(i=cython.int, k=cython.int)
+    plus_at(normal, step, fused)
     keep_up(fused)
-    rise = spread[2] - error[2]
+    rise = step[2]
     for i in range(3):
         rise += fused[i] * pivot[i]
         normal[i] = fused[i]
@@ -518,16 +611,17 @@ def fuse(
     basis_at(fused, basis)
     first = -(basis[0] * pivot[0] + basis[1] * pivot[1] + basis[2] * pivot[2])
     second = -(basis[3] * pivot[0] + basis[4] * pivot[1] + basis[5] * pivot[2])
-    shift_origins(prior, first, second)
+    shift_origins(pair, first, second)
     for i in range(9):
-        prior_range[i] = prior[2 * i]
-        prior_pose[i] = prior[2 * i + 1]
+        range_part[i] = pair[2 * i]
+        pose_part[i] = pair[2 * i + 1]
     for i in range(3):
-        if prior_range[4 * i] < SURE:
+        if range_part[4 * i] < SURE:
             # Lost to round-off, and with it what it has in common with the others.
             for k in range(3):
-                prior_range[3 * i + k] = prior_range[3 * k + i] = 0.0
-            prior_range[4 * i] = SURE
-    keep_possible(prior_range)
-    keep_possible(prior_pose)
+                range_part[3 * i + k] = range_part[3 * k + i] = 0.0
+            range_part[4 * i] = SURE
+    if first * first + second * second > REMOTE:
+        keep_possible(range_part)
+        keep_possible(pose_part)
     out_rise[0] = rise

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import cython
 
-from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.geometry.sphere import Vector
 from quadtree_lss.onboard.core.mapping.measure import Rules
 from quadtree_lss.onboard.core.tree.leaves import Record
@@ -16,7 +15,7 @@ if not cython.compiled:
     from quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
     from quadtree_lss.onboard.core.mapping.features import feature_height
-    from quadtree_lss.onboard.core.mapping.measure import partial, pose_variance
+    from quadtree_lss.onboard.core.mapping.measure import few, partial, pose_variance
 
     MEASURED = 3
 
@@ -34,23 +33,22 @@ SURE = cython.declare(cython.double, 2.0)
 STRAY = cython.declare(cython.double, 2e-4)
 
 
-@cython.boundscheck(False)
 def mean_distance(
-    points: Array, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, normal: Vector, through: Vector
+    points: Vector, count: cython.Py_ssize_t, normal: Vector, through: Vector
 ) -> cython.double:
-    """Mean |n.(r - p)| (Eq. 19) of a run of points (N, 3) to the plane n (3) through p (3), m."""
+    """Mean |n.(r - p)| (Eq. 19) of points (3 N) to the plane n (3) through p (3), m."""
     i: cython.Py_ssize_t
     d = normal[0] * through[0] + normal[1] * through[1] + normal[2] * through[2]
     total = 0.0
-    for i in range(begin, end):
+    for i in range(0, 3 * count, 3):
         total += fabs(
-            normal[0] * points[i, 0] + normal[1] * points[i, 1] + normal[2] * points[i, 2] - d
+            normal[0] * points[i] + normal[1] * points[i + 1] + normal[2] * points[i + 2] - d
         )
-    return total / (end - begin)
+    return total / count
 
 
 def mahalanobis_factor(
-    mean: Vector, cosine: float, sigma: Array, along: float, plane: float
+    mean: Vector, cosine: float, sigma: Vector, along: float, plane: float
 ) -> cython.double:
     """d_M / |epsilon| of Eq. 46 for residuals along the ray, 1/m.
 
@@ -64,7 +62,7 @@ def mahalanobis_factor(
     Args:
         mean: (3) of the points about the lidar, m.
         cosine: |n.u|.
-        sigma: (6, 6) pose covariance.
+        sigma: (36) pose covariance.
         along: Variance of the range, m^2.
         plane: a^T Sigma_P a, m^2; zero for a fit's own points.
     """
@@ -103,39 +101,38 @@ def judge(
     rules: Rules,
     leaf: Record,
     run: Record,
-    points: Array,
-    begin: cython.Py_ssize_t,
-    end: cython.Py_ssize_t,
+    points: Vector,
     origin: Vector,
-    sigma: Array,
+    sigma: Vector,
 ) -> None:
     """The division statistic of a run, before its fit is fused, to ``run.statistic``.
 
     ``lack_of_fit``: mean residual about the run's own fit over range noise, with sqrt(N / (N - 3)),
     of expectation E[chi_1] on planar ground. ``mahalanobis``: the paper's mean d_M of prefit
     residuals; a measured leaf is judged by the plane it had, a new one by its fit ("the fit quality
-    between measurements and the initial estimate"). ``points`` (N, 3) are about the lidar,
+    between measurements and the initial estimate"). ``points`` (3 N) are about the lidar,
     ``origin`` (3) is that in the map, m.
     """
     basis = cython.declare(cython.double[6])
     through = cython.declare(cython.double[3])
     row = cython.declare(cython.double[3])
-    cython.declare(i=cython.int, j=cython.int)
+    cython.declare(i=cython.int, j=cython.int, number=cython.Py_ssize_t)
     count = run.points
-    if count <= 3.0:
+    if few(run):
         return
+    number = cython.cast(cython.Py_ssize_t, count)
     if not rules.mahalanobis:
-        distance = mean_distance(points, begin, end, run.normal, run.centroid)
+        distance = mean_distance(points, number, run.normal, run.centroid)
         run.statistic = distance * sqrt(count / ((count - 3.0) * run.variance))
         return
     along = run.variance / (run.cosine * run.cosine)
     if leaf.known != MEASURED:
-        distance = mean_distance(points, begin, end, run.normal, run.centroid)
+        distance = mean_distance(points, number, run.normal, run.centroid)
         run.statistic = distance * mahalanobis_factor(run.centroid, run.cosine, sigma, along, 0.0)
         return
     through[0], through[1] = leaf.x - origin[0], leaf.y - origin[1]
     through[2] = leaf.z - origin[2]
-    distance = mean_distance(points, begin, end, leaf.normal, through)
+    distance = mean_distance(points, number, leaf.normal, through)
     basis_at(leaf.normal, basis)
     for i in range(3):
         through[i] = run.centroid[i] - through[i]

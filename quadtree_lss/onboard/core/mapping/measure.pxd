@@ -20,10 +20,13 @@ cdef struct Run:
     double statistic
     double unseen
     double sloped
+    double alone
+    double own
     double raised_by
     double doubt
     double greatest
     double shared
+    double lever[2]
     double range_part[9]
     double pose_part[9]
     double bias[3]
@@ -41,12 +44,11 @@ cdef class Rules:
     cdef readonly double feature_height, feature_volume, feature_width, feature_points
     cdef readonly double rock_height, rock_sigma
 
-cdef Run* record(Run[::1] runs, Py_ssize_t at) noexcept nogil
 cdef bint partial(Run* run) noexcept nogil
 cdef bint few(Run* run) noexcept nogil
 cpdef double range_variance(double noise, double per_metre, double divergence, double distance, double cosine) noexcept nogil
-cdef double pose_variance(double* normal, double* arm, double[:, ::1] sigma) noexcept nogil
+cdef double pose_variance(double* normal, double* arm, double* sigma) noexcept nogil
 cdef double _unseen(double square, double correlation, double side, double points) noexcept nogil
 cdef void _bias(Run* run, double ray_x, double ray_y, double deviation, double lean, bint sloped) noexcept nogil
-cdef void measure(Rules rules, double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double x, double y, double z, double side, double* prior, double[:, ::1] sigma, Run* run) noexcept nogil
+cdef void measure(Rules rules, double* points, Py_ssize_t number, double x, double y, double z, double side, double* prior, double* sigma, Run* run) noexcept nogil
 cpdef unseen_parts(LeafTable table, Py_ssize_t[::1] rows, double[:, ::1] out)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import cython
 import numpy as np
-from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.config.settings import Config
@@ -76,19 +75,23 @@ FEATURE_POINTS = 12.0
 #: - normal, z: the fitted plane's upward unit normal and height at the cell's centre, m;
 #: - cosine: |n.u|, u the ray to the centroid; variance: of a residual from range noise, m^2;
 #: - square: mean square residual about the fit, m^2; statistic: of division;
-#: - sloped: 0 of a strip too thin to tell a slope, else 1;
+#: - sloped: 0 of a strip too thin to tell a slope, else 1; alone: 1 of points that tell their
+#:   height alone, else 0; own: variance of their mean from range noise, m^2; lever: (2) from
+#:   (centre, z) to it, along the tangent axes, m;
 #: - unseen: share of the cell's width that the points leave out, 0 .. 1;
 #: - raised_by: from which distance to the leaf's plane on points stand out, m; greatest: of them,
 #:   m; doubt: how far the run's mean may lie off that plane and both be right, m; shared: of that,
 #:   what its points have in common by pose and plane, and not by noise, 0 .. 1;
-#: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z);
+#: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z); of points that tell
+#:   their height alone, range_part has the variance of dd and no other;
 #: - bias: what noise along the ray may turn the fit by, rad, and lift it by, m, and how much the
 #:   slope of the fit counts, m^2 (`_bias`).
 RUN = np.dtype(
     [("points", "f8"), ("centroid", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
     + [(name, "f8") for name in ("z", "cosine", "variance", "square", "statistic", "unseen")]
-    + [(name, "f8") for name in ("sloped", "raised_by", "doubt", "greatest", "shared")]
-    + [("range_part", "f8", 9), ("pose_part", "f8", 9), ("bias", "f8", 3)]
+    + [(name, "f8") for name in ("sloped", "alone", "own", "raised_by", "doubt", "greatest")]
+    + [("shared", "f8"), ("lever", "f8", 2), ("range_part", "f8", 9), ("pose_part", "f8", 9)]
+    + [("bias", "f8", 3)]
 )
 
 
@@ -130,14 +133,6 @@ class Rules:
         self.ahead_x, self.ahead_y, self.ahead_z = boresight.tolist()
 
 
-def record(runs: NDArray[np.void], at: cython.Py_ssize_t) -> Record:
-    """One record of type `RUN`, to read and to write."""
-    if cython.compiled:
-        return cython.address(runs[at])
-    else:
-        return runs[at]
-
-
 def partial(run: Record) -> cython.bint:
     """Whether a run shows less than half of its cell's width, and does not stand for the cell."""
     return run.unseen >= PARTIAL
@@ -160,8 +155,9 @@ def range_variance(
     return along * along + depth * depth * (1.0 / (cosine * cosine) - 1.0)
 
 
-def pose_variance(normal: Vector, arm: Vector, sigma: Array) -> cython.double:
-    """Variance that pose error gives n.r at a point ``arm`` (3) from the lidar, m^2 (Eq. 17)."""
+def pose_variance(normal: Vector, arm: Vector, sigma: Vector) -> cython.double:
+    """Variance that pose error, ``sigma`` (36), gives n.r at a point ``arm`` (3) from the lidar,
+    m^2 (Eq. 17)."""
     row = cython.declare(cython.double[6])
     cython.declare(i=cython.int, j=cython.int)
     for i in range(3):
@@ -172,7 +168,7 @@ def pose_variance(normal: Vector, arm: Vector, sigma: Array) -> cython.double:
     total = 0.0
     for i in range(6):
         for j in range(6):
-            total += row[i] * sigma[i, j] * row[j]
+            total += row[i] * sigma[6 * i + j] * row[j]
     return min(max(total, 0.0), MAX_VARIANCE)
 
 
@@ -235,15 +231,14 @@ def _bias(
 
 def measure(
     rules: Rules,
-    points: Array,
-    begin: cython.Py_ssize_t,
-    end: cython.Py_ssize_t,
+    points: Vector,
+    number: cython.Py_ssize_t,
     x: float,
     y: float,
     z: float,
     side: float,
     prior: Vector,
-    sigma: Array,
+    sigma: Vector,
     run: Record,
 ) -> None:
     """Fit a plane to a run of points; it is written to ``run``, without the statistic.
@@ -259,12 +254,12 @@ def measure(
     height is as uncertain, however many points there are.
 
     Args:
-        points: (N, 3) map axes about the lidar, m; the run is ``begin`` to ``end``.
+        points, number: Of the run (3 N), map axes about the lidar, m, and N.
         x, y: Cell's centre about the lidar, m.
         z: Height of the plane that is known there, m; NaN for none.
         side: Of the cell, m.
         prior: (3) normal to keep to where the points do not tell the slope.
-        sigma: (6, 6) pose covariance.
+        sigma: (36) pose covariance.
         run: Record of type `RUN`.
     """
     basis = cython.declare(cython.double[6])
@@ -272,8 +267,8 @@ def measure(
     arm = cython.declare(cython.double[3])
     scatter = cython.declare(cython.double[6])
     cython.declare(i=cython.int, line=cython.bint)
-    moments(points, begin, end, run.centroid, run.scatter)
-    count: cython.double = end - begin
+    moments(points, number, run.centroid, run.scatter)
+    count: cython.double = number
     run.points = count
     xx = run.scatter[0]
     yy = run.scatter[3]
@@ -379,21 +374,22 @@ def measure(
         off_x += gap * ray_x
         off_y += gap * ray_y
         rise = (run.normal[0] * off_x + run.normal[1] * off_y) / up
-    slope_covariance(scatter, run.normal, variance, tilt * tilt, slope)
     basis_at(run.normal, basis)
-    covariance_about(
-        slope,
-        variance / count + uneven,
-        basis[0] * off_x + basis[1] * off_y - basis[2] * rise,
-        basis[3] * off_x + basis[4] * off_y - basis[5] * rise,
-        run.range_part,
-    )
+    run.own = variance / count + uneven
+    run.lever[0] = first = basis[0] * off_x + basis[1] * off_y - basis[2] * rise
+    run.lever[1] = second = basis[3] * off_x + basis[4] * off_y - basis[5] * rise
+    run.alone = tilt == UNKNOWN_TILT
+    if run.alone:
+        run.range_part[8] = run.own + tilt * tilt * (first * first + second * second)
+    else:
+        slope_covariance(scatter, run.normal, variance, tilt * tilt, slope)
+        covariance_about(slope, run.own, first, second, run.range_part)
     if rules.independent:
         for i in range(9):
             run.pose_part[i] = 0.0
     else:
         arm[0], arm[1], arm[2] = x, y, run.z
-        pose_part(run.normal, arm, sigma, run.pose_part)
+        pose_part(run.normal, basis, arm, sigma, run.pose_part)
     run.statistic = run.greatest = run.raised_by = run.doubt = 0.0
     run.shared = 1.0
 

@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
+cimport cython
 from libc.math cimport INFINITY as INFINITE, NAN, exp, fabs, sqrt
-from quadtree_lss.onboard.core.geometry.plane cimport fuse, offset_variance
+from quadtree_lss.onboard.core.geometry.plane cimport fuse, fuse_height, offset_variance
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
 from quadtree_lss.onboard.core.mapping.division cimport asks, hides_rock, judge, rough
 from quadtree_lss.onboard.core.mapping.features cimport update_feature
-from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, few, measure, partial, pose_variance, record
+from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, few, measure, partial, pose_variance
 from quadtree_lss.onboard.core.mapping.room cimport Room
 from quadtree_lss.onboard.core.mapping.residuals cimport departs, rest, standing_out
 from quadtree_lss.onboard.core.tree.leaves cimport HINTS, INHERITED, KNOWN, MEASURED, NOTHING, OUT, SEEN, Leaf, LeafTable
 
 cdef void know(unsigned char[::1] seen, long long[::1] key, Py_ssize_t begin, Py_ssize_t end) noexcept nogil
 
+@cython.final
 cdef class ScanUpdate:
     cdef LeafTable table
     cdef Rules rules
@@ -18,7 +20,7 @@ cdef class ScanUpdate:
     cdef double[:, ::1] points
     cdef double[::1] residual
     cdef long long[::1] key
-    cdef double[:, ::1] sigma
+    cdef double sigma[36]
     cdef double[:, ::1] beginning
     cdef bint begins_so
     cdef int coarsest
@@ -36,6 +38,9 @@ cdef class ScanUpdate:
     cdef bint aligned
     cdef readonly Py_ssize_t divisions
     cdef readonly Py_ssize_t refused
+    cdef Run* _run(self, Py_ssize_t at) noexcept nogil
+    cdef Leaf* _leaf(self, Py_ssize_t row) noexcept nogil
+    cdef double* _from(self, Py_ssize_t begin) noexcept nogil
     cdef void _measure(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
     cdef void _compare(self, Leaf* leaf, Run* run, Py_ssize_t at) noexcept nogil
     cdef bint _contradicts(self, Leaf* leaf, Run* run) noexcept nogil

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cython
 import numpy as np
 
@@ -17,7 +19,7 @@ from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
 if not cython.compiled:
     from math import exp, fabs, inf, nan, sqrt
 
-    from quadtree_lss.onboard.core.geometry.plane import fuse, offset_variance
+    from quadtree_lss.onboard.core.geometry.plane import fuse, fuse_height, offset_variance
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
     from quadtree_lss.onboard.core.mapping.division import asks, hides_rock, judge, rough
     from quadtree_lss.onboard.core.mapping.features import update_feature
@@ -26,7 +28,6 @@ if not cython.compiled:
         measure,
         partial,
         pose_variance,
-        record,
     )
     from quadtree_lss.onboard.core.mapping.residuals import departs, rest, standing_out
 
@@ -107,7 +108,11 @@ class ScanUpdate:
         self.key = scan.key
         x, y, z = scan.origin.tolist()
         self.origin = [x, y, z]
-        self.sigma = scan.pose.covariance
+        covariance = scan.pose.covariance.ravel().tolist()
+        if not cython.compiled:
+            self.sigma = covariance
+        for i in range(36):
+            self.sigma[i] = covariance[i]
         self.aligned = False
         self.now = self.common_at = now
         self.common_is = 1.0
@@ -146,6 +151,30 @@ class ScanUpdate:
         self.room.hold_runs(cells + self.table.max_level + 1)
         self.runs = self.room.runs
 
+    @cython.boundscheck(False)
+    def _run(self, at: cython.Py_ssize_t) -> Record:
+        """One record of type `measure.RUN`, to read and to write."""
+        if cython.compiled:
+            return cython.address(self.runs[at])
+        else:
+            return self.runs[at]
+
+    @cython.boundscheck(False)
+    def _leaf(self, row: cython.Py_ssize_t) -> Record:
+        """One leaf, to read and to write."""
+        if cython.compiled:
+            return cython.address(self.table.leaf[row])
+        else:
+            return self.table.at(row)
+
+    @cython.boundscheck(False)
+    def _from(self, begin: cython.Py_ssize_t) -> Any:
+        """Points from one on, x, y and z of one after the other."""
+        if cython.compiled:
+            return cython.address(self.points[begin, 0])
+        else:
+            return self.points.reshape(-1)[3 * begin :]
+
     def fit(self) -> Array:
         """Fit every touched leaf; the scan and the map in the M that were measured before, (12, M).
 
@@ -161,8 +190,8 @@ class ScanUpdate:
         with cython.nogil:
             for i in range(self.cells):
                 self.table.expect(self.rows[min(i + 4, self.cells - 1)])
-                leaf = self.table.at(self.rows[i])
-                run = record(self.runs, i)
+                leaf = self._leaf(self.rows[i])
+                run = self._run(i)
                 self._measure(leaf, self.begins[i], self.begins[i + 1], run)
                 if leaf.known == MEASURED:
                     self._compare(leaf, run, found)
@@ -220,12 +249,12 @@ class ScanUpdate:
             for i in range(self.cells):
                 self.table.expect(self.rows[min(i + 4, self.cells - 1)])
                 begin, end = self.begins[i], self.begins[i + 1]
-                levels = self.table.max_level - self.table.at(self.rows[i]).level
+                levels = self.table.max_level - self._leaf(self.rows[i]).level
                 levels = min(3 * levels * (end - begin), (1 << (2 * levels)) - 1)
                 if self.table.count + levels > self.table.capacity:
                     with cython.gil:
                         self.table.reserve(levels)
-                self._settle(self.rows[i], begin, end, record(self.runs, i), False)
+                self._settle(self.rows[i], begin, end, self._run(i), False)
         self.ratio = self.room.ratio[:, : self.rested]
 
     def _measure(
@@ -239,7 +268,8 @@ class ScanUpdate:
         y = leaf.y - self.origin[1]
         side = self.table.side(leaf.level)
         z = leaf.z - self.origin[2] if leaf.known != NOTHING else NAN
-        measure(self.rules, self.points, begin, end, x, y, z, side, leaf.normal, self.sigma, run)
+        points = self._from(begin)
+        measure(self.rules, points, end - begin, x, y, z, side, leaf.normal, self.sigma, run)
 
     def _contradicts(self, leaf: Record, run: Record) -> cython.bint:
         """Whether a run is of another place altogether than a plane, beyond any covariance.
@@ -280,7 +310,7 @@ class ScanUpdate:
         own = run.variance * (1.0 / run.points + factor * factor - 1.0)
         news = 1.0 - self.common(leaf.last_time)
         known = offset_variance(leaf.pose_part, first, second)
-        high = leaf.normal[2] * leaf.normal[2] * self.sigma[2, 2] if self.aligned else 0.0
+        high = leaf.normal[2] * leaf.normal[2] * self.sigma[14] if self.aligned else 0.0
         plane = offset_variance(leaf.range_part, first, second)
         run.doubt = 2.0 * sqrt(own + plane + news * max(known + run.pose_part[8] - 2.0 * high, 0.0))
         plane += news * (known + max(run.pose_part[8] - high, 0.0))
@@ -311,25 +341,27 @@ class ScanUpdate:
             if not same_scan:
                 sideways[0], sideways[1], sideways[2] = run.normal[0], run.normal[1], 0.0
                 news = 1.0 - self.common(leaf.last_time)
-                run.range_part[8] += news * pose_variance(sideways, run.centroid, self.sigma)
+                news *= pose_variance(sideways, run.centroid, self.sigma)
+                run.range_part[8] += news
+                run.own += news
             for i in range(9):
                 run.pose_part[i] = leaf.pose_part[i]
         else:
             common = self.common(leaf.last_time)
-        fuse(
-            leaf.normal,
-            leaf.z - self.origin[2] - run.z,
-            leaf.range_part,
-            leaf.pose_part,
-            run.normal,
-            run.range_part,
-            run.pose_part,
-            common,
-            run.sloped > 0.0,
-            rise,
-        )
-        for i in range(3):
-            leaf.normal[i] = run.normal[i]
+        if leaf.known == INHERITED:
+            # An inherited slope counts as a fit as certain as it.
+            leaf.bias[2] = run.variance / (leaf.range_part[0] + leaf.range_part[4])
+        known, told = leaf.range_part, leaf.pose_part
+        off = leaf.z - self.origin[2] - run.z
+        if run.alone:
+            place, pose = run.lever, run.pose_part
+            sloped: cython.bint = run.sloped > 0.0
+            fuse_height(leaf.normal, off, known, told, place, run.own, pose, common, sloped, rise)
+        else:
+            of_range, of_pose = run.range_part, run.pose_part
+            fuse(leaf.normal, off, known, told, run.normal, of_range, of_pose, common, rise)
+            for i in range(3):
+                leaf.normal[i] = run.normal[i]
         leaf.z = run.z + self.origin[2] + rise[0]
         leaf.points += run.points
         leaf.bias[2] += run.bias[2]
@@ -343,8 +375,7 @@ class ScanUpdate:
                 leaf.known = HINTS
                 return
         if leaf.bias[2] == 0.0:
-            turn = self._turn(leaf, run)
-            leaf.bias[0] = max(leaf.bias[0], turn) if leaf.known == INHERITED else turn
+            leaf.bias[0] = self._turn(leaf, run)
         if fresh and self.begins_so:
             self._begin(leaf)
         leaf.known = MEASURED
@@ -389,7 +420,7 @@ class ScanUpdate:
             return
         of_range = leaf.range_part
         of_pose = leaf.pose_part
-        fuse(normal, off, known, pose, leaf.normal, of_range, of_pose, 0.0, True, rise)
+        fuse(normal, off, known, pose, leaf.normal, of_range, of_pose, 0.0, rise)
         for i in range(9):
             of_range[i], of_pose[i] = known[i], pose[i]
         leaf.z += rise[0]
@@ -453,7 +484,7 @@ class ScanUpdate:
         the children. Its slope is worth `slope_points` measurements that fill a child, which have
         the horizontal variance side^2 / 12.
         """
-        leaf = self.table.at(row)
+        leaf = self._leaf(row)
         if leaf.level >= self.table.max_level:
             return False
         square = run.variance
@@ -484,7 +515,7 @@ class ScanUpdate:
         fills the view would bend it. The others are fused, judged and come to rest, or divide the
         leaf.
         """
-        leaf = self.table.at(row)
+        leaf = self._leaf(row)
         side = self.table.side(leaf.level)
         if self._contradicts(leaf, run):
             leaf.points -= run.points
@@ -514,7 +545,7 @@ class ScanUpdate:
                 if self._divide(row, run):
                     self._go_on(row, begin, end, False)
                     return
-        judge(self.rules, leaf, run, self.points, begin, end, self.origin, self.sigma)
+        judge(self.rules, leaf, run, self._from(begin), self.origin, self.sigma)
         x, y, z = leaf.normal[0] / leaf.normal[2], leaf.normal[1] / leaf.normal[2], leaf.z
         self._fuse(leaf, run, same_scan)
         if not fabs(leaf.z) < HIGHEST:  # planes of places far above each other lead anywhere
@@ -555,14 +586,14 @@ class ScanUpdate:
         same_scan: cython.bint,
     ) -> None:
         """The quarters of a run go on in the leaves that their cell was divided into."""
-        run = record(self.runs, self.cells + self.table.at(row).level)
+        run = self._run(self.cells + self._leaf(row).level)
         cython.declare(child=cython.Py_ssize_t, stop=cython.Py_ssize_t)
         while begin < end:
             child = self.table.over[self.key[begin]]
             stop = begin + 1
             while stop < end and self.table.over[self.key[stop]] == child:
                 stop += 1
-            self._measure(self.table.at(child), begin, stop, run)
+            self._measure(self._leaf(child), begin, stop, run)
             self._settle(child, begin, stop, run, same_scan)
             begin = stop
 
