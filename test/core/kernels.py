@@ -33,9 +33,9 @@ def sources(*names: str) -> list[ModuleType]:
     return found
 
 
-sphere, plane, measure, division, residuals = sources(
+sphere, plane, measure, division = sources(
     *("geometry.sphere", "geometry.plane"),
-    *("mapping.measure", "mapping.division", "mapping.residuals"),
+    *("mapping.measure", "mapping.division"),
 )
 
 

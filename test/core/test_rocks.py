@@ -6,7 +6,7 @@ import functools
 import numpy as np
 import pytest
 from core.builders import by, configured, flat, four_leaves, mapped, scattered
-from core.kernels import division, residuals
+from core.kernels import division
 from scipy.stats import norm
 
 from quadtree_lss.onboard.core.geometry import morton
@@ -124,7 +124,7 @@ def test_of_depths_of_stereo_one_of_four_stands_for_all():
     """Exceptions of many residuals, in any order: the same share, asked of a quarter of them."""
     rng = np.random.default_rng(6)
     residual = rng.normal(0.0, 0.05, 4002)
-    every, fourth = (residuals.exceptions(residual, 1, 4002, k, 0.08, 0.04) for k in (1, 4))
+    every, fourth = (division.exceptions(residual, 1, 4002, k, 0.08, 0.04) for k in (1, 4))
     by_hand = norm.sf((0.08 - np.abs(residual)) / 0.04) + norm.sf((0.08 + np.abs(residual)) / 0.04)
     np.testing.assert_allclose(every, by_hand[1:].sum(), rtol=1e-9)
     np.testing.assert_allclose(fourth, 4001 / 1001 * by_hand[1::4].sum(), rtol=1e-9)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from libc.math cimport fabs, sqrt
 from quadtree_lss.onboard.core.geometry.plane cimport inverse_symmetric
+from quadtree_lss.onboard.core.geometry.portable cimport above
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
 from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, few, partial, pose_variance
 from quadtree_lss.onboard.core.mapping.features cimport feature_height
@@ -12,3 +13,8 @@ cdef void judge(Rules rules, Leaf* leaf, Run* run, double* points, double* origi
 cdef bint asks(Rules rules, Leaf* leaf, Run* run) noexcept nogil
 cdef bint hides_rock(Rules rules, Leaf* leaf) noexcept nogil
 cdef bint rough(Rules rules, Leaf* leaf) noexcept nogil
+cdef double raised_from(Rules rules, Leaf* leaf, double variance) noexcept nogil
+cdef double standing_out(Rules rules, Leaf* leaf, double variance) noexcept nogil
+cdef bint departs(Rules rules, Leaf* leaf, Run* run, double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double* origin, double side) noexcept nogil
+cdef void rest(Rules rules, Leaf* leaf, Run* run, double[:, ::1] points, double[::1] residual, Py_ssize_t begin, Py_ssize_t end, double* origin) noexcept nogil
+cdef double exceptions(double[::1] residual, Py_ssize_t begin, Py_ssize_t end, Py_ssize_t every, double tolerance, double deviation) noexcept nogil

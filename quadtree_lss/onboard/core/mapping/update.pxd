@@ -3,11 +3,12 @@ cimport cython
 from libc.math cimport INFINITY as INFINITE, NAN, exp, fabs, sqrt
 from quadtree_lss.onboard.core.geometry.plane cimport fuse, fuse_height, offset_variance
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
-from quadtree_lss.onboard.core.mapping.division cimport asks, hides_rock, judge, rough
+from quadtree_lss.onboard.core.mapping.division cimport (
+    asks, departs, hides_rock, judge, rest, rough, standing_out
+)
 from quadtree_lss.onboard.core.mapping.features cimport update_feature
 from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, few, measure, partial, pose_variance
 from quadtree_lss.onboard.core.mapping.room cimport Room
-from quadtree_lss.onboard.core.mapping.residuals cimport departs, rest, standing_out
 from quadtree_lss.onboard.core.tree.leaves cimport HINTS, INHERITED, KNOWN, MEASURED, NOTHING, OUT, SEEN, Leaf, LeafTable
 
 cdef void know(unsigned char[::1] seen, long long[::1] key, Py_ssize_t begin, Py_ssize_t end) noexcept nogil

@@ -21,7 +21,15 @@ if not cython.compiled:
 
     from quadtree_lss.onboard.core.geometry.plane import fuse, fuse_height, offset_variance
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
-    from quadtree_lss.onboard.core.mapping.division import asks, hides_rock, judge, rough
+    from quadtree_lss.onboard.core.mapping.division import (
+        asks,
+        departs,
+        hides_rock,
+        judge,
+        rest,
+        rough,
+        standing_out,
+    )
     from quadtree_lss.onboard.core.mapping.features import update_feature
     from quadtree_lss.onboard.core.mapping.measure import (
         few,
@@ -29,7 +37,6 @@ if not cython.compiled:
         partial,
         pose_variance,
     )
-    from quadtree_lss.onboard.core.mapping.residuals import departs, rest, standing_out
 
     NOTHING, HINTS, INHERITED, MEASURED = range(4)
     SEEN, KNOWN, OUT = 1, 2, 3
