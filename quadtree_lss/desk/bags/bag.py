@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from quadtree_lss.desk.bags.compression import MOST_BYTES, ZSTD_MAGIC, unpack, unpack_file
+from quadtree_lss.desk.bags.compression import plain_message, unpack_file
 from quadtree_lss.desk.bags.mcap_file import McapFile
 from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.bags.recorded_file import LAST_NS, RawMessage, RecordedFile
@@ -102,9 +102,7 @@ class Bag:
             raise MessageError("encoding", text) from None
 
     def _decoded(self, raw: bytes, msgtype: str) -> Any:
-        if raw[:4] == ZSTD_MAGIC:  # bags compressed message by message
-            raw = unpack("zstd", raw, MOST_BYTES)
-        content = memoryview(raw)  # of which slices are no copies
+        content = memoryview(plain_message(raw))  # of which slices are no copies
         if self._ros1:
             return self._store.deserialize_ros1(content, msgtype)
         return self._store.deserialize_cdr(content, msgtype)
@@ -183,11 +181,13 @@ class MessageBag(Bag):
         span_ns: tuple[int, int],
         messages: Iterable[tuple[str, int, Any]],
         losses: Iterable[str] = (),
+        notes: Iterable[str] = (),
     ) -> None:
         super().__init__(Path(name))
         self.topics, self._messages = list(topics), messages
         self.start_ns, self.end_ns = span_ns
         self._losses += losses
+        self.notes += notes
 
     def _open(self) -> None:
         return
@@ -210,17 +210,14 @@ def _of_one_time(files: Iterable[RecordedFile]) -> list[list[RecordedFile]]:
     """
     groups: list[list[RecordedFile]] = []
     for file in files:
-        if groups and any(_beside(file, other) for other in groups[-1]):
-            groups[-1].append(file)
+        for other in groups[-1] if groups else ():
+            at_once = file.start_ns < other.end_ns and other.start_ns < file.end_ns
+            if at_once and not file.counts.keys() & other.counts.keys():
+                groups[-1].append(file)
+                break
         else:
             groups.append([file])
     return groups
-
-
-def _beside(one: RecordedFile, other: RecordedFile) -> bool:
-    if one.counts.keys() & other.counts.keys():
-        return False
-    return one.start_ns < other.end_ns and other.start_ns < one.end_ns
 
 
 def _is_stored(path: Path) -> bool:

@@ -84,12 +84,16 @@ def _bag_of(path: Path, poses_path: Path | None, frame: str) -> MessageBag:
     if None in stamps:
         stamps = _stamps(path, [file for file, *_ in found], table)
     scans = sorted((int(t), str(file), k) for t, (file, k, _) in zip(stamps, found, strict=True))
-    notes = []
+    note = ""
     if table is None:
         low, high = np.nanmin(corners, axis=(0, 1)), np.nanmax(corners, axis=(0, 1))
         eye = np.round(np.append(0.5 * (low + high)[:2], high[2] + ABOVE))
-        table = _from_above(eye, [stamp for stamp, *_ in scans])
-        notes.append("no --poses: the clouds are taken to be in the map's frame, seen from above")
+        # A lidar that looks straight down, whose attitude is known.
+        covariance = np.diag(np.repeat([0.01, ATTITUDE_SIGMA], 3) ** 2).reshape(36)
+        rows = (eye, (1.0, 0.0, 0.0, 0.0), covariance)
+        times = np.array([stamp for stamp, *_ in scans], np.int64)
+        table = PoseTable(times, *(np.tile(row, (len(scans), 1)) for row in rows))
+        note = "no --poses: the clouds are taken to be in the map's frame, seen from above"
     types = typestore(ros1=False).types
     of_lidar, of_map = (MessageMaker(types, np.asarray, name) for name in ("lidar", frame))
 
@@ -111,16 +115,8 @@ def _bag_of(path: Path, poses_path: Path | None, frame: str) -> MessageBag:
     messages.sort(key=lambda message: message[1])
     topics = [Topic(SCAN_TOPIC, SCAN_TYPE, len(scans))]
     topics.append(Topic(POSE_TOPIC, POSE_TYPE, len(table.stamp_ns)))
-    bag = MessageBag(str(path), topics, (messages[0][1], messages[-1][1]), messages, losses)
-    bag.notes += notes
-    return bag
-
-
-def _from_above(eye: Array, stamps: list[int]) -> PoseTable:
-    """Poses of a lidar that looks straight down from a place, m."""
-    covariance = np.diag(np.repeat([0.01, ATTITUDE_SIGMA], 3) ** 2).reshape(36)
-    rows = [np.tile(row, (len(stamps), 1)) for row in (eye, (1.0, 0.0, 0.0, 0.0), covariance)]
-    return PoseTable(np.array(stamps, np.int64), *rows)
+    span_ns = messages[0][1], messages[-1][1]
+    return MessageBag(str(path), topics, span_ns, messages, losses, filter(None, [note]))
 
 
 def _stamps(path: Path, files: list[Path], table: PoseTable | None) -> list[int]:
@@ -128,9 +124,10 @@ def _stamps(path: Path, files: list[Path], table: PoseTable | None) -> list[int]
     if table is None:
         return [(k + 1) * SECOND_NS // 10 for k in range(len(files))]
     known = table.stamp_ns
-    numbers = [_number(file.stem) for file in files]
-    if None not in numbers and len(set(numbers)) == len(files):
-        tries = [[round(n * unit) for n in numbers if n is not None] for unit in _UNITS_NS]
+    texts = [re.findall(r"\d+(?:\.\d+)?", file.stem) for file in files]
+    numbers = [Decimal(found[-1]) for found in texts if found]
+    if len(set(numbers)) == len(files):
+        tries = [[round(n * unit) for n in numbers] for unit in _UNITS_NS]
         inside = [sum(known[0] <= t <= known[-1] for t in times) for times in tries]
         if max(inside) > 0.5 * len(files):
             return tries[inside.index(max(inside))]
@@ -150,9 +147,3 @@ def _corners(points: NDArray[Any]) -> Array:
     if not len(sound):
         return np.full((2, 3), np.nan)
     return np.array([sound.min(axis=0), sound.max(axis=0)], np.float64)
-
-
-def _number(stem: str) -> Decimal | None:
-    """The last number of a name, exactly."""
-    found = re.findall(r"\d+(?:\.\d+)?", stem)
-    return Decimal(found[-1]) if found else None

@@ -37,6 +37,11 @@ def unpack(compression: str, data: bytes, size: int) -> bytes:
     return out
 
 
+def plain_message(raw: bytes) -> bytes:
+    """A serialised message, which bags may compress each by itself. Raises `DamagedError`."""
+    return unpack("zstd", raw, MOST_BYTES) if raw[:4] == ZSTD_MAGIC else raw
+
+
 def _content(compression: str, data: bytes, most: int) -> bytes:
     """No more than a piece beyond ``most``."""
     if compression in ("", "none"):

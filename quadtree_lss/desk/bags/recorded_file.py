@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from quadtree_lss.desk.bags.compression import MOST_BYTES, ZSTD_MAGIC, DamagedError, unpack
+from quadtree_lss.desk.bags.compression import MOST_BYTES, DamagedError, plain_message, unpack
 from quadtree_lss.desk.bags.message_types import GIMBAL_TYPE, POSE_TYPES, SCAN_TYPES
 
 HOUR_NS = 3600 * 10**9
@@ -89,10 +89,10 @@ class RecordedFile(ABC):
     @property
     def counts(self) -> dict[str, int]:
         """Messages by topic."""
-        numbers = zip(*np.unique(self.index["channel"], return_counts=True), strict=True)
+        channels, numbers = np.unique(self.index["channel"], return_counts=True)
         counts: Counter[str] = Counter()
-        for channel, count in numbers:
-            counts[self.topics[int(channel)][0]] += int(count)
+        for channel, number in zip(channels.tolist(), numbers.tolist(), strict=True):
+            counts[self.topics[channel][0]] += number
         return dict(counts)
 
     @property
@@ -255,8 +255,7 @@ class ChunkedFile(RecordedFile):
         """Messages of a chunk by their place in it; what is wrong with it is noted."""
         found = {}
         try:
-            for record in self._scan(chunk):
-                found[record.offset] = record
+            found.update((record.offset, record) for record in self._scan(chunk))
         except DamagedError as error:
             self.damage.setdefault(chunk.place, str(error))
         return found
@@ -320,8 +319,7 @@ def as_times(values: ArrayLike) -> NDArray[np.int64]:
 def stamp_of(raw: bytes, ros1: bool) -> int:
     """Stamp of a serialised message that begins with its header, ns; -1 if it is cut short."""
     try:
-        if raw[:4] == ZSTD_MAGIC:
-            raw = unpack("zstd", raw, MOST_BYTES)
+        raw = plain_message(raw)
         big = not ros1 and raw[1] == 0
         seconds, nanoseconds = struct.unpack_from(">II" if big else "<II", raw, 4)
     except (DamagedError, struct.error, IndexError):

@@ -48,10 +48,9 @@ class SqliteFile(RecordedFile):
     @property
     def losses(self) -> list[str]:
         """One line for each kind of what could not be read, up to now."""
-        faults = [f"{n} x {what}" if n > 1 else what for what, n in self._faults.items()]
-        if self.impossible_times:
-            number = f"{self.impossible_times} x " if self.impossible_times > 1 else ""
-            faults.append(f"{number}row with an impossible time of reception, mended")
+        mended = {"row with an impossible time of reception, mended": self.impossible_times}
+        counted = {**self._faults, **mended}.items()
+        faults = [f"{n} x {what}" if n > 1 else what for what, n in counted if n]
         if self._unread:
             row, why = next(iter(self._unread.items()))
             faults.append(f"{len(self._unread)} messages lost, the first in row {row}: {why}")

@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.config.settings import Config
@@ -20,6 +20,7 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 CLOUDS = "rosbag2 folder, .mcap, .db3, ROS 1 .bag; or point clouds: a file or a folder of them"
 POSES = "poses of point clouds, TUM or CSV; without it they are taken to be in the map frame"
 TOPICS = ("scan_topic", "pose_topic", "poses")
+N = TypeVar("N", int, float)
 DONE, ERROR, USAGE, IN_PART, INTERRUPTED = 0, 1, 2, 3, 130
 EXIT_CODES = """exit codes:
   0 done   1 error   2 wrong usage   3 done in part (damaged input)   130 interrupted
@@ -77,38 +78,26 @@ def named(text: str) -> Path:
     return Path(text)
 
 
-def positive(text: str) -> float:
-    """Type of an option: a finite number greater than zero."""
-    return _number(text, lambda value: value > 0.0, "greater than 0")
+def _number(kind: Callable[[str], N], fits: Callable[[N], bool], wanted: str) -> Callable[[str], N]:
+    """Type of an option: what ``kind`` makes of a text, if it fits."""
 
-
-def not_negative(text: str) -> float:
-    """Type of an option: a finite number, zero or greater."""
-    return _number(text, lambda value: value >= 0.0, "0 or greater")
-
-
-def share(text: str) -> float:
-    """Type of an option: a number from 0 to 1."""
-    return _number(text, lambda value: 0.0 <= value <= 1.0, "from 0 to 1")
-
-
-def whole(least: int) -> Callable[[str], int]:
-    """Type of an option: a whole number, ``least`` or greater."""
-
-    def convert(text: str) -> int:
+    def convert(text: str) -> N:
         with contextlib.suppress(ValueError):
-            if (value := int(text)) >= least:
+            if fits(value := kind(text)):
                 return value
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of {least} or more")
+        raise argparse.ArgumentTypeError(f"{text!r} is not {wanted}")
 
     return convert
 
 
-def _number(text: str, fits: Callable[[float], bool], wanted: str) -> float:
-    with contextlib.suppress(ValueError):
-        if math.isfinite(value := float(text)) and fits(value):
-            return value
-    raise argparse.ArgumentTypeError(f"{text!r} is not a finite number {wanted}")
+positive = _number(float, lambda value: 0.0 < value < math.inf, "a finite number greater than 0")
+not_negative = _number(float, lambda value: 0.0 <= value < math.inf, "a finite number 0 or greater")
+share = _number(float, lambda value: 0.0 <= value <= 1.0, "a finite number from 0 to 1")
+
+
+def whole(least: int) -> Callable[[str], int]:
+    """Type of an option: a whole number, ``least`` or greater."""
+    return _number(int, lambda value: value >= least, f"a whole number of {least} or more")
 
 
 def add_topics(parser: argparse.ArgumentParser, *, poses: bool = True) -> None:

@@ -5,15 +5,8 @@ from __future__ import annotations
 
 import argparse
 
-from quadtree_lss.desk.commands import common
+from quadtree_lss.desk.commands import common, explained
 from quadtree_lss.desk.commands.console import ProgressBar, warn
-from quadtree_lss.desk.commands.explained import (
-    check_files,
-    explain,
-    explain_text,
-    lengths_text,
-    parameter_as_dict,
-)
 from quadtree_lss.desk.replay.configuration import dump_config, load_config, slow
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import config_from_values, values_from_config
@@ -69,11 +62,11 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _explain(options: argparse.Namespace) -> int:
-    rows = [row for name in options.names for row in explain(name)]
-    texts = [explain_text(row) for row in rows]
+    rows = [row for name in options.names for row in explained.explain(name)]
+    texts = [explained.explain_text(row) for row in rows]
     if any(row.name.startswith("vehicle.") for row in rows):
-        texts.append(lengths_text(common.chosen_config(options).vehicle))
-    told = {row.name: parameter_as_dict(row) for row in rows}
+        texts.append(explained.lengths_text(common.chosen_config(options).vehicle))
+    told = {row.name: explained.parameter_as_dict(row) for row in rows}
     common.show(options, told, "\n\n".join(texts))
     return common.DONE
 
@@ -88,7 +81,7 @@ def _print(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    found = check_files(options.names, options.node)
+    found = explained.check_files(options.names, options.node)
     lines = (f"{name}: {line}" for name, errors in found.items() for line in errors or ["good"])
     common.show(options, found, "\n".join(lines))
     for name in (name for name, errors in found.items() if not errors and not options.json):

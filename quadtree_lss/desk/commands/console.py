@@ -78,8 +78,7 @@ class ProgressBar:
 
     def update(self, done: float, total: float) -> None:
         if self._bar is not None:
-            self._bar.total = total
-            self._bar.n = done
+            self._bar.total, self._bar.n = total, done
             self._bar.refresh()
 
 
@@ -123,7 +122,7 @@ def result_text(result: ReplayResult) -> str:
     dropped = sum(summary["scans_dropped"].values())
     used = points_line(summary["points"], summary["points_dropped"])
     text = form.format(**summary, dropped=dropped, used=used)
-    lines = [text, *table([_SITE_HEADER, *_site_rows(sites)])]
+    lines = [text, *table(_site_rows(sites))]
     if not len(sites):
         reason = result.assessment.explanation.removeprefix("no safe site: ")
         lines = [text, f"no safe site: {reason}"]
@@ -135,26 +134,21 @@ def result_text(result: ReplayResult) -> str:
     return "\n".join(lines)
 
 
-_SITE_HEADER = ("rank", "x", "y", "z", "probability", "score", "slope", "roughness")
-_SITE_HEADER += ("to hazard", "subscale")
-
-
-def _site_rows(sites: Sites) -> list[list[str]]:
+def _site_rows(sites: Sites) -> list[Sequence[str]]:
+    """The first of the columns' names."""
     from quadtree_lss.onboard.core.landing.probability import shown
 
-    return [
-        [
-            str(k + 1),
-            *(f"{value:.2f}" for value in sites.position[k]),
-            shown(sites.probability[k]),
-            f"{sites.score[k]:.4f}",
-            f"{sites.slope_deg[k]:.1f}°",
-            f"{sites.roughness[k]:.3f} m",
-            f"{sites.hazard_distance[k]:.2f} m",
-            f"{sites.subscale_height[k]:.2f} m",
-        ]
-        for k in range(len(sites.score))
-    ]
+    columns = {
+        "rank": map(str, range(1, len(sites) + 1)),
+        **{axis: map("{:.2f}".format, sites.position[:, k]) for k, axis in enumerate("xyz")},
+        "probability": map(shown, sites.probability),
+        "score": map("{:.4f}".format, sites.score),
+        "slope": map("{:.1f}°".format, sites.slope_deg),
+        "roughness": map("{:.3f} m".format, sites.roughness),
+        "to hazard": map("{:.2f} m".format, sites.hazard_distance),
+        "subscale": map("{:.2f} m".format, sites.subscale_height),
+    }
+    return [tuple(columns), *zip(*columns.values(), strict=True)]
 
 
 def table(rows: Sequence[Sequence[str]]) -> list[str]:

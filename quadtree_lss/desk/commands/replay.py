@@ -8,15 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quadtree_lss.desk.commands import common
-from quadtree_lss.desk.commands.console import (
-    Interruption,
-    ProgressBar,
-    first_line,
-    result_text,
-    say,
-    warn,
-)
+from quadtree_lss.desk.commands import common, console
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 if TYPE_CHECKING:
@@ -52,7 +44,6 @@ NO_REPORT = "no figures and no report.html"
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Declares the subcommands."""
     parser = common.add_command(commands, "replay", _run, TEXT, EXAMPLES)
     add = parser.add_argument
     add("bag", type=common.named, metavar="BAG", help=common.CLOUDS)
@@ -86,9 +77,8 @@ def _run(options: argparse.Namespace) -> int:
     if options.rate is not None:
         options.parser.error("--rate is for --publish: without it a replay runs as fast as it can")
     if options.namespace is not None or options.remap:
-        options.parser.error(
-            "--namespace and --remap are for --publish: without it nothing is sent"
-        )
+        text = "--namespace and --remap are for --publish: without it nothing is sent"
+        options.parser.error(text)
     from quadtree_lss.desk.replay.replay import replay
 
     config, out = common.chosen_config(options), _folder(options)
@@ -96,15 +86,18 @@ def _run(options: argparse.Namespace) -> int:
     then = f"ranks sites on what is mapped so far{report} and writes it into {out}"
     how = common.given(options, *common.TOPICS, "start", "duration", "record")
     how |= {"report": not options.no_report, "landing": common.landing_of(options)}
-    with Interruption(then) as interruption, ProgressBar("replay", "s", options.verbose) as bar:
+    with (
+        console.Interruption(then) as interruption,
+        console.ProgressBar("replay", "s", options.verbose) as bar,
+    ):
         how |= {"progress": bar.update, "stop": interruption.asked}
         result = replay(options.bag, out, config, **how)
     _tell(options, result, out, "warning")
     if result.interrupted:
-        say(f"interrupted: results are of the first {result.summary['duration']:.1f} s")
+        console.say(f"interrupted: results are of the first {result.summary['duration']:.1f} s")
         return common.INTERRUPTED
     if result.losses:
-        warn("the bag is damaged: everything readable was processed")
+        console.warn("the bag is damaged: everything readable was processed")
         return common.IN_PART
     return common.DONE
 
@@ -120,12 +113,12 @@ def _tell(options: argparse.Namespace, result: ReplayResult, out: Path, word: st
 
     if options.out is None and link_latest(out) is None:
         latest = out.parent / "latest"
-        warn(f"warning: {latest} does not point at these results: it is not a link")
+        console.warn(f"warning: {latest} does not point at these results: it is not a link")
     for line in result.warnings:
-        warn(f"{word}: {line}")
+        console.warn(f"{word}: {line}")
     for line in result.losses:
-        warn(f"damaged: {line}")
-    common.show(options, result.as_dict(), result_text(result))
+        console.warn(f"damaged: {line}")
+    common.show(options, result.as_dict(), console.result_text(result))
 
 
 def _sites(options: argparse.Namespace) -> int:
@@ -138,11 +131,8 @@ def _sites(options: argparse.Namespace) -> int:
 
 
 def _publish(options: argparse.Namespace) -> int:
-    offline = [
-        name
-        for name in ("out", "config", "set", "poses", "no_report", "record")
-        if getattr(options, name)
-    ]
+    names = ("out", "config", "set", "poses", "no_report", "record")
+    offline = [name for name in names if getattr(options, name)]
     offline += [name for name in ("area", "keep_out", "target") if name in options]
     given = ", ".join(f"--{name.replace('_', '-')}" for name in offline)
     if given:
@@ -152,15 +142,16 @@ def _publish(options: argparse.Namespace) -> int:
     try:
         from quadtree_lss.desk.player.player import play
     except ImportError as error:
-        msg = f"--publish needs ROS 2 (rclpy), which cannot be imported: {first_line(error)}"
+        why = console.first_line(error)
+        msg = f"--publish needs ROS 2 (rclpy), which cannot be imported: {why}"
         raise QuadtreeLssError(msg) from None
     how = common.given(options, *common.TOPICS[:2], "start", "duration", "remap")
     how |= {"rate": options.rate or 1.0, "namespace": options.namespace or ""}
-    with ProgressBar("play", "s", options.verbose) as bar:
+    with console.ProgressBar("play", "s", options.verbose) as bar:
         report = play(options.bag, **how, progress=bar.update)
     scans = f"{report.scans} scans and {report.poses} poses"
     sent = f"{report.maps} maps" if report.maps else scans
     common.show(options, asdict(report), f"{sent} sent in {report.duration:.1f} s")
     for line in report.losses:
-        warn(f"damaged: {line}")
+        console.warn(f"damaged: {line}")
     return common.IN_PART if report.losses else common.DONE

@@ -7,15 +7,7 @@ import argparse
 import webbrowser
 from pathlib import Path
 
-from quadtree_lss.desk.commands.common import (
-    DONE,
-    ERROR,
-    add_command,
-    named,
-    place,
-    show,
-    tell,
-)
+from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.console import say
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -60,27 +52,27 @@ Of results without a page (replay --no-report) the page is made.
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Declares the subcommands."""
-    parser = add_command(commands, "compare", _compare, COMPARE, COMPARE_EXAMPLES)
+    parser = common.add_command(commands, "compare", _compare, COMPARE, COMPARE_EXAMPLES)
     add = parser.add_argument
-    add("first", type=named, metavar="A", help="folder that replay or sites wrote")
-    add("second", type=named, metavar="B", help="another one of the same ground")
+    add("first", type=common.named, metavar="A", help="folder that replay or sites wrote")
+    add("second", type=common.named, metavar="B", help="another one of the same ground")
     text = "folder for comparison.json and comparison.png (default: none is written)"
-    add("--out", metavar="DIR", type=named, help=text)
-    parser = add_command(commands, "export", _export, EXPORT, EXPORT_EXAMPLES)
+    add("--out", metavar="DIR", type=common.named, help=text)
+    parser = common.add_command(commands, "export", _export, EXPORT, EXPORT_EXAMPLES)
     add = parser.add_argument
     text = "folder that replay or sites wrote (default results/latest)"
-    add("results", type=named, metavar="DIR", nargs="?", default=LATEST, help=text)
+    add("results", type=common.named, metavar="DIR", nargs="?", default=LATEST, help=text)
     text = "one of these forms; may be repeated (default all)"
     add("--format", action="append", choices=FORMATS, default=[], metavar="FORM", help=text)
-    add("--out", metavar="DIR", type=named, help="folder for the files (default DIR/exchange)")
+    text = "folder for the files (default DIR/exchange)"
+    add("--out", metavar="DIR", type=common.named, help=text)
     add("--crs", metavar="CRS", default="", help="coordinate system of the map frame")
     text = "latitude and longitude of the map frame's origin, deg; x is east, y north"
-    add("--origin", metavar="LAT,LON", type=place, help=text)
-    parser = add_command(commands, "view", _view, VIEW, VIEW_EXAMPLES)
+    add("--origin", metavar="LAT,LON", type=common.place, help=text)
+    parser = common.add_command(commands, "view", _view, VIEW, VIEW_EXAMPLES)
     add = parser.add_argument
     text = "folder of a replay, flight, campaign or evaluation (default results/latest)"
-    add("folder", type=named, metavar="DIR", nargs="?", default=LATEST, help=text)
+    add("folder", type=common.named, metavar="DIR", nargs="?", default=LATEST, help=text)
     add("--no-open", action="store_true", help="only print where the page is")
 
 
@@ -89,12 +81,12 @@ def _compare(options: argparse.Namespace) -> int:
 
     result = compare_results(options.first, options.second, options.out)
     written = f"comparison.json and comparison.png in {options.out}"
-    tell(options, result, *[written] * (options.out is not None))
+    common.tell(options, result, *[written] * (options.out is not None))
     if not result.same_ground:
         text = f"correlation {result.heights.correlation:.2f}, RMS {result.heights.rms:.2f} m"
         say(f"not of the same ground, or not at the same place: their heights differ: {text}")
-        return ERROR
-    return DONE
+        return common.ERROR
+    return common.DONE
 
 
 def _export(options: argparse.Namespace) -> int:
@@ -104,16 +96,13 @@ def _export(options: argparse.Namespace) -> int:
     written = export_results(options.results, options.out, options.format, **where)
     names = ", ".join(path.name for path in written)
     text = f"{names}\n{len(written)} files in {written[0].parent}"
-    show(options, {"files": [str(path) for path in written]}, text)
-    return DONE
+    common.show(options, {"files": [str(path) for path in written]}, text)
+    return common.DONE
 
 
 def page_in(folder: Path) -> Path:
-    """The page of what is in a folder, made where there are only results.
-
-    Raises:
-        QuadtreeLssError: there is nothing to be shown.
-    """
+    """The page of what is in a folder, made where there are only results. Raises
+    `QuadtreeLssError`: there is nothing to be shown."""
     for name in PAGES:
         if (folder / name).is_file():
             return folder / name
@@ -130,5 +119,5 @@ def _view(options: argparse.Namespace) -> int:
     page = page_in(options.folder).resolve()
     opened = not options.no_open and webbrowser.open(page.as_uri())
     text = str(page) if opened or options.no_open else f"open {page}"
-    show(options, {"page": str(page), "opened": bool(opened)}, text)
-    return DONE
+    common.show(options, {"page": str(page), "opened": bool(opened)}, text)
+    return common.DONE

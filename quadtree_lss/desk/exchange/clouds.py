@@ -36,15 +36,12 @@ def read_clouds(path: Path) -> Clouds:
         msg = f"{path}: not a readable {path.suffix.lower()} file: {line}"
         raise ExchangeError(msg) from None
     if stamps is None:
-        clouds = [part for cloud in clouds for part in _parts(cloud)]
+        whole, clouds = clouds, []
+        for cloud in whole:
+            flat = cloud.reshape(-1, 3)
+            parts = [flat[k : k + MOST_POINTS] for k in range(0, len(flat), MOST_POINTS)]
+            clouds += parts if len(parts) > 1 else [cloud]
     return clouds, stamps
-
-
-def _parts(cloud: Array) -> list[Array]:
-    if cloud.size // 3 <= MOST_POINTS:
-        return [cloud]
-    flat = cloud.reshape(-1, 3)
-    return [flat[k : k + MOST_POINTS] for k in range(0, len(flat), MOST_POINTS)]
 
 
 def _npz(path: Path) -> Clouds:

@@ -11,7 +11,7 @@ import termios
 import time
 import tty
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 
 from rclpy.executors import SingleThreadedExecutor
@@ -102,18 +102,13 @@ def keys_pressed() -> Iterator[Callable[[], str]]:
     Without a terminal, or in the background of one, no key is ever pressed. Ctrl-C and Ctrl-Z do
     what they always do.
     """
-    if sys.stdin is None or sys.stdin.closed or not sys.stdin.isatty():
+    ours = sys.stdin is not None and not sys.stdin.closed and sys.stdin.isatty()
+    with suppress(OSError):  # not the terminal that controls this process: it has no background
+        ours = ours and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    if not ours:
         yield lambda: ""
         return
-    terminal = sys.stdin.fileno()
-    try:
-        in_background = os.tcgetpgrp(terminal) != os.getpgrp()
-    except OSError:  # not the terminal that controls this process: it has no background
-        in_background = False
-    if in_background:
-        yield lambda: ""
-        return
-    gone = False
+    terminal, gone = sys.stdin.fileno(), False
 
     def pressed() -> str:
         nonlocal gone

@@ -27,9 +27,8 @@ from rclpy.publisher import Publisher
 from quadtree_lss.desk.bags import message_types as types
 from quadtree_lss.desk.bags import topics
 from quadtree_lss.desk.bags.bag import Bag
-from quadtree_lss.desk.bags.compression import MOST_BYTES, ZSTD_MAGIC, DamagedError, unpack
+from quadtree_lss.desk.bags.compression import DamagedError, plain_message
 from quadtree_lss.desk.bags.recorded_file import RawMessage, stamp_of
-from quadtree_lss.desk.bags.topics import choose_pose_topic, choose_scan_topic, landing_topics
 from quadtree_lss.desk.player.clock import PlayTime, keys_pressed
 from quadtree_lss.desk.replay.stream import MapPairs, Part, Progress
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -144,17 +143,17 @@ def play(
 
 def _names(bag: Bag, scan_topic: str | None, pose_topic: str | None) -> dict[str, str]:
     """The topics of the bag to play, and the name under which each is published."""
-    pairs = MapPairs.alone(bag) if scan_topic is None else None
+    pairs = MapPairs.alone(bag, scan_topic)
     if pairs is not None:
         return dict(zip(pairs.topics, MAPS, strict=True))
-    poses, kind = choose_pose_topic(bag, pose_topic, "pose")
-    scans, _, camera = choose_scan_topic(bag, scan_topic, "points")
+    poses, kind = topics.choose_pose_topic(bag, pose_topic, "pose")
+    scans, _, camera = topics.choose_scan_topic(bag, scan_topic, "points")
     names = {
         scans: topics.DEPTH_TOPIC if camera else topics.SCAN_TOPIC,
         **({camera: topics.CAMERA_TOPIC} if camera else {}),
         poses: topics.ODOMETRY_TOPIC if kind == types.ODOMETRY_TYPE else topics.POSE_TOPIC,
     }
-    names |= {topic: f"/landing/{name}" for topic, name in landing_topics(bag).items()}
+    names |= {topic: f"/landing/{name}" for topic, name in topics.landing_topics(bag).items()}
     if any((t.name, t.type) == (topics.GIMBAL_TOPIC, types.GIMBAL_TYPE) for t in bag.topics):
         names[topics.GIMBAL_TOPIC] = topics.GIMBAL_TOPIC
     return names
@@ -184,7 +183,7 @@ def _send(
 def _serialised(raw: bytes) -> bytes:
     """A message's bytes, whether or not the bag compresses each; nodes refuse damaged ones."""
     with contextlib.suppress(DamagedError):
-        return unpack("zstd", raw, MOST_BYTES) if raw[:4] == ZSTD_MAGIC else raw
+        return plain_message(raw)
     return raw
 
 

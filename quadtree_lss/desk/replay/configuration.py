@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import yaml
@@ -48,26 +49,23 @@ def load_config(
     for path in paths:
         found = find_config(path)
         read = read_values(found)
-        _check(read, str(found))
+        with _errors_of(str(found)):
+            checked_values(read)
         values |= read
         files.append(str(found))
     wanted = flatten(overrides or {})
-    _check(wanted, origin)
-    try:
+    with _errors_of(origin):
+        checked_values(wanted)
+    with _errors_of(", ".join(files + [origin] * bool(wanted))):  # that contradict one another
         return config_from_values(values | wanted)
-    except ConfigError as error:  # values that contradict one another
-        where = ", ".join(files + [origin] * bool(wanted))
-        msg = f"{where}: {error}" if where else str(error)
-        raise ConfigError(msg) from None
 
 
-def _check(values: Mapping[str, object], where: str) -> None:
-    """Each key by itself, so that the message can name the file."""
+@contextmanager
+def _errors_of(where: str) -> Iterator[None]:
     try:
-        checked_values(values)
+        yield
     except ConfigError as error:
-        msg = f"{where}: {error}"
-        raise ConfigError(msg) from None
+        raise ConfigError(f"{where}: {error}" if where else str(error)) from None
 
 
 def find_config(path: str | os.PathLike[str]) -> Path:

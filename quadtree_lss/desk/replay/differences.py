@@ -158,7 +158,11 @@ def compare_results(
         difference=difference,
     )
     if out is not None:
-        _write(Path(out), result)
+        try:
+            write_json(Path(out) / "comparison.json", result.as_dict())
+            write_bytes(Path(out) / "comparison.png", _picture(result))
+        except OSError as error:
+            raise ResultsError(f"{out}: cannot be written: {error.strerror}") from None
     return result
 
 
@@ -235,14 +239,6 @@ def _verdict(grid: Grid, x: float, y: float, name: str) -> str:
     bits &= ~UNSEEN if bits & UNMAPPED else 255
     kinds = ", ".join(kind for bit, kind in HAZARDS.items() if bits & bit)
     return f"not allowed in the {name}{f' ({kinds})' if kinds else ', which has a hazard near it'}"
-
-
-def _write(out: Path, result: Comparison) -> None:
-    try:
-        write_json(out / "comparison.json", result.as_dict())
-        write_bytes(out / "comparison.png", _picture(result))
-    except OSError as error:
-        raise ResultsError(f"{out}: cannot be written: {error.strerror}") from None
 
 
 def _picture(result: Comparison) -> bytes:

@@ -75,7 +75,7 @@ class Heard:
         self._scans: list[tuple[int, Array]] = []
         self._every, self._count = 1, 0
         self._poses: list[tuple[int, Array, Array, bool]] = []
-        self._gimbal: list[Pose] = []
+        self._gimbal: list[tuple[int, Array, Array]] = []
         self.mount: Pose | None = None
 
     def add_cloud(self, msg: Any) -> None:
@@ -104,7 +104,9 @@ class Heard:
             self._poses.append((stamp_ns(msg.header), place, turn / size, known))
 
     def add_gimbal(self, msg: Any) -> None:
-        self._gimbal.append(mount_from_message(msg))
+        angle = mount_from_message(msg)
+        turn = Rotation.from_matrix(angle.rotation_map_lidar).as_quat()
+        self._gimbal.append((angle.stamp_ns, angle.position, turn))
 
     def findings(self, config: Config) -> list[Finding]:
         found = []
@@ -119,21 +121,15 @@ class Heard:
 
     def _flight(self, config: Config) -> _Flight | None:
         """What can be compared; None where scans and poses are of other times, or too few."""
-        by_stamp = {stamp: (place, turn) for stamp, place, turn, _ in self._poses}
-        stamps = np.array(sorted(by_stamp))
-        if len(stamps) < 2:
+        poses = {stamp: (place, turn) for stamp, place, turn, _ in self._poses}
+        angles = {stamp: (place, turn) for stamp, place, turn in self._gimbal}
+        if len(poses) < 2:
             return None
-        start = int(stamps[0])
-        places, turns = map(np.array, zip(*(by_stamp[s] for s in stamps.tolist()), strict=True))
-        body = _Path(1e-9 * (stamps - start), places, Rotation.from_quat(turns))
+        start = min(poses)
+        body, gimbal = _Path(poses, start), None
         mount = fixed_mount(config.mount) if self.mount is None else self.mount
-        gimbal, angles = None, {angle.stamp_ns: angle for angle in self._gimbal}
         if config.mount.gimbal and len(angles) > 1:
-            times = np.array(sorted(angles))
-            poses = [angles[stamp] for stamp in times.tolist()]
-            rotations = Rotation.from_matrix(np.array([a.rotation_map_lidar for a in poses]))
-            offsets = np.array([a.position for a in poses])
-            gimbal = _Path(1e-9 * (times - start), offsets, rotations)
+            gimbal = _Path(angles, start)
         scans = [(1e-9 * (stamp - start), points) for stamp, points in self._scans]
         scans = [(t, points) for t, points in scans if 0.0 <= t <= body.times[-1]]
         if len(scans) < 3:
@@ -150,10 +146,13 @@ def _thinned(scans: list[Any], every: int) -> list[Any]:
 
 
 class _Path:
-    """Poses over time, at any time in between."""
+    """Places and quaternions by their stamps, at any time after ``start_ns`` in between."""
 
-    def __init__(self, times: Array, places: Array, turns: Rotation) -> None:
-        self.times, self._places, self._turns = times, places, Slerp(times, turns)
+    def __init__(self, poses: dict[int, tuple[Array, Array]], start_ns: int) -> None:
+        stamps = sorted(poses)
+        self.times = 1e-9 * (np.array(stamps) - start_ns)
+        places, turns = zip(*(poses[stamp] for stamp in stamps), strict=True)
+        self._places, self._turns = np.array(places), Slerp(self.times, Rotation.from_quat(turns))
 
     def at(self, times: Array) -> tuple[Array, Array]:
         """Places (K, 3) and rotations (K, 3, 3) at times (K,) s; at an end where beyond it."""
@@ -172,8 +171,8 @@ class _Flight:
         self.points = np.concatenate([points for _, points in scans])
         self.of = np.repeat(np.arange(len(scans)), [len(points) for _, points in scans])
         self._body, self._gimbal, self._mount = body, gimbal, mount
-        self.places, self.body = body.at(self.times)
-        self.arms, self.mounts = self._on_body(self.times)
+        self.places, self.body, self.arms, self.mounts = self._at(self.times)
+        self.origins, self.turns = _of_lidar(self.places, self.body, self.arms, self.mounts)
         self.range = float(np.median(np.linalg.norm(self.points, axis=1)))
         self.last = float(body.times[-1])
         spreads, self.normals = [], np.empty((len(scans), 3))
@@ -183,18 +182,16 @@ class _Flight:
             spreads.append(4.0 * sizes[1] / np.sqrt(len(points)))
         self.cell = float(np.median(spreads)) / CELLS_ACROSS
 
-    def _on_body(self, times: Array) -> tuple[Array, Array]:
+    def _at(self, times: Array) -> tuple[Array, Array, Array, Array]:
+        """Places and rotations at times, s, of the body in the map and of the lidar on the body."""
         if self._gimbal is not None:
-            return self._gimbal.at(times)
-        n, mount = len(times), self._mount
-        return np.tile(mount.position, (n, 1)), np.tile(mount.rotation_map_lidar, (n, 1, 1))
+            return *self._body.at(times), *self._gimbal.at(times)
+        arm, turn, n = self._mount.position, self._mount.rotation_map_lidar, len(times)
+        return *self._body.at(times), np.tile(arm, (n, 1)), np.tile(turn, (n, 1, 1))
 
     def late(self, lag: float, chosen: NDArray[np.bool_]) -> float:
         """Disagreement of some scans with the poses of so many seconds later, m."""
-        places, body = self._body.at(self.times + lag)
-        arms, mounts = self._on_body(self.times + lag)
-        origins = places + np.einsum("kij,kj->ki", body, arms)
-        return self.disagreement(origins, body @ mounts, chosen=chosen)[0]
+        return self.disagreement(*_of_lidar(*self._at(self.times + lag)), chosen=chosen)[0]
 
     def disagreement(
         self, origins: Array, turns: Array, scale: float = 1.0,
@@ -236,6 +233,10 @@ class _Flight:
         return float(np.sqrt(variance[order[middle]])), above
 
 
+def _of_lidar(places: Array, body: Array, arms: Array, mounts: Array) -> tuple[Array, Array]:
+    return places + np.einsum("kij,kj->ki", body, arms), body @ mounts
+
+
 class _Try(NamedTuple):
     """A mistake, mended: where the lidar was then, and what is said of it."""
 
@@ -249,8 +250,7 @@ class _Try(NamedTuple):
 
 def _tries(flight: _Flight, config: Config) -> list[_Try]:
     """The usual mistakes; the first of those that explain the scans alike is the likelier."""
-    p, b, m = flight.places, flight.body, flight.mounts
-    at = p + np.einsum("kij,kj->ki", b, flight.arms)
+    p, b, m, at = flight.places, flight.body, flight.mounts, flight.origins
     own = m @ cloud_turn(config.mount).T
     tries = [
         _Try("axes", f"clouds and poses are of different axes ({name.replace('_', ' ')})",
@@ -268,7 +268,7 @@ def _tries(flight: _Flight, config: Config) -> list[_Try]:
     ned = NED_FROM_ENU
     north = [
         _Try("ned", "poses are in north, east, down; the map is east, north, up", mend,
-             p @ ned.T + np.einsum("kij,kj->ki", ned @ b @ body, flight.arms), ned @ b @ body @ m)
+             *_of_lidar(p @ ned.T, ned @ b @ body, flight.arms, m))
         for body in (np.eye(3), FLIP)
     ]  # fmt: skip
     tries = north + tries if np.median(p[:, 2]) < 0.0 else tries + north
@@ -282,19 +282,15 @@ def _tries(flight: _Flight, config: Config) -> list[_Try]:
         text, mend = f"clouds are in {unit}", f"publish metres: x, y, z times {scale:g}"
         tries.append(_Try("units", text, mend, at, b @ m, scale))
         text, mend = f"poses are in {unit}", f"publish metres: positions times {scale:g}"
-        shifted = scale * p + at - p
-        tries.append(_Try("pose_units", text, mend, shifted, b @ m))
+        tries.append(_Try("pose_units", text, mend, scale * p + at - p, b @ m))
     text, mend = "clouds are in the map's frame already", "publish them in the lidar's own axes"
     here = np.tile(np.eye(3), (len(p), 1, 1))
-    tries.append(_Try("map_cloud", text, mend, np.zeros_like(p), here))
-    return tries
+    return [*tries, _Try("map_cloud", text, mend, np.zeros_like(p), here)]
 
 
 def _judged(flight: _Flight, config: Config) -> list[Finding]:
     """What the ground says: of axes, frames and units first, then of lag, then of the mount."""
-    at = flight.places + np.einsum("kij,kj->ki", flight.body, flight.arms)
-    turns = flight.body @ flight.mounts
-    cost, above = flight.disagreement(at, turns)
+    cost, above = flight.disagreement(flight.origins, flight.turns)
     noise, lidar = config.lidar.range_noise, config.lidar
     sound = above <= MOST_ABOVE and lidar.min_range <= flight.range <= lidar.max_range
     best: tuple[float, _Try] | None = None
@@ -353,7 +349,9 @@ def _mount(flight: _Flight, config: Config) -> list[Finding]:
     Unknown are a small turn d of the lidar about two axes across the ground's normal and the
     ground's own normal n. Each scan k, whose normal is m_k in lidar axes, says R_k exp(d) m_k = n.
     """
-    turns = flight.body @ flight.mounts
+    if config.mount.gimbal:
+        return []
+    turns = flight.turns
     upward = np.sign(np.einsum("ki,ki->k", turns[:, 2, :], flight.normals))
     normals = flight.normals * np.where(upward == 0.0, 1.0, upward)[:, None]
     middle = normals.mean(axis=0)
@@ -378,8 +376,6 @@ def _mount(flight: _Flight, config: Config) -> list[Finding]:
     covariance = np.linalg.inv(fit.jac.T @ fit.jac)
     angle = float(np.degrees(np.linalg.norm(fit.x[:2])))
     unsure = float(np.degrees(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])))
-    if config.mount.gimbal:
-        return []
     if angle < max(LEAST_DEG, SURE * unsure):
         if SURE * unsure < CALM_DEG:
             return []

@@ -59,13 +59,14 @@ class History:
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
         sites = found.sites
         ranked = sites.id, sites.position, sites.score, sites.probability
+        percent = np.rint(100.0 * known_probability(found))
         self._answers.add(
             {
                 "stamp_ns": found.stamp_ns,
                 "corner": (found.x[0], found.y[0]),
                 "seen": np.packbits(found.hazard & UNSEEN == 0),
                 "allowed": np.packbits(found.safe),
-                "probability": _percent(known_probability(found)),
+                "probability": np.nan_to_num(percent, nan=255.0).astype(np.uint8).ravel(),
                 "sites": np.column_stack(ranked),
                 "target": np.array([found.selected.id, *found.selected.position]),
             }
@@ -106,8 +107,3 @@ class History:
             "site_score": sites[:, 4],
             "site_probability": sites[:, 5],
         }
-
-
-def _percent(share: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Probabilities (ny, nx) as whole per cent, row by row; 255 where there is none."""
-    return np.nan_to_num(np.rint(100.0 * share), nan=255.0).astype(np.uint8).ravel()

@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections import Counter
+from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,7 @@ import numpy as np
 
 from quadtree_lss.desk.bags.bag import Bag, BagError
 from quadtree_lss.desk.bags.cloud_files import open_recording
-from quadtree_lss.desk.bags.message_types import GIMBAL_TYPE, POSE_TYPES, SCAN_TYPE, SCAN_TYPES
+from quadtree_lss.desk.bags.message_types import POSE_TYPES, SCAN_TYPE, SCAN_TYPES
 from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.replay.doctor import Finding, Heard
 from quadtree_lss.desk.replay.files import plain
@@ -27,8 +29,8 @@ from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.onboard.messages.lost_points import likely_reason
 
-TYPE_NAMES = {1: "int8", 2: "uint8", 3: "int16", 4: "uint16", 5: "int32", 6: "uint32"}
-TYPE_NAMES |= {7: "float32", 8: "float64"}
+TYPE_NAMES = "int8 uint8 int16 uint16 int32 uint32 float32 float64".split()
+"""Of the fields of clouds, by their numbers from 1 on."""
 
 
 @dataclass
@@ -52,6 +54,34 @@ class TopicInfo:
     delay: float = float("nan")
     layout: str = ""
     points: float = float("nan")
+
+    def tell(self, headers: Sequence[tuple[Any, ...]]) -> None:
+        """Takes over what its messages have in their headers."""
+        stamps, delays, frames, *cloud = zip(*headers, strict=True)
+        self.frames = dict(Counter(frames).most_common())
+        self.first_stamp_ns, self.last_stamp_ns = min(stamps), max(stamps)
+        self.backward = sum(after < before for before, after in pairwise(stamps))
+        self.delay, self.rate = float(np.median(delays)), rate(stamps)
+        if cloud:
+            self.points = float(np.median(cloud[0]))
+            self.layout = "; or ".join(name for name, _ in Counter(cloud[1]).most_common(3))
+
+    def lines(self, width: int) -> list[str]:
+        """For people, with its name as wide as others."""
+        often = "" if self.rate != self.rate else f"{self.rate:.2f} Hz"
+        name, kind = one_line(self.name, 80), one_line(self.type, 80)
+        lines = [f"  {name:{width}} {self.count:7d} {often:>11}  {kind}"]
+        if self.first_stamp_ns is not None and self.last_stamp_ns is not None:
+            frames = ", ".join(map(repr, self.frames))
+            order = f"{self.backward} go back" if self.backward else "in order"
+            first, last = self.first_stamp_ns / SECOND_NS, self.last_stamp_ns / SECOND_NS
+            lines.append(
+                f"      stamps {first:.3f} … {last:.3f} s, {order};"
+                f" received {self.delay:.3f} s later; frame {frames}"
+            )
+            if self.layout:
+                lines.append(f"      {self.points:.0f} points: {self.layout}")
+        return lines
 
 
 @dataclass
@@ -102,7 +132,25 @@ class BagInfo:
 
     def table(self) -> str:
         """For people."""
-        return "\n".join(_lines(self))
+        when = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(self.start_ns / SECOND_NS))
+        lines = [f"{one_line(self.path)}: {self.seconds:.2f} s from {when} UTC"]
+        width = max(len(one_line(topic.name, 80)) for topic in self.topics)
+        lines += [line for topic in self.topics for line in topic.lines(width)]
+        if self.kind == "scans":
+            dropped = ", ".join(f"{n} {reason}" for reason, n in self.scans_dropped.items() if n)
+            lines.append(
+                f"scans {one_line(self.scan_topic, 80)}, poses {one_line(self.pose_topic, 80)}:"
+                f" {self.scans_with_pose} scans have a pose at their stamp;"
+                f" dropped: {dropped or 'none'}"
+            )
+            if self.points:
+                used = points_line(self.points, self.points_dropped)
+                lines.append(f"{used} with this configuration")
+        for word, texts in (("note", self.notes), ("damaged", self.losses)):
+            lines += [one_line(f"{word}: {text}") for text in texts]
+        lines += [one_line(f"problem: {text}") for text in self.problems]
+        works = "ready to replay" if self.works else "cannot be replayed: see the problems above"
+        return "\n".join([*lines, works])
 
 
 def inspect_bag(
@@ -124,7 +172,7 @@ def inspect_bag(
             seconds=(opened.end_ns - opened.start_ns) / SECOND_NS,
             topics=[TopicInfo(t.name, t.type, t.count) for t in opened.topics],
         )
-        stream, pairs = None, MapPairs.alone(opened) if scan_topic is None else None
+        stream, pairs = None, MapPairs.alone(opened, scan_topic)
         try:
             stream = Stream(opened, config, scan_topic, pose_topic)
         except BagError as error:
@@ -138,21 +186,16 @@ def inspect_bag(
             info.kind = "scans"
             info.scan_topic, info.pose_topic = stream.scans, stream.poses
             _read(info, opened, stream, config, progress)
-        _rates_by_reception(info, opened)
+        # Of clouds and poses that are not read: what they may be chosen by.
+        kinds, times = (*SCAN_TYPES, *POSE_TYPES), defaultdict(list)
+        unread = [t for t in info.topics if t.first_stamp_ns is None and t.type in kinds]
+        for message in opened.messages([topic.name for topic in unread]):
+            times[message.topic].append(message.received_ns)
+        for topic in unread:
+            topic.rate = rate(times[topic.name])
         info.losses = [*opened.losses, *([] if stream is None else stream.losses)]
         info.findings += [Finding("bag", text) for text in opened.notes]
     return info
-
-
-def _rates_by_reception(info: BagInfo, bag: Bag) -> None:
-    """Of the clouds and poses that are not read: what they may be chosen by."""
-    kinds = (*SCAN_TYPES, *POSE_TYPES)
-    unread = [t for t in info.topics if t.first_stamp_ns is None and t.type in kinds]
-    times: dict[str, list[int]] = {topic.name: [] for topic in unread}
-    for message in bag.messages(list(times)):
-        times[message.topic].append(message.received_ns)
-    for topic in unread:
-        topic.rate = rate(times[topic.name])
 
 
 def _read(
@@ -163,16 +206,26 @@ def _read(
     dropped: Counter[str] = Counter()
     missed_at: tuple[float, float] | None = None
     why = ""
-    seen = {topic.name: _Stamps() for topic in info.topics}
+    headers: dict[str, list[tuple[Any, ...]]] = defaultdict(list)
     texts: dict[str, str] = {}
 
     def note() -> None:
         for notice in intake.notices():
             texts.setdefault(notice.reason, notice.text)
 
-    for message in Part.of(bag).messages(bag, stream.topics, progress):
+    def hear(what: str, msg: Any, message: RawMessage) -> None:
         with contextlib.suppress(MessageError):  # counted and told by the intake
-            _hear(heard, bag, message, stream, seen[message.topic])
+            if what == "gimbal":
+                heard.add_gimbal(msg)
+            elif what != "camera":
+                headers[message.topic].append(_header(msg, message.received_ns))
+                if what == "pose":
+                    heard.add_pose(msg)
+                elif stream.scan_type == SCAN_TYPE:
+                    heard.add_cloud(msg)
+
+    stream.hear = hear
+    for message in Part.of(bag).messages(bag, stream.topics, progress):
         stream.take(message)
         for ready in intake.ready(message.received_ns):
             info.scans_with_pose += 1
@@ -189,7 +242,8 @@ def _read(
     note()
     info.scans_dropped, info.points_dropped = dict(intake.dropped), dict(dropped)
     for topic in info.topics:
-        seen[topic.name].tell(topic)
+        if headers[topic.name]:
+            topic.tell(headers[topic.name])
     heard.mount = intake.mount
     info.findings += _judge(info, texts, config)
     wrong = heard.findings(config)
@@ -201,61 +255,19 @@ def _read(
     info.findings += wrong
 
 
-def _hear(heard: Heard, bag: Bag, message: RawMessage, stream: Stream, seen: _Stamps) -> None:
-    """A message as it stands. Raises `MessageError`: it cannot be read."""
-    if message.topic == stream.gimbal:
-        heard.add_gimbal(bag.decode(message.raw, GIMBAL_TYPE))
-        return
-    if message.topic == stream.camera:
-        return
-    kind = stream.scan_type if message.topic == stream.scans else stream.pose_type
-    msg = bag.decode(message.raw, kind)
-    seen.add(msg, message.received_ns)
-    if kind == SCAN_TYPE:
-        heard.add_cloud(msg)
-    elif kind not in SCAN_TYPES:
-        heard.add_pose(msg)
-
-
-class _Stamps:
-    """What the messages of a topic have in their headers."""
-
-    def __init__(self) -> None:
-        self.stamps: list[int] = []
-        self.delays: list[float] = []
-        self.points: list[int] = []
-        self.frames: Counter[str] = Counter()
-        self.layouts: Counter[str] = Counter()
-
-    def add(self, msg: Any, received_ns: int) -> None:
-        stamp = stamp_ns(msg.header)
-        self.stamps.append(stamp)
-        self.delays.append((received_ns - stamp) / SECOND_NS)
-        self.frames[one_line(msg.header.frame_id, 80)] += 1
-        if hasattr(msg, "fields"):
-            self.points.append(msg.width * msg.height)
-            self.layouts[_layout(msg)] += 1
-
-    def tell(self, topic: TopicInfo) -> None:
-        if not self.stamps:
-            return
-        stamps = np.array(self.stamps, dtype=np.int64)
-        topic.frames = dict(self.frames.most_common())
-        topic.first_stamp_ns, topic.last_stamp_ns = int(stamps.min()), int(stamps.max())
-        topic.backward = int(np.count_nonzero(np.diff(stamps) < 0))
-        topic.delay = float(np.median(self.delays))
-        topic.rate = rate(self.stamps)
-        if self.points:
-            topic.points = float(np.median(self.points))
-            topic.layout = "; or ".join(name for name, _ in self.layouts.most_common(3))
-
-
-def _layout(msg: Any) -> str:
+def _header(msg: Any, received_ns: int) -> tuple[Any, ...]:
+    """Stamp, delay of reception and frame of a message, and of a cloud its points and layout."""
+    stamp, frame = stamp_ns(msg.header), one_line(msg.header.frame_id, 80)
+    told = stamp, (received_ns - stamp) / SECOND_NS, frame
+    if not hasattr(msg, "fields"):
+        return told
     shape = f"{msg.height} x {msg.width} organised" if msg.height > 1 else "unorganised"
     order = "big" if msg.is_bigendian else "little"
-    items = (f"{f.name} {TYPE_NAMES.get(f.datatype, '?')} @{f.offset}" for f in msg.fields)
+    names = dict(enumerate(TYPE_NAMES, 1))
+    items = (f"{f.name} {names.get(f.datatype, '?')} @{f.offset}" for f in msg.fields)
     fields = one_line(", ".join(items), 400)
-    return f"{fields}; {msg.point_step} bytes a point, {order} endian, {shape}"
+    layout = f"{fields}; {msg.point_step} bytes a point, {order} endian, {shape}"
+    return *told, msg.width * msg.height, layout
 
 
 MENDS = {
@@ -288,7 +300,11 @@ def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> list[Finding
         between = max(first - end, begin - last) / SECOND_NS
         if between > 0.0:
             text = f"stamps of scans and poses do not overlap, {between:.3f} s lie between them:"
-            mend = _clock_mend(scans, poses)
+            # Wrong is the clock that is not that of reception.
+            off = max(scans, poses, key=lambda topic: abs(topic.delay))
+            late = f"{abs(off.delay):.1f} s {'before' if off.delay > 0.0 else 'after'}"
+            mend = f"stamp {off.name} by the clock of the other:"
+            mend += f" its stamps are {late} their reception"
             found.append(Finding("clocks", f"{text} different clocks?", mend, fatal=True))
     wrong_frame = lacks and "pose_frame" in texts and len(poses.frames) == 1
     for key, text in texts.items():
@@ -305,45 +321,3 @@ def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> list[Finding
         mend = mend if poses.rate * gap < 1.0 else ""
         found.append(Finding("rate", f"{text} over up to pose.max_gap = {gap:g} s", mend))
     return found
-
-
-def _clock_mend(scans: TopicInfo, poses: TopicInfo) -> str:
-    """By which of the two clocks is not that of reception."""
-    off = max(scans, poses, key=lambda topic: abs(topic.delay))
-    late = f"{abs(off.delay):.1f} s {'before' if off.delay > 0.0 else 'after'} their reception"
-    return f"stamp {off.name} by the clock of the other: its stamps are {late}"
-
-
-def _lines(info: BagInfo) -> list[str]:
-    when = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(info.start_ns / SECOND_NS))
-    lines = [f"{one_line(info.path)}: {info.seconds:.2f} s from {when} UTC"]
-    names = [one_line(topic.name, 80) for topic in info.topics]
-    width = max(map(len, names))
-    for topic, name in zip(info.topics, names, strict=True):
-        rate = "" if topic.rate != topic.rate else f"{topic.rate:.2f} Hz"
-        lines.append(f"  {name:{width}} {topic.count:7d} {rate:>11}  {one_line(topic.type, 80)}")
-        if topic.first_stamp_ns is None or topic.last_stamp_ns is None:
-            continue
-        frames = ", ".join(f"{name!r}" for name in topic.frames)
-        order = f"{topic.backward} go back" if topic.backward else "in order"
-        first, last = (f"{t / SECOND_NS:.3f}" for t in (topic.first_stamp_ns, topic.last_stamp_ns))
-        lines.append(
-            f"      stamps {first} … {last} s, {order};"
-            f" received {topic.delay:.3f} s later; frame {frames}"
-        )
-        if topic.layout:
-            lines.append(f"      {topic.points:.0f} points: {topic.layout}")
-    if info.kind == "scans":
-        dropped = ", ".join(f"{n} {reason}" for reason, n in info.scans_dropped.items() if n)
-        lines.append(
-            f"scans {one_line(info.scan_topic, 80)}, poses {one_line(info.pose_topic, 80)}:"
-            f" {info.scans_with_pose} scans have a pose at their stamp;"
-            f" dropped: {dropped or 'none'}"
-        )
-        if info.points:
-            lines.append(f"{points_line(info.points, info.points_dropped)} with this configuration")
-    lines += [one_line(f"note: {line}") for line in info.notes]
-    lines += [one_line(f"damaged: {line}") for line in info.losses]
-    lines += [one_line(f"problem: {line}") for line in info.problems]
-    lines.append("ready to replay" if info.works else "cannot be replayed: see the problems above")
-    return lines

@@ -20,14 +20,8 @@ from quadtree_lss.onboard.core.landing.sites import LandingAssessment
 from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.elevation.look_first import Look
+from quadtree_lss.onboard.messages import outputs
 from quadtree_lss.onboard.messages.landing_inputs import prior_from_message
-from quadtree_lss.onboard.messages.outputs import (
-    GRID_MAP,
-    LOOK_FIRST,
-    PRIOR,
-    RECORDED_TYPES,
-    MessageMaker,
-)
 
 VIEWER_NS = 10**9
 """Between two messages of ``landing/grid_map``, which is large; the last is always written."""
@@ -41,8 +35,9 @@ class Recorder:
     """Context manager that writes the output topics into a new mcap bag: a sink of `Passes`.
 
     ``path``: folder to write, which must not exist. ``frame``: of the map. ``maps``: write maps
-    too; not for a bag that holds them already. ``looks``: where to look first. ``offset``: tells
-    how far the map lies from its prior. Raises `ReplayError`: ``path`` exists or cannot be written.
+    too; not for a bag that holds them already. ``looks``: where to look first. ``offset`` may be
+    set to what tells how far the map lies from its prior. Raises `ReplayError`: ``path`` exists or
+    cannot be written.
     """
 
     def __init__(
@@ -52,12 +47,12 @@ class Recorder:
         *,
         maps: bool = True,
         looks: tuple[Look, ...] = (),
-        offset: Callable[[], PriorOffset | None] = lambda: None,
     ) -> None:
-        self._path, self._maps, self._looks, self._offset = path, maps, looks, offset
+        self._path, self._maps, self._looks = path, maps, looks
+        self.offset: Callable[[], PriorOffset | None] = lambda: None
         self._writer = self._open()
         self._store = typestore(ros1=False)
-        self._messages = MessageMaker(self._store.types, np.asarray, frame)
+        self._messages = outputs.MessageMaker(self._store.types, np.asarray, frame)
         self._connections: dict[str, Any] = {}
         self._viewed_ns: int | None = None
         self._unseen: tuple[int, LandingAssessment] | None = None
@@ -76,16 +71,16 @@ class Recorder:
     def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
         if not self._maps:
             return
-        cells, offset = take(), self._offset()
+        cells, offset = take(), self.offset()
         for topic, message in self._messages.of_map(cells):
             self._write(topic, message, now_ns)
         if offset is None:
             return
         if self._prior is None:
-            self._write(LOOK_FIRST, self._messages.looks(self._looks), now_ns)
+            self._write(outputs.LOOK_FIRST, self._messages.looks(self._looks), now_ns)
         prior = self._messages.prior(offset, cells.stamp_ns)
         self._prior = prior_from_message(prior, prior.header.frame_id)  # as lss_node hears it
-        self._write(PRIOR, prior, now_ns)
+        self._write(outputs.PRIOR, prior, now_ns)
 
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
         """Writes an answer, with the age of its map in the bag's time."""
@@ -99,7 +94,7 @@ class Recorder:
 
     def _view(self, now_ns: int, found: LandingAssessment) -> None:
         self._viewed_ns, self._unseen = now_ns, None
-        self._write(GRID_MAP, self._messages.grid_map(found), now_ns)
+        self._write(outputs.GRID_MAP, self._messages.grid_map(found), now_ns)
 
     def _open(self) -> Writer:
         try:
@@ -117,7 +112,7 @@ class Recorder:
             raise ReplayError(f"--record {self._path}: cannot be written: {text}") from None
 
     def _write(self, topic: str, message: Any, now_ns: int) -> None:
-        kind = RECORDED_TYPES[topic]
+        kind = outputs.RECORDED_TYPES[topic]
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
                 f"/{topic}", kind, typestore=self._store, offered_qos_profiles=[LATCHED]

@@ -89,46 +89,40 @@ def replay(
         opened = stack.enter_context(open_recording(bag, poses, config.frames.map))
         part = Part.of(opened, start, duration)
         wishes = LandingWishes(config.frames.map, landing)
-        pairs = MapPairs.alone(opened) if scan_topic is None else None
-        stream = None
-        if pairs is None:
-            stream = Stream(opened, config, scan_topic, pose_topic, wishes.navigation)
+        maps = MapPairs.alone(opened, scan_topic)
+        source = maps or Stream(opened, config, scan_topic, pose_topic)
         topics = LandingTopics(wishes, opened, part.start_ns)
-        stack.enter_context(_made(folder))
+        if folder is not None:
+            stack.enter_context(_made(folder))
         looks = () if prior is None else look_first(prior, Domain.of(config.domain), config)
-        history, frame = History(), config.frames.map
+        history = History()
         sinks: list[Sink] = [history]
         passes = Passes(config, wishes.arguments, sinks)
         run = Run(opened, part, config, passes, topics, history, progress, stop)
         if record is not None:
             from quadtree_lss.desk.replay.record import Recorder  # rosbags' writer takes long
 
-            recorder = Recorder(
-                Path(record),
-                frame,
-                maps=pairs is None,
-                looks=looks,
-                offset=lambda: run.prior_offset,
-            )
+            recorder = Recorder(Path(record), config.frames.map, maps=maps is None, looks=looks)
+            recorder.offset = lambda: run.prior_offset
             sinks.append(stack.enter_context(recorder))
-        if stream is not None:
-            cells = run.map_scans(stream, prior)
+        if isinstance(source, MapPairs):
+            cells = run.read_maps(source)
         else:
-            assert pairs is not None
-            cells = run.read_maps(pairs)
+            cells = run.map_scans(source, prior)
         passes.finish(run.done_ns, lambda: cells)
-        losses = [*opened.losses, *([] if stream is None else stream.losses), *run.losses]
-        notes = opened.notes
+        losses = [*opened.losses, *source.losses, *run.losses]
     if progress is not None and not run.interrupted:
         progress(part.seconds, part.seconds)
     decoded, assessment = passes.cells, passes.last
     assert decoded is not None and assessment is not None
-    if not decoded.observed.any():
-        assessment = changed(assessment, explanation=_why_nothing(run))
+    if not decoded.observed.any():  # instead of a node's ``nothing is mapped yet``
+        why = points_line(run.points, run.points_dropped)
+        why = "the last map holds no measurement" if run.maps else why
+        assessment = changed(assessment, explanation=f"nothing is mapped: {why}")
     seconds = part.seconds
     if run.interrupted:
         seconds = min(seconds, max(run.done_ns - part.start_ns, 0) / 1e9)
-    counts = run.counts() | ({} if stream is None else stream.counts())
+    counts = run.counts() | source.counts()
     if prior is not None:
         found = {} if run.prior_offset is None else run.prior_offset.values
         counts["prior"] = {**found, "look_first": [place._asdict() for place in looks]}
@@ -146,7 +140,7 @@ def replay(
         target=passes.changes[-1].id if passes.changes else 0,
         target_changes=len(passes.changes),
         losses=losses,
-        warnings=[*assessment.doubts, *notes, *run.warnings()],
+        warnings=[*assessment.doubts, *opened.notes, *run.warnings()],
     )
     timings, targets = tuple(run.timings), tuple(passes.changes)
     result = ReplayResult(folder, decoded, assessment, timings, summary, targets)
@@ -193,27 +187,19 @@ def steps(bag: str | Path | Bag, config: Config, **options: Any) -> Iterator[Ste
         yield Step(scan, mapper.update(scan.points_lidar, scan.pose, scan.sweep), mapper)
 
 
-def _why_nothing(run: Run) -> str:
-    """Instead of a node's ``nothing is mapped yet``: no more will come."""
-    if run.maps:
-        return "nothing is mapped: the last map holds no measurement"
-    return f"nothing is mapped: {points_line(run.points, run.points_dropped)}"
-
-
 @contextlib.contextmanager
-def _made(folder: Path | None) -> Iterator[None]:
+def _made(folder: Path) -> Iterator[None]:
     """Makes a folder before the work begins, which one that cannot be written would waste; where
     that fails, a new folder goes again."""
-    fresh = folder is not None and not folder.exists()
+    fresh = not folder.exists()
     try:
-        if folder is not None:
-            folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ReplayError(f"{folder}: cannot be written: {error.strerror}") from None
     try:
         yield
     except BaseException:
-        if folder is not None and fresh:
+        if fresh:
             with contextlib.suppress(OSError):  # not empty: somebody else's files
                 folder.rmdir()
         raise

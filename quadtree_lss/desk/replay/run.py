@@ -29,15 +29,10 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.prior import Prior
 from quadtree_lss.onboard.errors import one_line
+from quadtree_lss.onboard.messages import lost_points
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.intake import Notice, ReadyScan, noise_notice, pose_notices
 from quadtree_lss.onboard.messages.landing_inputs import AREA
-from quadtree_lss.onboard.messages.lost_points import (
-    MAP_OVERRULED,
-    likely_reason,
-    misplaced,
-    overruled_text,
-)
 
 
 class Run:
@@ -81,6 +76,7 @@ class Run:
         there was none that could be mapped; or KeyboardInterrupt: stopped before there was one."""
         mapper = self._mapper = Mapper(self.config, prior)
         intake = stream.intake
+        stream.hear = self._navigate
         for message in self._messages(stream.topics):
             began = time.perf_counter()
             stamp_ns = stream.take(message)
@@ -91,8 +87,6 @@ class Run:
                 self.passes.changed()
             self._note(intake.notices())
             self.passes.tick(message.received_ns, mapper.snapshot)
-            if self._ends_after(message.received_ns):
-                break
         intake.finish()
         self._note(intake.notices())
         self._judge_poses(mapper)
@@ -116,20 +110,23 @@ class Run:
             self._note()
             if last is not None:
                 self.passes.tick(message.received_ns, lambda newest=last: newest)
-            if self._ends_after(message.received_ns):
-                break
         if last is None:
             raise self._nothing("no map can be read", "no cells with observed cells")
         return last
 
     def _messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Those of the topics; what is asked of landing goes where it is heard."""
+        """Those of the topics until it is to stop; what is asked of landing goes where it is
+        heard."""
         wanted = [*topics, *self._landing.names]
         for message in self._part.messages(self._bag, wanted, self._progress):
             if self._landing.take(self._bag, message):
                 self.passes.landing_changed()
-            else:
-                yield message
+                continue
+            yield message
+            self.done_ns = message.received_ns
+            self.interrupted = self._stop is not None and self._stop()
+            if self.interrupted:
+                return
 
     @property
     def prior_offset(self) -> PriorOffset | None:
@@ -173,11 +170,6 @@ class Run:
         text = f"{self._bag.path}: {failure}: {causes}"
         return KeyboardInterrupt() if self.interrupted else ReplayError(text)
 
-    def _ends_after(self, received_ns: int) -> bool:
-        self.done_ns = received_ns
-        self.interrupted = self._stop is not None and self._stop()
-        return self.interrupted
-
     def _map(self, mapper: Mapper, scan: ReadyScan) -> None:
         mapper.look_at(self._landing.wishes.values[AREA])
         began = time.perf_counter()
@@ -187,18 +179,22 @@ class Run:
             self._decode_ms.clear()  # those of dropped scans
         self._history.scan(scan)
         self.points_dropped.update(scan.lost(report.dropped))
-        if misplaced(report) and not self._missed_why:
+        if lost_points.misplaced(report) and not self._missed_why:
             self._missed_at = report.centre
-            self._missed_why = likely_reason(scan.points_lidar, scan.pose, self.config)
-        overruled = overruled_text(report)
+            self._missed_why = lost_points.likely_reason(scan.points_lidar, scan.pose, self.config)
+        overruled = lost_points.overruled_text(report)
         if overruled is not None:
-            self._tell(MAP_OVERRULED, overruled)
+            self._tell(lost_points.MAP_OVERRULED, overruled)
         self._refused_divisions += report.refused_divisions
         self._noise_ratio = report.noise_ratio
         if len(self.timings) % LEAST == 0:
             self._judge_poses(mapper)
         counts = report.points, report.points_used, report.leaves, report.divisions
         self.timings.append(ScanTiming(report.stamp_ns, *counts, map_ms))
+
+    def _navigate(self, what: str, msg: Any, _: RawMessage) -> None:
+        if what == "pose":
+            self._landing.wishes.navigation.take(msg)
 
     def _judge_poses(self, mapper: Mapper) -> None:
         notices = pose_notices(mapper.pose_errors(), self.config)

@@ -16,17 +16,10 @@ from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.errors import QuadtreeLssError, one_line
+from quadtree_lss.onboard.messages import outputs
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.onboard.messages.intake import Intake, Notice, ReadyScan
-from quadtree_lss.onboard.messages.landing_inputs import TYPES, LandingWishes, Navigation
-from quadtree_lss.onboard.messages.outputs import (
-    CELLS,
-    GRID_TYPE,
-    OBSERVED,
-    SITE_TABLE,
-    STATUS,
-    map_from_messages,
-)
+from quadtree_lss.onboard.messages.landing_inputs import TYPES, LandingWishes
 
 SECOND_NS = 1_000_000_000
 BAR_S = 0.2
@@ -81,10 +74,10 @@ class Part(NamedTuple):
 
 class Stream:
     """Scans and poses of an open bag on their way to an `Intake`, which makes them scans with their
-    pose. ``scan_topic``, ``pose_topic`` are asked for, None to find them; ``navigation`` hears the
-    poses. Read are the topics ``scans``, ``poses``, ``gimbal`` and, with the CameraInfo of depth
-    images, ``camera``, of which the latter two may be empty. Raises `BagError`: a topic is missing
-    or ambiguous."""
+    pose. ``scan_topic``, ``pose_topic`` are asked for, None to find them. Read are the topics
+    ``scans``, ``poses``, ``gimbal`` and, with the CameraInfo of depth images, ``camera``, of which
+    the latter two may be empty. ``hear`` may be set to what is also given each message, after its
+    kind. Raises `BagError`: a topic is missing or ambiguous."""
 
     def __init__(
         self,
@@ -92,9 +85,9 @@ class Stream:
         config: Config,
         scan_topic: str | None = None,
         pose_topic: str | None = None,
-        navigation: Navigation | None = None,
     ) -> None:
-        self._bag, self._navigation = bag, navigation
+        self._bag = bag
+        self.hear: Callable[[str, Any, RawMessage], None] | None = None
         source = config.lidar.source
         self.scans, self.scan_type, self.camera = topics.choose_scan_topic(bag, scan_topic, source)
         self.poses, self.pose_type = topics.choose_pose_topic(bag, pose_topic, config.pose.source)
@@ -112,7 +105,7 @@ class Stream:
         self._read: dict[str, tuple[str, str, Callable[..., object]]] = {
             self.camera: ("camera", types.CAMERA_TYPE, self.intake.on_camera_info),
             self.gimbal: ("gimbal", types.GIMBAL_TYPE, self.intake.on_gimbal),
-            self.poses: ("pose", self.pose_type, self._on_pose),
+            self.poses: ("pose", self.pose_type, self.intake.on_pose),
             self.scans: ("cloud", self.scan_type, self.intake.on_cloud),
         }
         self.topics = [name for name in self._read if name]
@@ -127,7 +120,7 @@ class Stream:
 
     def take(self, message: RawMessage) -> int | None:
         """Gives one message to the intake; the stamp if it is a usable scan."""
-        what, kind, hear = self._read[message.topic]
+        what, kind, take = self._read[message.topic]
         try:
             msg = self._bag.decode(message.raw, kind)
         except MessageError as error:
@@ -136,15 +129,12 @@ class Stream:
             return None
         with contextlib.suppress(MessageError):  # the intake tells
             self._stamps.setdefault(message.topic, []).append(stamp_ns(msg.header))
+        if self.hear is not None:
+            self.hear(what, msg, message)
         if what == "cloud":
             return self.intake.on_cloud(msg, message.received_ns)
-        hear(msg)
+        take(msg)
         return None
-
-    def _on_pose(self, msg: Any) -> None:
-        self.intake.on_pose(msg)
-        if self._navigation is not None:
-            self._navigation.take(msg)
 
     @property
     def losses(self) -> list[str]:
@@ -197,21 +187,32 @@ class LandingTopics:
 
 
 class MapPairs:
-    """Joins ``map/cells`` and ``map/observed`` of one stamp to maps, in any namespace."""
+    """Joins ``map/cells`` and ``map/observed`` of one stamp to maps, in any namespace. ``losses``
+    and ``counts`` are as of `Stream`: the run tells of them."""
+
+    losses: tuple[str, ...] = ()
 
     def __init__(self, cells_topic: str, observed_topic: str) -> None:
         self.topics = (cells_topic, observed_topic)
         self._held: dict[str, Any] = {}
 
+    def counts(self) -> dict[str, Any]:
+        return {}
+
     @classmethod
-    def alone(cls, bag: Bag) -> MapPairs | None:
-        """The map topics of an open bag that has no scans, None if it has or there are none."""
-        clouds, grids = topics.candidates(bag, types.SCAN_TYPE), topics.candidates(bag, GRID_TYPE)
+    def alone(cls, bag: Bag, scan_topic: str | None = None) -> MapPairs | None:
+        """The map topics of an open bag that has no scans; None if it has, scans are asked for, or
+        there are none."""
+        if scan_topic is not None:
+            return None
+        clouds = topics.candidates(bag, types.SCAN_TYPE)
+        grids = topics.candidates(bag, outputs.GRID_TYPE)
         for name in clouds:
-            place = name.removesuffix(CELLS)
-            if name.endswith(f"/{CELLS}") and place + OBSERVED in grids:
-                ours = {place + own for own in (CELLS, SITE_TABLE, STATUS)}
-                return None if set(clouds) - ours else cls(name, place + OBSERVED)
+            place = name.removesuffix(outputs.CELLS)
+            if name.endswith(f"/{outputs.CELLS}") and place + outputs.OBSERVED in grids:
+                clouds_of = (outputs.CELLS, outputs.SITE_TABLE, outputs.STATUS)
+                others = set(clouds) - {place + own for own in clouds_of}
+                return None if others else cls(name, place + outputs.OBSERVED)
         return None
 
     def take(self, bag: Bag, message: RawMessage, lss: LssConfig | None = None) -> CellMap | None:
@@ -219,12 +220,10 @@ class MapPairs:
         ``message``: an open bag and one of its messages on ``topics``. ``lss``: how landing will be
         judged on the map, None if it will not. Raises `MessageError`: a message is not what
         ``mapping_node`` sends."""
-        kind = types.SCAN_TYPE if message.topic == self.topics[0] else GRID_TYPE
+        kind = types.SCAN_TYPE if message.topic == self.topics[0] else outputs.GRID_TYPE
         self._held[message.topic] = bag.decode(message.raw, kind)
         cells, observed = (self._held.get(topic) for topic in self.topics)
-        if cells is None or observed is None:
-            return None
-        if stamp_ns(cells.header) != stamp_ns(observed.header):
+        if not cells or not observed or stamp_ns(cells.header) != stamp_ns(observed.header):
             return None
         self._held.clear()
-        return map_from_messages(cells, observed, lss)
+        return outputs.map_from_messages(cells, observed, lss)

@@ -83,7 +83,7 @@ class _Seen:
 
     def __init__(self) -> None:
         self.places: list[Array] = []
-        self._scans = self._used = 0
+        self._scans = 0
         self._noise: list[float] = []
         self._spacing: list[float] = []
 
@@ -98,7 +98,6 @@ class _Seen:
         points, ranges = points[sound], ranges[sound]
         if len(points) < NEIGHBOURS:
             return
-        self._used += 1
         placed = points @ scan.pose.rotation_map_lidar.T + scan.pose.position
         few = slice(None, None, max(len(points) // POINTS, 1))
         self.places.append(placed[few])
@@ -142,7 +141,7 @@ class _Seen:
         set_to = values_from_config(config).items()
         lander = {name: value for name, value in set_to if name.startswith("vehicle.")}
         found = config_from_values(values := lander | values, config)
-        notes = [f"Suggested for {bag} from {self._used} of its {self._scans} scans."]
+        notes = [f"Suggested for {bag} from {len(self.places)} of its {self._scans} scans."]
         if by_data > most:
             notes.append(
                 f"The returns of a scan or their noise are too coarse for a vehicle of"

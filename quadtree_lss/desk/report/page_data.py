@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from quadtree_lss.desk.exchange.saved import Results
@@ -77,7 +78,7 @@ def page_data(content: Results, layers: Sequence[Layer] = ()) -> tuple[dict[str,
             "site": palette.SITE_COLOUR,
         },
         "maps": {
-            kind: columns.whole(palette.colour_table(name), "u1")
+            kind: columns.whole(colormaps[name](np.arange(256), bytes=True)[:, :3], "u1")
             for kind, name in palette.MAPS.items()
         },
     }, columns

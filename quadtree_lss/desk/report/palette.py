@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-import matplotlib
 import numpy as np
 
-from quadtree_lss.onboard.arrays import Array, Bytes
+from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.sections import LssConfig
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 
@@ -54,12 +53,6 @@ def slope_limit(lss: LssConfig) -> float:
     """The slope that a reader is told to compare with, deg."""
     vehicle, touchdown = lss.vehicle, lss.assessment == "touchdown"
     return vehicle.lengths.touchdown_slope_deg if touchdown else vehicle.max_slope_deg
-
-
-def colour_table(name: str) -> Bytes:
-    """(256, 3) colours of a matplotlib colour map."""
-    colours = matplotlib.colormaps[name](np.arange(256), bytes=True)[:, :3]
-    return np.ascontiguousarray(colours, dtype=np.uint8)
 
 
 def colour_limits(values: Array) -> tuple[float, float]:
