@@ -411,6 +411,7 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
     observed = table.seen
     with cython.nogil:
         for i in range(rows.shape[0]):
+            table.expect(rows[min(i + 4, rows.shape[0] - 1)])
             leaf = table.at(rows[i])
             slope[0] = slope[3] = leaf.bias[0] * leaf.bias[0]
             slope[1] = slope[2] = 0.0
