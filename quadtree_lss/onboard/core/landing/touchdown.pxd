@@ -18,7 +18,7 @@ cdef class Blocks:
     cdef float stand[3072]
     cdef float planes_x[1536]
     cdef float planes_y[1536]
-    cdef float planes_z[1536]
+    cdef float planes_z[768]
     cdef float steep[POINTS]
     cdef float sink[POINTS]
     cdef float fall_east[POINTS]

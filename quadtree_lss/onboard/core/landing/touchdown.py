@@ -7,8 +7,8 @@ either of the other two pads. Each such plane must be level enough, and no groun
 may rise above it by more than the roughness limit.
 
 Grid points are judged in blocks, whose ground is taken over a plane near it: small numbers for
-single precision, and bounds that leave few cells to compare. A resting plane holds both ends of the
-diagonal that carries, at c on average and not lower than the other two, and one pad of the other.
+single precision, and bounds that leave few cells to compare. What is reckoned at each of them is so
+for all at once; only cells in the way are looked at one by one.
 
 The lowest of the resting planes at a point is concave, and bounds what the others may find: with
 ``sink`` the depth of the lowest plane under the grid point and ``fall`` what it falls at the most
@@ -146,8 +146,9 @@ class Blocks:
         top, pad: (width^2,) window over the block's plane: highest ground of each cell, height of a
             pad at its centre.
         stand: (2 PLANES POINTS,) heights of the pads at each grid point, over the plane, m.
-        planes_x, planes_y, planes_z: (PLANES POINTS,) resting planes at each grid point: slopes and
-            height there, over the block's plane.
+        planes_x, planes_y: (PLANES POINTS,) slopes of the resting planes at each grid point, over
+            the block's plane.
+        planes_z: (PLANES / 2 POINTS,) their heights there, which two have in common, m.
         steep: (POINTS,) square of the slope of the steepest.
         sink, fall_east, fall_west, fall_north, fall_south: (POINTS,) bounds of the planes, m, m/m.
         run: (BLOCK width,) highest ground of runs of cells along a column, m.
@@ -394,7 +395,7 @@ class Blocks:
                 u, v = along * cos - across * sin, along * sin + across * cos
                 self.planes_x[j + p], self.planes_x[j + POINTS + p] = x, u
                 self.planes_y[j + p], self.planes_y[j + POINTS + p] = y, v
-                self.planes_z[j + p] = self.planes_z[j + POINTS + p] = centre
+                self.planes_z[k * POINTS + p] = centre
                 low = -centre
                 self.sink[p] = max(self.sink[p], low)
                 self.fall_east[p] = max(self.fall_east[p], low - corner * min(x, u))
@@ -433,7 +434,7 @@ class Blocks:
                             self.highest[here + k] = self.run[place + k]
 
     def bound_rises(self) -> None:
-        """By how much ground may rise over a resting plane at every grid point, column by column."""
+        """By how much ground may rise over a resting plane at the grid points, column by column."""
         cython.declare(j=cython.Py_ssize_t, p=cython.Py_ssize_t, here=cython.Py_ssize_t)
         aside = cython.declare(cython.float[64])
         level = cython.declare(cython.float[64])
@@ -471,7 +472,9 @@ class Blocks:
         for k in range(PLANES):
             self.resting_x[k] = self.planes_x[k * POINTS + point]
             self.resting_y[k] = self.planes_y[k * POINTS + point]
-            self.resting_z[k] = self.planes_z[k * POINTS + point]
+        for k in range(PLANES // 2):
+            i = k * POINTS + point
+            self.resting_z[2 * k] = self.resting_z[2 * k + 1] = self.planes_z[i]
         # What is in the way of one grid point mostly is of the next.
         i, j = self.spoiler_row - row, self.spoiler_column - column
         worst: cython.float = self.worst_rise
