@@ -253,8 +253,8 @@ class Doubts:
 
 def coverage(raster: TerrainRaster, judged: Mask) -> str:
     """Whether the ground that is judged is seen more thinly than that of the fit; or nothing."""
-    under = raster.bridged[judged[1:, 1:]]
-    share = np.count_nonzero(under) / max(len(under), 1)
+    judged = judged[1:, 1:]
+    share = np.count_nonzero(raster.bridged & judged) / (np.count_nonzero(judged) or 1)
     if share <= MOST_BRIDGED:
         return ""
     return (

@@ -86,8 +86,9 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
     if not known.any():
         elevation[:] = np.nan
     elif bridged.any():
-        elevation[bridged] = elevation.take(nearest_marked(known)[bridged])
-        slope_x[bridged] = slope_y[bridged] = 0.0
+        elevation = elevation.take(nearest_marked(known))
+        for slope in (slope_x, slope_y):
+            np.copyto(slope, 0.0, where=bridged)
     found = (elevation, slope_x, slope_y, subscale, peak, seen, firm, unmapped, bridged)
     return TerrainRaster(domain, leaf, *found, cells)
 
