@@ -118,11 +118,6 @@ def test_a_place_may_begin_with_a_minus(capsys, tmp_path):
     assert code == 1 and "no such file" in json.loads(out)["error"]
 
 
-def test_options_that_do_not_go_together_are_named(capsys):
-    code, _, err = run(capsys, "replay", "bag", "--publish", "--record", "x", "--no-report")
-    assert code == 2 and "--no-report, --record do not go with --publish" in err
-
-
 @pytest.mark.parametrize("command", ["replay", "info", "config", "simulate", "evaluate"])
 def test_help_has_examples(capsys, command):
     code, out, _ = run(capsys, command, "--help")
