@@ -65,8 +65,7 @@ def test_a_gimbal_moves_the_lidar(ros):
 
 
 @pytest.mark.survives(
-    "poses come as the other type",
-    "a warning in the diagnostics that names `pose.source`",
+    "poses come as the other type", "a warning in the diagnostics that names `pose.source`"
 )
 def test_a_node_that_waits_for_the_other_type_says_so(ros):
     mapping = ros.start("mapping_node", "-r", "nav/odometry:=odometry/filtered")
