@@ -13,6 +13,7 @@ from quadtree_lss.onboard.core.geometry.polygons import signed_distance
 from quadtree_lss.onboard.core.landing import hazards, score
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 SMALL = {"size": 16.0, "min_level": 1, "max_level": 5}
@@ -518,4 +519,7 @@ def test_planes_without_a_measurement_are_no_ground(level_ground, assessment, na
     cells = dataclasses.replace(level_ground, **{name: nothing})
     found = assess(cells, small(assessment=assessment))
     assert_empty_but_explained(found)
-    assert (found.hazard & hazards.UNSEEN).all()
+    assert found.selected.reason is Reason.NOTHING_MAPPED
+    assert not found.safe.any() and (found.risk == 1.0).all()
+    unmapped = hazards.UNMAPPED if name == "known" else 0
+    assert (found.hazard == hazards.UNSEEN | unmapped).all()
