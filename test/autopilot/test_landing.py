@@ -20,8 +20,11 @@ from quadtree_lss.onboard.autopilot.landing import (
     Landing,
     Seen,
     Target,
+    target_of,
 )
 from quadtree_lss.onboard.config.sections import AutopilotConfig
+from quadtree_lss.onboard.core.landing.target import Reason
+from quadtree_lss.onboard.messages.maps import STATUS_FIELDS
 
 CONFIG = AutopilotConfig()
 GROUND = 1.5
@@ -276,3 +279,15 @@ def test_nobody_lifts_off():
     flight = Flight()
     flight.armed = False
     assert flight.on(2.0).order.point is None
+
+
+def test_a_place_that_is_none_withdraws_the_target_with_its_reason():
+    status = np.zeros(1, STATUS_FIELDS)[0]
+    status["reason"], status["offset_z"], status["age"] = Reason.HAZARD, math.nan, 0.5
+    for place in ((math.nan,) * 3, (1e300, 0.0, 0.0)):
+        target, why = target_of(np.array(place), status, 0.1, 0.2)
+        assert target is None and why.startswith("there is no target: ") and "unknown" not in why
+    status["offset_z"] = 2.0
+    target, why = target_of(SITE, status, 0.1, 0.2)
+    np.testing.assert_array_equal(target.place, SITE + (0.0, 0.0, 2.0))
+    assert (target.age, target.map_age, why) == (0.1, 0.7, "")

@@ -285,6 +285,16 @@ def assert_sound(cells: CellMap) -> None:
     assert np.isfinite(cells.feature[np.isfinite(cells.feature[:, 0])]).all()
 
 
+def assert_same(one: CellMap, other: CellMap, tolerance: float = 0.0, but: str = "none") -> None:
+    """All that two maps hold, to the bit or nearly, but for names that begin so."""
+    for name in (item.name for item in dataclasses.fields(CellMap)):
+        a, b = np.asarray(getattr(one, name)), np.asarray(getattr(other, name))
+        if tolerance and a.dtype == np.float64:
+            np.testing.assert_allclose(a, b, rtol=tolerance, atol=tolerance, err_msg=name)
+        elif not name.startswith(but):
+            np.testing.assert_array_equal(a, b, err_msg=name)
+
+
 def nees(errors: Array, covariances: Array) -> Array:
     """(M,) e^T C^-1 e of errors (M, K) and their covariances (M, K, K)."""
     return np.einsum("mi,mi->m", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0])

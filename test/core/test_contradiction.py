@@ -121,10 +121,7 @@ def test_many_that_agree_win_and_what_was_mapped_goes_with_them():
     assert np.abs(flight.errors(4.0)).max() < 0.2
 
 
-@pytest.mark.survives(
-    "a scan that contradicts the map",
-    "or begun anew where that does not do",
-)
+@pytest.mark.survives("a scan that contradicts the map", "or begun anew where that does not do")
 def test_a_map_that_cannot_be_lifted_to_them_is_forgotten():
     flight = Flight(size=64.0, scans=5)
     for _ in range(AGREEING):

@@ -136,10 +136,7 @@ def test_reach_is_what_guidance_or_the_poses_say(walled):
     assert selector.assess(walled, area=[(0.0, 0.0)]).reach is None
 
 
-@pytest.mark.parametrize(
-    "values",
-    [{"elevation": 91.0}, {"elevation": -1.0}, {"azimuth": 400.0}],
-)
+@pytest.mark.parametrize("values", [{"elevation": 91.0}, {"elevation": -1.0}, {"azimuth": 400.0}])
 def test_a_sun_that_cannot_be_is_refused(values):
     with pytest.raises(ConfigError, match="outside"):
         config_from_values({f"light.{name}": value for name, value in values.items()})

@@ -117,14 +117,6 @@ def test_heights_are_lent_by_known_cells_alone(level_ground):
     assert raster.elevation[30, 31] in beside and abs(raster.elevation[30, 31]) < 0.1
 
 
-def test_a_map_that_knows_nothing_of_what_it_saw_says_so(level_ground):
-    cells = replace(level_ground, known=np.zeros_like(level_ground.known))
-    found = LandingSiteSelector(limits()).assess(cells)
-    assert found.selected.reason is Reason.NOTHING_MAPPED
-    assert (found.hazard == hazards.UNMAPPED | hazards.UNSEEN).all()
-    assert not found.safe.any() and (found.risk == 1.0).all()
-
-
 def test_why_there_is_no_site_tells_seen_from_mapped(level_ground):
     cells = without(level_ground, np.argwhere(np.indices((64, 64)).sum(axis=0) % 4 == 0))
     found = LandingSiteSelector(limits()).assess(cells)

@@ -167,13 +167,6 @@ def test_only_points_of_measured_leaves_are_compared():
     np.testing.assert_array_equal(cells.z, before)
 
 
-def test_counts_add_up():
-    one, other = Counts(10, 1, 2, 3, 4), Counts(30, 0, 1, 2, 3)
-    assert one + other == Counts(40, 1, 3, 5, 7)
-    assert (one + other).one_degree == (1 / 40, 3 / 40)
-    assert (one + other).three_degrees == (5 / 40, 7 / 40)
-
-
 SMALL = {
     "domain.xmin": -30.0,
     "domain.ymin": -30.0,

@@ -114,11 +114,8 @@ def test_axes_have_names_for_the_usual_turns(axes, rpy):
     turned = fixed_mount(MountConfig(roll_deg=roll, pitch_deg=pitch, yaw_deg=yaw))
     np.testing.assert_allclose(named, turned.rotation_map_lidar, atol=1e-15)
     forward, left, up = np.eye(3)
-    if axes == "flu_to_optical":
-        right_down_forward = np.array([-left, -up, forward])
-        np.testing.assert_array_equal(named, right_down_forward)
-    else:
-        np.testing.assert_array_equal(named @ np.eye(3), np.array([-left, -up, forward]).T)
+    optical = np.array([-left, -up, forward])  # right, down, forward
+    np.testing.assert_array_equal(named, optical if axes == "flu_to_optical" else optical.T)
 
 
 def test_axes_turn_the_cloud_under_every_mount():

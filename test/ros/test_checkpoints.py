@@ -145,8 +145,7 @@ def test_a_checkpoint_that_cannot_be_removed_does_not_hold_up_a_reset(ros):
 
 
 @pytest.mark.survives(
-    "ended by SIGINT, SIGTERM or SIGHUP",
-    "a state that cannot be written is an error in the log",
+    "ended by SIGINT, SIGTERM or SIGHUP", "a state that cannot be written is an error in the log"
 )
 def test_a_last_checkpoint_that_fails_is_told(ros):
     """However lately another one was told."""

@@ -46,10 +46,7 @@ def give(received, cells):
     assert received.complete_with("cells", cloud)
 
 
-@pytest.mark.survives(
-    "a map that `lss_node` cannot use",
-    "it makes the one before no younger",
-)
+@pytest.mark.survives("a map that `lss_node` cannot use", "it makes the one before no younger")
 def test_a_refused_map_does_not_make_the_one_before_younger(cells):
     received = ReceivedMap(Problems(Log()), "map", LssConfig, binding=False)
     give(received, cells)

@@ -137,8 +137,7 @@ def test_both_nodes_fly_with_what_the_package_itself_requires(ros):
 
 
 @pytest.mark.survives(
-    "map full (`mapping.max_cells`)",
-    "cells stay whole, counted; a warning in the diagnostics",
+    "map full (`mapping.max_cells`)", "cells stay whole, counted; a warning in the diagnostics"
 )
 def test_a_full_map_stays_full_whether_a_scan_wants_to_divide_or_not(ros):
     mapping = ros.start("mapping_node", "-p", "mapping.max_cells:=64")
