@@ -32,8 +32,7 @@ from quadtree_lss.onboard.core.mapping.departure import Departure, departure
 from quadtree_lss.onboard.core.mapping.measure import Rules, unseen_parts
 from quadtree_lss.onboard.core.mapping.pose_errors import PoseErrors, Steps
 from quadtree_lss.onboard.core.mapping.prior_offset import PriorMatch, PriorOffset
-from quadtree_lss.onboard.core.mapping.room import Room
-from quadtree_lss.onboard.core.mapping.update import ScanUpdate
+from quadtree_lss.onboard.core.mapping.update import Room, ScanUpdate
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.pose_buffer import SECOND_NS
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan, register
