@@ -24,7 +24,7 @@ def fly():
 
     def start(kind, place=(3.0, -2.0, 6.0), **how):
         model = Autopilot(kind, place, **how)
-        link = Link(model.connection, 57600, time.time_ns)
+        link = Link(model.connection, time.time_ns)
         ends.extend((lambda: model.__exit__(), link.close))
         return model.__enter__(), link
 
@@ -123,4 +123,4 @@ def test_heartbeats_of_others_are_not_the_autopilots(fly):
 
 def test_a_connection_that_is_none_is_one_line():
     with pytest.raises(ConfigError, match="autopilot.connection = 'tcp:nowhere:1:2'"):
-        Link("tcp:nowhere:1:2", 57600, time.time_ns)
+        Link("tcp:nowhere:1:2", time.time_ns)

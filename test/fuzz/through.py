@@ -310,7 +310,7 @@ class Vehicle:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
             self.there = probe.getsockname()
-        self.link = Link(f"udpin:127.0.0.1:{self.there[1]}", 57600, lambda: self.now)
+        self.link = Link(f"udpin:127.0.0.1:{self.there[1]}", lambda: self.now)
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.autopilot = mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
         self.landing, self.jumps = Landing(AutopilotConfig()), Jumps()

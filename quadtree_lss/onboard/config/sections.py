@@ -475,9 +475,8 @@ class AutopilotConfig:
     connection: str = _p(
         "udpin:0.0.0.0:14550",
         "the autopilot's MAVLink: udpin:ADDRESS:PORT, udpout:ADDRESS:PORT, tcp:ADDRESS:PORT, or a"
-        " serial device",
+        " serial device, at 921600 baud or as DEVICE,BAUD says",
     )
-    baud: int = _p(921600, "of a serial device", (1200, 10_000_000), "Bd")
     may_command: str = _p(
         "nothing",
         "commands besides set-points: nothing; modes: guided or offboard on ~/land, land"
@@ -491,13 +490,16 @@ class AutopilotConfig:
         " the autopilot's local frame in east, north, up",
     )
     gate_height: float = _live(
-        8.0, "of the gate over the target, to which a wave-off climbs", (0.5, 1e3), "m"
-    )
-    commit_height: float = _live(
-        2.0, "below it the vehicle comes down for good, at touchdown_speed", (0.1, 1e3), "m"
+        8.0,
+        "of the gate over the target, to which a wave-off climbs; below a quarter of it the vehicle"
+        " comes down for good",
+        (0.5, 1e3),
+        "m",
     )
     transit_speed: float = _live(3.0, "to the gate, and up", (0.1, 50.0), "m/s")
-    descent_speed: float = _live(1.0, "from the gate to the commit height", (0.05, 20.0), "m/s")
+    descent_speed: float = _live(
+        1.0, "from the gate to a quarter of its height", (0.05, 20.0), "m/s"
+    )
     touchdown_speed: float = _live(0.4, "from there to the ground", (0.05, 5.0), "m/s")
     max_offset: float = _live(
         0.5,
@@ -512,35 +514,4 @@ class AutopilotConfig:
         " where nobody else sends one",
         (1.0, 1e5),
         "m",
-    )
-    control_sigma: float = _live(
-        0.1,
-        "what the autopilot's control adds to navigation's deviation in landing/dispersion",
-        (0.0, 100.0),
-        "m",
-    )
-    max_heartbeat_age: float = _live(
-        2.5, "without a younger heartbeat nothing is commanded", (0.1, 60.0), "s"
-    )
-    max_pose_age: float = _live(
-        0.5, "with an older pose, by its stamp, the vehicle only holds", (0.02, 60.0), "s"
-    )
-    max_target_age: float = _live(
-        1.0, "a target that was not repeated for longer counts as withdrawn", (0.1, 60.0), "s"
-    )
-    max_map_age: float = _live(
-        3.0,
-        "a target on an older map counts as withdrawn, until the vehicle commits",
-        (0.1, 1e3),
-        "s",
-    )
-    max_jump: float = _live(
-        0.5,
-        "a greater jump of the position, against its own velocity, ends the landing",
-        (0.01, 1e3),
-        "m",
-    )
-    max_wave_offs: int = _live(3, "after more wave-offs the pilot has to take over", (0, 1000))
-    patience: float = _live(
-        60.0, "how long it waits for a target before the pilot has to take over", (1.0, 1e5), "s"
     )

@@ -72,6 +72,16 @@ REMOVED = {
     "qos.scan_depth": "it is 50; qos_overrides.TOPIC.subscription.depth sets another",
     "qos.pose_depth": "it is 200; qos_overrides.TOPIC.subscription.depth sets another",
     "publish.marker_rate": "it is fixed at 1 Hz",
+    "autopilot.baud": "a serial device's is part of autopilot.connection: DEVICE,BAUD",
+    "autopilot.commit_height": "it is a quarter of autopilot.gate_height",
+    "autopilot.control_sigma": "it is fixed at 0.1 m",
+    "autopilot.max_heartbeat_age": "it is fixed at 2.5 s",
+    "autopilot.max_pose_age": "it is fixed at 0.5 s",
+    "autopilot.max_target_age": "it is fixed at 1 s",
+    "autopilot.max_map_age": "it is fixed at 3 s",
+    "autopilot.max_jump": "it is fixed at 0.5 m",
+    "autopilot.max_wave_offs": "it is fixed at 3",
+    "autopilot.patience": "it is fixed at 60 s",
     "diagnostics.error_age": "it is five times diagnostics.warn_age",
 }
 
@@ -225,9 +235,6 @@ def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
         yield f"mount.{name} takes the mount from {topic}: leave mount.x ... mount.yaw_deg at 0"
     if config.lss.weight_shadow > 0.0 and config.light.elevation == 0.0:
         yield "lss.weight_shadow weighs light: light.elevation is to be above 0"
-    gate, commit = config.autopilot.gate_height, config.autopilot.commit_height
-    if commit >= gate:
-        yield f"autopilot.commit_height = {commit:g} m is not below gate_height = {gate:g} m"
     lss = dataclasses.replace(config.lss, vehicle=config.vehicle)
     reason = why_too_much(domain.size, 1 << domain.max_level, lss)
     if reason is not None:
