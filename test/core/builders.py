@@ -37,6 +37,9 @@ METHODS = list(
     itertools.product(("height", "ml"), ("common", "independent"), ("lack_of_fit", "mahalanobis"))
 )
 
+#: Lengths that tests set for themselves.
+OWN = ("hazard_growth", "min_separation")
+
 
 def make_pose(
     position: tuple[float, float, float] = (0.0, 0.0, 500.0),
@@ -127,8 +130,26 @@ def look(
     return mapper.update(scan(surface, x, y, true, noise, rng), told)
 
 
+@dataclasses.dataclass(frozen=True)
+class Own(VehicleConfig):
+    """A vehicle of which a test sets some of the lengths that follow."""
+
+    own: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def lengths(self) -> Lengths:
+        return dataclasses.replace(super().lengths, **dict(self.own))
+
+
+def with_lengths(config: Config, **own: float) -> Config:
+    """The same, its vehicle with these lengths."""
+    fields = (item.name for item in dataclasses.fields(VehicleConfig))
+    vehicle = Own(*(getattr(config.vehicle, name) for name in fields), tuple(own.items()))
+    return dataclasses.replace(config, vehicle=vehicle)
+
+
 def configured(**sections: dict[str, object]) -> Config:
-    """A configuration on a small domain; ``sections`` are laid over it.
+    """A configuration on a small domain; ``sections`` are laid over it, lengths of a vehicle too.
 
     Landing is judged by the touchdown check and ranked by the score: hard limits, which can be
     worked out by hand.
@@ -145,7 +166,9 @@ def configured(**sections: dict[str, object]) -> Config:
         "lss.switch_margin": 0.08,
     }
     values = {f"{s}.{key}": value for s, of in sections.items() for key, value in of.items()}
-    return config_from_values({**base, **values})
+    own = {key: values.pop(f"vehicle.{key}") for key in OWN if f"vehicle.{key}" in values}
+    config = config_from_values({**base, **values})
+    return with_lengths(config, **own) if own else config
 
 
 @contextlib.contextmanager

@@ -173,7 +173,7 @@ def test_a_checkpoint_carries_the_origin():
 
 @pytest.mark.parametrize("ranking", ["score", "probability"])
 def test_a_target_is_never_moved_by_a_move(ranking):
-    values = {"lss.ranking": ranking, "vehicle.diameter": 2.0, "lss.hysteresis": 0.1,
+    values = {"lss.ranking": ranking, "vehicle.diameter": 2.0,
               "lss.dispersion": 0.1, "lss.max_risk": 0.1, "lss.settle_share": 0.0}  # fmt: skip
     config = config_from_values(values, FOLLOWING)
     mapper, selector = Mapper(config), LandingSiteSelector(config)

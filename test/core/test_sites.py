@@ -6,7 +6,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from core.builders import configured, elevation, flat, mapped, slope, strip
+from core.builders import OWN, configured, elevation, flat, mapped, slope, strip
 
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.polygons import signed_distance
@@ -27,7 +27,7 @@ def with_lss(config: Config, **values: object) -> Config:
 def small(**lss: object) -> Config:
     """A lander of 1.9 m on a domain of 16 m with leaves down to 0.5 m."""
     values = {"min_separation": 2.0, "grid_spacing": 0.5, "max_gap": 0.6, **lss}
-    names = {"diameter", "clearance", "max_slope_deg"} & values.keys()
+    names = {"diameter", "clearance", "max_slope_deg", *OWN} & values.keys()
     lander = {"diameter": 2.0 * RADIUS, **{name: values.pop(name) for name in names}}
     return configured(domain=SMALL, lidar={"range_noise": 0.02}, vehicle=lander, lss=values)
 
@@ -416,25 +416,6 @@ def test_near_the_target_is_better(level_ground):
     np.testing.assert_allclose(aimed.score, plain.score + added, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("hysteresis", "stays"), [(0.0, False), (0.005, False), (1.0, True)])
-def test_hysteresis_keeps_the_first_site_while_it_is_good_enough(level_ground, hysteresis, stays):
-    selector = LandingSiteSelector(small(hysteresis=hysteresis, target_risk=0.005, sites=2))
-    first = selector.assess(level_ground, target=(5.0, 5.0)).sites.position[0]
-    second = selector.assess(level_ground, target=(6.0, 5.0)).sites
-    assert np.array_equal(second.position[0], first) == stays
-    assert len(second.score) == 2
-
-
-def test_hysteresis_does_not_keep_a_site_that_became_unsafe(level_ground):
-    config = small(hysteresis=1000.0, sites=1)
-    selector = LandingSiteSelector(config)
-    first = selector.assess(level_ground, target=(5.0, 5.0)).sites.position[0]
-    x, y = first[:2]
-    closed = [(x - 1, y - 1), (x + 1, y - 1), (x + 1, y + 1), (x - 1, y + 1)]
-    second = selector.assess(level_ground, target=(5.0, 5.0), keep_out=closed).sites.position[0]
-    assert np.hypot(*(second - first)[:2]) >= 1.0
-
-
 @pytest.mark.parametrize(
     "limit", [{"max_slope_deg": 0.5}, {"clearance": 0.024}], ids=lambda limit: next(iter(limit))
 )
@@ -507,7 +488,7 @@ TRIANGLE = [(1.0, 1.0), (15.0, 1.0), (8.0, 15.0)]
 @pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 def test_what_nobody_can_land_by_gives_no_site_and_says_so(level_ground, assessment, where, said):
     """Ignoring an area or a keep-out that cannot be read could land the vehicle in it."""
-    selector = LandingSiteSelector(small(assessment=assessment, hysteresis=1.0))
+    selector = LandingSiteSelector(small(assessment=assessment))
     before = selector.assess(level_ground)
     found = selector.assess(level_ground, **where)
     assert_empty_but_explained(found)

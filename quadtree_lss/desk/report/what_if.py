@@ -18,6 +18,7 @@ from quadtree_lss.desk.report.pages import Columns
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import Config, ConfigError, config_from_values
 from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
+from quadtree_lss.onboard.core.landing.grid import SHADOW
 from quadtree_lss.onboard.core.landing.hazards import EXCEPTION
 from quadtree_lss.onboard.core.landing.lattice import grown
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
@@ -95,13 +96,13 @@ def _vehicle(
     extra = np.zeros(found.safe.shape)
     Restrictions(**wishes).apply(extra, found.x, found.y, lss)
     if found.shadow is not None:
-        extra += lss.weight_shadow * found.shadow
+        extra += SHADOW * found.shadow
     side = points.raster.domain.finest_size
     excepted = grown(points.hazard & EXCEPTION > 0, 0.5 * lss.vehicle.diameter, side)
     return {
         "diameter": lss.vehicle.diameter,
         "clearance": lss.vehicle.clearance,
-        "separation": lss.separation,
+        "separation": lss.vehicle.lengths.min_separation,
         "doubt": doubt(config),
         "room": columns.floats(np.where(judged, np.minimum(points.around.room, 1e6), 0.0)),
         "judged": columns.whole(judged, "u1"),

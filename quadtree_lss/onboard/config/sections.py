@@ -115,7 +115,6 @@ class PoseConfig:
         choices=("pose", "odometry"),
     )
     max_wait: float = _p(1.0, "a scan waits this long after arrival for its pose", (0.0, 60.0), "s")
-    max_gap: float = _p(1.5, "no interpolation between poses farther apart", (0.001, 60.0), "s")
     correlation_time: float = _p(
         300.0,
         "how long an error of the pose lasts; 0 if each scan has another one",
@@ -240,13 +239,6 @@ class LssConfig:
         0.0, "spacing of candidate sites; 0 follows from the vehicle", (0.0, 1000.0), "m"
     )
     margin: float = _live(0.0, "guidance error added to the vehicle's radius", (0.0, 1000.0), "m")
-    hazard_growth: float = _live(
-        -1.0,
-        "unsafe ground is extended by this, for errors of the map's place; rounded up to"
-        " whole finest cells; below 0 it follows from the vehicle",
-        (-1.0, 100.0),
-        "m",
-    )
     max_gap: float = _live(
         -1.0,
         "ground farther from any that is mapped is unseen; below 0 it follows from the vehicle",
@@ -260,19 +252,7 @@ class LssConfig:
         (0.0, 1.0),
         "1/m",
     )
-    weight_shadow: float = _live(
-        0.0,
-        "what light at the aim is worth, as a probability of a safe touchdown; 20 times that in the"
-        " score; needs light.elevation",
-        (0.0, 1.0),
-    )
     sites: int = _live(5, "sites to rank", (1, 1000))
-    min_separation: float = _live(
-        -1.0,
-        "least distance between ranked sites; below 0 it follows from the vehicle",
-        (-1.0, 1e5),
-        "m",
-    )
     required_input: str = _p(
         "none",
         "lss_node gives out no site before it has heard these topics of landing/: for a vehicle "
@@ -312,12 +292,6 @@ class LssConfig:
         (0.0, 1e5),
         "m",
     )
-    hysteresis: float = _live(
-        0.0,
-        "each ranked site keeps its rank unless another scores better by this; 0 is off: the list "
-        "follows from the map alone",
-        (0.0, 1e6),
-    )
     #: No parameter: what lands, of the section ``vehicle``.
     vehicle: VehicleConfig = VehicleConfig()
 
@@ -332,26 +306,14 @@ class LssConfig:
         return self.grid_spacing or self.vehicle.lengths.grid_spacing
 
     @property
-    def growth(self) -> float:
-        """By how much farther unsafe ground is taken to reach, m."""
-        set_to = self.hazard_growth
-        return self.vehicle.lengths.hazard_growth if set_to < 0.0 else set_to
-
-    @property
     def gap(self) -> float:
         """Ground farther from any that is mapped is unseen, m."""
         return self.vehicle.lengths.max_gap if self.max_gap < 0.0 else self.max_gap
 
-    @property
-    def separation(self) -> float:
-        """Least distance of ranked sites, m."""
-        set_to = self.min_separation
-        return self.vehicle.lengths.min_separation if set_to < 0.0 else set_to
-
 
 @dataclass(frozen=True)
 class LightConfig:
-    """Where the sun stands at touchdown, and an hour later."""
+    """Where the sun stands at touchdown."""
 
     azimuth: float = _live(
         0.0, "of the sun at touchdown, clockwise from north (the map's y)", (-360.0, 360.0), "deg"
@@ -362,8 +324,6 @@ class LightConfig:
         (0.0, 90.0),
         "deg",
     )
-    azimuth_rate: float = _live(0.0, "by which the azimuth grows", (-360.0, 360.0), "deg/h")
-    elevation_rate: float = _live(0.0, "by which the elevation grows", (-90.0, 90.0), "deg/h")
 
 
 @dataclass(frozen=True)
@@ -381,12 +341,6 @@ class PriorConfig:
         " where its x and y are the map's",
     )
     sigma: float = _p(0.5, "standard deviation of its heights", (1e-3, 1e3), "m")
-    correlation_length: float = _p(
-        0.0,
-        "distance over which errors of its heights are alike; 0 if each has its own",
-        (0.0, 1e4),
-        "m",
-    )
     offset_sigma: float = _p(
         10.0,
         "standard deviation of how far it lies too far east, and too far north",
@@ -421,7 +375,6 @@ class PublishConfig:
 
     rate: float = _p(10.0, "map publications per second at most", (0.01, 1000.0), "Hz")
     lss_rate: float = _p(4.0, "landing site passes per second at most", (0.01, 1000.0), "Hz")
-    diagnostics_rate: float = _p(1.0, "diagnostics per second", (0.01, 100.0), "Hz")
 
 
 @dataclass(frozen=True)
@@ -460,12 +413,16 @@ class MapFileConfig:
     path: str = _p("", "file of the services save_map and load_map; empty = none")
 
 
+CHECKPOINT_S = 2.0
+"""Least time between two checkpoints: what a killed node has lost is seen anew in as long, and the
+disk has two seconds for some megabytes."""
+
+
 @dataclass(frozen=True)
 class CheckpointConfig:
     """The map on disk, taken up again when mapping_node starts."""
 
     path: str = _p("", "file of the checkpoints; empty = none are written or taken up")
-    interval: float = _live(2.0, "least time between two checkpoints", (0.05, 86400.0), "s")
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ LEAST_STEPS = 3
 #: What were parameters once, and what holds now.
 REMOVED = {
     "pose.buffer": "poses are kept for 30 s",
+    "pose.max_gap": "between poses more than 1.5 s apart nothing is interpolated",
     "pose.queue": "20 scans may wait for each second of pose.max_wait, and at least 20",
     "lidar.noise_model": "it is stereo where lidar.baseline is above 0",
     "lidar.deskew": "a cloud with a time for each point is always taken point by point",
@@ -69,6 +70,15 @@ REMOVED = {
     "lss.weight_roughness": "it is fixed, in proportion to vehicle.clearance (Eq. 58)",
     "lss.weight_hazard_distance": "it is fixed, in proportion to vehicle.diameter (Eq. 58)",
     "lss.weight_subscale": "it is fixed, in proportion to vehicle.clearance (Eq. 58)",
+    "lss.hysteresis": "the list follows from the map alone; the target is what holds",
+    "lss.hazard_growth": "it follows from vehicle.diameter",
+    "lss.min_separation": "it is vehicle.diameter",
+    "lss.weight_shadow": "light is worth what a metre of lss.target_risk is by default",
+    "light.azimuth_rate": "set light.azimuth while the node runs",
+    "light.elevation_rate": "set light.elevation while the node runs",
+    "prior.correlation_length": "each post of the elevation model has its own error",
+    "publish.diagnostics_rate": "it is fixed at 1 Hz",
+    "checkpoint.interval": "it is fixed at 2 s",
     "qos.scan_depth": "it is 50; qos_overrides.TOPIC.subscription.depth sets another",
     "qos.pose_depth": "it is 200; qos_overrides.TOPIC.subscription.depth sets another",
     "publish.marker_rate": "it is fixed at 1 Hz",
@@ -233,8 +243,6 @@ def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
     if (mount.gimbal or mount.tf) and mount != elsewhere:
         name, topic = ("gimbal", "lidar/gimbal") if mount.gimbal else ("tf", "/tf_static")
         yield f"mount.{name} takes the mount from {topic}: leave mount.x ... mount.yaw_deg at 0"
-    if config.lss.weight_shadow > 0.0 and config.light.elevation == 0.0:
-        yield "lss.weight_shadow weighs light: light.elevation is to be above 0"
     lss = dataclasses.replace(config.lss, vehicle=config.vehicle)
     reason = why_too_much(domain.size, 1 << domain.max_level, lss)
     if reason is not None:

@@ -94,9 +94,13 @@ class Lengths:
     )
 
     grid_spacing: float = _follows(0.5, "lss.grid_spacing where it is 0", "diameter")
-    min_separation: float = _follows(3.7, "lss.min_separation where it is below 0", "diameter")
+    min_separation: float = _follows(3.7, "least distance between ranked sites", "diameter")
     max_gap: float = _follows(0.6, "lss.max_gap where it is below 0", "diameter")
-    hazard_growth: float = _follows(0.25, "lss.hazard_growth where it is below 0", "diameter")
+    hazard_growth: float = _follows(
+        0.25,
+        "unsafe ground is extended by this, in whole finest cells, for errors of the map's place",
+        "diameter",
+    )
     touchdown_slope_deg: float = _follows(
         9.0, "slope limit of the touchdown check on the map", "max_slope_deg", "deg"
     )

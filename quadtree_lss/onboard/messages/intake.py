@@ -34,6 +34,8 @@ from quadtree_lss.onboard.messages.times import offsets_from_cloud
 NOISE_RATIO_LIMIT = 1.4
 """Observed over configured range noise that is worth a warning, either way."""
 
+GAP_NS = 1_500_000_000
+"""Between poses farther apart nothing is interpolated: one a second may be late by half."""
 BUFFER_NS = 30 * SECOND_NS
 """Older poses are forgotten: by far more than a scan may wait for its own, or a pose come late."""
 
@@ -100,7 +102,7 @@ class Intake:
         self._map_frame = config.frames.map
         self.camera = DepthCamera(config.lidar)
         self._body = self._buffer()
-        self._gate = PoseGate(round(config.pose.max_gap * SECOND_NS))
+        self._gate = PoseGate(GAP_NS)
         self._gimbal = self._buffer("gimbal angle") if config.mount.gimbal else None
         self._extrinsics = Extrinsics(config)
         held = self._gimbal if self._gimbal is not None else self._extrinsics.mount
@@ -258,8 +260,7 @@ class Intake:
         self._notices.append(Notice(f"{what}_{error.reason}", str(error)))
 
     def _buffer(self, what: str = "pose") -> PoseBuffer:
-        limits = self._pose_config
-        return PoseBuffer(BUFFER_NS, round(limits.max_gap * SECOND_NS), what=what)
+        return PoseBuffer(BUFFER_NS, GAP_NS, what=what)
 
     def _add(self, buffer: PoseBuffer, pose: Pose, what: str) -> bool:
         """Whether the pose is used; one that is not, is counted as rejected."""

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from quadtree_lss.onboard.config.sections import CHECKPOINT_S
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, check, from_bytes, to_bytes
 from quadtree_lss.onboard.core.tree.leaves import LEAF
@@ -170,13 +171,13 @@ class Checkpoints:
         """The map changed."""
         self._changed = not (self.foreign or self._none)
 
-    def work(self, mapper: Mapper, interval: float) -> str | None:
+    def work(self, mapper: Mapper) -> str | None:
         """Write if it is time; call often. The answer is what went wrong with the last one."""
         if self._thread is not None and not self._thread.is_alive():
             self._thread = None
         now = time.monotonic()
         if self._thread is None and self._changed and now >= self._due:
-            self._due = now + interval
+            self._due = now + CHECKPOINT_S
             self._changed = False
             write = writer(self.path, mapper, self._root, PREVIOUS)
             self._thread = threading.Thread(target=self._write, args=(write,), daemon=True)

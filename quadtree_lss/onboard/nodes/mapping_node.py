@@ -240,7 +240,7 @@ class MappingNode(BaseNode):
         self._take_ahead()
         self._work()
         waits_for(self._lacks())
-        error = self._checkpoints.work(self._mapper, self._config.checkpoint.interval)
+        error = self._checkpoints.work(self._mapper)
         if error is not None:
             self._problems.report("checkpoint", error)
 

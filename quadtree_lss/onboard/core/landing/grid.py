@@ -15,7 +15,6 @@ with those K that are still within reach `WAIT_S` later, if the vehicle goes on 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import erfc, isfinite, log, sqrt
@@ -49,19 +48,16 @@ TIE = 1e-5
 #: Places that waiting is reckoned with; most grid points a side that are looked at where no ground
 #: is safe.
 CHOICES, COARSE = 8, 128
+#: What light at the aim is worth, as a probability of a safe touchdown: a metre of the way to a
+#: place that is asked for (``lss.target_risk`` by default), so that the lit one of equals wins.
+SHADOW = 0.001
 #: Deviation of the logarithm of a risk, whose own deviation is `DOUBT` of it.
 SPREAD = sqrt(log(1.0 + DOUBT**2))
 Kind = TypeVar("Kind", bound=np.generic)
 
 
 def best_points(
-    score: Array,
-    x: Array,
-    y: Array,
-    count: int,
-    separation: float,
-    last: Sequence[tuple[int, int]] = (),
-    hysteresis: float = 0.0,
+    score: Array, x: Array, y: Array, count: int, separation: float
 ) -> tuple[Index, Index]:
     """Rows and columns of the ``count`` lowest scores, each ``separation`` from those before.
 
@@ -70,8 +66,6 @@ def best_points(
         x, y: (nx,), (ny,) of the grid points, evenly spaced, alike in x and y, m.
         count: Most points wanted.
         separation: Least distance of any two, m.
-        last: The last ranking: each keeps its rank ...
-        hysteresis: ... unless another scores better by more than this.
     """
     left = np.fmin(score, np.inf)
     reach = int(separation / (x[1] - x[0])) + 1 if len(x) > 1 else 0
@@ -81,8 +75,6 @@ def best_points(
         row, column = divmod(int(np.argmin(left)), left.shape[1])
         if not np.isfinite(left[row, column]):
             break
-        if len(rows) < len(last) and left[last[len(rows)]] <= left[row, column] + hysteresis:
-            row, column = last[len(rows)]
         rows.append(row)
         columns.append(column)
         in_y = slice(max(row - reach, 0), row + reach + 1)
@@ -209,7 +201,7 @@ def aim(
 ) -> Aims:
     """The points of the user's grid as aims: the risk over where the lander comes down.
 
-    ``dark``: (ny, nx) those in shadow, each of which costs ``lss.weight_shadow``.
+    ``dark``: (ny, nx) those in shadow, each of which costs `SHADOW`.
     """
     at_aim, ranks = points.risk, lss.ranking == "probability"
     if ranks or lss.assessment == "probability":
@@ -218,8 +210,8 @@ def aim(
     score = np.where(safe, at.nearest(points.score), np.nan)
     cost = probable_first(unsafe, score) if ranks else score
     hazard, risk = at.any(points.hazard), at.linear(points.risk)
-    if dark is not None and lss.weight_shadow:
-        cost += (1.0 if ranks else TARGET_SCORE) * lss.weight_shadow * dark
+    if dark is not None:
+        cost += (1.0 if ranks else TARGET_SCORE) * SHADOW * dark
     withheld = wanted.apply(cost, at.x, at.y, lss)
     if ranks:
         np.copyto(score, np.nan, where=np.isnan(cost))
@@ -252,7 +244,7 @@ def within_reach(
     row, column = divmod(int(np.argmin(np.fmin(cost, np.inf))), cost.shape[1])
     if ground.unsafe is None:
         return Now(cost, (row, column))
-    places = best_points(after, x, y, CHOICES, lss.separation)
+    places = best_points(after, x, y, CHOICES, lss.vehicle.lengths.min_separation)
     return Now(cost, (row, column), float(bad[row, column]) - least_later(bad[places]))
 
 

@@ -57,7 +57,6 @@ from quadtree_lss.onboard.core.landing.target import (
     Reason,
     Restrictions,
     TargetKeeper,
-    grid_point,
 )
 from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, height_by_error
@@ -76,14 +75,13 @@ __all__ = ["LandingAssessment", "LandingSiteSelector", "Selected", "Sites"]
 class LandingSiteSelector:
     """Assesses maps.
 
-    Keeps the target (see ``target.TargetKeeper``), the last ranking, for ``lss.hysteresis``, and
-    the lander's contacts with the ground, to find only those anew where it changed.
+    Keeps the target (see ``target.TargetKeeper``), and the lander's contacts with the ground, to
+    find only those anew where it changed.
     """
 
     def __init__(self, config: Config) -> None:
         self._target = TargetKeeper()
         self._number = 0
-        self._last_ranked: list[tuple[float, float]] = []
         # What glibc has freed once in this size it keeps: the arrays of a map need not be got
         # from the system, page by page, for every map.
         np.empty(31 << 20, dtype=np.uint8)
@@ -273,7 +271,7 @@ class LandingSiteSelector:
     def _reach(self) -> float:
         """How far from each other sites are the same, m: no two of a ranking are."""
         lss = self.config.lss
-        return 0.49 * min(lss.vehicle.diameter, lss.separation)
+        return 0.49 * min(lss.vehicle.diameter, lss.vehicle.lengths.min_separation)
 
     def _selected(
         self, choice: Choice, found: Sites, aims: Aims, raster: TerrainRaster
@@ -290,14 +288,8 @@ class LandingSiteSelector:
     def _rank(self, cost: Array, x: Array, y: Array) -> list[tuple[int, int]]:
         """The best grid points, one after the other, each ``min_separation`` from those before."""
         lss = self.config.lss
-        last = []
-        if lss.hysteresis > 0.0:
-            last = [grid_point(x, y, *place) for place in self._last_ranked]
-        kept = [place for place in last if place is not None and np.isfinite(cost[place])]
-        best = best_points(cost, x, y, lss.sites, lss.separation, kept, lss.hysteresis)
-        ranked = [(int(row), int(column)) for row, column in zip(*best, strict=True)]
-        self._last_ranked = [(float(x[column]), float(y[row])) for row, column in ranked]
-        return ranked
+        best = best_points(cost, x, y, lss.sites, lss.vehicle.lengths.min_separation)
+        return [(int(row), int(column)) for row, column in zip(*best, strict=True)]
 
     def _describe(
         self, points: PointAssessment, aims: Aims, spread: Dispersion, places: list[tuple[int, int]]
