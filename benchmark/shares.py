@@ -16,6 +16,7 @@ import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -29,6 +30,7 @@ from scipy.special import erfc
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 
@@ -125,9 +127,7 @@ def one_leaf(side: float) -> Config:
     domain = {"xmin": 0.0, "ymin": 0.0, "size": side, "min_level": 0}
     domain["max_level"] = round(np.log2(side / 0.25))
     values: dict[str, object] = {f"domain.{name}": value for name, value in domain.items()}
-    return config_from_values(
-        values | {"lidar.range_noise": NOISE, "lidar.outlier_gate": 0.0, "features.enabled": False}
-    )
+    return config_from_values(values | {"lidar.range_noise": NOISE})
 
 
 def drawn(seed: int, draws: int, scans: int, rolling: float = 0.0) -> list[Draw]:
@@ -172,7 +172,9 @@ def strip(rng: np.random.Generator, scans: int, rolling: float = 0.0) -> Draw:
     back = axis @ (tilted - [0.0, 0.0, 1.0])
     middle = np.array([0.5 * side, 0.5 * side, 0.5 * side * sum(gradient)])
     position = middle + rng.uniform(100.0, 300.0) * back / np.linalg.norm(back)
-    axes, mapper = looking(position, middle), Mapper(one_leaf(side))
+    axes = looking(position, middle)
+    with mock.patch.object(VehicleConfig, "lengths", Lengths(feature_height=math.inf)):
+        mapper = Mapper(one_leaf(side))  # without features
     surface = ground(gradient, rolling, rng)
     for k in range(scans):
         # Noise carries points over the rim of the leaf, in and out.

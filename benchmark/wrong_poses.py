@@ -83,7 +83,7 @@ def moved(
     values: dict[str, object] = {
         "domain.xmin": -0.5 * SIZE, "domain.ymin": -0.5 * SIZE, "domain.size": SIZE,
         "domain.min_level": 2, "domain.max_level": 4,
-        "lidar.range_noise": NOISE, "lidar.outlier_gate": 0.0,
+        "lidar.range_noise": NOISE,
     }  # fmt: skip
     if white:
         values["pose.correlation_time"] = 0.0

@@ -16,6 +16,7 @@ from quadtree_lss.onboard.autopilot.landing import (
     HOLD,
     JUMP_M,
     MAP_S,
+    OFFSET_M,
     PATIENCE_S,
     PILOT,
     POSE_S,
@@ -250,7 +251,7 @@ def test_beside_the_target_it_does_not_come_down():
     flight.wind = np.array([1.5, 0.0, 0.0])  # it is blown a metre off, and stays so
     flight.on(3.0)
     height = flight.height
-    assert np.hypot(*flight.position[:2]) > CONFIG.max_offset
+    assert np.hypot(*flight.position[:2]) > OFFSET_M
     assert flight.on(20.0).height > height - 0.3 and flight.order.state == DESCEND
     flight.wind[:] = 0.0
     flight.until(in_state(COMMIT))

@@ -7,7 +7,6 @@ noise moves each along its ray. All lengths in m, all frames the map's unless a 
 
 import contextlib
 import dataclasses
-import itertools
 from collections.abc import Callable, Iterator
 from unittest import mock
 
@@ -32,13 +31,11 @@ LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
 EXACT = 1e-12 * np.eye(6)
 #: Over the middle of the small domain.
 ABOVE = (8.0, 8.0, 500.0)
-#: All that ``mapping.fit``, ``covariance`` and ``division`` may be together.
-METHODS = list(
-    itertools.product(("height", "ml"), ("common", "independent"), ("lack_of_fit", "mahalanobis"))
-)
+#: All that ``mapping.paper`` may be.
+METHODS = ("none", "fit", "covariance", "division", "all")
 
 #: Lengths that tests set for themselves.
-OWN = ("hazard_growth", "min_separation")
+OWN = ("hazard_growth", "min_separation", "outlier_gate")
 
 
 def make_pose(
@@ -160,15 +157,13 @@ def configured(**sections: dict[str, object]) -> Config:
         "domain.size": 16.0,
         "domain.min_level": 2,
         "domain.max_level": 6,
-        "lidar.outlier_gate": 0.0,
         "lss.assessment": "touchdown",
         "lss.ranking": "score",
-        "lss.switch_margin": 0.08,
     }
     values = {f"{s}.{key}": value for s, of in sections.items() for key, value in of.items()}
     own = {key: values.pop(f"vehicle.{key}") for key in OWN if f"vehicle.{key}" in values}
     config = config_from_values({**base, **values})
-    return with_lengths(config, **own) if own else config
+    return with_lengths(config, **{"outlier_gate": 0.0, **own})
 
 
 @contextlib.contextmanager

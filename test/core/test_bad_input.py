@@ -139,11 +139,10 @@ def scan_of(kinds: list[str], rng: np.random.Generator) -> np.ndarray:
 def try_scans(seed: int, method: tuple[str, str, str], lidar: str, poses: list[str]) -> None:
     """Scans of random kinds of cells, each with the next of the pose covariances."""
     rng = np.random.default_rng(seed)
-    fit, covariance, division = method
     config = configured(
         domain={"min_level": 2, "max_level": 4},
         lidar={"min_range": 0.0, "max_range": 1e5},
-        mapping={"fit": fit, "covariance": covariance, "division": division, "max_cells": 120},
+        mapping={"paper": method, "max_cells": 120},
     )
     mapper = Mapper(config)
     for k, pose_kind in enumerate(poses):
@@ -177,7 +176,7 @@ EXAMPLES = given(
 
 @settings(deadline=None, max_examples=250)
 @EXAMPLES
-@example(277841, ("ml", "common", "lack_of_fit"), "far", ["zero", "one axis"])
+@example(277841, "fit", "far", ["zero", "one axis"])
 def test_no_geometry_and_no_covariance_breaks_the_map(seed, method, lidar, poses):
     """8,000 cells and more."""
     try_scans(seed, method, lidar, poses)

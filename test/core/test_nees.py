@@ -38,7 +38,7 @@ def estimates(case: str, fit: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     config = configured(
         domain={"size": 40.0, "min_level": 1, "max_level": 1},
         lidar={"range_noise": noise},
-        mapping={"fit": fit},
+        mapping={"paper": fit},
         pose={"correlation_time": 0.0},
     )
     rng = np.random.default_rng(7)
@@ -66,7 +66,7 @@ def estimates(case: str, fit: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     }
 
 
-@pytest.mark.parametrize("fit", ["height", "ml"])
+@pytest.mark.parametrize("fit", ["none", "fit"])
 @pytest.mark.parametrize("of", ["leaf", "parent"])
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("part", ["plane", "normal", "height"])

@@ -46,13 +46,13 @@ def registered(mapper: Mapper, points: np.ndarray, pose: lidar.Pose) -> Register
 
 
 def one_more_scan(
-    true: np.ndarray, claimed: np.ndarray, trials: int, treatment: str = "common"
+    true: np.ndarray, claimed: np.ndarray, trials: int, treatment: str = "none"
 ) -> Counts:
     """Maps of two scans of planar ground, each compared with a third scan of it."""
     config = configured(
         domain={"min_level": 1, "max_level": 1},
         lidar={"range_noise": NOISE},
-        mapping={"covariance": treatment},
+        mapping={"paper": treatment},
         pose={"correlation_time": 0.0},
     )
     rng = np.random.default_rng(1)
@@ -106,7 +106,7 @@ def test_treating_pose_error_as_independent_is_inconsistent():
     """The leaf then believes that a thousand points average its pose error out."""
     pose = pose_covariance(0.3, 1e-5)
     common = one_more_scan(pose, pose, 150)
-    independent = one_more_scan(pose, pose, 150, "independent")
+    independent = one_more_scan(pose, pose, 150, "covariance")
     assert independent.one_degree.above > 1.5 * common.one_degree.above
 
 

@@ -123,7 +123,8 @@ class Flight:
 
     def __init__(self, rng: np.random.Generator, kind: str) -> None:
         self.rng, self.kind = rng, kind
-        mount = {"mount.gimbal": kind == "gimbal", "mount.tf": kind == "transforms"}
+        sources = {"gimbal": "gimbal", "transforms": "tf"}
+        mount = {"mount.source": sources.get(kind, "fixed")}
         if kind == "follow":
             mount |= {"domain.follow": one_of(rng, ["vehicle", "area"]), "domain.min_level": 3}
         self.config = config_from_values(
@@ -517,10 +518,10 @@ class Depth:
 
     def __init__(self, rng: np.random.Generator, kind: str) -> None:
         self.rng, self.kind = rng, kind
-        values = {"lidar.source": "depth", "lidar.depth_step": int(rng.integers(1, 3))}
+        values = {"lidar.source": "depth"}
         values["lidar.depth_raw"] = bool(rng.integers(2))
         if rng.random() < 0.5:
-            values |= {"lidar.baseline": 0.05, "lidar.focal_length": self.FOCAL}
+            values["lidar.stereo_noise"] = 0.1 / (0.05 * self.FOCAL)
         self.config = config_from_values(values, one_of(rng, CONFIGS))
         self.selector = LandingSiteSelector(self.config)
         self.intake, self.mapper = Intake(self.config), Mapper(self.config)

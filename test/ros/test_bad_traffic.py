@@ -213,7 +213,7 @@ def sites_of(listener, stamp):
 def test_bad_messages_beside_good_ones_change_nothing(ros, source):
     """Nor does somebody who has to land now, again and again."""
     grounds, args = [], ["-p", "qos.overload:=all", "-p", "pose.max_wait:=30.0"]
-    args += ["-p", f"lidar.source:={source}", "-p", "lidar.depth_step:=1"]
+    args += ["-p", f"lidar.source:={source}"]
     for seed in (None, 1):
         mapping = ros.start("mapping_node", *args)
         of_prior = ("-p", "prior.file:=by_mapping_node_alone.npz")

@@ -59,7 +59,7 @@ def test_a_gimballed_bag_live_and_offline(ros):
     bag = ros.folder / "flight"
     write_bag(bag)
     static = replay(ros, bag, ros.folder / "static", f"mount.z={-ABOVE}", "mount.roll_deg=180.0")
-    ros.params.write_text(ros.params.read_text() + "    mount.gimbal: true\n")
+    ros.params.write_text(ros.params.read_text() + "    mount.source: gimbal\n")
     moving = replay(ros, bag, ros.folder / "moving")
     with np.load(static / "cells.npz") as one, np.load(moving / "cells.npz") as other:
         assert one["measured"].mean() > 0.5

@@ -57,16 +57,16 @@ def test_a_node_that_waits_for_the_other_type_says_so(ros):
 
 @pytest.mark.skipif(has_tf, reason="tf2_msgs is there")
 def test_a_mount_from_tf_without_tf2_msgs_is_an_error_of_configuration(ros):
-    node = ros.start("mapping_node", "-p", "mount.tf:=true")
+    node = ros.start("mapping_node", "-p", "mount.source:=tf")
     assert node.process.wait(30.0) == WRONG_CONFIGURATION
-    assert node.output().startswith("error: mount.tf needs tf2_msgs")
+    assert node.output().startswith("error: mount.source tf needs tf2_msgs")
 
 
 @pytest.mark.skipif(not has_tf, reason="tf2_msgs comes with ROS, not with its wheels")
 def test_a_mount_comes_from_tf_static(ros):
     from tf2_msgs.msg import TFMessage
 
-    mapping = ros.start("mapping_node", "-p", "mount.tf:=true", "-p", "frames.body:=base_link")
+    mapping = ros.start("mapping_node", "-p", "mount.source:=tf", "-p", "frames.body:=base_link")
     with ros.listen() as listener:
         link = TransformStamped(child_frame_id="lidar")
         link.header.frame_id = "base_link"

@@ -49,7 +49,6 @@ SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 PAPER = {
     "lss.assessment": "paper",
     "lss.ranking": "score",
-    "lss.switch_margin": 0.08,
     "lss.target_risk": 0.0002,  # a metre of way against 0.2 m of room
 }
 """The paper's rules and score."""

@@ -45,6 +45,9 @@ TARGET_S = 1.0
 MAP_S = 3.0
 """A target on an older map counts as withdrawn, until the vehicle commits: in three seconds the
 vehicle comes down by as many metres, to ground that nobody has looked at since."""
+OFFSET_M = 0.5
+"""The vehicle descends only so near beside the target, and commits within half of it; a target that
+moves farther is another one. Four times what ArduCopter misses one by (``docs/autopilot.md``)."""
 JUMP_M = 0.5
 """A greater jump of the position, against its own velocity, ends the landing: the map lies
 elsewhere, by more than a target may be missed by."""
@@ -233,9 +236,9 @@ class Landing:
         gate_z = place[2] + config.gate_height
         off = float(np.hypot(*(place - seen.position)[:2]))
         if self.state in LOW and self._place is not None:
-            if np.hypot(*(place - self._place)[:2]) > config.max_offset:
+            if np.hypot(*(place - self._place)[:2]) > OFFSET_M:
                 self._wave_off(seen, "the target is another one")
-            elif self.state == COMMIT and off > 2.0 * config.max_offset:
+            elif self.state == COMMIT and off > 2.0 * OFFSET_M:
                 self._wave_off(seen, f"{off:.1f} m beside the target")
         if self.state in (WAIT, HOLD):
             low = seen.position[2] < gate_z - AT_M
@@ -246,11 +249,11 @@ class Landing:
             self._begin(TRANSIT, self._text, now)
         still = float(np.linalg.norm(seen.velocity)) < SLOW_M_S
         above = abs(seen.position[2] - gate_z) < AT_M
-        if self.state == TRANSIT and off < config.max_offset and still and above:
+        if self.state == TRANSIT and off < OFFSET_M and still and above:
             self._place = place.copy()
             self._begin(DESCEND, "over the target", now)
         low = seen.position[2] - place[2] < COMMIT_SHARE * config.gate_height + LEAD_M
-        if self.state == DESCEND and low and off < 0.5 * config.max_offset:
+        if self.state == DESCEND and low and off < 0.5 * OFFSET_M:
             self._begin(COMMIT, "close over the target", now)
 
     def _wave_off(self, seen: Seen, why: str) -> None:
@@ -288,7 +291,7 @@ class Landing:
             floor = target.place[2] + COMMIT_SHARE * config.gate_height
             if self.state == COMMIT:
                 down, floor = config.touchdown_speed, target.place[2] - THROUGH_M
-            beside = np.hypot(*(target.place - position)[:2]) > config.max_offset
+            beside = np.hypot(*(target.place - position)[:2]) > OFFSET_M
             goal = np.append(target.place[:2], position[2] if beside else floor)
         way = goal - point
         for part, speed in ((slice(0, 2), across), (slice(2, 3), down)):

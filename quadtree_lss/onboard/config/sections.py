@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from quadtree_lss.onboard.config.limits import MOST_LEAVES, MOST_LEVELS, STEP_LEVEL
 from quadtree_lss.onboard.config.parameter import declared as _p
 from quadtree_lss.onboard.config.parameter import live as _live
-from quadtree_lss.onboard.config.vehicle import VehicleConfig
+from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,6 @@ class LidarConfig:
         " or 32FC1 in m) with depth/camera_info; a bag without this type uses the other",
         choices=("points", "depth"),
     )
-    depth_step: int = _p(
-        2, "take every n-th column and row of a depth image; 2 is a quarter of its pixels", (1, 64)
-    )
     depth_raw: bool = _p(
         False,
         "the depth image is not rectified: the plumb_bob distortion of its CameraInfo is undone",
@@ -59,14 +56,12 @@ class LidarConfig:
     range_noise_per_metre: float = _p(
         0.0, "what each metre of range adds to this deviation", (0.0, 1.0)
     )
-    disparity_sigma: float = _p(0.1, "standard deviation of a disparity", (0.0, 10.0), "px")
-    focal_length: float = _p(380.0, "of the camera in pixels of its full image", (1.0, 1e5), "px")
-    baseline: float = _p(
+    stereo_noise: float = _p(
         0.0,
-        "between two cameras: noise grows by disparity_sigma z^2 / (focal_length baseline) at the"
-        " depth z; 0 is no stereo",
-        (0.0, 100.0),
-        "m",
+        "what the square of the depth adds, of two cameras: the deviation of a disparity over the"
+        " product of focal length and baseline; 0 is no stereo",
+        (0.0, 1.0),
+        "1/m",
     )
     beam_divergence: float = _p(
         0.0,
@@ -76,20 +71,9 @@ class LidarConfig:
     )
     min_range: float = _p(0.5, "shorter ranges are no returns", (0.0, 1e5), "m")
     max_range: float = _p(5000.0, "longer ranges are no returns", (0.1, 1e6), "m")
-    outlier_gate: float = _p(
-        0.4,
-        "returns nearer to a neighbour than this (or than five times the scan's usual"
-        " spacing) form a group; a group of fewer than three is noise; 0 keeps every"
-        " return",
-        (0.0, 1000.0),
-        "m",
-    )
-
-    @property
-    def stereo(self) -> float:
-        """Deviation of a depth z over z^2, 1/m; 0 without stereo."""
-        product = self.focal_length * self.baseline
-        return self.disparity_sigma / product if product else 0.0
+    #: No parameter: returns nearer to a neighbour than this, m, or than five times the scan's usual
+    #: spacing, form a group; a group of fewer than three is noise. 0 keeps every return.
+    outlier_gate: float = Lengths.outlier_gate
 
 
 @dataclass(frozen=True)
@@ -99,7 +83,7 @@ class FramesConfig:
     map: str = _p("map", "planet-fixed frame of poses and map, z up")
     body: str = _p(
         "",
-        "frame whose poses are sent: an odometry's child frame, and with mount.tf the"
+        "frame whose poses are sent: an odometry's child frame, and with mount.source tf the"
         " start of the chain to the lidar; empty takes an odometry's first child frame",
     )
 
@@ -160,12 +144,12 @@ class MountConfig:
         " x right, y down); optical_to_flu for the opposite",
         choices=("same", "flu_to_optical", "optical_to_flu"),
     )
-    tf: bool = _p(
-        False,
-        "the mount comes from /tf_static, from the body's frame (frames.body) to that of the scans",
-    )
-    gimbal: bool = _p(
-        False, "the mount comes from the topic lidar/gimbal, interpolated to each scan"
+    source: str = _p(
+        "fixed",
+        "where the mount comes from: fixed, the above; tf, /tf_static from the body's frame"
+        " (frames.body) to that of the scans; gimbal, the topic lidar/gimbal, interpolated to each"
+        " scan",
+        choices=("fixed", "tf", "gimbal"),
     )
 
 
@@ -173,33 +157,22 @@ class MountConfig:
 class MappingConfig:
     """Plane fit, fusion, division (paper IV)."""
 
-    fit: str = _p(
-        "height",
-        "plane fit: height regression with a weak slope prior, or the paper's orthogonal ML fit",
-        choices=("height", "ml"),
-    )
-    covariance: str = _p(
-        "common",
-        "pose error is common to a scan's points, or independent for each (the paper)",
-        choices=("common", "independent"),
-    )
-    division: str = _p(
-        "lack_of_fit",
-        "division criterion: misfit over range noise, or the paper's Mahalanobis distance",
-        choices=("lack_of_fit", "mahalanobis"),
+    paper: str = _p(
+        "none",
+        "which of the paper's rules hold instead of ours, to compare: fit, orthogonal ML for height"
+        " regression with a weak slope prior; covariance, pose errors independent for each point,"
+        " not common to a scan's; division, by the Mahalanobis distance and not by misfit over"
+        " range noise; all three",
+        choices=("none", "fit", "covariance", "division", "all"),
     )
     division_factor: float = _p(
         1.2, "a cell divides above this multiple of the expected value (Eq. 47)", (1.0, 100.0)
     )
-    align: bool = _p(True, "let each scan and the map meet at one height")
     max_cells: int = _p(200000, "leaves the map may hold, at up to 1.5 kB", (1, MOST_LEAVES))
 
-
-@dataclass(frozen=True)
-class FeaturesConfig:
-    """Subscale features (paper V.C)."""
-
-    enabled: bool = _p(True, "estimate one subscale feature in each leaf that shows one")
+    def by_paper(self, rule: str) -> bool:
+        """Whether the paper's fit, covariance or division holds."""
+        return self.paper in (rule, "all")
 
 
 @dataclass(frozen=True)
@@ -265,25 +238,18 @@ class LssConfig:
         (0.0, 1e5),
         "s",
     )
-    switch_margin: float = _live(
-        0.01,
-        "how much better than the target another site has to be to replace it, besides"
-        " the doubt about the gain and the cost of the way (docs/landing.md), in the unit"
-        " of the ranking: 0.01 is one per cent more probably safe; with ranking score 0.08"
-        " is 4 m more room to the nearest hazard, or 4.6 degrees less slope",
-        (0.0, 1e6),
-    )
     min_probability: float = _live(
         0.9,
         "there is no target where a touchdown is less probably safe; if sites are ranked"
         " by probability",
         (0.0, 1.0),
     )
-    settle_share: float = _live(
-        0.5, "no target before this share of the area, or of the domain, is seen ...", (0.0, 1.0)
-    )
     settle_time: float = _live(
-        5.0, "... or this time has passed since the first map", (0.0, 1e5), "s"
+        5.0,
+        "no target before this time has passed since the first map, or 63 % of the area, or of"
+        " the domain, is seen",
+        (0.0, 1e5),
+        "s",
     )
     commit_height: float = _live(
         20.0,
@@ -396,17 +362,6 @@ class DiagnosticsConfig:
 
 
 @dataclass(frozen=True)
-class FilesConfig:
-    """Where a node may read and write."""
-
-    root: str = _p(
-        "",
-        "folder below which all files of a node must lie, links followed; relative paths are from "
-        "it. Empty = wherever the paths given at the start lead",
-    )
-
-
-@dataclass(frozen=True)
 class MapFileConfig:
     """Where the services ``~/save_map`` and ``~/load_map`` keep a map."""
 
@@ -458,13 +413,6 @@ class AutopilotConfig:
         1.0, "from the gate to a quarter of its height", (0.05, 20.0), "m/s"
     )
     touchdown_speed: float = _live(0.4, "from there to the ground", (0.05, 5.0), "m/s")
-    max_offset: float = _live(
-        0.5,
-        "the vehicle descends only within this distance beside the target, and commits"
-        " within half of it; a target that moves farther is another one",
-        (0.02, 100.0),
-        "m",
-    )
     reach: float = _live(
         50.0,
         "targets farther from where the pilot handed over are not flown to; sent as landing/area"

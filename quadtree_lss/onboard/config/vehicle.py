@@ -110,6 +110,12 @@ class Lengths:
     reference_size: float = _follows(
         4.0, "about the side of the cells that leaves' elevation is compared with", "diameter"
     )
+    outlier_gate: float = _follows(
+        0.4,
+        "returns farther from all others (and than five times their usual spacing) are noise: a"
+        " third more than the top of what must be seen rises over the ground beside it",
+        "least_hazard",
+    )
     negligible: float = _follows(0.005, "lower tails of a feature are no feature", "least_hazard")
     rock_height: float = _follows(
         0.15, "what stands out so high, and by three range noises, is a rock", "least_hazard"

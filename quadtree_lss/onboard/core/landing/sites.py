@@ -50,6 +50,7 @@ from quadtree_lss.onboard.core.landing.score import (
     zones_about,
 )
 from quadtree_lss.onboard.core.landing.target import (
+    SETTLE_SHARE,
     Candidates,
     Choice,
     Descent,
@@ -216,7 +217,7 @@ class LandingSiteSelector:
             return Reason.UNMAPPED if away < reach else Reason.UNSEEN
 
         seen = wanted.share(aims.hazard & hazards.UNSEEN == 0, at.x, at.y)
-        settled = seen >= lss.settle_share or waited >= lss.settle_time
+        settled = seen >= SETTLE_SHARE or waited >= lss.settle_time
         below = descent = None
         if motion is not None:
             below = _descent(points, at, motion, (motion.x, motion.y))

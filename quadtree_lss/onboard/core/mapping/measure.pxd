@@ -37,7 +37,6 @@ cdef class Rules:
     cdef readonly double min_points, slope_points
     cdef readonly double correlation_time
     cdef readonly double uneven, slack, clip, tolerance
-    cdef readonly bint features
     cdef readonly double feature_height, feature_volume, feature_width, feature_points
     cdef readonly double rock_height, rock_sigma
 

@@ -99,12 +99,12 @@ class Rules:
         lidar, mapping, lengths = config.lidar, config.mapping, config.vehicle.lengths
         self.range_noise = lidar.range_noise
         self.noise_per_metre = lidar.range_noise_per_metre
-        self.stereo = lidar.stereo
+        self.stereo = lidar.stereo_noise
         self.look(np.zeros(3))
         self.divergence = lidar.beam_divergence
-        self.ml = mapping.fit == "ml"
-        self.independent = mapping.covariance == "independent"
-        self.mahalanobis = mapping.division == "mahalanobis"
+        self.ml = mapping.by_paper("fit")
+        self.independent = mapping.by_paper("covariance")
+        self.mahalanobis = mapping.by_paper("division")
         self.division_factor = mapping.division_factor
         self.division_confidence = CONFIDENCE
         self.min_residuals = LEAST_RESIDUALS
@@ -117,7 +117,6 @@ class Rules:
         self.uneven, self.slack = lengths.uneven, lengths.slack
         self.clip = lengths.clip
         self.tolerance = lengths.tolerance
-        self.features = config.features.enabled
         self.feature_height = lengths.feature_height
         self.feature_volume = lengths.feature_volume
         self.feature_width = FEATURE_WIDTH
