@@ -13,6 +13,7 @@ from quadtree_lss.onboard.core.geometry.polygons import signed_distance
 from quadtree_lss.onboard.core.landing import hazards, score
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.onboard.core.landing.target import NEARER
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 SMALL = {"size": 16.0, "min_level": 1, "max_level": 5}
@@ -403,8 +404,9 @@ def test_the_zone_lies_in_the_landing_area_and_off_the_keep_out(cells):
     assert len(found.sites.score) > 0
 
 
-def test_near_the_target_is_better(level_ground):
-    config = small(target_risk=1.0, sites=1)
+def test_near_the_target_is_better(monkeypatch, level_ground):
+    monkeypatch.setitem(NEARER, "score", 20.0)
+    config = small(sites=1)
     for target in ((4.0, 11.0), (4.0, 11.0, 250.0), (100.0, 8.0)):
         first = assess(level_ground, config, target=target).sites.position[0]
         nearest = np.clip(target[:2], 1.0, 15.0)  # first grid point beyond the radius

@@ -18,6 +18,7 @@ from quadtree_lss.onboard.core.landing.lattice import ground_planes
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector, ground_covariance
 from quadtree_lss.onboard.core.landing.target import (
+    NEARER,
     SWITCH,
     Candidates,
     Choice,
@@ -276,8 +277,11 @@ def test_the_target_is_the_first_site_and_every_answer_has_a_number(level_ground
     np.testing.assert_array_equal(again.sites.id, found.sites.id)
 
 
-def test_a_preference_for_another_place_does_not_move_the_target_by_a_little(level_ground):
-    selector = LandingSiteSelector(small(target_risk=0.005))
+def test_a_preference_for_another_place_does_not_move_the_target_by_a_little(
+    monkeypatch, level_ground
+):
+    monkeypatch.setitem(NEARER, "score", 0.1)
+    selector = LandingSiteSelector(small())
     before = target_of(selector, level_ground, target=(5.0, 5.0)).selected
     after = selector.assess(level_ground, target=(5.0, 5.0)).selected
     assert (after.id, after.reason) == (before.id, Reason.HOLDS)
@@ -321,9 +325,10 @@ def test_a_new_area_asks_for_a_target_in_it(level_ground):
     assert nowhere.selected.reason is Reason.NO_SITE and not nowhere.pending
 
 
-def test_guidance_that_tells_what_it_can_reach_keeps_its_target(level_ground):
+def test_guidance_that_tells_what_it_can_reach_keeps_its_target(monkeypatch, level_ground):
     """Area and aim come anew with every second of a flight."""
-    selector = LandingSiteSelector(small(target_risk=0.005))
+    monkeypatch.setitem(NEARER, "score", 0.1)
+    selector = LandingSiteSelector(small())
     held = target_of(selector, level_ground, area=around((8.0, 8.0), 8.0)).selected
     for half in (7.0, 6.0):
         area, aim = around(held.position, half), held.position[:2] + 0.3
@@ -399,7 +404,8 @@ def by_risk(**lss):
 def test_land_now_takes_the_best_within_reach_at_once(monkeypatch, with_block):
     """Before anything is settled, and low: only what lies near enough, until it is released."""
     monkeypatch.setattr(sites, "SETTLE_SHARE", 1.1)
-    selector = LandingSiteSelector(by_risk(target_risk=0.0, dispersion=0.3))
+    monkeypatch.setitem(NEARER, "probability", 0.0)
+    selector = LandingSiteSelector(by_risk(dispersion=0.3))
     low = (3.0, 0.5, 4.0, 4.0)
     assert not selector.assess(with_block, waited=0.0, vehicle=low).selected.id
     selector.land_now()

@@ -519,7 +519,6 @@ class Depth:
     def __init__(self, rng: np.random.Generator, kind: str) -> None:
         self.rng, self.kind = rng, kind
         values = {"lidar.source": "depth"}
-        values["lidar.depth_raw"] = bool(rng.integers(2))
         if rng.random() < 0.5:
             values["lidar.stereo_noise"] = 0.1 / (0.05 * self.FOCAL)
         self.config = config_from_values(values, one_of(rng, CONFIGS))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth images to points: units, rays, distortion undone, decimation, edges, what is refused."""
+"""Depth images to points: units, rays, decimation, edges, what is refused."""
 
 import dataclasses
 
@@ -11,7 +11,7 @@ from quadtree_lss.onboard.config.sections import LidarConfig
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.messages import depth
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.depth import DepthCamera, distorted
+from quadtree_lss.onboard.messages.depth import DepthCamera
 from quadtree_lss.onboard.messages.intake import Intake
 
 H, W, F = 48, 64, 50.0
@@ -52,29 +52,6 @@ def test_every_so_manieth_pixel_is_taken_with_its_own_ray(monkeypatch):
     z, points = plane()
     few = camera().points(MAKE.depth(1, z))
     np.testing.assert_allclose(few, points[2::4, 2::4], atol=7e-4)
-
-
-def test_distortion_is_undone():
-    """Points of a plane seen through a lens: each lies on the plane again."""
-    d = np.array([-0.28, 0.07, 1e-3, -5e-4, 0.01])
-    x, y = np.meshgrid(np.linspace(-0.5, 0.5, 21), np.linspace(-0.4, 0.4, 17))
-    seen = DepthCamera(LidarConfig(depth_raw=True))
-    seen.on_info(MAKE.camera(1, H, W, F, d))
-    points = seen.points(MAKE.depth(1, np.full((H, W), 2.0)))
-    back = distorted(*(points[..., k].astype(float) / points[..., 2] for k in (0, 1)), d)
-    u, v = np.meshgrid(np.arange(W), np.arange(H))
-    np.testing.assert_allclose(back[0] * F + 31.5, u, atol=2e-3)
-    np.testing.assert_allclose(back[1] * F + 23.5, v, atol=2e-3)
-    assert np.abs(points[0, 0, :2]).max() > 2.0 * 31.5 / F, "a barrel's corner lies farther out"
-    # Rectified is the default: the same numbers mean nothing then.
-    plain = DepthCamera(LidarConfig())
-    plain.on_info(MAKE.camera(1, H, W, F, d))
-    assert plain.points(MAKE.depth(1, np.full((H, W), 2.0)))[0, 0, 0] == pytest.approx(-1.26)
-    assert np.hypot(*(np.array(distorted(x, y, 0.0 * d)) - [x, y])).max() == 0.0
-    # By hand, of each number alone at (0.3, 0.4), where r^2 = 0.25.
-    alone = [distorted(0.3, 0.4, 0.1 * axis) for axis in np.eye(5)]
-    expected = [(0.3075, 0.41), (0.301875, 0.4025), (0.324, 0.457), (0.343, 0.424)]
-    np.testing.assert_allclose(alone, [*expected, (0.30046875, 0.400625)], rtol=1e-12)
 
 
 @pytest.mark.parametrize("step", [1, 2])
@@ -126,10 +103,6 @@ def test_what_cannot_be_used_is_told():
             camera().points(dataclasses.replace(image, **change))
     with pytest.raises(MessageError, match="no focal length"):
         camera().on_info(MAKE.camera(1, H, W, 0.0))
-    raw = DepthCamera(LidarConfig(depth_raw=True))
-    wrong = dataclasses.replace(MAKE.camera(1, H, W, F, np.ones(5)), distortion_model="equidistant")
-    with pytest.raises(MessageError, match="equidistant"):
-        raw.on_info(wrong)
 
 
 def test_intake_takes_images_as_scans_and_tells_edges_apart():

@@ -18,11 +18,10 @@ from quadtree_lss.desk.report.pages import Columns
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import Config, ConfigError, config_from_values
 from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
-from quadtree_lss.onboard.core.landing.grid import SHADOW
 from quadtree_lss.onboard.core.landing.hazards import EXCEPTION
 from quadtree_lss.onboard.core.landing.lattice import grown
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-from quadtree_lss.onboard.core.landing.target import Restrictions
+from quadtree_lss.onboard.core.landing.target import NEARER, Restrictions
 
 MOST_POINTS = 100_000
 """Of the finest lattice, for which the page takes a second at most."""
@@ -96,7 +95,7 @@ def _vehicle(
     extra = np.zeros(found.safe.shape)
     Restrictions(**wishes).apply(extra, found.x, found.y, lss)
     if found.shadow is not None:
-        extra += SHADOW * found.shadow
+        extra += NEARER["probability"] * found.shadow
     side = points.raster.domain.finest_size
     excepted = grown(points.hazard & EXCEPTION > 0, 0.5 * lss.vehicle.diameter, side)
     return {

@@ -48,10 +48,6 @@ class LidarConfig:
         " or 32FC1 in m) with depth/camera_info; a bag without this type uses the other",
         choices=("points", "depth"),
     )
-    depth_raw: bool = _p(
-        False,
-        "the depth image is not rectified: the plumb_bob distortion of its CameraInfo is undone",
-    )
     range_noise: float = _p(0.06, "standard deviation of a range (Eq. 13)", (1e-4, 10.0), "m")
     range_noise_per_metre: float = _p(
         0.0, "what each metre of range adds to this deviation", (0.0, 1.0)
@@ -218,25 +214,12 @@ class LssConfig:
         (-1.0, 1000.0),
         "m",
     )
-    target_risk: float = _live(
-        0.001,
-        "what a metre nearer to the place of landing/target is worth, as a probability of a safe"
-        " touchdown; 20 times that in the score",
-        (0.0, 1.0),
-        "1/m",
-    )
     sites: int = _live(5, "sites to rank", (1, 1000))
     required_input: str = _p(
         "none",
         "lss_node gives out no site before it has heard these topics of landing/: for a vehicle "
         "that flies with an area or a keep-out",
         choices=("none", "area", "keep_out", "both"),
-    )
-    max_map_age: float = _live(
-        30.0,
-        "lss_node withdraws its sites when no map it could use has come for longer; 0 is never",
-        (0.0, 1e5),
-        "s",
     )
     min_probability: float = _live(
         0.9,

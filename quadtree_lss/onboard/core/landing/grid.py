@@ -33,7 +33,7 @@ from quadtree_lss.onboard.core.landing.score import PointAssessment
 from quadtree_lss.onboard.core.landing.target import (
     ASIDE,
     DOUBT,
-    TARGET_SCORE,
+    NEARER,
     WAIT_S,
     Candidates,
     Descent,
@@ -48,9 +48,6 @@ TIE = 1e-5
 #: Places that waiting is reckoned with; most grid points a side that are looked at where no ground
 #: is safe.
 CHOICES, COARSE = 8, 128
-#: What light at the aim is worth, as a probability of a safe touchdown: a metre of the way to a
-#: place that is asked for (``lss.target_risk`` by default), so that the lit one of equals wins.
-SHADOW = 0.001
 #: Deviation of the logarithm of a risk, whose own deviation is `DOUBT` of it.
 SPREAD = sqrt(log(1.0 + DOUBT**2))
 Kind = TypeVar("Kind", bound=np.generic)
@@ -201,7 +198,7 @@ def aim(
 ) -> Aims:
     """The points of the user's grid as aims: the risk over where the lander comes down.
 
-    ``dark``: (ny, nx) those in shadow, each of which costs `SHADOW`.
+    ``dark``: (ny, nx) those in shadow, each of which costs `NEARER`.
     """
     at_aim, ranks = points.risk, lss.ranking == "probability"
     if ranks or lss.assessment == "probability":
@@ -211,7 +208,7 @@ def aim(
     cost = probable_first(unsafe, score) if ranks else score
     hazard, risk = at.any(points.hazard), at.linear(points.risk)
     if dark is not None:
-        cost += (1.0 if ranks else TARGET_SCORE) * SHADOW * dark
+        cost += NEARER[lss.ranking] * dark
     withheld = wanted.apply(cost, at.x, at.y, lss)
     if ranks:
         np.copyto(score, np.nan, where=np.isnan(cost))
@@ -240,7 +237,7 @@ def within_reach(
     if motion is not None and ground.unsafe is not None and isfinite(motion.x + motion.y):
         away = np.zeros_like(cost)
         np.hypot(x - motion.x, y[:, None] - motion.y, out=away, where=choice)
-        cost += lss.target_risk * away
+        cost += NEARER["probability"] * away
     row, column = divmod(int(np.argmin(np.fmin(cost, np.inf))), cost.shape[1])
     if ground.unsafe is None:
         return Now(cost, (row, column))

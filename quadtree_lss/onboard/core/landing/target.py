@@ -47,9 +47,9 @@ SETTLE_SHARE = 0.63
 #: cent more probably safe; in the score 4 m more room to the nearest hazard, or 4.6 degrees less
 #: slope.
 SWITCH = {"probability": 0.01, "score": 0.08}
-#: A metre nearer to the place that is asked for counts so much more in the score: what makes 0.1 %
-#: of probability makes 1 m of room.
-TARGET_SCORE = 20.0
+#: What a metre nearer to the place that is asked for is worth, and light at the aim: 0.1 % more
+#: probably safe, so that among equals the near and the lit ones win; in the score 0.2 m of room.
+NEARER = {"probability": 0.001, "score": 0.004}
 #: How a vehicle gets aside on its way down: acceleration, m/s^2, and the least speed downwards that
 #: its time is reckoned with, m/s.
 ASIDE, SLOWEST = 1.0, 0.5
@@ -185,8 +185,7 @@ class Restrictions:
             if goal.shape not in ((2,), (3,)) or not np.isfinite(goal[:2]).all():
                 msg = f"a landing target needs two or three finite coordinates, got {self.target!r}"
                 raise ValueError(msg)
-            weight = (TARGET_SCORE if lss.ranking == "score" else 1.0) * lss.target_risk
-            left += weight * np.hypot(x[column] - goal[0], y[row] - goal[1])
+            left += NEARER[lss.ranking] * np.hypot(x[column] - goal[0], y[row] - goal[1])
         cost[row, column] = left
 
     def wish(self) -> tuple[list[object] | None, ...]:
