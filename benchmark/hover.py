@@ -10,6 +10,7 @@ is 1, required 0.5 .. 1.5.
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path
 
@@ -17,9 +18,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from common import machine, table
-from common.as_posed import AsPosed
+from common.as_posed import AsPosed, lengths
 
-from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.geometry.rotations import exp
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
@@ -44,9 +45,11 @@ def main() -> None:
     seeds = range(options.first_seed, options.first_seed + options.flights)
     for align in (True, False):
         for kind, correlation_time in KINDS.items():
-            config, kind_of_map = hovering(correlation_time), Mapper if align else AsPosed
             counts = sorted(options.scans)
-            flights = np.array([hover(kind_of_map(config), seed, counts) for seed in seeds])
+            kind_of_map = Mapper if align else AsPosed
+            flights = np.array(
+                [hover(hovering(kind_of_map, correlation_time), seed, counts) for seed in seeds]
+            )
             for at, scans in enumerate(counts):
                 error, claimed = flights[:, at, 0], flights[:, at, 1]
                 (tilt, height), (says_tilt, says_height) = both(error), both(claimed)
@@ -70,13 +73,13 @@ def both(values: np.ndarray) -> tuple[float, float]:
     return float(np.sqrt(0.5 * (square[0] + square[1]))), float(np.sqrt(square[2]))
 
 
-def hovering(correlation_time: float) -> Config:
-    """16 cells of 4 m."""
+def hovering(kind: type[Mapper], correlation_time: float) -> Mapper:
+    """Of 16 cells of 4 m."""
     domain = {"xmin": -8.0, "ymin": -8.0, "size": 16.0, "min_level": 2, "max_level": 2}
     values = {f"domain.{name}": value for name, value in domain.items()}
-    return config_from_values(
-        values | {"lidar.range_noise": NOISE} | {"pose.correlation_time": correlation_time}
-    )
+    values |= {"lidar.range_noise": NOISE, "pose.correlation_time": correlation_time}
+    with lengths(outlier_gate=0.0, feature_height=math.inf):
+        return kind(config_from_values(values))
 
 
 def hover(mapper: Mapper, seed: int, counts: list[int]) -> np.ndarray:

@@ -16,12 +16,12 @@ import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from common import machine, table
+from common.as_posed import lengths
 from common.claims import Claims, Surface, claims, summary
 from common.rays import EXACT, looking
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -30,7 +30,6 @@ from scipy.special import erfc
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config, config_from_values
-from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 
@@ -173,8 +172,8 @@ def strip(rng: np.random.Generator, scans: int, rolling: float = 0.0) -> Draw:
     middle = np.array([0.5 * side, 0.5 * side, 0.5 * side * sum(gradient)])
     position = middle + rng.uniform(100.0, 300.0) * back / np.linalg.norm(back)
     axes = looking(position, middle)
-    with mock.patch.object(VehicleConfig, "lengths", Lengths(feature_height=math.inf)):
-        mapper = Mapper(one_leaf(side))  # without features
+    with lengths(outlier_gate=0.0, feature_height=math.inf):
+        mapper = Mapper(one_leaf(side))
     surface = ground(gradient, rolling, rng)
     for k in range(scans):
         # Noise carries points over the rim of the leaf, in and out.

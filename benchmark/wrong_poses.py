@@ -18,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from common import machine, table
+from common.as_posed import lengths
 
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.geometry.rotations import exp
@@ -87,7 +88,8 @@ def moved(
     }  # fmt: skip
     if white:
         values["pose.correlation_time"] = 0.0
-    mapper = Mapper(config_from_values(values))
+    with lengths(outlier_gate=0.0):
+        mapper = Mapper(config_from_values(values))
     error = sigma * rng.standard_normal(6)
     at = np.array([0.0, 0.0, HEIGHT])
 

@@ -1,7 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A map of scans at the heights that their poses say."""
+"""Maps of which a part is left out, to see what it does."""
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator
+from unittest import mock
 
 from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.update import ScanUpdate
 
@@ -11,3 +17,11 @@ class AsPosed(Mapper):
 
     def _align(self, change: ScanUpdate, cells: Array, now: float) -> float:
         return 0.0
+
+
+@contextlib.contextmanager
+def lengths(**own: float) -> Iterator[None]:
+    """Of the default vehicle, with some of one's own, while a configuration and a mapper are made:
+    ``outlier_gate`` 0 keeps every return, an infinite ``feature_height`` finds no feature."""
+    with mock.patch.object(VehicleConfig, "lengths", dataclasses.replace(Lengths(), **own)):
+        yield

@@ -14,6 +14,7 @@ from quadtree_lss.onboard.config.sections import LightConfig
 from quadtree_lss.onboard.config.settings import ConfigError, config_from_values
 from quadtree_lss.onboard.core.landing.raster import shadow
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.target import NEARER
 from quadtree_lss.onboard.messages.outputs import MessageMaker
 
 
@@ -81,7 +82,6 @@ def lit(sun, **lss):
 
 
 SUN = {"azimuth": 90.0, "elevation": 25.0}
-RANKINGS = [("probability", "probability"), ("touchdown", "score")]
 
 
 def test_a_wall_throws_its_shadow_away_from_the_sun(walled):
@@ -90,16 +90,19 @@ def test_a_wall_throws_its_shadow_away_from_the_sun(walled):
     np.testing.assert_allclose(found.x[found.shadow[16]].min(), 7.6, atol=0.5)
 
 
-@pytest.mark.parametrize(("assessment", "ranking"), RANKINGS)
-def test_between_equals_the_lit_place_wins_and_nothing_else_changes(walled, assessment, ranking):
-    rules = {"assessment": assessment, "ranking": ranking, "dispersion": 0.1, "sites": 1}
-    at = {"target": (8.0, 8.0)}  # less than a metre out of the light
-    selectors = (LandingSiteSelector(lit(sun, **rules)) for sun in ({}, SUN))
-    plain, found = (selector.assess(walled, **at) for selector in selectors)
+def both(walled, **rules):
+    """Without light, and with it; ``target`` is less than a metre out of the light."""
+    selectors = (LandingSiteSelector(lit(sun, sites=1, **rules)) for sun in ({}, SUN))
+    plain, found = (selector.assess(walled, target=(8.0, 8.0)) for selector in selectors)
     before, after = grid_of(plain), grid_of(found)
     assert plain.shadow is plain.reach is None and set(after) - set(before) == {"shadow"}
     for name in before.keys() - {"score"}:
         np.testing.assert_array_equal(after[name], before[name])
+    return plain, found
+
+
+def test_between_equals_the_lit_place_wins(walled):
+    plain, found = both(walled, assessment="probability", ranking="probability", dispersion=0.1)
 
     def dark(sites):
         x, y = sites.position[0, :2]
@@ -107,6 +110,11 @@ def test_between_equals_the_lit_place_wins_and_nothing_else_changes(walled, asse
 
     assert dark(plain.sites) and not dark(found.sites)
     assert found.sites.position[0, 0] == found.x[found.shadow[16]].min() - 0.5
+
+
+def test_shadow_counts_as_a_metre_of_way_in_the_score(walled):
+    plain, found = both(walled)
+    np.testing.assert_allclose(found.score, plain.score + NEARER["score"] * found.shadow)
 
 
 def test_reach_is_what_guidance_or_the_poses_say(walled):
