@@ -46,10 +46,8 @@ def main() -> None:
     for align in (True, False):
         for kind, correlation_time in KINDS.items():
             counts = sorted(options.scans)
-            kind_of_map = Mapper if align else AsPosed
-            flights = np.array(
-                [hover(hovering(kind_of_map, correlation_time), seed, counts) for seed in seeds]
-            )
+            maps = ((hovering(correlation_time, align), seed) for seed in seeds)
+            flights = np.array([hover(*one, counts) for one in maps])
             for at, scans in enumerate(counts):
                 error, claimed = flights[:, at, 0], flights[:, at, 1]
                 (tilt, height), (says_tilt, says_height) = both(error), both(claimed)
@@ -73,13 +71,13 @@ def both(values: np.ndarray) -> tuple[float, float]:
     return float(np.sqrt(0.5 * (square[0] + square[1]))), float(np.sqrt(square[2]))
 
 
-def hovering(kind: type[Mapper], correlation_time: float) -> Mapper:
+def hovering(correlation_time: float, align: bool) -> Mapper:
     """Of 16 cells of 4 m."""
     domain = {"xmin": -8.0, "ymin": -8.0, "size": 16.0, "min_level": 2, "max_level": 2}
     values = {f"domain.{name}": value for name, value in domain.items()}
     values |= {"lidar.range_noise": NOISE, "pose.correlation_time": correlation_time}
     with lengths(outlier_gate=0.0, feature_height=math.inf):
-        return kind(config_from_values(values))
+        return (Mapper if align else AsPosed)(config_from_values(values))
 
 
 def hover(mapper: Mapper, seed: int, counts: list[int]) -> np.ndarray:

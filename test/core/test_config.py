@@ -168,6 +168,15 @@ def test_lengths_follow_from_the_vehicle_unless_they_are_set():
     assert dataclasses.replace(half, vehicle=usual.vehicle) == usual
 
 
+def test_a_return_without_a_neighbour_follows_from_the_vehicle_and_the_kind_of_scan():
+    """As far as 4/3 of the least hazard; of depth images edges are dropped already."""
+    drone = config_from_values({"vehicle.diameter": 0.6, "vehicle.clearance": 0.06})
+    assert Config().lidar.outlier_gate == 0.4
+    assert drone.lidar.outlier_gate == pytest.approx(0.08)
+    assert config_from_values({"lidar.source": "depth"}, drone).lidar.outlier_gate == 0.0
+    assert config_from_values({"lidar.source": "points"}, drone) == drone
+
+
 @pytest.mark.parametrize("row", **named(list(ROWS)))
 def test_each_value_round_trips_dotted_and_nested(row):
     value = other_value(row)

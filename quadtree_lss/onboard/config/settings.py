@@ -37,6 +37,7 @@ RENAMED = {
 #: of its side of where it is to be, half of what moves it (`Domain.steps_to`).
 LEAST_STEPS = 3
 
+#: What replaced three of a stereo camera.
 STEREO = "lidar.stereo_noise is disparity_sigma / (focal_length baseline)"
 
 #: What were parameters once, and what holds now.
@@ -52,11 +53,11 @@ REMOVED = {
     "lidar.outlier_gate": "it follows from the vehicle",
     "lidar.depth_raw": "depth images have to be rectified",
     "lidar.deskew": "a cloud with a time for each point is always taken point by point",
-    "mount.tf": "mount.source: tf",
-    "mount.gimbal": "mount.source: gimbal",
-    "mapping.fit": "mapping.paper: fit takes the paper's",
-    "mapping.covariance": "mapping.paper: covariance takes the paper's",
-    "mapping.division": "mapping.paper: division takes the paper's",
+    "mount.tf": "mount.source tf says the same",
+    "mount.gimbal": "mount.source gimbal says the same",
+    "mapping.fit": "mapping.paper fit is ml",
+    "mapping.covariance": "mapping.paper covariance is independent",
+    "mapping.division": "mapping.paper division is mahalanobis",
     "mapping.align": "each scan and the map meet at one height",
     "features.enabled": "features are always estimated",
     "mapping.division_confidence": "it is fixed at 0.5 standard deviations",
