@@ -18,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from common import machine, table
+from common.as_posed import lengths
 
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.geometry.rotations import exp
@@ -83,11 +84,12 @@ def moved(
     values: dict[str, object] = {
         "domain.xmin": -0.5 * SIZE, "domain.ymin": -0.5 * SIZE, "domain.size": SIZE,
         "domain.min_level": 2, "domain.max_level": 4,
-        "lidar.range_noise": NOISE, "lidar.outlier_gate": 0.0,
+        "lidar.range_noise": NOISE,
     }  # fmt: skip
     if white:
         values["pose.correlation_time"] = 0.0
-    mapper = Mapper(config_from_values(values))
+    with lengths(outlier_gate=0.0):
+        mapper = Mapper(config_from_values(values))
     error = sigma * rng.standard_normal(6)
     at = np.array([0.0, 0.0, HEIGHT])
 

@@ -18,8 +18,8 @@ def ratios(
     kind: str, align: bool, counts: list[int], flights: int, first_seed: int = 950
 ) -> np.ndarray:
     """Error over claimed deviation, root mean square: (counts, 2) of slopes and heights."""
-    config = hover.hovering(hover.KINDS[kind], align)
-    found = np.array([hover.hover(config, first_seed + k, counts) for k in range(flights)])
+    maps = [hover.hovering(hover.KINDS[kind], align) for _ in range(flights)]
+    found = np.array([hover.hover(one, first_seed + k, counts) for k, one in enumerate(maps)])
     ratio = found[:, :, 0] / found[:, :, 1]
     return np.array([hover.both(ratio[:, at]) for at in range(len(counts))])
 

@@ -15,7 +15,7 @@ SMALL = {
     ),
     "methods": (
         ["--parabola", "201", "--morpheus", "202", "--duration", "2"],
-        ["ml, indep., mahalanobis"],
+        ["by the paper", "covariance"],
     ),
     "prior": ([], ["nothing flown: --terrain names no ground"]),
     "arducopter": ([], ["nothing flown: ARDUCOPTER names no"]),

@@ -169,8 +169,8 @@ def test_a_checkpoint_carries_the_origin():
 
 @pytest.mark.parametrize("ranking", ["score", "probability"])
 def test_a_target_is_never_moved_by_a_move(ranking):
-    values = {"lss.ranking": ranking, "vehicle.diameter": 2.0, "lss.hysteresis": 0.1,
-              "lss.dispersion": 0.1, "lss.max_risk": 0.1, "lss.settle_share": 0.0}  # fmt: skip
+    values = {"lss.ranking": ranking, "vehicle.diameter": 2.0,
+              "lss.dispersion": 0.1, "lss.max_risk": 0.1}  # fmt: skip
     config = config_from_values(values, FOLLOWING)
     mapper, selector = Mapper(config), LandingSiteSelector(config)
     fly((mapper,), 12, along=(0.0, 0.0))
@@ -193,7 +193,7 @@ def test_a_target_is_never_moved_by_a_move(ranking):
 
 def test_ground_found_safe_before_a_move_was_found_safe():
     """The first target is one that the assessment before found safe, too: on the same ground."""
-    config = config_from_values({"vehicle.diameter": 2.0, "lss.settle_share": 0.0}, FOLLOWING)
+    config = config_from_values({"vehicle.diameter": 2.0}, FOLLOWING)
     mapper, selector = Mapper(config), LandingSiteSelector(config)
     fly((mapper,), 12, along=(0.0, 0.0))
     assert selector.assess(round_trip(mapper.snapshot())).selected.reason is Reason.UNCONFIRMED

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from core.builders import with_lengths
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmark"))
 
@@ -178,10 +179,8 @@ def overgrown(rng: np.random.Generator) -> Scene:
 def test_one_return_alone_does_not_undo_what_is_known(out):
     """Of few returns in a cell; two divide its leaf. Ground is seen from above without noise."""
     values = {"xmin": 0.0, "ymin": 0.0, "size": 1.0, "min_level": 0, "max_level": 2}
-    config = load_config(
-        ["flight"],
-        {f"domain.{name}": value for name, value in values.items()} | {"lidar.outlier_gate": 0.0},
-    )
+    over = {f"domain.{name}": value for name, value in values.items()}
+    config = with_lengths(load_config(["flight"], over), outlier_gate=0.0)
     mapper, axis = Mapper(config), np.linspace(0.03, 0.97, 10)
     x, y = (of.ravel() for of in np.meshgrid(axis, axis))
     down = np.diag([1.0, -1.0, -1.0])

@@ -21,7 +21,7 @@ CELLS = [(20, 33), (41, 41), (41, 42)]
 
 def limits(assessment="probability", **changes):
     lss = {"assessment": assessment, "grid_spacing": SIDE, **changes}
-    return configured(lss={**lss, "hazard_growth": 0.0, "dispersion": 0.0})
+    return configured(lss={**lss, "dispersion": 0.0}, vehicle={"hazard_growth": 0.0})
 
 
 @pytest.fixture(scope="module")

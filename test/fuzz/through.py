@@ -158,7 +158,7 @@ class Flight(Mapping):
     """mapping_node's part: good scans and poses, and of one kind bad ones among them."""
 
     def __init__(self, rng: np.random.Generator, kind: str) -> None:
-        values = {"mount.gimbal": kind == "gimbal", "mount.tf": kind == "transforms"}
+        values = {"mount.source": {"gimbal": "gimbal", "transforms": "tf"}.get(kind, "fixed")}
         values["frames.body"] = "body" if kind == "transforms" else ""
         if kind == "follow":
             values |= {"domain.follow": one_of(rng, ["vehicle", "area"]), "domain.min_level": 3}
@@ -315,7 +315,7 @@ class Vehicle:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
             self.there = probe.getsockname()
-        self.link = Link(f"udpin:127.0.0.1:{self.there[1]}", 57600, lambda: self.now)
+        self.link = Link(f"udpin:127.0.0.1:{self.there[1]}", lambda: self.now)
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.autopilot = mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
         self.landing, self.jumps = autopilot.Landing(AutopilotConfig()), Jumps()
@@ -521,10 +521,9 @@ class Depth(Mapping):
     SHAPE, FOCAL = (12, 16), 20.0
 
     def __init__(self, rng: np.random.Generator, kind: str) -> None:
-        values = {"lidar.source": "depth", "lidar.depth_step": int(rng.integers(1, 3))}
-        values["lidar.depth_raw"] = bool(rng.integers(2))
+        values = {"lidar.source": "depth"}
         if rng.random() < 0.5:
-            values |= {"lidar.baseline": 0.05, "lidar.focal_length": self.FOCAL}
+            values["lidar.stereo_noise"] = 0.1 / (0.05 * self.FOCAL)
         super().__init__(rng, kind, values)
         self.good = cases.GOOD.camera(0, *self.SHAPE, self.FOCAL)
         self.intake.on_camera_info(self.good)

@@ -33,7 +33,7 @@ class CameraSensors(Sensors):
 
 
 def test_a_depth_camera_is_mapped_live(ros):
-    options = ("-p", "lidar.source:=depth", "-p", "lidar.depth_step:=1")
+    options = ("-p", "lidar.source:=depth")
     mapping = ros.start("mapping_node", *options)
     with ros.listen() as listener:
         sensors = CameraSensors(listener)

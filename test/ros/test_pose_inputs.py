@@ -45,7 +45,7 @@ def test_odometry_is_taken_where_it_is_configured(ros):
 
 def test_a_gimbal_moves_the_lidar(ros):
     """Ground that rises by 2 % lies where it does, from a level body 2 m above the lidar."""
-    mapping = ros.start("mapping_node", "-p", "mount.gimbal:=true")
+    mapping = ros.start("mapping_node", "-p", "mount.source:=gimbal")
     with ros.listen() as listener:
         profile = stream(100, reliable=True)
         angles = listener.node.create_publisher(TransformStamped, "lidar/gimbal", profile)
@@ -79,16 +79,16 @@ def test_a_node_that_waits_for_the_other_type_says_so(ros):
 
 @pytest.mark.skipif(has_tf, reason="tf2_msgs is there")
 def test_a_mount_from_tf_without_tf2_msgs_is_an_error_of_configuration(ros):
-    node = ros.start("mapping_node", "-p", "mount.tf:=true")
+    node = ros.start("mapping_node", "-p", "mount.source:=tf")
     assert node.process.wait(30.0) == WRONG_CONFIGURATION
-    assert node.output().splitlines()[-1].startswith("error: mount.tf needs tf2_msgs")
+    assert node.output().splitlines()[-1].startswith("error: mount.source tf needs tf2_msgs")
 
 
 @pytest.mark.skipif(not has_tf, reason="tf2_msgs comes with ROS, not with its wheels")
 def test_a_mount_comes_from_tf_static(ros):
     from tf2_msgs.msg import TFMessage
 
-    mapping = ros.start("mapping_node", "-p", "mount.tf:=true", "-p", "frames.body:=base_link")
+    mapping = ros.start("mapping_node", "-p", "mount.source:=tf", "-p", "frames.body:=base_link")
     with ros.listen() as listener:
         link = TransformStamped(child_frame_id="lidar")
         link.header.frame_id = "base_link"

@@ -128,7 +128,7 @@ class Heard:
         body = _Path(1e-9 * (stamps - start), places, Rotation.from_quat(turns))
         mount = fixed_mount(config.mount) if self.mount is None else self.mount
         gimbal, angles = None, {angle.stamp_ns: angle for angle in self._gimbal}
-        if config.mount.gimbal and len(angles) > 1:
+        if config.mount.source == "gimbal" and len(angles) > 1:
             times = np.array(sorted(angles))
             poses = [angles[stamp] for stamp in times.tolist()]
             rotations = Rotation.from_matrix(np.array([a.rotation_map_lidar for a in poses]))
@@ -378,7 +378,7 @@ def _mount(flight: _Flight, config: Config) -> list[Finding]:
     covariance = np.linalg.inv(fit.jac.T @ fit.jac)
     angle = float(np.degrees(np.linalg.norm(fit.x[:2])))
     unsure = float(np.degrees(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])))
-    if config.mount.gimbal:
+    if config.mount.source == "gimbal":
         return []
     if angle < max(LEAST_DEG, SURE * unsure):
         if SURE * unsure < CALM_DEG:

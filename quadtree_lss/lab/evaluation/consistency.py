@@ -122,8 +122,7 @@ def prefit_statistics(cells: CellMap, scan: RegisteredScan, lidar: LidarConfig) 
     ray = r / distance[:, None]
     cosine = np.maximum(np.abs(_dot(n, ray)), MIN_COSINE)
     noise = lidar.range_noise + lidar.range_noise_per_metre * distance  # Eq. 13
-    depth = lidar.beam_divergence * distance
-    along = noise**2 + depth**2 * (1.0 / cosine**2 - 1.0)
+    along = noise**2
     pose = _of_pose(r, scan.pose.covariance)
     variance = plane + along * cosine**2 + np.einsum("ni,nij,nj->n", n, pose, n)
     # What is added along the ray adds to the variance there: the pose's part alone is inverted,

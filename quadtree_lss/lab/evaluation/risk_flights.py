@@ -131,9 +131,8 @@ def _drawn(rng: np.random.Generator, family: Family, config: Config) -> tuple[Co
     above = int(rng.integers(3, 5)) if family.cells else domain.max_level - domain.min_level
     own = replace(domain, xmin=-0.5 * size, ymin=-0.5 * size, size=size)
     own = replace(own, min_level=max(level - above, 0), max_level=level)
-    gate = config.lidar.outlier_gate * diameter / usual.diameter
     told = max(noise * float(rng.choice(family.told)), 1e-4)
-    lidar = replace(config.lidar, range_noise=told, outlier_gate=gate)
+    lidar = replace(config.lidar, range_noise=told)
     lss = replace(config.lss, grid_spacing=side)
     made = replace(config, vehicle=vehicle, domain=own, lidar=lidar, lss=lss)
     return made, noise, float(rng.choice(family.outliers))

@@ -46,12 +46,7 @@ TILT_DEG, SINK = 6.0, 2.0
 JUMP = np.array([2.0, 0.0, 1.0])
 SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
-PAPER = {
-    "lss.assessment": "paper",
-    "lss.ranking": "score",
-    "lss.switch_margin": 0.08,
-    "lss.target_risk": 0.0002,  # a metre of way against 0.2 m of room
-}
+PAPER = {"lss.assessment": "paper", "lss.ranking": "score"}
 """The paper's rules and score."""
 
 

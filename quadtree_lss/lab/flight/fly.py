@@ -19,6 +19,7 @@ from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.config.sections import CHECKPOINT_S
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 from quadtree_lss.onboard.core.landing.hazards import TOUCHDOWN, UNMAPPED, UNSEEN
@@ -190,7 +191,7 @@ class LockstepNodes:
                     self.history.scan(scan)
                 self._passes.changed()
             self._intake.notices()
-            if now_ns - self._checkpoint_ns >= 1e9 * self._config.checkpoint.interval:
+            if now_ns - self._checkpoint_ns >= 1e9 * CHECKPOINT_S:
                 self._checkpoint, self._checkpoint_ns = self._mapper.export_state(), now_ns
         if "lss" in self._down:
             return []

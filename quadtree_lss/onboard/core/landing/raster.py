@@ -257,10 +257,6 @@ def stopped(
 
 
 def in_shadow(raster: TerrainRaster, light: LightConfig) -> Mask:
-    """(n, n) finest cells in shadow at touchdown or an hour later, subscale features included."""
+    """(n, n) finest cells in shadow at touchdown, subscale features included."""
     heights, side = raster.elevation + raster.subscale_peak, raster.domain.finest_size
-    dark = shadow(heights, raster.seen, side, light.azimuth, light.elevation)
-    if light.azimuth_rate or light.elevation_rate:
-        later = light.azimuth + light.azimuth_rate, light.elevation + light.elevation_rate
-        dark |= shadow(heights, raster.seen, side, *later)
-    return dark
+    return shadow(heights, raster.seen, side, light.azimuth, light.elevation)

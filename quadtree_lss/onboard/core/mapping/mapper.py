@@ -174,7 +174,7 @@ class Mapper:
                 if not self.stamp_ns - JUMP_NS <= pose.stamp_ns <= self.stamp_ns:
                     self.stamp_ns = pose.stamp_ns
                 self._start_ns = self._start_ns or pose.stamp_ns
-                if self.config.mapping.align and self.config.mapping.covariance == "common":
+                if not self.config.mapping.by_paper("covariance"):
                     offset = self._align(change, cells, now)
                 change.settle()
                 if self._prior is not None:

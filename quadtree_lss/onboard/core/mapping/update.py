@@ -468,18 +468,17 @@ class ScanUpdate:
             self.weights[self.rested] = run.points
             self.rested += 1
         self._residuals(leaf, begin, end, run)
-        if self.rules.features:
-            update_feature(
-                self.rules,
-                leaf,
-                self.points,
-                self.residual,
-                begin,
-                end,
-                leaf.x - self.fusion.origin[0],
-                leaf.y - self.fusion.origin[1],
-                self.table.side(leaf.level),
-                run.variance,
-                run.greatest,
-                self.room.heights,
-            )
+        update_feature(
+            self.rules,
+            leaf,
+            self.points,
+            self.residual,
+            begin,
+            end,
+            leaf.x - self.fusion.origin[0],
+            leaf.y - self.fusion.origin[1],
+            self.table.side(leaf.level),
+            run.variance,
+            run.greatest,
+            self.room.heights,
+        )
