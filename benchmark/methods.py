@@ -47,20 +47,8 @@ def compare(scenario: str, seeds: list[int], duration: float | None) -> None:
         recording.cache_clear()
     table(
         f"{scenario}, seeds {' '.join(map(str, seeds))}: means; max, hazards: the worst flight's",
-        [
-            "fit, covariance, division",
-            "leaves",
-            "mean m",
-            "RMS* m",
-            "max m",
-            "below %",
-            "above %",
-            "median ms",
-            "all s",
-            "hazards %",
-            "safe %",
-            "unsafe",
-        ],
+        ["fit, covariance, division", "leaves", "mean m", "RMS* m", "max m", "below %", "above %"]
+        + ["median ms", "all s", "hazards %", "safe %", "unsafe"],
         [row(method, of) for method, of in scores.items()],
     )
     print("RMS*: of the elevation error, mean removed; below, above: prefit, one degree;")

@@ -40,7 +40,6 @@ class ElevationError:
     mean: float
     mean_absolute_mean_removed: float
     rms_mean_removed: float
-    maximum_mean_removed: float
     samples: int
     without_estimate: float
     """Fraction of the finest cells in which a point fell that have no estimate."""
@@ -97,22 +96,22 @@ class SafetyField:
     risk: Array | None = None
     """By the map; None if it tells none."""
 
+    @property
+    def missed(self) -> Mask:
+        """Hazardous ground called safe."""
+        return self.scored & ~self.truly_safe & self.called_safe & self.seen
+
 
 @dataclass(frozen=True)
 class MissedPlace:
-    """A patch of hazardous ground called safe: centre (m), grid points, how deep in it.
-
-    ``relief`` is how far the highest post that the lander can touch there, at (``peak_x``,
-    ``peak_y``), stands above the median of its surroundings (m).
-    """
+    """A patch of hazardous ground called safe: centre (m), grid points, how deep in it, and how far
+    the highest post that the lander can touch there is above the median of its surroundings (m)."""
 
     x: float
     y: float
     grid_points: int
     depth: float
     relief: float
-    peak_x: float
-    peak_y: float
 
 
 def seen_at(grid: Grid, x: Array, y: Array) -> Mask:
@@ -144,14 +143,13 @@ def elevation_error(field: ErrorField) -> ElevationError:
     """Statistics of an error field; NaN where nothing was seen."""
     error = field.error[np.isfinite(field.error)]
     if not error.size:
-        return ElevationError(*[float("nan")] * 7, 0, field.without_estimate)
-
-    def sizes(of: Array) -> tuple[float, float, float]:
-        size = np.abs(of)
-        return float(size.mean()), float(np.sqrt(np.square(of).mean())), float(size.max())
-
-    mean = float(error.mean())
-    values = *sizes(error), mean, *sizes(error - mean)
+        return ElevationError(*[float("nan")] * 6, 0, field.without_estimate)
+    mean, largest = float(error.mean()), float(np.abs(error).max())
+    (absolute, rms), removed = (
+        (float(np.abs(of).mean()), float(np.sqrt(np.square(of).mean())))
+        for of in (error, error - mean)
+    )
+    values = absolute, rms, largest, mean, *removed
     return ElevationError(*values, error.size, field.without_estimate)
 
 
@@ -222,7 +220,6 @@ def detection(field: SafetyField) -> Detection:
     hazardous = field.scored & ~field.truly_safe
     safe = field.scored & field.truly_safe
     called = field.called_safe & field.seen
-    missed = hazardous & called
 
     def share(part: Mask, whole: Mask) -> float:
         return float(part[whole].mean()) if whole.any() else float("nan")
@@ -234,8 +231,8 @@ def detection(field: SafetyField) -> Detection:
         safe_unknown=share(~field.seen, safe),
         hazardous_grid_points=int(hazardous.sum()),
         safe_grid_points=int(safe.sum()),
-        missed_grid_points=int(missed.sum()),
-        missed_depth=float(_depth(field)[missed].max(initial=0.0)),
+        missed_grid_points=int(field.missed.sum()),
+        missed_depth=float(_depth(field)[field.missed].max(initial=0.0)),
         unseen_box=float(1.0 - field.scored.mean()) if field.scored.size else float("nan"),
         precision=share(field.truly_safe, called & field.scored),
     )
@@ -260,18 +257,15 @@ def site_verdicts(sites: Array, truth: Truth) -> tuple[SiteVerdict, ...]:
 
 def missed_places(field: SafetyField, truth: Truth) -> tuple[MissedPlace, ...]:
     """Connected patches of hazardous ground called safe, the largest first."""
-    missed = field.scored & ~field.truly_safe & field.called_safe & field.seen
-    patch, count = label(missed, np.ones((3, 3), int))
+    patch, count = label(field.missed, np.ones((3, 3), int))
     depth, reach, places = _depth(field), truth.lander.reach, []
     for k in range(1, count + 1):
         j, i = np.nonzero(patch == k)
         x, y = float(field.x[i].mean()), float(field.y[j].mean())
         near_x, near_y = np.abs(truth.x - x) <= reach, np.abs(truth.y - y) <= reach
         ground = truth.elevation[np.ix_(near_y, near_x)]
-        row, column = np.unravel_index(int(ground.argmax()), ground.shape)
         relief = float(ground.max() - np.median(ground))
-        peak = float(truth.x[near_x][column]), float(truth.y[near_y][row])
-        places.append(MissedPlace(x, y, j.size, float(depth[j, i].max()), relief, *peak))
+        places.append(MissedPlace(x, y, j.size, float(depth[j, i].max()), relief))
     return tuple(sorted(places, key=lambda place: -place.grid_points))
 
 

@@ -80,10 +80,9 @@ def fly(family: Family, seed: int, config: Config, terrain: Terrain | None = Non
     of the family."""
     rng = np.random.default_rng([seed, 77])
     own, noise, outliers = _drawn(rng, family, config)
-    vehicle = own.vehicle
-    scale = vehicle.diameter / LANDER
+    scale = own.vehicle.diameter / LANDER
     made = ground(rng, str(rng.choice(family.grounds))) if terrain is None else terrain
-    surface = Terrain(scale * made.x, scale * made.y, scale * made.elevation)
+    surface = made.scaled(scale)
     name = str(rng.choice(family.views))
     view = VIEWS[name](rng)
     # An attitude is as good as the lidar needs it.

@@ -62,10 +62,8 @@ class Ground:
 
     @cached_property
     def _highest(self) -> float:
-        n = 60.0
         t, (x, y, _) = self.terrain, self.planned
-        near = np.ix_(np.abs(t.y - y) < n, np.abs(t.x - x) < n)
-        return float(t.elevation[near].max())
+        return float(t.elevation[np.ix_(np.abs(t.y - y) < 60.0, np.abs(t.x - x) < 60.0)].max())
 
     @cached_property
     def safe(self) -> tuple[Array, Array, Array]:
