@@ -68,7 +68,7 @@ def row(method: tuple[str, ...], of: list[MapScore]) -> list[str]:
         f"{100.0 * counts.below:.2f}",
         f"{100.0 * counts.above:.2f}",
         f"{np.mean([np.median(s.scan_ms) for s in of]):.2f}",
-        f"{1e-3 * np.mean([s.scan_ms.sum() for s in of]):.2f}",
+        f"{np.mean([s.seconds for s in of]):.2f}",
         f"{100.0 * min(s.detection.hazardous_found for s in of):.2f}",
         f"{100.0 * np.mean([s.detection.safe_found for s in of]):.1f}",
         f"{sum(s.unsafe_in_top_five for s in of)}",

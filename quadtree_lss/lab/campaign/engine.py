@@ -129,11 +129,7 @@ def fly(case: Case) -> Figures | str:
 
 
 def _fly_all(
-    client: Any,
-    study: Study,
-    store: Store,
-    missing: Iterator[int],
-    stop: Callable[[], bool],
+    client: Any, study: Study, store: Store, missing: Iterator[int], stop: Callable[[], bool]
 ) -> Iterator[Record]:
     """Keeps two flights for each worker on the way, so that a million need no more memory."""
     from dask.distributed import wait

@@ -28,7 +28,8 @@ KEYS = tuple("name kind scenario config seed flights seeds conditions parameters
 OF_CASES = ("name", "scenario", "config", "conditions", "parameters")
 
 
-DRAWN: dict[str, Callable[[np.random.Generator, float, float], float]] = {
+DRAWN: dict[str, Callable[..., Value]] = {
+    "choice": lambda generator, *of: of[int(generator.integers(len(of)))],
     "uniform": lambda generator, low, high: float(generator.uniform(low, high)),
     "log_uniform": even,
     "normal": lambda generator, mean, sigma: float(generator.normal(mean, sigma)),
@@ -43,9 +44,6 @@ class Drawn:
     of: tuple[Any, ...]
 
     def draw(self, generator: np.random.Generator) -> Value:
-        if self.how == "choice":
-            chosen: Value = self.of[int(generator.integers(len(self.of)))]
-            return chosen
         return DRAWN[self.how](generator, *self.of)
 
 
@@ -236,16 +234,17 @@ def values_of(value: Any, name: str) -> list[Any]:
     if not isinstance(value, Mapping):
         return [value]
     how, of = next(iter(value.items())) if len(value) == 1 else ("", None)
+    of = of if isinstance(of, list) else []
     try:
-        if how == "each" and isinstance(of, list) and of:
+        if how == "each" and of:
             return of
-        if how == "range" and isinstance(of, list):
+        if how == "range":
             first, last, number = (float(v) for v in of)
             if np.isfinite([first, last]).all() and 1 <= number <= MOST_FLIGHTS:
                 return [float(v) for v in np.linspace(first, last, int(number))]
-        if how == "choice" and isinstance(of, list) and of:
+        if how == "choice" and of:
             return [Drawn(how, tuple(of))]
-        if how in DRAWN and isinstance(of, list):
+        if how in DRAWN:
             low, high = (float(v) for v in of)
             positive = low > 0.0 if how == "log_uniform" else high > 0.0 or how == "uniform"
             if np.isfinite([low, high]).all() and positive and (low < high or how == "normal"):

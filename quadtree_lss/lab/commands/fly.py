@@ -30,8 +30,7 @@ LONGEST = 100.0
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = common.add_command(commands, "fly", _run, TEXT, EXAMPLES)
-    add = parser.add_argument
+    add = common.add_command(commands, "fly", _run, TEXT, EXAMPLES).add_argument
     text = "of ground, start, navigation, lidar"
     add("--seed", type=common.whole(0), default=1, metavar="N", help=text)
     add("--out", required=True, type=common.named, metavar="DIR", help="folder for the results")

@@ -15,6 +15,7 @@ from quadtree_lss.desk.replay.files import new_folder, plain, write_json
 from quadtree_lss.lab.evaluation import metrics
 from quadtree_lss.lab.evaluation.consistency import Consistency, consistency
 from quadtree_lss.lab.evaluation.results import (
+    TOP,
     EvaluationError,
     Results,
     Truth,
@@ -26,9 +27,6 @@ from quadtree_lss.lab.evaluation.results import (
     results_config,
 )
 from quadtree_lss.onboard.errors import QuadtreeLssError
-
-TOP = 5
-"""Sites that are judged."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from quadtree_lss.desk.report import drawing
 from quadtree_lss.desk.report.drawing import Box
 from quadtree_lss.desk.report.palette import SITE_COLOUR, even_limits
 from quadtree_lss.lab.evaluation.metrics import ErrorField, Reliability, SafetyField, reliability_of
-from quadtree_lss.lab.evaluation.results import Results, Truth
+from quadtree_lss.lab.evaluation.results import TOP, Results, Truth
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
@@ -42,8 +42,6 @@ EVERY = 5
 """Figs. 9 and 10 show the outline of every fifth scan."""
 CONTOUR_SMOOTHING = 0.25
 """m; pebbles have no contours."""
-TOP = 5
-"""Sites that are drawn and judged."""
 
 
 def draw_all(

@@ -40,6 +40,7 @@ class ElevationError:
     mean: float
     mean_absolute_mean_removed: float
     rms_mean_removed: float
+    maximum_mean_removed: float
     samples: int
     without_estimate: float
     """Fraction of the finest cells in which a point fell that have no estimate."""
@@ -104,14 +105,19 @@ class SafetyField:
 
 @dataclass(frozen=True)
 class MissedPlace:
-    """A patch of hazardous ground called safe: centre (m), grid points, how deep in it, and how far
-    the highest post that the lander can touch there is above the median of its surroundings (m)."""
+    """A patch of hazardous ground called safe: centre (m), grid points, how deep in it.
+
+    ``relief`` is how far the highest post that the lander can touch there, at (``peak_x``,
+    ``peak_y``), stands above the median of its surroundings (m).
+    """
 
     x: float
     y: float
     grid_points: int
     depth: float
     relief: float
+    peak_x: float
+    peak_y: float
 
 
 def seen_at(grid: Grid, x: Array, y: Array) -> Mask:
@@ -143,13 +149,14 @@ def elevation_error(field: ErrorField) -> ElevationError:
     """Statistics of an error field; NaN where nothing was seen."""
     error = field.error[np.isfinite(field.error)]
     if not error.size:
-        return ElevationError(*[float("nan")] * 6, 0, field.without_estimate)
-    mean, largest = float(error.mean()), float(np.abs(error).max())
-    (absolute, rms), removed = (
-        (float(np.abs(of).mean()), float(np.sqrt(np.square(of).mean())))
-        for of in (error, error - mean)
-    )
-    values = absolute, rms, largest, mean, *removed
+        return ElevationError(*[float("nan")] * 7, 0, field.without_estimate)
+
+    def sizes(of: Array) -> tuple[float, float, float]:
+        size = np.abs(of)
+        return float(size.mean()), float(np.sqrt(np.square(of).mean())), float(size.max())
+
+    mean = float(error.mean())
+    values = *sizes(error), mean, *sizes(error - mean)
     return ElevationError(*values, error.size, field.without_estimate)
 
 
@@ -264,8 +271,10 @@ def missed_places(field: SafetyField, truth: Truth) -> tuple[MissedPlace, ...]:
         x, y = float(field.x[i].mean()), float(field.y[j].mean())
         near_x, near_y = np.abs(truth.x - x) <= reach, np.abs(truth.y - y) <= reach
         ground = truth.elevation[np.ix_(near_y, near_x)]
+        row, column = np.unravel_index(int(ground.argmax()), ground.shape)
         relief = float(ground.max() - np.median(ground))
-        places.append(MissedPlace(x, y, j.size, float(depth[j, i].max()), relief))
+        peak = float(truth.x[near_x][column]), float(truth.y[near_y][row])
+        places.append(MissedPlace(x, y, j.size, float(depth[j, i].max()), relief, *peak))
     return tuple(sorted(places, key=lambda place: -place.grid_points))
 
 

@@ -26,6 +26,8 @@ from quadtree_lss.onboard.elevation.archives import read_arrays
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
+TOP = 5
+"""Sites that are drawn and judged."""
 LAYERS = ("elevation", "hazard", "safe", "score")
 """Of the landing grid that are scored."""
 COLUMNS = ("stamp_ns", "points", "points_used", "leaves", "map_ms")
@@ -33,9 +35,7 @@ COLUMNS = ("stamp_ns", "points", "points_used", "leaves", "map_ms")
 _TRUTH = ("x", "y", "elevation", "safe_x", "safe_y", "safe", "box", "scan_stamp_ns")
 _TRUTH_EXTRA = ("scan_outline", "scan_flight")
 _TRUTH_NAMES = ("bag_name", "seed", "lander")
-_SHAPES: dict[str, tuple[int | str, ...]] = {
-    axis: (axis,) for axis in ("x", "y", "safe_x", "safe_y")
-}
+_SHAPES: dict[str, tuple[int | str, ...]] = {n: (n,) for n in ("x", "y", "safe_x", "safe_y")}
 _SHAPES |= {"elevation": ("y", "x"), "safe": ("safe_y", "safe_x"), "box": (4,), "lander": (4,)}
 _SHAPES |= dict.fromkeys(_TRUTH_EXTRA, ("scan_stamp_ns",))
 """How long they are along their first axes: a number, or as many as that array has."""
@@ -198,11 +198,10 @@ def check_truth(
     if seed is not None and truth.seed is not None and seed != truth.seed:
         msg = f"{truth_path} is of seed {truth.seed}, but {results.folder} of seed {seed}"
         raise EvaluationError(msg)
-    named = bag if bag is not None else named_bag(results)
+    named, of_results = bag or named_bag(results), bag or recorded_bag(results)
     if truth.bag_name is None or named is None or not results.timing["stamp_ns"].size:
         return None
     of_truth = truth_path.parent / Path(truth.bag_name).name
-    of_results = bag if bag is not None else recorded_bag(results)
     contradiction = f"{truth_path} is of the bag {of_truth.name}, not of {named}"
     same = None
     if of_truth.exists() and of_results is not None:

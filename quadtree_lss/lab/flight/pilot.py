@@ -124,9 +124,7 @@ class Pilot:
         if self.mode == "hover" and now - self._waits_since > self.rules.patience:
             self.mode = "abort"
             self._note("abort")
-        if self.mode == "terminal":
-            return self._down()
-        return self._wait()
+        return self._down() if self.mode == "terminal" else self._wait()
 
     def area(self) -> Array | None:
         """(V, 2) polygon of the zones that can still be reached, None if nothing new is known."""

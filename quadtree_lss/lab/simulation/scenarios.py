@@ -172,20 +172,13 @@ def _morpheus(given: Conditions, terrain: Ground, duration: float, flight: int) 
     assert terrain is not None
     box = _box(terrain, float(np.clip(30.0 * np.sqrt(duration / 20.0), 10.0, 30.0)))
     rate = 20.0
-    sweep = Sweep(
-        centre_map=tuple(_centre(terrain, box)),
-        half_x=0.5 * (box[1] - box[0]),
-        half_y=0.5 * (box[3] - box[2]),
-        duration=duration,
-        field_of_view_deg=1.0,
-        glide_slope_deg=given.glide_slope_deg,
-        reverse=flight % 2 == 1,
-    )
+    area = tuple(_centre(terrain, box)), 0.5 * (box[1] - box[0]), 0.5 * (box[3] - box[2])
+    how = {"glide_slope_deg": given.glide_slope_deg, "reverse": flight % 2 == 1}
+    trajectory = Sweep(*area, duration, field_of_view_deg=1.0, **how).trajectory()
     # Scans at 20 Hz, none on a pose; poses begin before the first scan and end after the last.
     scans = (np.arange(int(np.floor(duration * rate + 1e-9)), dtype=np.float64) + 0.37 / 5.0) / rate
     poses = _times(duration + 2.0 * LEAD, 100.0, -LEAD)
     lidar, navigation = given.lidar(1.0, 0.06), given.drifting(0.01, 0.0015)
-    trajectory = sweep.trajectory()
     return FlightPlan(terrain, terrain, lidar, trajectory, navigation, scans, poses, box)
 
 
@@ -198,17 +191,19 @@ def _looking_down(
     half: float,
     rate: float,
     heights: tuple[float, float],
-    lidar: Callable[[Conditions], FlashLidar],
+    lidar: tuple[float, float] | None,
     spacing: float = GRID_SPACING,
 ) -> FlightPlan:
-    """A descent between two heights over any terrain, m; faster if shorter."""
+    """A descent between two heights over any terrain, m; faster if shorter. ``lidar``: its field of
+    view, deg, and noise, m; None for a stereo camera."""
     assert terrain is not None
     box = _box(terrain, half)
     trajectory = descent_trajectory(_centre(terrain, box), duration, *heights)
     count = max(int(np.floor(duration * rate + 1e-9)), 1)
     scans = (np.arange(count, dtype=np.float64) + 0.137) / rate
     poses = _times(duration + 2.0 * LEAD, 50.0, -LEAD)
-    seen = terrain, terrain, lidar(given), trajectory, given.drifting(0.02, 0.005)
+    sensor = given.lidar(*lidar) if lidar else StereoCamera(dropouts=given.dropouts)
+    seen = terrain, terrain, sensor, trajectory, given.drifting(0.02, 0.005)
     return FlightPlan(*seen, scans, poses, box, spacing)
 
 
@@ -224,25 +219,12 @@ class Scenario:
 
 
 _SMALL = LandingGear(0.6, 0.02, 10.0, 0.08)
-_DESCENT = partial(
-    _looking_down, half=30.0, rate=5.0, heights=(200.0, 50.0), lidar=lambda of: of.lidar(20.0, 0.06)
-)
+_FINE = 0.25 * GRID_SPACING
+_DESCENT = partial(_looking_down, half=30.0, rate=5.0, heights=(200.0, 50.0), lidar=(20.0, 0.06))
 _DRONE = partial(
-    _looking_down,
-    half=8.0,
-    rate=10.0,
-    heights=(25.0, 15.0),
-    lidar=lambda of: of.lidar(60.0, 0.02),
-    spacing=0.25 * GRID_SPACING,
+    _looking_down, half=8.0, rate=10.0, heights=(25.0, 15.0), lidar=(60.0, 0.02), spacing=_FINE
 )
-_DEPTH = partial(
-    _looking_down,
-    half=4.0,
-    rate=5.0,
-    heights=(15.0, 3.0),
-    lidar=lambda of: StereoCamera(dropouts=of.dropouts),
-    spacing=0.25 * GRID_SPACING,
-)
+_DEPTH = partial(_looking_down, half=4.0, rate=5.0, heights=(15.0, 3.0), lidar=None, spacing=_FINE)
 SCENARIOS: dict[str, Scenario] = {
     "morpheus": Scenario(_morpheus, 20.0),
     "parabola": Scenario(_parabola, 60.0, 0.0),
