@@ -135,14 +135,18 @@ def evaluate(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise EvaluationError(f"cannot create {folder}: {error.strerror}") from error
-    written: tuple[Path, ...] = ()
+    result = replace(scores, consistency=table_2, out=folder, notes=tuple(notes))
     if figures:
+        from quadtree_lss.lab.evaluation.evaluation_page import evaluation_page
         from quadtree_lss.lab.evaluation.figures import draw_all
 
-        written = draw_all(folder, results, truth, scores.heights, scores.safety)
-    result = replace(scores, consistency=table_2, out=folder, figures=written, notes=tuple(notes))
-    if figures:
-        result = _with_page(result, results.folder, truth)
+        drawn = draw_all(folder, results, truth, scores.heights, scores.safety)
+        result = replace(result, figures=drawn)
+        try:
+            text = evaluation_page(results.folder, truth, result)
+            (folder / "report.html").write_text(text, encoding="utf-8")
+        except KeyError as error:  # the page shows more than is scored
+            result = replace(result, notes=(*notes, f"report.html: the results lack {error}"))
     write_json(folder / "evaluation.json", result.as_dict())
     return result
 
@@ -201,18 +205,6 @@ def compare(
         drawn = draw_together(together, truth, runs[names[-1]].heights, results)
     result = ComparisonResult(runs, together, drawn)
     write_json(together / "evaluation.json", result.as_dict()["runs"])
-    return result
-
-
-def _with_page(result: EvaluationResult, results_dir: Path, truth: Truth) -> EvaluationResult:
-    """Writes ``report.html``; with a note if the results have not what it shows."""
-    from quadtree_lss.lab.evaluation.evaluation_page import evaluation_page
-
-    try:
-        text = evaluation_page(results_dir, truth, result)
-    except KeyError as error:
-        return replace(result, notes=(*result.notes, f"report.html: the results lack {error}"))
-    (result.out / "report.html").write_text(text, encoding="utf-8")
     return result
 
 

@@ -24,6 +24,7 @@ from quadtree_lss.lab.flight.vehicle import VehicleState
 from quadtree_lss.lab.simulation.lidar import FlashLidar
 from quadtree_lss.lab.simulation.navigation import DriftingNavigation
 from quadtree_lss.lab.simulation.recording import Messages
+from quadtree_lss.lab.simulation.safety import contact_safe
 from quadtree_lss.lab.touchdown.legs import LANDER
 from quadtree_lss.lab.touchdown.touchdown import Arrival, Landed, touch
 from quadtree_lss.onboard.arrays import Array
@@ -176,7 +177,7 @@ class Flight:
         down = self.outcome == "touchdown"
         across, sink = float(np.hypot(*velocity[:2])), float(-velocity[2])
         soft = across <= SETTLE and sink <= SINK and self.lander.tilt_deg <= TILT_DEG
-        firm = down and self.ground.safe_at(float(place[0]), float(place[1]))
+        firm = down and contact_safe(self.ground.terrain, place[:2])[0]
         whats = [d.what for d in self.pilot.decisions]
         diverts = [d for d in self.pilot.decisions if d.what in ("divert", "target") and d.time > 0]
         found, legs = self.landed, {}

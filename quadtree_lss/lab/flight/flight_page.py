@@ -94,7 +94,7 @@ def _above(axes: Axes, flown: Flown) -> None:
     path = np.array([(s.x, s.y) for s in flight.samples])
     axes.plot(*path.T, color=PATH, lw=2, label="path")
     axes.plot(x, y, "x", color="black", ms=9, mew=2, label="planned point")
-    told = [d for d in _told(flown) if d.what in ("target", "divert")]
+    told = [d for d in flight.pilot.decisions if d.what in ("target", "divert")]
     if told:
         places = np.array([(d.x, d.y) for d in told])
         axes.plot(*places.T, "o", color=PLACE, mec="black", label="targets flown to")
@@ -135,14 +135,12 @@ def _terrain(axes: Axes, ground: Ground, x: float, y: float, half: float) -> Sca
     return drawing.layer(axes, terrain.x[columns], terrain.y[rows], z)
 
 
-def _told(flown: Flown) -> list[Decision]:
-    return [d for d in flown.flight.pilot.decisions if d.what not in ("too late", "out of reach")]
-
-
 def _episodes(flown: Flown) -> list[tuple[float, str]]:
     """Decisions with the time of the first of each group that are less than 2 s apart."""
     groups: list[list[Decision]] = []
-    for d in _told(flown):
+    for d in flown.flight.pilot.decisions:
+        if d.what in ("too late", "out of reach"):
+            continue
         if not groups or d.time - groups[-1][-1].time >= 2.0:
             groups.append([])
         groups[-1].append(d)

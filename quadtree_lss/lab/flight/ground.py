@@ -56,10 +56,6 @@ class Ground:
         highest = np.nanmax(heights) if np.isfinite(heights).any() else self.planned[2] - 20.0
         return bool(position[2] <= highest)
 
-    def safe_at(self, x: float, y: float) -> bool:
-        """Whether a lander stands safely there at every heading."""
-        return bool(safety.contact_safe(self.terrain, [[x, y]])[0])
-
     @cached_property
     def _highest(self) -> float:
         t, (x, y, _) = self.terrain, self.planned
