@@ -43,11 +43,7 @@ from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import LEAF
-from quadtree_lss.onboard.messages.maps import (
-    decode_cells,
-    encode_cells,
-    round_trip,
-)
+from quadtree_lss.onboard.messages.maps import decode_cells, encode_cells, round_trip
 
 HEIGHT, SPEED, RATE, FIELD_OF_VIEW = 25.0, 6.0, 20.0, 45.0
 SCALE, SIDE, ROOM = 0.35, 300.0, 30.0
