@@ -48,6 +48,7 @@ from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.lab.simulation.safety import contact_safe, worst_contact
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions
 from quadtree_lss.lab.simulation.terrain import Terrain
+from quadtree_lss.onboard.autopilot.landing import PATIENCE_S
 from quadtree_lss.onboard.autopilot.link import ARM_DISARM, ARMED, CUSTOM_MODE, DO_SET_MODE, dialect
 from quadtree_lss.onboard.nodes.qos import latched, stream
 from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
@@ -55,7 +56,7 @@ from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
 CONFIG = Path(__file__).parents[1] / "config"
 LOITER, GUIDED = 5, 4
 HOME, RADIUS_M = (-35.363262, 149.165237, 584.0), 6_378_100.0
-HEIGHT_M, SCAN_S, PATIENCE_S = 18.0, 0.2, 25.0
+HEIGHT_M, SCAN_S = 18.0, 0.2
 AWAY_M, LONGEST_S, START_S, LONGEST_START_S = 25.0, 150.0, 120.0, 400.0
 STEPS_HZ, BEGAN_S = 800, 1_700_000_000
 BACKLOG = 40  # places that waited to be heard
@@ -324,7 +325,6 @@ class Flight:
                 "autopilot.connection": f"udpin:127.0.0.1:{self.copter.port}",
                 "autopilot.may_command": "modes",
                 "autopilot.reach": 15.0,
-                "autopilot.patience": PATIENCE_S,
             }
             params = self._folder / "params.yaml"
             params.write_text(

@@ -9,8 +9,7 @@ the place that ``~/land_now`` would take, by the true ground.
 
 The ground is 105 m wide and there and back again, but the way leads across it, so that no place is
 flown over twice. A fixed map sees other parts of the scans than one that follows, and so aligns
-them to other ground: leaves are compared where poses are taken as they are (``mapping.align``
-false).
+them to other ground: leaves are compared where poses are taken as they are.
 """
 
 from __future__ import annotations
@@ -27,6 +26,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from common import configuration, machine, table
+from common.as_posed import AsPosed
 
 from quadtree_lss.lab.campaign.study import parse_seeds
 from quadtree_lss.lab.evaluation.risk_flights import lander_of
@@ -43,11 +43,7 @@ from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import LEAF
-from quadtree_lss.onboard.messages.maps import (
-    decode_cells,
-    encode_cells,
-    round_trip,
-)
+from quadtree_lss.onboard.messages.maps import decode_cells, encode_cells, round_trip
 
 HEIGHT, SPEED, RATE, FIELD_OF_VIEW = 25.0, 6.0, 20.0, 45.0
 SCALE, SIDE, ROOM = 0.35, 300.0, 30.0
@@ -119,8 +115,7 @@ def scans(seed: int, field: str, count: int) -> Iterator[tuple[Array, Terrain, A
 def fly(seed: int, options: argparse.Namespace, config: Config) -> list[list[str]]:
     """Rows of the table of one flight."""
     count = int(options.length / SPEED * RATE)
-    plain = config_from_values({"mapping.align": False}, config)
-    mapper, beside, selector = Mapper(config), Mapper(plain), LandingSiteSelector(config)
+    mapper, beside, selector = Mapper(config), AsPosed(config), LandingSiteSelector(config)
     kept: deque[tuple[Array, Pose, Domain]] = deque(maxlen=KEPT)
     moments = set(np.linspace(50, count - 1, options.moments).astype(int).tolist())
     compared = set(np.linspace(KEPT, count - 1, COMPARED).astype(int).tolist())
@@ -150,7 +145,7 @@ def fly(seed: int, options: argparse.Namespace, config: Config) -> list[list[str
             places.append(judge(found.now, true, ground, config))
             memory.append((resident(), mapper.leaves.count, mapper.leaves.capacity))
         if k in compared:
-            same += alike(beside, kept, plain)
+            same += alike(beside, kept)
     return told_of(np.array(memory), np.array(late), np.array(places), same, moves, longest)
 
 
@@ -171,14 +166,12 @@ def safe(ground: Terrain, places: Array, config: Config) -> Mask:
     return contact_safe(ground, places, lander_of(config))
 
 
-def alike(
-    beside: Mapper, kept: deque[tuple[Array, Pose, Domain]], config: Config
-) -> tuple[int, int]:
+def alike(beside: Mapper, kept: deque[tuple[Array, Pose, Domain]]) -> tuple[int, int]:
     """How many leaves stayed inside ever since their first return, and how many of them are those
     of a fixed map, to the bit."""
     here = beside.domain
     values = {"domain.follow": "none", "domain.xmin": here.xmin, "domain.ymin": here.ymin}
-    fixed = Mapper(config_from_values(values, config))
+    fixed = AsPosed(config_from_values(values, beside.config))
     fixed._start_ns = beside._start_ns  # times count from the first scan
     side = here.size / 2**here.min_level
     n = 1 << here.min_level

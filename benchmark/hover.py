@@ -10,6 +10,7 @@ is 1, required 0.5 .. 1.5.
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path
 
@@ -17,8 +18,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from common import machine, table
+from common.as_posed import AsPosed, lengths
 
-from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.geometry.rotations import exp
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
@@ -43,9 +45,10 @@ def main() -> None:
     seeds = range(options.first_seed, options.first_seed + options.flights)
     for align in (True, False):
         for kind, correlation_time in KINDS.items():
-            config = hovering(correlation_time, align)
-            flights = np.array([hover(config, seed, sorted(options.scans)) for seed in seeds])
-            for at, scans in enumerate(sorted(options.scans)):
+            counts = sorted(options.scans)
+            maps = ((hovering(correlation_time, align), seed) for seed in seeds)
+            flights = np.array([hover(*one, counts) for one in maps])
+            for at, scans in enumerate(counts):
                 error, claimed = flights[:, at, 0], flights[:, at, 1]
                 (tilt, height), (says_tilt, says_height) = both(error), both(claimed)
                 ratio_tilt, ratio_height = both(error / claimed)
@@ -68,24 +71,21 @@ def both(values: np.ndarray) -> tuple[float, float]:
     return float(np.sqrt(0.5 * (square[0] + square[1]))), float(np.sqrt(square[2]))
 
 
-def hovering(correlation_time: float, align: bool) -> Config:
-    """16 cells of 4 m."""
+def hovering(correlation_time: float, align: bool) -> Mapper:
+    """Of 16 cells of 4 m."""
     domain = {"xmin": -8.0, "ymin": -8.0, "size": 16.0, "min_level": 2, "max_level": 2}
     values = {f"domain.{name}": value for name, value in domain.items()}
-    return config_from_values(
-        values
-        | {"lidar.range_noise": NOISE, "lidar.outlier_gate": 0.0, "mapping.align": align}
-        | {"pose.correlation_time": correlation_time, "features.enabled": False}
-    )
+    values |= {"lidar.range_noise": NOISE, "pose.correlation_time": correlation_time}
+    with lengths(outlier_gate=0.0, feature_height=math.inf):
+        return (Mapper if align else AsPosed)(config_from_values(values))
 
 
-def hover(config: Config, seed: int, counts: list[int]) -> np.ndarray:
+def hover(mapper: Mapper, seed: int, counts: list[int]) -> np.ndarray:
     """Errors and claimed deviations after so many scans: (counts, 2, cells, 3), rad and m."""
     rng = np.random.default_rng(seed)
-    mapper = Mapper(config)
     covariance = np.diag(SIGMA**2)
     position = np.array([0.0, 0.0, HEIGHT])
-    tau = config.pose.correlation_time
+    tau = mapper.config.pose.correlation_time
     keep = np.exp(-1.0 / (RATE * tau)) if tau > 0.0 else 0.0
     error = SIGMA * rng.standard_normal(6)
     found = []

@@ -330,16 +330,8 @@ def report(flight: Flight) -> None:
     rows = []
     for name, usage in flight.usage.items():
         memory = usage.memory_mb
-        minute = min(60, len(memory) // 2)
-        rows.append(
-            [
-                name,
-                f"{usage.share():.1f}",
-                f"{memory[minute]:.0f}",
-                f"{memory[-1]:.0f}",
-                f"{max(memory):.0f}",
-            ]
-        )
+        shown = memory[min(60, len(memory) // 2)], memory[-1], max(memory)
+        rows.append([name, f"{usage.share():.1f}", *(f"{size:.0f}" for size in shown)])
     total = sum(usage.share() for usage in flight.usage.values())
     rows.append(["both (required < 60, aim < 25)", f"{total:.1f}", "", "", ""])
     table(

@@ -223,9 +223,7 @@ def small_footprints(
     for mapper, config, seconds in zip(mappers, configs, spent, strict=True):
         cells = mapper.snapshot()
         one = verdict(cells, config, scene)
-        inner = (np.abs(one.found.x)[None] < half - 2.35) & (
-            np.abs(one.found.y)[:, None] < half - 2.35
-        )
+        inner = np.ix_(*(np.abs(axis) < half - 2.35 for axis in (one.found.y, one.found.x)))
         judged = (one.found.hazard & hazards.UNSEEN == 0)[inner].mean()
         rows.append(
             [kind, f"{above:g}", f"{width:.2f}", f"{2 * half:g}", scans]
@@ -311,13 +309,9 @@ def one_strip(
 ) -> Claims:
     """Views from one side, aimed within ``spread`` of a place, on a domain shifted at random."""
     shift = rng.uniform(-4.0, 0.0, 2) - 32.0
-    config = configuration(
-        "flight",
-        domain__xmin=shift[0],
-        domain__ymin=shift[1],
-        domain__min_level=levels[0],
-        domain__max_level=levels[1],
-    )
+    domain = {"domain__xmin": shift[0], "domain__ymin": shift[1]}
+    domain |= {"domain__min_level": levels[0], "domain__max_level": levels[1]}
+    config = configuration("flight", **domain)
     mapper, heading = Mapper(config), 2.0 * np.pi * rng.random()
     glide, sigma = rng.uniform(15.0, 60.0), 0.3 if lateral else 0.0
     covariance = np.diag([sigma**2 + 1e-6] * 2 + [1e-6] + [1e-12] * 3)

@@ -26,11 +26,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from common import machine, table
 
+from quadtree_lss.lab.campaign.study import parse_seeds
 from quadtree_lss.lab.flight.fly import flown
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.settings import FlightSettings, flight_settings
 from quadtree_lss.lab.simulation.safety import contact_safe
-from quadtree_lss.lab.simulation.terrain import bilinear, load_terrain
+from quadtree_lss.lab.simulation.terrain import load_terrain
 from quadtree_lss.onboard.arrays import Array
 
 SPACING, NOISE, SHIFT, HIGH = 2.0, 0.5, 8.0, 3.0
@@ -61,7 +62,7 @@ def right(settings: FlightSettings, generator: np.random.Generator, path: Path) 
     east, north = generator.normal(0.0, SHIFT, 2)
     up = generator.normal(0.0, HIGH)
     at = np.clip(x + east, xmin, xmax), np.clip(y + north, ymin, ymax)
-    z = bilinear(terrain.x, terrain.y, terrain.elevation, at[0][None, :], at[1][:, None]) - up
+    z = terrain.elevation_at(*np.meshgrid(*at)) - up
     np.savez(path, x=x, y=y, elevation=z + generator.normal(0.0, NOISE, z.shape))
     return {"true": np.array([east, north, up])}
 
@@ -139,7 +140,6 @@ def main() -> None:
     if options.terrain is None:
         print(f"nothing flown: --terrain names no ground; {machine()}")
         return
-    first, _, last = options.seeds.partition("-")
     if options.east_of is not None:
         whole, kept = load_terrain(options.terrain), Path(tempfile.mkdtemp(), "terrain.npz")
         part = whole.x >= options.east_of
@@ -149,7 +149,7 @@ def main() -> None:
     values["longest"] = options.longest
     print(machine())
     rows: dict[str, list[tuple[Flown, Flown]]] = {name: [] for name in options.priors}
-    seeds = list(range(int(first), int(last or first) + 1))
+    seeds = parse_seeds(options.seeds)
     if options.steep:
         seeds = [seed for seed in seeds if steep_start(seed, values)][: options.steep]
     for seed in seeds:

@@ -111,14 +111,23 @@ def watched(spent: Counter[str]) -> Iterator[None]:
 
         return wrapper
 
-    # A compiled class has no methods that could be exchanged, but may be inherited.
     plain = mapping.ScanUpdate
-    steps = {name: timed(stage, getattr(of, name)) for stage, of, name in STAGES if of is plain}
-    heir = type("Watched", (plain,), steps)
+    steps = {name: stage for stage, of, name in STAGES if of is plain}
+
+    class Watched:
+        """A compiled class has no methods that could be exchanged."""
+
+        def __init__(self, *args: object) -> None:
+            self._plain = plain(*args)
+
+        def __getattr__(self, name: str) -> object:
+            found = getattr(self._plain, name)
+            return timed(steps[name], found) if name in steps else found
+
     with contextlib.ExitStack() as stack:
         for stage, owner, name in STAGES:
             if owner is not plain:
-                function = heir if name == "ScanUpdate" else getattr(owner, name)
+                function = Watched if name == "ScanUpdate" else getattr(owner, name)
                 stack.enter_context(mock.patch.object(owner, name, timed(stage, function)))
         yield
 

@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from common import machine, table
+from common.as_posed import lengths
 from common.claims import Claims, Surface, claims, summary
 from common.rays import EXACT, looking
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -125,9 +126,7 @@ def one_leaf(side: float) -> Config:
     domain = {"xmin": 0.0, "ymin": 0.0, "size": side, "min_level": 0}
     domain["max_level"] = round(np.log2(side / 0.25))
     values: dict[str, object] = {f"domain.{name}": value for name, value in domain.items()}
-    return config_from_values(
-        values | {"lidar.range_noise": NOISE, "lidar.outlier_gate": 0.0, "features.enabled": False}
-    )
+    return config_from_values(values | {"lidar.range_noise": NOISE})
 
 
 def drawn(seed: int, draws: int, scans: int, rolling: float = 0.0) -> list[Draw]:
@@ -172,7 +171,9 @@ def strip(rng: np.random.Generator, scans: int, rolling: float = 0.0) -> Draw:
     back = axis @ (tilted - [0.0, 0.0, 1.0])
     middle = np.array([0.5 * side, 0.5 * side, 0.5 * side * sum(gradient)])
     position = middle + rng.uniform(100.0, 300.0) * back / np.linalg.norm(back)
-    axes, mapper = looking(position, middle), Mapper(one_leaf(side))
+    axes = looking(position, middle)
+    with lengths(outlier_gate=0.0, feature_height=math.inf):
+        mapper = Mapper(one_leaf(side))
     surface = ground(gradient, rolling, rng)
     for k in range(scans):
         # Noise carries points over the rim of the leaf, in and out.

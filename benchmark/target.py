@@ -27,7 +27,6 @@ from quadtree_lss.lab.simulation.hazard_field import FIELDS, hazard_field
 from quadtree_lss.lab.simulation.safety import safety_map
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS
 from quadtree_lss.lab.simulation.simulation import Leg, Simulation
-from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.lab.simulation.trajectory import descent_trajectory
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import Config
@@ -161,8 +160,7 @@ def morpheus(seed: int, name: str) -> Simulation:
 def drone(seed: int, name: str) -> Simulation:
     """Likewise, of a drone over a field of its size."""
     made = hazard_field(np.random.default_rng([seed, 1]), FIELDS[name])
-    scale = SCENARIOS["drone"].scale
-    terrain = Terrain(scale * made.x, scale * made.y, scale * made.elevation)
+    terrain = made.scaled(SCENARIOS["drone"].scale)
     simulation = Simulation("drone", seed, terrain=terrain, duration=DURATION)
     plan, start_ns = simulation.legs[0].plan, simulation.legs[0].start_ns
     xmin, xmax, ymin, ymax = plan.box
@@ -212,10 +210,8 @@ def fly(simulation: Simulation, config: Config, every: int, period: float) -> Ta
 
 def _move(now: float, start: Array, end: Array, truth: Truth, config: Config) -> Move:
     a, b = truth.at(start), truth.at(end)
-    gain, away = (
-        float(truth.probability[b] - truth.probability[a]),
-        float(np.hypot(*(end - start)[:2])),
-    )
+    gain = float(truth.probability[b] - truth.probability[a])
+    away = float(np.hypot(*(end - start)[:2]))
     return Move(now, away, gain, bool(truth.safe[a]), now > LATE and away > config.vehicle.diameter)
 
 

@@ -120,7 +120,7 @@ def on_field(name: str, seed: int, legs: Legs, speeds: Sequence[str]) -> Iterato
     generator = np.random.default_rng(seed)
     field, gravity = GROUNDS[name]
     made, scale = hazard_field(generator, field), legs.gear.diameter / LANDER.gear.diameter
-    terrain = Terrain(scale * made.x, scale * made.y, scale * made.elevation)
+    terrain = made.scaled(scale)
     legs = legs if legs.skids else replace(legs, gravity=gravity)
     half = terrain.x[-1] - 3.0 * legs.gear.diameter
     places = generator.uniform(-half, half, (40 * PER_FIELD, 2))
@@ -247,7 +247,7 @@ def told(seed: int, legs: Legs) -> Iterator[Touched]:
     rocks, slope_deg = (float(generator.choice(v)) for v in ((0.02, 0.05, 0.1), (1.5, 4.0, 6.0)))
     given = {"rocks": rocks, "slope_deg": slope_deg}
     results, truth = fly_in_memory("morpheus", seed, load_config(["morpheus"]), given)
-    terrain, grid = Terrain(truth.x, truth.y, truth.elevation), results.grid
+    grid = results.grid
     risk = np.asarray(grid.layers["risk"])
     for low, high in zip(EDGES, EDGES[1:], strict=False):
         rows, columns = np.nonzero((risk >= low) & (risk < high))
@@ -255,7 +255,7 @@ def told(seed: int, legs: Legs) -> Iterator[Touched]:
         for number, k in enumerate(chosen):
             place = np.array([grid.x[columns[k]], grid.y[rows[k]]])
             value, named = float(risk[rows[k], columns[k]]), ("flown", SPEEDS[0], seed, number)
-            yield touched(generator, terrain, legs, place, SPEEDS[0], named, value)
+            yield touched(generator, truth, legs, place, SPEEDS[0], named, value)
 
 
 def reliability(done: Sequence[Touched], legs: Legs) -> None:

@@ -18,12 +18,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from common import machine, table
+from common.as_posed import lengths
 
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.geometry.rotations import exp
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
-from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 SIZE, HEIGHT, NOISE = 16.0, 60.0, 0.05
 DOWN = np.diag([1.0, -1.0, -1.0])
@@ -83,11 +83,12 @@ def moved(
     values: dict[str, object] = {
         "domain.xmin": -0.5 * SIZE, "domain.ymin": -0.5 * SIZE, "domain.size": SIZE,
         "domain.min_level": 2, "domain.max_level": 4,
-        "lidar.range_noise": NOISE, "lidar.outlier_gate": 0.0,
+        "lidar.range_noise": NOISE,
     }  # fmt: skip
     if white:
         values["pose.correlation_time"] = 0.0
-    mapper = Mapper(config_from_values(values))
+    with lengths(outlier_gate=0.0):
+        mapper = Mapper(config_from_values(values))
     error = sigma * rng.standard_normal(6)
     at = np.array([0.0, 0.0, HEIGHT])
 
@@ -111,25 +112,15 @@ def moved(
     refused = scan(before, error * (not white) + extra)
     last = mapper.snapshot()
     # Leaves may have been divided in between: both maps at the middles of the finest cells.
-    ground = [_heights(cells) for cells in (first, last)]
-    change = ground[1] - ground[0]
-    grid = np.linspace(-1.0, 1.0, len(change)) * 0.5 * SIZE * (1.0 - 1.0 / len(change))
+    count = first.domain.finest_count
+    grid = SIZE * ((np.arange(count) + 0.5) / count - 0.5)
+    places = np.meshgrid(grid, grid)
+    change = last.at(*places).height - first.at(*places).height
     if tilt:
         # A turn about x raises the ground along y.
         slope = np.polyfit(grid, np.nanmedian(change, axis=1), 1)[0]
         return refused, abs(slope) / extra[3]
     return refused, abs(float(np.nanmedian(change))) / extra[2]
-
-
-def _heights(cells: CellMap) -> np.ndarray:
-    """Of the planes at the middles of the finest cells, by row and column, m."""
-    raster = cells.leaf_raster()
-    n = len(raster)
-    middle = SIZE * ((np.arange(n) + 0.5) / n - 0.5)
-    x, y = np.meshgrid(middle, middle)
-    normal = cells.normal[raster]
-    run = normal[..., 0] * (x - cells.x[raster]) + normal[..., 1] * (y - cells.y[raster])
-    return np.asarray(cells.z[raster] - run / normal[..., 2])
 
 
 if __name__ == "__main__":

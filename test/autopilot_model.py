@@ -63,11 +63,12 @@ class Autopilot(threading.Thread):
         landed_at: Where it came to the ground, or None.
         points: Set-points that it took: time and NED.
         boot: When its clock began, by this computer's clock, s.
+        pace: Seconds of its own that pass in one of this computer.
     """
 
-    def __init__(self, kind, place_enu, ground=0.0, speed=4.0):
+    def __init__(self, kind, place_enu, ground=0.0, speed=4.0, pace=1.0):
         super().__init__(daemon=True)
-        self.kind, self.ground, self.speed = kind, ground, speed
+        self.kind, self.ground, self.speed, self.pace = kind, ground, speed, pace
         east, north, up = place_enu
         self.position, self.velocity = np.array([north, east, -up], float), np.zeros(3)
         self.mode = LOITER if kind == ARDUPILOT else PX4_HOLD
@@ -114,7 +115,7 @@ class Autopilot(threading.Thread):
         begin, steps, pending = time.monotonic(), 0, []
         base = self._clock()
         while not self._end.is_set():
-            now = time.monotonic() - begin
+            now = self.pace * (time.monotonic() - begin)
             self._now = now
             with self._lock:
                 while (message := self._link.recv_msg()) is not None:
@@ -148,7 +149,7 @@ class Autopilot(threading.Thread):
                 pass
 
     def _clock(self):
-        return time.time() - self.boot
+        return self.pace * (time.time() - self.boot)
 
     def _north_of_body(self):
         c, s = np.cos(self.yaw), np.sin(self.yaw)

@@ -142,7 +142,6 @@ class Sensors:
         offset_ns: int = 0,
         make_pose: Callable[[int], Any] = pose,
         make_cloud: Callable[[int, NDArray[np.float64]], PointCloud2] = cloud,
-        on_pose: Callable[[int], None] = lambda stamp_ns: None,
     ) -> int:
         """All events, somewhat faster than they were recorded; stamp of the last scan.
 
@@ -150,7 +149,6 @@ class Sensors:
             offset_ns: Added to all stamps.
             make_pose: Pose message of a stamp, or a list of them; none is sent for None.
             make_cloud: Scan message.
-            on_pose: Called with the stamp of each pose, before it is sent.
         """
         for event in events(scans):
             stamp = event.stamp_ns + offset_ns
@@ -158,7 +156,6 @@ class Sensors:
                 self.scans.publish(make_cloud(stamp, event.points_lidar))
                 time.sleep(0.03)
                 continue
-            on_pose(stamp)
             made = make_pose(stamp)
             for message in made if isinstance(made, list) else [made]:
                 if message is not None:

@@ -4,11 +4,7 @@
 import dataclasses
 
 import numpy as np
-from geometry_msgs.msg import (
-    PolygonInstanceStamped,
-    PolygonStamped,
-    PoseArray,
-)
+from geometry_msgs.msg import PolygonInstanceStamped, PolygonStamped, PoseArray
 from nav_msgs.msg import OccupancyGrid
 from ros.conftest import status_values, told
 from ros_scene import MAKE, START_NS, mapped

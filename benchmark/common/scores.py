@@ -37,6 +37,11 @@ class MapScore:
     scan_ms: np.ndarray
     counts: Counts
 
+    @property
+    def seconds(self) -> float:
+        """Of all scans."""
+        return 1e-3 * self.scan_ms.sum()
+
 
 def score(flight: Recording, config: Config, *, consistent: bool = True) -> MapScore:
     """Map ``flight`` and compare the map with the truth, and each scan with the map before it."""
@@ -51,8 +56,7 @@ def score(flight: Recording, config: Config, *, consistent: bool = True) -> MapS
     cells = mapper.snapshot()
     found = LandingSiteSelector(config).assess(cells)
     grid, truth = grid_of(found), flight.truth
-    sites = found.sites.position[:5, :2]
-    stands = contact_safe(truth, sites)
+    stands = contact_safe(truth, found.sites.position[:5, :2])
     return MapScore(
         leaves=int(cells.estimated.sum()),
         elevation=elevation_error(elevation_field(cells, grid, truth)),

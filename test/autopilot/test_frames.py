@@ -17,7 +17,6 @@ from quadtree_lss.onboard.autopilot.frames import (
 
 RNG = np.random.default_rng(70001)
 ATTITUDES = Rotation.random(20, random_state=70002)
-NORTH, EAST, DOWN = np.eye(3)
 
 
 def mavlink(rotation):

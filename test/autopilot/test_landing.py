@@ -9,19 +9,31 @@ import pytest
 from quadtree_lss.onboard.autopilot.landing import (
     CLIMB,
     COMMIT,
+    COMMIT_SHARE,
     DESCEND,
     GIVE_UP,
+    HEARTBEAT_S,
     HOLD,
+    JUMP_M,
+    MAP_S,
+    OFFSET_M,
+    PATIENCE_S,
     PILOT,
+    POSE_S,
+    TARGET_S,
     TOUCHDOWN,
     TRANSIT,
     WAIT,
     WAVE_OFF,
+    WAVE_OFFS,
     Landing,
     Seen,
     Target,
+    target_of,
 )
 from quadtree_lss.onboard.config.sections import AutopilotConfig
+from quadtree_lss.onboard.core.landing.target import Reason
+from quadtree_lss.onboard.messages.maps import STATUS_FIELDS
 
 CONFIG = AutopilotConfig()
 GROUND = 1.5
@@ -95,7 +107,7 @@ def test_the_whole_way_down():
     assert flight.height > CONFIG.gate_height - 1.0 and np.hypot(*flight.position[:2]) < 0.5
     began = flight.now
     flight.until(in_state(COMMIT))
-    took = (CONFIG.gate_height - CONFIG.commit_height) / CONFIG.descent_speed
+    took = (1.0 - COMMIT_SHARE) * CONFIG.gate_height / CONFIG.descent_speed
     assert flight.now - began == pytest.approx(took, abs=2.5)
     flight.until(below(1.0)).on(0.5)
     assert flight.velocity[2] == pytest.approx(-CONFIG.touchdown_speed, rel=0.3)
@@ -121,7 +133,7 @@ def test_from_below_the_gate_it_climbs_first():
     "fault",
     [
         {"target": None},
-        {"target_age": CONFIG.max_target_age + 0.1},
+        {"target_age": TARGET_S + 0.1},
         {"target": SITE + (4.0, 0.0, 0.0)},
         {"target": SITE + (-80.0, 0.0, 0.0)},
         {"target": SITE + (0.0, 0.0, 15.0)},
@@ -151,7 +163,7 @@ def test_what_is_lost_below_the_gate_is_answered_by_a_climb(height, fault):
         assert flight.order.state == HOLD and flight.order.target is None
 
 
-@pytest.mark.parametrize("age", [CONFIG.max_map_age + 0.1, math.nan])
+@pytest.mark.parametrize("age", [MAP_S + 0.1, math.nan])
 def test_an_old_map_stops_a_descent_but_not_who_has_committed(age):
     flight = Flight().until(in_state(DESCEND)).on(2.0)
     flight.map_age = age
@@ -165,7 +177,7 @@ def test_an_old_map_stops_a_descent_but_not_who_has_committed(age):
 def test_an_old_pose_stops_where_the_vehicle_was_last_seen():
     flight = Flight().until(below(4.0))
     place = flight.position.copy()
-    flight.pose_age = CONFIG.max_pose_age + 0.01
+    flight.pose_age = POSE_S + 0.01
     flight.step()
     assert flight.order.state == HOLD
     np.testing.assert_array_equal(flight.order.point, place)
@@ -181,7 +193,7 @@ def test_an_old_pose_stops_where_the_vehicle_was_last_seen():
 
 def test_without_heartbeats_nothing_is_commanded_and_then_it_climbs():
     flight = Flight().until(below(4.0))
-    flight.heartbeat_age = CONFIG.max_heartbeat_age + 0.1
+    flight.heartbeat_age = HEARTBEAT_S + 0.1
     flight.on(1.0)
     assert flight.order.point is None and flight.order.target is None
     flight.heartbeat_age = 0.1
@@ -210,7 +222,7 @@ def test_the_pilots_switch_ends_it_at_once(state):
 
 def test_a_jump_of_navigation_ends_at_the_pilot():
     flight = Flight().until(below(4.0))
-    flight.jump = CONFIG.max_jump + 0.01
+    flight.jump = JUMP_M + 0.01
     flight.step()
     flight.jump = 0.0
     flight.on(10.0)
@@ -223,12 +235,12 @@ def test_a_jump_of_navigation_ends_at_the_pilot():
 def test_it_waits_no_longer_than_its_patience_and_is_waved_off_no_more_often_than_it_may():
     flight = Flight()
     flight.target = None
-    flight.on(CONFIG.patience - 1.0)
+    flight.on(PATIENCE_S - 1.0)
     assert flight.order.state == WAIT
     np.testing.assert_allclose(flight.position, [10.0, 5.0, 25.0], atol=1e-9)
     assert flight.on(2.0).order.state == GIVE_UP
     flight = Flight()
-    for _ in range(CONFIG.max_wave_offs + 1):
+    for _ in range(WAVE_OFFS + 1):
         flight.until(in_state(DESCEND)).on(1.0)
         flight.target = None
         flight.step()
@@ -242,7 +254,7 @@ def test_beside_the_target_it_does_not_come_down():
     flight.wind = np.array([1.5, 0.0, 0.0])  # it is blown a metre off, and stays so
     flight.on(3.0)
     height = flight.height
-    assert np.hypot(*flight.position[:2]) > CONFIG.max_offset
+    assert np.hypot(*flight.position[:2]) > OFFSET_M
     assert flight.on(20.0).height > height - 0.3 and flight.order.state == DESCEND
     flight.wind[:] = 0.0
     flight.until(in_state(COMMIT))
@@ -255,7 +267,7 @@ def test_set_points_never_lead_by_more_than_stops_above_the_ground():
     """Whoever hears no more of us flies to the last set-point and stays there."""
     flight = Flight().until(in_state(DESCEND))
     while flight.order.state == DESCEND:
-        assert flight.order.point[2] >= GROUND + CONFIG.commit_height - 1e-9
+        assert flight.order.point[2] >= GROUND + COMMIT_SHARE * CONFIG.gate_height - 1e-9
         flight.step()
     while flight.order.state == COMMIT:
         assert flight.order.point[2] >= flight.position[2] - 2.0 * CONFIG.touchdown_speed - 0.6
@@ -276,3 +288,15 @@ def test_nobody_lifts_off():
     flight = Flight()
     flight.armed = False
     assert flight.on(2.0).order.point is None
+
+
+def test_a_place_that_is_none_withdraws_the_target_with_its_reason():
+    status = np.zeros(1, STATUS_FIELDS)[0]
+    status["reason"], status["offset_z"], status["age"] = Reason.HAZARD, math.nan, 0.5
+    for place in ((math.nan,) * 3, (1e300, 0.0, 0.0)):
+        target, why = target_of(np.array(place), status, 0.1, 0.2)
+        assert target is None and why.startswith("there is no target: ") and "unknown" not in why
+    status["offset_z"] = 2.0
+    target, why = target_of(SITE, status, 0.1, 0.2)
+    np.testing.assert_array_equal(target.place, SITE + (0.0, 0.0, 2.0))
+    assert (target.age, target.map_age, why) == (0.1, 0.7, "")

@@ -2,6 +2,7 @@
 """MAVLink's bytes over a socket: against the model of what ArduPilot and PX4 accept."""
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 pytest.importorskip("pymavlink")
 from autopilot_model import LOITER, PX4_HOLD, Autopilot
 
+from quadtree_lss.onboard.autopilot import link as module
 from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PX4, Link
 from quadtree_lss.onboard.config.settings import ConfigError
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
@@ -24,7 +26,7 @@ def fly():
 
     def start(kind, place=(3.0, -2.0, 6.0), **how):
         model = Autopilot(kind, place, **how)
-        link = Link(model.connection, 57600, time.time_ns)
+        link = Link(model.connection, time.time_ns)
         ends.extend((lambda: model.__exit__(), link.close))
         return model.__enter__(), link
 
@@ -123,4 +125,18 @@ def test_heartbeats_of_others_are_not_the_autopilots(fly):
 
 def test_a_connection_that_is_none_is_one_line():
     with pytest.raises(ConfigError, match="autopilot.connection = 'tcp:nowhere:1:2'"):
-        Link("tcp:nowhere:1:2", 57600, time.time_ns)
+        Link("tcp:nowhere:1:2", time.time_ns)
+
+
+@pytest.mark.parametrize(
+    ("connection", "device", "baud"),
+    [("/dev/ttyAMA0", "/dev/ttyAMA0", 921600), ("/dev/ttyS1,57600", "/dev/ttyS1", 57600)],
+)
+def test_a_serial_devices_rate_is_part_of_its_connection(monkeypatch, connection, device, baud):
+    asked = []
+    opened = SimpleNamespace(mavlink_connection=lambda *at, **how: asked.append((*at, how["baud"])))
+    monkeypatch.setattr(module, "dialect", lambda: opened)
+    Link(connection, time.time_ns)
+    assert asked == [(device, baud)]
+    with pytest.raises(ConfigError, match="autopilot.connection = '/dev/ttyS1,fast'"):
+        Link("/dev/ttyS1,fast", time.time_ns)

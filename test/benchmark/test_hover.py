@@ -18,8 +18,8 @@ def ratios(
     kind: str, align: bool, counts: list[int], flights: int, first_seed: int = 950
 ) -> np.ndarray:
     """Error over claimed deviation, root mean square: (counts, 2) of slopes and heights."""
-    config = hover.hovering(hover.KINDS[kind], align)
-    found = np.array([hover.hover(config, first_seed + k, counts) for k in range(flights)])
+    maps = [hover.hovering(hover.KINDS[kind], align) for _ in range(flights)]
+    found = np.array([hover.hover(one, first_seed + k, counts) for k, one in enumerate(maps)])
     ratio = found[:, :, 0] / found[:, :, 1]
     return np.array([hover.both(ratio[:, at]) for at in range(len(counts))])
 
@@ -30,12 +30,3 @@ def test_errors_are_as_claimed(kind, align):
     found = ratios(kind, align, [100, 1000], 5)
     assert (found > 0.35).all()
     assert (found < 1.9).all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("kind", "align"), CASES)
-def test_errors_are_as_claimed_after_ten_thousand_scans(kind, align):
-    """As docs/evidence.md: twelve draws of an error that persists scatter by a fifth."""
-    found = ratios(kind, align, [100, 1000, 10000], 12, 901)
-    assert (found > 0.5).all()
-    assert (found < 1.5).all()

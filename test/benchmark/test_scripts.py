@@ -15,7 +15,7 @@ SMALL = {
     ),
     "methods": (
         ["--parabola", "201", "--morpheus", "202", "--duration", "2"],
-        ["ml, indep., mahalanobis"],
+        ["by the paper", "covariance"],
     ),
     "prior": ([], ["nothing flown: --terrain names no ground"]),
     "arducopter": ([], ["nothing flown: ARDUCOPTER names no"]),
@@ -55,10 +55,7 @@ SMALL = {
         ["level ground: scans refused", "hills: scans refused"],
     ),
     "landing_pass": (["--duration", "1", "--repeats", "1"], ["the paper's rules"]),
-    "target": (
-        ["--seeds", "201", "--told"],
-        ["withdrawn from truly safe ground", "truth off by"],
-    ),
+    "target": (["--seeds", "201", "--told"], ["withdrawn from truly safe ground", "truth off by"]),
     "live": (["--seconds", "6", "--kill", "4"], ["By the minute", "scans sent", "lss_node"]),
     "start": (["--starts", "1"], ["first scan mapped", "memory"]),
 }

@@ -7,7 +7,6 @@ noise moves each along its ray. All lengths in m, all frames the map's unless a 
 
 import contextlib
 import dataclasses
-import itertools
 from collections.abc import Callable, Iterator
 from unittest import mock
 
@@ -32,10 +31,11 @@ LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
 EXACT = 1e-12 * np.eye(6)
 #: Over the middle of the small domain.
 ABOVE = (8.0, 8.0, 500.0)
-#: All that ``mapping.fit``, ``covariance`` and ``division`` may be together.
-METHODS = list(
-    itertools.product(("height", "ml"), ("common", "independent"), ("lack_of_fit", "mahalanobis"))
-)
+#: All that ``mapping.paper`` may be.
+METHODS = ("none", "fit", "covariance", "division", "all")
+
+#: Lengths that tests set for themselves.
+OWN = ("hazard_growth", "min_separation", "outlier_gate")
 
 
 def make_pose(
@@ -127,8 +127,26 @@ def look(
     return mapper.update(scan(surface, x, y, true, noise, rng), told)
 
 
+@dataclasses.dataclass(frozen=True)
+class Own(VehicleConfig):
+    """A vehicle of which a test sets some of the lengths that follow."""
+
+    own: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def lengths(self) -> Lengths:
+        return dataclasses.replace(super().lengths, **dict(self.own))
+
+
+def with_lengths(config: Config, **own: float) -> Config:
+    """The same, its vehicle with these lengths."""
+    fields = (item.name for item in dataclasses.fields(VehicleConfig))
+    vehicle = Own(*(getattr(config.vehicle, name) for name in fields), tuple(own.items()))
+    return dataclasses.replace(config, vehicle=vehicle)
+
+
 def configured(**sections: dict[str, object]) -> Config:
-    """A configuration on a small domain; ``sections`` are laid over it.
+    """A configuration on a small domain; ``sections`` are laid over it, lengths of a vehicle too.
 
     Landing is judged by the touchdown check and ranked by the score: hard limits, which can be
     worked out by hand.
@@ -139,13 +157,13 @@ def configured(**sections: dict[str, object]) -> Config:
         "domain.size": 16.0,
         "domain.min_level": 2,
         "domain.max_level": 6,
-        "lidar.outlier_gate": 0.0,
         "lss.assessment": "touchdown",
         "lss.ranking": "score",
-        "lss.switch_margin": 0.08,
     }
     values = {f"{s}.{key}": value for s, of in sections.items() for key, value in of.items()}
-    return config_from_values({**base, **values})
+    own = {key: values.pop(f"vehicle.{key}") for key in OWN if f"vehicle.{key}" in values}
+    config = config_from_values({**base, **values})
+    return with_lengths(config, **{"outlier_gate": 0.0, **own})
 
 
 @contextlib.contextmanager
@@ -283,6 +301,16 @@ def assert_sound(cells: CellMap) -> None:
         assert np.isfinite(value[cells.measured]).all()
     assert (cells.exception_fraction[cells.measured] <= 1.0).all()
     assert np.isfinite(cells.feature[np.isfinite(cells.feature[:, 0])]).all()
+
+
+def assert_same(one: CellMap, other: CellMap, tolerance: float = 0.0, but: str = "none") -> None:
+    """All that two maps hold, to the bit or nearly, but for names that begin so."""
+    for name in (item.name for item in dataclasses.fields(CellMap)):
+        a, b = np.asarray(getattr(one, name)), np.asarray(getattr(other, name))
+        if tolerance and a.dtype == np.float64:
+            np.testing.assert_allclose(a, b, rtol=tolerance, atol=tolerance, err_msg=name)
+        elif not name.startswith(but):
+            np.testing.assert_array_equal(a, b, err_msg=name)
 
 
 def nees(errors: Array, covariances: Array) -> Array:

@@ -179,24 +179,12 @@ def test_leaves_are_lifted_as_far_as_they_share_the_error():
         np.testing.assert_allclose(rows[name][:5], [0.1, 0.0, 0.2, 0.2, 0.0], atol=1e-4)
 
 
-def waves(x, y):
-    """Ground whose slopes show every direction, wider than a cell of 1 m."""
-    return 0.5 * np.sin(0.9 * x) + 0.4 * np.cos(0.8 * y + 0.3) + 0.2 * np.sin(0.6 * (x + y))
-
-
 def fly(mapper: Mapper, surface, errors, rng, covariance=None, points=12000, start=1.0) -> None:
     """Scans straight down, a second apart; poses are too high by each of ``errors`` (K,)."""
     sigma = pose_covariance(0.3, 1e-9) if covariance is None else covariance
     for number, error in enumerate(errors):
         pose = make_pose(ABOVE, sigma, round(1e9 * (start + number)))
         look(mapper, surface, *scattered(rng, 0.0, 0.0, 16.0, points), rng, NOISE, pose, error)
-
-
-def heights(mapper: Mapper) -> np.ndarray:
-    """Elevation over the ground at the middle of the inner cells."""
-    cells = mapper.snapshot()
-    inner = cells.measured & (np.maximum(abs(cells.x - 8.0), abs(cells.y - 8.0)) < 7.0)
-    return (cells.z - waves(cells.x, cells.y))[inner]
 
 
 def mapper_of(correlation_time: float = 300.0, **mapping: object) -> Mapper:
@@ -208,17 +196,6 @@ def mapper_of(correlation_time: float = 300.0, **mapping: object) -> Mapper:
             pose={"correlation_time": correlation_time},
         )
     )
-
-
-def test_a_second_flight_comes_to_lie_on_the_first():
-    rng, mapper = np.random.default_rng(3), mapper_of()
-    fly(mapper, waves, np.zeros(5), rng)
-    before = heights(mapper)
-    fly(mapper, waves, np.full(20, 0.25), rng, start=1000.0)
-    rise = heights(mapper) - before
-    # Somewhere between the flights, but one datum for all of it.
-    assert np.std(rise) < 0.02
-    assert 0.05 < np.median(rise) < 0.27
 
 
 def test_new_ground_joins_at_the_height_of_the_old():

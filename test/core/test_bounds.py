@@ -37,8 +37,8 @@ SLOW_ONCE = (
     {"lss.margin": 1000.0},
     {"vehicle.diameter": 1000.0},
     {"vehicle.diameter": 1000.0, "lss.assessment": "paper"},
-    {"lss.max_gap": 1000.0, "lss.hazard_growth": 100.0, "lss.margin": 59.0},
-    {"lss.sites": 1000, "lss.min_separation": 0.0, "lss.margin": 40.0},
+    {"lss.max_gap": 1000.0, "lss.margin": 59.0},
+    {"lss.sites": 1000, "lss.margin": 40.0},
 )
 
 

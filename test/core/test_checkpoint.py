@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """A restored mapper goes on exactly as the one that was saved; nothing damaged is taken up."""
 
-import dataclasses
 import io
 import tracemalloc
 import zipfile
 
 import numpy as np
 import pytest
-from core.builders import configured, look, make_pose, scattered
+from core.builders import assert_same, configured, look, make_pose, scattered
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_bytes, to_bytes
 
 CONFIG = configured()
@@ -30,12 +28,6 @@ def flown(mapper: Mapper, scans: range) -> Mapper:
         x, y = scattered(rng, 0.0, 0.0, 11.0 if number % 2 else 16.0, 1500 if number % 2 else 3)
         look(mapper, ground, x, y, rng, 0.03, make_pose(stamp_ns=1_000 + number))
     return mapper
-
-
-def assert_same(one: CellMap, other: CellMap) -> None:
-    for item in dataclasses.fields(CellMap):
-        a, b = getattr(one, item.name), getattr(other, item.name)
-        np.testing.assert_array_equal(a, b, err_msg=item.name)
 
 
 @pytest.fixture(scope="module")

@@ -155,8 +155,10 @@ def test_lengths_follow_from_the_vehicle_unless_they_are_set():
     """A lander half as wide that clears a third, and one whose gap is set."""
     usual, lander = Config(), {"vehicle.diameter": 1.85, "vehicle.clearance": 0.1}
     half, own = config_from_values(lander), config_from_values({**lander, "lss.max_gap": 0.0})
-    assert (usual.lss.gap, usual.lss.spacing, usual.lss.separation) == (0.6, 0.5, 3.7)
-    assert (half.lss.gap, half.lss.spacing, half.lss.separation) == (0.3, 0.25, 1.85)
+    assert (usual.lss.gap, usual.lss.spacing) == (0.6, 0.5)
+    assert (half.lss.gap, half.lss.spacing) == (0.3, 0.25)
+    apart = [config.vehicle.lengths.min_separation for config in (usual, half)]
+    assert apart == [3.7, 1.85]
     assert (own.lss.gap, own.lss.spacing) == (0.0, 0.25)
     third = {"feature_height": 3.0, "rock_area": 9.0, "feature_volume": 27.0, "max_gap": 2.0}
     for name, factor in third.items():
@@ -166,12 +168,20 @@ def test_lengths_follow_from_the_vehicle_unless_they_are_set():
     assert dataclasses.replace(half, vehicle=usual.vehicle) == usual
 
 
+def test_a_return_without_a_neighbour_follows_from_the_vehicle_and_the_kind_of_scan():
+    """As far as 4/3 of the least hazard; of depth images edges are dropped already."""
+    drone = config_from_values({"vehicle.diameter": 0.6, "vehicle.clearance": 0.06})
+    assert Config().lidar.outlier_gate == 0.4
+    assert drone.lidar.outlier_gate == pytest.approx(0.08)
+    assert config_from_values({"lidar.source": "depth"}, drone).lidar.outlier_gate == 0.0
+    assert config_from_values({"lidar.source": "points"}, drone) == drone
+
+
 @pytest.mark.parametrize("row", **named(list(ROWS)))
 def test_each_value_round_trips_dotted_and_nested(row):
     value = other_value(row)
     section, name = row.name.split(".")
-    sun = {"light.elevation": 20.0} if row.name == "lss.weight_shadow" else {}
-    base = config_from_values(sun)
+    base = Config()
     for form in ({row.name: value}, {section: {name: value}}):
         config = config_from_values(form, base)
         values = values_from_config(config)

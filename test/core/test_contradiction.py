@@ -31,13 +31,11 @@ class Flight:
         size: float = 16.0,
         ground=hills,
         scans: int = 0,
-        covariance: str = "common",
+        paper: str = "none",
     ) -> None:
         self.ground = ground
         domain = {"xmin": 0.0, "ymin": 0.0, "size": size, "min_level": 2, "max_level": 4}
-        config = configured(
-            domain=domain, lidar={"range_noise": NOISE}, mapping={"covariance": covariance}
-        )
+        config = configured(domain=domain, lidar={"range_noise": NOISE}, mapping={"paper": paper})
         self.size, self.above = size, np.array([0.5 * size, 0.5 * size, 60.0])
         self.mapper = Mapper(config)
         self.rng = np.random.default_rng(seed)
@@ -121,10 +119,7 @@ def test_many_that_agree_win_and_what_was_mapped_goes_with_them():
     assert np.abs(flight.errors(4.0)).max() < 0.2
 
 
-@pytest.mark.survives(
-    "a scan that contradicts the map",
-    "or begun anew where that does not do",
-)
+@pytest.mark.survives("a scan that contradicts the map", "or begun anew where that does not do")
 def test_a_map_that_cannot_be_lifted_to_them_is_forgotten():
     flight = Flight(size=64.0, scans=5)
     for _ in range(AGREEING):
@@ -271,10 +266,10 @@ def test_steep_ground_is_no_contradiction(ground, position):
     assert refused == 0
 
 
-@pytest.mark.parametrize("covariance", ["common", "independent"])
-def test_poses_that_err_as_they_claim_are_not_refused(covariance):
+@pytest.mark.parametrize("paper", ["none", "covariance"])
+def test_poses_that_err_as_they_claim_are_not_refused(paper):
     """However a scan's pose error is thought to be shared out, all of the scan moves by it."""
-    flight, claimed = Flight(covariance=covariance), pose_covariance(0.5, 1e-3)
+    flight, claimed = Flight(paper=paper), pose_covariance(0.5, 1e-3)
     errors = 0.5 * np.random.default_rng(8).standard_normal((40, 3))
     reports = [flight.fly(off=tuple(off), claimed=claimed) for off in errors]
     assert all(report.points_used > 0 and not report.overruled for report in reports)

@@ -44,13 +44,13 @@ def test_a_scan_weighs_by_the_residuals_its_fit_left_free():
 @pytest.mark.parametrize(
     ("criterion", "mean", "spread"),
     [
-        ("lack_of_fit", MEAN_CHI_1, np.sqrt(1.0 - MEAN_CHI_1**2)),
-        ("mahalanobis", MEAN_CHI_3, np.sqrt(3.0 - MEAN_CHI_3**2)),
+        ("none", MEAN_CHI_1, np.sqrt(1.0 - MEAN_CHI_1**2)),
+        ("division", MEAN_CHI_3, np.sqrt(3.0 - MEAN_CHI_3**2)),
     ],
 )
 def test_a_leaf_asks_above_its_threshold_and_the_doubt_of_few(criterion, mean, spread):
     """Factor times E[chi], and half a deviation of a mean of n chi variables."""
-    rules = Rules(configured(mapping={"division": criterion}))
+    rules = Rules(configured(mapping={"paper": criterion}))
     for free in (10.0, 1000.0):
         bound = 1.2 * mean + 0.5 * spread / np.sqrt(free)
         for factor, asked in ((0.999, False), (1.001, True)):
@@ -75,14 +75,15 @@ def test_the_statistic_is_that_of_noise_whatever_the_number_of_points(per_cell):
     assert mean == pytest.approx(MEAN_CHI_1, rel=0.02 + 3.0 / per_cell**2)
 
 
-def test_a_known_cells_statistic_is_that_of_equations_46_and_47():
+def test_a_known_cells_statistic_is_that_of_equations_46_and_47(monkeypatch):
     """The mean distance to the plane that it had, over what map and points may be off there."""
     config = configured(
         domain={"size": 8.0, "min_level": 0, "max_level": 1},
-        mapping={"division": "mahalanobis", "align": False},
+        mapping={"paper": "division"},
         lidar={"range_noise": 0.02},
     )
     mapper, rng = Mapper(config), np.random.default_rng(6)
+    monkeypatch.setattr(mapper, "_align", lambda *_: 0.0)
     pose = make_pose((40.0, -20.0, 90.0), pose_covariance(0.05, 1e-3), 10**9)
     ground = slope(0.2, -0.1)
     look(mapper, ground, *(5.0 * rng.random((2, 60))), rng, 0.02, pose)

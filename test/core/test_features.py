@@ -143,13 +143,11 @@ def test_limits_are_obeyed(limit):
     assert (limited >= least - 1e-12).all()
 
 
-def test_too_few_points_make_no_feature_and_off_is_off():
+def test_too_few_points_make_no_feature():
     ground = rocky(*hemispheres(3, 0.35, 0.4))
     rng = np.random.default_rng(2)
-    for per_side, enabled, some in ((3, True, False), (5, True, True), (5, False, False)):
-        # 9 and 25 points in each cell
-        features = {"enabled": enabled}
-        mapper = Mapper(configured(domain=CELLS_2M, lidar={"range_noise": 0.01}, features=features))
+    for per_side, some in ((3, False), (5, True)):  # 9 and 25 points in each cell
+        mapper = Mapper(configured(domain=CELLS_2M, lidar={"range_noise": 0.01}))
         for _ in range(3):
             look(mapper, ground, *lattice(0.0, 0.0, 16.0, 8 * per_side), rng, 0.01)
         assert np.isfinite(mapper.snapshot().feature[:, K]).any() == some

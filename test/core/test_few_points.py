@@ -26,11 +26,11 @@ CELLS_4M = {"min_level": 2, "max_level": 2}
 TWO = np.array([1.0, 3.0])
 
 
-@pytest.mark.parametrize("fit", ["height", "ml"])
+@pytest.mark.parametrize("fit", ["none", "fit"])
 def test_two_points_a_scan_make_a_plane_in_time(fit):
     """Never a fit by themselves; a few scans together tell slope and height."""
     ground, gradient = slope(0.12, -0.07, 30.0), np.array([-0.12, 0.07, 1.0])
-    config = configured(domain=FINEST_1M, lidar={"range_noise": 0.01}, mapping={"fit": fit})
+    config = configured(domain=FINEST_1M, lidar={"range_noise": 0.01}, mapping={"paper": fit})
     rng, mapper = np.random.default_rng(4), Mapper(config)
     corners = np.stack(np.meshgrid(*[np.arange(16.0)] * 2)).reshape(2, 1, 256)
     for k in range(12):
@@ -163,11 +163,11 @@ def test_two_points_more_are_counted_and_weigh_no_more_than_two():
     assert own * two / (own + two) * 0.98 < after.range_part[8] < own
 
 
-@pytest.mark.parametrize("fit", ["height", "ml"])
+@pytest.mark.parametrize("fit", ["none", "fit"])
 def test_a_strip_that_climbs_at_the_edge_of_a_leaf_leaves_its_middle_near(fit):
     """Over 0.08 m beside a rock, past which the rest is not seen, heights go from 0 to 1.1 m."""
     config = configured(
-        domain={"min_level": 6, "max_level": 6}, lidar={"range_noise": 0.01}, mapping={"fit": fit}
+        domain={"min_level": 6, "max_level": 6}, lidar={"range_noise": 0.01}, mapping={"paper": fit}
     )
     rng, mapper = np.random.default_rng(8), Mapper(config)
     for k in range(6):

@@ -138,15 +138,18 @@ def test_a_part_of_a_known_leaf_moves_its_middle_by_no_more_than_its_points(part
     ("correlation_time", "align", "stands_out"),
     [(300.0, False, True), (0.0, True, True), (0.0, False, False)],
 )
-def test_what_pose_errors_explain_of_a_part_does_not_stand_out(correlation_time, align, stands_out):
+def test_what_pose_errors_explain_of_a_part_does_not_stand_out(
+    monkeypatch, correlation_time, align, stands_out
+):
     """0.3 m, by poses as uncertain: unless the error lasts, or the rest of the scan tells it."""
     config = configured(
         domain={"min_level": 2, "max_level": 2},
         lidar={"range_noise": 0.02},
-        mapping={"align": align},
         pose={"correlation_time": correlation_time},
     )
     mapper, rng = Mapper(config), np.random.default_rng(7)
+    if not align:
+        monkeypatch.setattr(mapper, "_align", lambda *_: 0.0)
     sigma = pose_covariance(0.3, 1e-9)
     for k in range(3):
         places, pose = scattered(rng, 0.0, 0.0, 16.0, 8000), make_pose(ABOVE, sigma, 1 + k)

@@ -122,15 +122,6 @@ def test_growth_takes_what_is_within_the_distance(share, distance, short):
     np.testing.assert_array_equal(grown(marked, distance, side, short), expected)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (2, 2), (1, 9), (300, 2)])
-def test_lattices_of_any_shape(shape):
-    marked = np.zeros(shape, dtype=np.bool_)
-    marked[0, 0] = True
-    expected = brute(marked)
-    np.testing.assert_allclose(distance_from(marked, 1.0), expected)
-    np.testing.assert_array_equal(grown(marked, 5.0, 1.0), expected <= 5.0)
-
-
 SIDE, N = 0.5, 24
 
 

@@ -14,6 +14,7 @@ from quadtree_lss.onboard.config.sections import LightConfig
 from quadtree_lss.onboard.config.settings import ConfigError, config_from_values
 from quadtree_lss.onboard.core.landing.raster import shadow
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.target import NEARER
 from quadtree_lss.onboard.messages.outputs import MessageMaker
 
 
@@ -76,47 +77,44 @@ def walled():
 
 
 def lit(sun, **lss):
-    """`small` with the sun there; its weight is none without."""
-    weight = lss.pop("weight_shadow", 0.0)
-    config = dataclasses.replace(small(**lss), light=LightConfig(**sun))
-    return dataclasses.replace(config, lss=dataclasses.replace(config.lss, weight_shadow=weight))
+    """`small` with the sun there."""
+    return dataclasses.replace(small(**lss), light=LightConfig(**sun))
 
 
 SUN = {"azimuth": 90.0, "elevation": 25.0}
-RANKINGS = [("probability", "probability"), ("touchdown", "score")]
 
 
-def test_an_hour_later_the_shadow_lies_elsewhere_and_both_count(walled):
-    """3 / tan 25 = 6.4 m, an hour later 3 / tan 40 = 3.6 m; then from the west there is none."""
-    for rates in ({}, {"elevation_rate": 15.0}, {"azimuth_rate": 180.0}):
-        found = LandingSiteSelector(lit({**SUN, **rates})).assess(walled)
-        np.testing.assert_allclose(found.x[found.shadow[16]].min(), 7.6, atol=0.5)
-    low = LandingSiteSelector(lit({**SUN, "elevation_rate": -10.0})).assess(walled)
-    np.testing.assert_allclose(low.x[low.shadow[16]].min(), 14.0 - 3.0 / np.tan(0.2618), atol=0.5)
-    dusk = LandingSiteSelector(lit({**SUN, "elevation_rate": -25.0})).assess(walled)
-    assert dusk.shadow[dusk.hazard & 128 == 0].all()
+def test_a_wall_throws_its_shadow_away_from_the_sun(walled):
+    """3 / tan 25 = 6.4 m."""
+    found = LandingSiteSelector(lit(SUN)).assess(walled)
+    np.testing.assert_allclose(found.x[found.shadow[16]].min(), 7.6, atol=0.5)
 
 
-@pytest.mark.parametrize(("assessment", "ranking"), RANKINGS)
-def test_between_equals_the_lit_place_wins_by_the_weight_alone(walled, assessment, ranking):
-    rules = {"assessment": assessment, "ranking": ranking, "dispersion": 0.1, "sites": 1}
-    at = {"target": (10.0, 8.0)}
-    plain, layers, weighed = (
-        LandingSiteSelector(lit(sun, **rules, weight_shadow=weight)).assess(walled, **at)
-        for sun, weight in (({}, 0.0), (SUN, 0.0), (SUN, 0.1))
-    )
-    before, after = grid_of(plain), grid_of(layers)
+def both(walled, **rules):
+    """Without light, and with it; ``target`` is less than a metre out of the light."""
+    selectors = (LandingSiteSelector(lit(sun, sites=1, **rules)) for sun in ({}, SUN))
+    plain, found = (selector.assess(walled, target=(8.0, 8.0)) for selector in selectors)
+    before, after = grid_of(plain), grid_of(found)
     assert plain.shadow is plain.reach is None and set(after) - set(before) == {"shadow"}
-    for name, values in before.items():
-        np.testing.assert_array_equal(after[name], values)
-    np.testing.assert_array_equal(layers.sites.position, plain.sites.position)
+    for name in before.keys() - {"score"}:
+        np.testing.assert_array_equal(after[name], before[name])
+    return plain, found
 
-    def dark(found):
-        x, y = found.sites.position[0, :2]
-        return layers.shadow[np.argmin(abs(found.y - y)), np.argmin(abs(found.x - x))]
 
-    assert dark(layers) and not dark(weighed)
-    assert weighed.sites.position[0, 0] == layers.x[layers.shadow[16]].min() - 0.5
+def test_between_equals_the_lit_place_wins(walled):
+    plain, found = both(walled, assessment="probability", ranking="probability", dispersion=0.1)
+
+    def dark(sites):
+        x, y = sites.position[0, :2]
+        return found.shadow[np.argmin(abs(found.y - y)), np.argmin(abs(found.x - x))]
+
+    assert dark(plain.sites) and not dark(found.sites)
+    assert found.sites.position[0, 0] == found.x[found.shadow[16]].min() - 0.5
+
+
+def test_shadow_counts_as_a_metre_of_way_in_the_score(walled):
+    plain, found = both(walled)
+    np.testing.assert_allclose(found.score, plain.score + NEARER["score"] * found.shadow)
 
 
 def test_reach_is_what_guidance_or_the_poses_say(walled):
@@ -136,12 +134,7 @@ def test_reach_is_what_guidance_or_the_poses_say(walled):
     assert selector.assess(walled, area=[(0.0, 0.0)]).reach is None
 
 
-@pytest.mark.parametrize(
-    "values",
-    [{"elevation": 91.0}, {"elevation": -1.0}, {"azimuth": 400.0}],
-)
+@pytest.mark.parametrize("values", [{"elevation": 91.0}, {"elevation": -1.0}, {"azimuth": 400.0}])
 def test_a_sun_that_cannot_be_is_refused(values):
     with pytest.raises(ConfigError, match="outside"):
         config_from_values({f"light.{name}": value for name, value in values.items()})
-    with pytest.raises(ConfigError, match=r"light\.elevation is to be above 0"):
-        config_from_values({"lss.weight_shadow": 0.1})

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mapper as a whole: recovered ground, division, inheritance, bounds, invariances."""
 
-import dataclasses
+import copy
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from core.builders import (
     ABOVE,
     GROUND,
     METHODS,
+    assert_same,
     assert_sound,
     by,
     configured,
@@ -25,22 +26,11 @@ from core.builders import (
 
 from quadtree_lss.onboard.core.geometry import morton
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 
-def assert_equal(a: CellMap, b: CellMap, tolerance: float = 0.0) -> None:
-    for field in dataclasses.fields(CellMap):
-        one, other = getattr(a, field.name), getattr(b, field.name)
-        if tolerance and isinstance(one, np.ndarray) and one.dtype == np.float64:
-            np.testing.assert_allclose(one, other, rtol=tolerance, atol=tolerance)
-        else:
-            np.testing.assert_array_equal(one, other)
-
-
-@pytest.mark.parametrize(("fit", "covariance", "division"), METHODS)
-def test_every_method_divides_at_a_step_and_not_on_a_slope(fit, covariance, division):
-    values = {"fit": fit, "covariance": covariance, "division": division}
-    config = configured(mapping=values, lidar={"range_noise": 0.03})
+@pytest.mark.parametrize("paper", METHODS)
+def test_every_method_divides_at_a_step_and_not_on_a_slope(paper):
+    config = configured(mapping={"paper": paper}, lidar={"range_noise": 0.03})
     even = mapped(config, GROUND, density=30.0, scans=3)
     assert even.leaves.count == 4**config.domain.min_level
     stepped = mapped(config, lambda x, y: 0.5 * (x > 5.1), density=60.0, scans=3)
@@ -48,7 +38,7 @@ def test_every_method_divides_at_a_step_and_not_on_a_slope(fit, covariance, divi
     assert_sound(cells)
     assert cells.estimated.all()
     at_step = np.abs(cells.x - 5.1) <= 0.5 * cells.size
-    if division == "lack_of_fit":
+    if paper not in ("division", "all"):
         assert (cells.level[at_step] >= 5).all()
     else:
         assert cells.level[at_step].max() > config.domain.min_level
@@ -62,11 +52,9 @@ def test_the_papers_criterion_hides_misfit_behind_pose_uncertainty():
     The piles of finest cells, which see it by either, are off.
     """
     counts = []
-    for division in ("lack_of_fit", "mahalanobis"):
-        config = configured(
-            mapping={"division": division}, lidar={"range_noise": 0.03}, features={"enabled": False}
-        )
-        with by(MOUND=np.inf):
+    for paper in ("none", "division"):
+        config = configured(mapping={"paper": paper}, lidar={"range_noise": 0.03})
+        with by(MOUND=np.inf, FEATURE_HEIGHT=np.inf):
             mapper, rng = Mapper(config), np.random.default_rng(5)
         pose, places = (
             make_pose(ABOVE, pose_covariance(0.5, 1e-12)),
@@ -188,38 +176,34 @@ def test_a_scan_without_sound_points_changes_nothing(points):
     report = mapper.update(points, make_pose(stamp_ns=10**15))
     assert report.points_used == 0
     assert report.points == points.size // 3 == sum(report.dropped.values())
-    assert_equal(before, mapper.snapshot())
+    assert_same(before, mapper.snapshot())
 
 
 def test_a_snapshot_does_not_change_with_later_scans():
     mapper = mapped(configured(), GROUND, density=20.0, scans=1)
     kept = mapper.snapshot()
-    copy = {
-        f.name: np.copy(getattr(kept, f.name))
-        for f in dataclasses.fields(CellMap)
-        if isinstance(getattr(kept, f.name), np.ndarray)
-    }
+    before = copy.deepcopy(kept)
     x, y = scattered(np.random.default_rng(10), 0.0, 0.0, 16.0, 8000)
     look(mapper, lambda x, y: np.sin(3.0 * x), x, y)
-    for name, values in copy.items():
-        np.testing.assert_array_equal(getattr(kept, name), values)
+    assert_same(kept, before)
 
 
-@pytest.mark.parametrize("how", ["the same", "organised", "height", "ml"])
+@pytest.mark.parametrize("how", ["the same", "organised", "none", "fit"])
 def test_order_and_form_of_points_do_not_matter(how):
     """To the bit if the order is the same, organised or not; else beyond the rounding of sums."""
-    fit = {"fit": how} if how in ("height", "ml") else {}
-    config = configured(mapping=fit, features={"enabled": not fit})
+    fit = {"paper": how} if how in METHODS else {}
+    config = configured(mapping=fit)
     rng, pose = np.random.default_rng(11), make_pose(ABOVE, pose_covariance(0.1, 1e-4))
     x, y = lattice(0.0, 0.0, 16.0, 110)
     points = scan(lambda x, y: 0.4 * (x > 5.1) + 0.3 * np.sin(y), x, y, pose, 0.05, rng)
     other = points[rng.permutation(len(points))] if fit else points
     maps = []
     for cloud in (points, other.reshape(110, 110, 3) if how == "organised" else other):
-        mapper = Mapper(config)
+        with by(**({"FEATURE_HEIGHT": np.inf} if fit else {})):
+            mapper = Mapper(config)
         mapper.update(cloud, pose)
         maps.append(mapper.snapshot())
-    assert_equal(*maps, 1e-7 if fit else 0.0)
+    assert_same(*maps, 1e-7 if fit else 0.0)
 
 
 @pytest.mark.parametrize(("scans", "points"), [(1, 6000), (5, 512)])

@@ -24,9 +24,9 @@ def scatter_of(points: np.ndarray) -> np.ndarray:
     return off.T @ off
 
 
-def fitted(points: np.ndarray, prior=UP, method: str = "height", noise: float = 1e-3):
+def fitted(points: np.ndarray, prior=UP, method: str = "none", noise: float = 1e-3):
     """What `measure` makes of points (N, 3) about the lidar that fill a cell of 2 m below it."""
-    rules = Rules(configured(lidar={"range_noise": noise}, mapping={"fit": method}))
+    rules = Rules(configured(lidar={"range_noise": noise}, mapping={"paper": method}))
     return kernels.fit(rules, points, 0.0, 0.0, 2.0, prior, np.zeros((6, 6)))[0]
 
 
@@ -77,7 +77,7 @@ def test_orthogonal_fit_minimises_the_orthogonal_residuals():
         points = np.column_stack([x, y, -(normal[0] * x + normal[1] * y) / normal[2] - 9.0])
         points += 0.05 * rng.standard_normal(points.shape)
         expected = np.linalg.eigh(scatter_of(points))[1][:, 0]
-        found = fitted(points, method="ml", noise=0.05).normal
+        found = fitted(points, method="fit", noise=0.05).normal
         np.testing.assert_allclose(found, expected * np.sign(expected[2]), atol=1e-9)
 
 

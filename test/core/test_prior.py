@@ -31,22 +31,19 @@ def prior_of(surface, low=-60.0, high=80.0, step=2.0, rng=None, **how):
     return Prior(axis, axis.copy(), z, config)
 
 
-@pytest.mark.parametrize(("length", "side"), [(0.0, 4.0), (3.0, 4.0), (0.0, 14.0)])
-def test_planes_are_least_squares_and_err_as_they_say(length, side):
-    """Against ``lstsq`` of the window, and the scatter over draws of correlated posts."""
+@pytest.mark.parametrize("side", [4.0, 14.0])
+def test_planes_are_least_squares_and_err_as_they_say(side):
+    """Against ``lstsq`` of the window, and the scatter over draws of the posts."""
     rng, axis = np.random.default_rng(1), 2.0 * np.arange(11)
     x, y = (a.ravel() for a in np.meshgrid(axis, axis))
-    config = PriorConfig(file="made", sigma=0.4, correlation_length=length, offset_sigma=0.0)
-    away = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2
-    errors = np.exp(-away / (2.0 * length**2)) if length else np.eye(len(x))
-    root = np.linalg.cholesky(config.sigma**2 * errors + 1e-12 * np.eye(len(x)))
+    config = PriorConfig(file="made", sigma=0.4, offset_sigma=0.0)
     domain = Domain(0.0, 0.0, 20.0, 1, 3)
     half = max(round(0.25 * side), 1)
     near = (np.abs(x - 10.0) <= 2.0 * half) & (np.abs(y - 10.0) <= 2.0 * half)
     rows = np.column_stack([np.ones(near.sum()), x[near] - 10.0, y[near] - 10.0])
     found = []
     for k in range(250):
-        z = 3.0 + 0.2 * x - 0.1 * y + root @ rng.normal(size=len(x))
+        z = 3.0 + 0.2 * x - 0.1 * y + rng.normal(0.0, config.sigma, len(x))
         planes = Prior(axis, axis, z.reshape(11, 11), config).planes(domain, side)
         assert planes is not None
         at = planes.at(planes.fields, *np.full((2, 1), 10.0))[:, 0]

@@ -64,9 +64,7 @@ def test_a_rock_that_noise_hides_in_every_scan_divides():
 
     No return stands out: an exception, three deviations, is farther off than the rock is high.
     """
-    config = configured(
-        domain={**LEAVES_4M, "max_level": 5}, lidar={"range_noise": 0.1, "outlier_gate": 0.0}
-    )
+    config = configured(domain={**LEAVES_4M, "max_level": 5}, lidar={"range_noise": 0.1})
     ground = functools.partial(bump, x0=5.25, y0=6.75, radius=0.6, height=0.25)
     for surface, share in ((ground, np.inf), (ground, 1.0 / 3.0), (flat(), 1.0 / 3.0)):
         with by(MOUND=share, ROCK_EXCEPTIONS=NEVER, ROCK_SIGMA=0.0):

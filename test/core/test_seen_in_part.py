@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.ndimage import maximum_filter
+from core.builders import with_lengths
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmark"))
 
 from common.claims import within
-from common.rays import EXACT, Scene, View, fan, looking, rocks, view
+from common.rays import EXACT, Scene, View, fan, rocks, view
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.simulation.safety import LandingGear, worst_contact
@@ -175,34 +175,12 @@ def overgrown(rng: np.random.Generator) -> Scene:
     return Scene(gradient, np.zeros((0, 4)), cones, boxes)
 
 
-def test_what_is_hit_is_where_it_stands():
-    """The ray caster against the surface itself: without noise every return lies on it."""
-    rng = np.random.default_rng(3)
-    for make in (lambda: strewn(rng, "strips")[0], lambda: overgrown(rng)):
-        scene = make()
-        position = np.array([60.0, -40.0, 90.0])
-        rays = fan(4.0, 64).reshape(-1, 3) @ looking(position, np.zeros(3)).T
-        away, hit = scene.cast(position, rays)
-        places = position + away[:, None] * rays
-        axis = np.arange(-9.0, 9.0, 0.01)
-        dem = scene.dem(axis, axis)
-        column, row = (np.rint((places[:, k] + 9.0) / 0.01).astype(int) for k in (0, 1))
-        # Faces of boxes are upright: their returns lie below the top.
-        upright = hit >= len(scene.spheres) + len(scene.cones)
-        off = places[:, 2] - dem[row, column]
-        assert np.median(np.abs(off[~upright])) < 0.01
-        top = maximum_filter(dem, 5)[row, column]
-        assert (places[:, 2] - top).max() < 0.01
-
-
 @pytest.mark.parametrize("out", [1, 2])
 def test_one_return_alone_does_not_undo_what_is_known(out):
     """Of few returns in a cell; two divide its leaf. Ground is seen from above without noise."""
     values = {"xmin": 0.0, "ymin": 0.0, "size": 1.0, "min_level": 0, "max_level": 2}
-    config = load_config(
-        ["flight"],
-        {f"domain.{name}": value for name, value in values.items()} | {"lidar.outlier_gate": 0.0},
-    )
+    over = {f"domain.{name}": value for name, value in values.items()}
+    config = with_lengths(load_config(["flight"], over), outlier_gate=0.0)
     mapper, axis = Mapper(config), np.linspace(0.03, 0.97, 10)
     x, y = (of.ravel() for of in np.meshgrid(axis, axis))
     down = np.diag([1.0, -1.0, -1.0])

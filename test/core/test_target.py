@@ -2,6 +2,7 @@
 """The target: it stays while landing there is permitted; a number lasts as long as its place."""
 
 import dataclasses
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -11,12 +12,14 @@ from core.test_sites import small
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadtree_lss.onboard.config.settings import LssConfig, config_from_values
-from quadtree_lss.onboard.core.landing import grid
+from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.core.landing import grid, sites
 from quadtree_lss.onboard.core.landing.lattice import ground_planes
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector, ground_covariance
 from quadtree_lss.onboard.core.landing.target import (
+    NEARER,
+    SWITCH,
     Candidates,
     Choice,
     Descent,
@@ -26,7 +29,7 @@ from quadtree_lss.onboard.core.landing.target import (
 )
 
 NAN = np.nan
-LSS = config_from_values({"lss.switch_margin": 0.5}).lss
+LSS = LssConfig()
 AXIS = np.arange(4.0)
 
 
@@ -41,14 +44,15 @@ def ground(merit, safe=None, axis=AXIS):
 def choose(keeper: TargetKeeper, *seen: Candidates, **others: object) -> Choice:
     """The last choice over some assessments, by a margin of 0.5."""
     for each in seen:
-        choice = keeper.choose(
-            each,
-            LSS,
-            reach=0.9,
-            why_not=lambda row, column: Reason.HAZARD,
-            why_none=Reason.NO_SITE,
-            **others,
-        )
+        with mock.patch.dict(SWITCH, {LSS.ranking: 0.5}):
+            choice = keeper.choose(
+                each,
+                LSS,
+                reach=0.9,
+                why_not=lambda row, column: Reason.HAZARD,
+                why_none=Reason.NO_SITE,
+                **others,
+            )
     return choice
 
 
@@ -120,14 +124,13 @@ def unsafe(risks, **others):
 
 
 def test_a_gain_less_than_it_is_uncertain_by_moves_nothing():
-    lss = config_from_values({"lss.switch_margin": 0.01}).lss
     for risk, moves in ((0.06, False), (0.02, True)):
         keeper, seen = TargetKeeper(), unsafe([0.5, 0.08, 0.5, 0.5])
         choose(keeper, seen, seen)
         better = unsafe([0.5, 0.08, 0.5, risk])
         for _ in range(2):
             choice = keeper.choose(
-                better, lss, reach=0.9, why_not=lambda *_: Reason.HAZARD, why_none=Reason.NO_SITE
+                better, LSS, reach=0.9, why_not=lambda *_: Reason.HAZARD, why_none=Reason.NO_SITE
             )
         # 0.02 of gain are uncertain by 0.05, 0.06 by 0.041.
         assert (choice.place == (0, 3)) is moves
@@ -274,8 +277,11 @@ def test_the_target_is_the_first_site_and_every_answer_has_a_number(level_ground
     np.testing.assert_array_equal(again.sites.id, found.sites.id)
 
 
-def test_a_preference_for_another_place_does_not_move_the_target_by_a_little(level_ground):
-    selector = LandingSiteSelector(small(target_risk=0.005))
+def test_a_preference_for_another_place_does_not_move_the_target_by_a_little(
+    monkeypatch, level_ground
+):
+    monkeypatch.setitem(NEARER, "score", 0.1)
+    selector = LandingSiteSelector(small())
     before = target_of(selector, level_ground, target=(5.0, 5.0)).selected
     after = selector.assess(level_ground, target=(5.0, 5.0)).selected
     assert (after.id, after.reason) == (before.id, Reason.HOLDS)
@@ -319,9 +325,10 @@ def test_a_new_area_asks_for_a_target_in_it(level_ground):
     assert nowhere.selected.reason is Reason.NO_SITE and not nowhere.pending
 
 
-def test_guidance_that_tells_what_it_can_reach_keeps_its_target(level_ground):
+def test_guidance_that_tells_what_it_can_reach_keeps_its_target(monkeypatch, level_ground):
     """Area and aim come anew with every second of a flight."""
-    selector = LandingSiteSelector(small(target_risk=0.005))
+    monkeypatch.setitem(NEARER, "score", 0.1)
+    selector = LandingSiteSelector(small())
     held = target_of(selector, level_ground, area=around((8.0, 8.0), 8.0)).selected
     for half in (7.0, 6.0):
         area, aim = around(held.position, half), held.position[:2] + 0.3
@@ -353,15 +360,15 @@ def test_unseen_ground_withdraws_the_target(level_ground):
 
 def test_it_waits_for_a_share_of_the_area_or_some_time(level_ground):
     observed = level_ground.observed.copy()
-    observed[:, : observed.shape[1] // 4] = False
+    observed[:, : observed.shape[1] // 2] = False
     cells = dataclasses.replace(level_ground, observed=observed)
-    some = LandingSiteSelector(small(settle_share=0.9, settle_time=3.0))
+    some = LandingSiteSelector(small(settle_time=3.0))
     for waited, state in ((0.0, State.SETTLING), (2.9, State.SETTLING), (3.0, State.HOLDS)):
         found = some.assess(cells, waited=waited)
         assert found.selected.state is state and not found.pending
-        assert found.seen == pytest.approx(0.77, abs=0.03)
-    east = LandingSiteSelector(small(settle_share=0.9, settle_time=3.0))
-    area = [(5.0, 1.0), (15.0, 1.0), (15.0, 15.0), (5.0, 15.0)]
+        assert found.seen == pytest.approx(0.52, abs=0.03)
+    east = LandingSiteSelector(small(settle_time=3.0))
+    area = [(9.0, 1.0), (15.0, 1.0), (15.0, 15.0), (9.0, 15.0)]
     assert east.assess(cells, waited=0.0, area=area).pending
     found = east.assess(cells, waited=0.0, area=area)
     assert found.seen == 1.0 and found.selected.id == 1
@@ -394,9 +401,11 @@ def by_risk(**lss):
     return small(assessment="probability", ranking="probability", **lss)
 
 
-def test_land_now_takes_the_best_within_reach_at_once(with_block):
+def test_land_now_takes_the_best_within_reach_at_once(monkeypatch, with_block):
     """Before anything is settled, and low: only what lies near enough, until it is released."""
-    selector = LandingSiteSelector(by_risk(settle_share=1.0, target_risk=0.0, dispersion=0.3))
+    monkeypatch.setattr(sites, "SETTLE_SHARE", 1.1)
+    monkeypatch.setitem(NEARER, "probability", 0.0)
+    selector = LandingSiteSelector(by_risk(dispersion=0.3))
     low = (3.0, 0.5, 4.0, 4.0)
     assert not selector.assess(with_block, waited=0.0, vehicle=low).selected.id
     selector.land_now()

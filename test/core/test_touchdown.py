@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from core.builders import configured, feature_height, mapped, slope
+from core.builders import configured, feature_height, mapped, slope, with_lengths
 
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.landing import hazards, touchdown
@@ -143,7 +143,7 @@ def landing_at(monkeypatch):
 
     def configuration(domain: dict[str, object], yaws: int, diameter: float = 2.9) -> Config:
         monkeypatch.setattr(touchdown, "YAWS", yaws)
-        lander, lss = {"diameter": diameter}, {"hazard_growth": 0.0, "max_gap": 0.6}
+        lander, lss = {"diameter": diameter, "hazard_growth": 0.0}, {"max_gap": 0.6}
         return configured(domain=domain, lidar={"range_noise": 0.02}, vehicle=lander, lss=lss)
 
     return configuration
@@ -174,16 +174,15 @@ def test_subscale_features_stand_out_of_the_ground(landing_at):
 )
 def test_unsafe_ground_grows_by_the_set_length_rounded_outwards(growth, reach):
     """Points lie half a metre apart: the next one at the least is unsafe, if it grows at all."""
-    lss, lander = {"hazard_growth": 0.0}, {"diameter": 2.9}
-    config = configured(domain=SMALL, lidar={"range_noise": 0.02}, vehicle=lander, lss=lss)
+    lander = {"diameter": 2.9, "hazard_growth": 0.0}
+    config = configured(domain=SMALL, lidar={"range_noise": 0.02}, vehicle=lander)
 
     def ground(x, y):
         return 0.5 * ((np.abs(x - 3.3) < 0.5) & (np.abs(y - 4.8) < 0.5))
 
     cells = mapped(config, ground, density=150.0, scans=1).snapshot()
     bare = touchdown_bits(cells, config)
-    lss = dataclasses.replace(config.lss, hazard_growth=growth)
-    grown = touchdown_bits(cells, dataclasses.replace(config, lss=lss))
+    grown = touchdown_bits(cells, with_lengths(config, hazard_growth=growth))
     unsafe = np.argwhere(bare)
     for row, column in landable(cells, config):
         distance = cells.domain.finest_size * np.hypot(*(unsafe - (row, column)).T).min()

@@ -21,7 +21,7 @@ CELLS = [(20, 33), (41, 41), (41, 42)]
 
 def limits(assessment="probability", **changes):
     lss = {"assessment": assessment, "grid_spacing": SIDE, **changes}
-    return configured(lss={**lss, "hazard_growth": 0.0, "dispersion": 0.0})
+    return configured(lss={**lss, "dispersion": 0.0}, vehicle={"hazard_growth": 0.0})
 
 
 @pytest.fixture(scope="module")
@@ -115,14 +115,6 @@ def test_heights_are_lent_by_known_cells_alone(level_ground):
     )
     beside = raster.elevation[[29, 31], 31]
     assert raster.elevation[30, 31] in beside and abs(raster.elevation[30, 31]) < 0.1
-
-
-def test_a_map_that_knows_nothing_of_what_it_saw_says_so(level_ground):
-    cells = replace(level_ground, known=np.zeros_like(level_ground.known))
-    found = LandingSiteSelector(limits()).assess(cells)
-    assert found.selected.reason is Reason.NOTHING_MAPPED
-    assert (found.hazard == hazards.UNMAPPED | hazards.UNSEEN).all()
-    assert not found.safe.any() and (found.risk == 1.0).all()
 
 
 def test_why_there_is_no_site_tells_seen_from_mapped(level_ground):

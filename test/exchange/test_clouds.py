@@ -5,7 +5,6 @@ import re
 
 import numpy as np
 import pytest
-from installed import error_without
 
 from quadtree_lss.desk.exchange import clouds
 from quadtree_lss.desk.exchange.clouds import READERS, read_clouds
@@ -98,12 +97,3 @@ def test_another_array_is_no_cloud(tmp_path, shape):
     np.savez(tmp_path / "b.npz", x=np.zeros(3), y=np.zeros(3))
     with pytest.raises(ExchangeError, match="no array 'points', but x, y"):
         read_clouds(tmp_path / "b.npz")
-
-
-@pytest.mark.parametrize(
-    ("module", "suffix"), [("trimesh", ".ply"), ("pypcd4", ".pcd"), ("laspy", ".las")]
-)
-def test_a_missing_library_is_named_with_its_remedy(module, suffix, tmp_path):
-    (tmp_path / f"a{suffix}").write_bytes(b"")
-    told = error_without(module, "replay", f"a{suffix}", cwd=tmp_path)
-    assert f"need {module}, which is not installed: pip install 'quadtree_lss[" in told

@@ -9,7 +9,6 @@ import pytest
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.flight.flight import Flight
 from quadtree_lss.lab.flight.settings import flight_settings
-from quadtree_lss.onboard.elevation import libraries
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.elevation.prior_file import read_prior
 from quadtree_lss.onboard.messages.outputs import status_from_message
@@ -23,14 +22,14 @@ def config(file, **how):
     return load_config(overrides=values | prior)
 
 
-def tiff(path, crs="EPSG:32611", unit=None, corner=(500_000.0, 4_000_000.0)):
-    """Heights x / 10 - y / 5 about the corner, 120 x 120 m; one post unknown."""
+def tiff(path, crs="EPSG:32611", unit=None):
+    """Heights x / 10 - y / 5 about 500 km, 4000 km, 120 x 120 m; one post unknown."""
     rasterio = pytest.importorskip("rasterio")
     axis = STEP * np.arange(-30, 31)
     z = 0.1 * axis[None, :] - 0.2 * axis[:, None]
     z[0, 0] = -9999.0
-    grid = rasterio.Affine(STEP, 0.0, corner[0] + axis[0] - 1.0, 0.0, -STEP,
-                           corner[1] + axis[-1] + 1.0)  # fmt: skip
+    west, north = 500_000.0 + axis[0] - 1.0, 4_000_000.0 + axis[-1] + 1.0
+    grid = rasterio.Affine(STEP, 0.0, west, 0.0, -STEP, north)
     how = {"width": 61, "height": 61, "count": 1, "dtype": "float64", "nodata": -9999.0}
     with rasterio.open(path, "w", driver="GTiff", crs=crs, transform=grid, **how) as file:
         file.write(z[::-1], 1)
@@ -65,11 +64,9 @@ def test_a_geotiff_lies_about_the_origin_in_metres(tmp_path, unit, metres):
 @pytest.mark.parametrize(
     ("make", "how", "word"),
     [
-        (lambda p: tiff(p / "a.tif", unit="fathom"), {}, "'fathom', which is no known unit"),
         (lambda p: tiff(p / "a.tif"), {"origin": "here"}, "'here' is no LAT,LON"),
         (lambda p: tiff(p / "a.tif"), {"origin": "95,0"}, "no LAT,LON"),
         (lambda p: tiff(p / "a.tif", crs=None), {"origin": "36,-117"}, "no coordinate system"),
-        (lambda p: tiff(p / "a.tif", crs="EPSG:4326", corner=(0.0, 0.0)), {}, "degrees"),
         (lambda p: p / "none.tif", {}, "no such file"),
     ],
 )
@@ -77,17 +74,6 @@ def test_what_is_no_prior_is_refused_in_a_line(tmp_path, make, how, word):
     with pytest.raises(ExchangeError, match=word) as said:
         read_prior(config(make(tmp_path), **how))
     assert "\n" not in str(said.value)
-
-
-def test_a_library_that_lacks_is_one_line_that_names_it(tmp_path, monkeypatch):
-    file = tiff(tmp_path / "a.tif")
-
-    def none(name):
-        raise ModuleNotFoundError(name=name)
-
-    monkeypatch.setattr(libraries.importlib, "import_module", none)
-    with pytest.raises(ExchangeError, match=r"need rasterio, .*quadtree_lss\[exchange\]"):
-        read_prior(config(file))
 
 
 def test_replay_says_where_to_look_first_and_how_far_the_map_lay(tmp_path):

@@ -352,8 +352,7 @@ def spoil_values(values: np.ndarray, rng: np.random.Generator) -> None:
             by = extreme(rng)
             many = np.count_nonzero(where)
             values[where] = one_of(
-                rng,
-                [np.full(many, by), values[where] * by, values[where] + by, -values[where]],
+                rng, [np.full(many, by), values[where] * by, values[where] + by, -values[where]]
             )
         else:
             values[where] = np.array(one_of(rng, WHOLE)).astype(values.dtype)

@@ -18,7 +18,7 @@ import pytest
 from core.builders import assert_sound, make_pose, scan, scattered
 from fuzz.cases import NUMBERS, damaged, one_of
 from fuzz.through import MAKER, judge, sent_and_read
-from replay.recordings import GROUND, storage_file, write_ros2
+from replay.recordings import GROUND
 
 from quadtree_lss.desk.replay.elevation_model import rank_sites
 from quadtree_lss.desk.replay.replay import replay
@@ -35,8 +35,9 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.landing_inputs import prior_from_message
 
 #: Of each kind of file; make test-all sends 20,000 in all, other ones with another FUZZ_SEED.
+#: Damaged bags are those of replay/test_damaged_bags.py.
 COUNTS = {"dem_npz": 100, "dem_tiff": 100, "study": 100, "record": 100}
-COUNTS |= {"prior": 100, "cloud": 20, "poses": 20, "bag": 15}
+COUNTS |= {"prior": 100, "cloud": 20, "poses": 20}
 SEED, MANY = int(os.environ.get("FUZZ_SEED", "7110")), 45
 TYPES = ["f2", "f4", "f8", ">f8", "i1", "u2", "i8", "u8", "c16", "?", "S3", "U2", "M8[ns]"]
 WORDS = ["", "null", "[]", "{}", "-1", "1e999", ".nan", "'a'", "{uniform: [1, 0]}", "!!python/x y"]
@@ -231,16 +232,7 @@ def record(rng, folder):
     assert store.read(case) == written
 
 
-def bag(rng, folder):
-    if not (whole := folder / "whole").exists():
-        write_ros2(whole, scans=3)
-    content = storage_file(whole).read_bytes()
-    path = folder / storage_file(whole).name
-    path.write_bytes(spoilt_bytes(rng, content))
-    sound(replay(path, None, CONFIG))
-
-
-KINDS = {f.__name__: f for f in (dem_npz, dem_tiff, prior, cloud, poses, study, record, bag)}
+KINDS = {f.__name__: f for f in (dem_npz, dem_tiff, prior, cloud, poses, study, record)}
 
 
 def through(kind: str, folder: Path, seed: int, count: int) -> Counter[str]:

@@ -27,8 +27,9 @@ from fuzz import cases
 from fuzz.cases import extreme, one_of
 from messages import samples
 
+from quadtree_lss.onboard.autopilot import landing as autopilot
 from quadtree_lss.onboard.autopilot.frames import Jumps, Nav
-from quadtree_lss.onboard.autopilot.landing import Landing, Seen, Target, target_of
+from quadtree_lss.onboard.autopilot.landing import Seen, Target, target_of
 from quadtree_lss.onboard.autopilot.link import ARDUPILOT, PX4, Link
 from quadtree_lss.onboard.config.limits import pass_seconds
 from quadtree_lss.onboard.config.sections import AutopilotConfig
@@ -118,96 +119,107 @@ def sent_and_read(cells: CellMap, config: Config) -> CellMap:
     return map_from_messages(cloud, grid, config.lss)
 
 
-class Flight:
-    """mapping_node's part: good scans and poses, and of one kind bad ones among them."""
+class Mapping:
+    """What takes messages in, maps and judges; its own counters are closed."""
 
-    def __init__(self, rng: np.random.Generator, kind: str) -> None:
+    def __init__(self, rng: np.random.Generator, kind: str, values: dict[str, Any]) -> None:
         self.rng, self.kind = rng, kind
-        mount = {"mount.gimbal": kind == "gimbal", "mount.tf": kind == "transforms"}
-        if kind == "follow":
-            mount |= {"domain.follow": one_of(rng, ["vehicle", "area"]), "domain.min_level": 3}
-        self.config = config_from_values(
-            {"frames.body": "body" if kind == "transforms" else "", **mount}, one_of(rng, CONFIGS)
-        )
-        self.selectors = LandingSiteSelector(self.config)
+        self.config = config_from_values(values, one_of(rng, CONFIGS))
+        self.selector = LandingSiteSelector(self.config)
         self.intake, self.mapper = Intake(self.config), Mapper(self.config)
-        self.now = 10**9
-        self.sent = self.mapped = self.told = 0
-        self.sound: Counter[str] = Counter()
+        self.now, self.sent, self.mapped = 10**9, 0, 0
 
-    def send(self) -> str:
-        self.sent += 1
-        self.now += 10**8
-        refused = self._refused()
-        pose = self._pose()
-        if self.kind in ("pose", "odometry", "follow"):
-            pose = cases.random_pose(self.rng, pose)
-        area = cases.random_polygon(self.rng) if self.kind == "follow" else None
-        if self.kind == "odometry":
-            pose.child_frame_id = one_of(self.rng, ["body"] * 9 + cases.FRAMES)
-        turn = cases.random_transform(self.rng, self.now)
-        cloud = samples.cloud(good_points(self.rng, 60), stamp_ns=self.now)
-        if self.kind == "cloud":
-            cloud = cases.random_cloud(self.rng, self.now)
-        with np.errstate(all="raise", under="ignore"):
-            if self.kind == "gimbal":
-                self.intake.on_gimbal(turn)
-            if self.kind == "transforms":
-                count = int(self.rng.integers(0, 4))
-                more = [cases.random_transform(self.rng, self.now) for _ in range(count)]
-                self.intake.on_transforms(SimpleNamespace(transforms=[turn, *more]))
-            if area is not None:
-                with suppress(MessageError):
-                    self.mapper.look_at(polygon_from_message(area, "map"))
-            self.intake.on_pose(pose)
-            self.intake.on_cloud(cloud, self.now)
+    def work(self, refused: Counter[str], word: str) -> Counter[str]:
+        """Maps what is ready; what was refused of it since, by reasons that begin so."""
         notices = self.intake.notices()
         assert all(len(text) < 1100 and text.isprintable() for _, text in notices)
         for scan_ in self.intake.ready(self.now):
             report = self.mapper.update(scan_.points_lidar, scan_.pose, scan_.sweep)
             assert report.points_used + sum(report.dropped.values()) == report.points
+            assert min(scan_.lost(report.dropped).values()) >= 0
             self.mapped += 1
         if self.sent % 20 == 0:
             cells = self.mapper.snapshot()
             assert_sound(cells)
-            judge(sent_and_read(cells, self.config), self.selectors)
-        gone = self._refused() - refused
-        if not gone:
-            return TAKEN
-        (reason, _), *_ = gone.items()
-        return str(reason)
+            judge(sent_and_read(cells, self.config), self.selector)
+        return self.refused(word) - refused
 
-    def _pose(self) -> SimpleNamespace:
-        covariance = np.diag([1e-4] * 3 + [1e-8] * 3)
-        turn = (1, 0, 0, 0) if self.kind not in ("gimbal", "transforms") else (0, 0, 0, 1)
-        return samples.pose(self.now, (8.0, 8.0, HEIGHT), turn, covariance)
-
-    def _refused(self) -> Counter[str]:
-        """What cannot be used, of the messages of the kind in question."""
-        other = {"odometry": "pose", "follow": "pose", "transforms": "transform"}
-        word = other.get(self.kind, self.kind)
+    def refused(self, word: str) -> Counter[str]:
+        """What could not be used so far, by reasons that begin so."""
         return Counter({k: n for k, n in self.intake.rejected.items() if k.startswith(word)})
 
     def close(self, told: Counter[str]) -> None:
-        """The node's own counters are closed, too."""
         self.intake.finish()
-        refused = self._refused().total()
-        if self.kind == "cloud":
-            assert self.intake.scans + refused == self.sent
-        if self.kind in ("pose", "odometry", "follow"):
-            assert 0 <= self.sent - self.intake.poses_taken - refused < PATIENCE
         assert self.mapped + sum(self.intake.queue.dropped.values()) == self.intake.scans
         assert self.mapped > 0
 
 
-class Maps:
-    """lss_node's part: ``map/cells`` or ``map/observed`` spoilt."""
+class Flight(Mapping):
+    """mapping_node's part: good scans and poses, and of one kind bad ones among them."""
+
+    def __init__(self, rng: np.random.Generator, kind: str) -> None:
+        values = {"mount.source": {"gimbal": "gimbal", "transforms": "tf"}.get(kind, "fixed")}
+        values["frames.body"] = "body" if kind == "transforms" else ""
+        if kind == "follow":
+            values |= {"domain.follow": one_of(rng, ["vehicle", "area"]), "domain.min_level": 3}
+        super().__init__(rng, kind, values)
+        self.word = {"odometry": "pose", "follow": "pose", "transforms": "transform"}.get(
+            kind, kind
+        )
+
+    def send(self) -> str:
+        self.sent += 1
+        self.now += 10**8
+        refused = self.intake.rejected.copy()
+        covariance = np.diag([1e-4] * 3 + [1e-8] * 3)
+        turn = (1, 0, 0, 0) if self.kind not in ("gimbal", "transforms") else (0, 0, 0, 1)
+        pose = samples.pose(self.now, (8.0, 8.0, HEIGHT), turn, covariance)
+        if self.kind in ("pose", "odometry", "follow"):
+            pose = cases.random_pose(self.rng, pose)
+        area = cases.random_polygon(self.rng) if self.kind == "follow" else None
+        if self.kind == "odometry":
+            pose.child_frame_id = one_of(self.rng, ["body"] * 9 + cases.FRAMES)
+        turned = cases.random_transform(self.rng, self.now)
+        cloud = samples.cloud(good_points(self.rng, 60), stamp_ns=self.now)
+        if self.kind == "cloud":
+            cloud = cases.random_cloud(self.rng, self.now)
+        with np.errstate(all="raise", under="ignore"):
+            if self.kind == "gimbal":
+                self.intake.on_gimbal(turned)
+            if self.kind == "transforms":
+                count = int(self.rng.integers(0, 4))
+                more = [cases.random_transform(self.rng, self.now) for _ in range(count)]
+                self.intake.on_transforms(SimpleNamespace(transforms=[turned, *more]))
+            if area is not None:
+                with suppress(MessageError):
+                    self.mapper.look_at(polygon_from_message(area, "map"))
+            self.intake.on_pose(pose)
+            self.intake.on_cloud(cloud, self.now)
+        return next(iter(self.work(refused, self.word)), TAKEN)
+
+    def close(self, told: Counter[str]) -> None:
+        super().close(told)
+        refused = self.refused(self.word).total()
+        if self.kind == "cloud":
+            assert self.intake.scans + refused == self.sent
+        if self.kind in ("pose", "odometry", "follow"):
+            assert 0 <= self.sent - self.intake.poses_taken - refused < PATIENCE
+
+
+class Landing:
+    """What judges a map, by any rule."""
 
     def __init__(self, rng: np.random.Generator, kind: str) -> None:
         self.rng, self.kind = rng, kind
-        self.config = one_of(rng, CONFIGS)
+        by_risk = kind in ("dispersion", "map_prior", "status")
+        self.config = CONFIGS[0] if by_risk else one_of(rng, CONFIGS)
         self.selector = LandingSiteSelector(self.config)
         self.cells = mapped_scene(self.config).snapshot()
+        self.wishes, self.sent = LandingWishes("map"), 0
+
+
+class Maps(Landing):
+    """lss_node's part: ``map/cells`` or ``map/observed`` spoilt."""
 
     def send(self) -> str:
         (_, cloud), (_, grid) = MAKER.of_map(self.cells)
@@ -267,7 +279,7 @@ class Maps:
         assert told[TAKEN] and len(told) > 3
 
 
-class Wishes:
+class Wishes(Landing):
     """lss_node's part: what guidance says."""
 
     MAKE: dict[str, Callable[[np.random.Generator], SimpleNamespace]] = {
@@ -277,13 +289,6 @@ class Wishes:
         "target": cases.random_target,
         "dispersion": cases.random_dispersion,
     }
-
-    def __init__(self, rng: np.random.Generator, kind: str) -> None:
-        self.rng, self.kind = rng, kind
-        self.config = CONFIGS[0] if kind == "dispersion" else one_of(rng, CONFIGS)
-        self.selector = LandingSiteSelector(self.config)
-        self.cells = mapped_scene(self.config).snapshot()
-        self.wishes = LandingWishes("map")
 
     def send(self) -> str:
         reason, message = TAKEN, self.MAKE[self.kind](self.rng)
@@ -310,10 +315,10 @@ class Vehicle:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
             self.there = probe.getsockname()
-        self.link = Link(f"udpin:127.0.0.1:{self.there[1]}", 57600, lambda: self.now)
+        self.link = Link(f"udpin:127.0.0.1:{self.there[1]}", lambda: self.now)
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.autopilot = mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
-        self.landing, self.jumps = Landing(AutopilotConfig()), Jumps()
+        self.landing, self.jumps = autopilot.Landing(AutopilotConfig()), Jumps()
         self.intake = Intake(config_from_values({"pose.source": "odometry"}, CONFIGS[0]))
         self.sent = self.poses = self.octets = 0
         self.heard: Counter[str] = Counter()
@@ -510,23 +515,19 @@ class Checkpoints:
         assert told[TAKEN] and len(told) > 3
 
 
-class Depth:
+class Depth(Mapping):
     """mapping_node's part with a depth camera: images, or what is said of them, spoilt."""
 
     SHAPE, FOCAL = (12, 16), 20.0
 
     def __init__(self, rng: np.random.Generator, kind: str) -> None:
-        self.rng, self.kind = rng, kind
-        values = {"lidar.source": "depth", "lidar.depth_step": int(rng.integers(1, 3))}
-        values["lidar.depth_raw"] = bool(rng.integers(2))
+        values = {"lidar.source": "depth"}
         if rng.random() < 0.5:
-            values |= {"lidar.baseline": 0.05, "lidar.focal_length": self.FOCAL}
-        self.config = config_from_values(values, one_of(rng, CONFIGS))
-        self.selector = LandingSiteSelector(self.config)
-        self.intake, self.mapper = Intake(self.config), Mapper(self.config)
+            values["lidar.stereo_noise"] = 0.1 / (0.05 * self.FOCAL)
+        super().__init__(rng, kind, values)
         self.good = cases.GOOD.camera(0, *self.SHAPE, self.FOCAL)
         self.intake.on_camera_info(self.good)
-        self.now, self.sent, self.mapped, self.infos = 10**9, 0, 0, 0
+        self.infos = 0
 
     def send(self) -> str:
         self.sent += 1
@@ -541,20 +542,7 @@ class Depth:
                 image = cases.random_image(self.rng, self.now, z)
             self.intake.on_pose(samples.pose(self.now, (8.0, 8.0, HEIGHT), (1, 0, 0, 0)))
             self.intake.on_cloud(image, self.now)
-        assert all(len(text) < 1100 and text.isprintable() for _, text in self.intake.notices())
-        for scan_ in self.intake.ready(self.now):
-            report = self.mapper.update(scan_.points_lidar, scan_.pose, scan_.sweep)
-            assert report.points_used + sum(report.dropped.values()) == report.points
-            assert min(scan_.lost(report.dropped).values()) >= 0
-            self.mapped += 1
-        if self.sent % 20 == 0:
-            cells = self.mapper.snapshot()
-            assert_sound(cells)
-            judge(sent_and_read(cells, self.config), self.selector)
-        word = "camera_info" if self.kind == "camera_info" else "cloud"
-        gone = Counter(
-            {k: n for k, n in (self.intake.rejected - refused).items() if k.startswith(word)}
-        )
+        gone = self.work(refused, "camera_info" if self.kind == "camera_info" else "cloud")
         if self.kind == "camera_info":  # what follows is seen by a good one
             self.infos += gone.total()
             self.intake.on_camera_info(self.good)
@@ -562,11 +550,9 @@ class Depth:
 
     def close(self, told: Counter[str]) -> None:
         """Images and what is said of them are counted apart, and each is one or the other."""
-        self.intake.finish()
-        by = self.intake.rejected
-        assert self.intake.scans + sum(n for k, n in by.items() if k[:5] == "cloud") == self.sent
-        assert sum(n for k, n in by.items() if k[:6] == "camera") == self.infos
-        assert self.mapped + sum(self.intake.queue.dropped.values()) == self.intake.scans
+        super().close(told)
+        assert self.intake.scans + self.refused("cloud").total() == self.sent
+        assert self.refused("camera").total() == self.infos
         assert sum(self.intake.dropped.values()) == self.sent - self.mapped
         assert told[TAKEN] and len(told) > 1
 
@@ -637,15 +623,8 @@ class Saved:
         assert told[TAKEN] and len(told) > 1
 
 
-class LandNow:
+class LandNow(Landing):
     """lss_node's part: where the vehicle is, and that it has to land."""
-
-    def __init__(self, rng: np.random.Generator, kind: str) -> None:
-        self.rng, self.sent, self.taken = rng, 0, 0
-        self.config = one_of(rng, CONFIGS)
-        self.selector = LandingSiteSelector(self.config)
-        self.cells = mapped_scene(self.config).snapshot()
-        self.wishes = LandingWishes("map")
 
     def send(self) -> str:
         rng = self.rng
@@ -668,13 +647,12 @@ class LandNow:
         assert told[TAKEN] and told["passed over"]
 
 
-class OfPrior:
+class OfPrior(Landing):
     """lss_node's part: what is said of the prior, on to what an autopilot's node reads of it."""
 
     def __init__(self, rng: np.random.Generator, kind: str) -> None:
-        self.rng = rng
-        config = CONFIGS[0]
-        self.found = LandingSiteSelector(config).assess(mapped_scene(config).snapshot())
+        super().__init__(rng, kind)
+        self.found = self.selector.assess(self.cells)
 
     def send(self) -> str:
         rng = self.rng
@@ -696,14 +674,13 @@ class OfPrior:
         assert told[TAKEN] and told["frame"] and told["prior"]
 
 
-class Told:
+class Told(Landing):
     """autopilot_node's part: ``landing/status`` spoilt, on to set-points."""
 
     def __init__(self, rng: np.random.Generator, kind: str) -> None:
-        self.rng, self.now = rng, 0.0
-        config = CONFIGS[0]
-        self.found = LandingSiteSelector(config).assess(mapped_scene(config).snapshot())
-        self.landing = Landing(AutopilotConfig())
+        super().__init__(rng, kind)
+        self.now, self.found = 0.0, self.selector.assess(self.cells)
+        self.landing = autopilot.Landing(AutopilotConfig())
 
     def send(self) -> str:
         rng = self.rng

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth images to points: units, rays, distortion undone, decimation, edges, what is refused."""
+"""Depth images to points: units, rays, decimation, edges, what is refused."""
 
 import dataclasses
 
@@ -8,9 +8,10 @@ import pytest
 
 from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.config.sections import LidarConfig
-from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.messages import depth
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.depth import DepthCamera, distorted
+from quadtree_lss.onboard.messages.depth import DepthCamera
 from quadtree_lss.onboard.messages.intake import Intake
 
 H, W, F = 48, 64, 50.0
@@ -18,7 +19,7 @@ MAKE = Messages()
 
 
 def camera(**values):
-    lidar = LidarConfig(**{"depth_step": 1, "range_noise": 0.01, **values})
+    lidar = LidarConfig(**{"range_noise": 0.01, **values})
     found = DepthCamera(lidar)
     found.on_info(MAKE.camera(1, H, W, F))
     return found
@@ -46,42 +47,21 @@ def test_millimetres_and_metres_are_the_same_points():
         np.testing.assert_allclose(camera().points(floats), points, atol=1e-5)
 
 
-def test_every_so_manieth_pixel_is_taken_with_its_own_ray():
+def test_every_so_manieth_pixel_is_taken_with_its_own_ray(monkeypatch):
+    monkeypatch.setattr(depth, "COLUMNS", W // 4)
     z, points = plane()
-    few = camera(depth_step=4).points(MAKE.depth(1, z))
+    few = camera().points(MAKE.depth(1, z))
     np.testing.assert_allclose(few, points[2::4, 2::4], atol=7e-4)
 
 
-def test_distortion_is_undone():
-    """Points of a plane seen through a lens: each lies on the plane again."""
-    d = np.array([-0.28, 0.07, 1e-3, -5e-4, 0.01])
-    x, y = np.meshgrid(np.linspace(-0.5, 0.5, 21), np.linspace(-0.4, 0.4, 17))
-    seen = DepthCamera(LidarConfig(depth_step=1, depth_raw=True))
-    seen.on_info(MAKE.camera(1, H, W, F, d))
-    points = seen.points(MAKE.depth(1, np.full((H, W), 2.0)))
-    back = distorted(*(points[..., k].astype(float) / points[..., 2] for k in (0, 1)), d)
-    u, v = np.meshgrid(np.arange(W), np.arange(H))
-    np.testing.assert_allclose(back[0] * F + 31.5, u, atol=2e-3)
-    np.testing.assert_allclose(back[1] * F + 23.5, v, atol=2e-3)
-    assert np.abs(points[0, 0, :2]).max() > 2.0 * 31.5 / F, "a barrel's corner lies farther out"
-    # Rectified is the default: the same numbers mean nothing then.
-    plain = DepthCamera(LidarConfig(depth_step=1))
-    plain.on_info(MAKE.camera(1, H, W, F, d))
-    assert plain.points(MAKE.depth(1, np.full((H, W), 2.0)))[0, 0, 0] == pytest.approx(-1.26)
-    assert np.hypot(*(np.array(distorted(x, y, 0.0 * d)) - [x, y])).max() == 0.0
-    # By hand, of each number alone at (0.3, 0.4), where r^2 = 0.25.
-    alone = [distorted(0.3, 0.4, 0.1 * axis) for axis in np.eye(5)]
-    expected = [(0.3075, 0.41), (0.301875, 0.4025), (0.324, 0.457), (0.343, 0.424)]
-    np.testing.assert_allclose(alone, [*expected, (0.30046875, 0.400625)], rtol=1e-12)
-
-
 @pytest.mark.parametrize("step", [1, 2])
-def test_pixels_between_near_and_far_are_dropped_and_counted(step):
+def test_pixels_between_near_and_far_are_dropped_and_counted(monkeypatch, step):
+    monkeypatch.setattr(depth, "COLUMNS", W // step)
     z = np.full((H, W), 5.0)
     z[:, 31:] = 3.0
     z[:, 30] = 4.0  # on neither
     z[10, 50] = np.nan
-    seen = camera(depth_step=step)
+    seen = camera()
     points = seen.points(MAKE.depth(1, z))
     column = np.arange(step // 2, W, step)
     gone = np.isnan(points[..., 2])
@@ -94,10 +74,9 @@ def test_pixels_between_near_and_far_are_dropped_and_counted(step):
 
 def test_noise_of_stereo_is_no_edge():
     """At 10 m neighbours differ by decimetres; a plane seen at 20 degrees is one, too."""
-    stereo = {"disparity_sigma": 0.1, "focal_length": F, "baseline": 0.5}
     rng = np.random.default_rng(1)
     z = np.full((H, W), 10.0) + rng.normal(0.0, 0.1 * 100.0 / (F * 0.5), (H, W))
-    seen = camera(**stereo)
+    seen = camera(stereo_noise=0.1 / (F * 0.5))
     seen.points(MAKE.depth(1, z))
     assert seen.edges < 3
     plain = camera()
@@ -124,17 +103,10 @@ def test_what_cannot_be_used_is_told():
             camera().points(dataclasses.replace(image, **change))
     with pytest.raises(MessageError, match="no focal length"):
         camera().on_info(MAKE.camera(1, H, W, 0.0))
-    raw = DepthCamera(LidarConfig(depth_raw=True))
-    wrong = dataclasses.replace(MAKE.camera(1, H, W, F, np.ones(5)), distortion_model="equidistant")
-    with pytest.raises(MessageError, match="equidistant"):
-        raw.on_info(wrong)
-    stereo = DepthCamera(LidarConfig(baseline=0.05))
-    assert "lidar.focal_length is 380" in stereo.on_info(MAKE.camera(1, H, W, F))
-    assert stereo.on_info(MAKE.camera(2, H, W, F)) == "", "told once"
 
 
 def test_intake_takes_images_as_scans_and_tells_edges_apart():
-    intake = Intake(config_from_values({"lidar.depth_step": 1}))
+    intake = Intake(Config())
     z, _ = plane()
     z[20, 20] *= 0.8
     z[20, 21] *= 0.6

@@ -81,7 +81,7 @@ def test_nothing_is_made_up(points):
 @pytest.mark.parametrize("mistake", ["ned", "no mount"])
 def test_ground_above_the_lidar_is_refused_with_the_likely_reason(mistake):
     """Poses in NED and a forgotten mount, both inside of the domain: the map stays as it was."""
-    config = config_from_values({**DOMAIN, "lidar.outlier_gate": 0.0})
+    config = config_from_values(DOMAIN)
     down, place = np.diag([1.0, -1.0, -1.0]), np.array([5.0, 3.0, 30.0])
     points = optical_points(down, place)
     mapper, covariance = Mapper(config), np.diag([1e-4] * 3 + [1e-8] * 3)

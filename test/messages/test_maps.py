@@ -6,7 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from core.builders import configured, mapped, upward_normals
+from core.builders import assert_same, configured, mapped, upward_normals
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry import rotations
@@ -44,11 +44,6 @@ def decoded(records, cells: CellMap) -> CellMap:
     where = cells.domain.xmin, cells.domain.ymin
     seen = maps.decode_observed(maps.encode_observed(cells.observed, cells.known))
     return maps.decode_cells(records, seen[0], *where, cells.stamp_ns, known=seen[1])
-
-
-def assert_same(a: CellMap, b: CellMap) -> None:
-    for field in dataclasses.fields(CellMap):
-        np.testing.assert_array_equal(getattr(a, field.name), getattr(b, field.name), field.name)
 
 
 def test_what_matters_comes_back_exactly(cells):

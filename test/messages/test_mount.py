@@ -36,7 +36,7 @@ def transform(stamp_ms, translation, rotation):
 
 def test_without_parameters_poses_are_the_lidars():
     assert fixed_mount(MountConfig()) is None
-    assert fixed_mount(MountConfig(gimbal=True)) is None
+    assert fixed_mount(MountConfig(source="gimbal")) is None
 
 
 def test_roll_pitch_yaw_turn_about_fixed_axes_in_that_order():
@@ -70,7 +70,7 @@ def test_a_lever_arm_turns_attitude_into_position_covariance():
 
 
 def test_a_gimbal_is_interpolated_to_the_scan():
-    intake = Intake(config_from_values({"mount.gimbal": True}))
+    intake = Intake(config_from_values({"mount.source": "gimbal"}))
     for stamp in (0, 100):
         intake.on_pose(pose(stamp * MS, (0.0, 0.0, 5.0)))
     intake.on_cloud(scan(50), 0)
@@ -83,7 +83,7 @@ def test_a_gimbal_is_interpolated_to_the_scan():
 
 
 def test_a_scan_without_gimbal_is_told_as_such():
-    config = config_from_values({"mount.gimbal": True, "pose.max_wait": 0.1})
+    config = config_from_values({"mount.source": "gimbal", "pose.max_wait": 0.1})
     intake = Intake(config, gimbal_topic="/my/gimbal")
     for stamp in (0, 100):
         intake.on_pose(pose(stamp * MS))
@@ -114,11 +114,8 @@ def test_axes_have_names_for_the_usual_turns(axes, rpy):
     turned = fixed_mount(MountConfig(roll_deg=roll, pitch_deg=pitch, yaw_deg=yaw))
     np.testing.assert_allclose(named, turned.rotation_map_lidar, atol=1e-15)
     forward, left, up = np.eye(3)
-    if axes == "flu_to_optical":
-        right_down_forward = np.array([-left, -up, forward])
-        np.testing.assert_array_equal(named, right_down_forward)
-    else:
-        np.testing.assert_array_equal(named @ np.eye(3), np.array([-left, -up, forward]).T)
+    optical = np.array([-left, -up, forward])  # right, down, forward
+    np.testing.assert_array_equal(named, optical if axes == "flu_to_optical" else optical.T)
 
 
 def test_axes_turn_the_cloud_under_every_mount():
@@ -132,22 +129,22 @@ def test_axes_turn_the_cloud_under_every_mount():
         config = config_from_values({**values, "frames.body": "body"})
         intake = Intake(config)
         intake.on_pose(pose(0, (10.0, 20.0, 30.0)))
-        if config.mount.gimbal:
+        if config.mount.source == "gimbal":
             intake.on_gimbal(transform(0, (1.0, 0.0, 0.0), rotation))
-        if config.mount.tf:
+        if config.mount.source == "tf":
             intake.on_transforms(SimpleNamespace(transforms=[transform(0, (1, 0, 0), rotation)]))
         intake.on_cloud(cloud(points, stamp_ns=0), 0)
         (ready,) = intake.ready(0)
         return ready.points_lidar @ ready.pose.rotation_map_lidar.T + ready.pose.position
 
-    for mount in ({}, {"x": 2.0, "pitch_deg": 30.0}, {"gimbal": True}, {"tf": True}):
+    for mount in ({}, {"x": 2.0, "pitch_deg": 30.0}, {"source": "gimbal"}, {"source": "tf"}):
         np.testing.assert_allclose(
             mapped(flu, axes="flu_to_optical", **mount), mapped(optical, **mount), atol=1e-6
         )
 
 
 def tf_intake(**more):
-    return Intake(config_from_values({"mount.tf": True, "frames.body": "base_link", **more}))
+    return Intake(config_from_values({"mount.source": "tf", "frames.body": "base_link", **more}))
 
 
 def chain(*links):
@@ -181,7 +178,7 @@ def test_the_mount_follows_static_transforms_up_and_down():
 
 
 @pytest.mark.survives(
-    "no way from the body to the lidar in `/tf_static` (`mount.tf`)",
+    "no way from the body to the lidar in `/tf_static` (`mount.source: tf`)",
     "scans wait `pose.max_wait` and are dropped as `no_mount`, with the frames heard of",
 )
 def test_a_scan_without_a_chain_says_which_frames_were_heard_of():
@@ -250,7 +247,7 @@ def test_odometry_is_taken_for_its_child_frame():
 
 def test_names_of_frames_are_shown_as_80_characters():
     """Of a child frame, of a transform, of a scan, and of the frames that were heard of."""
-    intake = Intake(config_from_values({"mount.tf": True, "frames.body": "b" * 81}))
+    intake = Intake(config_from_values({"mount.source": "tf", "frames.body": "b" * 81}))
     intake.on_pose(odometry(0, "c" * 900))
     for k in range(2):
         intake.on_pose(odometry(k, "b" * 81))
@@ -266,7 +263,7 @@ def test_names_of_frames_are_shown_as_80_characters():
 
 
 def test_a_mount_from_tf_begins_at_the_odometrys_child_frame():
-    intake = Intake(config_from_values({"mount.tf": True}))
+    intake = Intake(config_from_values({"mount.source": "tf"}))
     intake.on_transforms(chain(("base_link", "lidar", (1.0, 0.0, 0.0), np.eye(3))))
     intake.on_cloud(scan(0), 0)
     intake.on_pose(odometry(0, "base_link"))
@@ -277,9 +274,8 @@ def test_a_mount_from_tf_begins_at_the_odometrys_child_frame():
 @pytest.mark.parametrize(
     "values",
     [
-        {"mount.tf": True, "mount.x": 1.0},
-        {"mount.gimbal": True, "mount.pitch_deg": 1.0},
-        {"mount.tf": True, "mount.gimbal": True},
+        {"mount.source": "tf", "mount.x": 1.0},
+        {"mount.source": "gimbal", "mount.pitch_deg": 1.0},
         {"mount.axes": "ned"},
     ],
 )

@@ -140,7 +140,6 @@ MAP = {
     "domain.size": 32.0,
     "domain.min_level": 5,
     "domain.max_level": 7,
-    "lidar.outlier_gate": 0.0,
     "lidar.range_noise": 0.01,
 }
 

@@ -66,8 +66,7 @@ def test_a_parameter_file_is_the_only_source_unless_more_is_said(make, tmp_path,
 
 
 @pytest.mark.survives(
-    "`params_file` missing, unreadable or empty",
-    "the launch stops with the path that was tried",
+    "`params_file` missing, unreadable or empty", "the launch stops with the path that was tried"
 )
 @pytest.mark.parametrize(
     ("content", "words"),

@@ -20,7 +20,6 @@ GROUND = {
     "domain.min_level": 3,
     "domain.max_level": 6,
     "lidar.range_noise": 0.03,
-    "lidar.outlier_gate": 0.0,
     "lss.max_gap": 3.0,
     "lss.max_risk": 0.9,  # so few returns say little
 }

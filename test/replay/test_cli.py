@@ -118,11 +118,6 @@ def test_a_place_may_begin_with_a_minus(capsys, tmp_path):
     assert code == 1 and "no such file" in json.loads(out)["error"]
 
 
-def test_options_that_do_not_go_together_are_named(capsys):
-    code, _, err = run(capsys, "replay", "bag", "--publish", "--record", "x", "--no-report")
-    assert code == 2 and "--no-report, --record do not go with --publish" in err
-
-
 @pytest.mark.parametrize("command", ["replay", "info", "config", "simulate", "evaluate"])
 def test_help_has_examples(capsys, command):
     code, out, _ = run(capsys, command, "--help")
@@ -184,10 +179,26 @@ def test_the_executable_of_ros2_run(bag, tmp_path, capsys, monkeypatch):
     assert "scans mapped" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("module", ["rosbags", "zstandard", "lz4"])
-def test_a_missing_package_for_bags_is_told_with_its_remedy(module, tmp_path):
-    told = error_without(module, "replay", "none.mcap", "--no-report", cwd=tmp_path)
-    assert f"'{module}' is not installed" in told and "pip install" in told
+@pytest.mark.parametrize(
+    ("module", "arguments"),
+    [
+        *((module, ["replay", "none.mcap"]) for module in ("rosbags", "zstandard", "lz4")),
+        ("trimesh", ["replay", "file.ply"]),
+        ("pypcd4", ["replay", "file.pcd"]),
+        ("laspy", ["replay", "file.las"]),
+        ("rasterio", ["sites", "file.tif"]),
+        ("rasterio", ["export", "results", "--format", "geotiff"]),
+        ("trimesh", ["export", "results", "--format", "ply"]),
+    ],
+)
+def test_a_missing_library_is_one_line_with_its_remedy(capsys, bag, tmp_path, module, arguments):
+    (tmp_path / arguments[1]).touch()
+    if arguments[0] == "export":
+        (tmp_path / "results").unlink()
+        run(capsys, "replay", bag, "--out", tmp_path / "results", *FAST)
+    told = error_without(module, *arguments, cwd=tmp_path)
+    assert re.search(rf"\b{module}\b.* is not installed.*pip install", told), told
+    assert arguments[1] == "none.mcap" or "quadtree_lss[exchange]" in told, told
 
 
 def started(*arguments):

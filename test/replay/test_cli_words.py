@@ -5,7 +5,6 @@ import io
 import json
 import sys
 
-import pytest
 from replay.test_cli import FAST, run
 
 from quadtree_lss.desk.commands import console
@@ -79,9 +78,3 @@ def test_bars_tell_what_is_done_of_how_much(monkeypatch):
     with console.ProgressBar("work", "scans", verbose=True) as bar:
         bar.update(3, 10)
     assert "3 of 10 scans, " in shown.getvalue()
-
-
-@pytest.mark.parametrize("flight", ["morpheus", "parabola", "descent", "--terrain"])
-def test_help_explains_the_flights(capsys, flight):
-    out = run(capsys, "simulate", "--help")[1].partition("flights:")[2]
-    assert flight in out and "elevation (ny, nx)" in out

@@ -12,15 +12,7 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
-from replay.recordings import (
-    CLOUD,
-    GROUND,
-    SECOND,
-    flight,
-    recording,
-    storage_file,
-    write_ros2,
-)
+from replay.recordings import CLOUD, GROUND, SECOND, flight, recording, storage_file, write_ros2
 
 from quadtree_lss.cli import main
 from quadtree_lss.desk.bags.bag import Bag, BagError

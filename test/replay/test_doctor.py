@@ -162,7 +162,7 @@ MISTAKES = {
         {}, {**MOUNTED, "mount.pitch_deg": -4.0}, "mount_angle", "pitch_deg: ",
     ),
     "poses once in two seconds": (
-        {"pose_times": np.arange(0.0, 8.1, 2.0)}, MOUNTED, "rate", "pose.max_gap",
+        {"pose_times": np.arange(0.0, 8.1, 2.0)}, MOUNTED, "rate", "raise the poses' rate",
     ),
     "covariances of nothing": (
         {"covariance": np.zeros((6, 6))}, MOUNTED, "covariance", "pose.unknown_position_sigma",

@@ -8,7 +8,6 @@ from dataclasses import replace as changed
 import numpy as np
 import pytest
 import yaml
-from installed import error_without
 from replay.recordings import GROUND, write_ros2
 from replay.test_cli import run
 
@@ -232,12 +231,6 @@ def test_a_folder_that_cannot_be_written_is_named(written, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ExchangeError, match="cannot be written"):
         export_results(written.out, tmp_path / "file", ["map_server"])
-
-
-@pytest.mark.parametrize(("module", "form"), [("rasterio", "geotiff"), ("trimesh", "ply")])
-def test_a_missing_library_is_one_line(module, form, written):
-    told = error_without(module, "export", written.out, "--format", form, cwd=written.out)
-    assert f"need {module}" in told and "quadtree_lss[exchange]" in told
 
 
 def test_the_formats_of_the_command_are_those_there_are():

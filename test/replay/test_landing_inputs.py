@@ -15,11 +15,7 @@ from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.landing_inputs import (
-    MAX_KEEP_OUTS,
-    LandingWishes,
-    Navigation,
-)
+from quadtree_lss.onboard.messages.landing_inputs import MAX_KEEP_OUTS, LandingWishes, Navigation
 
 CONFIG = config_from_values({**GROUND, "domain.max_level": 5})
 WEST = [(-15.0, -15.0), (0.0, -15.0), (0.0, 15.0), (-15.0, 15.0)]
@@ -184,8 +180,7 @@ def test_the_command_line_says_where_to_land(tmp_path, free):
 
 
 @pytest.mark.parametrize(
-    "option",
-    ["--area=1,2 3,4", "--keep-out=1,2 3,4 5", "--target=1", "--target=1,nan", "--area="],
+    "option", ["--area=1,2 3,4", "--keep-out=1,2 3,4 5", "--target=1", "--target=1,nan", "--area="]
 )
 def test_wrong_places_are_wrong_usage(tmp_path, free, option, capsys):
     assert run(free, tmp_path / "out", option) == 2

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses of a bag as Odometry, mounts from its /tf_static: the same map as told the other way."""
+"""Poses of a bag as Odometry, mounts from its /tf_static, a gimbal: the map of plain poses."""
 
 import numpy as np
 import pytest
-from replay.recordings import GROUND, POSE, START, Recorder, flight, recording
+from replay.recordings import GROUND, LOOKING_DOWN, POSE, START, Recorder, flight, recording
 
 from quadtree_lss.desk.bags.bag import BagError
 from quadtree_lss.desk.replay.info import inspect_bag
@@ -11,6 +11,7 @@ from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
 
 ODOMETRY, TRANSFORMS = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
+TRANSFORM = "geometry_msgs/msg/TransformStamped"
 
 
 class OdometryRecorder(Recorder):
@@ -28,15 +29,25 @@ class OdometryRecorder(Recorder):
             kind = ODOMETRY
         super().write(topic, message, kind, received_ns)
 
-    def transform(self, parent, child, translation, received_ns):
+    def transformed(self, stamp_ns, parent, child, translation, xyzw=(0.0, 0.0, 0.0, 1.0)):
         held = self.type("geometry_msgs/msg/Transform")(
             self.type("geometry_msgs/msg/Vector3")(*translation),
-            self.type("geometry_msgs/msg/Quaternion")(0.0, 0.0, 0.0, 1.0),
+            self.type("geometry_msgs/msg/Quaternion")(*xyzw),
         )
-        item = self.type("geometry_msgs/msg/TransformStamped")(
-            self.header(START, parent), child, held
-        )
+        return self.type(TRANSFORM)(self.header(stamp_ns, parent), child, held)
+
+    def transform(self, *link, received_ns=START):
+        item = self.transformed(START, *link)
         self.write("/tf_static", self.type(TRANSFORMS)([item]), TRANSFORMS, received_ns)
+
+
+class GimbalRecorder(OdometryRecorder):
+    """A level body 2 m above the lidar, which a gimbal holds so that it looks down."""
+
+    def pose(self, stamp_ns, position):
+        turn = self.transformed(stamp_ns, "body", "lidar", (0.0, 0.0, -2.0), LOOKING_DOWN)
+        self.write("/lidar/gimbal", turn, TRANSFORM, stamp_ns)
+        return super().pose(stamp_ns, position + (0.0, 0.0, 2.0), xyzw=(0.0, 0.0, 0.0, 1.0))
 
 
 def write(path, *, odometry=(), pose_topics=("/nav/pose",), transforms=()):
@@ -44,7 +55,7 @@ def write(path, *, odometry=(), pose_topics=("/nav/pose",), transforms=()):
     with recording(path, OdometryRecorder) as recorder:
         recorder.odometry = odometry
         for link in transforms:
-            recorder.transform(*link, START)
+            recorder.transform(*link)
         flight(recorder, pose_topics=pose_topics)
     return path
 
@@ -110,3 +121,13 @@ def test_without_tf_static_in_the_bag_one_line_says_so(tmp_path):
     bag = write(tmp_path / "bag")
     with pytest.raises(BagError, match="no messages of type tf2_msgs/msg/TFMessage"):
         mapped(bag, values={"mount__tf": True, "frames__body": "base_link"})
+
+
+def test_a_gimbal_moves_the_lidar(tmp_path):
+    with recording(tmp_path / "bag", GimbalRecorder) as recorder:
+        flight(recorder)
+    found = mapped(tmp_path / "bag", values={"mount__gimbal": True})
+    told = mapped(write(tmp_path / "plain"))
+    assert found.summary["scans"] == told.summary["scans"] == 10
+    np.testing.assert_array_equal(found.cells.level, told.cells.level)
+    np.testing.assert_allclose(found.cells.z, told.cells.z, atol=1e-9)

@@ -7,16 +7,7 @@ import json
 
 import numpy as np
 import pytest
-from replay.recordings import (
-    CLOUD,
-    GROUND,
-    POSE,
-    SECOND,
-    START,
-    flight,
-    recording,
-    write_ros2,
-)
+from replay.recordings import CLOUD, GROUND, POSE, SECOND, START, flight, recording, write_ros2
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC

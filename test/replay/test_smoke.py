@@ -42,15 +42,3 @@ def test_each_command_with_each_shipped_configuration(flight, tmp_path, capsys, 
     )
     assert json.loads((out / "summary.json").read_text())["scans"] >= 4
     assert (out / "sites.csv").read_bytes() == (out / "again" / "sites.csv").read_bytes()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SHIPPED)
-def test_report_and_evaluation_with_each_shipped_configuration(flight, tmp_path, capsys, name):
-    out = tmp_path / "out"
-    run_all(
-        capsys,
-        ["replay", flight / "bag", "--out", out, "--config", name],
-        ["evaluate", out, "--truth", flight / "truth.npz"],
-    )
-    assert (out / "report.html").stat().st_size < 5e6

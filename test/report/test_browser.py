@@ -520,7 +520,7 @@ def test_shadow_and_reach_are_layers(tmp_path):
             if name == "shadow":
                 share = 100.0 * np.mean(grid[name][seen])
                 assert len(there) == 2 and 0.0 < share < 50.0
-                assert "At touchdown or an hour later." in legend
+                assert "At touchdown." in legend
 
 
 def test_sliders_recompute_what_a_landing_pass_would_find(result, browse):

@@ -31,7 +31,7 @@ PARAMETERS = """\
     lidar: {range_noise: 0.03}
     lss: {grid_spacing: 0.5, sites: 3}
     qos: {scan_reliability: reliable}
-    publish.diagnostics_rate: 5.0
+    publish.rate: 11.0
 """
 
 

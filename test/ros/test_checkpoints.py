@@ -44,10 +44,10 @@ sys.exit(main())
 SMALL = {"domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}}
 
 
-def keeping(ros, interval=0.1):
-    """Place of a checkpoint, and what has a node write it so often, s."""
+def keeping(ros):
+    """Place of a checkpoint, and what has a node write it."""
     path = ros.folder / "checkpoint.map"
-    return path, ("-p", f"checkpoint.path:={path}", "-p", f"checkpoint.interval:={interval}")
+    return path, ("-p", f"checkpoint.path:={path}")
 
 
 @pytest.mark.survives(
@@ -129,7 +129,7 @@ def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
 
 
 def test_a_checkpoint_that_cannot_be_removed_does_not_hold_up_a_reset(ros):
-    path, args = keeping(ros, 3600.0)
+    path, args = keeping(ros)
     mapping = ros.start("mapping_node", *args)
     with ros.listen() as listener:
         sensors = Sensors(listener).matched()
@@ -145,14 +145,13 @@ def test_a_checkpoint_that_cannot_be_removed_does_not_hold_up_a_reset(ros):
 
 
 @pytest.mark.survives(
-    "ended by SIGINT, SIGTERM or SIGHUP",
-    "a state that cannot be written is an error in the log",
+    "ended by SIGINT, SIGTERM or SIGHUP", "a state that cannot be written is an error in the log"
 )
 def test_a_last_checkpoint_that_fails_is_told(ros):
     """However lately another one was told."""
     folder = ros.folder / "disk"
     folder.mkdir()
-    args = ("-p", f"checkpoint.path:={folder / 'a.map'}", "-p", "checkpoint.interval:=0.1")
+    args = ("-p", f"checkpoint.path:={folder / 'a.map'}")
     mapping = ros.start("mapping_node", *args)
     with ros.listen() as listener:
         sensors = Sensors(listener).matched()

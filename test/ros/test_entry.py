@@ -53,8 +53,7 @@ def test_signals_are_heard_before_anything_slow_is_imported():
 
 
 @pytest.mark.survives(
-    "ended by SIGINT, SIGTERM or SIGHUP",
-    "a SIGHUP that is ignored (`nohup`) stays so",
+    "ended by SIGINT, SIGTERM or SIGHUP", "a SIGHUP that is ignored (`nohup`) stays so"
 )
 def test_a_hangup_that_is_ignored_stays_ignored():
     program = (

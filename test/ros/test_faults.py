@@ -4,8 +4,18 @@
 import functools
 
 import pytest
+from geometry_msgs.msg import (
+    PointStamped,
+    PolygonInstanceStamped,
+    PolygonStamped,
+    PoseWithCovarianceStamped,
+)
+from nav_msgs.msg import OccupancyGrid
 from ros.conftest import at_least, has, status_values
 from ros_scene import Sensors, pose
+from sensor_msgs.msg import PointCloud2
+
+from quadtree_lss.onboard.nodes.qos import latched
 
 pytestmark = pytest.mark.xdist_group("ros_faults")
 
@@ -99,3 +109,43 @@ def test_scans_of_which_nothing_enters_the_map_are_told_with_the_reason(flight):
     lines = [line for line in mapping.output().splitlines() if "entered the map" in line]
     assert len(lines) == 1 and "4096 outside the domain" in lines[0]
     assert "x -16 ... 16" in lines[0] and "middle is at x 5000." in lines[0]
+
+
+#: Topics, kinds of message of which an empty one cannot be used, who counts it, and as what.
+UNUSABLE = (
+    ("lidar/points", PointCloud2, "mapping_node", "cloud_empty"),
+    ("nav/pose", PoseWithCovarianceStamped, "mapping_node", "pose_frame"),
+    ("landing/area", PolygonStamped, "mapping_node", "area_frame"),
+    ("landing/area", PolygonStamped, "lss_node", "area_frame"),
+    ("landing/keep_out", PolygonStamped, "lss_node", "keep_out_frame"),
+    ("landing/keep_outs", PolygonInstanceStamped, "lss_node", "keep_outs_frame"),
+    ("landing/target", PointStamped, "lss_node", "target_frame"),
+    ("landing/dispersion", PoseWithCovarianceStamped, "lss_node", "dispersion_frame"),
+    ("map/prior", PoseWithCovarianceStamped, "lss_node", "prior_frame"),
+    ("map/cells", PointCloud2, "lss_node", "map.frame"),
+)
+
+
+def test_messages_that_cannot_be_used_are_counted_on_every_topic_and_good_ones_taken(ros):
+    mapping = ros.start("mapping_node", "-p", "domain.follow:=area")
+    prior = ("-p", "prior.file:=by_mapping_node_alone.npz", "-p", "frames.map:=map")
+    lss = ros.start("lss_node", *prior)
+    with ros.listen() as listener:
+        sensors = Sensors(listener).matched()
+        sensors.map(mapping, SCANS)
+        observed = listener.node.create_publisher(OccupancyGrid, "map/observed", latched())
+        for topic, kind, node, reason in UNUSABLE:
+            sender = listener.node.create_publisher(kind, topic, latched())
+            said = functools.partial(at_least, listener, f"problems.{reason}", 1, node)
+
+            def counted(sender=sender, kind=kind, said=said):
+                sender.publish(kind())
+                observed.publish(OccupancyGrid())  # the other half of a map
+                return said()
+
+            assert listener.wait_for(counted), (topic, reason, listener.diagnostics[node])
+            listener.node.destroy_publisher(sender)
+        assert ros.call(listener, "/lss_node/land_now").message
+        sensors.map(mapping, SCANS, offset_ns=TEN_SECONDS_NS)
+    for process in (mapping, lss):
+        assert process.stop() == 0 and "Traceback" not in process.output()

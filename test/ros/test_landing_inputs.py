@@ -77,10 +77,7 @@ def test_a_restarted_node_waits_for_the_latched_keep_out(ros, vehicle):
         vehicle.send("landing/area", polygon([]))
 
 
-@pytest.mark.survives(
-    "`lss_node` killed",
-    "and all keep-outs of the latched set",
-)
+@pytest.mark.survives("`lss_node` killed", "and all keep-outs of the latched set")
 def test_a_restarted_node_has_all_keep_outs_of_the_latched_set(ros, vehicle):
     """West, then the east but for its north; the west comes again, smaller, and is removed."""
     wait = vehicle.listener.wait_for
@@ -99,8 +96,7 @@ def test_a_restarted_node_has_all_keep_outs_of_the_latched_set(ros, vehicle):
 
 
 @pytest.mark.survives(
-    "`lss_node` killed",
-    "with `lss.required_input` no site before what it names has come",
+    "`lss_node` killed", "with `lss.required_input` no site before what it names has come"
 )
 def test_a_required_input_is_waited_for(ros, vehicle):
     """However late it comes: longer than any wait for what may come."""

@@ -147,7 +147,7 @@ def test_incompatible_qos_is_told_with_its_remedy(ros):
 
 
 @pytest.mark.survives(
-    "misspelt key, impossible value or name; `mount.tf` without `tf2_msgs`",
+    "misspelt key, impossible value or name; `mount.source: tf` without `tf2_msgs`",
     "one line, exit code 78; not started again by the launch file, nor by systemd with "
     "`RestartPreventExitStatus=2 78`",
 )

@@ -40,11 +40,6 @@ sys.exit(main())
 """A node that takes four times as long for a scan as the next takes to come."""
 
 
-class Log:
-    def warning(self, message):
-        """Nobody reads it."""
-
-
 @pytest.mark.parametrize(("numbers", "lost"), [((1, 2, 5), 2), ((None, None, 7), 0)])
 def test_gaps_are_found_where_the_middleware_numbers_messages(numbers, lost):
     problems = Problems(SimpleNamespace(warning=print))
@@ -70,7 +65,7 @@ def test_a_hold_up_costs_nothing_and_an_overload_old_scans(monkeypatch):
     monkeypatch.setattr(losses, "time", clock)
     config, busy = load_config(), 50.0
     limit = allowance(config, busy)
-    overload = Overload("scans", Problems(Log()))
+    overload = Overload("scans", Problems(SimpleNamespace(warning=print)))
     assert overload.takes(received(0.9 * limit), config, busy)
     assert not overload.takes(received(1.1 * limit), config, busy)
     assert not overload.takes(received(0.9 * limit), config, busy), "overloaded now"

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses as odometry, and a mount from /tf_static, of a running mapping_node."""
+"""Poses as odometry, a gimbal, and a mount from /tf_static, of a running mapping_node."""
 
 import importlib.util
 
+import numpy as np
 import pytest
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
-from ros_scene import Sensors, level_body, pose
+from ros_scene import BLOCK, Sensors, gimbal, level_body, pose
 
+from quadtree_lss.onboard.messages.outputs import map_from_messages
 from quadtree_lss.onboard.nodes.node_runner import WRONG_CONFIGURATION
 from quadtree_lss.onboard.nodes.qos import latched, stream
 
@@ -41,9 +43,29 @@ def test_odometry_is_taken_where_it_is_configured(ros):
     assert "/odometry/filtered (reliable, 200)" in mapping.output()
 
 
+def test_a_gimbal_moves_the_lidar(ros):
+    """Ground that rises by 2 % lies where it does, from a level body 2 m above the lidar."""
+    mapping = ros.start("mapping_node", "-p", "mount.source:=gimbal")
+    with ros.listen() as listener:
+        profile = stream(100, reliable=True)
+        angles = listener.node.create_publisher(TransformStamped, "lidar/gimbal", profile)
+        sensors = Sensors(listener).matched()
+        assert listener.wait_for(angles.get_subscription_count)
+
+        def both(stamp):
+            angles.publish(gimbal(stamp, (0.0, 0.0, -2.0)))
+            return level_body(stamp, 2.0)
+
+        sensors.map(mapping, 4, make_pose=both)
+        newest = listener.newest
+        cells = map_from_messages(newest["map/cells"], newest["map/observed"])
+    beside = cells.measured & (cells.x + cells.size < BLOCK[0])
+    assert beside.sum() > 20
+    np.testing.assert_allclose(cells.z[beside], 0.02 * cells.x[beside], atol=0.05)
+
+
 @pytest.mark.survives(
-    "poses come as the other type",
-    "a warning in the diagnostics that names `pose.source`",
+    "poses come as the other type", "a warning in the diagnostics that names `pose.source`"
 )
 def test_a_node_that_waits_for_the_other_type_says_so(ros):
     mapping = ros.start("mapping_node", "-r", "nav/odometry:=odometry/filtered")
@@ -57,16 +79,16 @@ def test_a_node_that_waits_for_the_other_type_says_so(ros):
 
 @pytest.mark.skipif(has_tf, reason="tf2_msgs is there")
 def test_a_mount_from_tf_without_tf2_msgs_is_an_error_of_configuration(ros):
-    node = ros.start("mapping_node", "-p", "mount.tf:=true")
+    node = ros.start("mapping_node", "-p", "mount.source:=tf")
     assert node.process.wait(30.0) == WRONG_CONFIGURATION
-    assert node.output().startswith("error: mount.tf needs tf2_msgs")
+    assert node.output().splitlines()[-1].startswith("error: mount.source tf needs tf2_msgs")
 
 
 @pytest.mark.skipif(not has_tf, reason="tf2_msgs comes with ROS, not with its wheels")
 def test_a_mount_comes_from_tf_static(ros):
     from tf2_msgs.msg import TFMessage
 
-    mapping = ros.start("mapping_node", "-p", "mount.tf:=true", "-p", "frames.body:=base_link")
+    mapping = ros.start("mapping_node", "-p", "mount.source:=tf", "-p", "frames.body:=base_link")
     with ros.listen() as listener:
         link = TransformStamped(child_frame_id="lidar")
         link.header.frame_id = "base_link"

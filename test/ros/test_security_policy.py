@@ -17,7 +17,7 @@ pytestmark = pytest.mark.xdist_group("ros_landing")
 
 POLICY = Path(__file__).parents[2] / "security" / "policy.xml"
 WAYS = (
-    {"mount.gimbal": "true", "use_sim_time": "true"},
+    {"mount.source": "gimbal", "use_sim_time": "true"},
     {"pose.source": "odometry", "lidar.source": "depth", "domain.follow": "area"},
 )
 """Parameters by which a node subscribes to something else."""

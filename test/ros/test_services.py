@@ -86,7 +86,7 @@ def test_no_peer_can_say_where_a_node_writes(ros):
     """Whoever may set parameters could overwrite any file that the node may."""
     mapping = ros.start("mapping_node", "-p", f"map_file.path:={ros.folder}/a.map")
     with ros.listen() as listener:
-        for name in ("map_file.path", "checkpoint.path", "files.root"):
+        for name in ("map_file.path", "checkpoint.path", "prior.file"):
             answer = ros.set(listener, "mapping_node", name, str(ros.folder / "elsewhere"))
             assert not answer.successful and "read-only" in answer.reason
         assert not ros.set(listener, "mapping_node", "domain.size", 50.0).successful

@@ -103,9 +103,9 @@ def test_a_vehicle_that_is_low_is_committed_by_its_poses(ros, pilot):
         PoseWithCovarianceStamped, "nav/pose", stream(5, reliable=True)
     )
     observed = pilot.cells.observed.copy()
-    observed[:, : observed.shape[1] // 4] = False
+    observed[:, : 2 * observed.shape[1] // 5] = False
     pilot.cells = dataclasses.replace(pilot.cells, observed=observed)
-    lss = ros.start("lss_node", "-p", "lss.settle_share:=1.0", "-p", "lss.settle_time:=9.0")
+    lss = ros.start("lss_node", "-p", "lss.settle_time:=9.0")
     pilot.send_map(0)
 
     def is_in(state):
@@ -144,10 +144,10 @@ def test_a_released_target_is_chosen_anew(ros, pilot):
 
 def test_land_now_gives_a_place_before_anything_is_settled(ros, pilot):
     wait = pilot.listener.wait_for
-    lss = ros.start("lss_node", "-p", "lss.settle_share:=1.0", "-p", "lss.settle_time:=900.0")
+    lss = ros.start("lss_node", "-p", "lss.settle_time:=900.0")
     land_now = functools.partial(ros.call, pilot.listener, "/lss_node/land_now")
     observed = pilot.cells.observed.copy()
-    observed[:, : observed.shape[1] // 4] = False
+    observed[:, : 2 * observed.shape[1] // 5] = False
     pilot.cells = dataclasses.replace(pilot.cells, observed=observed)
     pilot.send_map(0)
     assert wait(lambda: pilot.status() is not None), lss.output()
@@ -166,7 +166,7 @@ def test_land_now_gives_a_place_before_anything_is_settled(ros, pilot):
 
 def test_land_now_waits_for_the_first_map(ros, pilot):
     wait = pilot.listener.wait_for
-    lss = ros.start("lss_node", "-p", "lss.settle_share:=1.0", "-p", "lss.settle_time:=900.0")
+    lss = ros.start("lss_node", "-p", "lss.settle_time:=900.0")
     call = functools.partial(ros.call, pilot.listener)
     answer = call("/lss_node/land_now")
     assert not answer.success and "nothing is mapped" in answer.message

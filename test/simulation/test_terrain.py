@@ -63,20 +63,6 @@ def test_crater_is_a_bowl_of_the_given_depth_with_a_low_rim():
     assert len(ends) > 5 and depth <= 0.5 and rim < 0.25 * depth
 
 
-def test_same_seed_same_field():
-    one, two, other = (hazard_field(np.random.default_rng(s), SMALL).elevation for s in (7, 7, 8))
-    np.testing.assert_array_equal(one, two)
-    assert np.abs(one - other).max() > 0.1
-
-
-def test_dem_file_round_trip(tmp_path):
-    terrain = hazard_field(np.random.default_rng(4), SMALL)
-    path = tmp_path / "dem.npz"
-    np.savez(path, x=terrain.x, y=terrain.y, elevation=terrain.elevation.astype(np.float32))
-    loaded = load_terrain(path)
-    np.testing.assert_allclose(loaded.elevation, terrain.elevation, atol=1e-6)
-
-
 def test_a_geotiff_is_read_and_its_gap_refused(tmp_path):
     with pytest.raises(SimulationError, match="dem.tif: .* not finite"):
         load_terrain(band(tmp_path / "dem.tif", np.where(Z == Z.max(), np.nan, Z)))

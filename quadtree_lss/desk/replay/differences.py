@@ -207,7 +207,7 @@ def _heights(difference: Array, deviation: Array, x: Array, y: Array, second: Ar
 def _sites(a: Results, b: Results) -> tuple[Any, tuple[Site, ...], tuple[Site, ...]]:
     """Pairs of ranks, sites of the first alone, sites of the second alone."""
     lss = a.config.lss
-    reach = 0.5 * min(lss.vehicle.diameter, lss.separation)
+    reach = 0.5 * min(lss.vehicle.diameter, lss.vehicle.lengths.min_separation)
     one, other = a.positions, b.positions
     apart = np.hypot(*(one[:, None, :2] - other[None, :, :2]).transpose(2, 0, 1))
     pairs = []

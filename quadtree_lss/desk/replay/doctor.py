@@ -128,7 +128,7 @@ class Heard:
         start = min(poses)
         body, gimbal = _Path(poses, start), None
         mount = fixed_mount(config.mount) if self.mount is None else self.mount
-        if config.mount.gimbal and len(angles) > 1:
+        if config.mount.source == "gimbal" and len(angles) > 1:
             gimbal = _Path(angles, start)
         scans = [(1e-9 * (stamp - start), points) for stamp, points in self._scans]
         scans = [(t, points) for t, points in scans if 0.0 <= t <= body.times[-1]]
@@ -349,7 +349,7 @@ def _mount(flight: _Flight, config: Config) -> list[Finding]:
     Unknown are a small turn d of the lidar about two axes across the ground's normal and the
     ground's own normal n. Each scan k, whose normal is m_k in lidar axes, says R_k exp(d) m_k = n.
     """
-    if config.mount.gimbal:
+    if config.mount.source == "gimbal":
         return []
     turns = flight.turns
     upward = np.sign(np.einsum("ki,ki->k", turns[:, 2, :], flight.normals))

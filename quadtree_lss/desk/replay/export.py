@@ -32,7 +32,7 @@ LAYERS = {
         " 64 seen but not yet mapped, 128 unseen",
     ),
     "safe": ("", f"1 landing centred here is allowed, 0 it is not, {NO_DATA} unseen"),
-    "shadow": ("", f"1 in shadow at touchdown or an hour later, 0 lit, {NO_DATA} unseen"),
+    "shadow": ("", f"1 in shadow at touchdown, 0 lit, {NO_DATA} unseen"),
     "reach": ("", f"1 within reach, 0 beyond, {NO_DATA} unseen"),
     "score": ("1", "Eq. 59, lower is better"),
     "risk": ("1", "that landing right there fails"),

@@ -27,6 +27,7 @@ from quadtree_lss.onboard.core.sensing.register import register
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
+from quadtree_lss.onboard.messages.intake import GAP_NS
 from quadtree_lss.onboard.messages.lost_points import likely_reason
 
 TYPE_NAMES = "int8 uint8 int16 uint16 int32 uint32 float32 float64".split()
@@ -315,9 +316,8 @@ def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> list[Finding
     if lacks and not texts:
         found.append(Finding("no_pose", "no scan has a pose at its stamp", fatal=True))
     if poses.rate < scans.rate:
-        gap = config.pose.max_gap
+        gap = GAP_NS / SECOND_NS
         text = f"poses come at {poses.rate:.1f} Hz, scans at {scans.rate:.1f} Hz: interpolation"
-        mend = f"raise the poses' rate above the scans', or pose.max_gap: {1.5 / poses.rate:.2g}"
-        mend = mend if poses.rate * gap < 1.0 else ""
-        found.append(Finding("rate", f"{text} over up to pose.max_gap = {gap:g} s", mend))
+        mend = "raise the poses' rate above the scans'" if poses.rate * gap < 1.0 else ""
+        found.append(Finding("rate", f"{text} over up to {gap:g} s", mend))
     return found

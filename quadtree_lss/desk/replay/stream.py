@@ -92,13 +92,13 @@ class Stream:
         self.scans, self.scan_type, self.camera = topics.choose_scan_topic(bag, scan_topic, source)
         self.poses, self.pose_type = topics.choose_pose_topic(bag, pose_topic, config.pose.source)
         self.gimbal = ""
-        if config.mount.gimbal:
-            self.gimbal = topics.choose_topic(bag, None, topics.GIMBAL_TOPIC, "mount.gimbal")
+        if config.mount.source == "gimbal":
+            self.gimbal = topics.choose_topic(bag, None, topics.GIMBAL_TOPIC, "mount.source gimbal")
         names = {"scan_topic": self.scans, "pose_topic": self.poses}
         self.intake = Intake(config, **names, gimbal_topic=self.gimbal or topics.GIMBAL_TOPIC)
-        if config.mount.tf:
+        if config.mount.source == "tf":
             # Of all the bag: latched, they stand at its beginning, whatever part is replayed.
-            topic = topics.choose_topic(bag, None, topics.TRANSFORMS_TOPIC, "mount.tf")
+            topic = topics.choose_topic(bag, None, topics.TRANSFORMS_TOPIC, "mount.source tf")
             for message in bag.messages([topic]):
                 with contextlib.suppress(MessageError):
                     self.intake.on_transforms(bag.decode(message.raw, types.TRANSFORMS_TYPE))

@@ -17,6 +17,7 @@ from quadtree_lss.desk.exchange.saved import Results
 from quadtree_lss.desk.report.palette import excluding, slope_limit
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.core.landing.probability import shown
+from quadtree_lss.onboard.core.landing.target import SETTLE_SHARE
 from quadtree_lss.onboard.messages.intake import noise_notice
 
 GOOD = 0.99
@@ -148,7 +149,7 @@ def trust(content: Results) -> tuple[str, list[Fact]]:
             f"{'–' if ratio is None else format(noise * ratio, '.3g')} / {noise:.3g} m",
             "care" if noisy else "",
         ),
-        Fact("area seen", f"{100.0 * seen:.0f} %", "care" if seen < lss.settle_share else ""),
+        Fact("area seen", f"{100.0 * seen:.0f} %", "care" if seen < SETTLE_SHARE else ""),
         Fact("dispersion, 1 σ", " × ".join(f"{s:.3g}" for s in content.dispersion) + " m"),
     ]
     if lss.assessment == "probability":

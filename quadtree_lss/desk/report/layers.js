@@ -50,7 +50,7 @@ function makeLayers() {
          { mark: grid.slope.mark });
   onGrid("score", "Score, lower is better", "", grid.score, "score", "excluded");
   for (const [name, title, no, yes, note] of [
-    ["shadow", "Shadow", "lit", "in shadow", "At touchdown or an hour later. "],
+    ["shadow", "Shadow", "lit", "in shadow", "At touchdown. "],
     ["reach", "Within reach", "beyond reach", "within reach", ""],
   ]) {
     if (!grid[name]) continue;

@@ -21,7 +21,7 @@ from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 from quadtree_lss.onboard.core.landing.hazards import EXCEPTION
 from quadtree_lss.onboard.core.landing.lattice import grown
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-from quadtree_lss.onboard.core.landing.target import Restrictions
+from quadtree_lss.onboard.core.landing.target import NEARER, Restrictions
 
 MOST_POINTS = 100_000
 """Of the finest lattice, for which the page takes a second at most."""
@@ -95,13 +95,13 @@ def _vehicle(
     extra = np.zeros(found.safe.shape)
     Restrictions(**wishes).apply(extra, found.x, found.y, lss)
     if found.shadow is not None:
-        extra += lss.weight_shadow * found.shadow
+        extra += NEARER["probability"] * found.shadow
     side = points.raster.domain.finest_size
     excepted = grown(points.hazard & EXCEPTION > 0, 0.5 * lss.vehicle.diameter, side)
     return {
         "diameter": lss.vehicle.diameter,
         "clearance": lss.vehicle.clearance,
-        "separation": lss.separation,
+        "separation": lss.vehicle.lengths.min_separation,
         "doubt": doubt(config),
         "room": columns.floats(np.where(judged, np.minimum(points.around.room, 1e6), 0.0)),
         "judged": columns.whole(judged, "u1"),

@@ -29,8 +29,7 @@ def page(result: CampaignResult) -> str:
     """The page as text."""
     kind, study = result.study.what, result.study
     note = f"{len(result.records)} of {study.count} flights"
-    if result.failed:
-        note += f", {len(result.failed)} failed"
+    note += f", {len(result.failed)} failed" if result.failed else ""
     keep = f"quadtree-lss campaign STUDY.yaml --out {result.out} --keep"
     flights, columns = flown(result.records.values()), Columns()
     parts = groups(study, flights)
@@ -49,7 +48,11 @@ def page(result: CampaignResult) -> str:
         legend=[(name, RUNS[k % len(RUNS)]) for k, (name, _) in enumerate(parts)],
         lines=[(name, [line.cells() for line in lines]) for name, lines in result.lines],
         keep=keep,
-        worst=[(q.title, _worst(q, pairs)) for q, pairs in result.worst() if pairs],
+        worst=[
+            (q.title, [(f"{v:.{q.digits if q.of is None else 0}f}", k) for k, v in pairs])
+            for q, pairs in result.worst()
+            if pairs
+        ],
         reliability=_reliability(kind, flights),
         failed=result.failed,
         data={
@@ -132,8 +135,3 @@ def _reliability(kind: Kind, flights: Sequence[Record]) -> list[tuple[str, ...]]
             counts = f"{line.count}", f"{total:.0f}", f"{line.events}"
             rows.append((label, *counts, line.cells()[2]))
     return rows
-
-
-def _worst(quantity: Quantity, pairs: Sequence[tuple[int, float]]) -> list[tuple[str, int]]:
-    digits = quantity.digits if quantity.of is None else 0
-    return [(f"{value:.{digits}f}", index) for index, value in pairs]

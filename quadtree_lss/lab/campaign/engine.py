@@ -69,9 +69,6 @@ def campaign(
     store, stopped = Store(out), stop or (lambda: False)
     with store.opened():
         for index in rerun:
-            if not 0 <= index < study.count:
-                msg = f"there is no flight {index}; the study has 0 to {study.count - 1}"
-                raise CampaignError(msg)
             store.forget(study.case(index))
         records: dict[int, Record] = {}
         for case in map(study.case, range(study.count)):
@@ -111,14 +108,11 @@ def flagged(out: str | Path) -> list[int]:
 def keep(study: Study, out: str | Path, index: int) -> Path:
     """Flies flight ``index`` again; returns the folder with what it left. Raises `CampaignError`:
     there is no such flight."""
-    if not 0 <= index < study.count:
-        raise CampaignError(f"there is no flight {index}")
-    folder = Path(out) / "kept" / f"{index:06d}"
     from quadtree_lss.lab.campaign.campaign_page import note_kept  # matplotlib
 
-    kind = kind_of(study.kind)
-    kind.keep(study.case(index), folder)
-    note_kept(Path(out), kind.page)
+    case, folder = study.case(index), Path(out) / "kept" / f"{index:06d}"
+    study.what.keep(case, folder)
+    note_kept(Path(out), study.what.page)
     return folder
 
 
@@ -135,11 +129,7 @@ def fly(case: Case) -> Figures | str:
 
 
 def _fly_all(
-    client: Any,
-    study: Study,
-    store: Store,
-    missing: Iterator[int],
-    stop: Callable[[], bool],
+    client: Any, study: Study, store: Store, missing: Iterator[int], stop: Callable[[], bool]
 ) -> Iterator[Record]:
     """Keeps two flights for each worker on the way, so that a million need no more memory."""
     from dask.distributed import wait
@@ -167,21 +157,20 @@ def _fly_all(
         with contextlib.suppress(*TIMED_OUT):
             wait(list(running), timeout=LOOK_S, return_when="FIRST_COMPLETED")
         for future in [f for f in running if f.done()]:
-            case = running.pop(future)
-            yield _take(future, case, store)
+            case, found = running.pop(future), _given(future)
+            yield store.write(case, *(({}, found) if isinstance(found, str) else (found,)))
             future.release()
         fill()
     for future in running:
         future.cancel()
 
 
-def _take(future: Any, case: Case, store: Store) -> Record:
-    if future.status != "finished":
-        error = future.exception() if future.status == "error" else None
-        why = one_line(f"{type(error).__name__}: {error}") if error else "it was cancelled"
-        return store.write(case, {}, why)
-    answer = future.result()
-    return store.write(case, *(({}, answer) if isinstance(answer, str) else (answer,)))
+def _given(future: Any) -> Figures | str:
+    """What `fly` gave, or why it gave nothing."""
+    if future.status == "finished":
+        return future.result()
+    error = future.exception() if future.status == "error" else None
+    return one_line(f"{type(error).__name__}: {error}") if error else "it was cancelled"
 
 
 @contextlib.contextmanager

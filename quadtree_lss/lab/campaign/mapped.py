@@ -19,7 +19,7 @@ from quadtree_lss.lab.evaluation.metrics import EDGES, Reliability
 from quadtree_lss.lab.evaluation.results import Results, Truth, results_of, truth_of
 from quadtree_lss.lab.evaluation.risk_flights import lander_of
 from quadtree_lss.lab.simulation.lidar import StereoCamera
-from quadtree_lss.lab.simulation.recording import DEPTH_TYPES, POSE_TOPIC, TYPES
+from quadtree_lss.lab.simulation.recording import DEPTH_TYPES, POSE, POSE_TOPIC, TYPES
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions
 from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.lab.simulation.simulation import Simulation
@@ -39,9 +39,8 @@ def fly(case: Case) -> Figures:
 
 def in_memory(simulation: Simulation) -> MessageBag:
     """A simulated flight as a bag that is no file, for once."""
-    kinds, counts = dict(TYPES), {POSE_TOPIC: simulation.poses}
-    if isinstance(simulation.legs[0].plan.lidar, StereoCamera):
-        kinds = {**DEPTH_TYPES, POSE_TOPIC: TYPES[POSE_TOPIC]}
+    depth, counts = {**DEPTH_TYPES, POSE_TOPIC: POSE}, {POSE_TOPIC: simulation.poses}
+    kinds = depth if isinstance(simulation.legs[0].plan.lidar, StereoCamera) else TYPES
     topics = [Topic(name, kind, counts.get(name, simulation.scans)) for name, kind in kinds.items()]
     return MessageBag("bag", topics, simulation.span_ns, simulation.messages())
 
@@ -69,9 +68,7 @@ def figures(scores: EvaluationResult, results: Results, truth: Truth) -> Figures
         "missed_grid_points": detection.missed_grid_points,
         "hazardous_grid_points": detection.hazardous_grid_points,
         "missed_depth": detection.missed_depth,
-        "missed_x": largest.x if largest else None,
-        "missed_y": largest.y if largest else None,
-        "missed_relief": largest.relief if largest else None,
+        **{f"missed_{k}": getattr(largest, k, None) for k in ("x", "y", "relief")},
         "sites": scores.sites,
         "unsafe_in_top_five": scores.unsafe_in_top_five,
         "judged_in_top_five": len(judged),
@@ -104,10 +101,10 @@ def risks(of: Reliability | None) -> dict[str, float | int | None]:
     }
     for name, low in zip(TOLD, EDGES[1:], strict=False):
         one = bins.get(low)
-        some = one is not None and one.grid_points > 0
-        found[f"risk_{name}_points"] = one.grid_points if some else 0
-        found[f"risk_{name}_unsafe"] = round(one.unsafe * one.grid_points) if some else 0
-        found[f"risk_{name}_expected"] = one.predicted * one.grid_points if some else 0.0
+        points = one.grid_points if one else 0
+        found[f"risk_{name}_points"] = points
+        found[f"risk_{name}_unsafe"] = round(one.unsafe * points) if points else 0
+        found[f"risk_{name}_expected"] = one.predicted * points if points else 0.0
     return found
 
 

@@ -28,7 +28,8 @@ KEYS = tuple("name kind scenario config seed flights seeds conditions parameters
 OF_CASES = ("name", "scenario", "config", "conditions", "parameters")
 
 
-DRAWN: dict[str, Callable[[np.random.Generator, float, float], float]] = {
+DRAWN: dict[str, Callable[..., Value]] = {
+    "choice": lambda generator, *of: of[int(generator.integers(len(of)))],
     "uniform": lambda generator, low, high: float(generator.uniform(low, high)),
     "log_uniform": even,
     "normal": lambda generator, mean, sigma: float(generator.normal(mean, sigma)),
@@ -43,9 +44,6 @@ class Drawn:
     of: tuple[Any, ...]
 
     def draw(self, generator: np.random.Generator) -> Value:
-        if self.how == "choice":
-            chosen: Value = self.of[int(generator.integers(len(self.of)))]
-            return chosen
         return DRAWN[self.how](generator, *self.of)
 
 
@@ -87,6 +85,9 @@ class Study:
 
         Flights of one turn have the same seed, so that combinations can be compared in pairs.
         """
+        if not 0 <= index < self.count:
+            msg = f"there is no flight {index}; the study has 0 to {self.count - 1}"
+            raise CampaignError(msg)
         turn, which = divmod(index, len(self.combinations))
         combination = self.combinations[which]
         if self.seeds:
@@ -146,7 +147,8 @@ def read_study(path: str | Path) -> Study:
 
 def _study(content: Mapping[Any, Any], file: Path) -> Study:
     _only(content, KEYS, "the study")
-    kind = kind_of(str(content.get("kind", "map")))
+    name_kind = str(content.get("name", file.stem)), str(content.get("kind", "map"))
+    kind = kind_of(name_kind[1])
     seeds: tuple[int, ...] = ()
     if ("seeds" in content) == ("flights" in content):
         raise CampaignError("needs either seeds (101-120) or flights (a number, with seed)")
@@ -177,25 +179,16 @@ def _study(content: Mapping[Any, Any], file: Path) -> Study:
     }
     if repeats * len(combinations) > MOST_FLIGHTS:
         raise CampaignError(f"{repeats * len(combinations)} flights; {MOST_FLIGHTS} is the most")
-    return Study(
-        name=str(content.get("name", file.stem)),
-        kind=str(content.get("kind", "map")),
-        seed=seed,
-        repeats=repeats,
-        seeds=seeds,
-        combinations=tuple(combinations),
-        files=files,
-        varied=tuple(sorted(varied)),
-    )
+    flights = seed, repeats, seeds, tuple(combinations)
+    return Study(*name_kind, *flights, files, tuple(sorted(varied)))
 
 
 def _combinations(
     content: Mapping[Any, Any], case: Mapping[Any, Any], name: str, kind: Kind, file: Path
 ) -> list[Combination]:
     """Every combination of the lists in a case, which wins over what holds for all."""
-    parts: dict[tuple[str, str], Any] = {("case", "case"): name}
     scenario = case.get("scenario", content.get("scenario", "morpheus"))
-    parts[("scenario", "scenario")] = scenario
+    parts: dict[Any, Any] = {("case", "case"): name, ("scenario", "scenario"): scenario}
     for part in ("conditions", "parameters"):
         for given in (content.get(part) or {}, case.get(part) or {}):
             if not isinstance(given, Mapping):
@@ -204,12 +197,11 @@ def _combinations(
                 parts[(part, str(key))] = value
     axes = {key: values_of(value, key[1]) for key, value in parts.items()}
     for (part, key), values in axes.items():
-        if part == "conditions" and key not in kind.conditions:
-            msg = f"unknown condition {key!r}; there are {', '.join(kind.conditions)}"
-            raise CampaignError(msg)
-        if part == "scenario" and (wrong := [v for v in values if v not in kind.scenarios]):
-            msg = f"unknown scenario {wrong[0]!r}; there are {', '.join(kind.scenarios)}"
-            raise CampaignError(msg)
+        named = {"conditions": [key], "scenario": values}.get(part, [])
+        known = kind.scenarios if part == "scenario" else kind.conditions
+        if wrong := [name for name in named if name not in known]:
+            what = part.removesuffix("s")
+            raise CampaignError(f"unknown {what} {wrong[0]!r}; there are {', '.join(known)}")
         if key == "terrain":
             axes[(part, key)] = [v if v is None else str(_beside(v, file)) for v in values]
     return [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
@@ -242,16 +234,17 @@ def values_of(value: Any, name: str) -> list[Any]:
     if not isinstance(value, Mapping):
         return [value]
     how, of = next(iter(value.items())) if len(value) == 1 else ("", None)
+    of = of if isinstance(of, list) else []
     try:
-        if how == "each" and isinstance(of, list) and of:
+        if how == "each" and of:
             return of
-        if how == "range" and isinstance(of, list):
+        if how == "range":
             first, last, number = (float(v) for v in of)
             if np.isfinite([first, last]).all() and 1 <= number <= MOST_FLIGHTS:
                 return [float(v) for v in np.linspace(first, last, int(number))]
-        if how == "choice" and isinstance(of, list) and of:
+        if how == "choice" and of:
             return [Drawn(how, tuple(of))]
-        if how in DRAWN and isinstance(of, list):
+        if how in DRAWN:
             low, high = (float(v) for v in of)
             positive = low > 0.0 if how == "log_uniform" else high > 0.0 or how == "uniform"
             if np.isfinite([low, high]).all() and positive and (low < high or how == "normal"):

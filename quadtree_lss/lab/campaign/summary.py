@@ -67,16 +67,14 @@ def line_of(quantity: Quantity, records: Sequence[Record]) -> Line:
             return Line(quantity, *[float("nan")] * 4, None, 0)
         value = values[kept]
         at = int(value.argmin() if quantity.worst == "smallest" else value.argmax())
-        low, high = bootstrap(value)
-        worst, flight = float(value[at]), records[int(kept[at])].index
-        return Line(quantity, float(value.mean()), low, high, worst, flight, int(kept.size))
+        worst = float(value[at]), records[int(kept[at])].index
+        return Line(quantity, float(value.mean()), *bootstrap(value), *worst, int(kept.size))
     events = int(np.nansum(values))
     trials = int(np.nansum([number(record, quantity.of) for record in records]))
-    low, high = rate_interval(events, trials)
     rate = events / trials if trials else float("nan")
     bad = max(records, key=lambda record: badness(quantity, record), default=None)
-    blamed = bad.index if bad is not None and badness(quantity, bad) > 0.0 else None
-    return Line(quantity, rate, low, high, float("nan"), blamed, trials, events)
+    worst = float("nan"), bad.index if bad and badness(quantity, bad) > 0.0 else None
+    return Line(quantity, rate, *rate_interval(events, trials), *worst, trials, events)
 
 
 def bootstrap(values: NDArray[np.float64]) -> tuple[float, float]:
@@ -169,7 +167,7 @@ class CampaignResult:
             {"name": name, "quantities": {row.quantity.name: numbers(row) for row in rows}}
             for name, rows in self.lines
         ]
-        content: dict[str, Any] = {
+        content = {
             "study": self.study.name,
             "kind": self.study.kind,
             "flights": len(self.records),
@@ -179,7 +177,8 @@ class CampaignResult:
             "worst": {q.name: pairs for q, pairs in self.worst()},
             "failed": self.failed,
         }
-        return {name: plain(value) for name, value in content.items()}
+        found: dict[str, Any] = plain(content)
+        return found
 
 
 def numbers(row: Any) -> dict[str, Any]:

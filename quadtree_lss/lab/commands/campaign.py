@@ -41,7 +41,12 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     if options.what[0] == "compare":
-        return _compare(options)
+        from quadtree_lss.lab.campaign.paired import compare_campaigns
+
+        if len(options.what) != 3:
+            options.parser.error("compare needs two folders of campaigns")
+        common.tell(options, compare_campaigns(*options.what[1:]))
+        return common.DONE
     if len(options.what) != 1 or options.out is None:
         options.parser.error("one STUDY.yaml and --out are required")
     from quadtree_lss.lab.campaign.engine import Where, campaign, flagged, keep
@@ -75,13 +80,4 @@ def _run(options: argparse.Namespace) -> int:
     if result.failed:
         warn(f"{len(result.failed)} of {len(result.records)} flights failed")
         return common.IN_PART
-    return common.DONE
-
-
-def _compare(options: argparse.Namespace) -> int:
-    from quadtree_lss.lab.campaign.paired import compare_campaigns
-
-    if len(options.what) != 3:
-        options.parser.error("compare needs two folders of campaigns")
-    common.tell(options, compare_campaigns(*options.what[1:]))
     return common.DONE

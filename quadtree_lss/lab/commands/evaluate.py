@@ -19,8 +19,7 @@ Many flights at once: quadtree-lss campaign.
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = add_command(commands, "evaluate", _run, TEXT, EXAMPLES)
-    add = parser.add_argument
+    add = add_command(commands, "evaluate", _run, TEXT, EXAMPLES).add_argument
     text = "folder that replay wrote, or several"
     add("results", type=named, metavar="DIR", nargs="+", help=text)
     text = "truth.npz of the simulation"

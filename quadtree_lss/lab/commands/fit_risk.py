@@ -34,6 +34,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     from quadtree_lss.lab.campaign.study import parse_seeds
+    from quadtree_lss.lab.evaluation.results import aligned
     from quadtree_lss.lab.evaluation.risk_families import FAMILIES
     from quadtree_lss.lab.evaluation.risk_fit import risk_model_text
     from quadtree_lss.lab.evaluation.risk_flights import fit_risk
@@ -53,13 +54,10 @@ def _run(options: argparse.Namespace) -> int:
     if options.json:
         common.print_json({"out": str(out), **origin})
         return common.DONE
-    lines = [f"{'family':10} {'flights':>7} {'points':>8} {'failed':>7} {'Brier':>8} {'log':>8}"]
+    rows = [("family", "flights", "points", "failed", "Brier", "log")]
     for name, case in origin["families"].items():
-        share = f"{100.0 * case['failed']:.1f} %"
-        lines.append(
-            f"{name:10} {len(case['seeds']):7d} {case['points']:8d} {share:>7}"
-            f" {case['brier']:8.5f} {case['log_score']:8.5f}"
-        )
-    print("\n".join(lines))
-    print(f"the fit is in {out}")
+        share, log = f"{100.0 * case['failed']:.1f} %", f"{case['log_score']:.5f}"
+        count, points = str(len(case["seeds"])), str(case["points"])
+        rows.append((name, count, points, share, f"{case['brier']:.5f}", log))
+    print("\n".join([*aligned(rows), f"the fit is in {out}"]))
     return common.DONE

@@ -30,8 +30,7 @@ LONGEST = 100.0
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = common.add_command(commands, "fly", _run, TEXT, EXAMPLES)
-    add = parser.add_argument
+    add = common.add_command(commands, "fly", _run, TEXT, EXAMPLES).add_argument
     text = "of ground, start, navigation, lidar"
     add("--seed", type=common.whole(0), default=1, metavar="N", help=text)
     add("--out", required=True, type=common.named, metavar="DIR", help="folder for the results")
@@ -57,7 +56,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from quadtree_lss.lab.flight.flight_page import headline, write_flight, write_outcome
+    from quadtree_lss.desk.replay.files import write_json
+    from quadtree_lss.lab.flight.flight_page import headline, write_flight
     from quadtree_lss.lab.flight.fly import flown
     from quadtree_lss.lab.flight.settings import flight_settings
 
@@ -74,7 +74,8 @@ def _run(options: argparse.Namespace) -> int:
             else:
                 done = _live(options, settings, progress)
         except BaseException as error:
-            write_outcome(options.out, figures | {"safe": False, "reason": first_line(error)})
+            figures |= {"safe": False, "reason": first_line(error)}
+            write_json(options.out / "touchdown.json", figures)
             raise
     write_flight(options.out, done, report=not options.no_page)
     if done.figures["warnings"]:
@@ -103,13 +104,9 @@ def _live(options: argparse.Namespace, settings: FlightSettings, progress: Progr
 
 
 def _values(options: argparse.Namespace) -> dict[str, Any]:
-    return {
-        "avoidance": options.avoidance,
-        "terrain": "" if options.terrain is None else str(options.terrain),
+    return common.given(options, "avoidance", "range_noise", "outliers", "dropouts") | {
+        "terrain": str(options.terrain or ""),
         "rock_abundance": options.rocks,
-        "range_noise": options.range_noise,
-        "outliers": options.outliers,
-        "dropouts": options.dropouts,
         "faults": tuple(options.fault),
         "config": common.overrides(options),
         "judge": "physics" if options.physics else "contact",

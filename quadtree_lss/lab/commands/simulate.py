@@ -40,8 +40,7 @@ stops at once and leaves no bag.
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = common.add_command(commands, "simulate", _run, TEXT, FLIGHTS + EXAMPLES)
-    add = parser.add_argument
+    add = common.add_command(commands, "simulate", _run, TEXT, FLIGHTS + EXAMPLES).add_argument
     add("scenario", choices=SCENARIOS, help="which flight")
     text = "of terrain and noise (default 1)"
     add("--seed", type=common.whole(0), default=1, metavar="N", help=text)

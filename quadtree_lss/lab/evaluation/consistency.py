@@ -59,17 +59,18 @@ class Counts:
     def __add__(self, other: Counts) -> Counts:
         return Counts(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
+    def _shares(self, *outside: int) -> Fractions:
+        return Fractions(*(count / (self.points or float("nan")) for count in outside))
+
     @property
     def one_degree(self) -> Fractions:
         """Consistent if both are 0.025."""
-        n = self.points or float("nan")
-        return Fractions(self.below / n, self.above / n)
+        return self._shares(self.below, self.above)
 
     @property
     def three_degrees(self) -> Fractions:
         """The paper's Table 2. The residual having one degree of freedom, most lie below."""
-        n = self.points or float("nan")
-        return Fractions(self.below_3 / n, self.above_3 / n)
+        return self._shares(self.below_3, self.above_3)
 
 
 @dataclass(frozen=True)
@@ -122,9 +123,11 @@ def prefit_statistics(cells: CellMap, scan: RegisteredScan, lidar: LidarConfig) 
     ray = r / distance[:, None]
     cosine = np.maximum(np.abs(_dot(n, ray)), MIN_COSINE)
     noise = lidar.range_noise + lidar.range_noise_per_metre * distance  # Eq. 13
-    depth = lidar.beam_divergence * distance
-    along = noise**2 + depth**2 * (1.0 / cosine**2 - 1.0)
-    pose = _of_pose(r, scan.pose.covariance)
+    along = noise**2
+    # Pose part of Eq. 17: J Sigma J^T with J = (I, -[r]_x).
+    unit = np.broadcast_to(np.eye(3), (len(r), 3, 3))
+    jacobian = np.concatenate([unit, -skew(r)], axis=-1)
+    pose = jacobian @ scan.pose.covariance @ jacobian.transpose(0, 2, 1)
     variance = plane + along * cosine**2 + np.einsum("ni,nij,nj->n", n, pose, n)
     # What is added along the ray adds to the variance there: the pose's part alone is inverted,
     # kept regular by a millionth of its trace.
@@ -142,14 +145,6 @@ def _dot(one: Array, other: Array) -> Array:
     return np.asarray(np.einsum("ni,ni->n", one, other))
 
 
-def _of_pose(arm: Array, covariance: Array) -> Array:
-    """Pose part (N, 3, 3) of Eq. 17 for points (N, 3) about the lidar: J Sigma J^T with
-    J = (I, -[r]_x) of the pose's covariance (6, 6)."""
-    unit = np.broadcast_to(np.eye(3), (len(arm), 3, 3))
-    jacobian = np.concatenate([unit, -skew(arm)], axis=-1)
-    return np.asarray(jacobian @ covariance @ jacobian.transpose(0, 2, 1))
-
-
 @dataclass(frozen=True)
 class Consistency:
     """Prefit residuals of a bag. ``counts``: residuals outside the 95 % intervals. ``scans``: scans
@@ -159,12 +154,10 @@ class Consistency:
     scans: int
 
     def table(self) -> str:
+        one, three = self.counts.one_degree, self.counts.three_degrees
         rows = [("Prefit residuals", "below", "above", "both")]
-        for name, of in (
-            ("one degree of freedom", self.counts.one_degree),
-            ("three (the paper)", self.counts.three_degrees),
-        ):
-            rows.append((name, *(f"{share:.2%}" for share in (*of, of.below + of.above))))
+        for name, of in (("one degree of freedom", one), ("three (the paper)", three)):
+            rows.append((name, *(f"{share:.2%}" for share in (*of, sum(of)))))
         return "\n".join(aligned(rows))
 
 

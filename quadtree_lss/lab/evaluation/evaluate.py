@@ -15,6 +15,7 @@ from quadtree_lss.desk.replay.files import new_folder, plain, write_json
 from quadtree_lss.lab.evaluation import metrics
 from quadtree_lss.lab.evaluation.consistency import Consistency, consistency
 from quadtree_lss.lab.evaluation.results import (
+    TOP,
     EvaluationError,
     Results,
     Truth,
@@ -27,11 +28,6 @@ from quadtree_lss.lab.evaluation.results import (
 )
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-TOP = 5
-"""Sites that are judged."""
-_COLUMNS = ("hazardous", "safe", "unsafe sites", "elevation RMS", "largest", "leaves")
-_COLUMNS += ("map time", "prefit below", "prefit above")
-
 
 @dataclass(frozen=True)
 class EvaluationResult:
@@ -40,7 +36,8 @@ class EvaluationResult:
     Sites are those of the first five ranks: ``site_verdicts`` has one word for each, in order, and
     ``unknown_in_top_five`` counts those that the truth cannot judge. ``missed`` are the hazardous
     places called safe. ``risk`` is None if the results tell none, ``consistency`` unless the bag
-    was at hand; ``notes`` say what could not be done or checked, and why.
+    was at hand; ``notes`` say what could not be done or checked, and why. ``heights`` and
+    ``safety`` are what was compared, place by place.
     """
 
     elevation: metrics.ElevationError
@@ -58,14 +55,16 @@ class EvaluationResult:
     map_ms_p99: float
     map_s_total: float
     lss_ms: float
+    heights: metrics.ErrorField
+    safety: metrics.SafetyField
     consistency: Consistency | None = None
     out: Path = Path()
     figures: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        values = asdict(self).items()
-        return {key: plain(value) for key, value in values if key not in ("out", "figures")}
+        drawn = ("heights", "safety", "out", "figures")
+        return {key: plain(value) for key, value in asdict(self).items() if key not in drawn}
 
     def table(self) -> str:
         e, d = self.elevation, self.detection
@@ -94,12 +93,12 @@ class EvaluationResult:
         return "\n\n".join([text, *tables, *(["\n".join(self.notes)] if self.notes else [])])
 
     def _unsafe_sites(self) -> str:
-        text = f"{self.unsafe_in_top_five} of {len(self.site_verdicts)}"
-        unknown = [k for k, v in enumerate(self.site_verdicts, start=1) if v == "unknown"]
-        if unknown:
-            ranks = ", ".join(map(str, unknown))
-            text += f" (rank {ranks} beyond the true terrain: cannot be judged)"
-        return text
+        text, verdicts = (
+            f"{self.unsafe_in_top_five} of {len(self.site_verdicts)}",
+            self.site_verdicts,
+        )
+        ranks = ", ".join(str(k) for k, v in enumerate(verdicts, start=1) if v == "unknown")
+        return text + bool(ranks) * f" (rank {ranks} beyond the true terrain: cannot be judged)"
 
 
 def evaluate(
@@ -126,7 +125,7 @@ def evaluate(
     given = None if bag is None else Path(bag)
     doubt = check_truth(results, truth, Path(truth_path), given)
     notes = [] if doubt is None else [doubt]
-    scores, heights, safety = _scores(results, truth)
+    scores = score(results, truth)
     table_2 = None
     if consistency or given is not None:
         table_2, without = _table_2(results, given, progress)
@@ -136,14 +135,18 @@ def evaluate(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise EvaluationError(f"cannot create {folder}: {error.strerror}") from error
-    written: tuple[Path, ...] = ()
+    result = replace(scores, consistency=table_2, out=folder, notes=tuple(notes))
     if figures:
+        from quadtree_lss.lab.evaluation.evaluation_page import evaluation_page
         from quadtree_lss.lab.evaluation.figures import draw_all
 
-        written = draw_all(folder, results, truth, heights, safety)
-    result = replace(scores, consistency=table_2, out=folder, figures=written, notes=tuple(notes))
-    if figures:
-        result = _with_page(result, results.folder, truth, safety)
+        drawn = draw_all(folder, results, truth, scores.heights, scores.safety)
+        result = replace(result, figures=drawn)
+        try:
+            text = evaluation_page(results.folder, truth, result)
+            (folder / "report.html").write_text(text, encoding="utf-8")
+        except KeyError as error:  # the page shows more than is scored
+            result = replace(result, notes=(*notes, f"report.html: the results lack {error}"))
     write_json(folder / "evaluation.json", result.as_dict())
     return result
 
@@ -161,8 +164,8 @@ class ComparisonResult:
 
     def table(self) -> str:
         """A row per run; elevation RMS with the mean removed, Table 2 of one degree of freedom."""
-        rows = [("run", *_COLUMNS), *((name, *_cells(r)) for name, r in self.runs.items())]
-        lines = aligned(rows)
+        rows = [{"run": name, **_cells(r)} for name, r in self.runs.items()]
+        lines = aligned([tuple(rows[0]), *(tuple(row.values()) for row in rows)])
         for note in dict.fromkeys(note for r in self.runs.values() for note in r.notes):
             names = [name for name, r in self.runs.items() if note in r.notes]
             lines.append(f"{', '.join(names)}: {note}")
@@ -199,32 +202,9 @@ def compare(
 
         truth = load_truth(truth_path)
         results = {name: load_results(folder) for name, folder in folders.items()}
-        heights = metrics.elevation_field(results[names[-1]].map, results[names[-1]].grid, truth)
-        drawn = draw_together(together, truth, heights, results)
+        drawn = draw_together(together, truth, runs[names[-1]].heights, results)
     result = ComparisonResult(runs, together, drawn)
     write_json(together / "evaluation.json", result.as_dict()["runs"])
-    return result
-
-
-def score(results: Results, truth: Truth) -> EvaluationResult:
-    """The scores alone; nothing is written, and there is no Table 2.
-
-    Raises `EvaluationError` when the map and the truth do not overlap.
-    """
-    return _scores(results, truth)[0]
-
-
-def _with_page(
-    result: EvaluationResult, results_dir: Path, truth: Truth, safety: metrics.SafetyField
-) -> EvaluationResult:
-    """Writes ``report.html``; with a note if the results have not what it shows."""
-    from quadtree_lss.lab.evaluation.evaluation_page import evaluation_page
-
-    try:
-        text = evaluation_page(results_dir, truth, safety, result)
-    except KeyError as error:
-        return replace(result, notes=(*result.notes, f"report.html: the results lack {error}"))
-    (result.out / "report.html").write_text(text, encoding="utf-8")
     return result
 
 
@@ -235,12 +215,11 @@ def _table_2(
 
     What is wrong with a bag that was given is an error; with one that was merely found, a reason.
     """
-    bag = given if given is not None else recorded_bag(results)
+    bag, total = given or recorded_bag(results), results.timing["stamp_ns"].size
     if bag is None:
         return None, "needs --bag"
-    if given is None and not results.timing["stamp_ns"].size:
+    if given is None and not total:
         return None, "needs --bag with the scans: these results are of recorded maps"
-    total = results.timing["stamp_ns"].size
     scan_topic, pose_topic = (results.summary.get(f"{what}_topic") for what in ("scan", "pose"))
     try:
         return consistency(
@@ -266,24 +245,26 @@ def _percent(fraction: float) -> str:
     return _show(100.0 * fraction, ".2f", " %")
 
 
-def _cells(r: EvaluationResult) -> tuple[str, ...]:
-    outside = r.consistency.counts.one_degree if r.consistency is not None else (math.nan,) * 2
-    return (
-        _percent(r.detection.hazardous_found),
-        _percent(r.detection.safe_found),
-        f"{r.unsafe_in_top_five} of {len(r.site_verdicts)}",
-        _show(r.elevation.rms_mean_removed, ".3f", " m"),
-        _show(r.elevation.maximum, ".2f", " m"),
-        str(r.leaves_estimated),
-        _show(r.map_s_total, ".2f", " s"),
-        *map(_percent, outside),
-    )
+def _cells(r: EvaluationResult) -> dict[str, str]:
+    below, above = r.consistency.counts.one_degree if r.consistency else (math.nan,) * 2
+    return {
+        "hazardous": _percent(r.detection.hazardous_found),
+        "safe": _percent(r.detection.safe_found),
+        "unsafe sites": f"{r.unsafe_in_top_five} of {len(r.site_verdicts)}",
+        "elevation RMS": _show(r.elevation.rms_mean_removed, ".3f", " m"),
+        "largest": _show(r.elevation.maximum, ".2f", " m"),
+        "leaves": str(r.leaves_estimated),
+        "map time": _show(r.map_s_total, ".2f", " s"),
+        "prefit below": _percent(below),
+        "prefit above": _percent(above),
+    }
 
 
-def _scores(
-    results: Results, truth: Truth
-) -> tuple[EvaluationResult, metrics.ErrorField, metrics.SafetyField]:
-    """Those of one run, with the fields of its errors and of its safety."""
+def score(results: Results, truth: Truth) -> EvaluationResult:
+    """The scores alone; nothing is written, and there is no Table 2.
+
+    Raises `EvaluationError` when the map and the truth do not overlap.
+    """
     safety = metrics.safety_field(results.grid, truth)
     if not safety.scored.size:
         msg = f"the map in {results.folder} does not overlap the scanned box of the truth"
@@ -292,7 +273,7 @@ def _scores(
     verdicts = metrics.site_verdicts(results.positions[:TOP], truth)
     cells, times = results.map, results.timing["map_ms"]
     times = times if times.size else np.array([math.nan])
-    scores = EvaluationResult(
+    return EvaluationResult(
         elevation=metrics.elevation_error(heights),
         detection=metrics.detection(safety),
         sites=len(results.positions),
@@ -308,5 +289,6 @@ def _scores(
         map_ms_p99=float(np.percentile(times, 99.0)),
         map_s_total=float(times.sum() * 1e-3),
         lss_ms=float(results.summary.get("lss_ms") or math.nan),
+        heights=heights,
+        safety=safety,
     )
-    return scores, heights, safety

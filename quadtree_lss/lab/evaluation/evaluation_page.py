@@ -13,15 +13,12 @@ from quadtree_lss.desk.report.palette import colour_limits, even_limits
 from quadtree_lss.desk.report.report import page, short_name
 from quadtree_lss.lab.evaluation.evaluate import EvaluationResult
 from quadtree_lss.lab.evaluation.figures import VERDICTS, verdict_classes
-from quadtree_lss.lab.evaluation.metrics import SafetyField
 from quadtree_lss.lab.evaluation.results import Truth
 
 
-def evaluation_page(
-    folder: Path, truth: Truth, safety: SafetyField, result: EvaluationResult
-) -> str:
+def evaluation_page(folder: Path, truth: Truth, result: EvaluationResult) -> str:
     """The page as text. Raises `KeyError`: the results lack an array that a page shows."""
-    content = load_results(folder)
+    content, safety = load_results(folder), result.safety
     grid = content.grid
     true = truth.elevation_at(*np.meshgrid(grid["x"], grid["y"]))
     error = np.where(grid.seen, grid["elevation"] - true, np.nan)
@@ -30,15 +27,10 @@ def evaluation_page(
     rows = np.searchsorted(grid["y"], safety.y - 1e-6)
     classes[np.ix_(rows, np.searchsorted(grid["x"], safety.x - 1e-6))] = verdict_classes(safety)
     note = f"Estimate less truth; the mean of {mean:+.3f} m, navigation's, is taken away."
+    where = "Where the lander's centre would be. "
     title, limits = "Error of the elevation, mean removed", even_limits(error - mean)
     layers = (
-        Layer(
-            "verdict",
-            "Verdict against the truth",
-            classes,
-            classes=VERDICTS,
-            note="Where the lander's centre would be. ",
-        ),
+        Layer("verdict", "Verdict against the truth", classes, classes=VERDICTS, note=where),
         Layer("truth", "True elevation", true, "m", limits=colour_limits(true[grid.seen])),
         Layer("error", title, error - mean, "m", "error", limits, note=note),
     )

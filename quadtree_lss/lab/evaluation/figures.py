@@ -23,7 +23,7 @@ from quadtree_lss.desk.report import drawing
 from quadtree_lss.desk.report.drawing import Box
 from quadtree_lss.desk.report.palette import SITE_COLOUR, even_limits
 from quadtree_lss.lab.evaluation.metrics import ErrorField, Reliability, SafetyField, reliability_of
-from quadtree_lss.lab.evaluation.results import Results, Truth
+from quadtree_lss.lab.evaluation.results import TOP, Results, Truth
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
@@ -42,8 +42,6 @@ EVERY = 5
 """Figs. 9 and 10 show the outline of every fifth scan."""
 CONTOUR_SMOOTHING = 0.25
 """m; pebbles have no contours."""
-TOP = 5
-"""Sites that are drawn and judged."""
 
 
 def draw_all(
@@ -141,12 +139,8 @@ def _cells_and_scans(results: Results, truth: Truth) -> Figure:
     kind = "Fixed-resolution cells" if _fixed(cells) else "Quadtree cells"
     scans = f"outlines of every {EVERY}th of {total} scans" if total else "no scan outlines known"
     figure, axes = _map(f"{kind}, {_count(cells)}; {scans}", box)
-    edges, wide = _edges(cells), _width(cells)
-    for part, colour, width in (
-        (~cells.estimated, "#bbbbbb", 0.4),
-        (cells.estimated, "black", wide),
-    ):
-        axes.add_collection(LineCollection(list(edges[part]), colors=colour, linewidths=width))
+    _outline(axes, cells, ~cells.estimated, colors="#bbbbbb", linewidths=0.4)
+    _outline(axes, cells, cells.estimated)
     if total:
         lines = LineCollection(list(shown), linewidths=0.9, cmap="viridis")
         lines.set_array(1 + EVERY * np.arange(len(shown)))
@@ -169,15 +163,15 @@ def _count(cells: CellMap) -> str:
     return f"{int(cells.estimated.sum())} with an estimate of {cells.level.size}"
 
 
-def _edges(cells: CellMap) -> Array:
-    """Closed outlines of the leaves (M, 5, 2)."""
+def _outline(axes: Axes, cells: CellMap, which: Any = slice(None), **style: Any) -> None:
+    """Boundaries of some leaves; the more there are, the thinner."""
     corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]], float)
     centre = np.stack([cells.x, cells.y], axis=-1)
-    return np.asarray(centre[:, None, :] + 0.5 * cells.size[:, None, None] * corner)
-
-
-def _width(cells: CellMap) -> float:
-    return float(np.clip(30.0 / np.sqrt(max(cells.level.size, 1)), 0.15, 0.6))
+    edges = (centre[:, None, :] + 0.5 * cells.size[:, None, None] * corner)[which]
+    width = float(np.clip(30.0 / np.sqrt(max(cells.level.size, 1)), 0.15, 0.6))
+    axes.add_collection(
+        LineCollection(list(edges), **{"colors": "black", "linewidths": width, **style})
+    )
 
 
 def _quadtree_over_truth(cells: CellMap, truth: Truth) -> Figure:
@@ -186,8 +180,7 @@ def _quadtree_over_truth(cells: CellMap, truth: Truth) -> Figure:
     figure, axes = _map(f"Quadtree over the true elevation: leaves, {_count(cells)}", box)
     x, y, z = _window(truth, box)
     _relief(figure, axes, x, y, z, z, "true elevation [m]")
-    edges = list(_edges(cells))
-    axes.add_collection(LineCollection(edges, colors="black", linewidths=_width(cells), alpha=0.4))
+    _outline(axes, cells, alpha=0.4)
     return figure
 
 
@@ -217,11 +210,8 @@ def _elevation_error(heights: ErrorField, truth: Truth, *, centred: bool) -> Fig
         title += f"; mean of {mean:+.3f} m removed" if centred else ""
     figure, axes = _map(f"Elevation error: {title}", box)
     axes.set_facecolor("#dddddd")
-    low, high = even_limits(error)
-    style = {"cmap": drawing.MAPS["error"], "vmin": low, "vmax": high}
-    shown = drawing.image(axes, heights.x, heights.y, error, **style)
     label = "estimate − truth [m]; grey: not seen"
-    figure.colorbar(shown, ax=axes, label=label, extend="both")
+    _coloured(axes, heights.x, heights.y, error, "error", even_limits(error), label)
     _contours(axes, truth, box)
     return figure
 
@@ -264,12 +254,8 @@ def _score(results: Results, truth: Truth, sites: Mapping[str, Array]) -> Figure
     """Score of the terrain where landing is allowed, lower is better (Figs. 23, 24)."""
     grid, box = results.grid, _around(truth)
     figure, axes = _map("Site score, lower is better; white: excluded", box)
-    allowed = grid["safe"] & np.isfinite(grid["score"])
-    values = np.where(allowed, grid["score"], np.nan)
-    low, high = np.percentile(grid["score"][allowed], (0.5, 99.5)) if allowed.any() else (0.0, 1.0)
-    style = {"cmap": drawing.MAPS["score"], "vmin": low, "vmax": high}
-    shown = drawing.image(axes, grid.x, grid.y, values, **style)
-    figure.colorbar(shown, ax=axes, label="score [-]", extend="both")
+    values = np.where(grid["safe"] & np.isfinite(grid["score"]), grid["score"], np.nan)
+    _coloured(axes, grid.x, grid.y, values, "score", _limits(values, 0.5), "score [-]")
     _contours(axes, truth, box)
     _box_and_sites(axes, truth, sites)
     return figure
@@ -313,9 +299,19 @@ def _relief(figure: Figure, axes: Any, x: Array, y: Array, z: Array, of: Array, 
     figure.colorbar(shown, ax=axes, label=label, extend="both")
 
 
-def _limits(values: Array) -> tuple[float, float]:
+def _coloured(
+    axes: Any, x: Array, y: Array, z: Array, kind: str, limits: tuple[float, float], label: str
+) -> None:
+    """Values by a colour map of `drawing.MAPS`, unshaded."""
+    style = {"cmap": drawing.MAPS[kind], "vmin": limits[0], "vmax": limits[1]}
+    shown = drawing.image(axes, x, y, z, **style)
+    axes.figure.colorbar(shown, ax=axes, label=label, extend="both")
+
+
+def _limits(values: Array, beyond: float = 0.2) -> tuple[float, float]:
+    """Between which all but so many per cent at either end lie."""
     finite = values[np.isfinite(values)]
-    low, high = np.percentile(finite, (0.2, 99.8)) if finite.size else (0.0, 1.0)
+    low, high = np.percentile(finite, (beyond, 100.0 - beyond)) if finite.size else (0.0, 1.0)
     return float(low), float(high)
 
 

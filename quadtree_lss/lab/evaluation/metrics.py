@@ -97,6 +97,11 @@ class SafetyField:
     risk: Array | None = None
     """By the map; None if it tells none."""
 
+    @property
+    def missed(self) -> Mask:
+        """Hazardous ground called safe."""
+        return self.scored & ~self.truly_safe & self.called_safe & self.seen
+
 
 @dataclass(frozen=True)
 class MissedPlace:
@@ -222,7 +227,6 @@ def detection(field: SafetyField) -> Detection:
     hazardous = field.scored & ~field.truly_safe
     safe = field.scored & field.truly_safe
     called = field.called_safe & field.seen
-    missed = hazardous & called
 
     def share(part: Mask, whole: Mask) -> float:
         return float(part[whole].mean()) if whole.any() else float("nan")
@@ -234,8 +238,8 @@ def detection(field: SafetyField) -> Detection:
         safe_unknown=share(~field.seen, safe),
         hazardous_grid_points=int(hazardous.sum()),
         safe_grid_points=int(safe.sum()),
-        missed_grid_points=int(missed.sum()),
-        missed_depth=float(_depth(field)[missed].max(initial=0.0)),
+        missed_grid_points=int(field.missed.sum()),
+        missed_depth=float(_depth(field)[field.missed].max(initial=0.0)),
         unseen_box=float(1.0 - field.scored.mean()) if field.scored.size else float("nan"),
         precision=share(field.truly_safe, called & field.scored),
     )
@@ -260,8 +264,7 @@ def site_verdicts(sites: Array, truth: Truth) -> tuple[SiteVerdict, ...]:
 
 def missed_places(field: SafetyField, truth: Truth) -> tuple[MissedPlace, ...]:
     """Connected patches of hazardous ground called safe, the largest first."""
-    missed = field.scored & ~field.truly_safe & field.called_safe & field.seen
-    patch, count = label(missed, np.ones((3, 3), int))
+    patch, count = label(field.missed, np.ones((3, 3), int))
     depth, reach, places = _depth(field), truth.lander.reach, []
     for k in range(1, count + 1):
         j, i = np.nonzero(patch == k)

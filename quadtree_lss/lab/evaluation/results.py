@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from quadtree_lss.desk.exchange import saved
 from quadtree_lss.desk.exchange.saved import Results
@@ -19,13 +19,15 @@ from quadtree_lss.desk.replay.replay import scans
 from quadtree_lss.desk.replay.results import ReplayResult, grid_of
 from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.lab.simulation.simulate import TRUTH_NAME
-from quadtree_lss.lab.simulation.terrain import bilinear
+from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.elevation.archives import read_arrays
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
+TOP = 5
+"""Sites that are drawn and judged."""
 LAYERS = ("elevation", "hazard", "safe", "score")
 """Of the landing grid that are scored."""
 COLUMNS = ("stamp_ns", "points", "points_used", "leaves", "map_ms")
@@ -33,9 +35,7 @@ COLUMNS = ("stamp_ns", "points", "points_used", "leaves", "map_ms")
 _TRUTH = ("x", "y", "elevation", "safe_x", "safe_y", "safe", "box", "scan_stamp_ns")
 _TRUTH_EXTRA = ("scan_outline", "scan_flight")
 _TRUTH_NAMES = ("bag_name", "seed", "lander")
-_SHAPES: dict[str, tuple[int | str, ...]] = {
-    axis: (axis,) for axis in ("x", "y", "safe_x", "safe_y")
-}
+_SHAPES: dict[str, tuple[int | str, ...]] = {n: (n,) for n in ("x", "y", "safe_x", "safe_y")}
 _SHAPES |= {"elevation": ("y", "x"), "safe": ("safe_y", "safe_x"), "box": (4,), "lander": (4,)}
 _SHAPES |= dict.fromkeys(_TRUTH_EXTRA, ("scan_stamp_ns",))
 """How long they are along their first axes: a number, or as many as that array has."""
@@ -56,12 +56,9 @@ class EvaluationError(QuadtreeLssError):
 
 
 @dataclass(frozen=True)
-class Truth:
+class Truth(Terrain):
     """The ground as it is (``truth.npz``), metres, map frame."""
 
-    x: Array
-    y: Array
-    elevation: Array
     safe_x: Array
     safe_y: Array
     safe: Mask
@@ -76,10 +73,6 @@ class Truth:
     seed: int | None = None
     lander: LandingGear = LandingGear()
     """Whose safety it is."""
-
-    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """True elevation (m) at map coordinates; NaN outside the DEM."""
-        return bilinear(self.x, self.y, self.elevation, x, y)
 
     def outlines_of(self, stamps_ns: NDArray[np.int64], every: int) -> tuple[Array, int]:
         """Closed outlines (n, K + 1, 2) of every so-manieth of the given scans; their number."""
@@ -123,7 +116,10 @@ def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
         if name in a:
             a[name] = kind(a[name].item()) if a[name].size == 1 else None
     a["box"], a["lander"] = tuple(a["box"].tolist()), LandingGear(*a["lander"].tolist())
-    return Truth(**{**a, "safe": a["safe"].astype(bool)})
+    try:
+        return Truth(**{**a, "safe": a["safe"].astype(bool)})
+    except SimulationError as error:
+        raise EvaluationError(f"{file}: {error}") from None
 
 
 def results_of(replayed: ReplayResult) -> Results:
@@ -189,7 +185,8 @@ def check_truth(
     files tell. A bag of another name may be the same flight, moved or converted: where both are at
     hand their first scans decide. Raises `EvaluationError`: they are of different flights.
     """
-    mapped, flown = (_stamps(of) for of in (results.timing["stamp_ns"], truth.scan_stamp_ns))
+    stamps = results.timing["stamp_ns"], truth.scan_stamp_ns
+    mapped, flown = (np.unique(of[of > 0]) for of in stamps)  # zero is no stamp
     strange = mapped[~np.isin(mapped, flown)]
     if flown.size and strange.size:
         raise EvaluationError(
@@ -201,11 +198,10 @@ def check_truth(
     if seed is not None and truth.seed is not None and seed != truth.seed:
         msg = f"{truth_path} is of seed {truth.seed}, but {results.folder} of seed {seed}"
         raise EvaluationError(msg)
-    named = bag if bag is not None else named_bag(results)
+    named, of_results = bag or named_bag(results), bag or recorded_bag(results)
     if truth.bag_name is None or named is None or not results.timing["stamp_ns"].size:
         return None
     of_truth = truth_path.parent / Path(truth.bag_name).name
-    of_results = bag if bag is not None else recorded_bag(results)
     contradiction = f"{truth_path} is of the bag {of_truth.name}, not of {named}"
     same = None
     if of_truth.exists() and of_results is not None:
@@ -219,23 +215,16 @@ def check_truth(
     return f"{contradiction}: of one flight by the stamps of their scans alone"
 
 
-def _stamps(stamps_ns: np.ndarray) -> np.ndarray:
-    """Those that tell something: zero is no stamp."""
-    return np.unique(stamps_ns[stamps_ns > 0])
-
-
 def _same_scans(bag: Path, whole: Path, config: Config) -> bool | None:
     """Whether the first scan of a bag is in another one too; None if either cannot be read."""
     bag, whole = bag.resolve(), whole.resolve()
     if bag == whole or whole in bag.parents:
         return True
     try:
-        first = next(scans(bag, config), None)
-        if first is None:
-            return None
+        first = next(scans(bag, config))
         for scan in scans(whole, config):
             if scan.stamp_ns == first.stamp_ns:
                 return np.array_equal(scan.points_lidar, first.points_lidar, equal_nan=True)
-    except (QuadtreeLssError, OSError):
+    except (QuadtreeLssError, OSError, StopIteration):
         return None
     return False

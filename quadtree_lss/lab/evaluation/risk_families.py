@@ -57,11 +57,7 @@ FAMILIES: dict[str, Family] = {
     "mixed": Family(grounds=("mixed",), views=("morpheus", "sweep"), weight=1.5),
     "bare": Family(grounds=("bare",), views=("morpheus", "sweep", "descent")),
     "noise": Family(
-        views=("sweep",),
-        noise=(0.1, 0.3),
-        told=(1.0, 0.75, 1.3),
-        outliers=(0.0, 0.02),
-        weight=1.5,
+        views=("sweep",), noise=(0.1, 0.3), told=(1.0, 0.75, 1.3), outliers=(0.0, 0.02), weight=1.5
     ),
     "few": Family(grounds=(*_ANY, "mixed"), views=("few",), weight=0.7),
     "views": Family(grounds=_ANY, views=("sweep", "descent", "wide"), weight=0.7),
@@ -172,12 +168,9 @@ def _morpheus(rng: np.random.Generator) -> View:
 def _sweep(rng: np.random.Generator) -> View:
     """Such a sweep from nearer and steeper, with fewer scans."""
     duration, slant = rng.uniform(5.0, 25.0), rng.uniform(120.0, 450.0)
+    seen = (0.0, 0.0, 0.0), HALF, HALF, duration, even(rng, 1.0, 5.0)
     sweep = Sweep(
-        (0.0, 0.0, 0.0),
-        HALF,
-        HALF,
-        duration,
-        even(rng, 1.0, 5.0),
+        *seen,
         slant_range=slant,
         glide_slope_deg=rng.uniform(25.0, 80.0),
         approach_speed=rng.uniform(1.0, 0.4 * slant / duration),
@@ -190,12 +183,9 @@ def _oblique(rng: np.random.Generator) -> View:
     """A fast approach from about 180 m at about 55 deg that misses much of the ground."""
     duration, slant = rng.uniform(8.0, 16.0), rng.uniform(140.0, 220.0)
     half = HALF * rng.uniform(0.5, 1.0)
+    centre = rng.uniform(-10.0, 10.0), rng.uniform(-10.0, 10.0), 0.0
     sweep = Sweep(
-        (rng.uniform(-10.0, 10.0), rng.uniform(-10.0, 10.0), 0.0),
-        half,
-        half,
-        duration,
-        float(rng.integers(1, 4)),
+        *(centre, half, half, duration, float(rng.integers(1, 4))),
         slant_range=slant,
         glide_slope_deg=rng.uniform(45.0, 65.0),
         approach_speed=0.4 * slant / duration,

@@ -40,6 +40,11 @@ class Term(NamedTuple):
     by_seen: bool = False
     begin: float = 0.1
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows, and steps of each."""
+        return len(SEEN) if self.by_seen else 1, len(self.knots) - 1
+
 
 _CONTACT = (0.4, 0.6, 0.8, 0.9, 1.0, 1.15, 1.5)
 _ROCKS, _SLOPES = (0.0, 0.05, 0.15, 0.3, 0.6), (0.05, 0.15, 0.35, 0.6, 0.9)
@@ -77,7 +82,10 @@ def fit(places: Array, failed: Mask, weight: Array) -> RiskModel:
     columns = [_columns(places, terms) for terms in TERMS.values()]
     ends = np.cumsum([part.shape[1] for part in columns])
     begin = np.concatenate([_steps(unfitted().causes[name]) for name in CAUSES])
-    sign = np.concatenate([_signs(terms) for terms in TERMS.values()])
+    signs: list[float] = []
+    for terms in TERMS.values():
+        signs += [0.0, *(t.sign for t in terms for _ in range(np.prod(t.shape)))]
+    sign = np.array(signs)
     ridge = np.full(len(begin), RIDGE)
     ridge[[0, *ends[:-1]]] = 0.0  # of the constants
     weight, fails = weight / weight.sum(), np.asarray(failed, np.float64)
@@ -127,14 +135,6 @@ def _columns(places: Array, terms: tuple[Term, ...]) -> Array:
     return np.concatenate(parts, axis=1).astype(np.float32)
 
 
-def _signs(terms: tuple[Term, ...]) -> Array:
-    return np.concatenate([[0.0], *(np.full(_rows(t) * (len(t.knots) - 1), t.sign) for t in terms)])
-
-
-def _rows(term: Term) -> int:
-    return len(SEEN) if term.by_seen else 1
-
-
 def unfitted() -> RiskModel:
     """What a fit begins with."""
     begin = {"obstacle": -9.0, "slope": -9.0, "hidden": -2.5}
@@ -143,7 +143,7 @@ def unfitted() -> RiskModel:
         curves = []
         for term in terms:
             row = tuple(np.linspace(0.0, term.begin * bool(term.sign), len(term.knots)).tolist())
-            curves.append(Curve(term.of, term.knots, (row,) * _rows(term)))
+            curves.append(Curve(term.of, term.knots, (row,) * term.shape[0]))
         causes[name] = Cause(begin[name], tuple(curves))
     return RiskModel(SEEN, causes)
 
@@ -159,9 +159,8 @@ def _model(steps: list[Array]) -> RiskModel:
     for (name, terms), own in zip(TERMS.items(), steps, strict=True):
         curves, at = [], 1
         for term in terms:
-            rows, count = _rows(term), len(term.knots) - 1
-            of = own[at : at + rows * count].reshape(rows, count)
-            at += rows * count
+            of = own[at : at + np.prod(term.shape)].reshape(term.shape)
+            at += of.size
             odds = np.pad(np.cumsum(of, axis=1), ((0, 0), (1, 0)))
             curves.append(Curve(term.of, term.knots, tuple(rounded(row) for row in odds)))
         causes[name] = Cause(rounded(own[:1])[0], tuple(curves))

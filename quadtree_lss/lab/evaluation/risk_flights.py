@@ -80,10 +80,9 @@ def fly(family: Family, seed: int, config: Config, terrain: Terrain | None = Non
     of the family."""
     rng = np.random.default_rng([seed, 77])
     own, noise, outliers = _drawn(rng, family, config)
-    vehicle = own.vehicle
-    scale = vehicle.diameter / LANDER
+    scale = own.vehicle.diameter / LANDER
     made = ground(rng, str(rng.choice(family.grounds))) if terrain is None else terrain
-    surface = Terrain(scale * made.x, scale * made.y, scale * made.elevation)
+    surface = made.scaled(scale)
     name = str(rng.choice(family.views))
     view = VIEWS[name](rng)
     # An attitude is as good as the lidar needs it.
@@ -120,8 +119,8 @@ def _drawn(rng: np.random.Generator, family: Family, config: Config) -> tuple[Co
     clearance = diameter * between(family.clearance, usual.clearance / usual.diameter)
     slope = usual.max_slope_deg if family.slopes is None else float(rng.choice(family.slopes))
     pad = usual.pad_radius * diameter / usual.diameter
-    vehicle = replace(usual, diameter=diameter, clearance=clearance)
-    vehicle = replace(vehicle, max_slope_deg=slope, pad_radius=pad)
+    sizes = {"diameter": diameter, "clearance": clearance, "pad_radius": pad}
+    vehicle = replace(usual, max_slope_deg=slope, **sizes)
     noise = clearance * between(family.noise, config.lidar.range_noise / usual.clearance)
     domain = config.domain
     cells = usual.diameter / (domain.size / 2**domain.max_level)
@@ -129,11 +128,10 @@ def _drawn(rng: np.random.Generator, family: Family, config: Config) -> tuple[Co
     level = int(np.log2(64.1 / LANDER * diameter / side))
     size = side * 2**level
     above = int(rng.integers(3, 5)) if family.cells else domain.max_level - domain.min_level
-    own = replace(domain, xmin=-0.5 * size, ymin=-0.5 * size, size=size)
-    own = replace(own, min_level=max(level - above, 0), max_level=level)
-    gate = config.lidar.outlier_gate * diameter / usual.diameter
+    levels = {"min_level": max(level - above, 0), "max_level": level}
+    own = replace(domain, xmin=-0.5 * size, ymin=-0.5 * size, size=size, **levels)
     told = max(noise * float(rng.choice(family.told)), 1e-4)
-    lidar = replace(config.lidar, range_noise=told, outlier_gate=gate)
+    lidar = replace(config.lidar, range_noise=told)
     lss = replace(config.lss, grid_spacing=side)
     made = replace(config, vehicle=vehicle, domain=own, lidar=lidar, lss=lss)
     return made, noise, float(rng.choice(family.outliers))
@@ -238,14 +236,13 @@ def fit_risk(
     if len(seeds) < len(names) or not names:
         raise EvaluationError(f"{len(seeds)} seeds are too few for {len(names)} families")
     flown: dict[str, list[Sample]] = {name: [] for name in names}
-    flights: dict[str, list[int]] = {name: [] for name in names}
     for done, seed in enumerate(seeds):
         name, rng = names[done % len(names)], np.random.default_rng([seed, 78])
         flown[name] += [sampled(rng, mapped) for mapped in fly(FAMILIES[name], seed, config)]
-        flights[name].append(seed)
         if progress is not None:
             progress(done + 1, len(seeds))
-    return fitted(flown, flights, config)
+    dealt = {name: list(seeds[k :: len(names)]) for k, name in enumerate(names)}
+    return fitted(flown, dealt, config)
 
 
 def fitted(

@@ -24,6 +24,7 @@ from quadtree_lss.lab.flight.vehicle import VehicleState
 from quadtree_lss.lab.simulation.lidar import FlashLidar
 from quadtree_lss.lab.simulation.navigation import DriftingNavigation
 from quadtree_lss.lab.simulation.recording import Messages
+from quadtree_lss.lab.simulation.safety import contact_safe
 from quadtree_lss.lab.touchdown.legs import LANDER
 from quadtree_lss.lab.touchdown.touchdown import Arrival, Landed, touch
 from quadtree_lss.onboard.arrays import Array
@@ -46,12 +47,7 @@ TILT_DEG, SINK = 6.0, 2.0
 JUMP = np.array([2.0, 0.0, 1.0])
 SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
-PAPER = {
-    "lss.assessment": "paper",
-    "lss.ranking": "score",
-    "lss.switch_margin": 0.08,
-    "lss.target_risk": 0.0002,  # a metre of way against 0.2 m of room
-}
+PAPER = {"lss.assessment": "paper", "lss.ranking": "score"}
 """The paper's rules and score."""
 
 
@@ -115,18 +111,14 @@ class Flight:
         if settings.avoidance == "perfect" and (best := self.ground.best()) is not None:
             planned = best
         config = flight_config(settings, self.ground)
-        flown = settings.vehicle, settings.rules, planned
-        self.pilot = Pilot(*flown, avoid=avoid, commit_height=config.lss.commit_height)
+        flown, commit = (settings.vehicle, settings.rules, planned), config.lss.commit_height
+        self.pilot = Pilot(*flown, avoid=avoid, commit_height=commit)
         self.looks = avoid
         self.prior = read_prior(config) if avoid else None
         first = self._look_first(config, planned)
         self.gimbal = Gimbal(settings.plan, FIELD_OF_VIEW_DEG, planned, self.ground.half, first)
-        self._lidar = FlashLidar(
-            FIELD_OF_VIEW_DEG,
-            range_noise=settings.range_noise,
-            outliers=settings.outliers,
-            dropouts=settings.dropouts,
-        )
+        wrong = settings.range_noise, settings.outliers, settings.dropouts
+        self._lidar = FlashLidar(FIELD_OF_VIEW_DEG, 128, *wrong)
         self._noise = lidar
         self._due = list(settings.faults)
         self.active: dict[str, float] = {}
@@ -159,16 +151,11 @@ class Flight:
         place = np.array([places[0].x, places[0].y]) - planned[:2]
         return planned + np.append(np.clip(place, -most, most), 0.0)
 
-    def navigated(self) -> tuple[Array, Array]:
-        """Position and velocity (3,) as navigation knows them."""
-        off = self._offset[self._ticks]
-        if "pose_jump" in self.active:
-            off = off + JUMP
-        return self.lander.position + off, self.lander.velocity + self._slip[self._ticks]
-
     def step(self) -> list[Sent]:
         """One tick: what was sent during it, in order."""
-        position, velocity = self.navigated()
+        jump = JUMP if "pose_jump" in self.active else 0.0
+        position = self.lander.position + (self._offset[self._ticks] + jump)
+        velocity = self.lander.velocity + self._slip[self._ticks]
         if self._ticks % GUIDE_EVERY == 0:
             thrust = self.pilot.guide(self.time, position, velocity, self.lander.mass)
             self.lander.command(thrust)
@@ -185,9 +172,13 @@ class Flight:
         down = self.outcome == "touchdown"
         across, sink = float(np.hypot(*velocity[:2])), float(-velocity[2])
         soft = across <= SETTLE and sink <= SINK and self.lander.tilt_deg <= TILT_DEG
-        firm = down and self.ground.safe_at(float(place[0]), float(place[1]))
+        firm = down and contact_safe(self.ground.terrain, place[:2])[0]
         whats = [d.what for d in self.pilot.decisions]
         diverts = [d for d in self.pilot.decisions if d.what in ("divert", "target") and d.time > 0]
+        found, legs = self.landed, {}
+        if found is not None:
+            legs = {"physics": found.outcome, "physics_tilt_deg": found.tilt_deg}
+            legs |= {"physics_slid": found.slid, "physics_stroke": found.stroke}
         return {
             "outcome": self.outcome,
             "safe": bool(firm and soft),
@@ -207,7 +198,7 @@ class Flight:
             "last_divert_height": diverts[-1].height if diverts else None,
             "hovered": "hover" in whats,
             "from_planned": float(np.hypot(*(place - self.ground.planned)[:2])),
-            **self._on_legs(),
+            **legs,
         }
 
     @cached_property
@@ -221,12 +212,6 @@ class Flight:
         x, y, _ = lander.position.tolist()
         arrival = Arrival(x, y, lander.velocity, lander.direction, 0.0, lander.turn)
         return touch(legs, self.ground.terrain, arrival)
-
-    def _on_legs(self) -> dict[str, Any]:
-        if (found := self.landed) is None:
-            return {}
-        moved = {"physics_slid": found.slid, "physics_stroke": found.stroke}
-        return {"physics": found.outcome, "physics_tilt_deg": found.tilt_deg, **moved}
 
     def _errors(self, generator: np.random.Generator) -> None:
         times = TICK * np.arange(round(self.settings.longest / TICK) + 2)
@@ -266,7 +251,10 @@ class Flight:
             self._looked = self._ticks
         if self._ticks % ASK_EVERY == 0 or self._ticks == self._looked:
             just = self._looked is not None and self._ticks - self._looked < ASK_EVERY
-            area = self._first_area() if just else pilot.area()
+            area = pilot.area()
+            if just and (first := self.gimbal.first) is not None:
+                # Of what is seen by then a target may be chosen at once.
+                area = first[:2] + (self.settings.plan.first + self.settings.rules.zone) * SQUARE
             if area is not None:
                 self.areas.append((self.time, area))
                 yield from self._ask("landing/area", area)
@@ -276,13 +264,6 @@ class Flight:
             yield from self._ask("landing/target", pilot.aim)
         if "keep_out" in self.active and "landing/keep_out" not in self._asked:
             yield from self._ask("landing/keep_out", pilot.aim[:2] + 4.0 * SQUARE)
-
-    def _first_area(self) -> Array:
-        """(4, 2) of the first look, asked for when it has ended: of what is seen by then a target
-        may be chosen at once."""
-        assert self.gimbal.first is not None
-        side = self.settings.plan.first + self.settings.rules.zone
-        return np.asarray(self.gimbal.first[:2] + side * SQUARE)
 
     def _scan(self, before: tuple[Array, Array]) -> Sent:
         """The flash between the last tick, ``before``, and this one."""

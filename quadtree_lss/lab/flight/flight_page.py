@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +40,7 @@ PATH, SCANS, UNSAFE, PLACE, DOWN = "#0072b2", "#56b4e9", "#d55e00", "#e69f00", "
 def write_flight(out: Path, flown: Flown, *, report: bool = True) -> None:
     """``touchdown.json``, ``flight.csv``, ``decisions.csv``; with ``report`` picture, page and
     results of the map, as replay writes them. Raises `OSError`: ``out`` cannot be written."""
-    write_outcome(out, flown.figures)
+    write_json(out / "touchdown.json", flown.figures)
     flight = flown.flight
     _write_csv(out / "flight.csv", flight.samples[0]._fields, flight.samples)
     _write_csv(out / "decisions.csv", Decision._fields, flight.pilot.decisions)
@@ -49,11 +48,6 @@ def write_flight(out: Path, flown: Flown, *, report: bool = True) -> None:
         picture = drawing.png(figure(flown), dpi=110)
         (out / "flight.png").write_bytes(picture)
         (out / "flight.html").write_text(_page(out, flown, picture), encoding="utf-8")
-
-
-def write_outcome(out: Path, figures: Mapping[str, Any]) -> None:
-    """``touchdown.json``. Raises `OSError`: ``out`` cannot be written."""
-    write_json(out / "touchdown.json", figures)
 
 
 def figure(flown: Flown) -> Figure:
@@ -86,23 +80,25 @@ def _side(axes: Axes, flown: Flown) -> None:
 def _above(axes: Axes, flown: Flown) -> None:
     flight = flown.flight
     ground = flight.ground
-    _terrain(axes, ground, ground.planned[:2], ground.half + 3.0)
-    _unsafe(axes, ground)
+    x, y, half = *ground.planned[:2], ground.half + 3.0
+    _terrain(axes, ground, x, y, half)
+    at_x, at_y, room = ground.safe
+    unsafe = np.where(room > 0.0, 0.0, 1.0)
+    if 0.0 < unsafe.mean() < 1.0:
+        axes.contourf(at_x, at_y, unsafe, levels=[0.5, 1.5], colors="none", hatches=["////"])
+        axes.contour(at_x, at_y, unsafe, levels=[0.5], colors=UNSAFE, linewidths=0.6)
     for k, outline in enumerate(flight.outlines):
         label = "every 0.5 s: edge of the lidar's view" if k == 0 else None
         closed = np.vstack([outline, outline[:1]])
         axes.plot(*closed.T, color=SCANS, lw=0.7, alpha=0.8, label=label)
     path = np.array([(s.x, s.y) for s in flight.samples])
     axes.plot(*path.T, color=PATH, lw=2, label="path")
-    axes.plot(*ground.planned[:2], "x", color="black", ms=9, mew=2, label="planned point")
-    told = [d for d in _told(flown) if d.what in ("target", "divert")]
+    axes.plot(x, y, "x", color="black", ms=9, mew=2, label="planned point")
+    told = [d for d in flight.pilot.decisions if d.what in ("target", "divert")]
     if told:
         places = np.array([(d.x, d.y) for d in told])
         axes.plot(*places.T, "o", color=PLACE, mec="black", label="targets flown to")
     axes.plot(*path[-1], "*", color=DOWN, ms=14, mec="black", label="end")
-    half = ground.half + 3.0
-    x, y = ground.planned[:2]
-    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
     axes.legend(fontsize="x-small", loc="lower right")
     axes.set_title("ground in truth, unsafe places hatched", fontsize="medium")
 
@@ -111,7 +107,7 @@ def _touchdown(axes: Axes, flown: Flown) -> None:
     """The lander's circle and pads at two headings on the true ground."""
     ground, lander = flown.flight.ground, LandingGear()
     x, y = flown.figures["x"], flown.figures["y"]
-    shown = _terrain(axes, ground, np.array([x, y]), 4.0)
+    shown = _terrain(axes, ground, x, y, 4.0)
     if shown is not None:
         axes.figure.colorbar(shown, ax=axes, label="elevation [m]", shrink=0.8)
     radius = 0.5 * lander.diameter
@@ -124,44 +120,31 @@ def _touchdown(axes: Axes, flown: Flown) -> None:
     aim = flown.flight.pilot.aim
     axes.plot(aim[0], aim[1], "+", color=PLACE, ms=14, mew=2.5)
     axes.plot(x, y, "*", color=DOWN, ms=13, mec="black")
-    axes.set(xlim=(x - 4.0, x + 4.0), ylim=(y - 4.0, y + 4.0))
     axes.set_title("touchdown on the true ground; + is the aim", fontsize="medium")
 
 
-def _terrain(axes: Axes, ground: Ground, middle: np.ndarray, half: float) -> ScalarMappable | None:
-    """The true ground about a place; None if there is none."""
+def _terrain(axes: Axes, ground: Ground, x: float, y: float, half: float) -> ScalarMappable | None:
+    """Axes about a place, with the true ground; None if there is none."""
     terrain = ground.terrain
-    rows = np.abs(terrain.y - middle[1]) <= half
-    columns = np.abs(terrain.x - middle[0]) <= half
+    rows, columns = np.abs(terrain.y - y) <= half, np.abs(terrain.x - x) <= half
     axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), autoscale_on=False)
     if rows.sum() < 2 or columns.sum() < 2:
         return None
     z = terrain.elevation[np.ix_(rows, columns)]
     return drawing.layer(axes, terrain.x[columns], terrain.y[rows], z)
 
 
-def _unsafe(axes: Axes, ground: Ground) -> None:
-    x, y, room = ground.safe
-    unsafe = np.where(room > 0.0, 0.0, 1.0)
-    if 0.0 < unsafe.mean() < 1.0:
-        axes.contourf(x, y, unsafe, levels=[0.5, 1.5], colors="none", hatches=["////"])
-        axes.contour(x, y, unsafe, levels=[0.5], colors=UNSAFE, linewidths=0.6)
-
-
-def _told(flown: Flown) -> list[Decision]:
-    return [d for d in flown.flight.pilot.decisions if d.what not in ("too late", "out of reach")]
-
-
 def _episodes(flown: Flown) -> list[tuple[float, str]]:
     """Decisions with the time of the first of each group that are less than 2 s apart."""
-    groups: list[tuple[float, float, list[str]]] = []
-    for d in _told(flown):
-        if groups and d.time - groups[-1][1] < 2.0:
-            began, _, whats = groups.pop()
-            groups.append((began, d.time, [*whats, d.what]))
-        else:
-            groups.append((d.time, d.time, [d.what]))
-    return [(began, ", ".join(whats)) for began, _, whats in groups]
+    groups: list[list[Decision]] = []
+    for d in flown.flight.pilot.decisions:
+        if d.what in ("too late", "out of reach"):
+            continue
+        if not groups or d.time - groups[-1][-1].time >= 2.0:
+            groups.append([])
+        groups[-1].append(d)
+    return [(group[0].time, ", ".join(d.what for d in group)) for group in groups]
 
 
 def headline(flown: Flown) -> str:
@@ -217,17 +200,16 @@ def _content(out: Path, flown: Flown) -> Results:
     config = flight_config(flight.settings, flight.ground)
     bag = f"flight of seed {flown.figures['seed']}"
     if flown.cells is None or flown.last is None:
-        t, (x, y, _) = flight.ground.terrain, flight.ground.planned
+        t, middle = flight.ground.terrain, flight.ground.planned[:2]
         half = 0.5 * config.domain.size
-        model = ElevationModel(t.x, t.y, t.elevation)
-        result = rank_sites(model.within([x - half, y - half], [x + half, y + half]), None, config)
+        model = ElevationModel(t.x, t.y, t.elevation).within(middle - half, middle + half)
+        result = rank_sites(model, None, config)
         config = config_from_values(still_parameters(result.summary["config"]))
         result.summary["bag"] = bag
     else:
-        cells, last = flown.cells, flown.last
         known = {"bag": bag, "duration": flight.time, **flown.told}
-        summary = run_summary(cells, last, config, **known)
-        result = ReplayResult(out, cells, last, (), summary, flown.targets)
+        summary = run_summary(flown.cells, flown.last, config, **known)
+        result = ReplayResult(out, flown.cells, flown.last, (), summary, flown.targets)
     write_results(out, result, config, False, flown.history)
     if flown.history is not None:
         write_npz(out / "history.npz", flown.history.arrays())

@@ -8,7 +8,7 @@ are those that nodes and replay call, `Intake`, `Mapper`, `Passes`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from quadtree_lss.desk.bags.message_types import typestore
@@ -19,6 +19,7 @@ from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.config.sections import CHECKPOINT_S
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 from quadtree_lss.onboard.core.landing.hazards import TOUCHDOWN, UNMAPPED, UNSEEN
@@ -90,12 +91,9 @@ def flown(
     config, history = flight_config(settings, flight.ground), History() if record else None
     nodes = LockstepNodes(config, settings.answer_delay, history, flight.prior)
     fly(flight, nodes, progress)
-    figures, prior = figures_of(seed, flight, nodes.last), nodes.prior_offset
-    if not record:
-        return Flown(flight, figures, nodes.last, prior=prior)
-    cells, at_end = nodes.finish(flight.stamp_ns)
-    recorded = nodes.history, tuple(nodes.targets), nodes.told
-    return Flown(flight, figures, at_end, cells, *recorded, prior)
+    figures, prior = figures_of(seed, flight, nodes.last), nodes.mapper.prior_offset
+    found = Flown(flight, figures, nodes.last, prior=prior)
+    return nodes.recorded(found) if record else found
 
 
 def fly(flight: Flight, nodes: Nodes | None, progress: Callable[[float], None] | None) -> None:
@@ -182,19 +180,19 @@ class LockstepNodes:
     def work(self, now_ns: int) -> list[Array | None]:
         """Maps and assesses what is due; what ``landing/selected`` says now, if anything."""
         if "mapping" not in self._down:
-            self._mapper.look_at(self._wishes.values[AREA])
+            self.mapper.look_at(self._wishes.values[AREA])
             for scan in self._intake.ready(now_ns):
-                report = self._mapper.update(scan.points_lidar, scan.pose, scan.sweep)
+                report = self.mapper.update(scan.points_lidar, scan.pose, scan.sweep)
                 self._noise_ratio = report.noise_ratio
                 if self.history is not None:
                     self.history.scan(scan)
                 self._passes.changed()
             self._intake.notices()
-            if now_ns - self._checkpoint_ns >= 1e9 * self._config.checkpoint.interval:
-                self._checkpoint, self._checkpoint_ns = self._mapper.export_state(), now_ns
+            if now_ns - self._checkpoint_ns >= 1e9 * CHECKPOINT_S:
+                self._checkpoint, self._checkpoint_ns = self.mapper.export_state(), now_ns
         if "lss" in self._down:
             return []
-        self._passes.tick(now_ns, self._mapper.snapshot)
+        self._passes.tick(now_ns, self.mapper.snapshot)
         if self._waiting and self._waiting[0][0] <= now_ns:
             self._said = self.last = self._waiting.pop(0)[1]
         elif self._said is None or now_ns - self._said_ns < REPEAT_NS:
@@ -215,20 +213,15 @@ class LockstepNodes:
     def land_now(self) -> None:
         self._passes.land_now()
 
-    def finish(self, now_ns: int) -> tuple[CellMap | None, LandingAssessment | None]:
-        """The map at the end, and what is found on it; of the landing wishes, the last."""
-        self._passes.finish(now_ns, self._mapper.snapshot)
-        return self._passes.cells, self._passes.last
-
-    @property
-    def told(self) -> dict[str, Any]:
-        """What guidance said last, how the returns scatter, and of the prior, for a summary."""
-        found = {"landing": self._wishes.as_lists(), "range_noise_ratio": self._noise_ratio}
-        return found | ({} if self.prior_offset is None else {"prior": self.prior_offset.values})
-
-    @property
-    def prior_offset(self) -> PriorOffset | None:
-        return self._mapper.prior_offset
+    def recorded(self, found: Flown) -> Flown:
+        """With the map at the end, what is found on it by the last of the landing wishes, and for a
+        summary what guidance said last, how the returns scatter, and of the prior."""
+        self._passes.finish(found.flight.stamp_ns, self.mapper.snapshot)
+        told = {"landing": self._wishes.as_lists(), "range_noise_ratio": self._noise_ratio}
+        told |= {} if found.prior is None else {"prior": found.prior.values}
+        last, cells, targets = self._passes.last, self._passes.cells, tuple(self.targets)
+        record = {"history": self.history, "targets": targets, "told": told}
+        return replace(found, last=last, cells=cells, **record)
 
     def kill(self, node: str) -> None:
         """``mapping`` or ``lss`` is no more; of the mapper its last map stays latched."""
@@ -242,12 +235,12 @@ class LockstepNodes:
         else:
             self._start_mapping()
             if checkpoint and self._checkpoint is not None:
-                self._mapper.import_state(self._checkpoint)
-        if self._mapper.stamp_ns:
+                self.mapper.import_state(self._checkpoint)
+        if self.mapper.stamp_ns:
             self._passes.changed()
 
     def _start_mapping(self) -> None:
-        self._intake, self._mapper = Intake(self._config), Mapper(self._config, self._prior)
+        self._intake, self.mapper = Intake(self._config), Mapper(self._config, self._prior)
 
     def _start_lss(self) -> None:
         self._waiting: list[tuple[int, LandingAssessment]] = []

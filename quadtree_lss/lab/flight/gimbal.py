@@ -131,28 +131,24 @@ class Gimbal:
                 centre, half = aim, max(sees, self.plan.half[1])
                 seconds *= (half / sees) ** 2
         sight = centre - position
-        distance = float(np.linalg.norm(sight - 0.9 * seconds * velocity))
-        across_deep = self._angle * distance
+        across_deep = self._angle * float(np.linalg.norm(sight - 0.9 * seconds * velocity))
         if target is not None:
-            most, least = self.plan.half
-            half = float(np.clip(3.0 * across_deep, least, most))
-        away = np.array([sight[0], sight[1]])
-        level = float(np.hypot(*away))
-        along = away / level if level > 1.0 else np.array([1.0, 0.0])
+            half = float(np.clip(3.0 * across_deep, self.plan.half[1], self.plan.half[0]))
+        level = float(np.hypot(*sight[:2]))
+        along = sight[:2] / level if level > 1.0 else np.array([1.0, 0.0])
         # The footprint is longer along the line of sight, the more so the flatter that is.
         deep = across_deep / max(-sight[2] / float(np.linalg.norm(sight)), 0.2)
         edge = half * (abs(along[0]) + abs(along[1])) - 0.4 * deep
-        strips = 1
-        if edge > 0.0:
-            strips = 1 + int(np.ceil(2.0 * edge / (deep * (1.0 - self.plan.overlap))))
-        rows = np.linspace(-max(edge, 0.0), max(edge, 0.0), strips)
+        edge = max(edge, 0.0)
+        strips = 1 + int(np.ceil(2.0 * edge / (deep * (1.0 - self.plan.overlap))))
+        rows = np.linspace(-edge, edge, strips)
         end = max(half - 0.3 * across_deep, 0.0)
         left = np.array([-along[1], along[0]])
         corners = []
         for k, row in enumerate(rows):
             side = end if k % 2 == self.passes % 2 else -end
-            for s in (side, -side):
-                corners.append([*(centre[:2] + row * along + s * left), centre[2]])
+            ends = (centre[:2] + row * along + s * left for s in (side, -side))
+            corners += [[*place, centre[2]] for place in ends]
         self._corners = np.array(corners)
         steps = np.linalg.norm(np.diff(self._corners, axis=0), axis=1)
         self._arc = [0.0, *np.cumsum(np.maximum(steps, 1e-6)).tolist()]

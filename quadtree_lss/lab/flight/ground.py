@@ -56,16 +56,10 @@ class Ground:
         highest = np.nanmax(heights) if np.isfinite(heights).any() else self.planned[2] - 20.0
         return bool(position[2] <= highest)
 
-    def safe_at(self, x: float, y: float) -> bool:
-        """Whether a lander stands safely there at every heading."""
-        return bool(safety.contact_safe(self.terrain, [[x, y]])[0])
-
     @cached_property
     def _highest(self) -> float:
-        n = 60.0
         t, (x, y, _) = self.terrain, self.planned
-        near = np.ix_(np.abs(t.y - y) < n, np.abs(t.x - x) < n)
-        return float(t.elevation[near].max())
+        return float(t.elevation[np.ix_(np.abs(t.y - y) < 60.0, np.abs(t.x - x) < 60.0)].max())
 
     @cached_property
     def safe(self) -> tuple[Array, Array, Array]:

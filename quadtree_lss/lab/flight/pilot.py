@@ -124,9 +124,7 @@ class Pilot:
         if self.mode == "hover" and now - self._waits_since > self.rules.patience:
             self.mode = "abort"
             self._note("abort")
-        if self.mode == "terminal":
-            return self._down()
-        return self._wait()
+        return self._down() if self.mode == "terminal" else self._wait()
 
     def area(self) -> Array | None:
         """(V, 2) polygon of the zones that can still be reached, None if nothing new is known."""
@@ -185,14 +183,20 @@ class Pilot:
         found = self._paths(self.gate(place)[None], self._times(40)).best()
         return found is not None and found[1] <= self._spare()
 
+    def _to_hover(self, number: int, **limits: float) -> tuple[float, float] | None:
+        """Time to go and propellant to rest at hover height; as low as need be on the way."""
+        kept = replace(self.rules.limits, floor=-1e3, glide_slope_deg=0.0, **limits)
+        return self._paths(self._over()[None], self._times(number), kept, speed=0.0).best()
+
+    def _over(self) -> Array:
+        return self.aim + np.array([0.0, 0.0, self.rules.hover])
+
     def _watch(self, now: float) -> None:
         """Without a target it goes no lower than from where it can still stop at hover height."""
         if not self.avoid or self.target is not None or now < 1.0:
             return
-        over = self.aim + np.array([0.0, 0.0, self.rules.hover])
-        careful = replace(self.rules.limits, thrust_share=0.85, floor=-1e3, glide_slope_deg=0.0)
-        ends = self._paths(over[None], self._times(25), careful, speed=0.0)
-        if self._state[0][2] < over[2] or ends.best() is None:
+        low = self._state[0][2] < self._over()[2]
+        if low or self._to_hover(25, thrust_share=0.85) is None:
             self.mode, self._waits_since = "hover", now
             self._planned_at, self.time_to_go = -np.inf, np.nan
             self._note("hover")
@@ -218,20 +222,16 @@ class Pilot:
         if np.isfinite(self.time_to_go):
             times = self.time_to_go + np.linspace(-2.0, 4.0, 25)
             times = times[times > 3.0]
-        limits = self.rules.limits
-        easy = replace(
-            limits,
-            thrust_share=self.rules.ease * limits.thrust_share,
-            tilt_deg=self.rules.ease * limits.tilt_deg,
-        )
-        found = None
+        limits, ease, found = self.rules.limits, self.rules.ease, None
+        eased = {name: ease * getattr(limits, name) for name in ("thrust_share", "tilt_deg")}
+        easy = replace(limits, **eased)
         for kept in (easy, limits):
             if found is None and len(times):
                 found = self._paths(self.gate()[None], times, kept).best()
         if found is not None:
             self.time_to_go = found[0] + 0.1
         elif not np.isfinite(self.time_to_go):
-            loose = replace(self.rules.limits, thrust_share=1.0, tilt_deg=45.0, floor=-1e3)
+            loose = replace(limits, thrust_share=1.0, tilt_deg=45.0, floor=-1e3)
             found = self._paths(self.gate()[None], times, loose).best()
             self.time_to_go = float(np.median(times)) if found is None else found[0]
 
@@ -250,20 +250,16 @@ class Pilot:
     def _wait(self) -> Array:
         """To the hover point over the aim, and to stay there; up and away after an abort."""
         position, velocity, mass = self._state
-        over = self.aim + np.array([0.0, 0.0, self.rules.hover])
-        gravity = self.vehicle.gravity
-        off = over - position
+        over, gravity = self._over(), self.vehicle.gravity
         if self.mode == "hover" and np.linalg.norm(velocity) > 3.0:
             if not np.isfinite(self.time_to_go):
-                careful = replace(self.rules.limits, floor=-1e3, glide_slope_deg=0.0)
-                found = self._paths(over[None], self._times(60), careful, speed=0.0).best()
-                self.time_to_go = np.nan if found is None else found[0]
+                self.time_to_go = (self._to_hover(60) or (np.nan,))[0]
             if self.time_to_go > 1.5:
                 self.time_to_go -= 0.1
                 end, weight = (over, np.zeros(3)), self.vehicle.weight
                 push = zem_zev(position, velocity, *end, self.time_to_go, weight)
                 return thrust_for(self.vehicle, mass, push)
-        push = np.clip(0.25 * off, -2.0, 2.0) - 0.8 * velocity
+        push = np.clip(0.25 * (over - position), -2.0, 2.0) - 0.8 * velocity
         push[:2] *= min(1.0, 0.5 * gravity / max(float(np.hypot(*push[:2])), 1e-9))
         push[2] += gravity
         return thrust_for(self.vehicle, mass, push)

@@ -25,7 +25,6 @@ from quadtree_lss.desk.player.player import play
 from quadtree_lss.desk.replay.configuration import find_config
 from quadtree_lss.desk.replay.files import write_npz
 from quadtree_lss.lab.flight.flight_page import headline, write_flight
-from quadtree_lss.lab.flight.fly import Flown
 from quadtree_lss.lab.flight.settings import flight_settings
 from quadtree_lss.lab.live.flight import fly_live
 from quadtree_lss.lab.live.listener import TOPICS, Listener
@@ -107,23 +106,18 @@ def run_live(
         if any(codes.values()):
             raise DemoError(f"nodes did not end cleanly: exit codes {codes}")
         newest = listener.newest
-    poses = newest["landing/sites"].poses
-    position = [(p.position.x, p.position.y, p.position.z) for p in poses]
-    return LiveResult(
-        map_from_messages(newest["map/cells"], newest["map/observed"]),
-        np.array(position, dtype=np.float64).reshape(-1, 3),
-        cloud_records(newest["landing/site_table"], SITE_FIELDS),
-    )
+    places = [pose.position for pose in newest["landing/sites"].poses]
+    position = np.array([(p.x, p.y, p.z) for p in places], dtype=np.float64).reshape(-1, 3)
+    cells = map_from_messages(newest["map/cells"], newest["map/observed"])
+    return LiveResult(cells, position, cloud_records(newest["landing/site_table"], SITE_FIELDS))
 
 
 def differing(one: Path, other: Path) -> list[str]:
     """Arrays of two ``cells.npz`` that are not the same to the bit; NaN equals NaN."""
     with np.load(one) as a, np.load(other) as b:
-        return sorted(set(a.files) ^ set(b.files)) + [
-            name
-            for name in sorted(set(a.files) & set(b.files))
-            if not np.array_equal(a[name], b[name], equal_nan=True)
-        ]
+        both = sorted({*a.files} & {*b.files})
+        differ = [n for n in both if not np.array_equal(a[n], b[n], equal_nan=True)]
+        return sorted({*a.files} ^ {*b.files}) + differ
 
 
 def site_difference(live: LiveResult, offline: Table) -> float:
@@ -146,7 +140,7 @@ def _program(name: str, *args: str) -> None:
 def demonstrate(out: Path, seed: int, duration: float) -> bool:
     """All steps; True if live and offline agree."""
     bag, offline, live = out / "flight" / "bag", out / "offline", out / "live"
-    for folder in (bag.parent, offline, live):
+    for folder in (bag.parent, offline, live, out / "lander"):
         shutil.rmtree(folder, ignore_errors=True)
     out.mkdir(parents=True, exist_ok=True)
     bag.parent.mkdir()
@@ -162,13 +156,9 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
     started = time.monotonic()
     result = run_live(bag, params, int(stamps[-1]), live, given=given_domain())
     write_npz(live / "cells.npz", cells_arrays(result.cells))
-    print(
-        f"   {len(stamps)} scans, {len(result.cells.level)} leaves,"
-        f" {time.monotonic() - started:.1f} s with start-up"
-    )
-    best = ""
-    if len(result.position):
-        best = ", the best at x {:.2f}, y {:.2f} m".format(*result.position[0])
+    took = f"{time.monotonic() - started:.1f} s with start-up"
+    print(f"   {len(stamps)} scans, {len(result.cells.level)} leaves, {took}")
+    best = "".join(f", the best at x {x:.2f}, y {y:.2f} m" for x, y, _ in result.position[:1])
     print(f"4. lss_node ranks {len(result.table)} landing sites{best}", flush=True)
     others = differing(offline / "cells.npz", live / "cells.npz")
     sites = site_difference(result, results.sites)
@@ -177,7 +167,10 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
     agree = not others and sites <= SITE_TOLERANCE
     print("   The same map and the same sites." if agree else "   THEY DIFFER.")
     print("6. A lander flies the last 260 m by landing/selected, over DDS", flush=True)
-    flown = _fly(out / "lander", seed)
+    short = {"slant_range": 260.0, "speed": 26.0, "half": 12.0, "plan": {"survey": 4.0}}
+    nodes = out / "lander" / "nodes"
+    flown = fly_live(seed, flight_settings(short), nodes, domain=given_domain()).flown
+    write_flight(out / "lander", flown)
     print(f"   {headline(flown)}")
     if flown.figures["others"]:
         raise DemoError(f"others published {'; '.join(flown.figures['others'])} while it flew")
@@ -188,16 +181,6 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
     if exported.returncode == 0:
         print(f"GeoTIFFs of every layer: {offline / 'exchange'}/*.tif")
     return agree
-
-
-def _fly(folder: Path, seed: int) -> Flown:
-    """A short flight in closed loop, with its page."""
-    shutil.rmtree(folder, ignore_errors=True)
-    short = {"slant_range": 260.0, "speed": 26.0, "half": 12.0, "plan": {"survey": 4.0}}
-    settings, domain = flight_settings(short), given_domain()
-    flown = fly_live(seed, settings, folder / "nodes", domain=domain).flown
-    write_flight(folder, flown)
-    return flown
 
 
 def main(args: Sequence[str] | None = None) -> int:

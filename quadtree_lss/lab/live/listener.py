@@ -6,6 +6,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -38,7 +39,7 @@ class Listener:
         self.newest: dict[str, Any] = {}
         self.diagnostics: dict[str, Any] = {}
         for topic, kind in topics.items():
-            self.node.create_subscription(kind, topic, self._keeper(topic), latched())
+            self.node.create_subscription(kind, topic, partial(self._keep, topic), latched())
         profile = QoSProfile(depth=10)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._keep_status, profile)
         self._executor = SingleThreadedExecutor(context=self._context)
@@ -72,13 +73,10 @@ class Listener:
                 self._changed.wait(min(left, 0.1))
             return True
 
-    def _keeper(self, topic: str) -> Callable[[Any], None]:
-        def keep(message: Any) -> None:
-            with self._changed:
-                self.newest[topic] = message
-                self._changed.notify_all()
-
-        return keep
+    def _keep(self, topic: str, message: Any) -> None:
+        with self._changed:
+            self.newest[topic] = message
+            self._changed.notify_all()
 
     def _keep_status(self, message: Any) -> None:
         with self._changed:

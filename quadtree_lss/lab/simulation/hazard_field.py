@@ -119,14 +119,13 @@ def _add_craters(
     centres = generator.uniform(axis[0], axis[-1], (count, 2))
     freshness = generator.uniform(0.5, 1.0, count)
     for diameter, (cx, cy), fresh in zip(diameters, centres, freshness, strict=True):
-        rows, columns = (
-            slice(*np.searchsorted(axis, (c - diameter, c + diameter))) for c in (cy, cx)
-        )
+        ends = np.searchsorted(axis, [(c - diameter, c + diameter) for c in (cy, cx)])
+        rows, columns = (slice(*pair) for pair in ends)
         rho = np.hypot(axis[None, columns] - cx, axis[rows, None] - cy) / (0.5 * diameter)
         depth = field.crater_depth * diameter * fresh
         bowl = np.square(np.maximum(1.0 - rho**2, 0.0))
         rim = np.exp(-np.square((rho - 1.0) / 0.3))
-        ground[rows, columns] += depth * (0.15 * rim - 1.0 * bowl)
+        ground[rows, columns] += depth * (0.15 * rim - bowl)
 
 
 def _rocks(generator: np.random.Generator, axis: Array, field: HazardField) -> Array:
@@ -141,7 +140,7 @@ def _rocks(generator: np.random.Generator, axis: Array, field: HazardField) -> A
     heights = diameters * generator.uniform(*field.rock_height, count)
     axes = generator.uniform(*field.rock_axes, count)
     yaws = generator.uniform(0.0, np.pi, count)
-    _lay(axis, rocks, centres, diameters, heights, axes, yaws)
+    _lay(axis, rocks, (*centres.T, diameters, heights, axes, yaws))
     stones = []
     for _ in range(generator.poisson(field.piles * field.size**2)):
         centre = generator.uniform(axis[0] + 2.0, axis[-1] - 2.0, 2)
@@ -150,28 +149,17 @@ def _rocks(generator: np.random.Generator, axis: Array, field: HazardField) -> A
             x, y = centre + np.clip(generator.normal(0.0, spread, 2), -1.0, 1.0)
             diameter = generator.uniform(0.25, 0.7)
             stones.append((x, y, diameter, generator.uniform(0.0, np.pi)))
-    piled = np.array(stones).reshape(-1, 4)
-    diameters, yaws = piled[:, 2:].T
+    x, y, diameters, yaws = np.array(stones).reshape(-1, 4).T
     axes = np.full(len(stones), 0.85)
-    _lay(axis, rocks, piled[:, :2], diameters, 0.5 * diameters, axes, yaws, heaped=True)
+    _lay(axis, rocks, (x, y, diameters, 0.5 * diameters, axes, yaws), heaped=True)
     return rocks
 
 
-def _lay(
-    axis: Array,
-    rocks: Array,
-    centres: Array,
-    diameters: Array,
-    heights: Array,
-    axes: Array,
-    yaws: Array,
-    *,
-    heaped: bool = False,
-) -> None:
-    """Ellipsoids (K,) of a plan area of π D²/4."""
-    long, short = 0.5 * diameters / np.sqrt(axes), 0.5 * diameters * np.sqrt(axes)
-    x, y = centres.T
+def _lay(axis: Array, rocks: Array, stones: tuple[Array, ...], *, heaped: bool = False) -> None:
+    """Ellipsoids: x, y, diameter, height, ratio of axes and yaw (K,); of a plan area of π D²/4."""
+    x, y, diameter, height, axes, yaw = stones
+    long, short = 0.5 * diameter / np.sqrt(axes), 0.5 * diameter * np.sqrt(axes)
     ends = np.column_stack([y - long, y + long, x - long, x + long])
     posts = np.searchsorted(axis, ends).astype(np.intp)
-    stones = np.column_stack([centres, heights, long, short, np.cos(yaws), np.sin(yaws)])
-    lay(rocks, axis, posts, stones, heaped)
+    shapes = np.column_stack([x, y, height, long, short, np.cos(yaw), np.sin(yaw)])
+    lay(rocks, axis, posts, shapes, heaped)

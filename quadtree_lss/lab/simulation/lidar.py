@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.random import Generator
 from scipy.ndimage import uniform_filter
 
 from quadtree_lss.lab.simulation.terrain import Surface
@@ -75,11 +76,7 @@ class FlashLidar:
         return surface.cast(position_map, directions_map).reshape(directions.shape[:2])
 
     def scan(
-        self,
-        surface: Surface,
-        position_map: Array,
-        rotation_map_lidar: Array,
-        generator: np.random.Generator,
+        self, surface: Surface, position_map: Array, rotation_map_lidar: Array, generator: Generator
     ) -> Array:
         """Measured points (pixels, pixels, 3) in the lidar frame, NaN = no return.
 
@@ -122,11 +119,7 @@ class StereoCamera(FlashLidar):
         return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
     def scan(
-        self,
-        surface: Surface,
-        position_map: Array,
-        rotation_map_lidar: Array,
-        generator: np.random.Generator,
+        self, surface: Surface, position_map: Array, rotation_map_lidar: Array, generator: Generator
     ) -> Array:
         """Measured points (rows, columns, 3), NaN = no return."""
         rays = self.directions()

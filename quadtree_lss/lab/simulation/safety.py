@@ -14,12 +14,12 @@ it (vertically) than the clearance. Yaws divide the 90° after which the four pa
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.lab.simulation import contact
+from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.arrays import Array, Mask
 
 _TOLERANCE = 1e-9  # m: a lander that reaches to the very edge of the DEM is on it
@@ -50,18 +50,7 @@ LANDER = LandingGear()
 """The paper's (Fig. 21)."""
 
 
-class Dem(Protocol):
-    """Posts x (nx,), y (ny,), ascending in equal steps, and elevation (ny, nx); m."""
-
-    @property
-    def x(self) -> Array: ...
-    @property
-    def y(self) -> Array: ...
-    @property
-    def elevation(self) -> Array: ...
-
-
-def contact_safe(dem: Dem, points: ArrayLike, lander: LandingGear = LANDER) -> Mask:
+def contact_safe(dem: Terrain, points: ArrayLike, lander: LandingGear = LANDER) -> Mask:
     """Whether a lander centred at each of ``points`` (K, 2), map frame, m, stands safely: (K,). One
     that would reach over the edge of the DEM does not."""
     slope, rise = worst_contact(dem, points, lander)
@@ -69,7 +58,7 @@ def contact_safe(dem: Dem, points: ArrayLike, lander: LandingGear = LANDER) -> M
     return np.asarray(level & (rise <= lander.max_roughness))
 
 
-def worst_contact(dem: Dem, points: ArrayLike, lander: LandingGear) -> tuple[Array, Array]:
+def worst_contact(dem: Terrain, points: ArrayLike, lander: LandingGear) -> tuple[Array, Array]:
     """The worst over yaws and resting planes, for landers at each of ``points`` (K, 2).
 
     Tangent of the slope (K,), and how far the highest post within the circle is above the plane
@@ -78,13 +67,12 @@ def worst_contact(dem: Dem, points: ArrayLike, lander: LandingGear) -> tuple[Arr
     """
     centres = np.asarray(points, np.float64).reshape(-1, 2)
     on = on_dem(dem, centres, lander)
-    steps = ((axis[-1] - axis[0]) / (axis.size - 1) for axis in (dem.x, dem.y))
     angles = 0.5 * np.pi / lander.yaws * np.arange(4 * lander.yaws)
     worst = np.full((len(centres), 2), np.inf)
     stood = np.empty((int(on.sum()), 2))
     contact.stand(
-        np.ascontiguousarray(dem.elevation, np.float64),
-        np.array([dem.x[0], dem.y[0], *steps]),
+        dem.elevation,
+        np.array([dem.x[0], dem.y[0], *dem.post]),
         centres[on],
         np.stack([np.cos(angles), np.sin(angles)], axis=1),
         0.5 * lander.diameter,
@@ -95,14 +83,14 @@ def worst_contact(dem: Dem, points: ArrayLike, lander: LandingGear) -> tuple[Arr
     return worst[:, 0], worst[:, 1]
 
 
-def on_dem(dem: Dem, points: Array, lander: LandingGear) -> Mask:
+def on_dem(dem: Terrain, points: Array, lander: LandingGear) -> Mask:
     """Whether all of a lander centred at ``points`` (..., 2) is over the DEM: (...)."""
     reach = lander.reach - _TOLERANCE
     low, high = np.array([(axis[0], axis[-1]) for axis in (dem.x, dem.y)]).T
     return np.asarray(((points - reach >= low) & (points + reach <= high)).all(axis=-1))
 
 
-def safety_map(dem: Dem, x: ArrayLike, y: ArrayLike, lander: LandingGear = LANDER) -> Mask:
+def safety_map(dem: Terrain, x: ArrayLike, y: ArrayLike, lander: LandingGear = LANDER) -> Mask:
     """True safety at the points x (n,), y (m,) of a grid: (m, n); see `contact_safe`."""
     points = np.stack(np.meshgrid(x, y), axis=-1)
     return contact_safe(dem, points, lander).reshape(points.shape[:2])

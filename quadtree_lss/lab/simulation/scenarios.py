@@ -30,6 +30,8 @@ from quadtree_lss.lab.simulation.trajectory import (
 )
 from quadtree_lss.onboard.arrays import Array
 
+Ground = Terrain | None
+"""Of a flight; None for Section VI's."""
 GRID_SPACING = 0.25
 """Lattice (m) of the true safety map; boxes start and end on it."""
 
@@ -101,7 +103,7 @@ class Conditions:
             if value is not None and not low <= value <= high:
                 raise SimulationError(f"{name} must be between {low:g} and {high:g}, not {value:g}")
 
-    def ground(self, scenario: str, generator: np.random.Generator) -> Terrain | None:
+    def ground(self, scenario: str, generator: np.random.Generator) -> Ground:
         """The terrain, made or read; None for the one of Section VI."""
         terrain, rocks, slope_deg = self.terrain, self.rocks, self.slope_deg
         if isinstance(terrain, (str, Path)):
@@ -109,8 +111,7 @@ class Conditions:
         if terrain is None and (scale := SCENARIOS[scenario].scale):
             given: dict[str, Any] = {"rock_abundance": rocks, "slope_rms_deg": slope_deg}
             field = HazardField(**{k: v for k, v in given.items() if v is not None})
-            made = hazard_field(generator, field)
-            return Terrain(scale * made.x, scale * made.y, scale * made.elevation)
+            return hazard_field(generator, field).scaled(scale)
         if terrain is None and (rocks is not None or slope_deg is not None):
             raise SimulationError(f"{scenario} has no rocks and no field: give a terrain")
         if terrain is not None and slope_deg is not None:
@@ -120,8 +121,7 @@ class Conditions:
     def lidar(self, field_of_view_deg: float, range_noise: float) -> FlashLidar:
         """Lidar of a scenario with the user's noise where one is given."""
         noise = range_noise if self.range_noise is None else self.range_noise
-        wrong: dict[str, Any] = {"outliers": self.outliers, "dropouts": self.dropouts}
-        return FlashLidar(field_of_view_deg, range_noise=noise, **wrong)
+        return FlashLidar(field_of_view_deg, 128, noise, self.outliers, self.dropouts)
 
     def drifting(self, attitude_bias_deg: float, attitude_drift_deg: float) -> DriftingNavigation:
         """Navigation of a scenario, its errors as many times as large as the user says."""
@@ -134,10 +134,8 @@ class Conditions:
 def _box(terrain: Terrain, half: float) -> tuple[float, float, float, float]:
     """A square box about the terrain's centre, on its grid, clear of the DEM's edge."""
     xmin, xmax, ymin, ymax = terrain.bounds
-    x, y = (
-        GRID_SPACING * round(0.5 * (low + high) / GRID_SPACING)
-        for low, high in ((xmin, xmax), (ymin, ymax))
-    )
+    middles = 0.5 * (xmin + xmax), 0.5 * (ymin + ymax)
+    x, y = (GRID_SPACING * round(middle / GRID_SPACING) for middle in middles)
     room = min(x - xmin, xmax - x, y - ymin, ymax - y) - EDGE
     half = GRID_SPACING * float(np.floor(min(half, room) / GRID_SPACING + 1e-9))
     if half < 2.0:
@@ -154,9 +152,7 @@ def _times(duration: float, rate: float, first: float = 0.0) -> Array:
     return first + np.arange(int(np.floor(duration * rate + 1e-9)) + 1, dtype=np.float64) / rate
 
 
-def _parabola(
-    given: Conditions, terrain: Terrain | None, duration: float, flight: int
-) -> FlightPlan:
+def _parabola(given: Conditions, terrain: Ground, duration: float, flight: int) -> FlightPlan:
     """Section VI; ``duration`` cuts the flight short."""
     parabola = Parabola()
     truth = terrain or parabola.terrain()
@@ -171,50 +167,43 @@ def _parabola(
     return FlightPlan(surface, truth, lidar, trajectory, WhiteNavigation(), times, times, box)
 
 
-def _morpheus(
-    given: Conditions, terrain: Terrain | None, duration: float, flight: int
-) -> FlightPlan:
+def _morpheus(given: Conditions, terrain: Ground, duration: float, flight: int) -> FlightPlan:
     """Section VII; a shorter ``duration`` sweeps a smaller box (20 m at least) as densely."""
     assert terrain is not None
     box = _box(terrain, float(np.clip(30.0 * np.sqrt(duration / 20.0), 10.0, 30.0)))
     rate = 20.0
-    sweep = Sweep(
-        centre_map=tuple(_centre(terrain, box)),
-        half_x=0.5 * (box[1] - box[0]),
-        half_y=0.5 * (box[3] - box[2]),
-        duration=duration,
-        field_of_view_deg=1.0,
-        glide_slope_deg=given.glide_slope_deg,
-        reverse=flight % 2 == 1,
-    )
+    area = tuple(_centre(terrain, box)), 0.5 * (box[1] - box[0]), 0.5 * (box[3] - box[2])
+    how = {"glide_slope_deg": given.glide_slope_deg, "reverse": flight % 2 == 1}
+    trajectory = Sweep(*area, duration, field_of_view_deg=1.0, **how).trajectory()
     # Scans at 20 Hz, none on a pose; poses begin before the first scan and end after the last.
     scans = (np.arange(int(np.floor(duration * rate + 1e-9)), dtype=np.float64) + 0.37 / 5.0) / rate
     poses = _times(duration + 2.0 * LEAD, 100.0, -LEAD)
     lidar, navigation = given.lidar(1.0, 0.06), given.drifting(0.01, 0.0015)
-    trajectory = sweep.trajectory()
     return FlightPlan(terrain, terrain, lidar, trajectory, navigation, scans, poses, box)
 
 
 def _looking_down(
     given: Conditions,
-    terrain: Terrain | None,
+    terrain: Ground,
     duration: float,
     flight: int,
     *,
     half: float,
     rate: float,
     heights: tuple[float, float],
-    lidar: Callable[[Conditions], FlashLidar],
+    lidar: tuple[float, float] | None,
     spacing: float = GRID_SPACING,
 ) -> FlightPlan:
-    """A descent between two heights over any terrain, m; faster if shorter."""
+    """A descent between two heights over any terrain, m; faster if shorter. ``lidar``: its field of
+    view, deg, and noise, m; None for a stereo camera."""
     assert terrain is not None
     box = _box(terrain, half)
     trajectory = descent_trajectory(_centre(terrain, box), duration, *heights)
     count = max(int(np.floor(duration * rate + 1e-9)), 1)
     scans = (np.arange(count, dtype=np.float64) + 0.137) / rate
     poses = _times(duration + 2.0 * LEAD, 50.0, -LEAD)
-    seen = terrain, terrain, lidar(given), trajectory, given.drifting(0.02, 0.005)
+    sensor = given.lidar(*lidar) if lidar else StereoCamera(dropouts=given.dropouts)
+    seen = terrain, terrain, sensor, trajectory, given.drifting(0.02, 0.005)
     return FlightPlan(*seen, scans, poses, box, spacing)
 
 
@@ -223,32 +212,19 @@ class Scenario:
     """A named flight: how to plan it, how long it lasts (s), the scale of its field (0: it has
     none), and the lander whose safety is the truth unless another is given."""
 
-    plan: Callable[[Conditions, Terrain | None, float, int], FlightPlan]
+    plan: Callable[[Conditions, Ground, float, int], FlightPlan]
     duration: float
     scale: float = 1.0
     lander: LandingGear = LandingGear()
 
 
 _SMALL = LandingGear(0.6, 0.02, 10.0, 0.08)
-_DESCENT = partial(
-    _looking_down, half=30.0, rate=5.0, heights=(200.0, 50.0), lidar=lambda of: of.lidar(20.0, 0.06)
-)
+_FINE = 0.25 * GRID_SPACING
+_DESCENT = partial(_looking_down, half=30.0, rate=5.0, heights=(200.0, 50.0), lidar=(20.0, 0.06))
 _DRONE = partial(
-    _looking_down,
-    half=8.0,
-    rate=10.0,
-    heights=(25.0, 15.0),
-    lidar=lambda of: of.lidar(60.0, 0.02),
-    spacing=0.25 * GRID_SPACING,
+    _looking_down, half=8.0, rate=10.0, heights=(25.0, 15.0), lidar=(60.0, 0.02), spacing=_FINE
 )
-_DEPTH = partial(
-    _looking_down,
-    half=4.0,
-    rate=5.0,
-    heights=(15.0, 3.0),
-    lidar=lambda of: StereoCamera(dropouts=of.dropouts),
-    spacing=0.25 * GRID_SPACING,
-)
+_DEPTH = partial(_looking_down, half=4.0, rate=5.0, heights=(15.0, 3.0), lidar=None, spacing=_FINE)
 SCENARIOS: dict[str, Scenario] = {
     "morpheus": Scenario(_morpheus, 20.0),
     "parabola": Scenario(_parabola, 60.0, 0.0),

@@ -146,6 +146,10 @@ class Simulation:
         safe_x = xmin + step * np.arange(round((xmax - xmin) / step) + 1)
         safe_y = ymin + step * np.arange(round((ymax - ymin) / step) + 1)
         dem = self.legs[0].plan.truth
+
+        def scanned(name: str) -> NDArray[Any]:
+            return np.concatenate([getattr(leg, name)[: leg.scans] for leg in flown])
+
         return {
             "x": dem.x,
             "y": dem.y,
@@ -155,12 +159,10 @@ class Simulation:
             "safe": safety_map(dem, safe_x, safe_y, lander),
             "box": np.array(self.box),
             "lander": np.array(lander.limits),
-            "scan_stamp_ns": np.concatenate([leg.scan_ns[: leg.scans] for leg in flown]),
-            "scan_position": np.concatenate([leg.positions[: leg.scans] for leg in flown]),
-            "scan_quaternion_xyzw": Rotation.from_matrix(
-                np.concatenate([leg.rotations[: leg.scans] for leg in flown])
-            ).as_quat(),
-            "scan_outline": np.concatenate([np.array(leg.outlines) for leg in flown]),
+            "scan_stamp_ns": scanned("scan_ns"),
+            "scan_position": scanned("positions"),
+            "scan_quaternion_xyzw": Rotation.from_matrix(scanned("rotations")).as_quat(),
+            "scan_outline": scanned("outlines"),
             "bag_name": np.array(bag_name),
             "seed": np.array(self.seed),
             "scan_flight": np.repeat(np.arange(len(flown)), [leg.scans for leg in flown]),

@@ -99,6 +99,10 @@ class Terrain:
     def bounds(self) -> tuple[float, float, float, float]:
         return float(self.x[0]), float(self.x[-1]), float(self.y[0]), float(self.y[-1])
 
+    def scaled(self, scale: float) -> Terrain:
+        """As many times as wide and as high."""
+        return Terrain(scale * self.x, scale * self.y, scale * self.elevation)
+
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Bilinear elevation (m) at map coordinates of any equal shape; NaN outside."""
         return bilinear(self.x, self.y, self.elevation, x, y)

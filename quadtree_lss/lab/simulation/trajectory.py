@@ -103,18 +103,13 @@ class Sweep:
         """Ground point under the boresight against time, from a polyline with rounded turns."""
         half_angle = np.radians(0.5 * self.field_of_view_deg)
         height, distance = closest[2] - centre[2], centre[0] - closest[0]
-
-        def reach(x: float) -> tuple[float, float]:
-            """Half length along x and half width along y of the footprint aimed at x."""
-            depression = np.arctan2(height, distance + x)
-            near = height / np.tan(depression + half_angle)
-            far_length = distance + x - near
-            return float(far_length), float(np.hypot(height, distance + x) * np.tan(half_angle))
-
         # Edges to cover, seen from the closest point, where footprints are smallest. The turn of
         # the footprint by the azimuth of the line of sight and rounded turns cost a little.
         edge_x, edge_y = self.half_x + self.margin, self.half_y + self.margin
-        length, width = reach(-edge_x)
+        # Half length along x and half width along y of the footprint at the near edge.
+        away = distance - edge_x
+        length = away - height / np.tan(np.arctan2(height, away) + half_angle)
+        width = np.hypot(height, away) * np.tan(half_angle)
         turn = edge_y / np.hypot(height, distance)
         first, last = -edge_x + 0.9 * length, edge_x - 0.9 * length
         strips = 1

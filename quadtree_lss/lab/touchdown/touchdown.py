@@ -111,9 +111,8 @@ def touch(legs: Legs, terrain: Terrain, arrival: Arrival) -> Landed:
         stroke = max(stroke, float(data.qpos[7:].max()))
         tilt = float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0))))
         most = max(most, tilt)
-        struck = struck or (
-            tilt < TIPPED_DEG and strikes(legs, posts, data.qpos[:3] + corner, axes)
-        )
+        place = data.qpos[:3] + corner
+        struck = struck or (tilt < TIPPED_DEG and strikes(legs, posts, place, axes))
         fastest = np.linalg.norm(data.qvel[:3]) + 0.5 * diameter * np.linalg.norm(data.qvel[3:6])
         calm = calm + 1 if fastest < AT_REST else 0
         if tilt > FALLING_DEG:
@@ -122,9 +121,8 @@ def touch(legs: Legs, terrain: Terrain, arrival: Arrival) -> Landed:
     slid = float(np.hypot(*(data.qpos[:2] - start)))
     was = True, slid > SLID * diameter or calm < CALM, struck, tilt > TIPPED_DEG
     outcome = OUTCOMES[max(k for k, of in enumerate(was) if of)]
-    poses = np.array(film)
+    poses, seconds = np.array(film), float(data.time)
     poses[:, 1:4] += corner
-    seconds = float(data.time)
     return Landed(outcome, tilt, most, slid, stroke, struck, seconds, gained / had, poses)
 
 

@@ -33,6 +33,29 @@ THROUGH_M = 1.0
 """Below the ground the last set-points lead, so that the vehicle presses on it."""
 AT_M, SLOW_M_S = 1.0, 1.0
 """Of the gate's height and of standing still."""
+COMMIT_SHARE = 0.25
+"""Of the gate's height: below it the vehicle comes down for good, 2 m over the ground from 8 m."""
+HEARTBEAT_S = 2.5
+"""Without a younger heartbeat nothing is commanded: both autopilots send one a second."""
+POSE_S = 0.5
+"""With an older pose, by its stamp, the vehicle only holds: they are asked for at 50 Hz."""
+TARGET_S = 1.0
+"""A target that was not repeated for longer counts as withdrawn: lss_node says it again every
+0.4 s (``nodes.target_output``), so two may be lost."""
+MAP_S = 3.0
+"""A target on an older map counts as withdrawn, until the vehicle commits: in three seconds the
+vehicle comes down by as many metres, to ground that nobody has looked at since."""
+OFFSET_M = 0.5
+"""The vehicle descends only so near beside the target, and commits within half of it; a target that
+moves farther is another one. Four times what ArduCopter misses one by (``docs/autopilot.md``)."""
+JUMP_M = 0.5
+"""A greater jump of the position, against its own velocity, ends the landing: the map lies
+elsewhere, by more than a target may be missed by."""
+WAVE_OFFS = 3
+"""After more the pilot has to take over: what goes wrong four times, will not go right."""
+PATIENCE_S = 60.0
+"""So long it waits for a target before the pilot has to take over: a killed lss_node that is
+back has one again after 20 s (``docs/autopilot.md``)."""
 
 
 class Target(NamedTuple):
@@ -123,8 +146,7 @@ class Landing:
 
     def step(self, seen: Seen) -> Order:
         """The order of this moment."""
-        config = self._config
-        if seen.heartbeat_age > config.max_heartbeat_age:
+        if seen.heartbeat_age > HEARTBEAT_S:
             if self.state != PILOT:
                 self._halt(seen, f"no heartbeat for {seen.heartbeat_age:.1f} s")
             return Order(self.state, self._text, None, None)  # whoever flies now, is not known
@@ -145,7 +167,7 @@ class Landing:
         target, why = self._usable(seen)
         self._decide(seen, target, why)
         point = seen.position.copy() if self._point is None else self._point
-        if seen.pose_age <= self._config.max_pose_age and self.state != TOUCHDOWN:
+        if seen.pose_age <= POSE_S and self.state != TOUCHDOWN:
             self._move(point, seen, target, dt)
         self._point = point
         target = None if self.state == GIVE_UP else target
@@ -164,9 +186,9 @@ class Landing:
         target, config = seen.target, self._config
         if target is None:
             return None, seen.why
-        if target.age > config.max_target_age:
+        if target.age > TARGET_S:
             return None, f"the target was last said {target.age:.1f} s ago: lss_node is silent"
-        if not target.map_age <= config.max_map_age and self.state != COMMIT:
+        if not target.map_age <= MAP_S and self.state != COMMIT:
             if np.isnan(target.map_age):
                 return None, "how old the map is cannot be known: its stamps are of another clock"
             return None, f"the map is {target.map_age:.1f} s old"
@@ -180,13 +202,13 @@ class Landing:
 
     def _decide(self, seen: Seen, target: Target | None, why: str) -> None:
         """The next state."""
-        config, now = self._config, seen.now
-        if seen.jump > config.max_jump:
+        now = seen.now
+        if seen.jump > JUMP_M:
             text = f"navigation jumped by {seen.jump:.1f} m: the map lies elsewhere now"
             self._give_up(seen, text)
         if self.state == GIVE_UP:
             return
-        if seen.pose_age > config.max_pose_age:
+        if seen.pose_age > POSE_S:
             self._halt(seen, f"the pose is {seen.pose_age:.1f} s old")
             return
         if self.state == COMMIT and seen.landed:
@@ -203,8 +225,8 @@ class Landing:
             self._fly_on(seen, target)
         elif self.state in (WAIT, HOLD):
             self._text = why
-            if now - self._since > config.patience:
-                self._give_up(seen, f"no target for {config.patience:g} s: {why}")
+            if now - self._since > PATIENCE_S:
+                self._give_up(seen, f"no target for {PATIENCE_S:g} s: {why}")
         if self.state == WAVE_OFF and seen.position[2] > self._gate_z - AT_M:
             self._begin(HOLD, self._text, now)
 
@@ -214,9 +236,9 @@ class Landing:
         gate_z = place[2] + config.gate_height
         off = float(np.hypot(*(place - seen.position)[:2]))
         if self.state in LOW and self._place is not None:
-            if np.hypot(*(place - self._place)[:2]) > config.max_offset:
+            if np.hypot(*(place - self._place)[:2]) > OFFSET_M:
                 self._wave_off(seen, "the target is another one")
-            elif self.state == COMMIT and off > 2.0 * config.max_offset:
+            elif self.state == COMMIT and off > 2.0 * OFFSET_M:
                 self._wave_off(seen, f"{off:.1f} m beside the target")
         if self.state in (WAIT, HOLD):
             low = seen.position[2] < gate_z - AT_M
@@ -227,17 +249,17 @@ class Landing:
             self._begin(TRANSIT, self._text, now)
         still = float(np.linalg.norm(seen.velocity)) < SLOW_M_S
         above = abs(seen.position[2] - gate_z) < AT_M
-        if self.state == TRANSIT and off < config.max_offset and still and above:
+        if self.state == TRANSIT and off < OFFSET_M and still and above:
             self._place = place.copy()
             self._begin(DESCEND, "over the target", now)
-        low = seen.position[2] - place[2] < config.commit_height + LEAD_M
-        if self.state == DESCEND and low and off < 0.5 * config.max_offset:
+        low = seen.position[2] - place[2] < COMMIT_SHARE * config.gate_height + LEAD_M
+        if self.state == DESCEND and low and off < 0.5 * OFFSET_M:
             self._begin(COMMIT, "close over the target", now)
 
     def _wave_off(self, seen: Seen, why: str) -> None:
         self.wave_offs += 1
         self._point = None
-        if self.wave_offs > self._config.max_wave_offs:
+        if self.wave_offs > WAVE_OFFS:
             self._give_up(seen, f"waved off {self.wave_offs} times, now: {why}")
         else:
             self._begin(WAVE_OFF, why, seen.now)
@@ -247,14 +269,14 @@ class Landing:
         if self.state not in (HOLD, GIVE_UP, TOUCHDOWN):
             self._begin(HOLD, why, seen.now)
             self._point = seen.position.copy()
-        if self.state == HOLD and seen.now - self._since > self._config.patience:
-            self._give_up(seen, f"{why}, for {self._config.patience:g} s")
+        if self.state == HOLD and seen.now - self._since > PATIENCE_S:
+            self._give_up(seen, f"{why}, for {PATIENCE_S:g} s")
 
     def _give_up(self, seen: Seen, why: str) -> None:
         """Up to the gate and stay, until the pilot has taken over."""
         if self.state != GIVE_UP:
             self._begin(GIVE_UP, f"pilot, take over: {why}", seen.now)
-            self._point = None if seen.pose_age <= self._config.max_pose_age else self._point
+            self._point = None if seen.pose_age <= POSE_S else self._point
 
     def _move(self, point: Array, seen: Seen, target: Target | None, dt: float) -> None:
         """The set-point moves to the state's goal, at its speed and not too far ahead."""
@@ -266,10 +288,10 @@ class Landing:
             goal = target.place + (0.0, 0.0, config.gate_height)
         elif self.state in LOW and target is not None:
             down = config.descent_speed
-            floor = target.place[2] + config.commit_height
+            floor = target.place[2] + COMMIT_SHARE * config.gate_height
             if self.state == COMMIT:
                 down, floor = config.touchdown_speed, target.place[2] - THROUGH_M
-            beside = np.hypot(*(target.place - position)[:2]) > config.max_offset
+            beside = np.hypot(*(target.place - position)[:2]) > OFFSET_M
             goal = np.append(target.place[:2], position[2] if beside else floor)
         way = goal - point
         for part, speed in ((slice(0, 2), across), (slice(2, 3), down)):

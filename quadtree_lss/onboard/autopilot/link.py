@@ -42,6 +42,8 @@ POSE_HZ, STATE_HZ = 50.0, 5.0
 PLACE_ALONE = 0b0000_1101_1111_1000
 """Type mask of a set-point that is a place: no velocity, acceleration, yaw or rate of it."""
 LOCAL_NED, BODY_FRD = 1, 12
+BAUD = 921600
+"""Of a serial device, where its connection names no other."""
 ONBOARD_COMPUTER, SEVERITY = 191, {True: 4, False: 6}
 SYNC_S, BEAT_S, ASK_S = 0.2, 1.0, 2.0
 TEXT = 50
@@ -80,15 +82,14 @@ class Link:
     def __init__(
         self,
         connection: str,
-        baud: int,
         clock: Callable[[], int],
         now: Callable[[], float] = time.monotonic,
     ) -> None:
         mavutil = dialect()
+        device, _, rate = connection.partition(",")
+        options = {"source_component": ONBOARD_COMPUTER, "autoreconnect": True}
         try:
-            self._port = mavutil.mavlink_connection(
-                connection, baud=baud, source_component=ONBOARD_COMPUTER, autoreconnect=True
-            )
+            self._port = mavutil.mavlink_connection(device, baud=int(rate or BAUD), **options)
         except (OSError, ValueError, IndexError, ImportError) as error:
             msg = f"autopilot.connection = {connection!r} cannot be opened: {error}"
             raise ConfigError(msg) from None

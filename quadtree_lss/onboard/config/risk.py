@@ -168,7 +168,7 @@ def doubt(config: Config) -> str:
         if not (1.0 - NEAR) * low <= value <= (1.0 + NEAR) * high:
             given = f"{low:g}" if low == high else f"{low:g} to {high:g}"
             far.append(f"{text.format(given)}, not {value:g}")
-    noise, stereo = config.lidar.range_noise, config.lidar.stereo * config.lidar.max_range**2
+    noise, stereo = config.lidar.range_noise, config.lidar.stereo_noise * config.lidar.max_range**2
     if np.hypot(noise, stereo) > (1.0 + NEAR) * noise:
         far.append(
             f"a noise that is {noise:g} m at any range, not one of stereo up to {stereo:.2g}"

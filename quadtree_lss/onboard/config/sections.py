@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from quadtree_lss.onboard.config.limits import MOST_LEAVES, MOST_LEVELS, STEP_LEVEL
 from quadtree_lss.onboard.config.parameter import declared as _p
 from quadtree_lss.onboard.config.parameter import live as _live
-from quadtree_lss.onboard.config.vehicle import VehicleConfig
+from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
 
 
 @dataclass(frozen=True)
@@ -48,48 +48,22 @@ class LidarConfig:
         " or 32FC1 in m) with depth/camera_info; a bag without this type uses the other",
         choices=("points", "depth"),
     )
-    depth_step: int = _p(
-        2, "take every n-th column and row of a depth image; 2 is a quarter of its pixels", (1, 64)
-    )
-    depth_raw: bool = _p(
-        False,
-        "the depth image is not rectified: the plumb_bob distortion of its CameraInfo is undone",
-    )
     range_noise: float = _p(0.06, "standard deviation of a range (Eq. 13)", (1e-4, 10.0), "m")
     range_noise_per_metre: float = _p(
         0.0, "what each metre of range adds to this deviation", (0.0, 1.0)
     )
-    disparity_sigma: float = _p(0.1, "standard deviation of a disparity", (0.0, 10.0), "px")
-    focal_length: float = _p(380.0, "of the camera in pixels of its full image", (1.0, 1e5), "px")
-    baseline: float = _p(
+    stereo_noise: float = _p(
         0.0,
-        "between two cameras: noise grows by disparity_sigma z^2 / (focal_length baseline) at the"
-        " depth z; 0 is no stereo",
-        (0.0, 100.0),
-        "m",
-    )
-    beam_divergence: float = _p(
-        0.0,
-        "standard deviation of the beam across its axis: on inclined ground its footprint is deep",
-        (0.0, 0.1),
-        "rad",
+        "what the square of the depth adds, of two cameras: the deviation of a disparity over the"
+        " product of focal length and baseline; 0 is no stereo",
+        (0.0, 1.0),
+        "1/m",
     )
     min_range: float = _p(0.5, "shorter ranges are no returns", (0.0, 1e5), "m")
     max_range: float = _p(5000.0, "longer ranges are no returns", (0.1, 1e6), "m")
-    outlier_gate: float = _p(
-        0.4,
-        "returns nearer to a neighbour than this (or than five times the scan's usual"
-        " spacing) form a group; a group of fewer than three is noise; 0 keeps every"
-        " return",
-        (0.0, 1000.0),
-        "m",
-    )
-
-    @property
-    def stereo(self) -> float:
-        """Deviation of a depth z over z^2, 1/m; 0 without stereo."""
-        product = self.focal_length * self.baseline
-        return self.disparity_sigma / product if product else 0.0
+    #: No parameter: returns nearer to a neighbour than this, m, or than five times the scan's usual
+    #: spacing, form a group; a group of fewer than three is noise. 0 keeps every return.
+    outlier_gate: float = Lengths.outlier_gate
 
 
 @dataclass(frozen=True)
@@ -99,7 +73,7 @@ class FramesConfig:
     map: str = _p("map", "planet-fixed frame of poses and map, z up")
     body: str = _p(
         "",
-        "frame whose poses are sent: an odometry's child frame, and with mount.tf the"
+        "frame whose poses are sent: an odometry's child frame, and with mount.source tf the"
         " start of the chain to the lidar; empty takes an odometry's first child frame",
     )
 
@@ -115,7 +89,6 @@ class PoseConfig:
         choices=("pose", "odometry"),
     )
     max_wait: float = _p(1.0, "a scan waits this long after arrival for its pose", (0.0, 60.0), "s")
-    max_gap: float = _p(1.5, "no interpolation between poses farther apart", (0.001, 60.0), "s")
     correlation_time: float = _p(
         300.0,
         "how long an error of the pose lasts; 0 if each scan has another one",
@@ -161,12 +134,12 @@ class MountConfig:
         " x right, y down); optical_to_flu for the opposite",
         choices=("same", "flu_to_optical", "optical_to_flu"),
     )
-    tf: bool = _p(
-        False,
-        "the mount comes from /tf_static, from the body's frame (frames.body) to that of the scans",
-    )
-    gimbal: bool = _p(
-        False, "the mount comes from the topic lidar/gimbal, interpolated to each scan"
+    source: str = _p(
+        "fixed",
+        "where the mount comes from: fixed, the above; tf, /tf_static from the body's frame"
+        " (frames.body) to that of the scans; gimbal, the topic lidar/gimbal, interpolated to each"
+        " scan",
+        choices=("fixed", "tf", "gimbal"),
     )
 
 
@@ -174,33 +147,22 @@ class MountConfig:
 class MappingConfig:
     """Plane fit, fusion, division (paper IV)."""
 
-    fit: str = _p(
-        "height",
-        "plane fit: height regression with a weak slope prior, or the paper's orthogonal ML fit",
-        choices=("height", "ml"),
-    )
-    covariance: str = _p(
-        "common",
-        "pose error is common to a scan's points, or independent for each (the paper)",
-        choices=("common", "independent"),
-    )
-    division: str = _p(
-        "lack_of_fit",
-        "division criterion: misfit over range noise, or the paper's Mahalanobis distance",
-        choices=("lack_of_fit", "mahalanobis"),
+    paper: str = _p(
+        "none",
+        "which of the paper's rules hold instead of ours, to compare: fit, orthogonal ML for height"
+        " regression with a weak slope prior; covariance, pose errors independent for each point,"
+        " not common to a scan's; division, by the Mahalanobis distance and not by misfit over"
+        " range noise; all three",
+        choices=("none", "fit", "covariance", "division", "all"),
     )
     division_factor: float = _p(
         1.2, "a cell divides above this multiple of the expected value (Eq. 47)", (1.0, 100.0)
     )
-    align: bool = _p(True, "let each scan and the map meet at one height")
     max_cells: int = _p(200000, "leaves the map may hold, at up to 1.5 kB", (1, MOST_LEAVES))
 
-
-@dataclass(frozen=True)
-class FeaturesConfig:
-    """Subscale features (paper V.C)."""
-
-    enabled: bool = _p(True, "estimate one subscale feature in each leaf that shows one")
+    def by_paper(self, rule: str) -> bool:
+        """Whether the paper's fit, covariance or division holds."""
+        return self.paper in (rule, "all")
 
 
 @dataclass(frozen=True)
@@ -240,58 +202,18 @@ class LssConfig:
         0.0, "spacing of candidate sites; 0 follows from the vehicle", (0.0, 1000.0), "m"
     )
     margin: float = _live(0.0, "guidance error added to the vehicle's radius", (0.0, 1000.0), "m")
-    hazard_growth: float = _live(
-        -1.0,
-        "unsafe ground is extended by this, for errors of the map's place; rounded up to"
-        " whole finest cells; below 0 it follows from the vehicle",
-        (-1.0, 100.0),
-        "m",
-    )
     max_gap: float = _live(
         -1.0,
         "ground farther from any that is mapped is unseen; below 0 it follows from the vehicle",
         (-1.0, 1000.0),
         "m",
     )
-    target_risk: float = _live(
-        0.001,
-        "what a metre nearer to the place of landing/target is worth, as a probability of a safe"
-        " touchdown; 20 times that in the score",
-        (0.0, 1.0),
-        "1/m",
-    )
-    weight_shadow: float = _live(
-        0.0,
-        "what light at the aim is worth, as a probability of a safe touchdown; 20 times that in the"
-        " score; needs light.elevation",
-        (0.0, 1.0),
-    )
     sites: int = _live(5, "sites to rank", (1, 1000))
-    min_separation: float = _live(
-        -1.0,
-        "least distance between ranked sites; below 0 it follows from the vehicle",
-        (-1.0, 1e5),
-        "m",
-    )
     required_input: str = _p(
         "none",
         "lss_node gives out no site before it has heard these topics of landing/: for a vehicle "
         "that flies with an area or a keep-out",
         choices=("none", "area", "keep_out", "both"),
-    )
-    max_map_age: float = _live(
-        30.0,
-        "lss_node withdraws its sites when no map it could use has come for longer; 0 is never",
-        (0.0, 1e5),
-        "s",
-    )
-    switch_margin: float = _live(
-        0.01,
-        "how much better than the target another site has to be to replace it, besides"
-        " the doubt about the gain and the cost of the way (docs/landing.md), in the unit"
-        " of the ranking: 0.01 is one per cent more probably safe; with ranking score 0.08"
-        " is 4 m more room to the nearest hazard, or 4.6 degrees less slope",
-        (0.0, 1e6),
     )
     min_probability: float = _live(
         0.9,
@@ -299,11 +221,12 @@ class LssConfig:
         " by probability",
         (0.0, 1.0),
     )
-    settle_share: float = _live(
-        0.5, "no target before this share of the area, or of the domain, is seen ...", (0.0, 1.0)
-    )
     settle_time: float = _live(
-        5.0, "... or this time has passed since the first map", (0.0, 1e5), "s"
+        5.0,
+        "no target before this time has passed since the first map, or 63 % of the area, or of"
+        " the domain, is seen",
+        (0.0, 1e5),
+        "s",
     )
     commit_height: float = _live(
         20.0,
@@ -332,26 +255,14 @@ class LssConfig:
         return self.grid_spacing or self.vehicle.lengths.grid_spacing
 
     @property
-    def growth(self) -> float:
-        """By how much farther unsafe ground is taken to reach, m."""
-        set_to = self.hazard_growth
-        return self.vehicle.lengths.hazard_growth if set_to < 0.0 else set_to
-
-    @property
     def gap(self) -> float:
         """Ground farther from any that is mapped is unseen, m."""
         return self.vehicle.lengths.max_gap if self.max_gap < 0.0 else self.max_gap
 
-    @property
-    def separation(self) -> float:
-        """Least distance of ranked sites, m."""
-        set_to = self.min_separation
-        return self.vehicle.lengths.min_separation if set_to < 0.0 else set_to
-
 
 @dataclass(frozen=True)
 class LightConfig:
-    """Where the sun stands at touchdown, and an hour later."""
+    """Where the sun stands at touchdown."""
 
     azimuth: float = _live(
         0.0, "of the sun at touchdown, clockwise from north (the map's y)", (-360.0, 360.0), "deg"
@@ -362,8 +273,6 @@ class LightConfig:
         (0.0, 90.0),
         "deg",
     )
-    azimuth_rate: float = _live(0.0, "by which the azimuth grows", (-360.0, 360.0), "deg/h")
-    elevation_rate: float = _live(0.0, "by which the elevation grows", (-90.0, 90.0), "deg/h")
 
 
 @dataclass(frozen=True)
@@ -381,12 +290,6 @@ class PriorConfig:
         " where its x and y are the map's",
     )
     sigma: float = _p(0.5, "standard deviation of its heights", (1e-3, 1e3), "m")
-    correlation_length: float = _p(
-        0.0,
-        "distance over which errors of its heights are alike; 0 if each has its own",
-        (0.0, 1e4),
-        "m",
-    )
     offset_sigma: float = _p(
         10.0,
         "standard deviation of how far it lies too far east, and too far north",
@@ -421,7 +324,6 @@ class PublishConfig:
 
     rate: float = _p(10.0, "map publications per second at most", (0.01, 1000.0), "Hz")
     lss_rate: float = _p(4.0, "landing site passes per second at most", (0.01, 1000.0), "Hz")
-    diagnostics_rate: float = _p(1.0, "diagnostics per second", (0.01, 100.0), "Hz")
 
 
 @dataclass(frozen=True)
@@ -443,21 +345,15 @@ class DiagnosticsConfig:
 
 
 @dataclass(frozen=True)
-class FilesConfig:
-    """Where a node may read and write."""
-
-    root: str = _p(
-        "",
-        "folder below which all files of a node must lie, links followed; relative paths are from "
-        "it. Empty = wherever the paths given at the start lead",
-    )
-
-
-@dataclass(frozen=True)
 class MapFileConfig:
     """Where the services ``~/save_map`` and ``~/load_map`` keep a map."""
 
     path: str = _p("", "file of the services save_map and load_map; empty = none")
+
+
+CHECKPOINT_S = 2.0
+"""Least time between two checkpoints: what a killed node has lost is seen anew in as long, and the
+disk has two seconds for some megabytes."""
 
 
 @dataclass(frozen=True)
@@ -465,7 +361,6 @@ class CheckpointConfig:
     """The map on disk, taken up again when mapping_node starts."""
 
     path: str = _p("", "file of the checkpoints; empty = none are written or taken up")
-    interval: float = _live(2.0, "least time between two checkpoints", (0.05, 86400.0), "s")
 
 
 @dataclass(frozen=True)
@@ -475,9 +370,8 @@ class AutopilotConfig:
     connection: str = _p(
         "udpin:0.0.0.0:14550",
         "the autopilot's MAVLink: udpin:ADDRESS:PORT, udpout:ADDRESS:PORT, tcp:ADDRESS:PORT, or a"
-        " serial device",
+        " serial device, at 921600 baud or as DEVICE,BAUD says",
     )
-    baud: int = _p(921600, "of a serial device", (1200, 10_000_000), "Bd")
     may_command: str = _p(
         "nothing",
         "commands besides set-points: nothing; modes: guided or offboard on ~/land, land"
@@ -491,56 +385,21 @@ class AutopilotConfig:
         " the autopilot's local frame in east, north, up",
     )
     gate_height: float = _live(
-        8.0, "of the gate over the target, to which a wave-off climbs", (0.5, 1e3), "m"
-    )
-    commit_height: float = _live(
-        2.0, "below it the vehicle comes down for good, at touchdown_speed", (0.1, 1e3), "m"
-    )
-    transit_speed: float = _live(3.0, "to the gate, and up", (0.1, 50.0), "m/s")
-    descent_speed: float = _live(1.0, "from the gate to the commit height", (0.05, 20.0), "m/s")
-    touchdown_speed: float = _live(0.4, "from there to the ground", (0.05, 5.0), "m/s")
-    max_offset: float = _live(
-        0.5,
-        "the vehicle descends only within this distance beside the target, and commits"
-        " within half of it; a target that moves farther is another one",
-        (0.02, 100.0),
+        8.0,
+        "of the gate over the target, to which a wave-off climbs; below a quarter of it the vehicle"
+        " comes down for good",
+        (0.5, 1e3),
         "m",
     )
+    transit_speed: float = _live(3.0, "to the gate, and up", (0.1, 50.0), "m/s")
+    descent_speed: float = _live(
+        1.0, "from the gate to a quarter of its height", (0.05, 20.0), "m/s"
+    )
+    touchdown_speed: float = _live(0.4, "from there to the ground", (0.05, 5.0), "m/s")
     reach: float = _live(
         50.0,
         "targets farther from where the pilot handed over are not flown to; sent as landing/area"
         " where nobody else sends one",
         (1.0, 1e5),
         "m",
-    )
-    control_sigma: float = _live(
-        0.1,
-        "what the autopilot's control adds to navigation's deviation in landing/dispersion",
-        (0.0, 100.0),
-        "m",
-    )
-    max_heartbeat_age: float = _live(
-        2.5, "without a younger heartbeat nothing is commanded", (0.1, 60.0), "s"
-    )
-    max_pose_age: float = _live(
-        0.5, "with an older pose, by its stamp, the vehicle only holds", (0.02, 60.0), "s"
-    )
-    max_target_age: float = _live(
-        1.0, "a target that was not repeated for longer counts as withdrawn", (0.1, 60.0), "s"
-    )
-    max_map_age: float = _live(
-        3.0,
-        "a target on an older map counts as withdrawn, until the vehicle commits",
-        (0.1, 1e3),
-        "s",
-    )
-    max_jump: float = _live(
-        0.5,
-        "a greater jump of the position, against its own velocity, ends the landing",
-        (0.01, 1e3),
-        "m",
-    )
-    max_wave_offs: int = _live(3, "after more wave-offs the pilot has to take over", (0, 1000))
-    patience: float = _live(
-        60.0, "how long it waits for a target before the pilot has to take over", (1.0, 1e5), "s"
     )

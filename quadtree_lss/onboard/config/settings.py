@@ -37,12 +37,30 @@ RENAMED = {
 #: of its side of where it is to be, half of what moves it (`Domain.steps_to`).
 LEAST_STEPS = 3
 
+#: What replaced three of a stereo camera.
+STEREO = "lidar.stereo_noise is disparity_sigma / (focal_length baseline)"
+
 #: What were parameters once, and what holds now.
 REMOVED = {
     "pose.buffer": "poses are kept for 30 s",
+    "lidar.beam_divergence": "a beam is a line; see lidar.range_noise_per_metre",
+    "pose.max_gap": "between poses more than 1.5 s apart nothing is interpolated",
     "pose.queue": "20 scans may wait for each second of pose.max_wait, and at least 20",
-    "lidar.noise_model": "it is stereo where lidar.baseline is above 0",
+    "lidar.noise_model": "it is stereo where lidar.stereo_noise is above 0",
+    "lidar.disparity_sigma": STEREO,
+    "lidar.focal_length": STEREO,
+    "lidar.baseline": STEREO,
+    "lidar.depth_step": "of a depth image some 320 columns are taken",
+    "lidar.outlier_gate": "it follows from the vehicle",
+    "lidar.depth_raw": "depth images have to be rectified",
     "lidar.deskew": "a cloud with a time for each point is always taken point by point",
+    "mount.tf": "mount.source tf says the same",
+    "mount.gimbal": "mount.source gimbal says the same",
+    "mapping.fit": "mapping.paper fit is ml",
+    "mapping.covariance": "mapping.paper covariance is independent",
+    "mapping.division": "mapping.paper division is mahalanobis",
+    "mapping.align": "each scan and the map meet at one height",
+    "features.enabled": "features are always estimated",
     "mapping.division_confidence": "it is fixed at 0.5 standard deviations",
     "mapping.divide_exceptions": "it is fixed at 1.5 measurements",
     "mapping.divide_area": "it follows from the vehicle",
@@ -64,14 +82,38 @@ REMOVED = {
     "lss.touchdown_roughness": "it is five sixths of vehicle.clearance",
     "lss.touchdown_yaws": "it is fixed at 12 headings",
     "lss.hazard_distance_cap": "it follows from vehicle.diameter",
-    "lss.weight_target": "it is 20 times lss.target_risk",
+    "lss.weight_target": "it is fixed at 0.004 for each metre",
     "lss.weight_slope": "it is fixed at 1 per radian (Eq. 58)",
     "lss.weight_roughness": "it is fixed, in proportion to vehicle.clearance (Eq. 58)",
     "lss.weight_hazard_distance": "it is fixed, in proportion to vehicle.diameter (Eq. 58)",
     "lss.weight_subscale": "it is fixed, in proportion to vehicle.clearance (Eq. 58)",
+    "lss.switch_margin": "it is fixed at 0.01 of probability, or at 0.08 of the score",
+    "lss.settle_share": "it is fixed at 63 %",
+    "lss.target_risk": "it is fixed at 0.001 of probability for each metre",
+    "lss.max_map_age": "sites are withdrawn when no map has come for 30 s",
+    "lss.hazard_growth": "it follows from vehicle.diameter",
+    "lss.min_separation": "it is vehicle.diameter",
+    "lss.weight_shadow": "light at the aim is worth a metre of way to landing/target",
+    "light.azimuth_rate": "set light.azimuth while the node runs",
+    "light.elevation_rate": "set light.elevation while the node runs",
+    "prior.correlation_length": "each post of the elevation model has its own error",
+    "publish.diagnostics_rate": "it is fixed at 1 Hz",
+    "checkpoint.interval": "it is fixed at 2 s",
     "qos.scan_depth": "it is 50; qos_overrides.TOPIC.subscription.depth sets another",
     "qos.pose_depth": "it is 200; qos_overrides.TOPIC.subscription.depth sets another",
     "publish.marker_rate": "it is fixed at 1 Hz",
+    "files.root": "no path can be set while a node runs; systemd's ReadWritePaths confines it",
+    "autopilot.baud": "a serial device's is part of autopilot.connection: DEVICE,BAUD",
+    "autopilot.commit_height": "it is a quarter of autopilot.gate_height",
+    "autopilot.control_sigma": "it is fixed at 0.1 m",
+    "autopilot.max_heartbeat_age": "it is fixed at 2.5 s",
+    "autopilot.max_pose_age": "it is fixed at 0.5 s",
+    "autopilot.max_target_age": "it is fixed at 1 s",
+    "autopilot.max_map_age": "it is fixed at 3 s",
+    "autopilot.max_offset": "it is fixed at 0.5 m",
+    "autopilot.max_jump": "it is fixed at 0.5 m",
+    "autopilot.max_wave_offs": "it is fixed at 3",
+    "autopilot.patience": "it is fixed at 60 s",
     "diagnostics.error_age": "it is five times diagnostics.warn_age",
 }
 
@@ -87,20 +129,22 @@ class Config:
     pose: sections.PoseConfig = field(default_factory=sections.PoseConfig)
     mount: MountConfig = field(default_factory=MountConfig)
     mapping: sections.MappingConfig = field(default_factory=sections.MappingConfig)
-    features: sections.FeaturesConfig = field(default_factory=sections.FeaturesConfig)
     lss: LssConfig = field(default_factory=LssConfig)
     light: sections.LightConfig = field(default_factory=sections.LightConfig)
     prior: PriorConfig = field(default_factory=PriorConfig)
     qos: sections.QosConfig = field(default_factory=sections.QosConfig)
     publish: sections.PublishConfig = field(default_factory=sections.PublishConfig)
     diagnostics: DiagnosticsConfig = field(default_factory=DiagnosticsConfig)
-    files: sections.FilesConfig = field(default_factory=sections.FilesConfig)
     map_file: sections.MapFileConfig = field(default_factory=sections.MapFileConfig)
     checkpoint: sections.CheckpointConfig = field(default_factory=sections.CheckpointConfig)
     autopilot: sections.AutopilotConfig = field(default_factory=sections.AutopilotConfig)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lss", dataclasses.replace(self.lss, vehicle=self.vehicle))
+        # Of a depth image edges are dropped already, and what is left is dense.
+        depth, gate = self.lidar.source == "depth", self.vehicle.lengths.outlier_gate
+        lidar = dataclasses.replace(self.lidar, outlier_gate=0.0 if depth else gate)
+        object.__setattr__(self, "lidar", lidar)
         found = "; ".join(contradictions(self))
         if found:
             raise ConfigError(found)
@@ -217,17 +261,8 @@ def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
             f"lidar.min_range = {lidar.min_range} is not below lidar.max_range = {lidar.max_range}"
         )
     mount = config.mount
-    if mount.gimbal and mount.tf:
-        yield "mount.gimbal and mount.tf: the mount comes from lidar/gimbal or from /tf_static"
-    elsewhere = MountConfig(gimbal=mount.gimbal, tf=mount.tf, axes=mount.axes)
-    if (mount.gimbal or mount.tf) and mount != elsewhere:
-        name, topic = ("gimbal", "lidar/gimbal") if mount.gimbal else ("tf", "/tf_static")
-        yield f"mount.{name} takes the mount from {topic}: leave mount.x ... mount.yaw_deg at 0"
-    if config.lss.weight_shadow > 0.0 and config.light.elevation == 0.0:
-        yield "lss.weight_shadow weighs light: light.elevation is to be above 0"
-    gate, commit = config.autopilot.gate_height, config.autopilot.commit_height
-    if commit >= gate:
-        yield f"autopilot.commit_height = {commit:g} m is not below gate_height = {gate:g} m"
+    if mount.source != "fixed" and mount != MountConfig(source=mount.source, axes=mount.axes):
+        yield f"mount.source is {mount.source}: leave mount.x ... mount.yaw_deg at 0"
     lss = dataclasses.replace(config.lss, vehicle=config.vehicle)
     reason = why_too_much(domain.size, 1 << domain.max_level, lss)
     if reason is not None:

@@ -94,9 +94,13 @@ class Lengths:
     )
 
     grid_spacing: float = _follows(0.5, "lss.grid_spacing where it is 0", "diameter")
-    min_separation: float = _follows(3.7, "lss.min_separation where it is below 0", "diameter")
+    min_separation: float = _follows(3.7, "least distance between ranked sites", "diameter")
     max_gap: float = _follows(0.6, "lss.max_gap where it is below 0", "diameter")
-    hazard_growth: float = _follows(0.25, "lss.hazard_growth where it is below 0", "diameter")
+    hazard_growth: float = _follows(
+        0.25,
+        "unsafe ground is extended by this, in whole finest cells, for errors of the map's place",
+        "diameter",
+    )
     touchdown_slope_deg: float = _follows(
         9.0, "slope limit of the touchdown check on the map", "max_slope_deg", "deg"
     )
@@ -105,6 +109,12 @@ class Lengths:
     )
     reference_size: float = _follows(
         4.0, "about the side of the cells that leaves' elevation is compared with", "diameter"
+    )
+    outlier_gate: float = _follows(
+        0.4,
+        "returns farther from all others (and than five times their usual spacing) are noise: a"
+        " third more than the top of what must be seen rises over the ground beside it",
+        "least_hazard",
     )
     negligible: float = _follows(0.005, "lower tails of a feature are no feature", "least_hazard")
     rock_height: float = _follows(

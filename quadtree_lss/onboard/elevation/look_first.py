@@ -8,7 +8,7 @@ lander, of slope s and its deviation sigma_s, the ease of a post is
 
 u^2 the mean square that the ground departs from the plane by, c the clearance. Of a place it is the
 mean over the offset's density and over what a first look covers; what a metre of way to where the
-vehicle is going costs is ``lss.target_risk``, as for the target.
+vehicle is going costs is `NEARER`, as for the target.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.grid import best_points
+from quadtree_lss.onboard.core.landing.target import NEARER
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.prior import Prior
 
@@ -66,7 +67,7 @@ def look_first(
     middle = np.array([domain.xmin, domain.ymin]) + 0.5 * domain.size
     to = middle if near is None else np.asarray(near, dtype=np.float64)[:2]
     cost = 1.0 - about
-    cost += config.lss.target_risk * np.hypot(x - to[0], (y - to[1])[:, None])
+    cost += NEARER["probability"] * np.hypot(x - to[0], (y - to[1])[:, None])
     within = max(0.5 * domain.size - half, 0.0)
     cost[np.abs(y - middle[1]) > within] = np.nan
     cost[:, np.abs(x - middle[0]) > within] = np.nan

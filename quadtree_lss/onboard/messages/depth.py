@@ -2,8 +2,7 @@
 """Depth images as they arrive, to arrays of points in the camera's optical frame.
 
 Those axes (z ahead, x right, y down) are those of a lidar here. A pixel (u, v) of depth z is the
-point (x z, y z, z) with x = (u - cx) / fx, y = (v - cy) / fy; of an image that is not rectified, x
-and y are those that the plumb_bob model takes to that pixel.
+point (x z, y z, z) with x = (u - cx) / fx, y = (v - cy) / fy: images are rectified.
 """
 
 from __future__ import annotations
@@ -21,19 +20,20 @@ ENCODINGS = {"16UC1": ("u2", 1e-3), "mono16": ("u2", 1e-3), "32FC1": ("f4", 1.0)
 STEEP = 4.0
 """Depth that may lie between the rays of neighbouring pixels, in widths of a pixel: ground seen
 from 14 degrees over it."""
+COLUMNS = 320
+"""About so many columns are taken, evenly spaced, and rows as closely: neighbouring pixels of
+stereo err together, so that a quarter of 640 x 480 tells little less than all."""
 JUMP = 4.0
 """And in deviations of the noise."""
 SHORTEST, FARTHEST = 1.0, 1e7
 """Focal length of a camera, px, at least, and what that and the axis' place are at most."""
-LEAST_PIXELS = 1e-3
-"""An undone distortion is off by less, px."""
 
 
 class DepthCamera:
     """Turns depth images into points.
 
     Args:
-        lidar: Of which the source's step, rectification and noise matter.
+        lidar: Of which the noise matters.
 
     Attributes:
         edges: Pixels of the last image that were dropped because they lie between what is near and
@@ -46,32 +46,21 @@ class DepthCamera:
         self._rays: Array | None = None
         self._key: tuple[object, ...] = ()
 
-    def on_info(self, info: Any) -> str:
-        """Takes a ``CameraInfo``; what is to be told of it, empty if nothing is. Raises
-        `MessageError`: ``focal_length`` or ``distortion``, it is none of a pinhole camera."""
+    def on_info(self, info: Any) -> None:
+        """Takes a ``CameraInfo``. Raises `MessageError`: ``focal_length``, it is none of a pinhole
+        camera."""
         k, p = (np.array(given, dtype=np.float64) for given in (info.k, info.p))
-        d = np.array(info.d, dtype=np.float64)
-        raw = self._lidar.depth_raw
-        f = p[[0, 5, 2, 6]] if p[0] > 0.0 and not raw else k[[0, 4, 2, 5]]
-        model = str(info.distortion_model)
+        f = p[[0, 5, 2, 6]] if p[0] > 0.0 else k[[0, 4, 2, 5]]
         if not ((np.abs(f) <= FARTHEST).all() and (f[:2] >= SHORTEST).all()):
             text = f"camera_info has no focal length or axis of a camera: {f.tolist()} px"
             raise MessageError("focal_length", text)
-        if raw and d.any() and (model != "plumb_bob" or d.size > 5 or not np.isfinite(d).all()):
-            text = f"camera_info has the distortion {model} of {d.size} numbers; plumb_bob of 5 is"
-            raise MessageError("distortion", text + " known (or rectify, lidar.depth_raw false)")
-        key = (*f.tolist(), *(d.tolist() if raw else ()), int(info.width), int(info.height))
-        if key == self._key:
-            return ""
-        self._key, self._info = key, (f, d if raw else np.zeros(0))
-        self._shape, self._rays = (int(info.height), int(info.width)), None
-        own = self._lidar.focal_length
-        if self._lidar.stereo and not 0.9 * own < f[0] < 1.1 * own:
-            return f"camera_info has a focal length of {f[0]:.0f} px, lidar.focal_length is {own:g}"
-        return ""
+        key = (*f.tolist(), int(info.width), int(info.height))
+        if key != self._key:
+            self._key, self._info = key, f
+            self._shape, self._rays = (int(info.height), int(info.width)), None
 
     def points(self, image: Any) -> Points:
-        """Points (H, W, 3) float32 of every ``lidar.depth_step``-th pixel, m; NaN = no return.
+        """Points (H, W, 3) float32 of every n-th pixel, see `COLUMNS`, m; NaN = no return.
         Raises `MessageError`: ``camera_info`` before there is one, ``encoding``, ``size``."""
         if self._info is None:
             raise MessageError("camera_info", "a depth image came before any depth/camera_info")
@@ -90,7 +79,7 @@ class DepthCamera:
             raise MessageError("size", f"{text} {self._shape[0]}")
         order = ">" if image.is_bigendian else "<"
         whole = np.ndarray((height, width), order + kind, data, 0, (image.step, size))
-        step, (f, _) = self._lidar.depth_step, self._info
+        step, f = max(round(width / COLUMNS), 1), self._info
         if self._rays is None:
             self._rays = self._look(height, width, step)
         z = np.asarray(whole[step // 2 :: step, step // 2 :: step], dtype=np.float32)
@@ -98,7 +87,7 @@ class DepthCamera:
             z = z * np.float32(unit)
             z[~((z > 0.0) & (z < np.inf))] = np.nan
             most = STEEP * z / np.float32(f[0])
-            most += JUMP * (self._lidar.range_noise + self._lidar.stereo * z * z)
+            most += JUMP * (self._lidar.range_noise + self._lidar.stereo_noise * z * z)
             flying = np.zeros(z.shape, dtype=np.bool_)
             for of, own, limit, out in (
                 (whole[:, step // 2 :: step], z, most, flying),
@@ -118,35 +107,13 @@ class DepthCamera:
         return points
 
     def _look(self, height: int, width: int, step: int) -> Array:
-        """(H, W, 2) float32 x / z and y / z of the pixels that are taken; NaN where the distortion
-        cannot be undone."""
-        f, d = self._info
+        """(H, W, 2) float32 x / z and y / z of the pixels that are taken."""
         u, v = np.meshgrid(
             np.arange(step // 2, width, step, dtype=np.float64),
             np.arange(step // 2, height, step, dtype=np.float64),
         )
-        seen_x, seen_y = (u - f[2]) / f[0], (v - f[3]) / f[1]
-        x, y = seen_x.copy(), seen_y.copy()
-        if d.any():
-            with np.errstate(over="ignore", invalid="ignore"):
-                for _ in range(50):
-                    off_x, off_y = distorted(x, y, d)
-                    x, y = x + seen_x - off_x, y + seen_y - off_y
-                off_x, off_y = distorted(x, y, d)
-                error = np.hypot((off_x - seen_x) * f[0], (off_y - seen_y) * f[1])
-                x[~(error < LEAST_PIXELS)] = np.nan
-        return np.stack([x, y], axis=-1).astype(np.float32)
-
-
-def distorted(x: Array, y: Array, d: Array) -> tuple[Array, Array]:
-    """Where a lens of plumb_bob's ``d`` (k1, k2, p1, p2, k3) shows the ray (x, y, 1)."""
-    k1, k2, p1, p2, k3 = np.append(d, np.zeros(5 - len(d)))
-    square = x * x + y * y
-    radial = 1.0 + square * (k1 + square * (k2 + square * k3))
-    return (
-        x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x),
-        y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y,
-    )
+        f = self._info
+        return np.stack([(u - f[2]) / f[0], (v - f[3]) / f[1]], axis=-1).astype(np.float32)
 
 
 def _between(z: Points, before: Points, after: Points, most: Points) -> Array:

@@ -19,11 +19,11 @@ SHOWN, LONGEST = 50, 1000
 
 
 class Extrinsics:
-    """Knows the frames of body and scans, and with ``mount.tf`` the way from one to the other.
-    ``config``: of which ``mount`` and ``frames.body`` matter."""
+    """Knows the frames of body and scans, and with ``mount.source: tf`` the way from one to the
+    other. ``config``: of which ``mount`` and ``frames.body`` matter."""
 
     def __init__(self, config: Config) -> None:
-        self.tf = config.mount.tf
+        self.tf = config.mount.source == "tf"
         self._turn = cloud_turn(config.mount)
         self._fixed = None if self.tf else fixed_mount(config.mount)
         self._tree = FixedTransforms()
@@ -53,8 +53,8 @@ class Extrinsics:
             raise MessageError("child_frame", text)
 
     def check_lidar(self, frame: str) -> None:
-        """Takes the frame of a cloud, which matters with ``mount.tf`` alone. Raises `MessageError`:
-        ``frame`` if it is another one than before."""
+        """Takes the frame of a cloud, which matters with ``mount.source: tf`` alone. Raises
+        `MessageError`: ``frame`` if it is another one than before."""
         if not self.tf:
             return
         frame = _usable(frame, "frame")
@@ -93,7 +93,7 @@ class Extrinsics:
         told = ", ".join(map(_shown, self._tree.frames()[:SHOWN])) or "none"
         return (
             f"/tf_static has no chain from '{_shown(self._body)}' to '{_shown(self._lidar)}'"
-            f" (mount.tf); frames heard of: {told}"
+            f" (mount.source tf); frames heard of: {told}"
         )
 
     def _look(self) -> None:

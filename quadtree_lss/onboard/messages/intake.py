@@ -34,6 +34,8 @@ from quadtree_lss.onboard.messages.times import offsets_from_cloud
 NOISE_RATIO_LIMIT = 1.4
 """Observed over configured range noise that is worth a warning, either way."""
 
+GAP_NS = 1_500_000_000
+"""Between poses farther apart nothing is interpolated: one a second may be late by half."""
 BUFFER_NS = 30 * SECOND_NS
 """Older poses are forgotten: by far more than a scan may wait for its own, or a pose come late."""
 
@@ -84,8 +86,8 @@ class Intake:
     `ready`. No call raises on bad input: it is counted in ``rejected`` (``cloud_<reason>``,
     ``pose_<reason>``, …; as ``times_<reason>`` clouds that were taken as of one time) or
     ``queue.dropped`` and told by `notices`. Of ``config``, ``pose``, ``frames``, ``mount`` and
-    ``lidar`` matter: with a mount, poses are the body's; with ``mount.gimbal`` the mount
-    comes by `on_gimbal`, with ``mount.tf`` by `on_transforms`.
+    ``lidar`` matter: with a mount, poses are the body's; with ``mount.source: gimbal`` the mount
+    comes by `on_gimbal`, with ``mount.source: tf`` by `on_transforms`.
     """
 
     def __init__(
@@ -100,8 +102,8 @@ class Intake:
         self._map_frame = config.frames.map
         self.camera = DepthCamera(config.lidar)
         self._body = self._buffer()
-        self._gate = PoseGate(round(config.pose.max_gap * SECOND_NS))
-        self._gimbal = self._buffer("gimbal angle") if config.mount.gimbal else None
+        self._gate = PoseGate(GAP_NS)
+        self._gimbal = self._buffer("gimbal angle") if config.mount.source == "gimbal" else None
         self._extrinsics = Extrinsics(config)
         held = self._gimbal if self._gimbal is not None else self._extrinsics.mount
         self._mounted: MountedPoses | None = None
@@ -175,7 +177,7 @@ class Intake:
             self.reject("gimbal", error)
 
     def on_transforms(self, msg: Any) -> None:
-        """Takes a ``TFMessage`` of ``/tf_static``, which matters with ``mount.tf``."""
+        """Takes a ``TFMessage`` of ``/tf_static``, which matters with ``mount.source: tf``."""
         try:
             self._extrinsics.on_transforms(msg)
         except MessageError as error:
@@ -189,8 +191,7 @@ class Intake:
     def on_camera_info(self, msg: Any) -> None:
         """Takes the ``CameraInfo`` of the depth images to come."""
         try:
-            if text := self.camera.on_info(msg):
-                self._notices.append(Notice("focal_length", text))
+            self.camera.on_info(msg)
         except MessageError as error:
             self.reject("camera_info", error)
 
@@ -258,8 +259,7 @@ class Intake:
         self._notices.append(Notice(f"{what}_{error.reason}", str(error)))
 
     def _buffer(self, what: str = "pose") -> PoseBuffer:
-        limits = self._pose_config
-        return PoseBuffer(BUFFER_NS, round(limits.max_gap * SECOND_NS), what=what)
+        return PoseBuffer(BUFFER_NS, GAP_NS, what=what)
 
     def _add(self, buffer: PoseBuffer, pose: Pose, what: str) -> bool:
         """Whether the pose is used; one that is not, is counted as rejected."""
@@ -293,7 +293,7 @@ def noise_notice(ratio: float, config: Config) -> Notice | None:
     )
     text = (
         f"points scatter about flat cells by {ratio * configured:.3g} m, but lidar.range_noise is"
-        f" {configured:g} m{' and what stereo adds' * bool(config.lidar.stereo)}: {cause}"
+        f" {configured:g} m{' and what stereo adds' * bool(config.lidar.stereo_noise)}: {cause}"
     )
     return Notice("range_noise", text)
 

@@ -28,7 +28,7 @@ REASONS = {
     "no_return": "without a return",
     "range": "out of range (lidar.min_range, lidar.max_range)",
     "edge": "at edges, between near and far (depth images)",
-    "isolated": "isolated (lidar.outlier_gate)",
+    "isolated": "isolated",
     "outside": "outside the domain",
     "above": "of scans above the lidar (poses or mount upside down)",
     "contradiction": "contradicting the map (their pose is farther off than it claims)",

@@ -21,6 +21,7 @@ from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.autopilot.frames import Jumps, Nav
 from quadtree_lss.onboard.autopilot.landing import (
     GIVE_UP,
+    HEARTBEAT_S,
     HOLD,
     PILOT,
     TOUCHDOWN,
@@ -50,6 +51,9 @@ ODOMETRY, AREA, DISPERSION = "nav/odometry", "landing/area", "landing/dispersion
 STATE = "landing/autopilot"
 POLL_S, STEP_S = 0.01, 0.1
 CORNERS = 24
+CONTROL_M = 0.1
+"""What the autopilot's control adds to navigation's deviation: of 251 landings with ArduCopter none
+was farther than 0.13 m from its target (``docs/autopilot.md``)."""
 LEVELS = {GIVE_UP: ERROR, WAVE_OFF: WARN, HOLD: WARN}
 
 
@@ -63,7 +67,7 @@ class AutopilotNode(BaseNode):
         self._now: Callable[[], float] = time.monotonic
         if self.get_parameter("use_sim_time").value:  # a simulator may be slower than its time
             self._now = lambda: 1e-9 * self._clock_ns()
-        self._link = Link(link.connection, link.baud, self._clock_ns, self._now)
+        self._link = Link(link.connection, self._clock_ns, self._now)
         self._landing, self._jumps = Landing(link), Jumps()
         self._nav: Nav | None = None
         self._jump = 0.0
@@ -166,7 +170,7 @@ class AutopilotNode(BaseNode):
         self._jump = 0.0
         began = self._landing.state
         order = self._landing.step(seen)
-        fresh = seen.heartbeat_age <= self._config.autopilot.max_heartbeat_age
+        fresh = seen.heartbeat_age <= HEARTBEAT_S
         if order.point is not None:
             link.fly_to(order.point)
         elif link.kind == PX4 and fresh and order.state == PILOT:
@@ -213,10 +217,9 @@ class AutopilotNode(BaseNode):
         self._area.publish(message)
 
     def _send_dispersion(self, nav: Nav) -> None:
-        sigma = self._config.autopilot.control_sigma
         known = self._config.pose.unknown_position_sigma
         own = np.full(2, known**2) if nav.covariance is None else nav.covariance.diagonal()[:2]
-        covariance = np.diag([*(own + sigma**2), 0.0, 0.0, 0.0, np.pi**2])
+        covariance = np.diag([*(own + CONTROL_M**2), 0.0, 0.0, 0.0, np.pi**2])
         make, level = message_maker(self._frame), (0.0, 0.0, 0.0, 1.0)
         self._dispersion.publish(make.pose(nav.stamp_ns, np.zeros(3), level, covariance.ravel()))
 
@@ -259,7 +262,7 @@ class AutopilotNode(BaseNode):
         status.add({"heartbeat.age_s": heard, "target.publishers": self._sources.number})
         status.add({f"autopilot.heard.{what}": n for what, n in self._link.heard_of.items()})
         status.add({f"autopilot.refused.{why}": n for why, n in self._link.refused.items()})
-        if heard > self._config.autopilot.max_heartbeat_age:
+        if heard > HEARTBEAT_S:
             connection = self._config.autopilot.connection
             status.note(ERROR, f"no heartbeat of an autopilot on {connection}")
         if (uncertainty := self._link.remote.uncertainty_ns) is not None:

@@ -26,7 +26,7 @@ def transforms_type() -> Any:
     try:
         from tf2_msgs.msg import TFMessage
     except ImportError:
-        msg = "mount.tf needs tf2_msgs (apt install ros-jazzy-tf2-msgs): set mount.x ... instead"
+        msg = "mount.source tf needs tf2_msgs (apt install ros-jazzy-tf2-msgs): or set mount.x ..."
         raise ConfigError(msg) from None
     return TFMessage
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that a node keeps: within one folder, replaced in one step, one keeper each.
+"""Files that a node keeps: replaced in one step, one keeper each.
 
 Whoever can write to the folder may have put anything at the names used here: links, pipes, folders.
-Nothing but regular files is read, replaced or waited for, and no link leads out of the folder.
+Nothing but regular files is read, replaced or waited for.
 """
 
 from __future__ import annotations
@@ -28,21 +28,11 @@ class InUseError(MapFileError):
     """Another program keeps this file."""
 
 
-def is_below(path: Path, root: str) -> bool:
-    """True if a path, from the root if relative, leads into the folder below it, links followed."""
-    return Path(os.path.realpath(root)) in Path(os.path.realpath(root / path)).parents
-
-
-def regular_file(path: Path, root: str = "") -> Path:
-    """The file a path means, links followed; it need not exist yet. ``path``: if relative, from
-    ``root``. ``root``: ``files.root``: the folder in which the file must lie; empty = anywhere.
-    Raises `MapFileError`: there is something that is no regular file (a folder, a device, a pipe),
-    it lies elsewhere, or it cannot be looked at."""
+def regular_file(path: Path) -> Path:
+    """The file a path means, links followed; it need not exist yet. Raises `MapFileError`: there is
+    something that is no regular file (a folder, a device, a pipe), or it cannot be looked at."""
     try:
-        target = Path(os.path.realpath(root / path))
-        if root and not is_below(path, root):
-            msg = f"{path}: is not below {root} (files.root)"
-            raise MapFileError(msg)
+        target = Path(os.path.realpath(path))
         mode = target.stat().st_mode
     except FileNotFoundError:
         return target
@@ -66,10 +56,10 @@ def error_text(path: Path, done: str, error: Exception) -> str:
     return f"{path}: cannot be {done}: {reason or str(error).removeprefix(f'{path}: ')}"
 
 
-def read_file(path: Path, root: str, most: int) -> bytes:
+def read_file(path: Path, most: int) -> bytes:
     """Content of a regular file, of which no more than ``most`` bytes. Raises `MapFileError`: it is
     none or cannot be read."""
-    target = regular_file(path, root)
+    target = regular_file(path)
     try:
         with open(os.open(target, READ), "rb") as file:
             return file.read(most)
@@ -81,7 +71,6 @@ def write_atomically(
     path: Path,
     content: bytes,
     *,
-    root: str = "",
     verify: Callable[[bytes], None] | None = None,
     previous: str = "",
 ) -> None:
@@ -90,7 +79,7 @@ def write_atomically(
     A link stays one: what it points to is replaced.
 
     Args:
-        path, root: As of `regular_file`.
+        path: As of `regular_file`.
         content: The whole new content.
         verify: Called with what can be read back before anything is replaced.
         previous: Ending under which the file that was there is kept; empty = not.
@@ -100,7 +89,7 @@ def write_atomically(
             same time; the old file is then untouched.
         Exception: whatever ``verify`` raises; the same.
     """
-    target = regular_file(path, root)
+    target = regular_file(path)
     part = sibling(target, ".part")
     try:
         # Of a writer that was killed, or put there by somebody; nobody is to follow or open it.

@@ -151,8 +151,7 @@ class LssNode(BaseNode):
 
     def _withhold(self) -> str:
         """Why no site may be given out, empty if nothing speaks against it."""
-        limit = self._config.lss.max_map_age
-        reasons = (self._inputs.wishes.withheld, self._map.too_old(limit))
+        reasons = (self._inputs.wishes.withheld, self._map.too_old())
         return "; ".join(reason for reason in reasons if reason)
 
     def _look_around(self) -> None:

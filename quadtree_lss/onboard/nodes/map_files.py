@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from quadtree_lss.onboard.config.sections import CHECKPOINT_S
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, check, from_bytes, to_bytes
 from quadtree_lss.onboard.core.tree.leaves import LEAF
@@ -37,16 +38,16 @@ class WrongContentError(MapFileError):
     """It can be read, but what is in it is no map, or not one of this domain."""
 
 
-def save(path: Path, mapper: Mapper, root: str = "") -> None:
+def save(path: Path, mapper: Mapper) -> None:
     """Write the mapper's state. Raises `MapFileError`: see `writer`."""
-    writer(path, mapper, root)()
+    writer(path, mapper)()
 
 
-def writer(path: Path, mapper: Mapper, root: str = "", previous: str = "") -> Callable[[], None]:
+def writer(path: Path, mapper: Mapper, previous: str = "") -> Callable[[], None]:
     """What replaces the file by the mapper's present state, to be called beside its own work.
 
     The state is read back from the disk first, and must be one that a mapper can go on from.
-    ``path``, ``root``, ``previous``: as of `write_atomically`. ``mapper``: its state is copied now.
+    ``path``, ``previous``: as of `write_atomically`. ``mapper``: its state is copied now.
     Raises `MapFileError`: (when called) not writable, or no state to go on from; the old file is
     then untouched.
     """
@@ -55,7 +56,7 @@ def writer(path: Path, mapper: Mapper, root: str = "", previous: str = "") -> Ca
     def write() -> None:
         content = to_bytes(state)
         try:
-            write_atomically(path, content, root=root, verify=verify, previous=previous)
+            write_atomically(path, content, verify=verify, previous=previous)
         except CheckpointError as error:
             msg = f"{path}: not written, for what would be in it {error}"
             raise MapFileError(msg) from None
@@ -66,7 +67,7 @@ def writer(path: Path, mapper: Mapper, root: str = "", previous: str = "") -> Ca
     return write
 
 
-def load(path: Path, mapper: Mapper, root: str = "") -> None:
+def load(path: Path, mapper: Mapper) -> None:
     """Put the mapper into the state in a file.
 
     Raises:
@@ -75,7 +76,7 @@ def load(path: Path, mapper: Mapper, root: str = "") -> None:
     """
     cells, finest = mapper.config.mapping.max_cells, 4**mapper.domain.max_level
     most = cells * LEAF.itemsize + finest * FINEST + OVERHEAD
-    content = read_file(path, root, most + 1)
+    content = read_file(path, most + 1)
     if len(content) > most:
         msg = f"{path}: is larger than any map of this configuration, {most} bytes"
         raise WrongContentError(msg)
@@ -87,8 +88,7 @@ def load(path: Path, mapper: Mapper, root: str = "") -> None:
 
 
 class Checkpoints:
-    """Keeps a file, below ``root``, in step with the map; the writing is done beside the node's own
-    work.
+    """Keeps a file in step with the map; the writing is done beside the node's own work.
 
     Each is verified before it replaces the one before, which is kept as ``<name>.previous`` for
     when the newest cannot be read. A file that was there from the start and could not be read may
@@ -97,12 +97,11 @@ class Checkpoints:
     kept.
     """
 
-    def __init__(self, path: str | Path, root: str = "") -> None:
+    def __init__(self, path: str | Path) -> None:
         self._none = path == ""
         self.path = Path(path)
         self.written = 0
         self.foreign = ""
-        self._root = root
         self._keeper = Keeper()
         self._error: str | None = None
         self._thread: threading.Thread | None = None
@@ -122,7 +121,7 @@ class Checkpoints:
             try:
                 if not path.exists():
                     continue
-                load(path, mapper, self._root)
+                load(path, mapper)
             except MapFileError as error:
                 left = self._leave(target, error) if path == target else ""
                 troubles.append(f"{error}{left}")
@@ -142,7 +141,7 @@ class Checkpoints:
         """The file, which no other node keeps. Raises `MapFileError`: another does, or it can be
         none."""
         try:
-            target = regular_file(self.path, self._root)
+            target = regular_file(self.path)
             self._keeper.claim(target)
         except InUseError as error:
             self.foreign = f"checkpoint {error}: none is taken up or written here"
@@ -170,15 +169,15 @@ class Checkpoints:
         """The map changed."""
         self._changed = not (self.foreign or self._none)
 
-    def work(self, mapper: Mapper, interval: float) -> str | None:
+    def work(self, mapper: Mapper) -> str | None:
         """Write if it is time; call often. The answer is what went wrong with the last one."""
         if self._thread is not None and not self._thread.is_alive():
             self._thread = None
         now = time.monotonic()
         if self._thread is None and self._changed and now >= self._due:
-            self._due = now + interval
+            self._due = now + CHECKPOINT_S
             self._changed = False
-            write = writer(self.path, mapper, self._root, PREVIOUS)
+            write = writer(self.path, mapper, PREVIOUS)
             self._thread = threading.Thread(target=self._write, args=(write,), daemon=True)
             self._thread.start()
         error, self._error = self._error, None
@@ -195,7 +194,7 @@ class Checkpoints:
             raise MapFileError(msg)
         self._changed = False
         try:
-            target = regular_file(self.path, self._root)
+            target = regular_file(self.path)
             sibling(target, PREVIOUS).unlink(missing_ok=True)
             target.unlink(missing_ok=True)
         except (OSError, MapFileError) as error:
@@ -211,7 +210,7 @@ class Checkpoints:
             )
         if self._changed:
             self._changed, self._error = False, None
-            self._write(writer(self.path, mapper, self._root, PREVIOUS))
+            self._write(writer(self.path, mapper, PREVIOUS))
         self._keeper.release()
         return self._error
 
@@ -226,7 +225,7 @@ class Checkpoints:
 
     def _write(self, write: Callable[[], None]) -> None:
         try:
-            if self._unread and regular_file(self.path, self._root).exists():
+            if self._unread and regular_file(self.path).exists():
                 msg = f"{self.path}: could not be read at the start and is not replaced"
                 raise MapFileError(msg)
             write()

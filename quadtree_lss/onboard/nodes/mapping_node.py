@@ -103,7 +103,7 @@ class MappingNode(BaseNode):
             self._topics[POSES], "pose_publishers", effect, self._problems
         )
         self._arrived = {"scan": Arrivals(), "pose": Arrivals()}
-        if config.mount.gimbal:
+        if config.mount.source == "gimbal":
             self._arrived["gimbal"] = Arrivals()
         self._scans = 0
         self._first_told = False
@@ -121,7 +121,7 @@ class MappingNode(BaseNode):
         self._stamps = MapStamps()
         self._output = ChangePublisher(self, config.publish.rate, self._publish)
         self._failed = ""
-        self._checkpoints = Checkpoints(config.checkpoint.path, config.files.root)
+        self._checkpoints = Checkpoints(config.checkpoint.path)
         waits_for(f"checkpoint.path {config.checkpoint.path}")
         self._take_up_checkpoint()
         serve(self, "reset", self._reset)
@@ -156,11 +156,11 @@ class MappingNode(BaseNode):
         take = self._and_work(self._take_pose)
         pose = subscribe(self, kind, poses, take, pose_qos, group=ahead, raw=True)
         self._ahead = [(pose, self._take_pose)]
-        if self._config.mount.gimbal:
+        if self._config.mount.source == "gimbal":
             take = self._and_work(self._take_gimbal)
             gimbal = subscribe(self, TransformStamped, GIMBAL, take, pose_qos, group=ahead)
             self._ahead.append((gimbal, self._take_gimbal))
-        if self._config.mount.tf:
+        if self._config.mount.source == "tf":
             # As tf2's own listeners: every broadcaster keeps its transforms for whoever comes late.
             kept = latched(100)
             take = self._and_work(self._intake.on_transforms)
@@ -240,7 +240,7 @@ class MappingNode(BaseNode):
         self._take_ahead()
         self._work()
         waits_for(self._lacks())
-        error = self._checkpoints.work(self._mapper, self._config.checkpoint.interval)
+        error = self._checkpoints.work(self._mapper)
         if error is not None:
             self._problems.report("checkpoint", error)
 
@@ -318,22 +318,21 @@ class MappingNode(BaseNode):
         self._markers.changed()
         self._checkpoints.changed()
 
-    def _map_file(self) -> tuple[Path, str]:
-        config = self._config
-        if not config.map_file.path:
+    def _map_file(self) -> Path:
+        path = self._config.map_file.path
+        if not path:
             msg = "parameter map_file.path is not set"
             raise MapFileError(msg)
-        root = config.files.root
-        return Path(root, config.map_file.path).absolute(), root
+        return Path(path).absolute()
 
     def _save_map(self) -> str:
-        path, root = self._map_file()
-        save(path, self._mapper, root)
+        path = self._map_file()
+        save(path, self._mapper)
         return f"{self._mapper.leaves.count} leaves saved to {path}"
 
     def _load_map(self) -> str:
-        path, root = self._map_file()
-        load(path, self._mapper, root)
+        path = self._map_file()
+        load(path, self._mapper)
         self._report = None
         self._map_changed()
         return f"{self._mapper.leaves.count} leaves loaded from {path}"

@@ -8,7 +8,6 @@ import itertools
 import math
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -32,7 +31,6 @@ from quadtree_lss.onboard.config.settings import (
     values_from_config,
 )
 from quadtree_lss.onboard.nodes.executor import steady_timer
-from quadtree_lss.onboard.nodes.files import is_below
 
 QOS = "qos_overrides."
 ROS_TOPICS = ("/clock", "/parameter_events", "/rosout")
@@ -199,17 +197,10 @@ def _converted(changes: list[RosParameter]) -> list[RosParameter]:
 
 
 def _checked(config: Config) -> Config:
-    """The same, if paths are those of files below ``files.root``; else raises `ConfigError`."""
-    root = config.files.root
-    if "\0" in root:
-        msg = f"files.root = {root!r} is not the name of a folder"
-        raise ConfigError(msg)
+    """The same, if paths are those of files; else raises `ConfigError`."""
     paths = {"map_file.path": config.map_file.path, "checkpoint.path": config.checkpoint.path}
     for name, path in paths.items():
         if path and (path.rpartition("/")[2] in ("", ".", "..") or "\0" in path):
             msg = f"{name} = {path!r} is not the name of a file"
-            raise ConfigError(msg)
-        if path and root and not is_below(Path(path), root):
-            msg = f"{name} = {path!r} is not below files.root = {root!r}"
             raise ConfigError(msg)
     return config

@@ -20,13 +20,13 @@ from quadtree_lss.onboard.nodes.ros_messages import message_maker
 
 
 def node_prior(config: Config, problems: Problems) -> Prior | None:
-    """``prior.file``, below ``files.root``; a file that cannot be used is a problem, and none."""
+    """``prior.file``; a file that cannot be used is a problem, and none."""
     if not config.prior.file:
         return None
     from quadtree_lss.onboard.elevation.prior_file import read_prior
 
     try:
-        return read_prior(config, regular_file(Path(config.prior.file), config.files.root))
+        return read_prior(config, regular_file(Path(config.prior.file)))
     except QuadtreeLssError as error:
         problems.report("prior", f"prior.file: {error}; the map begins without")
         return None

@@ -18,6 +18,10 @@ from quadtree_lss.onboard.nodes.ros_messages import cloud_message, deserialised
 STAMP = slice(4, 12)
 """Of a serialised message that begins with a header."""
 
+OLDEST_S = 30.0
+"""Sites are withdrawn when no map that can be used has come for longer: a killed mapping_node is
+back well before, and nobody should fly on for half a minute by what is looked at no more."""
+
 
 class ReceivedMap:
     """Joins the two messages of a map, serialised, and decodes them when asked to.
@@ -92,13 +96,12 @@ class ReceivedMap:
             self.frame = frame
             self.arrivals.add(arrival)
 
-    def too_old(self, limit: float) -> str:
-        """Why sites on the map are to be withdrawn, empty if they are not. ``limit``:
-        ``lss.max_map_age``, s; 0 is none."""
-        if self.cells is None or not limit or self.arrivals.age() <= limit:
+    def too_old(self) -> str:
+        """Why sites on the map are to be withdrawn, empty if they are not."""
+        if self.cells is None or self.arrivals.age() <= OLDEST_S:
             return ""
         self.take()  # one that waits for its turn counts if it can be used
-        if self.arrivals.age() <= limit:
+        if self.arrivals.age() <= OLDEST_S:
             return ""
-        text = f"no map that could be used came for {limit:g} s (lss.max_map_age)"
+        text = f"no map that could be used came for {OLDEST_S:g} s"
         return f"{text}; {self.refused}" if self.refused else text

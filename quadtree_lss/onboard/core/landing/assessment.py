@@ -129,7 +129,7 @@ class LandingAssessment:
         risk: (ny, nx) that landing right there fails, with the ground as it is known; both NaN if
             nobody asked for them.
         explanation: Why there are no sites, or how many grid points are safe.
-        shadow: (ny, nx) in shadow at touchdown or an hour later; None without ``light.elevation``.
+        shadow: (ny, nx) in shadow at touchdown; None without ``light.elevation``.
         reach: (ny, nx) within reach (see `grid.reachable`); None without light, or if nobody knows.
         doubts: Why its risks may be wrong, a line each (see `Doubts`).
         offset_z, offset_variance: Of the map from navigation, as of ``CellMap``, m, m^2.
@@ -253,8 +253,8 @@ class Doubts:
 
 def coverage(raster: TerrainRaster, judged: Mask) -> str:
     """Whether the ground that is judged is seen more thinly than that of the fit; or nothing."""
-    under = raster.bridged[judged[1:, 1:]]
-    share = np.count_nonzero(under) / max(len(under), 1)
+    judged = judged[1:, 1:]
+    share = np.count_nonzero(raster.bridged & judged) / (np.count_nonzero(judged) or 1)
     if share <= MOST_BRIDGED:
         return ""
     return (

@@ -34,7 +34,7 @@ from quadtree_lss.onboard.core.landing.score import PointAssessment
 from quadtree_lss.onboard.core.landing.target import (
     ASIDE,
     DOUBT,
-    TARGET_SCORE,
+    NEARER,
     WAIT_S,
     Candidates,
     Descent,
@@ -209,7 +209,7 @@ def aim(
 ) -> Aims:
     """The points of the user's grid as aims: the risk over where the lander comes down.
 
-    ``dark``: (ny, nx) those in shadow, each of which costs ``lss.weight_shadow``.
+    ``dark``: (ny, nx) those in shadow, each of which costs `NEARER`.
     """
     at_aim, ranks = points.risk, lss.ranking == "probability"
     if ranks or lss.assessment == "probability":
@@ -218,8 +218,8 @@ def aim(
     score = np.where(safe, at.nearest(points.score), np.nan)
     cost = probable_first(unsafe, score) if ranks else score
     hazard, risk = at.any(points.hazard), at.linear(points.risk)
-    if dark is not None and lss.weight_shadow:
-        cost += (1.0 if ranks else TARGET_SCORE) * lss.weight_shadow * dark
+    if dark is not None:
+        cost += NEARER[lss.ranking] * dark
     withheld = wanted.apply(cost, at.x, at.y, lss)
     if ranks:
         np.copyto(score, np.nan, where=np.isnan(cost))
@@ -248,11 +248,11 @@ def within_reach(
     if motion is not None and ground.unsafe is not None and isfinite(motion.x + motion.y):
         away = np.zeros_like(cost)
         np.hypot(x - motion.x, y[:, None] - motion.y, out=away, where=choice)
-        cost += lss.target_risk * away
+        cost += NEARER["probability"] * away
     row, column = divmod(int(np.argmin(np.fmin(cost, np.inf))), cost.shape[1])
     if ground.unsafe is None:
         return Now(cost, (row, column))
-    places = best_points(after, x, y, CHOICES, lss.separation)
+    places = best_points(after, x, y, CHOICES, lss.vehicle.lengths.min_separation)
     return Now(cost, (row, column), float(bad[row, column]) - least_later(bad[places]))
 
 

@@ -26,7 +26,6 @@ from numpy.typing import ArrayLike
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask, Single
 from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, RiskModel, Row
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.landing.lattice import with_neighbours
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.landing.touchdown import Limits, WorstContact
 
@@ -161,31 +160,32 @@ class RiskTable:
         clearance, steep = vehicle.clearance, tan(radians(vehicle.max_slope_deg))
         out = np.empty((len(LOCAL), *judged.shape), dtype=np.float32)
         for k, contact, limit in ((0, worst.rise, clearance), (2, worst.slope, steep)):
-            np.fmax(contact / np.float32(limit), np.float32(self._low[k]), out=out[k])
-            out[k + 1] = with_neighbours(out[k])
+            set_contacts(contact, limit, self._low[k], out[k : k + 2])
         known = ~raster.bridged
-        share = np.bincount(raster.leaf[known], minlength=len(cells.level))
+        share = np.zeros(len(cells.level), dtype=np.int32)
+        count_known(raster.leaf, known.view(np.uint8), share)
         # Returns on a square as wide as the least hazard, of those that their leaf has there.
         returns = cells.count * (vehicle.least_hazard / side) ** 2 / np.maximum(share, 1)
         level = np.log10(returns + NO_RETURNS).astype(np.float32)
         rough = np.nan_to_num(cells.roughness / (clearance * cells.size**2))
         rough = np.minimum(rough, 2.0).astype(np.float32)
+        of_cells = np.empty((2, *known.shape), dtype=np.float32)
+        of_cells[0] = np.where(known, level.take(raster.leaf), np.float32(log10(NO_RETURNS)))
+        np.multiply(known, rough.take(raster.leaf), out=of_cells[1])
         under = max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1)
-        of_cells = np.where(known, level.take(raster.leaf), np.float32(log10(NO_RETURNS)))
-        set_means(of_cells, under, 0, out[4])
-        out[4] -= np.float32(self._worse(side))
-        set_means(known * rough.take(raster.leaf), under, 0, out[7])
+        around, means = np.empty((2, 3, *judged.shape), dtype=np.float32)
+        around[0] = judged
+        around[1] = judged & (out[0] > 1.0) & (out[2] <= 1.0)
+        np.multiply(around[0], gradient, out=around[2], casting="same_kind")
+        around[2] /= np.float32(steep)
+        set_means(of_cells, under, 0, means[:2])
+        np.subtract(means[0], np.float32(self._worse(side)), out=out[4])
+        np.sqrt(means[1], out=out[7])
         about = max(round(0.5 * WINDOW * vehicle.diameter / side), 1)
-        places, share = judged.astype(np.float32), np.empty(judged.shape, dtype=np.float32)
-        set_means(places, about, 1, share)
-        np.maximum(share, np.float32(1e-6), out=share)
-        rises = (judged & (out[0] > 1.0) & (out[2] <= 1.0)).astype(np.float32)
-        set_means(rises, about, 1, out[5])
-        inclined = (places * gradient).astype(np.float32) / np.float32(steep)
-        set_means(inclined, about, 1, out[6])
-        out[5:7] /= share
-        np.sqrt(out[5], out=out[5])
-        np.sqrt(out[7], out=out[7])
+        set_means(around, about, 1, means)
+        means[1:] /= np.maximum(means[0], np.float32(1e-6), out=means[0])
+        np.sqrt(means[1], out=out[5])
+        out[6] = means[2]
         return out
 
     def risk(
@@ -226,7 +226,8 @@ def aimed(risk: Array, side: float, dispersion: Dispersion) -> Array:
     for sigma, count in zip((dispersion.y, dispersion.x), risk.shape, strict=True):
         weights = normal_weights(sigma, side)
         one = weights[len(weights) // 2 :][:count]
-        sides.append(np.append(one, np.zeros(1 - len(one) % 2)))  # pairs, after the first
+        one = np.append(one, np.zeros(1 - len(one) % 2))  # pairs, after the first
+        sides.append(one.astype(np.float32))
     blur(risk, *sides, out)
     return out
 
@@ -344,51 +345,93 @@ def _middle(weights: Array, count: int) -> Array:
 
 
 @cython.boundscheck(False)
-@cython.locals(values=cython.float[:, ::1], out=cython.float[:, ::1])
+@cython.locals(contact=cython.float[:, ::1], limit=cython.float, least=cython.float)
+@cython.locals(out=cython.float[:, :, ::1])
+def set_contacts(contact: Single, limit: float, least: float, out: Single) -> None:
+    """Set ``out`` (2, n, n) to contacts over a limit, ``least`` or more, also where nobody asked,
+    and to the greatest of each and its four neighbours."""
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, n=cython.Py_ssize_t)
+    cython.declare(south=cython.Py_ssize_t, north=cython.Py_ssize_t)
+    n = contact.shape[0]
+    with cython.nogil:
+        for i in range(n):
+            for j in range(n):
+                z = contact[i, j] / limit
+                out[0, i, j] = z if z > least else least
+        for i in range(n):
+            south, north = max(i - 1, 0), min(i + 1, n - 1)
+            for j in range(n):
+                out[1, i, j] = max(out[0, i, j], max(out[0, south, j], out[0, north, j]))
+            for j in range(1, n):
+                out[1, i, j] = max(out[1, i, j], out[0, i, j - 1])
+            for j in range(n - 1):
+                out[1, i, j] = max(out[1, i, j], out[0, i, j + 1])
+
+
+@cython.boundscheck(False)
+@cython.locals(leaf=cython.int[:, ::1], known=cython.uchar[:, ::1], count=cython.int[::1])
+def count_known(leaf: Ints, known: Bytes, count: Ints) -> None:
+    """Add up the ``known`` finest cells (n, n) of each leaf (M,)."""
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    with cython.nogil:
+        for i in range(leaf.shape[0]):
+            for j in range(leaf.shape[1]):
+                count[leaf[i, j]] += known[i, j]
+
+
+@cython.boundscheck(False)
+@cython.locals(values=cython.float[:, :, ::1], out=cython.float[:, :, ::1])
 def set_means(
     values: Single, reach: cython.Py_ssize_t, after: cython.Py_ssize_t, out: Single
 ) -> None:
     """Means over squares about each point, of what of them lies within the lattice.
 
     Args:
-        values: (n, n) of cells, or of points.
+        values: (L, n, n) of cells, or of points; three layers at the most.
         reach: Cells, or points, on either side.
         after: 0 for cells about grid points, 1 for points about points.
-        out: (m, m), set; m = n + 1 - ``after``.
+        out: (L, m, m), set; m = n + 1 - ``after``.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
-    cython.declare(south=cython.Py_ssize_t, north=cython.Py_ssize_t)
+    cython.declare(south=cython.Py_ssize_t, north=cython.Py_ssize_t, f=cython.Py_ssize_t)
     cython.declare(west=cython.Py_ssize_t, east=cython.Py_ssize_t, below=cython.Py_ssize_t)
-    n: cython.Py_ssize_t = values.shape[0]
-    m: cython.Py_ssize_t = out.shape[0]
+    layers: cython.Py_ssize_t = values.shape[0]
+    n: cython.Py_ssize_t = values.shape[1]
+    m: cython.Py_ssize_t = out.shape[1]
     edge: cython.Py_ssize_t = min(reach, m)
-    column = cython.declare(cython.double[::1], np.zeros(n))
-    sums = cython.declare(cython.double[::1], np.zeros(n + 1))
+    column = cython.declare(cython.double[:, ::1], np.zeros((3, n)))
+    sums = cython.declare(cython.double[:, ::1], np.zeros((3, n + 1)))
     least: cython.double = 0.0 if after else -np.inf  # round-off may leave less than nothing
     below = 0
     with cython.nogil:
         for i in range(m):
             south, north = max(i - reach, 0), min(i + reach + after, n)
-            while below < north:
-                for j in range(n):
-                    column[j] += values[below, j]
-                below += 1
-            if i - reach > 0:
-                for j in range(n):
-                    column[j] -= values[i - reach - 1, j]
+            for f in range(layers):
+                for k in range(below, north):
+                    for j in range(n):
+                        column[f, j] += values[f, k, j]
+                if i - reach > 0:
+                    for j in range(n):
+                        column[f, j] -= values[f, i - reach - 1, j]
+            below = north
+            # Each sum waits for the one before: three at a time wait no longer than one.
+            x, y, z = 0.0, 0.0, 0.0
             for j in range(n):
-                sums[j + 1] = sums[j] + column[j]
-            # All but the outermost have squares of the same width.
-            for j in range(reach, n + 1 - after - reach):
-                z = (sums[j + reach + after] - sums[j - reach]) / (
-                    (2 * reach + after) * (north - south)
-                )
-                out[i, j] = z if z > least else least
-            for k in range(2 * edge):
-                j = k if k < edge else m - 1 - k + edge
-                west, east = max(j - reach, 0), min(j + reach + after, n)
-                z = (sums[east] - sums[west]) / ((east - west) * (north - south))
-                out[i, j] = z if z > least else least
+                x += column[0, j]
+                y += column[1, j]
+                z += column[2, j]
+                sums[0, j + 1], sums[1, j + 1], sums[2, j + 1] = x, y, z
+            for f in range(layers):
+                # All but the outermost have squares of the same width.
+                share: cython.double = 1.0 / ((2 * reach + after) * (north - south))
+                for j in range(reach, n + 1 - after - reach):
+                    z = share * (sums[f, j + reach + after] - sums[f, j - reach])
+                    out[f, i, j] = z if z > least else least
+                for k in range(2 * edge):
+                    j = k if k < edge else m - 1 - k + edge
+                    west, east = max(j - reach, 0), min(j + reach + after, n)
+                    z = (sums[f, east] - sums[f, west]) / ((east - west) * (north - south))
+                    out[f, i, j] = z if z > least else least
 
 
 @cython.boundscheck(False)
@@ -478,10 +521,12 @@ def look_up(
 
 
 @cython.boundscheck(False)
-@cython.locals(risk=cython.double[:, ::1], across=cython.double[::1], along=cython.double[::1])
+@cython.locals(risk=cython.double[:, ::1], across=cython.float[::1], along=cython.float[::1])
 @cython.locals(out=cython.double[:, ::1])
-def blur(risk: Array, across: Array, along: Array, out: Array) -> None:
+def blur(risk: Array, across: Single, along: Single, out: Array) -> None:
     """Weighted means of P(unsafe) about each grid point; beyond the lattice it is 1.
+
+    Single precision is enough: nobody knows a risk to a millionth of it.
 
     Args:
         risk: (ny, nx).
@@ -491,7 +536,9 @@ def blur(risk: Array, across: Array, along: Array, out: Array) -> None:
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
     cython.declare(first=cython.Py_ssize_t, after=cython.Py_ssize_t)
-    cython.declare(west=cython.Py_ssize_t, east=cython.Py_ssize_t)
+    cython.declare(west=cython.Py_ssize_t, east=cython.Py_ssize_t, z=cython.float)
+    cython.declare(near=cython.float, far=cython.float)
+    one: cython.float = 1.0
     rows: cython.Py_ssize_t = risk.shape[0]
     columns: cython.Py_ssize_t = risk.shape[1]
     up: cython.Py_ssize_t = across.shape[0] - 1
@@ -499,46 +546,46 @@ def blur(risk: Array, across: Array, along: Array, out: Array) -> None:
     # Columns of each row at which something is safe within reach along it.
     begin = cython.declare(cython.Py_ssize_t[::1], np.full(rows, columns, dtype=np.intp))
     end = cython.declare(cython.Py_ssize_t[::1], np.zeros(rows, dtype=np.intp))
-    # Of P(safe): beyond the lattice there is none.
-    safe = cython.declare(cython.double[:, ::1], np.zeros((rows + 2 * up, columns)))
-    line = cython.declare(cython.double[::1], np.zeros(columns + 2 * right))
+    # Means along each row.
+    means = cython.declare(cython.float[:, ::1], np.ones((rows + 2 * up, columns), np.float32))
+    line = cython.declare(cython.float[::1], np.ones(columns + 2 * right, dtype=np.float32))
     with cython.nogil:
         for i in range(rows):
             for j in range(columns):
-                line[right + j] = 1.0 - risk[i, j]
+                line[right + j] = risk[i, j]
             first, after = right, right + columns
-            while first < after and line[first] == 0.0:
+            while first < after and line[first] == 1.0:
                 first += 1
-            while after > first and line[after - 1] == 0.0:
+            while after > first and line[after - 1] == 1.0:
                 after -= 1
             if first == after:
                 continue
             first, after = max(first - right, right), min(after + right, right + columns)
             begin[i], end[i] = first - right, after - right
             for j in range(first, after):
-                safe[up + i, j - right] = along[0] * line[j]
+                means[up + i, j - right] = along[0] * line[j]
             for k in range(1, right, 2):
                 near, far = along[k], along[k + 1]
                 for j in range(first, after):
                     z = near * (line[j - k] + line[j + k])
                     z += far * (line[j - k - 1] + line[j + k + 1])
-                    safe[up + i, j - right] += z
+                    means[up + i, j - right] += z
         for i in range(rows):
             # The columns in which something is safe within reach.
             west, east = columns, 0
             for k in range(max(i - up, 0), min(i + up + 1, rows)):
                 west, east = min(west, begin[k]), max(east, end[k])
-            for j in range(columns):
-                out[i, j] = 1.0
             for j in range(west, east):
-                out[i, j] = 1.0 - across[0] * safe[up + i, j]
+                line[j] = across[0] * means[up + i, j]
             for k in range(1, up, 2):
                 near, far = across[k], across[k + 1]
                 south: cython.Py_ssize_t = up + i - k
                 north: cython.Py_ssize_t = up + i + k
                 for j in range(west, east):
-                    z = near * (safe[south, j] + safe[north, j])
-                    z += far * (safe[south - 1, j] + safe[north + 1, j])
-                    out[i, j] -= z
+                    z = near * (means[south, j] + means[north, j])
+                    z += far * (means[south - 1, j] + means[north + 1, j])
+                    line[j] += z
+            for j in range(columns):
+                out[i, j] = 1.0
             for j in range(west, east):
-                out[i, j] = min(max(out[i, j], 0.0), 1.0)
+                out[i, j] = min(line[j], one)

@@ -86,8 +86,9 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
     if not known.any():
         elevation[:] = np.nan
     elif bridged.any():
-        elevation[bridged] = elevation.take(nearest_marked(known)[bridged])
-        slope_x[bridged] = slope_y[bridged] = 0.0
+        elevation = elevation.take(nearest_marked(known))
+        for slope in (slope_x, slope_y):
+            np.copyto(slope, 0.0, where=bridged)
     found = (elevation, slope_x, slope_y, subscale, peak, seen, firm, unmapped, bridged)
     return TerrainRaster(domain, leaf, *found, cells)
 
@@ -256,10 +257,6 @@ def stopped(
 
 
 def in_shadow(raster: TerrainRaster, light: LightConfig) -> Mask:
-    """(n, n) finest cells in shadow at touchdown or an hour later, subscale features included."""
+    """(n, n) finest cells in shadow at touchdown, subscale features included."""
     heights, side = raster.elevation + raster.subscale_peak, raster.domain.finest_size
-    dark = shadow(heights, raster.seen, side, light.azimuth, light.elevation)
-    if light.azimuth_rate or light.elevation_rate:
-        later = light.azimuth + light.azimuth_rate, light.elevation + light.elevation_rate
-        dark |= shadow(heights, raster.seen, side, *later)
-    return dark
+    return shadow(heights, raster.seen, side, light.azimuth, light.elevation)

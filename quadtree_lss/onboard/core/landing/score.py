@@ -146,7 +146,7 @@ def assess_points(
         if lss.assessment == "touchdown":
             spoiled = around.judged & (check.over(worst) | excepted)
             # Rounded outwards: a map that may be off at all is off by a grid point.
-            steps = np.ceil(lss.growth / side - SLACK)
+            steps = np.ceil(vehicle.lengths.hazard_growth / side - SLACK)
             spoiled |= around.judged & grown(spoiled, steps * side, side)
         else:
             fails = around.judged & (risk > lss.max_risk)

@@ -50,6 +50,7 @@ from quadtree_lss.onboard.core.landing.score import (
     zones_about,
 )
 from quadtree_lss.onboard.core.landing.target import (
+    SETTLE_SHARE,
     Candidates,
     Choice,
     Descent,
@@ -218,7 +219,7 @@ class LandingSiteSelector:
             return Reason.UNMAPPED if away < reach else Reason.UNSEEN
 
         seen = wanted.share(aims.hazard & hazards.UNSEEN == 0, at.x, at.y)
-        settled = seen >= lss.settle_share or waited >= lss.settle_time
+        settled = seen >= SETTLE_SHARE or waited >= lss.settle_time
         below = descent = None
         if motion is not None:
             below = _descent(points, at, motion, (motion.x, motion.y))
@@ -273,7 +274,7 @@ class LandingSiteSelector:
     def _reach(self) -> float:
         """How far from each other sites are the same, m: no two of a ranking are."""
         lss = self.config.lss
-        return 0.49 * min(lss.vehicle.diameter, lss.separation)
+        return 0.49 * min(lss.vehicle.diameter, lss.vehicle.lengths.min_separation)
 
     def _selected(
         self, choice: Choice, found: Sites, aims: Aims, raster: TerrainRaster
@@ -294,7 +295,8 @@ class LandingSiteSelector:
         if lss.hysteresis > 0.0:
             last = [grid_point(x, y, *place) for place in self._last_ranked]
         kept = [place for place in last if place is not None and np.isfinite(cost[place])]
-        best = best_points(cost, x, y, lss.sites, lss.separation, kept, lss.hysteresis)
+        apart = lss.vehicle.lengths.min_separation
+        best = best_points(cost, x, y, lss.sites, apart, kept, lss.hysteresis)
         ranked = [(int(row), int(column)) for row, column in zip(*best, strict=True)]
         self._last_ranked = [(float(x[column]), float(y[row])) for row, column in ranked]
         return ranked

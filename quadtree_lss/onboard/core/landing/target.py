@@ -8,7 +8,7 @@ of a grid point, p the probability of a safe touchdown if the lander aims there,
 
     c(target) - c > M / (1 - d / r) + 0.5 hypot(1 - p(target), 1 - p),    d < r,
 
-where M is ``lss.switch_margin``, d the distance between the two and r how far aside the vehicle
+where M is `SWITCH`, d the distance between the two and r how far aside the vehicle
 still gets (`Descent`). Below ``lss.commit_height`` nothing better moves it.
 Ground that was just seen for the first time often looks different after the next scans: it becomes
 the target only if the assessment before found it safe, too. A place keeps its number as long as its
@@ -40,9 +40,16 @@ DOUBT = 0.5
 #: Ground under the target, or beside it, that is found less safe than to be chosen is a hazard if
 #: touchdown fails with so many times ``lss.max_risk``.
 KEPT = 3.0
-#: A metre nearer to the place that is asked for counts so much more in the score: what makes 0.1 %
-#: of probability makes 1 m of room.
-TARGET_SCORE = 20.0
+#: Of the area, or of the domain, that is seen before there is a target, unless the time for it is
+#: up: a closed loop's look over its candidate area shows so much (``config/flight.yaml``).
+SETTLE_SHARE = 0.63
+#: How much better another place has to be, besides doubt and way, to replace the target: one per
+#: cent more probably safe; in the score 4 m more room to the nearest hazard, or 4.6 degrees less
+#: slope.
+SWITCH = {"probability": 0.01, "score": 0.08}
+#: What a metre nearer to the place that is asked for is worth, and light at the aim: 0.1 % more
+#: probably safe, so that among equals the near and the lit ones win; in the score 0.2 m of room.
+NEARER = {"probability": 0.001, "score": 0.004}
 #: How a vehicle gets aside on its way down: acceleration, m/s^2, and the least speed downwards that
 #: its time is reckoned with, m/s.
 ASIDE, SLOWEST = 1.0, 0.5
@@ -178,8 +185,7 @@ class Restrictions:
             if goal.shape not in ((2,), (3,)) or not np.isfinite(goal[:2]).all():
                 msg = f"a landing target needs two or three finite coordinates, got {self.target!r}"
                 raise ValueError(msg)
-            weight = (TARGET_SCORE if lss.ranking == "score" else 1.0) * lss.target_risk
-            left += weight * np.hypot(x[column] - goal[0], y[row] - goal[1])
+            left += NEARER[lss.ranking] * np.hypot(x[column] - goal[0], y[row] - goal[1])
         cost[row, column] = left
 
     def wish(self) -> tuple[list[object] | None, ...]:
@@ -508,12 +514,12 @@ class TargetKeeper:
         cost = ground.cost[held]
         if ground.unsafe is not None and np.isnan(cost):  # it would not be chosen any more
             cost = ground.unsafe[held]
-        lower = np.flatnonzero(allowed & (ground.cost < cost - lss.switch_margin))
+        lower = np.flatnonzero(allowed & (ground.cost < cost - SWITCH[lss.ranking]))
         if not len(lower):
             return None
         row, column = np.divmod(lower, len(ground.x))
         gain = cost - ground.cost[row, column]
-        margin = np.full(len(row), lss.switch_margin)
+        margin = np.full(len(row), SWITCH[lss.ranking])
         if descent is not None:
             away = np.hypot(ground.x[column] - ground.x[held[1]], ground.y[row] - ground.y[held[0]])
             part = away / max(descent.reach, 1e-9)

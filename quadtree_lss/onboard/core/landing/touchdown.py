@@ -7,21 +7,13 @@ either of the other two pads. Each such plane must be level enough, and no groun
 may rise above it by more than the roughness limit.
 
 Grid points are judged in blocks, whose ground is taken over a plane near it: small numbers for
-single precision, and bounds that leave few cells to compare. Over that plane let all pads of a
-grid point stand between ``low`` and ``high``, h apart. A resting plane holds both ends of a
-diagonal, at c on average and not lower than the other two, and one pad of the other. At a point of
-the circle, alpha and beta radii along the two diagonals, it stands at c (1 - alpha - beta) +
-alpha e + beta n, with e one end and n a pad or the mirror image of one. As c <= (e + high) / 2 and
-alpha + beta <= sqrt 2,
+single precision, and bounds that leave few cells to compare. What is reckoned at each of them is so
+for all at once; only cells in the way are looked at one by one.
 
-    plane >= low - h (sqrt 2 - 1) / 2 =: floor    and    its slope <= h / radius.
-
-Ground that is not higher over the floor than the limit is in the way at no heading.
-
-Where some is, the lowest of the resting planes at a point, which is concave, bounds what the others
-may find: with ``sink`` the depth of the lowest plane under the grid point and ``fall`` what it
-falls at the most per metre from there to the corner of a diamond about the cells (east, west, north
-or south of the grid point), a cell of height z at x, y rises by no more than
+The lowest of the resting planes at a point is concave, and bounds what the others may find: with
+``sink`` the depth of the lowest plane under the grid point and ``fall`` what it falls at the most
+per metre from there to the corner of a diamond about the cells (east, west, north or south of the
+grid point), a cell of height z at x, y rises by no more than
 
     z + sink + |x| fall_x + |y| fall_y.
 """
@@ -52,10 +44,6 @@ else:  # otherwise from the .pxd
         """Python sees to signals by itself."""
 
 
-#: Bounds find nothing by less than single precision can err, rise over run.
-SLOPE_ROUNDING = cython.declare(cython.double, 1e-4)
-#: Where a resting plane may sink below the lowest pad, as a share of the pads' spread.
-SAG = cython.declare(cython.double, 0.5 * (2.0**0.5 - 1.0))
 SHAPE = cython.declare(cython.double, cell_map.SHAPE)
 NAN = cython.declare(cython.double, float("nan"))
 
@@ -143,33 +131,36 @@ class Blocks:
     """The lander, and the ground about one block of grid points at a time.
 
     Attributes:
-        ground: (4, N, N) finest cells, those at the border repeated outside so that blocks fit:
+        ground: (2, N, N) finest cells, those at the border repeated outside so that blocks fit:
             height of a pad at the cell's centre (it stands on the highest ground within its
-            radius), slopes in x and y, and the highest ground: plane, its rise to the corner,
-            subscale feature (a bell fitted to part of a rock is low, so its own height counts and
-            not the rock's).
+            radius), and the highest ground: plane, its rise to the corner, subscale feature (a bell
+            fitted to part of a rock is low, so its own height counts and not the rock's).
+        slopes: (2, N, N) of them, in x and y.
         reach: Cells from a grid point to the farthest that the lander at it can meet.
         width: Cells along the window of a block.
         offset: (width,) of their centres from the window's, m.
-        pad_place: (4 yaws,) place in the window of the cell that a pad stands on, from that of the
-            cell north-east of the grid point; four pads around the circle, heading by heading.
-        pad_x, pad_y: (4 yaws,) of the pad from that cell's centre, m.
-        half: (2 reach,) half width of the disc of cells under the lander in each row, in cells.
-        top, pad, slope_x, slope_y: (width^2,) window over the block's plane: highest ground of
-            each cell, height of a pad at its centre, slopes.
-        stand: (4 yaws POINTS,) heights of the pads at each grid point, over the plane, m.
-        floor: (POINTS,) below every resting plane of a grid point, over the plane, m.
-        spread: (POINTS,) of the pads' heights, m.
+        pad_row, pad_column: (2 PLANES,) of the cell that a pad stands on, from that of the cell
+            north-east of the grid point; four pads around the circle, heading by heading.
+        pad_x, pad_y: (2 PLANES,) of the pad from that cell's centre, m.
+        half: (2 reach,) half width of the disc of cells under the lander in each column, in cells.
+        top, pad: (width^2,) window over the block's plane: highest ground of each cell, height of a
+            pad at its centre.
+        stand: (2 PLANES POINTS,) heights of the pads at each grid point, over the plane, m.
+        planes_x, planes_y: (PLANES POINTS,) slopes of the resting planes at each grid point, over
+            the block's plane.
+        planes_z: (PLANES / 2 POINTS,) their heights there, which two have in common, m.
+        steep: (POINTS,) square of the slope of the steepest.
+        sink, fall_east, fall_west, fall_north, fall_south: (POINTS,) bounds of the planes, m, m/m.
+        run: (BLOCK width,) highest ground of runs of cells along a column, m.
+        highest: (2 reach POINTS,) highest ground in each column of the cells under the lander, then
+            by how much it may rise over a resting plane, m.
+        most: (POINTS,) greatest of these rises, m.
         rounding: Bounds find nothing by less than single precision can err, m.
-        roof: (POINTS,) highest ground under the lander, over the plane, m.
-        highest: (2 reach POINTS,) in each row of the cells under it, m.
         middle, away: (2 reach,) of these cells from the grid point, and that without a sign, m.
-        aside: (2 reach,) farthest of a row of them from its middle, m.
+        aside: (2 reach,) farthest of a column of them from its middle, m.
         corner: Of the diamond about them from the grid point, m.
-        resting_x, resting_y, resting_z: (PLANES,) resting planes at the grid point at hand: slopes
-            and height there, over the block's plane.
-        cos, sin: (2 yaws,) of the headings, over the radius.
-        sink, fall_east, fall_west, fall_north, fall_south: Bounds of the planes, m, m/m.
+        resting_x, resting_y, resting_z: (PLANES,) resting planes at the grid point at hand.
+        cos, sin: (PLANES / 2,) of the headings, over the radius.
         worst_rise, worst_slope: Worst found there.
         spoiler_row, spoiler_column: Of the cell in the window that was last found in the way.
         base_x, base_y: Slopes of the block's plane.
@@ -185,34 +176,29 @@ class Blocks:
         self.rounding = 1e-4 * config.vehicle.size
         self.low_rise, self.high_rise = limits.rise
         self.low_slope, self.high_slope = limits.slope
-        self.yaws = YAWS if heading is None else 1
-        assert 2 * self.yaws <= PLANES
         self.reach = max(int(np.floor(self.radius / side)) + 1, under.reach)
         self.width = BLOCK - 1 + 2 * self.reach
         self.offset = (np.arange(self.width) - 0.5 * (self.width - 1)) * side
         self.blocks = domain.finest_count // BLOCK + 1
         around = self.blocks * BLOCK - 1 + 2 * self.reach
-        self.ground = np.full((4, around, around), np.nan)
-        # Cells beyond the circle may stand under the floor: then every one is compared.
-        self.bounded = float(np.hypot(under.x, under.y).max()) <= self.radius
-        yaw = (heading or 0.0) + np.arange(self.yaws) * (0.5 * np.pi / self.yaws)
+        self.ground = np.full((2, around, around), np.nan)
+        self.slopes = np.full((2, around, around), np.nan, dtype=np.float32)
+        yaw = np.arange(YAWS) * (0.5 * np.pi / YAWS) if heading is None else np.array([heading])
+        assert 2 * len(yaw) <= PLANES
+        yaw = np.resize(yaw, PLANES // 2)  # fewer are looked at more than once
         c, s = np.cos(yaw), np.sin(yaw)
-        self.cos, self.sin = (np.tile(v / self.radius, 2).astype(np.float32) for v in (c, s))
+        self.cos, self.sin = ((v / self.radius).astype(np.float32) for v in (c, s))
         x = self.radius * np.stack([c, -s, -c, s], axis=1).ravel()
         y = self.radius * np.stack([s, c, -s, -c], axis=1).ravel()
         column, row = np.floor(x / side).astype(np.intp), np.floor(y / side).astype(np.intp)
-        self.pad_place = row * self.width + column
+        self.pad_row, self.pad_column = row, column
         self.pad_x = (x - (column + 0.5) * side).astype(np.float32)
         self.pad_y = (y - (row + 0.5) * side).astype(np.float32)
         half = np.zeros(2 * self.reach, dtype=np.intp)
-        np.maximum.at(half, under.row + self.reach, under.column + 1)
+        np.maximum.at(half, under.column + self.reach, under.row + 1)
         self.half = half
-        self.top, self.pad, self.slope_x, self.slope_y = np.zeros(
-            (4, self.width**2), dtype=np.float32
-        )
-        self.run = np.zeros(self.width * BLOCK, dtype=np.float32)
-        self.stand = np.zeros(4 * self.yaws * POINTS, dtype=np.float32)
-        self.floor, self.spread, self.roof = np.zeros((3, POINTS), dtype=np.float32)
+        self.top, self.pad = np.zeros((2, self.width**2), dtype=np.float32)
+        self.run = np.zeros(BLOCK * self.width, dtype=np.float32)
         self.highest = np.zeros(2 * self.reach * POINTS, dtype=np.float32)
         self.middle = ((np.arange(-self.reach, self.reach) + 0.5) * side).astype(np.float32)
         self.away = np.abs(self.middle)
@@ -220,7 +206,12 @@ class Blocks:
         self.corner = float((np.abs(under.x) + np.abs(under.y)).max())
         if not cython.compiled:  # otherwise parts of the object
             self.resting_x, self.resting_y, self.resting_z = np.zeros((3, PLANES), np.float32)
-        self.sink = self.fall_east = self.fall_west = self.fall_north = self.fall_south = 0.0
+            self.stand = np.zeros(2 * PLANES * POINTS, np.float32)
+            size = 3, PLANES * POINTS
+            self.planes_x, self.planes_y, self.planes_z = np.zeros(size, np.float32)
+            self.fall_east, self.fall_west, self.fall_north = np.zeros((3, POINTS), np.float32)
+            self.fall_south, self.sink, self.most = np.zeros((3, POINTS), np.float32)
+            self.steep = np.zeros(POINTS, np.float32)
         self.worst_rise = self.worst_slope = 0.0
         self.spoiler_row = self.spoiler_column = 0
         self.base_x = self.base_y = 0.0
@@ -230,11 +221,13 @@ class Blocks:
         points so near to the first and last column are to be judged anew, for `take` does not
         compare what is repeated beside these."""
         self.ground = carried(np.asarray(self.ground), east, north, NAN)
+        self.slopes = carried(np.asarray(self.slopes), east, north, NAN)
         return self.reach + BLOCK
 
     @cython.locals(elevation=cython.double[:, ::1], slope_x=cython.double[:, ::1])
     @cython.locals(slope_y=cython.double[:, ::1], subscale=cython.double[:, ::1])
     @cython.locals(changed=cython.uchar[:, ::1], ground=cython.double[:, :, ::1])
+    @cython.locals(slopes=cython.float[:, :, ::1], east_up=cython.float, north_up=cython.float)
     def take(
         self, elevation: Array, slope_x: Array, slope_y: Array, subscale: Array, changed: Bytes
     ) -> None:
@@ -247,7 +240,7 @@ class Blocks:
         n: cython.Py_ssize_t = elevation.shape[0]
         first: cython.Py_ssize_t = self.reach
         after: cython.Py_ssize_t = self.reach + n
-        half, ground = 0.5 * self.side, self.ground
+        half, ground, slopes = 0.5 * self.side, self.ground, self.slopes
         with cython.nogil:
             for i in range(ground.shape[1]):
                 r = min(max(i - first, 0), n - 1)
@@ -256,14 +249,17 @@ class Blocks:
                     x, y, z = slope_x[r, c], slope_y[r, c], elevation[r, c]
                     pad = z + self.pad_radius * sqrt(x * x + y * y)
                     top = z + half * (fabs(x) + fabs(y)) + SHAPE * subscale[r, c]
-                    same = ground[0, i, k] == pad and ground[3, i, k] == top
-                    if not (same and ground[1, i, k] == x and ground[2, i, k] == y):
-                        ground[0, i, k], ground[3, i, k] = pad, top
-                        ground[1, i, k], ground[2, i, k] = x, y
+                    east_up, north_up = x, y
+                    same = ground[0, i, k] == pad and ground[1, i, k] == top
+                    if not (same and slopes[0, i, k] == east_up and slopes[1, i, k] == north_up):
+                        ground[0, i, k], ground[1, i, k] = pad, top
+                        slopes[0, i, k], slopes[1, i, k] = east_up, north_up
                         changed[r, c] = True
-                for k in range(4):
+                for k in range(2):
                     ground[k, i, :first] = ground[k, i, first]
                     ground[k, i, after:] = ground[k, i, after - 1]
+                    slopes[k, i, :first] = slopes[k, i, first]
+                    slopes[k, i, after:] = slopes[k, i, after - 1]
 
     @cython.locals(due=cython.uchar[:, ::1], changed=cython.uchar[:, ::1])
     @cython.locals(worst=cython.float[:, :, ::1])
@@ -314,8 +310,10 @@ class Blocks:
                     continue
                 if not loaded:
                     self.load(row, column)
-                    self.place_pads()
+                    self.place_pads(row, column)
+                    self.find_planes()
                     self.cover()
+                    self.bound_rises()
                     loaded = True
                 self.find_worst(r - row, c - column)
                 worst[0, r, c], worst[1, r, c] = self.worst_rise, self.worst_slope
@@ -343,173 +341,168 @@ class Blocks:
             for j in range(w):
                 z = base + self.offset[j] * slope_x
                 self.pad[i * w + j] = self.ground[0, row + i, column + j] - z
-                self.top[i * w + j] = self.ground[3, row + i, column + j] - z
-            for j in range(w):
-                self.slope_x[i * w + j] = self.ground[1, row + i, column + j] - slope_x
-                self.slope_y[i * w + j] = self.ground[2, row + i, column + j] - slope_y
+                self.top[i * w + j] = self.ground[1, row + i, column + j] - z
         self.base_x, self.base_y = slope_x, slope_y
 
-    def place_pads(self) -> None:
-        """Heights of the pads about every grid point of the block, and their bounds."""
+    def place_pads(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> None:
+        """Heights of the pads about every grid point of the block that begins at one."""
         cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
-        cython.declare(here=cython.Py_ssize_t, place=cython.Py_ssize_t)
-        # Numbers, for Cython 3.0 takes no names here: 64 is POINTS, 24 is PLANES.
+        cython.declare(r=cython.Py_ssize_t, c=cython.Py_ssize_t, place=cython.Py_ssize_t)
+        # Numbers, for Cython 3.0 takes no names here: 64 is POINTS.
         height = cython.declare(cython.float[64])
-        lowest = cython.declare(cython.float[64])
-        highest = cython.declare(cython.float[64])
-        for i in range(POINTS):
-            lowest[i], highest[i] = FAR, -FAR
-        for k in range(4 * self.yaws):
+        rise: cython.float
+        for k in range(2 * PLANES):
             x, y = self.pad_x[k], self.pad_y[k]
+            rise = self.base_x * x + self.base_y * y
             for i in range(BLOCK):
-                here = i * BLOCK
-                place = (self.reach + i) * self.width + self.reach + self.pad_place[k]
+                r, c = self.reach + i + self.pad_row[k], self.reach + self.pad_column[k]
+                place = r * self.width + c
+                r, c = row + r, column + c
                 for j in range(BLOCK):
-                    z = self.pad[place + j] + self.slope_x[place + j] * x
-                    height[here + j] = z + self.slope_y[place + j] * y
-            here = k * POINTS
+                    z = self.slopes[0, r, c + j] * x + self.slopes[1, r, c + j] * y
+                    height[i * BLOCK + j] = self.pad[place + j] + (z - rise)
             for i in range(POINTS):
-                self.stand[here + i] = height[i]
-                lowest[i] = height[i] if height[i] < lowest[i] else lowest[i]
-                highest[i] = height[i] if height[i] > highest[i] else highest[i]
-        for i in range(POINTS):
-            self.spread[i], self.floor[i] = highest[i] - lowest[i], lowest[i]
-            self.floor[i] -= SAG * self.spread[i] + self.rounding if self.bounded else FAR
+                self.stand[k * POINTS + i] = height[i]
+
+    def find_planes(self) -> None:
+        """The resting planes at every grid point, two for each heading, and their bounds.
+
+        One end of the diagonal that carries is as far over its middle as the other is under: the
+        rise over a radius, in the heading and across it, of the one plane and the other.
+        """
+        cython.declare(k=cython.Py_ssize_t, p=cython.Py_ssize_t)
+        cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+        cython.declare(x=cython.float, y=cython.float, u=cython.float, v=cython.float)
+        cython.declare(along=cython.float, across=cython.float)
+        half: cython.float = 0.5
+        corner: cython.float = self.corner
+        east_up: cython.float = self.base_x
+        north_up: cython.float = self.base_y
+        for p in range(POINTS):
+            self.steep[p], self.sink[p] = 0.0, -FAR
+            self.fall_east[p] = self.fall_west[p] = -FAR
+            self.fall_north[p] = self.fall_south[p] = -FAR
+        for k in range(PLANES // 2):
+            i, j = 4 * k * POINTS, 2 * k * POINTS
+            cos, sin = self.cos[k], self.sin[k]
+            for p in range(POINTS):
+                east, north = self.stand[i + p], self.stand[i + POINTS + p]
+                west, south = self.stand[i + 2 * POINTS + p], self.stand[i + 3 * POINTS + p]
+                centre = half * max(east + west, north + south)
+                along, across = east - centre, north - centre
+                x, y = along * cos - across * sin, along * sin + across * cos
+                along, across = centre - west, centre - south
+                u, v = along * cos - across * sin, along * sin + across * cos
+                self.planes_x[j + p], self.planes_x[j + POINTS + p] = x, u
+                self.planes_y[j + p], self.planes_y[j + POINTS + p] = y, v
+                self.planes_z[k * POINTS + p] = centre
+                low = -centre
+                self.sink[p] = max(self.sink[p], low)
+                self.fall_east[p] = max(self.fall_east[p], low - corner * min(x, u))
+                self.fall_west[p] = max(self.fall_west[p], low + corner * max(x, u))
+                self.fall_north[p] = max(self.fall_north[p], low - corner * min(y, v))
+                self.fall_south[p] = max(self.fall_south[p], low + corner * max(y, v))
+                x, y = x + east_up, y + north_up
+                u, v = u + east_up, v + north_up
+                self.steep[p] = max(self.steep[p], max(x * x + y * y, u * u + v * v))
+        for p in range(POINTS):
+            self.fall_east[p] = (self.fall_east[p] - self.sink[p]) / corner
+            self.fall_west[p] = (self.fall_west[p] - self.sink[p]) / corner
+            self.fall_north[p] = (self.fall_north[p] - self.sink[p]) / corner
+            self.fall_south[p] = (self.fall_south[p] - self.sink[p]) / corner
 
     def cover(self) -> None:
-        """Highest ground under the lander at every grid point, in all and row by row.
+        """Highest ground under the lander at every grid point, column by column.
 
-        A disc is a stack of centred runs of cells.
+        A disc is a row of centred runs of cells.
         """
         cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
-        cython.declare(half=cython.Py_ssize_t, place=cython.Py_ssize_t)
+        cython.declare(half=cython.Py_ssize_t, south=cython.Py_ssize_t, north=cython.Py_ssize_t)
+        cython.declare(here=cython.Py_ssize_t, place=cython.Py_ssize_t)
         self.run[:] = -FAR
-        self.roof[:] = -FAR
         self.highest[:] = -FAR
         for half in range(1, self.reach + 1):
-            for i in range(self.width):
-                place = i * self.width + self.reach
-                k = i * BLOCK
-                for j in range(BLOCK):
-                    west, east = self.top[place - half + j], self.top[place + half - 1 + j]
-                    z = west if west > east else east
-                    self.run[k + j] = z if z > self.run[k + j] else self.run[k + j]
-            for i in range(2 * self.reach):
-                if self.half[i] == half:
-                    for k in range(POINTS):
-                        z = self.run[i * BLOCK + k]
-                        self.highest[i * POINTS + k] = z
-                        self.roof[k] = z if z > self.roof[k] else self.roof[k]
+            south, north = (self.reach - half) * self.width, (self.reach + half - 1) * self.width
+            for i in range(BLOCK * self.width):
+                z = max(self.top[south + i], self.top[north + i])
+                self.run[i] = max(self.run[i], z)
+            for j in range(2 * self.reach):
+                if self.half[j] == half:
+                    for i in range(BLOCK):
+                        here, place = j * POINTS + i * BLOCK, i * self.width + j
+                        for k in range(BLOCK):
+                            self.highest[here + k] = self.run[place + k]
+
+    def bound_rises(self) -> None:
+        """By how much ground may rise over a resting plane at the grid points, column by column."""
+        cython.declare(j=cython.Py_ssize_t, p=cython.Py_ssize_t, here=cython.Py_ssize_t)
+        aside = cython.declare(cython.float[64])
+        level = cython.declare(cython.float[64])
+        rounding: cython.float = self.rounding
+        least: cython.float = 0.0
+        for p in range(POINTS):
+            aside[p] = max(max(self.fall_south[p], self.fall_north[p]), least)
+            level[p] = self.sink[p] + rounding
+            self.most[p] = -FAR
+        for j in range(2 * self.reach):
+            away, wide, here = self.away[j], self.aside[j], j * POINTS
+            for p in range(POINTS):
+                fall = self.fall_west[p] if j < self.reach else self.fall_east[p]
+                z = self.highest[here + p] + (wide * aside[p] + (away * fall + level[p]))
+                self.highest[here + p] = z
+                self.most[p] = max(self.most[p], z)
 
     def find_worst(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> None:
         """Find the worst contact of the lander at a grid point of the block."""
         place: cython.Py_ssize_t = row * BLOCK + column
-        lowest = self.floor[place] + self.low_rise
-        bound = sqrt(self.base_x**2 + self.base_y**2) + self.spread[place] / self.radius
-        self.worst_rise, self.worst_slope = self.low_rise, self.low_slope
-        under: cython.bint = self.roof[place] > lowest
-        if bound <= self.low_slope - SLOPE_ROUNDING and not under:
-            return
-        self.find_planes(place)
-        if self.worst_slope > self.high_slope or not under:
-            return
-        self.bound_planes()
-        self.find_rise(row, column)
-
-    def find_planes(self, place: cython.Py_ssize_t) -> None:
-        """The resting planes at a grid point, two for each heading.
-
-        Sets their slopes in x and y and height at the grid point, over the block's plane, and the
-        steepest slope.
-        """
-        cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t)
-        n: cython.Py_ssize_t = self.yaws
-        east_up: cython.float = self.base_x
-        north_up: cython.float = self.base_y
-        # One end of the diagonal that carries is as far over its middle as the other is under: the
-        # rise over a radius, in the heading and across it, of the one plane and the other.
-        east = cython.declare(cython.float[24])
-        north = cython.declare(cython.float[24])
-        west = cython.declare(cython.float[24])
-        south = cython.declare(cython.float[24])
-        along = cython.declare(cython.float[24])
-        across = cython.declare(cython.float[24])
-        square = cython.declare(cython.float[24])
-        for k in range(n):
-            i = 4 * k * POINTS + place
-            east[k], north[k] = self.stand[i], self.stand[i + POINTS]
-            west[k], south[k] = self.stand[i + 2 * POINTS], self.stand[i + 3 * POINTS]
-        for k in range(n):
-            centre: cython.float = 0.5 * max(east[k] + west[k], north[k] + south[k])
-            along[k], across[k] = east[k] - centre, north[k] - centre
-            along[n + k], across[n + k] = centre - west[k], centre - south[k]
-            self.resting_z[k] = self.resting_z[n + k] = centre
-        for k in range(2 * n):
-            self.resting_x[k] = along[k] * self.cos[k] - across[k] * self.sin[k]
-            self.resting_y[k] = along[k] * self.sin[k] + across[k] * self.cos[k]
-        for k in range(2 * n, PLANES):  # of one heading alone
-            self.resting_x[k], self.resting_y[k] = self.resting_x[0], self.resting_y[0]
-            self.resting_z[k] = self.resting_z[0]
-        for k in range(PLANES):
-            x, y = self.resting_x[k] + east_up, self.resting_y[k] + north_up
-            square[k] = x * x + y * y
-        self.worst_slope = max(self.worst_slope, sqrt(greatest(square)))
-
-    def bound_planes(self) -> None:
-        """Bounds of the resting planes."""
-        k: cython.Py_ssize_t
-        corner: cython.float = self.corner
-        under = cython.declare(cython.float[24])
-        for k in range(PLANES):
-            under[k] = -self.resting_z[k]
-        self.sink = greatest(under)
-        for k in range(PLANES):
-            under[k] = -self.resting_z[k] - corner * self.resting_x[k]
-        self.fall_east = (greatest(under) - self.sink) / corner
-        for k in range(PLANES):
-            under[k] = -self.resting_z[k] + corner * self.resting_x[k]
-        self.fall_west = (greatest(under) - self.sink) / corner
-        for k in range(PLANES):
-            under[k] = -self.resting_z[k] - corner * self.resting_y[k]
-        self.fall_north = (greatest(under) - self.sink) / corner
-        for k in range(PLANES):
-            under[k] = -self.resting_z[k] + corner * self.resting_y[k]
-        self.fall_south = (greatest(under) - self.sink) / corner
+        self.worst_rise = self.low_rise
+        self.worst_slope = max(self.low_slope, sqrt(self.steep[place]))
+        if self.worst_slope <= self.high_slope and self.most[place] > self.low_rise:
+            self.find_rise(row, column)
 
     def find_rise(self, row: cython.Py_ssize_t, column: cython.Py_ssize_t) -> None:
         """Set the lander at a grid point over the cells that may be in its way.
 
         Until one rises over the limit: by how much does not matter.
         """
-        cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, place=cython.Py_ssize_t)
+        cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+        cython.declare(place=cython.Py_ssize_t, fall=cython.float, deep=cython.float)
+        cython.declare(least=cython.float, reach=cython.float)
+        point: cython.Py_ssize_t = row * BLOCK + column
+        for k in range(PLANES):
+            self.resting_x[k] = self.planes_x[k * POINTS + point]
+            self.resting_y[k] = self.planes_y[k * POINTS + point]
+        for k in range(PLANES // 2):
+            i = k * POINTS + point
+            self.resting_z[2 * k] = self.resting_z[2 * k + 1] = self.planes_z[i]
         # What is in the way of one grid point mostly is of the next.
         i, j = self.spoiler_row - row, self.spoiler_column - column
         worst: cython.float = self.worst_rise
-        if 0 <= i < 2 * self.reach and -self.half[i] <= j - self.reach < self.half[i]:
+        if 0 <= j < 2 * self.reach and -self.half[j] <= i - self.reach < self.half[j]:
             worst = self.rise_at(row, column, i, j, worst)
-        level: cython.float = self.sink + self.rounding
-        aside: cython.float = max(max(self.fall_east, self.fall_west), 0.0)
-        # What is not higher than this is in the way in no row.
-        most: cython.float = max(max(self.fall_south, self.fall_north), aside) * self.corner + level
-        low: cython.float = worst - most
-        for i in range(2 * self.reach):
-            if self.highest[i * POINTS + row * BLOCK + column] <= low:
+        level: cython.float = self.sink[point] + self.rounding
+        limit: cython.float = self.high_rise
+        south: cython.float = self.fall_south[point]
+        north: cython.float = self.fall_north[point]
+        aside: cython.float = max(max(south, north), 0.0)
+        for j in range(2 * self.reach):
+            if self.highest[j * POINTS + point] <= worst:
                 continue
-            deep = self.away[i] * (self.fall_south if i < self.reach else self.fall_north) + level
-            most = self.aside[i] * aside + deep
-            if self.highest[i * POINTS + row * BLOCK + column] + most <= worst:
-                continue
-            least: cython.float = worst - most
-            place = (row + i) * self.width + column
-            for j in range(self.reach - self.half[i], self.reach + self.half[i]):
-                height = self.top[place + j]
+            fall = self.fall_west[point] if j < self.reach else self.fall_east[point]
+            deep = self.away[j] * fall + level
+            least = worst - (self.aside[j] * aside + deep)
+            place = row * self.width + column + j
+            for i in range(self.reach - self.half[j], self.reach + self.half[j]):
+                height = self.top[place + i * self.width]
                 if height <= least:
                     continue
-                fall = self.fall_west if j < self.reach else self.fall_east
-                if height + (self.away[j] * fall + deep) > worst:
+                fall = south if i < self.reach else north
+                reach = height + (self.away[i] * fall + deep)
+                if reach > worst:
                     worst = self.rise_at(row, column, i, j, worst)
-                    if worst > self.high_rise:
-                        break
+                    if worst > limit:
+                        self.worst_rise = worst
+                        return
         self.worst_rise = worst
 
     def rise_at(

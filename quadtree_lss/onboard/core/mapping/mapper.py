@@ -32,8 +32,7 @@ from quadtree_lss.onboard.core.mapping.departure import Departure, departure
 from quadtree_lss.onboard.core.mapping.measure import Rules, unseen_parts
 from quadtree_lss.onboard.core.mapping.pose_errors import PoseErrors, Steps
 from quadtree_lss.onboard.core.mapping.prior_offset import PriorMatch, PriorOffset
-from quadtree_lss.onboard.core.mapping.room import Room
-from quadtree_lss.onboard.core.mapping.update import ScanUpdate
+from quadtree_lss.onboard.core.mapping.update import Room, ScanUpdate
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.pose_buffer import SECOND_NS
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan, register
@@ -175,7 +174,7 @@ class Mapper:
                 if not self.stamp_ns - JUMP_NS <= pose.stamp_ns <= self.stamp_ns:
                     self.stamp_ns = pose.stamp_ns
                 self._start_ns = self._start_ns or pose.stamp_ns
-                if self.config.mapping.align and self.config.mapping.covariance == "common":
+                if not self.config.mapping.by_paper("covariance"):
                     offset = self._align(change, cells, now)
                 change.settle()
                 if self._prior is not None:

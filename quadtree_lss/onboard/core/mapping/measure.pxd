@@ -32,7 +32,7 @@ cdef struct Run:
     double bias[3]
 
 cdef class Rules:
-    cdef readonly double range_noise, noise_per_metre, divergence, stereo
+    cdef readonly double range_noise, noise_per_metre, stereo
     cdef readonly double ahead_x, ahead_y, ahead_z
     cdef readonly bint ml, independent, mahalanobis
     cdef readonly double division_factor, division_confidence, min_residuals
@@ -40,13 +40,11 @@ cdef class Rules:
     cdef readonly double min_points, slope_points
     cdef readonly double correlation_time
     cdef readonly double uneven, slack, clip, tolerance
-    cdef readonly bint features
     cdef readonly double feature_height, feature_volume, feature_width, feature_points
     cdef readonly double rock_height, rock_sigma
 
 cdef bint partial(Run* run) noexcept nogil
 cdef bint few(Run* run) noexcept nogil
-cpdef double range_variance(double noise, double per_metre, double divergence, double distance, double cosine) noexcept nogil
 cdef double pose_variance(double* normal, double* arm, double* sigma) noexcept nogil
 cdef double _unseen(double square, double correlation, double side, double points) noexcept nogil
 cdef void _bias(Run* run, double ray_x, double ray_y, double deviation, double lean, bint sloped) noexcept nogil

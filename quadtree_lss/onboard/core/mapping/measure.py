@@ -102,12 +102,11 @@ class Rules:
         lidar, mapping, lengths = config.lidar, config.mapping, config.vehicle.lengths
         self.range_noise = lidar.range_noise
         self.noise_per_metre = lidar.range_noise_per_metre
-        self.stereo = lidar.stereo
+        self.stereo = lidar.stereo_noise
         self.look(np.zeros(3))
-        self.divergence = lidar.beam_divergence
-        self.ml = mapping.fit == "ml"
-        self.independent = mapping.covariance == "independent"
-        self.mahalanobis = mapping.division == "mahalanobis"
+        self.ml = mapping.by_paper("fit")
+        self.independent = mapping.by_paper("covariance")
+        self.mahalanobis = mapping.by_paper("division")
         self.division_factor = mapping.division_factor
         self.division_confidence = CONFIDENCE
         self.min_residuals = LEAST_RESIDUALS
@@ -120,7 +119,6 @@ class Rules:
         self.uneven, self.slack = lengths.uneven, lengths.slack
         self.clip = lengths.clip
         self.tolerance = lengths.tolerance
-        self.features = config.features.enabled
         self.feature_height = lengths.feature_height
         self.feature_volume = lengths.feature_volume
         self.feature_width = FEATURE_WIDTH
@@ -141,18 +139,6 @@ def partial(run: Record) -> cython.bint:
 def few(run: Record) -> cython.bint:
     """Whether a plane goes through all points of a run: they do not test a fit of their own."""
     return run.points <= 3.0
-
-
-def range_variance(
-    noise: float, per_metre: float, divergence: float, distance: float, cosine: float
-) -> cython.double:
-    """Variance of a range, m^2 (Eq. 13): (sigma_0 + sigma_1 r)^2 + (beta r tan i)^2.
-
-    The last is the depth of the beam's footprint on ground inclined by i, cos i = |n.u|.
-    """
-    along = noise + per_metre * distance
-    depth = divergence * distance
-    return along * along + depth * depth * (1.0 / (cosine * cosine) - 1.0)
 
 
 def pose_variance(normal: Vector, arm: Vector, sigma: Vector) -> cython.double:
@@ -340,7 +326,8 @@ def measure(
     cosine = max(cosine, MIN_COSINE)
     if line or count < rules.min_points:
         cosine = max(cosine, -ray_z)
-    along = range_variance(noise, rules.noise_per_metre, rules.divergence, distance, cosine)
+    along = noise + rules.noise_per_metre * distance  # Eq. 13
+    along *= along
     run.cosine = cosine
     run.variance = variance = along * cosine * cosine
     if rules.independent:
@@ -411,6 +398,7 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
     observed = table.seen
     with cython.nogil:
         for i in range(rows.shape[0]):
+            table.expect(rows[min(i + 4, rows.shape[0] - 1)])
             leaf = table.at(rows[i])
             slope[0] = slope[3] = leaf.bias[0] * leaf.bias[0]
             slope[1] = slope[2] = 0.0

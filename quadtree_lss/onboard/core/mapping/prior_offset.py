@@ -15,7 +15,7 @@ chi-square is of another place, unit or datum, and is not used any more.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import nan, pi
+from math import nan
 
 import numpy as np
 
@@ -162,8 +162,7 @@ class PriorMatch:
         known = np.isfinite(height)
         if not known.any():
             return
-        length = self.prior.config.correlation_length
-        shared = ((planes.width + planes.step) ** 2 + 2.0 * pi * length**2) / self._side**2
+        shared = (planes.width + planes.step) ** 2 / self._side**2
         error = max(shared, 1.0) * (planes.height + np.where(known, left, 0.0))
         gap = np.where(known, z - height - self._up, 0.0)
         expected = self._variance + error

@@ -1,30 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
 cimport cython
-from libc.math cimport INFINITY as INFINITE, NAN, exp, fabs, sqrt
-from quadtree_lss.onboard.core.geometry.plane cimport fuse, fuse_height, offset_variance
-from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
+from libc.math cimport INFINITY as INFINITE, NAN, fabs, sqrt
+from quadtree_lss.onboard.core.geometry.plane cimport offset_variance
 from quadtree_lss.onboard.core.mapping.division cimport (
     asks, departs, hides_rock, judge, rest, rough, standing_out
 )
-from quadtree_lss.onboard.core.mapping.features cimport update_feature
+from quadtree_lss.onboard.core.mapping.features cimport Heights, update_feature
+from quadtree_lss.onboard.core.mapping.fusion cimport Fusion
 from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, few, measure, partial, pose_variance
-from quadtree_lss.onboard.core.mapping.room cimport Room
 from quadtree_lss.onboard.core.tree.leaves cimport HINTS, INHERITED, KNOWN, MEASURED, NOTHING, OUT, SEEN, Leaf, LeafTable
 
 cdef void know(unsigned char[::1] seen, long long[::1] key, Py_ssize_t begin, Py_ssize_t end) noexcept nogil
+
+cdef class Room:
+    cdef Py_ssize_t points, cells
+    cdef Py_ssize_t[::1] begins, rows
+    cdef double[::1] residual, ratios, weights
+    cdef object ratio
+    cdef Heights heights
+    cdef Run[::1] runs
+    cpdef hold(self, Py_ssize_t points)
+    cpdef hold_runs(self, Py_ssize_t cells)
 
 @cython.final
 cdef class ScanUpdate:
     cdef LeafTable table
     cdef Rules rules
     cdef Room room
+    cdef Fusion fusion
     cdef double[:, ::1] points
     cdef double[::1] residual
     cdef long long[::1] key
-    cdef double sigma[36]
-    cdef double[:, ::1] beginning
-    cdef bint begins_so
-    cdef int coarsest
     cdef double[:, ::1] columns
     cdef Run[::1] runs
     cdef Py_ssize_t[::1] rows
@@ -32,11 +38,8 @@ cdef class ScanUpdate:
     cdef readonly object ratio
     cdef double[::1] ratios
     cdef double[::1] weights
-    cdef double origin[3]
-    cdef double now, common_at, common_is
     cdef readonly Py_ssize_t cells
     cdef Py_ssize_t rested
-    cdef bint aligned
     cdef readonly Py_ssize_t divisions
     cdef readonly Py_ssize_t refused
     cdef Run* _run(self, Py_ssize_t at) noexcept nogil
@@ -44,15 +47,6 @@ cdef class ScanUpdate:
     cdef double* _from(self, Py_ssize_t begin) noexcept nogil
     cdef void _measure(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
     cdef void _compare(self, Leaf* leaf, Run* run, Py_ssize_t at) noexcept nogil
-    cdef bint _contradicts(self, Leaf* leaf, Run* run) noexcept nogil
-    cdef void _place(self, Leaf* leaf, Run* run, double* out) noexcept nogil
-    cdef void _doubt(self, Leaf* leaf, Run* run) noexcept nogil
-    cdef void _fuse(self, Leaf* leaf, Run* run, bint same_scan) noexcept nogil
-    cdef void _along(self, Leaf* leaf, Run* run, double* out) noexcept nogil
-    cdef double _height(self, double* known) noexcept nogil
-    cdef double _turn(self, Leaf* leaf, Run* run) noexcept nogil
-    cdef bint _apart(self, Leaf* leaf, Run* run) noexcept nogil
-    cdef void _begin(self, Leaf* leaf) noexcept nogil
     cdef bint _divide(self, Py_ssize_t row, Run* run) noexcept nogil
     cdef void _settle(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, Run* run, bint same_scan) noexcept nogil
     cdef void _go_on(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, bint same_scan) noexcept nogil
@@ -60,4 +54,3 @@ cdef class ScanUpdate:
     cdef void _residuals(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
     cdef bint _mound(self, Py_ssize_t begin, Py_ssize_t end, double variance, double sign) noexcept nogil
     cdef void _rest(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
-    cdef double common(self, double time) noexcept nogil

@@ -10,17 +10,16 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Keys
 from quadtree_lss.onboard.core.geometry.bounds import HEIGHTS
-from quadtree_lss.onboard.core.geometry.sphere import Vector
-from quadtree_lss.onboard.core.mapping.measure import Rules
-from quadtree_lss.onboard.core.mapping.room import KEPT_POINTS, Room
+from quadtree_lss.onboard.core.mapping.features import Heights
+from quadtree_lss.onboard.core.mapping.fusion import Fusion
+from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
 
 if not cython.compiled:
-    from math import exp, fabs, inf, nan, sqrt
+    from math import fabs, inf, nan, sqrt
 
-    from quadtree_lss.onboard.core.geometry.plane import fuse, fuse_height, offset_variance
-    from quadtree_lss.onboard.core.geometry.sphere import basis_at
+    from quadtree_lss.onboard.core.geometry.plane import offset_variance
     from quadtree_lss.onboard.core.mapping.division import (
         asks,
         departs,
@@ -46,31 +45,17 @@ if not cython.compiled:
 
 #: Share of a finest cell, of 6 cm in 25, on which nothing stands out that matters.
 FEW = cython.declare(cython.double, 1.0 / 16.0)
-#: A slope less certain than this (rad, one sigma) is none.
-MAX_SLOPE_SIGMA = cython.declare(cython.double, 0.3)
-#: Before anything is known, ground is level but for this (rad, one sigma) ...
-LEVEL_SIGMA = cython.declare(cython.double, 0.5)
-#: ... and this high or low, m.
-HEIGHT_SIGMA = cython.declare(cython.double, 1e3)
-#: Variance of the places of a first plane along the ray, over that of noise, at least.
-APART = cython.declare(cython.double, 4.0)
-#: Noise turns no plane by more, rad.
-TURNED = cython.declare(cython.double, 1.5)
 #: A plane that moved by such a share of what stands out is another one.
 MOVED = cython.declare(cython.double, 0.75)
-#: A run contradicts a plane that is so many deviations off.
-CONTRADICTING = cython.declare(cython.double, 30.0)
 #: The mean of a finest cell's returns rises so many deviations over a plane: of 65,536 cells noise
 #: lifts two so far.
 PILED = cython.declare(cython.double, 4.0)
 #: Points of a scan in a cell that tell the range noise.
 NOISE_POINTS = cython.declare(cython.double, 8.0)
-#: A first plane so many deviations from that of a prior does not begin from it.
-BEGINNING = cython.declare(cython.double, 3.0)
 #: A plane is higher or lower at no cell's centre, m.
 HIGHEST = cython.declare(cython.double, HEIGHTS)
-#: A leaf begins from nothing.
-NO_PRIOR = np.empty((0, 5))
+#: Of larger scans no memory is kept.
+KEPT_POINTS = 1 << 20
 
 
 @cython.boundscheck(False)
@@ -79,6 +64,41 @@ def know(seen: Bytes, key: Keys, begin: cython.Py_ssize_t, end: cython.Py_ssize_
     i: cython.Py_ssize_t
     for i in range(begin, end):
         seen[key[i]] = KNOWN
+
+
+class Room:
+    """Memory for what is found of one scan, kept for the next: its points and its cells.
+
+    To ask for it anew and to tell what its records are took a twentieth of a scan. What was in it
+    is lost as it grows.
+
+    Attributes:
+        begins, rows: Of each cell, the first of its points, and its row in the table.
+        residual: Of each point, m.
+        ratio: (2, N) of cells that tell the range noise.
+        heights: For the feature of a cell.
+        runs: Records of type `RUN`, one for each cell.
+    """
+
+    def __init__(self) -> None:
+        self.points = self.cells = -1
+
+    def hold(self, points: cython.Py_ssize_t) -> None:
+        """Have room for so many points."""
+        if points > self.points:
+            self.points = points
+            self.begins, self.rows = np.empty((2, points + 1), dtype=np.intp)
+            self.residual = np.empty(points)
+            self.ratio = np.empty((2, points))
+            self.ratios, self.weights = self.ratio
+            self.heights = Heights(points)
+
+    def hold_runs(self, cells: cython.Py_ssize_t) -> None:
+        """Have room for the records of so many cells."""
+        if cells > self.cells:
+            self.cells = 2 * cells
+            runs = np.empty(self.cells, dtype=RUN)
+            self.runs = runs if cython.compiled else runs.view(np.recarray)
 
 
 class ScanUpdate:
@@ -91,8 +111,6 @@ class ScanUpdate:
         divisions, refused: Cells divided, and divisions for which there was no room.
         ratio: (2, R) of the cells in which points came to rest and that tell the range noise:
             observed over configured deviation, and points; until the next scan.
-
-    Of a prior, ``beginning`` holds what `prior.Planes.beginning` says of the coarsest cells.
     """
 
     def __init__(
@@ -106,23 +124,11 @@ class ScanUpdate:
     ) -> None:
         count = len(scan.key)
         self.table = table
-        self.begins_so = beginning is not None
-        self.beginning = NO_PRIOR if beginning is None else beginning
-        self.coarsest = table.domain.min_level
+        self.fusion = Fusion(table, rules, scan, now, beginning)
         self.rules = rules
         rules.look(scan.pose.rotation_map_lidar[:, 2])
         self.points = scan.points
         self.key = scan.key
-        x, y, z = scan.origin.tolist()
-        self.origin = [x, y, z]
-        covariance = scan.pose.covariance.ravel().tolist()
-        if not cython.compiled:
-            self.sigma = covariance
-        for i in range(36):
-            self.sigma[i] = covariance[i]
-        self.aligned = False
-        self.now = self.common_at = now
-        self.common_is = 1.0
         self.room = Room() if room is None or count > KEPT_POINTS else room
         self.room.hold(count)
         self.residual = self.room.residual
@@ -212,21 +218,21 @@ class ScanUpdate:
         square = leaf.normal[2] * leaf.normal[2]
         own = run.range_part[8] + leaf.range_part[8]
         misfit = leaf.square_sum / max(leaf.division_weight, 1.0) - run.variance
-        self.columns[0, at] = run.z + self.origin[2] - leaf.z
+        self.columns[0, at] = run.z + self.fusion.origin[2] - leaf.z
         if few(run):
-            self._place(leaf, run, place)
+            self.fusion.place(leaf, run, place)
             own = run.variance / run.points + offset_variance(leaf.range_part, place[0], place[1])
             self.columns[0, at] = place[2]
         self.columns[1, at] = own / square + max(misfit, 0.0)
         pose = run.pose_part[8]
         if self.rules.independent:  # no part of a plane, but of the scan
-            pose = pose_variance(leaf.normal, run.centroid, self.sigma)
+            pose = pose_variance(leaf.normal, run.centroid, self.fusion.sigma)
         self.columns[2, at] = pose / square
         self.columns[3, at] = leaf.pose_part[8] / square
         self.columns[4, at] = leaf.first_time
         self.columns[5, at] = leaf.last_time
-        self.columns[6, at] = leaf.x - self.origin[0]
-        self.columns[7, at] = leaf.y - self.origin[1]
+        self.columns[6, at] = leaf.x - self.fusion.origin[0]
+        self.columns[7, at] = leaf.y - self.fusion.origin[1]
         self.columns[8, at] = run.z
         self.columns[9, at] = -leaf.normal[0] / leaf.normal[2]
         self.columns[10, at] = -leaf.normal[1] / leaf.normal[2]
@@ -235,17 +241,7 @@ class ScanUpdate:
 
     def align(self, down: float) -> None:
         """Lower the scan to where the map lies, by so many m."""
-        self.origin[2] -= down
-        self.aligned = True
-
-    def common(self, time: float) -> cython.double:
-        """Correlation of this scan's pose error with that of another time, s."""
-        if self.rules.correlation_time <= 0.0:
-            return 0.0
-        if time != self.common_at:  # many leaves were last seen by the same scan
-            self.common_at = time
-            self.common_is = exp(-fabs(self.now - time) / self.rules.correlation_time)
-        return self.common_is
+        self.fusion.align(down)
 
     def settle(self) -> None:
         """Fuse, judge and divide until no cell asks for it; then count the residuals."""
@@ -271,218 +267,12 @@ class ScanUpdate:
         if leaf.known == NOTHING:
             leaf.normal[0] = leaf.normal[1] = 0.0
             leaf.normal[2] = 1.0
-        x = leaf.x - self.origin[0]
-        y = leaf.y - self.origin[1]
+        x = leaf.x - self.fusion.origin[0]
+        y = leaf.y - self.fusion.origin[1]
         side = self.table.side(leaf.level)
-        z = leaf.z - self.origin[2] if leaf.known != NOTHING else NAN
+        z = leaf.z - self.fusion.origin[2] if leaf.known != NOTHING else NAN
         points = self._from(begin)
-        measure(self.rules, points, end - begin, x, y, z, side, leaf.normal, self.sigma, run)
-
-    def _contradicts(self, leaf: Record, run: Record) -> cython.bint:
-        """Whether a run is of another place altogether than a plane, beyond any covariance.
-
-        A scan with a wrong pose over ground that no other had seen leaves such planes; to average
-        with them would keep them for ever. They are kept apart, and points are votes.
-        """
-        if leaf.known < INHERITED:
-            return False
-        variance = leaf.range_part[8] + leaf.pose_part[8] + run.range_part[8] + run.pose_part[8]
-        off = (leaf.z - self.origin[2] - run.z) * leaf.normal[2]
-        return off * off > CONTRADICTING * CONTRADICTING * (variance + self.rules.slack)
-
-    def _place(self, leaf: Record, run: Record, out: Vector) -> None:
-        """Where a leaf's plane is at the middle of a run, from its centre along its tangent axes,
-        and how high the run lies over it there (3), m."""
-        basis = cython.declare(cython.double[6])
-        basis_at(leaf.normal, basis)
-        x = run.centroid[0] - (leaf.x - self.origin[0])
-        y = run.centroid[1] - (leaf.y - self.origin[1])
-        z = -(leaf.normal[0] * x + leaf.normal[1] * y) / leaf.normal[2]
-        out[0] = basis[0] * x + basis[1] * y + basis[2] * z
-        out[1] = basis[3] * x + basis[4] * y + basis[5] * z
-        out[2] = run.centroid[2] - z - (leaf.z - self.origin[2])
-
-    def _doubt(self, leaf: Record, run: Record) -> None:
-        """How far a run may lie off a leaf's plane where it was seen and both be right, m.
-
-        Twice the deviation: of the plane at the run's place, of the run, of what a plane leaves
-        out that passes for one, and what is news of the pose's error. Its height is taken out
-        where the scan was aligned. Besides, the share of its offset that is the plane's and the
-        pose's, p / (p + v / N) with their variance p and that of noise v.
-        """
-        place = cython.declare(cython.double[3])
-        self._place(leaf, run, place)
-        first, second = place[0], place[1]
-        factor = self.rules.division_factor
-        own = run.variance * (1.0 / run.points + factor * factor - 1.0)
-        news = 1.0 - self.common(leaf.last_time)
-        known = offset_variance(leaf.pose_part, first, second)
-        high = leaf.normal[2] * leaf.normal[2] * self.sigma[14] if self.aligned else 0.0
-        plane = offset_variance(leaf.range_part, first, second)
-        run.doubt = 2.0 * sqrt(own + plane + news * max(known + run.pose_part[8] - 2.0 * high, 0.0))
-        plane += news * (known + max(run.pose_part[8] - high, 0.0))
-        run.shared = plane / (plane + run.variance / run.points)
-
-    def _fuse(self, leaf: Record, run: Record, same_scan: cython.bint) -> None:
-        """Fuse a run's fit with what the leaf knows (paper IV.C), however little either is.
-
-        A first estimate of level ground is fused like any other. What a leaf inherited lies at the
-        height of the map, as an aligned scan does, or at that of this very scan: then pose error
-        is common to both, decides nothing between them and stays as it was. But what an aligned
-        scan is off sideways slopes make a height, which is news: n_xy^T C n_xy, C the covariance of
-        its ground's place.
-        """
-        rise = cython.declare(cython.double[1])
-        sideways = cython.declare(cython.double[3])
-        i: cython.int
-        fresh: cython.bint = leaf.known <= HINTS
-        if leaf.known == NOTHING:
-            leaf.first_time = self.now
-            leaf.z = run.z + self.origin[2]
-            for i in range(9):
-                leaf.range_part[i] = leaf.pose_part[i] = 0.0
-            leaf.range_part[0] = leaf.range_part[4] = LEVEL_SIGMA * LEVEL_SIGMA
-            leaf.range_part[8] = HEIGHT_SIGMA * HEIGHT_SIGMA
-        if same_scan or (self.aligned and leaf.known == INHERITED):
-            common = 1.0
-            if not same_scan:
-                sideways[0], sideways[1], sideways[2] = run.normal[0], run.normal[1], 0.0
-                news = 1.0 - self.common(leaf.last_time)
-                news *= pose_variance(sideways, run.centroid, self.sigma)
-                run.range_part[8] += news
-                run.own += news
-            for i in range(9):
-                run.pose_part[i] = leaf.pose_part[i]
-        else:
-            common = self.common(leaf.last_time)
-        if leaf.known == INHERITED:
-            # An inherited slope counts as a fit as certain as it.
-            leaf.bias[2] = run.variance / (leaf.range_part[0] + leaf.range_part[4])
-        known, told = leaf.range_part, leaf.pose_part
-        off = leaf.z - self.origin[2] - run.z
-        if run.alone:
-            place, pose = run.lever, run.pose_part
-            sloped: cython.bint = run.sloped > 0.0
-            fuse_height(leaf.normal, off, known, told, place, run.own, pose, common, sloped, rise)
-        else:
-            of_range, of_pose = run.range_part, run.pose_part
-            fuse(leaf.normal, off, known, told, run.normal, of_range, of_pose, common, rise)
-            for i in range(3):
-                leaf.normal[i] = run.normal[i]
-        leaf.z = run.z + self.origin[2] + rise[0]
-        leaf.points += run.points
-        leaf.bias[2] += run.bias[2]
-        leaf.bias[0] += run.bias[2] / max(leaf.bias[2], 1e-300) * (run.bias[0] - leaf.bias[0])
-        leaf.bias[1] += run.points / leaf.points * (run.bias[1] - leaf.bias[1])
-        leaf.last_time = self.now
-        if fresh:
-            steep = leaf.range_part[0] + leaf.range_part[4]
-            few: cython.bint = leaf.points < self.rules.min_points
-            if few or steep > MAX_SLOPE_SIGMA**2 or not self._apart(leaf, run):
-                leaf.known = HINTS
-                return
-        if leaf.bias[2] == 0.0:
-            leaf.bias[0] = self._turn(leaf, run)
-        if fresh and self.begins_so:
-            self._begin(leaf)
-        leaf.known = MEASURED
-
-    def _begin(self, leaf: Record) -> None:
-        """What a prior says of a leaf, fused with the first plane that points alone told of it.
-
-        That is the same as to begin from the prior, whatever comes first, but that a leaf is
-        measured no sooner for it, and that a prior of other ground is left out: one that is more
-        than `BEGINNING` deviations off in height or slope.
-        """
-        normal = cython.declare(cython.double[3])
-        known = cython.declare(cython.double[9])
-        pose = cython.declare(cython.double[9])
-        rise = cython.declare(cython.double[1])
-        i: cython.int
-        down: cython.int = leaf.level - self.coarsest
-        ix: cython.int = leaf.ix >> down
-        iy: cython.int = leaf.iy >> down
-        at: cython.Py_ssize_t = (cython.cast(cython.Py_ssize_t, iy) << self.coarsest) + ix
-        side = self.table.side(self.coarsest)
-        x = ((leaf.ix + 0.5) / (1 << down) - ix - 0.5) * side
-        y = ((leaf.iy + 0.5) / (1 << down) - iy - 0.5) * side
-        a, b = self.beginning[at, 1], self.beginning[at, 2]
-        square = 1.0 / (a * a + b * b + 1.0)
-        tilt = self.beginning[at, 3] * square
-        for i in range(9):
-            known[i] = pose[i] = 0.0
-        known[0] = known[4] = tilt
-        known[8] = self.beginning[at, 4] * square + tilt * (x * x + y * y)
-        off = self.beginning[at, 0] + a * x + b * y - leaf.z
-        normal[2] = sqrt(square)
-        normal[0], normal[1] = -a * normal[2], -b * normal[2]
-        x, y = leaf.normal[0] - normal[0], leaf.normal[1] - normal[1]
-        own = leaf.range_part[8] + leaf.pose_part[8]
-        turn = leaf.range_part[0] + leaf.range_part[4] + leaf.pose_part[0] + leaf.pose_part[4]
-        most = BEGINNING * BEGINNING
-        # A place that the prior does not cover is not a number, and not near.
-        if not (off * off * square <= most * (known[8] + own)):
-            return
-        if not (x * x + y * y <= most * (2.0 * tilt + turn)):
-            return
-        of_range = leaf.range_part
-        of_pose = leaf.pose_part
-        fuse(normal, off, known, pose, leaf.normal, of_range, of_pose, 0.0, rise)
-        for i in range(9):
-            of_range[i], of_pose[i] = known[i], pose[i]
-        leaf.z += rise[0]
-
-    def _along(self, leaf: Record, run: Record, out: Vector) -> None:
-        """The ray to a run, of length one, along the tangent axes of a leaf's plane (2)."""
-        basis = cython.declare(cython.double[6])
-        basis_at(leaf.normal, basis)
-        x, y, z = run.centroid[0], run.centroid[1], run.centroid[2]
-        per = 1.0 / sqrt(x * x + y * y + z * z)
-        out[0] = per * (basis[0] * x + basis[1] * y + basis[2] * z)
-        out[1] = per * (basis[3] * x + basis[4] * y + basis[5] * z)
-
-    def _height(self, known: Vector) -> cython.double:
-        """Variance of a plane's height where its slope does not matter, m^2."""
-        x = known[4] * known[2] - known[1] * known[5]
-        y = known[0] * known[5] - known[1] * known[2]
-        share = 1.0 / max(known[0] * known[4] - known[1] * known[1], 1e-300)
-        return known[8] - share * (x * known[2] + y * known[5])
-
-    def _turn(self, leaf: Record, run: Record) -> cython.double:
-        """What noise along the ray may turn a plane by of which lines of points alone tell, rad.
-
-        A^-1 q, as of a fit (`measure._bias`). Here A is the covariance of the places of all scans
-        together. It follows from the covariance V of the slope and the variance h of the height:
-        A^-1 = V / h.
-        """
-        ray = cython.declare(cython.double[2])
-        self._along(leaf, run, ray)
-        known = leaf.range_part
-        x = known[0] * ray[0] + known[1] * ray[1]
-        y = known[1] * ray[0] + known[4] * ray[1]
-        height = max(self._height(known), 1e-300)
-        lean = run.variance / (run.cosine * leaf.normal[2])
-        return min(lean * sqrt(x * x + y * y) / height, TURNED)
-
-    def _apart(self, leaf: Record, run: Record) -> cython.bint:
-        """Whether a first plane is of places that lie farther apart along the ray than noise puts
-        them: else it is turned towards the ray.
-
-        A slope of variance v from heights whose mean has the variance h is of places of variance
-        h (1 / v - 1 / v_0), v_0 that of a first estimate; a line that stands on one place seems to
-        have that which noise moves its points by along the plane, var(e) |B^T u|^2 over their
-        number.
-        """
-        ray = cython.declare(cython.double[2])
-        self._along(leaf, run, ray)
-        known = leaf.range_part
-        flat = ray[0] * ray[0] + ray[1] * ray[1]
-        slope = ray[0] * ray[0] * known[0] + 2.0 * ray[0] * ray[1] * known[1]
-        slope += ray[1] * ray[1] * known[4]
-        told = flat / max(slope, 1e-300) - 1.0 / (LEVEL_SIGMA * LEVEL_SIGMA)
-        height = self._height(known)
-        noise = run.variance / (run.cosine * run.cosine * run.points)
-        return height * told >= APART * noise * flat
+        measure(self.rules, points, end - begin, x, y, z, side, leaf.normal, self.fusion.sigma, run)
 
     def _divide(self, row: cython.Py_ssize_t, run: Record) -> cython.bint:
         """Divide a leaf above the finest level, if there is room.
@@ -524,7 +314,7 @@ class ScanUpdate:
         """
         leaf = self._leaf(row)
         side = self.table.side(leaf.level)
-        if self._contradicts(leaf, run):
+        if self.fusion.contradicts(leaf, run):
             leaf.points -= run.points
             if leaf.points > 0.0:
                 self._mark(begin, end, SEEN)
@@ -542,19 +332,21 @@ class ScanUpdate:
                 self._mark(begin, end, SEEN)
             return
         if leaf.known >= INHERITED:
-            self._doubt(leaf, run)
+            self.fusion.doubt(leaf, run)
             if (
                 partial(run)
                 and leaf.level < self.table.max_level
-                and departs(self.rules, leaf, run, self.points, begin, end, self.origin, side)
+                and departs(
+                    self.rules, leaf, run, self.points, begin, end, self.fusion.origin, side
+                )
             ):
                 self._residuals(leaf, begin, end, run)
                 if self._divide(row, run):
                     self._go_on(row, begin, end, False)
                     return
-        judge(self.rules, leaf, run, self._from(begin), self.origin, self.sigma)
+        judge(self.rules, leaf, run, self._from(begin), self.fusion.origin, self.fusion.sigma)
         x, y, z = leaf.normal[0] / leaf.normal[2], leaf.normal[1] / leaf.normal[2], leaf.z
-        self._fuse(leaf, run, same_scan)
+        self.fusion.fuse(leaf, run, same_scan)
         if not fabs(leaf.z) < HIGHEST:  # planes of places far above each other lead anywhere
             self.table.forget(leaf)
             self._mark(begin, end, SEEN)
@@ -624,7 +416,7 @@ class ScanUpdate:
         """
         cython.declare(i=cython.Py_ssize_t)
         out = count = 0.0
-        rest(self.rules, leaf, run, self.points, self.residual, begin, end, self.origin)
+        rest(self.rules, leaf, run, self.points, self.residual, begin, end, self.fusion.origin)
         if run.greatest <= run.raised_by:
             know(self.table.seen, self.key, begin, end)
             return
@@ -676,18 +468,17 @@ class ScanUpdate:
             self.weights[self.rested] = run.points
             self.rested += 1
         self._residuals(leaf, begin, end, run)
-        if self.rules.features:
-            update_feature(
-                self.rules,
-                leaf,
-                self.points,
-                self.residual,
-                begin,
-                end,
-                leaf.x - self.origin[0],
-                leaf.y - self.origin[1],
-                self.table.side(leaf.level),
-                run.variance,
-                run.greatest,
-                self.room.heights,
-            )
+        update_feature(
+            self.rules,
+            leaf,
+            self.points,
+            self.residual,
+            begin,
+            end,
+            leaf.x - self.fusion.origin[0],
+            leaf.y - self.fusion.origin[1],
+            self.table.side(leaf.level),
+            run.variance,
+            run.greatest,
+            self.room.heights,
+        )

@@ -132,7 +132,7 @@ def cloud_turn(config: MountConfig) -> NDArray[np.float64]:
 
 def fixed_mount(config: MountConfig) -> Pose | None:
     """Pose of the cloud's axes in body axes from the parameters; None if poses are their own."""
-    if config == MountConfig(gimbal=config.gimbal):
+    if config == MountConfig(source=config.source):
         return None
     roll, pitch, yaw = np.radians([config.roll_deg, config.pitch_deg, config.yaw_deg])
     rotation = product(exp([0.0, 0.0, yaw]), product(exp([0.0, pitch, 0.0]), exp([roll, 0.0, 0.0])))

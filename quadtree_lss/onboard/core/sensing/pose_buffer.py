@@ -143,7 +143,7 @@ class PoseBuffer:
         place = bisect.bisect_left(self._stamps, stamp_ns)
         gap = (self._stamps[place] - self._stamps[max(place - 1, 0)]) / SECOND_NS
         limit = self.max_gap_ns / SECOND_NS
-        apart = f"{gap:.3f} s apart, limit {limit:.3f} s (pose.max_gap)"
+        apart = f"{gap:.3f} s apart, limit {limit:.3f} s"
         return f"{held}: the {what} around it are {apart}"
 
     def _bracket(self, stamp_ns: int) -> tuple[Pose, Pose] | None:

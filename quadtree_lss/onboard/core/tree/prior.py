@@ -141,11 +141,7 @@ def _planes(
             values = correlate1d(values, weights, axis, mode="constant", cval=np.nan)
         return values
 
-    # Errors are alike along x times along y: so K R K^T is of products of two rows.
-    alike = np.eye(len(steps))
-    if config.correlation_length > 0.0:
-        alike = np.exp(-0.5 * ((steps[:, None] - steps) / config.correlation_length) ** 2)
-    of_mean, of_line = mean @ alike @ mean, line @ alike @ line
+    of_mean, of_line = mean @ mean, line @ line  # of K K^T: each post has an error of its own
     height, slope = config.sigma**2 * of_mean**2, config.sigma**2 * of_mean * of_line
     middle, spread = np.nanmean(z), np.mean(steps**2)
     z = z - middle

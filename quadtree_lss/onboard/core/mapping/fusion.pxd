@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+cimport cython
+from libc.math cimport exp, fabs, sqrt
+from quadtree_lss.onboard.core.geometry.plane cimport fuse, fuse_height, offset_variance
+from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
+from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, pose_variance
+from quadtree_lss.onboard.core.tree.leaves cimport HINTS, INHERITED, MEASURED, NOTHING, Leaf
+
+@cython.final
+cdef class Fusion:
+    cdef Rules rules
+    cdef double[:, ::1] beginning
+    cdef bint begins_so, aligned
+    cdef int coarsest
+    cdef double coarse_side, now, common_at, common_is
+    cdef double origin[3]
+    cdef double sigma[36]
+    cpdef align(self, double down)
+    cdef bint contradicts(self, Leaf* leaf, Run* run) noexcept nogil
+    cdef void place(self, Leaf* leaf, Run* run, double* out) noexcept nogil
+    cdef void doubt(self, Leaf* leaf, Run* run) noexcept nogil
+    cdef void fuse(self, Leaf* leaf, Run* run, bint same_scan) noexcept nogil
+    cdef void _along(self, Leaf* leaf, Run* run, double* out) noexcept nogil
+    cdef double _height(self, double* known) noexcept nogil
+    cdef double _turn(self, Leaf* leaf, Run* run) noexcept nogil
+    cdef bint _apart(self, Leaf* leaf, Run* run) noexcept nogil
+    cdef void _begin(self, Leaf* leaf) noexcept nogil
+    cdef double common(self, double time) noexcept nogil
