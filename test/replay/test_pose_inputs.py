@@ -112,7 +112,7 @@ def test_a_mount_from_tf_static_is_that_of_the_parameters(tmp_path):
     values = {"mount__x": 1.0, "mount__y": 0.5, "mount__z": -0.25}
     for start in (0.0, 0.3):
         told = mapped(bag, values=values, start=start)
-        found = mapped(bag, values={"mount__tf": True}, start=start)
+        found = mapped(bag, values={"mount__source": "tf"}, start=start)
         assert found.summary["scans"] == told.summary["scans"] > 5 and same(found, told)
     assert not same(mapped(bag), mapped(bag, values=values))
 
@@ -120,13 +120,13 @@ def test_a_mount_from_tf_static_is_that_of_the_parameters(tmp_path):
 def test_without_tf_static_in_the_bag_one_line_says_so(tmp_path):
     bag = write(tmp_path / "bag")
     with pytest.raises(BagError, match="no messages of type tf2_msgs/msg/TFMessage"):
-        mapped(bag, values={"mount__tf": True, "frames__body": "base_link"})
+        mapped(bag, values={"mount__source": "tf", "frames__body": "base_link"})
 
 
 def test_a_gimbal_moves_the_lidar(tmp_path):
     with recording(tmp_path / "bag", GimbalRecorder) as recorder:
         flight(recorder)
-    found = mapped(tmp_path / "bag", values={"mount__gimbal": True})
+    found = mapped(tmp_path / "bag", values={"mount__source": "gimbal"})
     told = mapped(write(tmp_path / "plain"))
     assert found.summary["scans"] == told.summary["scans"] == 10
     np.testing.assert_array_equal(found.cells.level, told.cells.level)

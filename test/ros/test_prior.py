@@ -48,6 +48,10 @@ def test_a_prior_that_cannot_be_used_is_told_and_the_node_maps(ros):
     mapping = ros.start("mapping_node", "-p", "prior.file:=/no/such/prior.tif")
     with ros.listen({**TOPICS, **MORE}) as listener:
         Sensors(listener).matched().map(mapping, 2)
-        values = status_values(listener, "mapping_node")
-        assert values["problems.prior"] == "1" and "prior.cells" not in values
+
+        def told():
+            return status_values(listener, "mapping_node").get("problems.prior") == "1"
+
+        assert listener.wait_for(told)
+        assert "prior.cells" not in status_values(listener, "mapping_node")
         assert "no such file" in mapping.output() and "map/prior" not in listener.newest
