@@ -41,7 +41,7 @@ AS_THE_PAPER = {
 }
 BY_TOUCHDOWN = {
     "domain": {**DOMAIN, "max_level": 3},
-    "lidar": {**LIDAR, "range_noise_per_metre": 1e-3},
+    "lidar": {**LIDAR, "range_noise_per_metre": 1e-4},
     "vehicle": VEHICLE,
     "lss": {**LIMITS, "assessment": "touchdown", "ranking": "score"},
 }

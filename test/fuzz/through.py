@@ -572,9 +572,8 @@ class Saved:
         rng, values = self.rng, {"domain.max_level": 5, "domain.min_level": 3}
         values["domain.follow"] = one_of(rng, ["none", "vehicle"])
         values["pose.correlation_time"] = float(one_of(rng, [0.0, 60.0, 1e3]))
-        for name in ("fit", "covariance", "division"):
-            choices = next(row.choices for row in self.rows if row.name == f"mapping.{name}")
-            values[f"mapping.{name}"] = one_of(rng, choices)
+        choices = next(row.choices for row in self.rows if row.name == "mapping.paper")
+        values["mapping.paper"] = one_of(rng, choices)
         for row in rng.permutation(np.array(self.rows, dtype=object))[: rng.integers(0, 6)]:
             with suppress(ConfigError):
                 config_from_values({**values, row.name: (value := self.settings.value(row))})
