@@ -43,10 +43,10 @@ STEREO = "lidar.stereo_noise is disparity_sigma / (focal_length baseline)"
 #: What were parameters once, and what holds now.
 REMOVED = {
     "pose.buffer": "poses are kept for 30 s",
-    "lidar.beam_divergence": "a beam is a line; see lidar.range_noise_per_metre",
     "pose.max_gap": "between poses more than 1.5 s apart nothing is interpolated",
     "pose.queue": "20 scans may wait for each second of pose.max_wait, and at least 20",
     "lidar.noise_model": "it is stereo where lidar.stereo_noise is above 0",
+    "lidar.beam_divergence": "a beam is a line; see lidar.range_noise_per_metre",
     "lidar.disparity_sigma": STEREO,
     "lidar.focal_length": STEREO,
     "lidar.baseline": STEREO,
