@@ -3,9 +3,11 @@ from libc.math cimport fabs, sqrt
 from quadtree_lss.onboard.core.geometry.plane cimport inverse_symmetric
 from quadtree_lss.onboard.core.geometry.portable cimport above
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
-from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, few, partial, pose_variance
+from quadtree_lss.onboard.core.mapping.measure cimport (
+    Rules, Run, few, noise_square, partial, pose_variance
+)
 from quadtree_lss.onboard.core.mapping.features cimport feature_height
-from quadtree_lss.onboard.core.tree.leaves cimport MEASURED, Leaf, leaf_at
+from quadtree_lss.onboard.core.tree.leaves cimport MEASURED, Leaf
 
 cdef double mean_distance(double* points, Py_ssize_t count, double* normal, double* through) noexcept nogil
 cdef double mahalanobis_factor(double* mean, double cosine, double* sigma, double along, double plane) noexcept nogil
@@ -13,6 +15,7 @@ cdef void judge(Rules rules, Leaf* leaf, Run* run, double* points, double* origi
 cdef bint asks(Rules rules, Leaf* leaf, Run* run) noexcept nogil
 cdef bint hides_rock(Rules rules, Leaf* leaf) noexcept nogil
 cdef bint rough(Rules rules, Leaf* leaf) noexcept nogil
+cdef double left_out(Leaf* leaf, double variance) noexcept nogil
 cdef double raised_from(Rules rules, Leaf* leaf, double variance) noexcept nogil
 cdef double standing_out(Rules rules, Leaf* leaf, double variance) noexcept nogil
 cdef bint departs(Rules rules, Leaf* leaf, Run* run, double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double* origin, double side) noexcept nogil

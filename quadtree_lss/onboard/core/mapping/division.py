@@ -18,7 +18,12 @@ if not cython.compiled:
     from quadtree_lss.onboard.core.geometry.portable import above
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
     from quadtree_lss.onboard.core.mapping.features import feature_height
-    from quadtree_lss.onboard.core.mapping.measure import few, partial, pose_variance
+    from quadtree_lss.onboard.core.mapping.measure import (
+        few,
+        noise_square,
+        partial,
+        pose_variance,
+    )
 
     MEASURED = 3
 
@@ -208,6 +213,17 @@ def rough(rules: Rules, leaf: Record) -> cython.bint:
         return False
     doubt = SURE * SPREAD_CHI_1 / (MEAN_CHI_1 * sqrt(count))
     return leaf.distance_sum > leaf.noise_sum * (rules.division_factor + doubt)
+
+
+def left_out(leaf: Record, variance: float) -> cython.double:
+    """Mean square of what a leaf's plane leaves out, beyond what noise makes of residuals, m^2.
+
+    Of those about the scans' own fits, or about the plane: a scan that sees a part fits it well.
+    """
+    count = max(max(leaf.division_weight, leaf.residuals), 1.0)
+    mean = leaf.distance_sum / max(leaf.residuals, 1.0) / MEAN_CHI_1
+    square = max(leaf.square_sum / max(leaf.division_weight, 1.0), mean * mean)
+    return max(square - noise_square(variance, count), 0.0)
 
 
 def standing_out(rules: Rules, leaf: Record, variance: float) -> cython.double:

@@ -3,7 +3,7 @@ cimport cython
 from libc.math cimport INFINITY as INFINITE, NAN, fabs, sqrt
 from quadtree_lss.onboard.core.geometry.plane cimport offset_variance
 from quadtree_lss.onboard.core.mapping.division cimport (
-    asks, departs, hides_rock, judge, rest, rough, standing_out
+    asks, departs, hides_rock, judge, left_out, rest, rough, standing_out
 )
 from quadtree_lss.onboard.core.mapping.features cimport Heights, update_feature
 from quadtree_lss.onboard.core.mapping.fusion cimport Fusion

@@ -25,6 +25,7 @@ if not cython.compiled:
         departs,
         hides_rock,
         judge,
+        left_out,
         rest,
         rough,
         standing_out,
@@ -279,7 +280,8 @@ class ScanUpdate:
 
         What the plane did not describe, its mean square residual, makes its height less certain to
         the children. Its slope is worth `slope_points` measurements that fill a child, which have
-        the horizontal variance side^2 / 12.
+        the horizontal variance side^2 / 12; what is `left_out` counts twice, for neighbours have
+        it in common.
         """
         leaf = self._leaf(row)
         if leaf.level >= self.table.max_level:
@@ -288,9 +290,10 @@ class ScanUpdate:
         if leaf.division_weight > 0.0:
             square = max(leaf.square_sum / leaf.division_weight, square)
         side = 0.5 * self.table.side(leaf.level)
-        tilt = 12.0 * run.variance / (self.rules.slope_points * side * side)
+        tilt = run.variance + 2.0 * left_out(leaf, run.variance)
+        tilt *= 12.0 / (self.rules.slope_points * side * side)
         spread = standing_out(self.rules, leaf, run.variance)
-        if not self.table.divide(row, square, min(tilt, 1.0), spread):
+        if not self.table.divide(row, square, tilt, spread):
             self.refused += 1
             return False
         self.divisions += 1

@@ -34,6 +34,9 @@ if not cython.compiled:
         """Only a compiled program knows where its numbers lie."""
 
 
+#: No slope is handed on as less certain, rad^2: strips, which keep it, would lie anywhere.
+NO_SLOPE = cython.declare(cython.double, 0.3**2)
+
 #: One record of a table: a pointer to a C structure, or a record of NumPy.
 Record: TypeAlias = Any
 
@@ -258,8 +261,8 @@ class LeafTable:
         """Divide a leaf above the maximum level; its children inherit what it knows.
 
         An inherited plane is the parent's moved to the child's centre, and less certain: by
-        ``square`` m^2 in height and ``tilt`` rad^2 in either slope; where a return stood out, by
-        the square of the greatest distance, too. Finest cells whose returns lay within ``spread``
+        ``square`` m^2 in height and ``tilt`` rad^2 in either slope, up to `NO_SLOPE`; where a
+        return stood out, by the square of the greatest distance, too. Finest cells whose returns lay within ``spread``
         (m) of it stay known. The first child (in Morton's order) has the parent's row, the others
         follow the last leaf. They keep what noise may have turned the parent by. False, and nothing
         is done, where ``max_cells`` leaves no room; the caller has made room in the table
@@ -296,8 +299,8 @@ class LeafTable:
                 leaf.high = min(leaf.high, leaf.z + z / leaf.normal[2])
                 shift_origin(leaf.range_part, first, second)
                 shift_origin(leaf.pose_part, first, second)
-                leaf.range_part[0] += tilt
-                leaf.range_part[4] += tilt
+                leaf.range_part[0] += max(min(tilt, NO_SLOPE - leaf.range_part[0]), 0.0)
+                leaf.range_part[4] += max(min(tilt, NO_SLOPE - leaf.range_part[4]), 0.0)
                 leaf.range_part[8] += square
                 if self._stands_out(level + 1, ix + (child & 1), iy + (child >> 1)):
                     leaf.range_part[8] += leaf.greatest * leaf.greatest
