@@ -182,35 +182,53 @@ def moments(points: Vector, count: cython.Py_ssize_t, mean: Vector, scatter: Vec
 
     Sums are about the first point, so that squares stay small.
     """
-    i: cython.Py_ssize_t
+    total = cython.declare(cython.double[18])
+    cython.declare(i=cython.Py_ssize_t, k=cython.int)
     x0, y0, z0 = points[0], points[1], points[2]
     if count == 1:
         mean[0], mean[1], mean[2] = x0, y0, z0
         for i in range(6):
             scatter[i] = 0.0
         return
-    sx = sy = sz = sxx = sxy = sxz = syy = syz = szz = 0.0
-    for i in range(0, 3 * count, 3):
-        x = points[i] - x0
-        y = points[i + 1] - y0
-        z = points[i + 2] - z0
-        sx += x
-        sy += y
-        sz += z
-        sxx += x * x
-        sxy += x * y
-        sxz += x * z
-        syy += y * y
-        syz += y * z
-        szz += z * z
+    for i in range(18):
+        total[i] = 0.0
+    # Sums of two points at a time, side by side.
+    for i in range(0, 3 * count - 3, 6):
+        for k in range(2):
+            x = points[i + 3 * k] - x0
+            y = points[i + 3 * k + 1] - y0
+            z = points[i + 3 * k + 2] - z0
+            total[k] += x
+            total[2 + k] += y
+            total[4 + k] += z
+            total[6 + k] += x * x
+            total[8 + k] += x * y
+            total[10 + k] += x * z
+            total[12 + k] += y * y
+            total[14 + k] += y * z
+            total[16 + k] += z * z
+    for i in range(9):
+        total[i] = total[2 * i] + total[2 * i + 1]
+    if count & 1:
+        x, y, z = points[3 * count - 3] - x0, points[3 * count - 2] - y0, points[3 * count - 1] - z0
+        total[0] += x
+        total[1] += y
+        total[2] += z
+        total[3] += x * x
+        total[4] += x * y
+        total[5] += x * z
+        total[6] += y * y
+        total[7] += y * z
+        total[8] += z * z
     share = 1.0 / count
+    sx, sy, sz = total[0], total[1], total[2]
     mean[0], mean[1], mean[2] = x0 + share * sx, y0 + share * sy, z0 + share * sz
-    scatter[0] = max(sxx - share * sx * sx, 0.0)
-    scatter[1] = sxy - share * sx * sy
-    scatter[2] = sxz - share * sx * sz
-    scatter[3] = max(syy - share * sy * sy, 0.0)
-    scatter[4] = syz - share * sy * sz
-    scatter[5] = max(szz - share * sz * sz, 0.0)
+    scatter[0] = max(total[3] - share * sx * sx, 0.0)
+    scatter[1] = total[4] - share * sx * sy
+    scatter[2] = total[5] - share * sx * sz
+    scatter[3] = max(total[6] - share * sy * sy, 0.0)
+    scatter[4] = total[7] - share * sy * sz
+    scatter[5] = max(total[8] - share * sz * sz, 0.0)
 
 
 def height_normal(
