@@ -343,7 +343,7 @@ def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
         short = min(1.0, 0.5 / max(length(step[0], step[1]), 1e-300))
         step[0] *= short
         step[1] *= short
-        plus_at(normal, step, turned)
+        plus_at(normal, basis, step, turned)
         for i in range(3):
             normal[i] = turned[i]
         keep_up(normal)
@@ -401,28 +401,32 @@ def pose_part(normal: Vector, basis: Vector, arm: Vector, sigma: Vector, out: Ve
     (dw x n) and dd = n.dm + (arm x n).dw.
     """
     turn = cython.declare(cython.double[3])
-    cython.declare(j=cython.int, k=cython.int, at=cython.int)
+    moved = cython.declare(cython.double[6])
+    slope = cython.declare(cython.double[6])
+    k: cython.int
     turn[0] = arm[1] * normal[2] - arm[2] * normal[1]
     turn[1] = arm[2] * normal[0] - arm[0] * normal[2]
     turn[2] = arm[0] * normal[1] - arm[1] * normal[0]
-    for k in range(9):
-        out[k] = 0.0
+    # The rows of sigma are its columns.
+    for k in range(6):
+        first = sigma[k] * normal[0] + sigma[18 + k] * turn[0]
+        second = sigma[6 + k] * normal[1] + sigma[24 + k] * turn[1]
+        third = sigma[12 + k] * normal[2] + sigma[30 + k] * turn[2]
+        moved[k] = first + second + third
     for k in range(3):
-        moved = turned = first = second = 0.0
-        for j in range(3):
-            at = 6 * k + j
-            moved += sigma[at] * normal[j] + sigma[at + 3] * turn[j]
-            turned += sigma[at + 18] * normal[j] + sigma[at + 21] * turn[j]
-            # b . (dw x n) = dw . (n x b), and b_1, b_2, n are right-handed.
-            first += sigma[at + 21] * basis[3 + j]
-            second -= sigma[at + 21] * basis[j]
-        out[0] += basis[3 + k] * first
-        out[1] += basis[3 + k] * second
-        out[2] += basis[3 + k] * turned
-        out[4] -= basis[k] * second
-        out[5] -= basis[k] * turned
-        out[8] += normal[k] * moved + turn[k] * turned
-    out[3], out[6], out[7] = out[1], out[2], out[5]
+        # b . (dw x n) = dw . (n x b), and b_1, b_2, n are right-handed.
+        x, y, z = sigma[21 + k], sigma[27 + k], sigma[33 + k]
+        slope[2 * k] = x * basis[3] + y * basis[4] + z * basis[5]
+        slope[2 * k + 1] = x * basis[0] + y * basis[1] + z * basis[2]
+    out[0] = basis[3] * slope[0] + basis[4] * slope[2] + basis[5] * slope[4]
+    out[1] = out[3] = -(basis[3] * slope[1] + basis[4] * slope[3] + basis[5] * slope[5])
+    out[2] = out[6] = basis[3] * moved[3] + basis[4] * moved[4] + basis[5] * moved[5]
+    out[4] = basis[0] * slope[1] + basis[1] * slope[3] + basis[2] * slope[5]
+    out[5] = out[7] = -(basis[0] * moved[3] + basis[1] * moved[4] + basis[2] * moved[5])
+    total = 0.0
+    for k in range(3):
+        total += normal[k] * moved[k] + turn[k] * moved[3 + k]
+    out[8] = total
 
 
 def fuse(
@@ -508,7 +512,7 @@ def fuse(
     for i in range(3):
         spread[i] = rest[3 * i] * error[0] + rest[3 * i + 1] * error[1] + rest[3 * i + 2] * error[2]
     spread[2] -= error[2]
-    _from_pivot(prior, pivot, spread, normal, prior_range, prior_pose, out_rise)
+    _from_pivot(prior, pivot, spread, basis, normal, prior_range, prior_pose, out_rise)
 
 
 def fuse_height(
@@ -587,7 +591,7 @@ def fuse_height(
         prior[2 + k], prior[4 + k], prior[10 + k] = prior[6 + k], prior[12 + k], prior[14 + k]
     for i in range(3):
         step[i] = -gain[i] * normal[2] * rise
-    _from_pivot(prior, pivot, step, normal, range_part, pose_part, out_rise)
+    _from_pivot(prior, pivot, step, basis, normal, range_part, pose_part, out_rise)
 
 
 def _pivot(c: Vector, rise: float, basis: Vector, arm: Vector, out: Vector) -> None:
@@ -608,17 +612,18 @@ def _from_pivot(
     pair: Vector,
     pivot: Vector,
     step: Vector,
+    basis: Vector,
     normal: Vector,
     range_part: Vector,
     pose_part: Vector,
     out_rise: Vector,
 ) -> None:
     """A plane (normal, 3) after a step (3) of (dphi, dd) about the pivot (3), and its covariances,
-    of a pair (18) about the pivot, about its own height over the origin."""
-    basis = cython.declare(cython.double[6])
+    of a pair (18) about the pivot, about its own height over the origin; the basis (6) is that of
+    its tangent, before and after."""
     fused = cython.declare(cython.double[3])
     cython.declare(i=cython.int, k=cython.int)
-    plus_at(normal, step, fused)
+    plus_at(normal, basis, step, fused)
     keep_up(fused)
     rise = step[2]
     for i in range(3):

@@ -344,7 +344,8 @@ class ScanUpdate:
                 if self._divide(row, run):
                     self._go_on(row, begin, end, False)
                     return
-        judge(self.rules, leaf, run, self._from(begin), self.fusion.origin, self.fusion.sigma)
+        if not few(run):
+            judge(self.rules, leaf, run, self._from(begin), self.fusion.origin, self.fusion.sigma)
         x, y, z = leaf.normal[0] / leaf.normal[2], leaf.normal[1] / leaf.normal[2], leaf.z
         self.fusion.fuse(leaf, run, same_scan)
         if not fabs(leaf.z) < HIGHEST:  # planes of places far above each other lead anywhere
