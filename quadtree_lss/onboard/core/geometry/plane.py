@@ -597,15 +597,15 @@ def fuse_height(
 def _pivot(c: Vector, rise: float, basis: Vector, arm: Vector, out: Vector) -> None:
     """The place (3) where errors (9) of a plane's slope and height are independent, from an origin
     that lies ``rise`` below the plane's, and the arm (2) to it from there in the tangent, m."""
-    cython.declare(i=cython.int)
     square = c[0] * c[4]
     share = square - c[1] * c[1]
     share = 1.0 / share if share > 1e-9 * square else 0.0
-    arm[0] = share * (c[4] * c[2] - c[1] * c[5])
-    arm[1] = share * (c[0] * c[5] - c[1] * c[2])
-    for i in range(3):
-        out[i] = arm[0] * basis[i] + arm[1] * basis[3 + i]
-    out[2] += rise
+    x = share * (c[4] * c[2] - c[1] * c[5])
+    y = share * (c[0] * c[5] - c[1] * c[2])
+    arm[0], arm[1] = x, y
+    out[0] = x * basis[0] + y * basis[3]
+    out[1] = x * basis[1] + y * basis[4]
+    out[2] = x * basis[2] + y * basis[5] + rise
 
 
 def _from_pivot(

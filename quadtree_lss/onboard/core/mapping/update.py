@@ -269,7 +269,7 @@ class ScanUpdate:
             leaf.normal[2] = 1.0
         x = leaf.x - self.fusion.origin[0]
         y = leaf.y - self.fusion.origin[1]
-        side = self.table.side(leaf.level)
+        side = self.table.size / (1 << leaf.level)
         z = leaf.z - self.fusion.origin[2] if leaf.known != NOTHING else NAN
         points = self._from(begin)
         measure(self.rules, points, end - begin, x, y, z, side, leaf.normal, self.fusion.sigma, run)
@@ -313,7 +313,7 @@ class ScanUpdate:
         leaf.
         """
         leaf = self._leaf(row)
-        side = self.table.side(leaf.level)
+        side = self.table.size / (1 << leaf.level)
         if self.fusion.contradicts(leaf, run):
             leaf.points -= run.points
             if leaf.points > 0.0:
