@@ -64,7 +64,8 @@ def log(normal: ArrayLike) -> tuple[Array, Array]:
 
 def plus(normal: ArrayLike, tangent: ArrayLike) -> Array:
     """Eq. 8: (3,), (2,) to (3,)."""
-    return filled(sphere.plus_at, (3,), normal, tangent)[0]
+    basis = filled(sphere.basis_at, (6,), normal)[0]
+    return filled(sphere.plus_at, (3,), normal, basis, tangent)[0]
 
 
 def minus(normal: ArrayLike, reference: ArrayLike) -> Array:

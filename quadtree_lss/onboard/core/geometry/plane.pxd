@@ -25,5 +25,5 @@ cdef void pose_part(double* normal, double* basis, double* arm, double* sigma, d
 cdef void fuse(double* prior_normal, double prior_rise, double* prior_range, double* prior_pose, double* normal, double* range_part, double* pose_part, double common, double* out_rise) noexcept nogil
 cdef void fuse_height(double* normal, double rise, double* range_part, double* pose_part, double* lever, double variance, double* other_pose, double common, bint sloped, double* out_rise) noexcept nogil
 cdef void _pivot(double* c, double rise, double* basis, double* arm, double* out) noexcept nogil
-cdef void _from_pivot(double* pair, double* pivot, double* step, double* normal, double* range_part, double* pose_part, double* out_rise) noexcept nogil
+cdef void _from_pivot(double* pair, double* pivot, double* step, double* basis, double* normal, double* range_part, double* pose_part, double* out_rise) noexcept nogil
 cdef double _quadratic(double* scatter, double* a, double* b) noexcept nogil

@@ -182,35 +182,53 @@ def moments(points: Vector, count: cython.Py_ssize_t, mean: Vector, scatter: Vec
 
     Sums are about the first point, so that squares stay small.
     """
-    i: cython.Py_ssize_t
+    total = cython.declare(cython.double[18])
+    cython.declare(i=cython.Py_ssize_t, k=cython.int)
     x0, y0, z0 = points[0], points[1], points[2]
     if count == 1:
         mean[0], mean[1], mean[2] = x0, y0, z0
         for i in range(6):
             scatter[i] = 0.0
         return
-    sx = sy = sz = sxx = sxy = sxz = syy = syz = szz = 0.0
-    for i in range(0, 3 * count, 3):
-        x = points[i] - x0
-        y = points[i + 1] - y0
-        z = points[i + 2] - z0
-        sx += x
-        sy += y
-        sz += z
-        sxx += x * x
-        sxy += x * y
-        sxz += x * z
-        syy += y * y
-        syz += y * z
-        szz += z * z
+    for i in range(18):
+        total[i] = 0.0
+    # Sums of two points at a time, side by side.
+    for i in range(0, 3 * count - 3, 6):
+        for k in range(2):
+            x = points[i + 3 * k] - x0
+            y = points[i + 3 * k + 1] - y0
+            z = points[i + 3 * k + 2] - z0
+            total[k] += x
+            total[2 + k] += y
+            total[4 + k] += z
+            total[6 + k] += x * x
+            total[8 + k] += x * y
+            total[10 + k] += x * z
+            total[12 + k] += y * y
+            total[14 + k] += y * z
+            total[16 + k] += z * z
+    for i in range(9):
+        total[i] = total[2 * i] + total[2 * i + 1]
+    if count & 1:
+        x, y, z = points[3 * count - 3] - x0, points[3 * count - 2] - y0, points[3 * count - 1] - z0
+        total[0] += x
+        total[1] += y
+        total[2] += z
+        total[3] += x * x
+        total[4] += x * y
+        total[5] += x * z
+        total[6] += y * y
+        total[7] += y * z
+        total[8] += z * z
     share = 1.0 / count
+    sx, sy, sz = total[0], total[1], total[2]
     mean[0], mean[1], mean[2] = x0 + share * sx, y0 + share * sy, z0 + share * sz
-    scatter[0] = max(sxx - share * sx * sx, 0.0)
-    scatter[1] = sxy - share * sx * sy
-    scatter[2] = sxz - share * sx * sz
-    scatter[3] = max(syy - share * sy * sy, 0.0)
-    scatter[4] = syz - share * sy * sz
-    scatter[5] = max(szz - share * sz * sz, 0.0)
+    scatter[0] = max(total[3] - share * sx * sx, 0.0)
+    scatter[1] = total[4] - share * sx * sy
+    scatter[2] = total[5] - share * sx * sz
+    scatter[3] = max(total[6] - share * sy * sy, 0.0)
+    scatter[4] = total[7] - share * sy * sz
+    scatter[5] = max(total[8] - share * sz * sz, 0.0)
 
 
 def height_normal(
@@ -325,7 +343,7 @@ def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
         short = min(1.0, 0.5 / max(length(step[0], step[1]), 1e-300))
         step[0] *= short
         step[1] *= short
-        plus_at(normal, step, turned)
+        plus_at(normal, basis, step, turned)
         for i in range(3):
             normal[i] = turned[i]
         keep_up(normal)
@@ -383,28 +401,32 @@ def pose_part(normal: Vector, basis: Vector, arm: Vector, sigma: Vector, out: Ve
     (dw x n) and dd = n.dm + (arm x n).dw.
     """
     turn = cython.declare(cython.double[3])
-    cython.declare(j=cython.int, k=cython.int, at=cython.int)
+    moved = cython.declare(cython.double[6])
+    slope = cython.declare(cython.double[6])
+    k: cython.int
     turn[0] = arm[1] * normal[2] - arm[2] * normal[1]
     turn[1] = arm[2] * normal[0] - arm[0] * normal[2]
     turn[2] = arm[0] * normal[1] - arm[1] * normal[0]
-    for k in range(9):
-        out[k] = 0.0
+    # The rows of sigma are its columns.
+    for k in range(6):
+        first = sigma[k] * normal[0] + sigma[18 + k] * turn[0]
+        second = sigma[6 + k] * normal[1] + sigma[24 + k] * turn[1]
+        third = sigma[12 + k] * normal[2] + sigma[30 + k] * turn[2]
+        moved[k] = first + second + third
     for k in range(3):
-        moved = turned = first = second = 0.0
-        for j in range(3):
-            at = 6 * k + j
-            moved += sigma[at] * normal[j] + sigma[at + 3] * turn[j]
-            turned += sigma[at + 18] * normal[j] + sigma[at + 21] * turn[j]
-            # b . (dw x n) = dw . (n x b), and b_1, b_2, n are right-handed.
-            first += sigma[at + 21] * basis[3 + j]
-            second -= sigma[at + 21] * basis[j]
-        out[0] += basis[3 + k] * first
-        out[1] += basis[3 + k] * second
-        out[2] += basis[3 + k] * turned
-        out[4] -= basis[k] * second
-        out[5] -= basis[k] * turned
-        out[8] += normal[k] * moved + turn[k] * turned
-    out[3], out[6], out[7] = out[1], out[2], out[5]
+        # b . (dw x n) = dw . (n x b), and b_1, b_2, n are right-handed.
+        x, y, z = sigma[21 + k], sigma[27 + k], sigma[33 + k]
+        slope[2 * k] = x * basis[3] + y * basis[4] + z * basis[5]
+        slope[2 * k + 1] = x * basis[0] + y * basis[1] + z * basis[2]
+    out[0] = basis[3] * slope[0] + basis[4] * slope[2] + basis[5] * slope[4]
+    out[1] = out[3] = -(basis[3] * slope[1] + basis[4] * slope[3] + basis[5] * slope[5])
+    out[2] = out[6] = basis[3] * moved[3] + basis[4] * moved[4] + basis[5] * moved[5]
+    out[4] = basis[0] * slope[1] + basis[1] * slope[3] + basis[2] * slope[5]
+    out[5] = out[7] = -(basis[0] * moved[3] + basis[1] * moved[4] + basis[2] * moved[5])
+    total = 0.0
+    for k in range(3):
+        total += normal[k] * moved[k] + turn[k] * moved[3 + k]
+    out[8] = total
 
 
 def fuse(
@@ -490,7 +512,7 @@ def fuse(
     for i in range(3):
         spread[i] = rest[3 * i] * error[0] + rest[3 * i + 1] * error[1] + rest[3 * i + 2] * error[2]
     spread[2] -= error[2]
-    _from_pivot(prior, pivot, spread, normal, prior_range, prior_pose, out_rise)
+    _from_pivot(prior, pivot, spread, basis, normal, prior_range, prior_pose, out_rise)
 
 
 def fuse_height(
@@ -569,38 +591,39 @@ def fuse_height(
         prior[2 + k], prior[4 + k], prior[10 + k] = prior[6 + k], prior[12 + k], prior[14 + k]
     for i in range(3):
         step[i] = -gain[i] * normal[2] * rise
-    _from_pivot(prior, pivot, step, normal, range_part, pose_part, out_rise)
+    _from_pivot(prior, pivot, step, basis, normal, range_part, pose_part, out_rise)
 
 
 def _pivot(c: Vector, rise: float, basis: Vector, arm: Vector, out: Vector) -> None:
     """The place (3) where errors (9) of a plane's slope and height are independent, from an origin
     that lies ``rise`` below the plane's, and the arm (2) to it from there in the tangent, m."""
-    cython.declare(i=cython.int)
     square = c[0] * c[4]
     share = square - c[1] * c[1]
     share = 1.0 / share if share > 1e-9 * square else 0.0
-    arm[0] = share * (c[4] * c[2] - c[1] * c[5])
-    arm[1] = share * (c[0] * c[5] - c[1] * c[2])
-    for i in range(3):
-        out[i] = arm[0] * basis[i] + arm[1] * basis[3 + i]
-    out[2] += rise
+    x = share * (c[4] * c[2] - c[1] * c[5])
+    y = share * (c[0] * c[5] - c[1] * c[2])
+    arm[0], arm[1] = x, y
+    out[0] = x * basis[0] + y * basis[3]
+    out[1] = x * basis[1] + y * basis[4]
+    out[2] = x * basis[2] + y * basis[5] + rise
 
 
 def _from_pivot(
     pair: Vector,
     pivot: Vector,
     step: Vector,
+    basis: Vector,
     normal: Vector,
     range_part: Vector,
     pose_part: Vector,
     out_rise: Vector,
 ) -> None:
     """A plane (normal, 3) after a step (3) of (dphi, dd) about the pivot (3), and its covariances,
-    of a pair (18) about the pivot, about its own height over the origin."""
-    basis = cython.declare(cython.double[6])
+    of a pair (18) about the pivot, about its own height over the origin; the basis (6) is that of
+    its tangent, before and after."""
     fused = cython.declare(cython.double[3])
     cython.declare(i=cython.int, k=cython.int)
-    plus_at(normal, step, fused)
+    plus_at(normal, basis, step, fused)
     keep_up(fused)
     rise = step[2]
     for i in range(3):

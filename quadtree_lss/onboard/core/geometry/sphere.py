@@ -84,18 +84,17 @@ def seen_from(normal: Vector, reference: Vector, out: Vector) -> None:
     out[2] = reference[0] * normal[0] + reference[1] * normal[1] + reference[2] * normal[2]
 
 
-def plus_at(normal: Vector, tangent: Vector, out: Vector) -> None:
-    """Eq. 8, n [+] phi = R_n exp(phi): n (3), phi (2) to (3).
+def plus_at(normal: Vector, basis: Vector, tangent: Vector, out: Vector) -> None:
+    """Eq. 8, n [+] phi = R_n exp(phi): n (3), `basis_at` it (6), phi (2) to (3).
 
     An uncertain unit vector is its mean [+] a Gaussian tangent (Eq. 10, Eq. 11).
     """
-    basis = cython.declare(cython.double[6])
     step = cython.declare(cython.double[3])
-    i: cython.int
-    basis_at(normal, basis)
     exp_at(tangent, step)
-    for i in range(3):
-        out[i] = step[0] * basis[i] + step[1] * basis[3 + i] + step[2] * normal[i]
+    x, y, z = step[0], step[1], step[2]
+    out[0] = x * basis[0] + y * basis[3] + z * normal[0]
+    out[1] = x * basis[1] + y * basis[4] + z * normal[1]
+    out[2] = x * basis[2] + y * basis[5] + z * normal[2]
 
 
 def minus_at(normal: Vector, reference: Vector, out: Vector, change: Vector) -> None:

@@ -119,7 +119,7 @@ def judge(
     origin: Vector,
     sigma: Vector,
 ) -> None:
-    """The division statistic of a run, before its fit is fused, to ``run.statistic``.
+    """The division statistic of a run that is not `few`, before its fit is fused.
 
     ``lack_of_fit``: mean residual about the run's own fit over range noise, with sqrt(N / (N - 3)),
     of expectation E[chi_1] on planar ground. ``mahalanobis``: the paper's mean d_M of prefit
@@ -132,8 +132,6 @@ def judge(
     row = cython.declare(cython.double[3])
     cython.declare(i=cython.int, j=cython.int, number=cython.Py_ssize_t)
     count = run.points
-    if few(run):
-        return
     number = cython.cast(cython.Py_ssize_t, count)
     if not rules.mahalanobis:
         distance = mean_distance(points, number, run.normal, run.centroid)
@@ -273,7 +271,7 @@ def departs(
     for i in range(begin, end):
         e = fabs(n_x * points[i, 0] + n_y * points[i, 1] + n_z * points[i, 2] - d)
         out += 1.0 if e > high else 0.0
-        greatest = e if e > greatest else greatest
+        greatest = greatest if greatest > e else e
     if out < max(2.0, rules.rock_area / (side * side) * run.points):
         return False
     leaf.greatest = max(leaf.greatest, min(greatest, rules.clip))
@@ -316,12 +314,12 @@ def rest(
     low = high_z = points[begin, 2]
     for i in range(begin, end):
         z = points[i, 2]
-        low = z if z < low else low
-        high_z = z if z > high_z else high_z
+        low = low if low < z else z
+        high_z = high_z if high_z > z else z
         e = n_x * points[i, 0] + n_y * points[i, 1] + n_z * z - d
         residual[i] = e
         e = fabs(e)
-        greatest = e if e > greatest else greatest
+        greatest = greatest if greatest > e else e
         total += e if e < clip else clip
     leaf.low = min(leaf.low, low + origin[2])
     leaf.high = max(leaf.high, high_z + origin[2])

@@ -132,7 +132,7 @@ def _linearise(
         row[4] = (square - 2.0) * bump / sigma
         row[5] = heights.z[i] - bump - level
         for j in range(5):
-            for k in range(6):
+            for k in range(j & ~1, 6):
                 total[6 * j + k] += row[j] * row[k]
         cost += row[5] * row[5]
     for j in range(30):

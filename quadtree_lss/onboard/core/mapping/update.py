@@ -270,7 +270,7 @@ class ScanUpdate:
             leaf.normal[2] = 1.0
         x = leaf.x - self.fusion.origin[0]
         y = leaf.y - self.fusion.origin[1]
-        side = self.table.side(leaf.level)
+        side = self.table.size / (1 << leaf.level)
         z = leaf.z - self.fusion.origin[2] if leaf.known != NOTHING else NAN
         points = self._from(begin)
         measure(self.rules, points, end - begin, x, y, z, side, leaf.normal, self.fusion.sigma, run)
@@ -316,7 +316,7 @@ class ScanUpdate:
         leaf.
         """
         leaf = self._leaf(row)
-        side = self.table.side(leaf.level)
+        side = self.table.size / (1 << leaf.level)
         if self.fusion.contradicts(leaf, run):
             leaf.points -= run.points
             if leaf.points > 0.0:
@@ -347,7 +347,8 @@ class ScanUpdate:
                 if self._divide(row, run):
                     self._go_on(row, begin, end, False)
                     return
-        judge(self.rules, leaf, run, self._from(begin), self.fusion.origin, self.fusion.sigma)
+        if not few(run):
+            judge(self.rules, leaf, run, self._from(begin), self.fusion.origin, self.fusion.sigma)
         x, y, z = leaf.normal[0] / leaf.normal[2], leaf.normal[1] / leaf.normal[2], leaf.z
         self.fusion.fuse(leaf, run, same_scan)
         if not fabs(leaf.z) < HIGHEST:  # planes of places far above each other lead anywhere

@@ -1,4 +1,4 @@
-from libc.math cimport NAN, sqrt
+from libc.math cimport INFINITY, NAN, sqrt
 
 from quadtree_lss.onboard.core.geometry.morton cimport PLACE_BITS
 

@@ -8,6 +8,7 @@ import cython
 from quadtree_lss.onboard.arrays import Array, Ints, Keys, Points
 
 if not cython.compiled:
+    from math import inf as INFINITY
     from math import nan as NAN
     from math import sqrt
 
@@ -47,13 +48,13 @@ def turn(
             the finest cell, ``count`` squared for none, and the number of the run, packed as
             `morton.sort_packed` needs them.
         begins: (N + 1,) for the first point of each run, and the end of the last.
-        counts: (4,) for how many are not finite, out of range, in a cell above the origin, and how
-            many runs there are.
+        counts: (4,) for how many are not finite, how many out of range, how many runs there are,
+            and whether a point in a cell lies above the origin.
     """
     i: cython.Py_ssize_t
     missing: cython.longlong = 0
     beyond: cython.longlong = 0
-    above: cython.longlong = 0
+    highest: cython.double = -INFINITY
     cython.declare(x=cython.double, y=cython.double, z=cython.double, k=cython.Py_ssize_t)
     at: cython.Py_ssize_t = 0
     run: cython.Py_ssize_t = -1
@@ -95,7 +96,7 @@ def turn(
                 if 0.0 <= column < side and 0.0 <= row < side:
                     code = spread[cython.cast(cython.Py_ssize_t, column)]
                     code |= spread[cython.cast(cython.Py_ssize_t, row)] << 1
-                    above += up > 0.0
+                    highest = highest if highest > up else up
             else:
                 ranges[i] = NAN
                 # The square of an absurd coordinate may be infinite though it is not.
@@ -110,8 +111,8 @@ def turn(
             begins[run + 1] = i + 1
     counts[0] = missing
     counts[1] = beyond
-    counts[2] = above
-    counts[3] = run + 1
+    counts[2] = run + 1
+    counts[3] = highest > 0.0
 
 
 @cython.boundscheck(False)
@@ -169,9 +170,10 @@ def arrange(
                 arranged[3 * to + j] = four[j]
             for j in range(4):
                 keys[to + j] = key
-            for j in range(12, 3 * (end - begin)):
-                arranged[3 * to + j] = points[3 * begin + j]
-            for j in range(4, end - begin):
-                keys[to + j] = key
+            if end - begin > 4:
+                for j in range(12, 3 * (end - begin)):
+                    arranged[3 * to + j] = points[3 * begin + j]
+                for j in range(4, end - begin):
+                    keys[to + j] = key
             to += end - begin
     return to

@@ -105,7 +105,7 @@ def register(
         isolated = isolated_in_image(image, lidar.outlier_gate)
     else:
         isolated = isolated_in_space(turned, work.ranges, lidar.outlier_gate)
-    missing, beyond, above, run_count = counts.tolist()
+    missing, beyond, run_count, any_above = counts.tolist()
     sound = len(flat) - missing - beyond - isolated
     inside = 0
     points, key = work.answer()
@@ -124,8 +124,7 @@ def register(
     middle = None
     if sound and not inside:
         middle = (turned[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]).tolist()
-    if isolated:
-        above = int(np.count_nonzero(points[:inside, 2] > 0.0))
+    above = int(np.count_nonzero(points[:inside, 2] > 0.0)) if any_above else 0
     above = inside if 2 * above > inside else 0
     scan = RegisteredScan(
         pose=Pose(

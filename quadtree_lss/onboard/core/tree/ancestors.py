@@ -174,7 +174,8 @@ def fuse_leaves(
                 error[i] = 0.0
                 for j in range(3):
                     error[i] += ranges[3 * i + j] * pulled[a, j]
-            plus_at(mean, error, own)
+            basis_at(mean, basis)
+            plus_at(mean, basis, error, own)
             keep_up(own)
             # d / n_z is how far the plane passes above the origin; the origin moves up to it.
             rise = error[2] / own[2]
