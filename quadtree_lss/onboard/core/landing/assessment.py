@@ -296,22 +296,24 @@ class Hindsight:
         before = [ceil(at / step) for at in self._at]
         self._at = self._at[0] + moved[0], self._at[1] + moved[1]
         now = [ceil(at / step) for at in self._at]
-        self._first = carried(self._first, now[0] - before[0], now[1] - before[1], np.nan)
+        if now != before:
+            self._first = carried(self._first, now[0] - before[0], now[1] - before[1], np.nan)
         columns, rows = (
-            step * (first + np.arange(count)) - at for first, at in zip(now, self._at, strict=True)
+            slice(step * first - at, step * (first + count) - at, step)
+            for first, at in zip(now, self._at, strict=True)
         )
-        every = np.ix_(rows, columns)
+        every = rows, columns
         risks = np.where(judged[every], risk[every], np.nan)
         self._first = np.where(np.isnan(self._first), risks, self._first)
         self._last = risks
 
     def words(self) -> str:
         """As in "of the ground told 1 % of risk, 4 % is unsafe by the grown map"; or nothing."""
-        for low, high in zip(BINS, BINS[1:], strict=False):
-            chosen = (self._first >= low) & (self._first < high) & np.isfinite(self._last)
-            landers = 0.25 * np.count_nonzero(chosen)
-            told = float(np.sum(self._first, where=chosen)) * 0.25
-            later = float(np.sum(self._last, where=chosen)) * 0.25
+        known = np.isfinite(self._first) & np.isfinite(self._last)
+        first, last = self._first[known], self._last[known]
+        bins = np.digitize(first, BINS)
+        of_bins = (np.bincount(bins, of, len(BINS)) for of in (np.ones_like(first), first, last))
+        for landers, told, later in 0.25 * np.stack(list(of_bins), axis=1)[1 : len(BINS)]:
             if later > TIMES * told + DEVIATIONS * sqrt(told) + 1.0:
                 return (
                     f"of the ground told {100.0 * told / landers:.2g} % of risk at first,"

@@ -28,6 +28,7 @@ from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry.polygons import signed_distance
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
+from quadtree_lss.onboard.core.landing.lattice import find_best
 from quadtree_lss.onboard.core.landing.probability import Dispersion, aimed
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.landing.score import PointAssessment
@@ -51,6 +52,9 @@ TIE = 1e-5
 CHOICES, COARSE = 8, 128
 #: Deviation of the logarithm of a risk, whose own deviation is `DOUBT` of it.
 SPREAD = sqrt(log(1.0 + DOUBT**2))
+#: A normal distribution's deviations, and what lies beyond.
+DEVIATIONS = np.linspace(-9.0, 9.0, 4097)
+TAILS = np.array([0.5 * erfc(z / sqrt(2.0)) for z in DEVIATIONS])
 Kind = TypeVar("Kind", bound=np.generic)
 
 
@@ -73,24 +77,12 @@ def best_points(
         last: The last ranking: each keeps its rank ...
         hysteresis: ... unless another scores better by more than this.
     """
+    kept = np.array(last, dtype=np.intp).reshape(-1, 2)
+    best = np.empty((count, 2), dtype=np.intp)
     left = np.fmin(score, np.inf)
-    reach = int(separation / (x[1] - x[0])) + 1 if len(x) > 1 else 0
-    rows: list[int] = []
-    columns: list[int] = []
-    while len(rows) < count:
-        row, column = divmod(int(np.argmin(left)), left.shape[1])
-        if not np.isfinite(left[row, column]):
-            break
-        if len(rows) < len(last) and left[last[len(rows)]] <= left[row, column] + hysteresis:
-            row, column = last[len(rows)]
-        rows.append(row)
-        columns.append(column)
-        in_y = slice(max(row - reach, 0), row + reach + 1)
-        in_x = slice(max(column - reach, 0), column + reach + 1)
-        square = (y[in_y] - y[row])[:, None] ** 2 + (x[in_x] - x[column]) ** 2
-        left[in_y, in_x][square < separation**2] = np.inf
-        left[row, column] = np.inf
-    return np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp)
+    steps = separation / (x[1] - x[0]) if len(x) > 1 else 0.0
+    found = find_best(left, left.argmin(axis=1), steps, kept, hysteresis, best)
+    return best[:found, 0], best[:found, 1]
 
 
 class GridSampler:
@@ -116,6 +108,7 @@ class GridSampler:
             np.where(self.v[:, 0] < 0.5, low[0], high[0]),
             np.where(self.u < 0.5, low[1], high[1]),
         )
+        self.nearest_to = tuple(_steps(index) for index in self.near)
         self.cell = tuple(_steps(np.minimum(index, n - 1)) for index in low)
 
     def _corners(self, values: NDArray[Kind]) -> tuple[NDArray[Kind], ...]:
@@ -136,7 +129,7 @@ class GridSampler:
 
     def nearest(self, values: Array) -> Array:
         """Value of the nearest lattice point."""
-        return values[_steps(self.near[0])][:, _steps(self.near[1])]
+        return values[self.nearest_to[0]][:, self.nearest_to[1]]
 
     def lattice(self, rows: Index, columns: Index) -> tuple[Index, Index]:
         """Row and column of the lattice points nearest to grid points (K,)."""
@@ -221,7 +214,7 @@ def aim(
     if dark is not None:
         cost += NEARER[lss.ranking] * dark
     withheld = wanted.apply(cost, at.x, at.y, lss)
-    if ranks:
+    if ranks and (withheld or wanted.area is not None or len(wanted.keep_outs)):
         np.copyto(score, np.nan, where=np.isnan(cost))
     candidates = Candidates(at.x, at.y, safe, cost, unsafe if ranks else None)
     return Aims(at, score, 1.0 - unsafe, risk, hazard, candidates, withheld, dark)
@@ -239,20 +232,21 @@ def within_reach(
     the map is within reach."""
     ground, x, y = aims.candidates, aims.at.x, aims.at.y
     bad = ground.cost if ground.unsafe is None else ground.unsafe
-    cost, after = (
-        _choices(aims, wanted, lss, reached(x, y, motion, descent, wait)) for wait in (0.0, WAIT_S)
-    )
+    cost = after = _choices(aims, wanted, lss, reached(x, y, motion, descent, 0.0))
     choice = np.isfinite(cost)
     if not choice.any():
         return Now(cost)
     if motion is not None and ground.unsafe is not None and isfinite(motion.x + motion.y):
+        after = _choices(aims, wanted, lss, reached(x, y, motion, descent, WAIT_S))
         away = np.zeros_like(cost)
         np.hypot(x - motion.x, y[:, None] - motion.y, out=away, where=choice)
         cost += NEARER["probability"] * away
-    row, column = divmod(int(np.argmin(np.fmin(cost, np.inf))), cost.shape[1])
+    places = best_points(cost, x, y, CHOICES, lss.vehicle.lengths.min_separation)
+    row, column = int(places[0][0]), int(places[1][0])
     if ground.unsafe is None:
         return Now(cost, (row, column))
-    places = best_points(after, x, y, CHOICES, lss.vehicle.lengths.min_separation)
+    if after is not cost:
+        places = best_points(after, x, y, CHOICES, lss.vehicle.lengths.min_separation)
     return Now(cost, (row, column), float(bad[row, column]) - least_later(bad[places]))
 
 
@@ -275,8 +269,7 @@ def least_later(risks: Array) -> float:
         return 1.0
     middle = np.log(np.maximum(risks, 1e-9)) - 0.5 * SPREAD**2
     at = np.linspace(-8.0 * SPREAD, 8.0 * SPREAD, 65) + float(middle.min())
-    tails = -((middle[:, None] - at) / SPREAD) / sqrt(2.0)
-    normal = 0.5 * np.array([erfc(z) for z in tails.ravel().tolist()]).reshape(tails.shape)
+    normal = np.interp((at - middle[:, None]) / SPREAD, DEVIATIONS, TAILS)
     greater = np.prod(normal, axis=0) * np.exp(at)
     return float(np.exp(at[0]) + np.sum(0.5 * (greater[1:] + greater[:-1])) * (at[1] - at[0]))
 

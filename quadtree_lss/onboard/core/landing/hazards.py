@@ -47,19 +47,7 @@ def avoided_features(cells: CellMap, config: LssConfig) -> Bytes:
 
 
 def elevation_deviation(cells: CellMap, level: int) -> Array:
-    """Greatest distance (M,), m, of each leaf's plane from the fused plane of a higher level.
-
-    It is measured along the fused plane's normal, over the leaf's square. Both are planes, so it
-    varies linearly and is greatest at a corner. 0 for leaves of the level or above, and NaN for
-    leaves without a plane.
-    """
-    fused = fuse_to_level(cells, level)
-    out = np.where(cells.estimated, 0.0, np.nan)
-    leaf = np.flatnonzero(cells.estimated & (cells.level > level) & (fused.of_leaf >= 0))
-    above = fused.of_leaf[leaf]
-    (east, north, up), (x, y, z) = cells.normal[leaf].T, fused.normal[above].T
-    middle = x * (cells.x[leaf] - fused.x[above]) + y * (cells.y[leaf] - fused.y[above])
-    middle += z * (cells.z[leaf] - fused.z[above])
-    corner = np.abs(x - z * east / up) + np.abs(y - z * north / up)
-    out[leaf] = np.abs(middle) + 0.5 * cells.size[leaf] * corner
-    return out
+    """Greatest distance (M,), m, of each leaf's plane from the fused plane of a higher level (see
+    `Ancestors.off`): 0 for leaves of the level or above, and NaN for leaves without a plane."""
+    off = np.where(cells.level > level, fuse_to_level(cells, level).off, 0.0)
+    return np.where(cells.estimated, off, np.nan)

@@ -10,6 +10,7 @@ from typing import TypeVar
 
 import cython
 import numpy as np
+from cython.cimports.libc.math import sqrt
 from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask
@@ -89,12 +90,9 @@ def ground_planes(elevation: Array, seen: Mask, side: float, radius: float) -> G
     """
     over = disc(radius, side)
     square = side * float(np.mean((over.x / side) ** 2))
-    out = np.empty((3, len(elevation) + 1, len(elevation) + 1))
+    out = np.empty((4, len(elevation) + 1, len(elevation) + 1))
     disc_moments(elevation, np.mean(elevation), over.half, seen.view(np.uint8), square, out)
-    height, slope_x, slope_y = out
-    gradient = slope_x**2
-    gradient += slope_y**2
-    np.sqrt(gradient, out=gradient)
+    height, slope_x, slope_y, gradient = out
     return GroundPlanes(height, slope_x, slope_y, gradient, np.arctan(gradient))
 
 
@@ -106,8 +104,10 @@ def touching(cells: Bytes) -> Bytes:
     """
     rows, columns = cells.shape
     out = np.zeros((rows + 1, columns + 1), dtype=np.uint8)
-    for i, j in (0, 0), (0, 1), (1, 0), (1, 1):
-        out[i : i + rows, j : j + columns] |= cells
+    out[:rows, :columns] = cells
+    flat = out.ravel()  # what goes over the end of a row is 0
+    for step in (1, columns + 1):
+        flat[step:] |= flat[:-step]
     return out
 
 
@@ -190,8 +190,8 @@ def disc_moments(
         half: (2 reach,) half width of the disc in each row, in cells.
         seen: (n, n), the points from the first to the last at such cells in a row need means.
         square: What moments are divided by, beside the number of cells.
-        out: (3, n + 1, n + 1), set to the means of z, x z and y z, 0 where none are needed; or
-            (1, n + 1, n + 1) for the first alone.
+        out: (4, n + 1, n + 1), set to the means of z, x z and y z, and the root of the sum of the
+            squares of these, 0 where none are needed; or (1, n + 1, n + 1) for the first alone.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
     cython.declare(row=cython.Py_ssize_t, east=cython.Py_ssize_t, west=cython.Py_ssize_t)
@@ -203,6 +203,7 @@ def disc_moments(
     mean = cython.declare(cython.double[:, ::1], out[0])
     along_x = cython.declare(cython.double[:, ::1], out[1 if slopes else 0])
     along_y = cython.declare(cython.double[:, ::1], out[2 if slopes else 0])
+    length = cython.declare(cython.double[:, ::1], out[3 if slopes else 0])
     share: cython.double = 0.5 / np.sum(half)
     moment: cython.double = share / square
     # Of the rows in reach alone: each takes the place of the one that went out of it.
@@ -223,6 +224,7 @@ def disc_moments(
             mean[row, :] = 0.0
             along_x[row, :] = 0.0
             along_y[row, :] = 0.0
+            length[row, :] = 0.0
             first, after = n, 0
             for k in range(max(row - 1, 0), min(row + 1, n)):
                 j = 0
@@ -261,6 +263,8 @@ def disc_moments(
                     along_x[row, j] *= moment
                 for j in range(first, after):
                     along_y[row, j] *= moment
+                for j in range(first, after):
+                    length[row, j] = sqrt(along_x[row, j] ** 2 + along_y[row, j] ** 2)
             for j in range(first, after):
                 mean[row, j] = level + share * mean[row, j]
 
@@ -334,6 +338,51 @@ def find_nearest(marked: Bytes, place: Ints) -> None:
                     place[i, j] = near[i, k] * columns + k
                     if j == begin[top]:
                         top -= 1
+
+
+@cython.boundscheck(False)
+@cython.locals(left=cython.double[:, ::1], lowest=cython.Py_ssize_t[::1])
+@cython.locals(apart=cython.double, last=cython.Py_ssize_t[:, ::1], hysteresis=cython.double)
+@cython.locals(best=cython.Py_ssize_t[:, ::1])
+def find_best(
+    left: Array, lowest: Index, apart: float, last: Index, hysteresis: float, best: Index
+) -> int:
+    """How many of the lowest there are; ``best`` (K, 2) is set to their rows and columns.
+
+    Args:
+        left: (ny, nx) infinite where excluded, as becomes what is too near to one found.
+        lowest: (ny,) column of the lowest in each row; spoilt.
+        apart: Least distance of any two, in steps.
+        last: (L, 2) rows and columns: each keeps its rank ...
+        hysteresis: ... unless another is lower by more than this.
+    """
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, row=cython.Py_ssize_t)
+    cython.declare(column=cython.Py_ssize_t, found=cython.Py_ssize_t)
+    rows: cython.Py_ssize_t = left.shape[0]
+    columns: cython.Py_ssize_t = left.shape[1]
+    reach: cython.Py_ssize_t = int(apart)
+    none: cython.double = np.inf
+    for found in range(best.shape[0]):
+        row = 0
+        for i in range(rows):
+            row = i if left[i, lowest[i]] < left[row, lowest[row]] else row
+        column = lowest[row]
+        if left[row, column] == none:
+            return int(found)
+        if found < last.shape[0]:
+            i, j = last[found, 0], last[found, 1]
+            if left[i, j] <= left[row, column] + hysteresis:
+                row, column = i, j
+        best[found, 0], best[found, 1] = row, column
+        for i in range(max(row - reach, 0), min(row + reach + 1, rows)):
+            for j in range(max(column - reach, 0), min(column + reach + 1, columns)):
+                if (i - row) ** 2 + (j - column) ** 2 < apart * apart:
+                    left[i, j] = none
+            left[row, column] = none
+            if left[i, lowest[i]] == none:
+                for j in range(columns):
+                    lowest[i] = j if left[i, j] < left[i, lowest[i]] else lowest[i]
+    return int(best.shape[0])
 
 
 @cython.boundscheck(False)

@@ -167,11 +167,13 @@ class RiskTable:
         # Returns on a square as wide as the least hazard, of those that their leaf has there.
         returns = cells.count * (vehicle.least_hazard / side) ** 2 / np.maximum(share, 1)
         level = np.log10(returns + NO_RETURNS).astype(np.float32)
-        rough = np.nan_to_num(cells.roughness / (clearance * cells.size**2))
+        rough = np.fmax(cells.roughness / (clearance * cells.size**2), 0.0)
         rough = np.minimum(rough, 2.0).astype(np.float32)
         of_cells = np.empty((2, *known.shape), dtype=np.float32)
-        of_cells[0] = np.where(known, level.take(raster.leaf), np.float32(log10(NO_RETURNS)))
-        np.multiply(known, rough.take(raster.leaf), out=of_cells[1])
+        level.take(raster.leaf, out=of_cells[0], mode="clip")
+        rough.take(raster.leaf, out=of_cells[1], mode="clip")
+        np.copyto(of_cells[0], log10(NO_RETURNS), where=raster.bridged)
+        np.copyto(of_cells[1], 0.0, where=raster.bridged)
         under = max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1)
         around, means = np.empty((2, 3, *judged.shape), dtype=np.float32)
         around[0] = judged
@@ -183,9 +185,8 @@ class RiskTable:
         np.sqrt(means[1], out=out[7])
         about = max(round(0.5 * WINDOW * vehicle.diameter / side), 1)
         set_means(around, about, 1, means)
-        means[1:] /= np.maximum(means[0], np.float32(1e-6), out=means[0])
-        np.sqrt(means[1], out=out[5])
-        out[6] = means[2]
+        np.divide(means[1:], np.maximum(means[0], np.float32(1e-6), out=means[0]), out=out[5:7])
+        np.sqrt(out[5], out=out[5])
         return out
 
     def risk(
@@ -318,10 +319,11 @@ def remaining_risks(
     )
     up, right, within = len(across) // 2, len(along) // 2, float(across.sum() * along.sum())
     found = []
+    weights = across[:, None] * along
     for at_row, at_column in zip(*(of.tolist() for of in places), strict=True):
         south, west = max(at_row - up, 0), max(at_column - right, 0)
         known = risk[south : at_row + up + 1, west : at_column + right + 1]
-        share = across[:, None] * along
+        share = weights.copy()
         south, west = south - at_row + up, west - at_column + right
         share[south : south + known.shape[0], west : west + known.shape[1]] *= known
         row, column = divmod(int(np.argmax(share)), len(along))
@@ -369,8 +371,9 @@ def set_contacts(contact: Single, limit: float, least: float, out: Single) -> No
 
 
 @cython.boundscheck(False)
-@cython.locals(leaf=cython.int[:, ::1], known=cython.uchar[:, ::1], count=cython.int[::1])
-def count_known(leaf: Ints, known: Bytes, count: Ints) -> None:
+@cython.locals(leaf=cython.Py_ssize_t[:, ::1])
+@cython.locals(known=cython.uchar[:, ::1], count=cython.int[::1])
+def count_known(leaf: Index, known: Bytes, count: Ints) -> None:
     """Add up the ``known`` finest cells (n, n) of each leaf (M,)."""
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     with cython.nogil:
@@ -506,18 +509,18 @@ def look_up(
             for j in range(first, after):
                 if not judged[i, j]:
                     continue
-                safe: cython.double = 1.0
-                most: cython.double = -1e9
+                likeliest: cython.uchar = 0
+                most: cython.double = odds[0, j]
+                worse: cython.double = 1.0
                 for c in range(causes):
                     z: cython.double = odds[c, j]
-                    if z > most:
-                        most = z
-                        cause[i, j] = c
+                    likeliest = c if z > most else likeliest
+                    most = z if z > most else most
                     z = (z - least) * step + 0.5
                     z = z if z > 0.0 else 0.0
                     z = z if z < end else end
-                    safe /= 1.0 + exps[cython.cast(cython.Py_ssize_t, z)]
-                out[i, j] = 1.0 - safe
+                    worse *= 1.0 + exps[cython.cast(cython.Py_ssize_t, z)]
+                out[i, j], cause[i, j] = 1.0 - 1.0 / worse, likeliest
 
 
 @cython.boundscheck(False)

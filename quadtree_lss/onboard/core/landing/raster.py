@@ -10,7 +10,7 @@ import cython
 import numpy as np
 from cython.cimports.libc.math import erf, exp, fabs, sqrt
 
-from quadtree_lss.onboard.arrays import Array, Index, Ints, Mask
+from quadtree_lss.onboard.arrays import Array, Index, Mask
 from quadtree_lss.onboard.config.sections import LightConfig
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.lattice import grown, nearest_marked
@@ -47,7 +47,7 @@ class TerrainRaster:
     """
 
     domain: Domain
-    leaf: Ints
+    leaf: Index
     elevation: Array
     slope_x: Array
     slope_y: Array
@@ -71,13 +71,10 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
     max_gap, negligible = lss.gap, lss.vehicle.lengths.negligible
     domain = cells.domain
     n, side = domain.finest_count, domain.finest_size
-    leaf = np.empty((n, n), dtype=np.int32)
+    leaf = np.empty((n, n), dtype=np.intp)
     elevation, slope_x, slope_y, subscale, peak = layers = np.empty((5, n, n))
     layers[3:] = 0.0
-    down = domain.max_level - cells.level.astype(np.intp)
-    place = np.stack([cells.iy, cells.ix, np.ones_like(cells.ix)], axis=1).astype(np.intp)
-    planes = np.column_stack([cells.z, cells.normal, cells.low, cells.high])
-    lay_out(place << down[:, None], planes, cells.feature, side, negligible, leaf, layers)
+    lay_out(cells, side, negligible, leaf, layers)
     known = cells.observed & cells.known & ~np.isnan(elevation)
     bridged = ~known
     unmapped = cells.observed & ~known
@@ -94,25 +91,12 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
 
 
 @cython.boundscheck(False)
-@cython.locals(place=cython.Py_ssize_t[:, ::1], planes=cython.double[:, ::1])
-@cython.locals(feature=cython.double[:, ::1], leaf=cython.int[:, ::1])
-@cython.locals(layers=cython.double[:, :, ::1])
-def lay_out(
-    place: Index,
-    planes: Array,
-    feature: Array,
-    side: float,
-    negligible: float,
-    leaf: Ints,
-    layers: Array,
-) -> None:
+@cython.locals(leaf=cython.Py_ssize_t[:, ::1], layers=cython.double[:, :, ::1])
+def lay_out(cells: CellMap, side: float, negligible: float, leaf: Index, layers: Array) -> None:
     """Fill the finest cells under leaves (M).
 
     Args:
-        place: (M, 3) row and column of each leaf's first finest cell, and cells along its side.
-        planes: (M, 6) elevation at the centre, m, NaN if there is none; normal; lowest and highest
-            that heights keep to, m, NaN for no bound.
-        feature: (M, 5).
+        cells: The map.
         side: Of the finest cells, m.
         negligible: Lower tails of a feature are no feature, m.
         leaf: (n, n), set to the row of the leaf.
@@ -122,29 +106,38 @@ def lay_out(
     cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t, width=cython.Py_ssize_t)
     cython.declare(beyond=cython.bint)
+    depth = cython.declare(cython.uchar[::1], cells.level)
+    ix = cython.declare(cython.uint[::1], cells.ix)
+    iy = cython.declare(cython.uint[::1], cells.iy)
+    z = cython.declare(cython.double[::1], cells.z)
+    normal = cython.declare(cython.double[:, ::1], cells.normal)
+    lowest = cython.declare(cython.double[::1], cells.low)
+    highest = cython.declare(cython.double[::1], cells.high)
+    feature = cython.declare(cython.double[:, ::1], cells.feature)
     half = 0.5 * side
     # Of a feature, column by column: its share, and the square of the distance.
     shares = cython.declare(cython.double[::1], np.empty(leaf.shape[1]))
     squares = cython.declare(cython.double[::1], np.empty(leaf.shape[1]))
     with cython.nogil:
-        for k in range(place.shape[0]):
-            row, column, width = place[k, 0], place[k, 1], place[k, 2]
-            level, low, high = planes[k, 0], planes[k, 4], planes[k, 5]
+        for k in range(depth.shape[0]):
+            width = leaf.shape[0] >> cython.cast(cython.int, depth[k])
+            row, column = iy[k] * width, ix[k] * width
+            level, low, high = z[k], lowest[k], highest[k]
             middle = 0.5 * (width - 1)
             slope_x, slope_y = 0.0, 0.0
             if level == level:
-                slope_x, slope_y = -planes[k, 1] / planes[k, 3], -planes[k, 2] / planes[k, 3]
+                slope_x, slope_y = -normal[k, 0] / normal[k, 2], -normal[k, 1] / normal[k, 2]
             rise = (fabs(slope_x) + fabs(slope_y)) * middle * side
             beyond = level - rise < low or level + rise > high
             for i in range(row, row + width):
                 y = (i - row - middle) * side
                 for j in range(column, column + width):
-                    z = level + slope_x * ((j - column - middle) * side) + slope_y * y
+                    height = level + slope_x * ((j - column - middle) * side) + slope_y * y
                     if beyond:
-                        z = low if z < low else z
-                        z = high if z > high else z
+                        height = low if height < low else height
+                        height = high if height > high else height
                     leaf[i, j] = k
-                    layers[0, i, j], layers[1, i, j], layers[2, i, j] = z, slope_x, slope_y
+                    layers[0, i, j], layers[1, i, j], layers[2, i, j] = height, slope_x, slope_y
             if not feature[k, 1] == feature[k, 1]:
                 continue
             # Eq. 57: a bell is a product of two normal densities times its volume k^2.

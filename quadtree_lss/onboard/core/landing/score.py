@@ -132,9 +132,10 @@ def assess_points(
     bits *= raster.seen.view(np.uint8)
     bits |= unknown_bits(raster)
     hazard = touching(bits)
-    risk, cause = np.full(around.room.shape, np.nan), np.zeros(around.room.shape, dtype=np.uint8)
     if worst is not None and table is not None:
         risk, cause = table.risk(raster, around.judged, around.planes.gradient, worst)
+    else:
+        risk, cause = np.full(hazard.shape, np.nan), np.zeros_like(hazard)
     if worst is None or check is None or lss.assessment == "paper":
         spoiled = bits & hazards.FEATURE > 0
         near_feature = hazard & hazards.FEATURE > 0

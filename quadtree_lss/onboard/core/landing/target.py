@@ -421,7 +421,7 @@ class TargetKeeper:
         least = lss.min_probability
         if ground.unsafe is not None:
             likely = permitted & ~(ground.unsafe > 1.0 - least)
-        best = _least(np.where(permitted, ground.cost, inf)) if permitted.any() else None
+        best = _least(np.fmin(ground.cost, inf)) if permitted.any() else None
         before, self._before = self._before, ground
         seen_again = likely & before.safe_on(ground) if before else np.zeros_like(likely)
         held, released = self._held, self._released
@@ -514,7 +514,10 @@ class TargetKeeper:
         cost = ground.cost[held]
         if ground.unsafe is not None and np.isnan(cost):  # it would not be chosen any more
             cost = ground.unsafe[held]
-        lower = np.flatnonzero(allowed & (ground.cost < cost - SWITCH[lss.ranking]))
+        least = SWITCH[lss.ranking]
+        if ground.unsafe is not None:  # no doubt is less than that of the one held
+            least += DOUBT * np.nan_to_num(ground.unsafe[held])
+        lower = np.flatnonzero(allowed & (ground.cost < cost - least))
         if not len(lower):
             return None
         row, column = np.divmod(lower, len(ground.x))
