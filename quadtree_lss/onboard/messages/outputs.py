@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.onboard.messages.maps import (
@@ -163,10 +164,13 @@ class MessageMaker:
 
     def of_map(self, cells: CellMap) -> Iterator[Named]:
         """``map/cells`` and ``map/observed``."""
-        domain, stamp = cells.domain, cells.stamp_ns
-        yield CELLS, self.cloud(encode_cells(cells), stamp)
-        values, corner = encode_observed(cells.observed, cells.known), (domain.xmin, domain.ymin)
-        yield OBSERVED, self.grid(values, corner, domain.finest_size, stamp)
+        yield CELLS, self.cloud(encode_cells(cells), cells.stamp_ns)
+        values = encode_observed(cells.observed, cells.known)
+        yield OBSERVED, self.observed(values, cells.domain, cells.stamp_ns)
+
+    def observed(self, values: NDArray[np.int8], domain: Domain, stamp: int) -> Any:
+        """``map/observed`` of values (n, n)."""
+        return self.grid(values, (domain.xmin, domain.ymin), domain.finest_size, stamp)
 
     def of_ground(self, assessment: LandingAssessment) -> Iterator[Named]:
         """Grids and sites; grid points are the centres of their cells."""
