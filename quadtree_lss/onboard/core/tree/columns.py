@@ -8,7 +8,7 @@ from typing import Any
 import cython
 import numpy as np
 
-from quadtree_lss.onboard.arrays import Array, Index
+from quadtree_lss.onboard.arrays import Array, Index, Single
 from quadtree_lss.onboard.core.tree.cell_map import SHAPE
 
 if cython.compiled:
@@ -79,3 +79,38 @@ def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, 
         "covariance_pose": covariance.reshape(-1, 3, 3),
         "feature": features,
     }
+
+
+@cython.boundscheck(False)
+@cython.locals(size=cython.double[:], z=cython.double[:], normal=cython.double[:, :])
+@cython.locals(range_part=cython.double[:, :, :], pose_part=cython.double[:, :, :])
+@cython.locals(roughness=cython.double[:], exception=cython.double[:], feature=cython.double[:, :])
+@cython.locals(plane=cython.double[:, :], rest=cython.float[:, :])
+def pack(
+    size: Array,
+    z: Array,
+    normal: Array,
+    range_part: Array,
+    pose_part: Array,
+    roughness: Array,
+    exception: Array,
+    feature: Array,
+    plane: Array,
+    rest: Single,
+) -> None:
+    """Columns of ``cell_map.CellMap`` (M, ...) side by side: size, elevation and normal as
+    ``plane`` (M, 5), what follows as ``rest`` (M, 19), of covariances the upper triangle."""
+    cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int, at=cython.int)
+    with cython.nogil:
+        for i in range(plane.shape[0]):
+            plane[i, 0], plane[i, 1] = size[i], z[i]
+            at = 0
+            for j in range(3):
+                plane[i, 2 + j] = normal[i, j]
+                for k in range(j, 3):
+                    rest[i, at] = range_part[i, j, k]
+                    rest[i, 6 + at] = pose_part[i, j, k]
+                    at += 1
+            rest[i, 12], rest[i, 13] = roughness[i], exception[i]
+            for j in range(5):
+                rest[i, 14 + j] = feature[i, j]
