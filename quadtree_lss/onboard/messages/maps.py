@@ -98,11 +98,7 @@ def encode_cells(cells: CellMap) -> NDArray[np.void]:
         out[name] = getattr(cells, name)
     out["z"] = bounded(cells.z, cells.low, cells.high)
     out["min_level"] = cells.domain.min_level
-    pack(
-        *(cells.size, cells.z, cells.normal, cells.covariance_range, cells.covariance_pose),
-        *(cells.roughness, cells.exception_fraction, cells.feature),
-        *(_block(out, names) for names in (_PLANE, _REST)),
-    )
+    pack(cells, _block(out, _PLANE), _block(out, _REST))
     return out
 
 
@@ -182,12 +178,12 @@ def decode_cells(
         ix=ix,
         iy=iy,
         z=elevation,
-        normal=_columns(records, _NORMAL),
+        normal=_block(records, _NORMAL).astype(float),
         covariance_range=_matrices(records, _RANGE),
         covariance_pose=_matrices(records, _POSE),
         count=records["count"].astype(np.uint32),
         measured=measured,
-        feature=_columns(records, _FEATURE),
+        feature=_block(records, _FEATURE).astype(float),
         observed=observed,
         known=observed & of_plane[raster] & (True if known is None else known),
         offset_z=float(records["offset_z"][0]),
@@ -225,19 +221,15 @@ def _put(out: NDArray[np.void], names: Iterable[str], values: Array) -> None:
 
 
 def _block(records: NDArray[np.void], names: Sequence[str]) -> NDArray[Any]:
-    """(M, K) of fields of one type that lie side by side; of contiguous records a view."""
+    """(M, K) of fields of one type that lie side by side: of contiguous records a view, which is
+    read at once, in a fourth of the time."""
     kind, start = (records.dtype.fields or {})[names[0]][:2]
     shape, strides = (len(records), len(names)), (records.itemsize, kind.itemsize)
     return np.ndarray(shape, kind, np.ascontiguousarray(records), start, strides)
 
 
-def _columns(records: NDArray[np.void], names: Sequence[str]) -> Array:
-    """Of a `_block`: read at once, in a fourth of the time."""
-    return _block(records, names).astype(float)
-
-
-def _matrices(records: NDArray[np.void], names: tuple[str, ...]) -> Array:
-    return _columns(records, names).take(_OF_UPPER, axis=1).reshape(-1, 3, 3)
+def _matrices(records: NDArray[np.void], names: Sequence[str]) -> Array:
+    return _block(records, names).astype(float).take(_OF_UPPER, axis=1).reshape(-1, 3, 3)
 
 
 def round_trip(cells: CellMap) -> CellMap:

@@ -162,7 +162,7 @@ class OneNodeExecutor(SingleThreadedExecutor):
         """Finds the nodes' entities and makes a wait set that has room for them."""
         self._changed = False
         nodes = self.get_nodes()
-        served = [(kind, one) for node in nodes for kind in KINDS for one in getattr(node, f"{kind}s")]
+        served = [(k, one) for k in KINDS for node in nodes for one in getattr(node, f"{k}s")]
         self._events = [event for node in nodes for event in node.waitables]
         groups = {one.callback_group for _, one in served}
         self._groups = [group for group in groups if isinstance(group, WhenWanted)]

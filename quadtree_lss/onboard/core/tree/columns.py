@@ -9,7 +9,7 @@ import cython
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Index, Single
-from quadtree_lss.onboard.core.tree.cell_map import SHAPE
+from quadtree_lss.onboard.core.tree.cell_map import SHAPE, CellMap
 
 if cython.compiled:
     from cython.cimports.libc.math import NAN
@@ -82,25 +82,19 @@ def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, 
 
 
 @cython.boundscheck(False)
-@cython.locals(size=cython.double[:], z=cython.double[:], normal=cython.double[:, :])
-@cython.locals(range_part=cython.double[:, :, :], pose_part=cython.double[:, :, :])
-@cython.locals(roughness=cython.double[:], exception=cython.double[:], feature=cython.double[:, :])
 @cython.locals(plane=cython.double[:, :], rest=cython.float[:, :])
-def pack(
-    size: Array,
-    z: Array,
-    normal: Array,
-    range_part: Array,
-    pose_part: Array,
-    roughness: Array,
-    exception: Array,
-    feature: Array,
-    plane: Array,
-    rest: Single,
-) -> None:
-    """Columns of ``cell_map.CellMap`` (M, ...) side by side: size, elevation and normal as
-    ``plane`` (M, 5), what follows as ``rest`` (M, 19), of covariances the upper triangle."""
+def pack(cells: CellMap, plane: Array, rest: Single) -> None:
+    """Columns of a map (M, ...) side by side: sizes, elevations and normals as ``plane`` (M, 5);
+    covariances (upper triangles), roughness, exceptions and features as ``rest`` (M, 19)."""
     cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int, at=cython.int)
+    size = cython.declare(cython.double[:], cells.size)
+    z = cython.declare(cython.double[:], cells.z)
+    normal = cython.declare(cython.double[:, :], cells.normal)
+    range_part = cython.declare(cython.double[:, :, :], cells.covariance_range)
+    pose_part = cython.declare(cython.double[:, :, :], cells.covariance_pose)
+    roughness = cython.declare(cython.double[:], cells.roughness)
+    exception = cython.declare(cython.double[:], cells.exception_fraction)
+    bell = cython.declare(cython.double[:, :], cells.feature)
     with cython.nogil:
         for i in range(plane.shape[0]):
             plane[i, 0], plane[i, 1] = size[i], z[i]
@@ -113,4 +107,4 @@ def pack(
                     at += 1
             rest[i, 12], rest[i, 13] = roughness[i], exception[i]
             for j in range(5):
-                rest[i, 14 + j] = feature[i, j]
+                rest[i, 14 + j] = bell[i, j]
