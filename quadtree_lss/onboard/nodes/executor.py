@@ -95,7 +95,7 @@ class OneNodeExecutor(SingleThreadedExecutor):
         self._changed = True
         self._ready: Iterator[Work] = iter(())
         self._entities: dict[int, Any] = {}
-        self._handles: list[tuple[Any, Callable[[Any], Any], list[Any]]] = []
+        self._handles: list[tuple[CallbackGroup, Callable[[Any], int], Any]] = []
         self._events: list[Any] = []
         self._look_at_events = 0.0
         self._groups: list[WhenWanted] = []
@@ -135,10 +135,9 @@ class OneNodeExecutor(SingleThreadedExecutor):
         waits = self._set
         waits.clear_entities()
         held = [group for group in self._groups if not group.wanted()]
-        for group, add, handles in self._handles:
+        for group, add, handle in self._handles:
             if group not in held:
-                for handle in handles:
-                    add(handle)
+                add(handle)
         events = []
         if (now := time.monotonic()) >= self._look_at_events:
             self._look_at_events = now + EVENTS_S
@@ -177,11 +176,8 @@ class OneNodeExecutor(SingleThreadedExecutor):
             self._context.handle,
         )
         self._entities = {one.handle.pointer: one for _, one in served}
-        handles: dict[Any, list[Any]] = {}
-        for kind, one in served:
-            handles.setdefault((one.callback_group, kind), []).append(one.handle)
         self._handles = [
-            (group, getattr(self._set, f"add_{kind}"), of) for (group, kind), of in handles.items()
+            (one.callback_group, getattr(self._set, f"add_{k}"), one.handle) for k, one in served
         ]
 
 

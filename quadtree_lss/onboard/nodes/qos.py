@@ -128,15 +128,9 @@ def serve(node: Node, name: str, work: Callable[[], str]) -> None:
 
 
 def advertise(
-    node: Node,
-    kind: Any,
-    topic: str,
-    profile: QoSProfile,
-    matched: Callable[[Any], None] | None = None,
+    node: Node, kind: Any, topic: str, profile: QoSProfile, matched: Any = None
 ) -> Publisher:
     """Publisher whose QoS can be overridden; rclpy tells of subscribers that it cannot serve.
-    ``matched``: called when subscribers came or went."""
-    events = PublisherEventCallbacks(matched=matched)
-    return node.create_publisher(
-        kind, topic, profile, event_callbacks=events, qos_overriding_options=OVERRIDABLE
-    )
+    ``matched``: called with an event when subscribers came or went."""
+    events = {"event_callbacks": PublisherEventCallbacks(matched=matched)}
+    return node.create_publisher(kind, topic, profile, qos_overriding_options=OVERRIDABLE, **events)
