@@ -19,7 +19,7 @@ from quadtree_lss.lab.live.demo import differing, run_live, site_difference
 from quadtree_lss.lab.live.listener import TOPICS
 from quadtree_lss.lab.live.processes import program
 from quadtree_lss.onboard.messages.maps import SITE_FIELDS
-from quadtree_lss.onboard.messages.outputs import cloud_records, map_from_messages
+from quadtree_lss.onboard.messages.outputs import GROUND, cloud_records, map_from_messages
 from quadtree_lss.onboard.nodes.node_runner import WRONG_CONFIGURATION
 
 pytestmark = pytest.mark.xdist_group("ros")
@@ -134,6 +134,18 @@ def test_late_and_restarted_subscribers_get_the_map(ros):
                 done = functools.partial(has_stamp, late, topic, last)
                 assert late.wait_for(done), lss.output()
         lss.stop(signal_number)
+
+
+def test_what_nobody_subscribed_to_comes_to_whom_does_first_and_to_all_after(ros):
+    ros.start("mapping_node")
+    lss = ros.start("lss_node")
+    with ros.listen({"landing/status": PointCloud2}) as first:
+        last = Sensors(first).matched().publish(SCANS)
+        assert first.wait_for(lambda: first.stamp("landing/status") == last), lss.output()
+        for _ in range(2):
+            with ros.listen() as late:
+                came = [functools.partial(has_stamp, late, topic, last) for topic in GROUND]
+                assert late.wait_for(lambda came=came: all(one() for one in came)), lss.output()
 
 
 def test_incompatible_qos_is_told_with_its_remedy(ros):

@@ -7,9 +7,9 @@ that what was rounded on the way to the wire was rounded for both.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from quadtree_lss.onboard.config.settings import ConfigError, LssConfig, checked
 from quadtree_lss.onboard.core.geometry.bounds import MOST, MOST_HEIGHT, bounded
 from quadtree_lss.onboard.core.landing.target import WAIT_S
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.columns import pack
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import leaf_raster
 from quadtree_lss.onboard.core.tree.soundness import sound_planes
@@ -40,11 +41,10 @@ _RANGE = tuple(f"covariance_range_{of}" for of in _UPPER)
 _POSE = tuple(f"covariance_pose_{of}" for of in _UPPER)
 _NORMAL = ("normal_x", "normal_y", "normal_z")
 _FEATURE = ("feature_a", "feature_k", "feature_x", "feature_y", "feature_sigma")
-_SAME = (
-    *("x", "y", "size", "roughness", "exception_fraction", "count", "ix", "iy", "level"),
-    *("measured", "offset_z", "offset_variance", "low", "high"),
-)
-"""Fields that are attributes of a `CellMap`."""
+_PLANE = ("size", "elevation", *_NORMAL)
+_REST = (*_RANGE, *_POSE, "roughness", "exception_fraction", *_FEATURE)
+_SAME = "x y count ix iy level measured offset_z offset_variance low high".split()
+"""Fields that are attributes of a `CellMap`, but for those of `pack`."""
 
 
 def record_dtype(*columns: tuple[str, Iterable[str]]) -> np.dtype[np.void]:
@@ -55,8 +55,8 @@ def record_dtype(*columns: tuple[str, Iterable[str]]) -> np.dtype[np.void]:
 #: A ``map/cells`` point.
 CELL_FIELDS = record_dtype(
     ("f4", "xyz"),
-    ("f8", ("size", "elevation", *_NORMAL)),
-    ("f4", (*_RANGE, *_POSE, "roughness", "exception_fraction", *_FEATURE)),
+    ("f8", _PLANE),
+    ("f4", _REST),
     ("u4", ["count"]),
     ("u2", ("ix", "iy")),
     ("u1", ("level", "min_level", "measured")),
@@ -93,15 +93,12 @@ PRIOR_STATUS_FIELDS = np.dtype([*STATUS_FIELDS.descr, *record_dtype(("f4", _OF_P
 
 def encode_cells(cells: CellMap) -> NDArray[np.void]:
     """One record per leaf, (M,) of `CELL_FIELDS`."""
-    out = np.zeros(len(cells.level), dtype=CELL_FIELDS)
+    out = np.empty(len(cells.level), dtype=CELL_FIELDS)
     for name in _SAME:
         out[name] = getattr(cells, name)
     out["z"] = bounded(cells.z, cells.low, cells.high)
-    out["elevation"], out["min_level"] = cells.z, cells.domain.min_level
-    _put(out, _NORMAL, cells.normal)
-    _put(out, _RANGE, cells.covariance_range[:, _I, _J])
-    _put(out, _POSE, cells.covariance_pose[:, _I, _J])
-    _put(out, _FEATURE, cells.feature)
+    out["min_level"] = cells.domain.min_level
+    pack(cells, _block(out, _PLANE), _block(out, _REST))
     return out
 
 
@@ -181,12 +178,12 @@ def decode_cells(
         ix=ix,
         iy=iy,
         z=elevation,
-        normal=_columns(records, _NORMAL),
+        normal=_block(records, _NORMAL).astype(float),
         covariance_range=_matrices(records, _RANGE),
         covariance_pose=_matrices(records, _POSE),
         count=records["count"].astype(np.uint32),
         measured=measured,
-        feature=_columns(records, _FEATURE),
+        feature=_block(records, _FEATURE).astype(float),
         observed=observed,
         known=observed & of_plane[raster] & (True if known is None else known),
         offset_z=float(records["offset_z"][0]),
@@ -223,15 +220,16 @@ def _put(out: NDArray[np.void], names: Iterable[str], values: Array) -> None:
         out[name] = column
 
 
-def _columns(records: NDArray[np.void], names: tuple[str, ...]) -> Array:
-    """(M, K) of fields of one type that lie side by side, read at once: a fourth of the time."""
+def _block(records: NDArray[np.void], names: Sequence[str]) -> NDArray[Any]:
+    """(M, K) of fields of one type that lie side by side: of contiguous records a view, which is
+    read at once, in a fourth of the time."""
     kind, start = (records.dtype.fields or {})[names[0]][:2]
     shape, strides = (len(records), len(names)), (records.itemsize, kind.itemsize)
-    return np.ndarray(shape, kind, np.ascontiguousarray(records), start, strides).astype(float)
+    return np.ndarray(shape, kind, np.ascontiguousarray(records), start, strides)
 
 
-def _matrices(records: NDArray[np.void], names: tuple[str, ...]) -> Array:
-    return _columns(records, names).take(_OF_UPPER, axis=1).reshape(-1, 3, 3)
+def _matrices(records: NDArray[np.void], names: Sequence[str]) -> Array:
+    return _block(records, names).astype(float).take(_OF_UPPER, axis=1).reshape(-1, 3, 3)
 
 
 def round_trip(cells: CellMap) -> CellMap:

@@ -6,7 +6,7 @@ Nothing here knows where the classes come from; they are given by name and calle
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.onboard.messages.maps import (
@@ -163,21 +164,29 @@ class MessageMaker:
 
     def of_map(self, cells: CellMap) -> Iterator[Named]:
         """``map/cells`` and ``map/observed``."""
-        domain, stamp = cells.domain, cells.stamp_ns
-        yield CELLS, self.cloud(encode_cells(cells), stamp)
-        values, corner = encode_observed(cells.observed, cells.known), (domain.xmin, domain.ymin)
-        yield OBSERVED, self.grid(values, corner, domain.finest_size, stamp)
+        yield CELLS, self.cloud(encode_cells(cells), cells.stamp_ns)
+        values = encode_observed(cells.observed, cells.known)
+        yield OBSERVED, self.observed(values, cells.domain, cells.stamp_ns)
 
-    def of_ground(self, assessment: LandingAssessment) -> Iterator[Named]:
-        """Grids and sites; grid points are the centres of their cells."""
+    def observed(self, values: NDArray[np.int8], domain: Domain, stamp: int) -> Any:
+        """``map/observed`` of values (n, n)."""
+        return self.grid(values, (domain.xmin, domain.ymin), domain.finest_size, stamp)
+
+    def of_ground(
+        self, assessment: LandingAssessment, topics: Collection[str] = GROUND
+    ) -> Iterator[Named]:
+        """Grids and sites, as far as asked for; grid points are the centres of their cells."""
         stamp, x, y = assessment.stamp_ns, assessment.x, assessment.y
         spacing = float(x[1] - x[0]) if len(x) > 1 else 1.0
         corner = (float(x[0]) - 0.5 * spacing, float(y[0]) - 0.5 * spacing)
-        yield HAZARDS, self.grid(encode_hazards(assessment), corner, spacing, stamp)
-        yield SCORE, self.grid(encode_score(assessment), corner, spacing, stamp)
-        yield PROBABILITY, self.grid(encode_probability(assessment), corner, spacing, stamp)
-        yield SITE_TABLE, self.cloud(encode_sites(assessment), stamp)
-        yield SITES, self.sites(assessment)
+        grids = {HAZARDS: encode_hazards, SCORE: encode_score, PROBABILITY: encode_probability}
+        for topic, encode in grids.items():
+            if topic in topics:
+                yield topic, self.grid(encode(assessment), corner, spacing, stamp)
+        if SITE_TABLE in topics:
+            yield SITE_TABLE, self.cloud(encode_sites(assessment), stamp)
+        if SITES in topics:
+            yield SITES, self.sites(assessment)
 
     def grid_map(self, assessment: LandingAssessment) -> Any:
         """``landing/grid_map``: all layers of the landing grid, NaN where unknown."""

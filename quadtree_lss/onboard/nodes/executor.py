@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Coroutine, Iterator
 from typing import Any
 
@@ -93,7 +94,8 @@ class OneNodeExecutor(SingleThreadedExecutor):
         super().__init__(context=context)
         self._changed = True
         self._ready: Iterator[Work] = iter(())
-        self._entities: dict[str, list[Any]] = {}
+        self._entities: dict[int, Any] = {}
+        self._handles: list[tuple[CallbackGroup, Callable[[Any], int], Any]] = []
         self._events: list[Any] = []
         self._look_at_events = 0.0
         self._groups: list[WhenWanted] = []
@@ -132,13 +134,10 @@ class OneNodeExecutor(SingleThreadedExecutor):
             self._look_through()
         waits = self._set
         waits.clear_entities()
-        held = {group for group in self._groups if not group.wanted()}
-        added = []
-        for kind, entities in self._entities.items():
-            add = getattr(waits, f"add_{kind}")
-            for entity in entities:
-                if entity.callback_group not in held:
-                    added.append((kind, add(entity.handle), entity))
+        held = [group for group in self._groups if not group.wanted()]
+        for group, add, handle in self._handles:
+            if group not in held:
+                add(handle)
         events = []
         if (now := time.monotonic()) >= self._look_at_events:
             self._look_at_events = now + EVENTS_S
@@ -153,22 +152,20 @@ class OneNodeExecutor(SingleThreadedExecutor):
         for event in events:
             if event.is_ready(waits):
                 yield self._take_waitable, event
-        for kind, index, entity in added:
-            if waits.is_ready(kind, index) and (kind != "timer" or _is_due(entity)):
-                yield getattr(self, f"_take_{kind}"), entity
+        for kind, ready in [(kind, waits.get_ready_entities(kind)) for kind in KINDS]:
+            for entity in map(self._entities.__getitem__, ready):
+                if kind != "timer" or _is_due(entity):
+                    yield getattr(self, f"_take_{kind}"), entity
 
     def _look_through(self) -> None:
         """Finds the nodes' entities and makes a wait set that has room for them."""
         self._changed = False
         nodes = self.get_nodes()
-        self._entities = {
-            kind: [entity for node in nodes for entity in getattr(node, f"{kind}s")]
-            for kind in KINDS
-        }
+        served = [(k, one) for k in KINDS for node in nodes for one in getattr(node, f"{k}s")]
         self._events = [event for node in nodes for event in node.waitables]
-        groups = {one.callback_group for some in self._entities.values() for one in some}
+        groups = {one.callback_group for _, one in served}
         self._groups = [group for group in groups if isinstance(group, WhenWanted)]
-        room = {kind: len(entities) for kind, entities in self._entities.items()}
+        room = Counter(kind for kind, _ in served)
         self._set = rclpy_implementation.WaitSet(
             room["subscription"],
             1,
@@ -178,6 +175,10 @@ class OneNodeExecutor(SingleThreadedExecutor):
             len(self._events),
             self._context.handle,
         )
+        self._entities = {one.handle.pointer: one for _, one in served}
+        self._handles = [
+            (one.callback_group, getattr(self._set, f"add_{k}"), one.handle) for k, one in served
+        ]
 
 
 def _is_due(timer: Any) -> bool:

@@ -80,8 +80,10 @@ class LssNode(BaseNode):
         self._asked = False
         self._first_told = False
         self._lss_ms, self._delays = Durations(), Durations()
+        self._heard: set[str] = set()
         self._landing = {
-            topic: advertise(self, TYPES[TOPIC_TYPES[topic]], topic, latched()) for topic in GROUND
+            topic: advertise(self, TYPES[TOPIC_TYPES[topic]], topic, latched(), self._on_listener)
+            for topic in GROUND
         }
         prior = bool(config.prior.file)
         self._target = TargetOutput(
@@ -217,9 +219,8 @@ class LssNode(BaseNode):
     def _give(self, result: LandingAssessment, new: bool) -> None:
         """Send an answer; ``new`` if it is of another map than the one before."""
         self._target.send(result, self._map.frame)
-        for topic, message in message_maker(self._map.frame).of_ground(result):
-            self._landing[topic].publish(message)
         self._result = result
+        self._send_ground(self._heard)
         if result.pending:
             self._ask()
         self._tell_first(result)
@@ -229,6 +230,17 @@ class LssNode(BaseNode):
         latency = self._latency_ms(result.stamp_ns)
         if new and latency is not None:
             self._delays.add(latency)
+
+    def _on_listener(self, _: Any) -> None:
+        """What nobody has ever subscribed to is not made; whoever comes first gets it then."""
+        new = {one for one in GROUND if self._landing[one].get_subscription_count()} - self._heard
+        self._heard |= new
+        self._send_ground(new)
+
+    def _send_ground(self, topics: set[str]) -> None:
+        if self._result is not None:
+            for topic, message in message_maker(self._map.frame).of_ground(self._result, topics):
+                self._landing[topic].publish(message)
 
     def _tell_first(self, result: LandingAssessment) -> None:
         """One line when there are sites for the first time."""
@@ -251,8 +263,9 @@ class LssNode(BaseNode):
         return None if result is None else message_maker(self._map.frame).grid_map(result)
 
     def _collect(self, status: Status) -> None:
-        self._map.take()
         limits = self._config.diagnostics
+        if self._map.arrivals.age() > limits.warn_age:
+            self._map.take()  # one that waits for its turn counts if it can be used
         status.judge_age("map", self._map_topic, self._map.arrivals, limits)
         latency = self._delays.take()
         text = "by the map's stamp and this node's clock, sites are sent after"

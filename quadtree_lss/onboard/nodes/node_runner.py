@@ -171,7 +171,7 @@ def _spin(make_node: Callable[[], BaseNode], argv: list[str]) -> int:
         executor = OneNodeExecutor()
         executor.add_node(node)
         with contextlib.suppress(ExternalShutdownException), stop.breaking():
-            while rclpy.ok() and not stop.asked:
+            while not stop.asked:
                 executor.spin_once(timeout_sec=STOP_PERIOD_S)
         node.finish()  # not after an exception: what it holds may be broken then
     except KeyboardInterrupt:  # what it had at work is half done, and is not written

@@ -8,7 +8,7 @@ from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.duration import Duration
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import (
@@ -127,6 +127,10 @@ def serve(node: Node, name: str, work: Callable[[], str]) -> None:
     node.create_service(Trigger, f"~/{name}", answer)
 
 
-def advertise(node: Node, kind: Any, topic: str, profile: QoSProfile) -> Publisher:
-    """Publisher whose QoS can be overridden; rclpy tells of subscribers that it cannot serve."""
-    return node.create_publisher(kind, topic, profile, qos_overriding_options=OVERRIDABLE)
+def advertise(
+    node: Node, kind: Any, topic: str, profile: QoSProfile, matched: Any = None
+) -> Publisher:
+    """Publisher whose QoS can be overridden; rclpy tells of subscribers that it cannot serve.
+    ``matched``: called with an event when subscribers came or went."""
+    events = {"event_callbacks": PublisherEventCallbacks(matched=matched)}
+    return node.create_publisher(kind, topic, profile, qos_overriding_options=OVERRIDABLE, **events)

@@ -19,7 +19,9 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.messages.clouds import MessageError
+from quadtree_lss.onboard.messages.maps import CELL_FIELDS, encode_cells, encode_observed
 from quadtree_lss.onboard.messages.outputs import MessageMaker
 
 
@@ -46,28 +48,32 @@ def message_maker(frame: str) -> MessageMaker:
 
 
 @lru_cache(4)
-def _hollow_maker(frame: str) -> tuple[MessageMaker, list[NDArray[Any]]]:
-    """Builder of messages without their content, and a list that gets it."""
-    contents: list[NDArray[Any]] = []
-
-    def take_out(values: NDArray[Any]) -> array[int]:
-        contents.append(values)
-        return array(values.dtype.char)
-
-    return MessageMaker(TYPES, take_out, frame), contents
+def _hollow(frame: str, domain: Domain) -> tuple[bytes, bytes]:
+    """``map/cells`` and ``map/observed`` serialised, without stamps and content."""
+    maker = MessageMaker(TYPES, lambda values: array(values.dtype.char), frame)
+    cloud = maker.cloud(np.empty(0, CELL_FIELDS), 0)
+    grid = maker.observed(np.empty((domain.finest_count,) * 2, np.int8), domain, 0)
+    return serialize_message(cloud), serialize_message(grid)
 
 
 def map_messages(cells: CellMap, frame: str) -> tuple[bytes, bytes]:
     """``map/cells`` and ``map/observed``, serialised. Their content, which is nearly all of them,
     is copied once: into what rclpy makes of them without it."""
-    maker, contents = _hollow_maker(frame)
-    contents.clear()
-    cloud, grid = (serialize_message(message) for _, message in maker.of_map(cells))
-    # In a cloud the data are the last but one byte, in a grid the last.
-    return _filled(cloud, len(cloud) - 1, contents[0]), _filled(grid, len(grid), contents[1])
+    records, values = encode_cells(cells), encode_observed(cells.observed, cells.known)
+    cloud, grid = map(bytearray, _hollow(frame, cells.domain))
+    stamp = divmod(cells.stamp_ns, 1_000_000_000)
+    for raw in (cloud, grid):
+        struct.pack_into("<iI", raw, 4, *stamp)
+    _, at = _text(cloud, 12)
+    at += -at % 4
+    struct.pack_into("<iI", grid, at, *stamp)  # when the map was loaded
+    struct.pack_into("<I", cloud, at + 4, len(records))  # the width
+    # In a cloud a row's length is before that of the data, of which one byte comes after them.
+    struct.pack_into("<I", cloud, len(cloud) - 9, records.nbytes)
+    return _filled(cloud, len(cloud) - 1, records), _filled(grid, len(grid), values)
 
 
-def _filled(raw: bytes, end: int, content: NDArray[Any]) -> bytes:
+def _filled(raw: bytearray, end: int, content: NDArray[Any]) -> bytes:
     """A message whose empty array of bytes ends at ``end``, with that content."""
     length = struct.pack("<I", content.nbytes)
     return b"".join((raw[: end - len(length)], length, content.view(np.uint8).data, raw[end:]))

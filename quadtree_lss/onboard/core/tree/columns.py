@@ -8,8 +8,8 @@ from typing import Any
 import cython
 import numpy as np
 
-from quadtree_lss.onboard.arrays import Array, Index
-from quadtree_lss.onboard.core.tree.cell_map import SHAPE
+from quadtree_lss.onboard.arrays import Array, Index, Single
+from quadtree_lss.onboard.core.tree.cell_map import SHAPE, CellMap
 
 if cython.compiled:
     from cython.cimports.libc.math import NAN
@@ -79,3 +79,32 @@ def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, 
         "covariance_pose": covariance.reshape(-1, 3, 3),
         "feature": features,
     }
+
+
+@cython.boundscheck(False)
+@cython.locals(plane=cython.double[:, :], rest=cython.float[:, :])
+def pack(cells: CellMap, plane: Array, rest: Single) -> None:
+    """Columns of a map (M, ...) side by side: sizes, elevations and normals as ``plane`` (M, 5);
+    covariances (upper triangles), roughness, exceptions and features as ``rest`` (M, 19)."""
+    cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int, at=cython.int)
+    size = cython.declare(cython.double[:], cells.size)
+    z = cython.declare(cython.double[:], cells.z)
+    normal = cython.declare(cython.double[:, :], cells.normal)
+    range_part = cython.declare(cython.double[:, :, :], cells.covariance_range)
+    pose_part = cython.declare(cython.double[:, :, :], cells.covariance_pose)
+    roughness = cython.declare(cython.double[:], cells.roughness)
+    exception = cython.declare(cython.double[:], cells.exception_fraction)
+    bell = cython.declare(cython.double[:, :], cells.feature)
+    with cython.nogil:
+        for i in range(plane.shape[0]):
+            plane[i, 0], plane[i, 1] = size[i], z[i]
+            at = 0
+            for j in range(3):
+                plane[i, 2 + j] = normal[i, j]
+                for k in range(j, 3):
+                    rest[i, at] = range_part[i, j, k]
+                    rest[i, 6 + at] = pose_part[i, j, k]
+                    at += 1
+            rest[i, 12], rest[i, 13] = roughness[i], exception[i]
+            for j in range(5):
+                rest[i, 14 + j] = bell[i, j]
