@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.replay.files import new_folder, plain, write_json
+from quadtree_lss.desk.replay.files import new_folder, plain, write_json, writing
 from quadtree_lss.lab.evaluation import metrics
 from quadtree_lss.lab.evaluation.consistency import Consistency, consistency
 from quadtree_lss.lab.evaluation.results import (
@@ -50,7 +50,6 @@ class EvaluationResult:
     risk: metrics.Reliability | None
     leaves: int
     leaves_estimated: int
-    leaves_measured: int
     map_ms_median: float
     map_ms_p99: float
     map_s_total: float
@@ -131,10 +130,8 @@ def evaluate(
         table_2, without = _table_2(results, given, progress)
         notes += [] if without is None else [f"Table 2: {without}"]
     folder = Path(out) if out is not None else results.folder / "evaluation"
-    try:
+    with writing(folder, EvaluationError):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise EvaluationError(f"cannot create {folder}: {error.strerror}") from error
     result = replace(scores, consistency=table_2, out=folder, notes=tuple(notes))
     if figures:
         from quadtree_lss.lab.evaluation.evaluation_page import evaluation_page
@@ -284,7 +281,6 @@ def score(results: Results, truth: Truth) -> EvaluationResult:
         risk=metrics.reliability_of(safety),
         leaves=cells.level.size,
         leaves_estimated=int(cells.estimated.sum()),
-        leaves_measured=int((cells.measured & cells.estimated).sum()),
         map_ms_median=float(np.median(times)),
         map_ms_p99=float(np.percentile(times, 99.0)),
         map_s_total=float(times.sum() * 1e-3),
