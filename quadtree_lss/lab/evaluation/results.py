@@ -93,9 +93,7 @@ def load_truth(path: str | Path) -> Truth:
     try:
         found = read_arrays(file, (*_TRUTH, *_TRUTH_EXTRA, *_TRUTH_NAMES))
     except ExchangeError as error:
-        near = [p for p in (file / TRUTH_NAME, file.parent / TRUTH_NAME) if p.is_file()]
-        hint = f"; did you mean {near[0]}?" if near and file.name != TRUTH_NAME else ""
-        raise EvaluationError(f"{error}{hint}") from error
+        raise EvaluationError(str(error)) from error
     if missing := [name for name in _TRUTH if name not in found]:
         raise EvaluationError(f"{file} lacks {', '.join(missing)}")
     return truth_of(found, file)
