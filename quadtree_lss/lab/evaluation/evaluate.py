@@ -24,7 +24,6 @@ from quadtree_lss.lab.evaluation.results import (
     load_results,
     load_truth,
     recorded_bag,
-    results_config,
 )
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -221,7 +220,7 @@ def _table_2(
     try:
         return consistency(
             bag,
-            results_config(results),
+            results.config,
             results=results,
             scan_topic=scan_topic or None,
             pose_topic=pose_topic or None,
