@@ -5,12 +5,9 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from quadtree_lss.lab.campaign.campaign_page import _reliability
 from quadtree_lss.lab.campaign.kinds import Quantity
-from quadtree_lss.lab.campaign.mapped import MAP, risks
 from quadtree_lss.lab.campaign.store import Record
 from quadtree_lss.lab.campaign.summary import bootstrap, line_of, rate_interval
-from quadtree_lss.lab.evaluation.metrics import reliability
 
 
 def _records(**columns):
@@ -87,38 +84,3 @@ def test_rate_interval_leaves_two_and_a_half_percent_on_each_side(events, trials
     if events:
         assert binom.sf(events - 1, trials, low) == pytest.approx(0.025)
     assert np.isnan(rate_interval(0, 0)).all()
-
-
-def test_told_and_failed_are_counted_by_predicted_risk():
-    rng = np.random.default_rng(1)
-    risk = rng.random(20_000) ** 3
-    failed = rng.random(20_000) < risk
-    found = risks(reliability(risk, failed))
-    for name, low, high in (("0.1", 0.001, 0.003), ("1", 0.01, 0.03), ("10", 0.1, 0.3)):
-        here = (risk >= low) & (risk < high)
-        assert found[f"risk_{name}_points"] == here.sum()
-        assert found[f"risk_{name}_unsafe"] == failed[here].sum()
-        assert found[f"risk_{name}_expected"] == pytest.approx(risk[here].sum())
-    assert found["brier"] == pytest.approx(np.square(risk - failed).mean())
-
-
-def test_the_page_has_what_was_expected_to_be_unsafe_beside_what_is():
-    rng = np.random.default_rng(2)
-    flights = []
-    for k in range(3):
-        risk = rng.random(5_000) ** 3
-        figures = risks(reliability(risk, rng.random(5_000) < risk))
-        flights.append(Record(k, k, "morpheus", {}, figures))
-    rows = _reliability(MAP, flights)
-    assert [row[0] for row in rows] == [
-        "0.1 to 0.3 %", "0.3 to 1 %", "1 to 3 %", "3 to 10 %", "10 to 30 %",
-    ]  # fmt: skip
-    for name, row in zip(("0.1", "0.3", "1", "3", "10"), rows, strict=True):
-        what = ("points", "expected", "unsafe")
-        sums = [sum(r.figures[f"risk_{name}_{of}"] for r in flights) for of in what]
-        assert row[1:4] == tuple(f"{total:.0f}" for total in sums) and sums[2] > 0
-
-
-def test_a_map_without_risks_has_none():
-    found = risks(None)
-    assert found["brier"] is None and found["risk_10_points"] == 0

@@ -305,4 +305,3 @@ def test_missed_places_are_listed_with_what_stands_there(tmp_path):
     assert first.grid_points + second.grid_points == result.detection.missed_grid_points
     assert first.depth == result.detection.missed_depth
     assert first.relief == pytest.approx(0.8, abs=0.15)
-    assert np.hypot(first.peak_x - 3.0, first.peak_y + 2.0) < 0.35

@@ -2,6 +2,7 @@
 """Bags for tests, written with rosbags: a lidar that looks straight down on a gentle slope."""
 
 from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 from rosbags.rosbag1 import Writer as Ros1Writer
@@ -11,6 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 from quadtree_lss.lab.simulation.recording import CLOUD, POSE, Messages
 from quadtree_lss.onboard.messages.landing_inputs import INSTANCE_TYPE, POINT_TYPE, POLYGON_TYPE
 
+HEADER = "std_msgs/msg/Header"
 SECOND = 10**9
 START = 1_700_000_000 * SECOND
 GROUND = {
@@ -37,7 +39,9 @@ class Recorder:
     def __init__(self, writer, ros1=False):
         self.writer, self.ros1 = writer, ros1
         self.store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
-        self.connections = {}
+        self.types, self.connections = dict(self.store.types), {}
+        if ros1:
+            self.types[HEADER] = partial(self.types[HEADER], seq=0)
 
     def write(self, topic, message, kind, received_ns):
         serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
@@ -50,38 +54,17 @@ class Recorder:
         self.writer.write(self.connections[topic], received_ns, raw)
 
     def type(self, name):
-        return self.store.types[name]
+        return self.types[name]
 
-    def header(self, stamp_ns, frame):
-        stamp = self.type("builtin_interfaces/msg/Time")(stamp_ns // SECOND, stamp_ns % SECOND)
-        sequence = {"seq": 0} if self.ros1 else {}
-        return self.type("std_msgs/msg/Header")(**sequence, stamp=stamp, frame_id=frame)
+    def messages(self, frame="map"):
+        return Messages(self.types, frame=frame)
 
     def cloud(self, stamp_ns, points):
-        field = self.type("sensor_msgs/msg/PointField")
-        points = np.asarray(points, dtype="<f4")
-        height, width, _ = points.shape
-        fields = [field(name, 4 * k, 7, 1) for k, name in enumerate("xyz")]
-        return self.type(CLOUD)(
-            header=self.header(stamp_ns, "lidar"),
-            height=height,
-            width=width,
-            fields=fields,
-            is_bigendian=False,
-            point_step=4 * len(fields),
-            row_step=4 * len(fields) * width,
-            data=np.frombuffer(points.tobytes(), dtype=np.uint8),
-            is_dense=True,
-        )
+        return self.messages().scan(stamp_ns, points)
 
     def pose(self, stamp_ns, position, xyzw=LOOKING_DOWN, frame="map"):
-        at = self.type("geometry_msgs/msg/Pose")(
-            self.type("geometry_msgs/msg/Point")(*map(float, position)),
-            self.type("geometry_msgs/msg/Quaternion")(*map(float, xyzw)),
-        )
-        covariance = np.diag([1e-4] * 3 + [1e-8] * 3).reshape(-1)
-        held = self.type("geometry_msgs/msg/PoseWithCovariance")(at, covariance)
-        return self.type(POSE)(header=self.header(stamp_ns, frame), pose=held)
+        covariance = np.diag([1e-4] * 3 + [1e-8] * 3)
+        return self.messages(frame).pose(stamp_ns, position, xyzw, covariance)
 
 
 def flight(
@@ -111,15 +94,15 @@ class LandingRecorder(Recorder):
     """Writes what may be asked of landing as well."""
 
     def polygon(self, topic, corners, received_ns, frame="map"):
-        message = Messages(self.store.types, frame=frame).polygon(received_ns, corners)
+        message = self.messages(frame).polygon(received_ns, corners)
         self.write(topic, message, POLYGON_TYPE, received_ns)
 
     def keep_out(self, number, corners, received_ns):
-        message = Messages(self.store.types).polygon(received_ns, corners, number)
+        message = self.messages().polygon(received_ns, corners, number)
         self.write("/landing/keep_outs", message, INSTANCE_TYPE, received_ns)
 
     def target(self, topic, x, y, received_ns):
-        message = Messages(self.store.types).point(received_ns, (x, y, 0.0))
+        message = self.messages().point(received_ns, (x, y, 0.0))
         self.write(topic, message, POINT_TYPE, received_ns)
 
 

@@ -131,7 +131,6 @@ def test_config_prints_a_file_that_it_reads_again(tmp_path, capsys):
     path = tmp_path / "mine.yaml"
     path.write_text(first)
     assert run(capsys, "config", "--config", path)[1] == first
-    assert "#" not in run(capsys, "config", "--plain")[1]
 
 
 def test_simulate_then_replay_then_evaluate(tmp_path, capsys):

@@ -22,17 +22,6 @@ def test_words_that_are_not_known_are_named(capsys):
         assert all(word in err for word in words)
 
 
-def test_truth_and_results_by_their_folder(bag, tmp_path, capsys):
-    results = tmp_path / "results" / "latest"
-    assert run(capsys, "replay", bag, "--out", results, *FAST)[0] == 0
-    (tmp_path / "flight").mkdir()
-    truth = tmp_path / "flight" / "truth.npz"
-    truth.write_bytes(b"")
-    for wrong in (truth.parent, truth.parent / "bag"):
-        code, _, err = run(capsys, "evaluate", results, "--truth", wrong)
-        assert code == 1 and f"did you mean {truth}?" in err
-
-
 def test_every_error_of_a_configuration_is_told_at_once(tmp_path, capsys):
     bad = tmp_path / "bad.yaml"
     bad.write_text(

@@ -39,7 +39,9 @@ def fly(moments, every_map):
         taken.append(stamp_ns)
         return replace(cells, stamp_ns=stamp_ns)
 
-    passes = Passes(config, dict, [answers])
+    passes = Passes(config, dict)
+    passes.on_map.append(answers.map)
+    passes.on_answer.append(answers.landing)
     for number, now_ns in enumerate(moments, start=1):
         if number % 10:
             stamp_ns = number

@@ -34,7 +34,8 @@ class OdometryRecorder(Recorder):
             self.type("geometry_msgs/msg/Vector3")(*translation),
             self.type("geometry_msgs/msg/Quaternion")(*xyzw),
         )
-        return self.type(TRANSFORM)(self.header(stamp_ns, parent), child, held)
+        header = super().pose(stamp_ns, (0.0, 0.0, 0.0), frame=parent).header
+        return self.type(TRANSFORM)(header, child, held)
 
     def transform(self, *link, received_ns=START):
         item = self.transformed(START, *link)

@@ -95,7 +95,9 @@ def test_the_last_map_gets_its_landing_sites(recorded, tmp_path):
     config = config_from_values({**GROUND, "publish.rate": 10.0, "publish.lss_rate": 4.0})
     cells, path = recorded[0].cells, tmp_path / "bag"
     with products.Recorder(path, "map") as recorder:
-        passes = Passes(config, dict, [recorder])
+        passes = Passes(config, dict)
+        passes.on_map.append(recorder.map)
+        passes.on_answer.append(recorder.landing)
         for now in (START, START + 120 * MS):
             passes.changed()
             passes.tick(now, lambda: cells)

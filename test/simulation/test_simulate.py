@@ -228,7 +228,7 @@ def test_outline_does_not_know_where_beams_miss(tmp_path):
     assert np.abs(outlines[known][:, 1]).max() <= 8.0
 
 
-def test_flights_follow_one_another_and_the_table_tells_how_to_replay_one_alone(tmp_path, hill):
+def test_flights_follow_one_another(tmp_path, hill):
     result = simulate("descent", tmp_path / "bag", seed=1, duration=1.0, terrain=hill, flights=2)
     truth = np.load(result.truth_path)
     np.testing.assert_array_equal(truth["scan_flight"], np.repeat([0, 1], 5))
@@ -237,12 +237,6 @@ def test_flights_follow_one_another_and_the_table_tells_how_to_replay_one_alone(
     rows = _read(tmp_path / "bag")
     poses = [row[3].pose.pose.position.x for row in rows if "nav" in row[0]]
     assert poses[0] != poses[len(poses) // 2]  # with other errors
-    received = np.array([row[1] for row in rows])
-    since = 1e-9 * (received - received[0])
-    assert result.starts[0] == 0.0
-    assert np.abs(since - result.starts[1]).min() > 3.0
-    assert (since < result.starts[1]).sum() == received.size // 2
-    assert f"--start {result.starts[1]:.1f}" in result.table()
     assert str(result.truth_path) in result.table()
 
 

@@ -42,7 +42,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--node", default="", metavar="NAME", help=text)
     text = "suggest for a vehicle of this diameter and clearance, m"
     add("--vehicle", type=vehicle, metavar="D,C", help=text)
-    add("--plain", action="store_true", help="print without the explanations")
 
 
 def vehicle(text: str) -> dict[str, float]:
@@ -75,7 +74,7 @@ def _print(options: argparse.Namespace) -> int:
     if options.names:
         options.parser.error(f"config print takes no names, got {' '.join(options.names)}")
     config = common.chosen_config(options)
-    text = dump_config(config, comments=not options.plain)
+    text = dump_config(config, comments=True)
     common.show(options, values_from_config(config), text.removesuffix("\n"))
     return common.DONE
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.desk.exchange.saved import Grid, Results, ResultsError, load_results
-from quadtree_lss.desk.replay.files import plain, write_bytes, write_json
+from quadtree_lss.desk.replay.files import plain, write_bytes, write_json, writing
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 
@@ -158,11 +158,9 @@ def compare_results(
         difference=difference,
     )
     if out is not None:
-        try:
+        with writing(out, ResultsError):
             write_json(Path(out) / "comparison.json", result.as_dict())
             write_bytes(Path(out) / "comparison.png", _picture(result))
-        except OSError as error:
-            raise ResultsError(f"{out}: cannot be written: {error.strerror}") from None
     return result
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.desk.exchange.saved import Results, load_results
-from quadtree_lss.desk.replay.files import write_json
+from quadtree_lss.desk.replay.files import write_json, writing
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask
 from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED
 from quadtree_lss.onboard.core.landing.raster import rasterise
@@ -81,13 +81,10 @@ def export_results(
     if crs:
         check_place(found.grid.x[[0, -1]], found.grid.y[[0, -1]], system)
     folder = found.folder / "exchange" if out is None else Path(out)
-    try:
+    with writing(folder, ExchangeError):
         folder.mkdir(parents=True, exist_ok=True)
         wanted = list(formats) or [name for name in FORMATS if system or name != "geojson"]
         return [path for name in wanted for path in FORMATS[name](found, folder, system)]
-    except OSError as error:
-        msg = f"{error.filename or folder}: cannot be written: {error.strerror or error}"
-        raise ExchangeError(msg) from None
 
 
 def check_place(x: Array, y: Array, crs: str) -> None:

@@ -12,15 +12,28 @@ import time
 import uuid
 import zipfile
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.onboard.errors import QuadtreeLssError
+
 SAMPLE, WORTH_PACKING = 1 << 14, 0.85
 """An array is packed if so many bytes from its middle come down to less than this share."""
+
+
+@contextmanager
+def writing(out: str | Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
+    """Within it, what cannot be written to ``out`` raises an error of this kind."""
+    try:
+        yield
+    except OSError as error:
+        msg = f"{error.filename or out}: cannot be written: {error.strerror or error}"
+        raise kind(msg) from None
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
-from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.intake import ReadyScan
 from quadtree_lss.onboard.messages.maps import known_probability
 
@@ -47,14 +45,11 @@ class Thinned(Generic[T]):
 
 
 class History:
-    """Notes answers, as a sink of `Passes`, and where the lidar was and looked."""
+    """Notes answers of `Passes`, and where the lidar was and looked."""
 
     def __init__(self) -> None:
         self._answers: Thinned[dict[str, Any]] = Thinned(ANSWERS)
         self._scans: Thinned[tuple[int, NDArray[Any], NDArray[Any]]] = Thinned(SCANS)
-
-    def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
-        """Maps are not kept: what they show, answers do."""
 
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
         sites = found.sites

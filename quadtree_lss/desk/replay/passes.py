@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from math import hypot, inf, nan
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
@@ -30,29 +30,20 @@ class TargetChange(NamedTuple):
     reason: str
 
 
-class Sink(Protocol):
-    """Gets what is made, with the bag's time."""
-
-    def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
-        """A map is published, which ``take`` gives; only in this call it surely can."""
-
-    def landing(self, now_ns: int, found: LandingAssessment) -> None:
-        """An answer."""
-
-
 class Passes:
     """Makes maps at most ``publish.rate`` times a second of the bag's time, answers at most
     ``publish.lss_rate`` times, and the last state always.
 
-    ``restrictions`` gives the keyword arguments of ``LandingSiteSelector.assess`` at the time,
-    ``sinks`` get maps and answers. ``cells`` is the last map, as its message gives it to
-    ``lss_node``, ``last`` the last answer, which took ``lss_ms``; ``changes`` are the target's.
+    ``restrictions`` gives the keyword arguments of ``LandingSiteSelector.assess`` at the time. With
+    the bag's time ``on_map`` get what takes each map, which only in this call it surely can, and
+    ``on_answer`` each answer. ``cells`` is the last map, as its message gives it to ``lss_node``,
+    ``last`` the last answer, which took ``lss_ms``; ``changes`` are the target's.
     """
 
-    def __init__(
-        self, config: Config, restrictions: Callable[[], dict[str, Any]], sinks: Sequence[Sink] = ()
-    ) -> None:
-        self._restrictions, self._sinks = restrictions, sinks
+    def __init__(self, config: Config, restrictions: Callable[[], dict[str, Any]]) -> None:
+        self._restrictions = restrictions
+        self.on_map: list[Callable[[int, Callable[[], CellMap]], None]] = []
+        self.on_answer: list[Callable[[int, LandingAssessment], None]] = []
         self._selector = LandingSiteSelector(config)
         self._map, self._landing = _Clock(config.publish.rate), _Clock(config.publish.lss_rate)
         self._snapshot: Callable[[], CellMap] | None = None
@@ -107,8 +98,8 @@ class Passes:
         self._landing.changed = True
         if self._landing.due_ns < self._map.due_ns:
             self._snapshot()
-        for sink in self._sinks:
-            sink.map(now_ns, self._snapshot)
+        for tell in self.on_map:
+            tell(now_ns, self._snapshot)
 
     def _assess(self, now_ns: int, waited: float | None = None) -> None:
         self._landing.sent(now_ns)
@@ -122,8 +113,8 @@ class Passes:
         self.lss_ms = 1e3 * (time.perf_counter() - began)
         self._note(found)
         self.last, self._landing.changed = found, found.pending
-        for sink in self._sinks:
-            sink.landing(now_ns, found)
+        for tell in self.on_answer:
+            tell(now_ns, found)
 
     def _note(self, found: LandingAssessment) -> None:
         """A row where the target is another one, another place or none any more."""

@@ -32,7 +32,7 @@ LATCHED = ros.Qos(*_KEPT, _NO_TIME, _NO_TIME, ros.QosLiveliness.AUTOMATIC, _NO_T
 
 
 class Recorder:
-    """Context manager that writes the output topics into a new mcap bag: a sink of `Passes`.
+    """Context manager that writes the output topics, of `Passes`, into a new mcap bag.
 
     ``path``: folder to write, which must not exist. ``frame``: of the map. ``maps``: write maps
     too; not for a bag that holds them already. ``looks``: where to look first. ``offset`` may be

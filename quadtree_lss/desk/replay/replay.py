@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.cloud_files import open_recording
+from quadtree_lss.desk.replay.files import writing
 from quadtree_lss.desk.replay.history import History
-from quadtree_lss.desk.replay.passes import Passes, Sink
+from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.desk.replay.results import ReplayResult, points_line, run_summary, write_results
 from quadtree_lss.desk.replay.run import Run
 from quadtree_lss.desk.replay.stream import (
@@ -96,21 +97,25 @@ def replay(
             stack.enter_context(_made(folder))
         looks = () if prior is None else look_first(prior, Domain.of(config.domain), config)
         history = History()
-        sinks: list[Sink] = [history]
-        passes = Passes(config, wishes.arguments, sinks)
+        passes = Passes(config, wishes.arguments)
+        passes.on_answer.append(history.landing)
         run = Run(opened, part, config, passes, topics, history, progress, stop)
         if record is not None:
             from quadtree_lss.desk.replay.record import Recorder  # rosbags' writer takes long
 
             recorder = Recorder(Path(record), config.frames.map, maps=maps is None, looks=looks)
             recorder.offset = lambda: run.prior_offset
-            sinks.append(stack.enter_context(recorder))
+            stack.enter_context(recorder)
+            passes.on_map.append(recorder.map)
+            passes.on_answer.append(recorder.landing)
         if isinstance(source, MapPairs):
             cells = run.read_maps(source)
         else:
             cells = run.map_scans(source, prior)
         passes.finish(run.done_ns, lambda: cells)
-        losses = [*opened.losses, *source.losses, *run.losses]
+        losses, counts = [*opened.losses, *run.losses], run.counts()
+        if isinstance(source, Stream):
+            losses, counts = [*losses, *source.losses], counts | source.counts()
     if progress is not None and not run.interrupted:
         progress(part.seconds, part.seconds)
     decoded, assessment = passes.cells, passes.last
@@ -122,7 +127,6 @@ def replay(
     seconds = part.seconds
     if run.interrupted:
         seconds = min(seconds, max(run.done_ns - part.start_ns, 0) / 1e9)
-    counts = run.counts() | source.counts()
     if prior is not None:
         found = {} if run.prior_offset is None else run.prior_offset.values
         counts["prior"] = {**found, "look_first": [place._asdict() for place in looks]}
@@ -192,10 +196,8 @@ def _made(folder: Path) -> Iterator[None]:
     """Makes a folder before the work begins, which one that cannot be written would waste; where
     that fails, a new folder goes again."""
     fresh = not folder.exists()
-    try:
+    with writing(folder, ReplayError):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ReplayError(f"{folder}: cannot be written: {error.strerror}") from None
     try:
         yield
     except BaseException:

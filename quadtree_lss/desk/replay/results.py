@@ -19,7 +19,14 @@ import quadtree_lss
 from quadtree_lss import build
 from quadtree_lss.desk.exchange.saved import Grid, cells_arrays
 from quadtree_lss.desk.replay.configuration import dump_config
-from quadtree_lss.desk.replay.files import plain, write_bytes, write_csv, write_json, write_npz
+from quadtree_lss.desk.replay.files import (
+    plain,
+    write_bytes,
+    write_csv,
+    write_json,
+    write_npz,
+    writing,
+)
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import TargetChange
 from quadtree_lss.desk.replay.stream import ReplayError
@@ -165,7 +172,7 @@ def write_results(
     """The files of a results folder, which is made if it is missing; ``report`` adds the page.
     Raises `ReplayError`: they cannot be written."""
     sites, rows = result.assessment.sites, np.arange(len(result.assessment.sites))
-    try:
+    with writing(out, ReplayError):
         columns = (rows + 1, *sites.position.T, *sites.normal.T)
         columns += tuple(getattr(sites, name) for name in (*JUDGED, "id", "probability"))
         write_csv(out / "sites.csv", SITE_COLUMNS, zip(*(c.tolist() for c in columns), strict=True))
@@ -180,8 +187,6 @@ def write_results(
         _remove_report(out)
         if report:
             write_report(out)
-    except OSError as error:
-        raise ReplayError(f"{out}: cannot be written: {error.strerror}") from None
 
 
 def write_report(out: Path) -> None:

@@ -187,17 +187,11 @@ class LandingTopics:
 
 
 class MapPairs:
-    """Joins ``map/cells`` and ``map/observed`` of one stamp to maps, in any namespace. ``losses``
-    and ``counts`` are as of `Stream`: the run tells of them."""
-
-    losses: tuple[str, ...] = ()
+    """Joins ``map/cells`` and ``map/observed`` of one stamp to maps, in any namespace."""
 
     def __init__(self, cells_topic: str, observed_topic: str) -> None:
         self.topics = (cells_topic, observed_topic)
         self._held: dict[str, Any] = {}
-
-    def counts(self) -> dict[str, Any]:
-        return {}
 
     @classmethod
     def alone(cls, bag: Bag, scan_topic: str | None = None) -> MapPairs | None:

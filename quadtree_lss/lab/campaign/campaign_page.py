@@ -11,7 +11,7 @@ import numpy as np
 
 from quadtree_lss.desk.replay.files import write_bytes
 from quadtree_lss.desk.report.pages import Columns, render, source
-from quadtree_lss.lab.campaign.kinds import Kind, Quantity
+from quadtree_lss.lab.campaign.kinds import Quantity
 from quadtree_lss.lab.campaign.store import Record
 from quadtree_lss.lab.campaign.summary import (
     CampaignResult,
@@ -53,7 +53,6 @@ def page(result: CampaignResult) -> str:
             for q, pairs in result.worst()
             if pairs
         ],
-        reliability=_reliability(kind, flights),
         failed=result.failed,
         data={
             "indices": [record.index for record in flights],
@@ -121,17 +120,3 @@ def _answer(name: str, line: Line) -> tuple[str, str]:
         return words, "even"
     bad = line.count - line.events if line.quantity.worst == "smallest" else line.events
     return words, "none" if bad else "good"
-
-
-def _reliability(kind: Kind, flights: Sequence[Record]) -> list[tuple[str, ...]]:
-    """Of each bin of risk how many grid points were expected to be unsafe, and how many are."""
-    rows = []
-    for quantity in kind.quantities:
-        expected = quantity.name.replace("_unsafe", "_expected")
-        told = expected != quantity.name and any(expected in record.figures for record in flights)
-        if quantity.of is not None and told:
-            line, label = line_of(quantity, flights), quantity.label.rpartition(" told ")[2]
-            total = np.nansum([number(record, expected) for record in flights])
-            counts = f"{line.count}", f"{total:.0f}", f"{line.events}"
-            rows.append((label, *counts, line.cells()[2]))
-    return rows

@@ -52,8 +52,7 @@ class Case:
 class Quantity:
     """A figure that the summary tells, and which end of it is bad.
 
-    With ``of``, the name of another figure, it counts events: so many of so many. Unless
-    ``ranked``, its worst flights are not listed.
+    With ``of``, the name of another figure, it counts events: so many of so many.
     """
 
     name: str
@@ -62,7 +61,6 @@ class Quantity:
     digits: int = 2
     worst: Literal["smallest", "largest"] = "largest"
     of: str | None = None
-    ranked: bool = True
 
     @property
     def title(self) -> str:

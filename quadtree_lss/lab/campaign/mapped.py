@@ -15,7 +15,6 @@ from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.campaign.kinds import Case, Figures, Kind, Quantity
 from quadtree_lss.lab.evaluation.evaluate import EvaluationResult, evaluate, score
-from quadtree_lss.lab.evaluation.metrics import EDGES, Reliability
 from quadtree_lss.lab.evaluation.results import Results, Truth, results_of, truth_of
 from quadtree_lss.lab.evaluation.risk_flights import lander_of
 from quadtree_lss.lab.simulation.lidar import StereoCamera
@@ -26,8 +25,6 @@ from quadtree_lss.lab.simulation.simulation import Simulation
 from quadtree_lss.onboard.config.settings import Config
 
 CONDITIONS = ("flights", *(item.name for item in fields(Conditions)))
-TOLD = ("0.1", "0.3", "1", "3", "10")
-"""Where the bins of `EDGES` begin whose counts are kept, %."""
 
 
 def fly(case: Case) -> Figures:
@@ -87,25 +84,10 @@ def figures(scores: EvaluationResult, results: Results, truth: Truth) -> Figures
         "truly_safe": 100.0 * float(truth.safe.mean()),
         "true_slope_deg": float(np.degrees(np.arctan(np.median(np.hypot(rise_x, rise_y))))),
     }
-    whole: Figures = plain(found | risks(scores.risk))
+    for name in ("brier", "log_score"):  # of a map without risks there are none
+        found[name] = getattr(scores.risk, name, None)
+    whole: Figures = plain(found)
     return whole
-
-
-def risks(of: Reliability | None) -> dict[str, float | int | None]:
-    """Scores of the predicted risks, and how many grid points failed of those told such a risk, by
-    bin of ``TOLD``, beside how many were expected to. Of a map without risks there are none."""
-    bins = {} if of is None else {one.low: one for one in of.bins}
-    found: dict[str, float | int | None] = {
-        "brier": None if of is None else of.brier,
-        "log_score": None if of is None else of.log_score,
-    }
-    for name, low in zip(TOLD, EDGES[1:], strict=False):
-        one = bins.get(low)
-        points = one.grid_points if one else 0
-        found[f"risk_{name}_points"] = points
-        found[f"risk_{name}_unsafe"] = round(one.unsafe * points) if points else 0
-        found[f"risk_{name}_expected"] = one.predicted * points if points else 0.0
-    return found
 
 
 def keep(case: Case, folder: Path) -> None:
@@ -131,15 +113,6 @@ MAP = Kind(
         Quantity("without_site", "Flights without a site", of="one"),
         Quantity("doubted", "Flights with doubts of their risks", of="one"),
         Quantity("brier", "Brier score of the risk", "", 4),
-        *(
-            Quantity(
-                f"risk_{name}_unsafe",
-                f"Unsafe grid points of those told {100 * low:g} to {100 * high:g} %",
-                of=f"risk_{name}_points",
-                ranked=False,
-            )
-            for name, low, high in zip(TOLD, EDGES[1:], EDGES[2:], strict=False)
-        ),
         Quantity("rms_mean_removed", "Elevation RMS, mean removed", "m", 4),
         Quantity("mean_absolute", "Elevation error, mean absolute", "m", 4),
         Quantity("maximum", "Elevation error, largest", "m", 2),

@@ -17,7 +17,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from quadtree_lss.desk.replay.files import plain, write_bytes
+from quadtree_lss.desk.replay.files import plain, write_bytes, writing
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Value
 
 MOST_FLIGHTS = 1_000_000
@@ -70,11 +70,9 @@ class Store:
     @contextmanager
     def opened(self) -> Iterator[None]:
         """Within it, nobody else runs a campaign in this folder."""
-        try:
+        with writing(self.out, CampaignError):
             self._flights.mkdir(parents=True, exist_ok=True)
             lock = (self.out / ".lock").open("w")
-        except OSError as error:
-            raise CampaignError(f"{self.out}: cannot be written: {error.strerror}") from error
         with lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

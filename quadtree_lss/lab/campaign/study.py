@@ -236,8 +236,6 @@ def values_of(value: Any, name: str) -> list[Any]:
     how, of = next(iter(value.items())) if len(value) == 1 else ("", None)
     of = of if isinstance(of, list) else []
     try:
-        if how == "each" and of:
-            return of
         if how == "range":
             first, last, number = (float(v) for v in of)
             if np.isfinite([first, last]).all() and 1 <= number <= MOST_FLIGHTS:
@@ -252,7 +250,7 @@ def values_of(value: Any, name: str) -> list[Any]:
     except (TypeError, ValueError):
         pass
     raise CampaignError(
-        f"{name}: {value} is no value, list, range: [first, last, number], each: [...],"
+        f"{name}: {value} is no value, list, range: [first, last, number],"
         " choice: [...], uniform: [low, high], log_uniform: [low, high], normal: [mean, sigma]"
     )
 

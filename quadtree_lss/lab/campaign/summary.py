@@ -146,9 +146,9 @@ class CampaignResult:
         ]
 
     def worst(self) -> list[tuple[Quantity, list[tuple[int, float]]]]:
-        """The worst flights by each ranked quantity, and its value; of events, if there were."""
+        """The worst flights by each quantity, and its value; of events, if there were."""
         found = []
-        for quantity in (q for q in self.study.what.quantities if q.ranked):
+        for quantity in self.study.what.quantities:
             least = 0.0 if quantity.of is not None else float("-inf")
             rated = [(badness(quantity, r), r) for r in flown(self.records.values())]
             ranked = sorted((-bad, r.index, r) for bad, r in rated if bad > least)[:WORST]

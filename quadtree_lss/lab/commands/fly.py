@@ -44,9 +44,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--terrain", type=common.named, metavar="DEM", help=text)
     text = "share of the ground that rocks cover (default 0.05, with --terrain none)"
     add("--rocks", type=common.share, metavar="K", help=text)
-    add("--range-noise", type=common.not_negative, default=0.06, metavar="M", help="one sigma, m")
-    add("--outliers", type=common.share, default=0.0, metavar="F", help="share of false returns")
-    add("--dropouts", type=common.share, default=0.0, metavar="F", help="share of missing returns")
     text = "KIND@HEIGHT or KIND@HEIGHT+SECONDS; may be repeated; kinds in docs/closed_loop.md"
     add("--fault", action="append", default=[], metavar="FAULT", help=text)
     text = "set one parameter of the nodes, for instance lss.margin=1.0"
@@ -100,11 +97,12 @@ def _live(options: argparse.Namespace, settings: FlightSettings, progress: Progr
     rate = 1.0 if options.rate is None else options.rate
     live = options.out / "nodes"
     how: dict[str, Any] = {"rate": rate, "progress": progress, "domain": given_domain()}
-    return fly_live(options.seed, settings, live, **how).flown
+    return fly_live(options.seed, settings, live, **how)
 
 
 def _values(options: argparse.Namespace) -> dict[str, Any]:
-    return common.given(options, "avoidance", "range_noise", "outliers", "dropouts") | {
+    return {
+        "avoidance": options.avoidance,
         "terrain": str(options.terrain or ""),
         "rock_abundance": options.rocks,
         "faults": tuple(options.fault),

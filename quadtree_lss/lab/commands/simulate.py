@@ -9,8 +9,7 @@ from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.console import Interruption, ProgressBar, say
 
 SCENARIOS = ("morpheus", "parabola", "descent", "drone", "depth")
-GIVEN = "seed duration terrain range_noise outliers dropouts flights rocks".split()
-GIVEN += ["navigation_error", "overwrite"]
+GIVEN = "seed duration terrain range_noise outliers dropouts flights rocks overwrite".split()
 TEXT = "Simulate a flight: a bag, and truth.npz beside it."
 FLIGHTS = """flights:
   morpheus   the paper's Section VII: 20 s at 20 Hz on a 30 degree glide slope, 450 m off, 1 degree
@@ -53,9 +52,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--dropouts", type=common.share, default=0.0, metavar="F", help="share of missing returns")
     text = "share of the ground that rocks cover"
     add("--rocks", type=common.not_negative, metavar="K", help=text)
-    add("--glide-slope", type=common.positive, default=30.0, metavar="DEG", help="of morpheus")
-    text = "errors of the navigation, as many times as usual"
-    add("--navigation-error", type=common.not_negative, default=1.0, metavar="X", help=text)
     text = "fly N times over the same ground, with other navigation errors, into one bag"
     add("--flights", type=common.whole(1), default=1, metavar="N", help=text)
     add("--overwrite", action="store_true", help="replace an existing bag and truth.npz")
@@ -66,7 +62,6 @@ def _run(options: argparse.Namespace) -> int:
 
     then = f"closes {options.out} and writes truth.npz for what was flown so far"
     verbose, how = options.verbose, common.given(options, *GIVEN)
-    how["glide_slope_deg"] = options.glide_slope
     with Interruption(then) as interruption, ProgressBar("simulate", "scans", verbose) as bar:
         how |= {"progress": bar.update, "stop": interruption.asked}
         result = simulate(options.scenario, options.out, **how)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.replay.files import new_folder, plain, write_json
+from quadtree_lss.desk.replay.files import new_folder, plain, write_json, writing
 from quadtree_lss.lab.evaluation import metrics
 from quadtree_lss.lab.evaluation.consistency import Consistency, consistency
 from quadtree_lss.lab.evaluation.results import (
@@ -24,7 +24,6 @@ from quadtree_lss.lab.evaluation.results import (
     load_results,
     load_truth,
     recorded_bag,
-    results_config,
 )
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -50,7 +49,6 @@ class EvaluationResult:
     risk: metrics.Reliability | None
     leaves: int
     leaves_estimated: int
-    leaves_measured: int
     map_ms_median: float
     map_ms_p99: float
     map_s_total: float
@@ -131,10 +129,8 @@ def evaluate(
         table_2, without = _table_2(results, given, progress)
         notes += [] if without is None else [f"Table 2: {without}"]
     folder = Path(out) if out is not None else results.folder / "evaluation"
-    try:
+    with writing(folder, EvaluationError):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise EvaluationError(f"cannot create {folder}: {error.strerror}") from error
     result = replace(scores, consistency=table_2, out=folder, notes=tuple(notes))
     if figures:
         from quadtree_lss.lab.evaluation.evaluation_page import evaluation_page
@@ -224,7 +220,7 @@ def _table_2(
     try:
         return consistency(
             bag,
-            results_config(results),
+            results.config,
             results=results,
             scan_topic=scan_topic or None,
             pose_topic=pose_topic or None,
@@ -284,7 +280,6 @@ def score(results: Results, truth: Truth) -> EvaluationResult:
         risk=metrics.reliability_of(safety),
         leaves=cells.level.size,
         leaves_estimated=int(cells.estimated.sum()),
-        leaves_measured=int((cells.measured & cells.estimated).sum()),
         map_ms_median=float(np.median(times)),
         map_ms_p99=float(np.percentile(times, 99.0)),
         map_s_total=float(times.sum() * 1e-3),

@@ -105,19 +105,14 @@ class SafetyField:
 
 @dataclass(frozen=True)
 class MissedPlace:
-    """A patch of hazardous ground called safe: centre (m), grid points, how deep in it.
-
-    ``relief`` is how far the highest post that the lander can touch there, at (``peak_x``,
-    ``peak_y``), stands above the median of its surroundings (m).
-    """
+    """A patch of hazardous ground called safe: centre (m), grid points, how deep in it; ``relief``
+    is how far the highest post that the lander can touch there stands above the median (m)."""
 
     x: float
     y: float
     grid_points: int
     depth: float
     relief: float
-    peak_x: float
-    peak_y: float
 
 
 def seen_at(grid: Grid, x: Array, y: Array) -> Mask:
@@ -271,10 +266,8 @@ def missed_places(field: SafetyField, truth: Truth) -> tuple[MissedPlace, ...]:
         x, y = float(field.x[i].mean()), float(field.y[j].mean())
         near_x, near_y = np.abs(truth.x - x) <= reach, np.abs(truth.y - y) <= reach
         ground = truth.elevation[np.ix_(near_y, near_x)]
-        row, column = np.unravel_index(int(ground.argmax()), ground.shape)
         relief = float(ground.max() - np.median(ground))
-        peak = float(truth.x[near_x][column]), float(truth.y[near_y][row])
-        places.append(MissedPlace(x, y, j.size, float(depth[j, i].max()), relief, *peak))
+        places.append(MissedPlace(x, y, j.size, float(depth[j, i].max()), relief))
     return tuple(sorted(places, key=lambda place: -place.grid_points))
 
 

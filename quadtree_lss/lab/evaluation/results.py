@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from quadtree_lss.desk.exchange import saved
 from quadtree_lss.desk.exchange.saved import Results
-from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import scans
 from quadtree_lss.desk.replay.results import ReplayResult, grid_of
 from quadtree_lss.lab.simulation.safety import LandingGear
@@ -93,9 +92,7 @@ def load_truth(path: str | Path) -> Truth:
     try:
         found = read_arrays(file, (*_TRUTH, *_TRUTH_EXTRA, *_TRUTH_NAMES))
     except ExchangeError as error:
-        near = [p for p in (file / TRUTH_NAME, file.parent / TRUTH_NAME) if p.is_file()]
-        hint = f"; did you mean {near[0]}?" if near and file.name != TRUTH_NAME else ""
-        raise EvaluationError(f"{error}{hint}") from error
+        raise EvaluationError(str(error)) from error
     if missing := [name for name in _TRUTH if name not in found]:
         raise EvaluationError(f"{file} lacks {', '.join(missing)}")
     return truth_of(found, file)
@@ -156,12 +153,6 @@ def load_results(directory: str | Path) -> Results:
         raise EvaluationError(msg) from error
 
 
-def results_config(results: Results) -> Config:
-    """The configuration that lies beside results; the defaults if there is none."""
-    path = results.folder / "config.yaml"
-    return load_config([str(path)] if path.is_file() else [])
-
-
 def named_bag(results: Results) -> Path | None:
     """The bag that was replayed, as ``summary.json`` names it."""
     name = results.summary.get("bag")
@@ -205,7 +196,7 @@ def check_truth(
     contradiction = f"{truth_path} is of the bag {of_truth.name}, not of {named}"
     same = None
     if of_truth.exists() and of_results is not None:
-        same = _same_scans(of_results, of_truth, results_config(results))
+        same = _same_scans(of_results, of_truth, results.config)
         if same is False:
             raise EvaluationError(f"{contradiction}, which holds other scans")
     if same or of_truth.name in (named.name, named.parent.name):

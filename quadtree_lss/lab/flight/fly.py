@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any
 
 from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay.history import History
@@ -36,33 +36,14 @@ OUTSIDE = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapp
 """Faults that hit a node."""
 
 
-class Nodes(Protocol):
-    """mapping_node and lss_node as a flight has them: in lock-step, or as processes."""
-
-    def take(self, sent: Sent, now_ns: int) -> None:
-        """A message of the flight."""
-
-    def work(self, now_ns: int) -> Sequence[Array | None]:
-        """Whatever is due at a time of the flight; what ``landing/selected`` says until then:
-        places (3,), None for none."""
-
-    def land_now(self) -> None:
-        """Calls the service of that name."""
-
-    def kill(self, node: str) -> None:
-        """``mapping`` or ``lss`` is no more."""
-
-    def respawn(self, node: str, *, checkpoint: bool = True) -> None:
-        """It is back, the mapper with its checkpoint or without."""
-
-
 @dataclass(frozen=True)
 class Flown:
     """A flight that has ended. ``flight``: its state at the end, with its record. ``figures``: see
     ``docs/topics_and_files.md``. ``last``: what the nodes said last, None without them. Where it
     was recorded: ``cells``, the map at the end; ``history``, what became of it; ``targets``, the
     changes of the target; ``told``, more for its summary. ``prior``: how far the map lay from its
-    prior, None without."""
+    prior, None without. ``heard``: of a live flight at which ticks guidance heard which answers
+    (None for no target), with which it can be flown again without ROS."""
 
     flight: Flight
     figures: dict[str, Any]
@@ -72,6 +53,7 @@ class Flown:
     targets: tuple[TargetChange, ...] = ()
     told: dict[str, Any] = field(default_factory=dict)
     prior: PriorOffset | None = None
+    heard: Sequence[tuple[int, Array | None]] = ()
 
 
 def flown(
@@ -96,8 +78,9 @@ def flown(
     return nodes.recorded(found) if record else found
 
 
-def fly(flight: Flight, nodes: Nodes | None, progress: Callable[[float], None] | None) -> None:
-    """To its end, with the nodes, if it has some, and what befalls them."""
+def fly(flight: Flight, nodes: Any, progress: Callable[[float], None] | None) -> None:
+    """To its end, with what befalls the nodes: `LockstepNodes`, processes with the same methods
+    (`lab.live.flight.LiveNodes`), or None."""
     before: set[str] = set()
     while not flight.outcome:
         sent = flight.step()
@@ -140,8 +123,7 @@ class LockstepNodes:
     """mapping_node and lss_node of one configuration without transport. One that is killed loses
     what it held in memory; what is latched comes back to it. ``answer_delay`` is from a pass to its
     answer at the guidance, s; ``last`` the last answer that reached it; ``history``
-    notes all, ``targets`` are the changes of the target; ``prior`` is `Mapper`'s. It is a sink of
-    its passes."""
+    notes all, ``targets`` are the changes of the target; ``prior`` is `Mapper`'s."""
 
     def __init__(
         self,
@@ -164,6 +146,7 @@ class LockstepNodes:
         self._start_lss()
 
     def take(self, sent: Sent, now_ns: int) -> None:
+        """A message of the flight."""
         topic, message = sent.topic, sent.message(self._make)
         if topic == "nav/pose":
             self._wishes.navigation.take(message)
@@ -178,7 +161,8 @@ class LockstepNodes:
             self._intake.on_cloud(message, now_ns)
 
     def work(self, now_ns: int) -> list[Array | None]:
-        """Maps and assesses what is due; what ``landing/selected`` says now, if anything."""
+        """Maps and assesses what is due; what ``landing/selected`` says now, if anything: places
+        (3,), None for none."""
         if "mapping" not in self._down:
             self.mapper.look_at(self._wishes.values[AREA])
             for scan in self._intake.ready(now_ns):
@@ -203,14 +187,12 @@ class LockstepNodes:
             return []
         return [said.selected.position.copy() if said.selected.id else None]
 
-    def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
-        """Nobody but lss_node hears it."""
-
-    def landing(self, now_ns: int, found: LandingAssessment) -> None:
+    def _answer(self, now_ns: int, found: LandingAssessment) -> None:
         """It reaches guidance after the delay."""
         self._waiting.append((now_ns + self._delay_ns, found))
 
     def land_now(self) -> None:
+        """Calls the service of that name."""
         self._passes.land_now()
 
     def recorded(self, found: Flown) -> Flown:
@@ -228,7 +210,7 @@ class LockstepNodes:
         self._down.add(node)
 
     def respawn(self, node: str, *, checkpoint: bool = True) -> None:
-        """It is back, without what it had in memory."""
+        """It is back, without what it had in memory, the mapper with its checkpoint or without."""
         self._down.discard(node)
         if node == "lss":
             self._start_lss()
@@ -246,6 +228,8 @@ class LockstepNodes:
         self._waiting: list[tuple[int, LandingAssessment]] = []
         self._said: LandingAssessment | None = None
         self._said_ns, self._chosen = 0, False
-        sinks = [self, *([self.history] if self.history is not None else [])]
-        self._passes = Passes(self._config, self._wishes.arguments, sinks)
+        self._passes = Passes(self._config, self._wishes.arguments)
+        self._passes.on_answer.append(self._answer)
+        if self.history is not None:
+            self._passes.on_answer.append(self.history.landing)
         self._passes.changes = self.targets

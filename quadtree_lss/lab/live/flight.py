@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from rosgraph_msgs.msg import Clock
@@ -42,20 +42,6 @@ PATIENCE_S = 30.0
 """For the nodes to start."""
 
 
-class Heard(NamedTuple):
-    """What ``landing/selected`` said, and at which tick of the flight guidance heard it."""
-
-    tick: int
-    said: Array | None
-
-
-class LiveFlight(NamedTuple):
-    """A flight that has ended, and every answer, with which it can be flown again without ROS."""
-
-    flown: Flown
-    heard: tuple[Heard, ...]
-
-
 def fly_live(
     seed: int,
     settings: FlightSettings,
@@ -64,7 +50,7 @@ def fly_live(
     rate: float = 1.0,
     progress: Callable[[float], None] | None = None,
     domain: int | None = None,
-) -> LiveFlight:
+) -> Flown:
     """Starts both nodes, flies with them, and ends them; arguments as of ``flight.fly.flown``.
 
     The avoidance must be one by the nodes, whose parameters, checkpoint and output go to
@@ -88,7 +74,7 @@ def fly_live(
     figures |= {"restarts": restarts, "others": sorted(nodes.others)}
     if nodes.others:
         figures["outcome"] = "disturbed"
-    return LiveFlight(Flown(flight, figures, last, cells), tuple(nodes.heard))
+    return Flown(flight, figures, last, cells, heard=nodes.heard)
 
 
 class LiveNodes:
@@ -126,7 +112,7 @@ class LiveNodes:
         node.create_subscription(TOPICS[SELECTED], SELECTED, self._hear, latched())
         refuse_company(node, dict.fromkeys(SPOKEN, 1) | dict.fromkeys(HEARD, 0))
         self.starts = {"mapping": 0, "lss": 0}
-        self.heard: list[Heard] = []
+        self.heard: list[tuple[int, Array | None]] = []
         self.others: set[str] = set()
         self._down: set[str] = set()
         self._nodes = {name: self._start(name) for name in self.starts}
@@ -154,7 +140,7 @@ class LiveNodes:
             self._look()
         count = len(self._said)
         said, self._said[:count] = self._said[:count], []
-        self.heard += [Heard(tick, one) for one in said]
+        self.heard += [(tick, one) for one in said]
         return said
 
     def land_now(self) -> None:

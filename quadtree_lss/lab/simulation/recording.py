@@ -63,10 +63,8 @@ class Messages(MessageMaker):
             data=self._pack(pixels.view(np.uint8).reshape(-1)),
         )
 
-    def camera(
-        self, stamp_ns: int, height: int, width: int, focal_length: float, d: Array | None = None
-    ) -> Any:
-        """The CameraInfo of an image with its axis in the middle; ``d`` of plumb_bob, or none."""
+    def camera(self, stamp_ns: int, height: int, width: int, focal_length: float) -> Any:
+        """The CameraInfo of an image with its axis in the middle, without distortion."""
         f, middle = focal_length, (0.5 * (width - 1), 0.5 * (height - 1))
         k = np.array([f, 0.0, middle[0], 0.0, f, middle[1], 0.0, 0.0, 1.0])
         window = dict.fromkeys(("x_offset", "y_offset", "height", "width"), 0)
@@ -76,7 +74,7 @@ class Messages(MessageMaker):
             height=height,
             width=width,
             distortion_model="plumb_bob",
-            d=np.zeros(5) if d is None else np.asarray(d, np.float64),
+            d=np.zeros(5),
             k=k,
             r=np.eye(3).reshape(9),
             p=np.insert(k, (3, 6, 9), 0.0),

@@ -6,7 +6,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import numpy as np
 
 from quadtree_lss.lab.simulation.recording import DEPTH_TOPIC, SCAN_TOPIC, BagRecorder
 from quadtree_lss.lab.simulation.safety import LandingGear
-from quadtree_lss.lab.simulation.simulation import Leg, Simulation
+from quadtree_lss.lab.simulation.simulation import Simulation
 from quadtree_lss.lab.simulation.terrain import SimulationError
 from quadtree_lss.onboard.elevation.archives import read_arrays
 from quadtree_lss.onboard.elevation.libraries import ExchangeError
@@ -24,9 +23,7 @@ TRUTH_NAME = "truth.npz"
 
 @dataclass(frozen=True)
 class SimulationResult:
-    """What was written. ``starts`` are the seconds after the bag's first message at which each
-    flight is still to come, for ``replay --start``; ``interrupted`` says that it was stopped before
-    the end."""
+    """What was written; ``interrupted`` says that it was stopped before the end."""
 
     scenario: str
     seed: int
@@ -38,7 +35,6 @@ class SimulationResult:
     duration: float
     box: tuple[float, float, float, float]
     safe_fraction: float | None
-    starts: tuple[float, ...] = (0.0,)
     interrupted: bool = False
 
     def as_dict(self) -> dict[str, Any]:
@@ -56,11 +52,6 @@ class SimulationResult:
             rows.append(("Truth", str(self.truth_path)))
         if self.safe_fraction is not None:
             rows.append(("Safe part of the box", f"{100.0 * self.safe_fraction:.1f} %"))
-        ends = (*self.starts[1:], None) if len(self.starts) > 1 else ()
-        for k, (start, end) in enumerate(zip(self.starts, ends, strict=False), start=1):
-            options = [f"--start {start:.1f}"] if start else []
-            options += [f"--duration {end - start:.1f}"] if end is not None else []
-            rows.append((f"Flight {k} alone", f"replay {' '.join(options)}"))
         width = max(len(label) for label, _ in rows)
         return "\n".join(f"{label:<{width}}  {value}" for label, value in rows)
 
@@ -131,17 +122,8 @@ def simulate(
         duration=sum(float(leg.plan.scan_times[leg.scans - 1]) for leg in flown if leg.scans),
         box=simulation.box,
         safe_fraction=safe_fraction,
-        starts=_starts(flown),
         interrupted=simulation.stopped,
     )
-
-
-def _starts(flown: list[Leg]) -> tuple[float, ...]:
-    """Tenths of seconds in the middle of the gaps before the flights."""
-    first = flown[0].arrivals[0][0]
-    gaps = [(one.arrivals[-1][0], other.arrivals[0][0]) for one, other in pairwise(flown)]
-    middles = ((0.5 * (begin - first) + 0.5 * (end - first)) * 1e-9 for begin, end in gaps)
-    return (0.0, *(round(middle, 1) for middle in middles))
 
 
 def _spare_truth(path: Path, bag_name: str) -> None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,16 +23,6 @@ WINDOWS = (64, 16, 4)
 
 class SimulationError(QuadtreeLssError):
     """A simulation that cannot be run as asked; the text is one clear line."""
-
-
-class Surface(Protocol):
-    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Elevation (m) at map coordinates (m); NaN where the surface is not defined."""
-        ...
-
-    def cast(self, origin_map: Array, directions_map: Array) -> Array:
-        """Ranges (N,) from one origin (3,) along unit directions (N, 3); NaN = no hit."""
-        ...
 
 
 def spacing(axis: Array) -> float:
@@ -167,6 +156,10 @@ class Parabola:
         """Sample as a DEM of 140 m about the origin (for the truth file)."""
         axis = np.linspace(-70.0, 70.0, 561)
         return Terrain(axis, axis, self.elevation_at(axis[None, :], axis[:, None]))
+
+
+Surface = Terrain | Parabola
+"""What a lidar can look at."""
 
 
 def load_terrain(path: str | Path) -> Terrain:

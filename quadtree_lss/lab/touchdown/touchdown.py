@@ -69,7 +69,7 @@ class Landed:
     Attributes:
         outcome: The worst of `OUTCOMES`: stands; slid farther than `SLID`, or still slides; body
             strike, the ground reached into it before it tipped; tipped, `TIPPED_DEG` and more.
-        tilt_deg, most_tilt_deg: From the vertical at the end; the most there was.
+        tilt_deg: From the vertical at the end.
         slid: From where it touched to where it is, horizontally, m.
         stroke: Of the strut that gave way most, m.
         struck: The ground reached into the body.
@@ -82,7 +82,6 @@ class Landed:
 
     outcome: str
     tilt_deg: float
-    most_tilt_deg: float
     slid: float
     stroke: float
     struck: bool
@@ -100,7 +99,7 @@ def touch(legs: Legs, terrain: Terrain, arrival: Arrival) -> Landed:
     start, least = data.qpos[:2].copy(), float(data.energy.sum())
     had = float(data.energy[1]) + legs.mass * legs.gravity * legs.gear.max_roughness
     film: list[Array] = []
-    struck, calm, most, stroke, gained = False, 0, 0.0, 0.0, 0.0
+    struck, calm, stroke, gained = False, 0, 0.0, 0.0
     while data.time < LONGEST and calm < CALM:
         if data.time * FILM >= len(film):
             film.append(np.r_[data.time, data.qpos[:7]])
@@ -110,7 +109,6 @@ def touch(legs: Legs, terrain: Terrain, arrival: Arrival) -> Landed:
         gained = max(gained, energy - least)
         stroke = max(stroke, float(data.qpos[7:].max()))
         tilt = float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0))))
-        most = max(most, tilt)
         place = data.qpos[:3] + corner
         struck = struck or (tilt < TIPPED_DEG and strikes(legs, posts, place, axes))
         fastest = np.linalg.norm(data.qvel[:3]) + 0.5 * diameter * np.linalg.norm(data.qvel[3:6])
@@ -123,7 +121,7 @@ def touch(legs: Legs, terrain: Terrain, arrival: Arrival) -> Landed:
     outcome = OUTCOMES[max(k for k, of in enumerate(was) if of)]
     poses, seconds = np.array(film), float(data.time)
     poses[:, 1:4] += corner
-    return Landed(outcome, tilt, most, slid, stroke, struck, seconds, gained / had, poses)
+    return Landed(outcome, tilt, slid, stroke, struck, seconds, gained / had, poses)
 
 
 def strikes(legs: Legs, posts: tuple[Array, Array, Array], place: Array, axes: Array) -> bool:
