@@ -262,11 +262,11 @@ class LeafTable:
 
         An inherited plane is the parent's moved to the child's centre, and less certain: by
         ``square`` m^2 in height and ``tilt`` rad^2 in either slope, up to `NO_SLOPE`; where a
-        return stood out, by the square of the greatest distance, too. Finest cells whose returns lay within ``spread``
-        (m) of it stay known. The first child (in Morton's order) has the parent's row, the others
-        follow the last leaf. They keep what noise may have turned the parent by. False, and nothing
-        is done, where ``max_cells`` leaves no room; the caller has made room in the table
-        (`reserve`).
+        return stood out, by the square of the greatest distance, too. Finest cells whose returns
+        lay within ``spread`` (m) of it stay known. The first child (in Morton's order) has the
+        parent's row, the others follow the last leaf. They keep what noise may have turned the
+        parent by. False, and nothing is done, where ``max_cells`` leaves no room; the caller has
+        made room in the table (`reserve`).
         """
         basis = cython.declare(cython.double[6])
         cython.declare(child=cython.Py_ssize_t, at=cython.Py_ssize_t)
