@@ -4,9 +4,10 @@
 Ground under one leaf of 0.25 to 8 m, which may divide down to 0.25 m, is seen in a straight strip
 of any share, direction and place, from incidences of 0 to 75 degrees, with 5 to 5,000 points a
 scan, 6 cm noise along the rays and an exact pose. It is a plane, or with ``--rolling`` has waves of
-12 to 60 m besides. Ratios are errors of measured leaves over their claimed deviations: of the mean
-height of what was seen, and of the slope of the whole leaf along both axes of its covariance. A
-calibrated map has a root mean square of 1 and almost none beyond 4.
+12 to 60 m besides, or with ``--terrain`` what was measured somewhere. Ratios are errors of measured
+leaves over their claimed deviations: of the mean height of what was seen, and of the slope of the
+whole leaf along both axes of its covariance. A calibrated map has a root mean square of 1 and
+almost none beyond 4.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.special import erfc
 
+from quadtree_lss.lab.simulation.terrain import Terrain, load_terrain
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
@@ -36,6 +38,8 @@ from quadtree_lss.onboard.core.sensing.lidar import Pose
 NOISE = 0.06
 #: Shortest and longest waves of rolling ground, m, and how many there are.
 WAVES = (12.0, 60.0, 8)
+#: From a place on measured ground to its edge, at least, m: leaves have a corner there.
+ROOM = 12.5
 #: Sides of the coarse leaf, m; it may be divided down to 0.25 m.
 SIDES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 #: Shares of the leaf that are shown apart.
@@ -69,6 +73,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=4510)
     text = "root mean square slope of waves, degrees"
     parser.add_argument("--rolling", type=float, default=0.0, help=text)
+    parser.add_argument("--terrain", type=Path, help=".npz of measured ground")
     parser.add_argument(
         "--sums", action="store_true", help="of all shares, angles and leaves alone"
     )
@@ -76,8 +81,9 @@ def main() -> None:
     options = parser.parse_args()
     print(machine())
     counts = {1: options.draws, 20: options.of_twenty}
-    rolling = math.tan(math.radians(options.rolling))
-    found = [d for scans, n in counts.items() for d in drawn(options.seed, n, scans, rolling)]
+    of = math.tan(math.radians(options.rolling))
+    over = of if options.terrain is None else load_terrain(options.terrain)
+    found = [d for scans, n in counts.items() for d in drawn(options.seed, n, scans, over)]
     rows = []
     for scans in (1, 20):
         for low, high in zip(SHARES, SHARES[1:], strict=False):
@@ -129,18 +135,22 @@ def one_leaf(side: float) -> Config:
     return config_from_values(values | {"lidar.range_noise": NOISE})
 
 
-def drawn(seed: int, draws: int, scans: int, rolling: float = 0.0) -> list[Draw]:
-    """So many leaves, each of so many scans."""
-    return [strip(np.random.default_rng([seed, scans, k]), scans, rolling) for k in range(draws)]
+def drawn(seed: int, draws: int, scans: int, over: float | Terrain = 0.0) -> list[Draw]:
+    """So many leaves, each of so many scans; over waves, or a terrain, as of `ground`."""
+    return [strip(np.random.default_rng([seed, scans, k]), scans, over) for k in range(draws)]
 
 
-def ground(gradient: tuple[float, float], rolling: float, rng: np.random.Generator) -> Surface:
-    """A plane, and waves of so much root mean square slope."""
-    if rolling == 0.0:
+def ground(
+    gradient: tuple[float, float], over: float | Terrain, rng: np.random.Generator
+) -> Surface:
+    """A plane, and waves of so much root mean square slope, or a terrain about some place."""
+    if isinstance(over, Terrain):
+        return somewhere(over, gradient, rng)
+    if over == 0.0:
         return lambda x, y: gradient[0] * x + gradient[1] * y
     number = 2.0 * np.pi / np.geomspace(*WAVES)
     heading, phase = rng.uniform(0.0, 2.0 * np.pi, (2, WAVES[2]))
-    high = rolling * np.sqrt(2.0 / WAVES[2]) / number
+    high = over * np.sqrt(2.0 / WAVES[2]) / number
 
     def surface(x: Array, y: Array) -> Array:
         along = x[..., None] * np.cos(heading) + y[..., None] * np.sin(heading)
@@ -150,7 +160,22 @@ def ground(gradient: tuple[float, float], rolling: float, rng: np.random.Generat
     return surface
 
 
-def strip(rng: np.random.Generator, scans: int, rolling: float = 0.0) -> Draw:
+def somewhere(terrain: Terrain, gradient: tuple[float, float], rng: np.random.Generator) -> Surface:
+    """A terrain about a place drawn at random, turned, from its height there; on a plane."""
+    low_x, high_x, low_y, high_y = terrain.bounds
+    place = rng.uniform([low_x + ROOM, low_y + ROOM], [high_x - ROOM, high_y - ROOM])
+    turn = rng.uniform(0.0, 2.0 * np.pi)
+    level = terrain.elevation_at(*place)
+
+    def surface(x: Array, y: Array) -> Array:
+        u = place[0] + np.cos(turn) * x - np.sin(turn) * y
+        v = place[1] + np.sin(turn) * x + np.cos(turn) * y
+        return terrain.elevation_at(u, v) - level + gradient[0] * x + gradient[1] * y
+
+    return surface
+
+
+def strip(rng: np.random.Generator, scans: int, over: float | Terrain = 0.0) -> Draw:
     """A leaf seen in a strip, each scan with points of its own."""
     side = float(rng.choice(SIDES))
     share, incidence = rng.uniform(0.01, 1.0), rng.uniform(0.0, 75.0)
@@ -174,7 +199,7 @@ def strip(rng: np.random.Generator, scans: int, rolling: float = 0.0) -> Draw:
     axes = looking(position, middle)
     with lengths(outlier_gate=0.0, feature_height=math.inf):
         mapper = Mapper(one_leaf(side))
-    surface = ground(gradient, rolling, rng)
+    surface = ground(gradient, over, rng)
     for k in range(scans):
         # Noise carries points over the rim of the leaf, in and out.
         margin = 0.3
