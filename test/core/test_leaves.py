@@ -156,6 +156,15 @@ def test_misfit_makes_what_is_inherited_less_certain():
         np.testing.assert_array_equal(other.pose_part, one.pose_part)
 
 
+def test_no_slope_is_handed_on_as_less_certain_than_none():
+    """Beyond 0.3 rad strips, which keep the slope, would lie anywhere; what is worse stays so."""
+    tree = known_leaf(Domain(0.0, 0.0, 8.0, 0, 4))
+    tree.rows[0].range_part[4] = 0.2
+    divide(tree, 0, tilt=1.0)
+    for child in tree.rows[:4]:
+        np.testing.assert_allclose(child.range_part[[0, 4]], [0.09, 0.2])
+
+
 def test_children_begin_their_statistics_anew():
     tree = known_leaf(Domain(0.0, 0.0, 8.0, 0, 4))
     leaf = tree.rows[0]

@@ -187,6 +187,15 @@ def test_ground_that_is_no_plane_leaves_its_height_uncertain_however_many_points
         assert found.range_part[2, 2] == pytest.approx(cloud[:, 2].var(), rel=0.15)
 
 
+def test_a_slope_is_no_more_certain_than_residuals_let_it_be():
+    """Level ground with bumps of 0.2 m by turns, far over noise: a regression by their size."""
+    points = tilted(np.random.default_rng(4), 16, 0.0)
+    points[:, 2] = 0.2 * (-1.0) ** np.arange(len(points))
+    found = fitted(rules(noise=0.02), points)
+    spread = np.sum((points[:, 0] - points[:, 0].mean()) ** 2)
+    np.testing.assert_allclose(found.range_part[0, 0], 0.2**2 / spread, rtol=0.1)
+
+
 def test_what_a_view_leaves_out_may_lean_otherwise_and_lie_elsewhere():
     """By 0.1 rad times the share of the width that is left out, however sharp the rest is; and the
     mean height of the rest by that of uneven ground, the more the less is seen."""

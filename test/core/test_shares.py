@@ -10,6 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
+
+from quadtree_lss.lab.simulation.terrain import Terrain
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmark"))
 
@@ -60,6 +63,19 @@ def test_claims_hold_over_rolling_ground():
     assert len(ratios) > 1000
     assert 0.6 < np.sqrt(np.mean(ratios**2)) < 1.0
     assert np.mean(ratios > 4.0) < 2e-3
+
+
+def test_claims_hold_over_broken_ground():
+    """Bumps of 0.2 m every two metres, no plane at any size of leaf: what planes leave out makes
+    slopes less certain, those of fits and those that children inherit."""
+    posts, rng = 0.2 * np.arange(200.0), np.random.default_rng(1)
+    bumps = gaussian_filter(rng.standard_normal((200, 200)), 4.0)
+    ground = Terrain(posts, posts, 0.2 * bumps / bumps.std())
+    found = shares.drawn(4503, 400, 1, ground) + shares.drawn(4503, 100, 20, ground)
+    ratios = sizes(found, "slope")
+    assert len(ratios) > 5000
+    assert 0.8 < np.sqrt(np.mean(ratios**2)) < 1.25
+    assert np.mean(ratios > 4.0) < 0.012
 
 
 @pytest.mark.parametrize("scans", [1, 20])
