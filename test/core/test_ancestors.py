@@ -41,6 +41,14 @@ def test_fused_planes_are_those_of_a_direct_fit(level):
     # Bins move by the noise across the ray, and small leaves' own tilt weights: second order.
     assert (tilt < 0.7 * sigma[:, :2]).all()
     assert (np.abs(fused.z - direct.z[order]) < 0.5 * sigma[:, 2]).all()
+    for name, other in (
+        ("range_part", direct.covariance_range[order]),
+        ("pose_part", direct.covariance_pose[order]),
+    ):
+        # What a cell's points leave out by chance makes single cells less certain.
+        part, other = np.median(getattr(fused, name), axis=0), np.median(other, axis=0)
+        scale = np.sqrt(np.outer(np.diag(other), np.diag(other)))
+        assert (np.abs(part - other) <= 0.15 * scale).all()
 
 
 def test_each_leaf_finds_its_ancestor():
@@ -68,6 +76,8 @@ def test_inherited_leaves_are_no_information():
     )
     fused, full = fuse_to_level(poisoned, 2), fuse_to_level(cells, 2)
     assert np.abs(fused.z - full.z).max() < 0.05
+    ratio = fused.range_part[:, 2, 2] / full.range_part[:, 2, 2]
+    np.testing.assert_allclose(ratio, 2.0, rtol=0.3)
 
 
 def test_ancestors_without_a_measured_leaf_do_not_exist():

@@ -43,6 +43,7 @@ class Ancestors:
         cell: (A,) iy * 2^level + ix.
         x, y, z: (A,) plane's elevation z above the cell's centre, m.
         normal: (A, 3).
+        range_part, pose_part: (A, 3, 3) covariance of (dphi_1, dphi_2, dd), d about (x, y, z).
         of_leaf: (M,) place of each leaf's ancestor, -1 where there is none (the leaf is of a
             higher level, or nothing below the ancestor was measured).
         off: (M,) greatest distance of each leaf's plane from its ancestor's, along the normal of
@@ -55,6 +56,8 @@ class Ancestors:
     y: Array
     z: Array
     normal: Array
+    range_part: Array
+    pose_part: Array
     of_leaf: Index
     off: Array
 
@@ -64,8 +67,8 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
 
     Each leaf's plane is moved to the ancestor's centre (exactly, value and covariance) and
     observes it. Range noise is independent between leaves, so the range parts weigh and average:
-    E = (sum R_i^-1)^-1 sum R_i^-1 E_i. Pose error is shared: it weighs nothing. Inherited planes
-    are no information.
+    E = (sum R_i^-1)^-1 sum R_i^-1 E_i. Pose error is shared, so it enters once: the mean of the
+    leaves' pose parts, weighted by their measurements. Inherited planes are no information.
 
     Fusing children of children at once is the same as level by level, information being additive.
     """
@@ -75,11 +78,12 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
     cell = np.flatnonzero(place >= 0)
     size = float(cells.domain.cell_size(level))
     planes, off = np.zeros((len(cell), 6)), np.zeros(len(of_leaf))
+    parts = np.zeros((2, len(cell), 3, 3))
     planes[:, 0] = cells.domain.xmin + (cell % n + 0.5) * size
     planes[:, 1] = cells.domain.ymin + (cell // n + 0.5) * size
-    fuse_leaves(cells, of_leaf, planes, off)
+    fuse_leaves(cells, of_leaf, planes, parts, off)
     x, y, z = planes[:, :3].T
-    return Ancestors(level, cell, x, y, z, planes[:, 3:], of_leaf, off)
+    return Ancestors(level, cell, x, y, z, planes[:, 3:], parts[0], parts[1], of_leaf, off)
 
 
 @cython.boundscheck(False)
@@ -112,14 +116,15 @@ def find_ancestors(cells: CellMap, at: int, place: Index, of_leaf: Index) -> Non
 
 @cython.boundscheck(False)
 @cython.locals(ancestor=cython.Py_ssize_t[::1], planes=cython.double[:, ::1])
-@cython.locals(off=cython.double[::1])
-def fuse_leaves(cells: CellMap, ancestor: Index, planes: Array, off: Array) -> None:
+@cython.locals(parts=cython.double[:, :, :, ::1], off=cython.double[::1])
+def fuse_leaves(cells: CellMap, ancestor: Index, planes: Array, parts: Array, off: Array) -> None:
     """Fuse the measured leaves (M) into their ancestors (A).
 
     Args:
         cells: The map.
         ancestor: (M,) of each leaf, 0 .. A - 1, or less where it has none.
         planes: (A, 6) x and y of the ancestors' centres, m; what is 0 is set: z and the normal.
+        parts: (2, A, 3, 3) parts of their covariances, from range noise and poses; 0 before.
         off: (M,) as of `Ancestors`; 0 before.
     """
     measured = cython.declare(cython.uchar[::1], cells.measured.view(np.uint8))
@@ -129,13 +134,13 @@ def fuse_leaves(cells: CellMap, ancestor: Index, planes: Array, off: Array) -> N
     z = cython.declare(cython.double[::1], cells.z)
     normal = cython.declare(cython.double[:, ::1], cells.normal)
     count = cython.declare(cython.uint[::1], cells.count)
-    covariance = cython.declare(cython.double[:, :, ::1], cells.covariance_range)
+    range_part = cython.declare(cython.double[:, :, ::1], cells.covariance_range)
+    pose_part = cython.declare(cython.double[:, :, ::1], cells.covariance_pose)
     cython.declare(k=cython.Py_ssize_t, a=cython.Py_ssize_t, i=cython.Py_ssize_t)
     cython.declare(j=cython.Py_ssize_t)
     number: cython.Py_ssize_t = planes.shape[0]
     total = cython.declare(cython.double[::1], np.zeros(number))
     pulled = cython.declare(cython.double[:, ::1], np.zeros((number, 3)))
-    known = cython.declare(cython.double[:, ::1], np.zeros((number, 9)))
     own = cython.declare(cython.double[3])
     mean = cython.declare(cython.double[3])
     arm = cython.declare(cython.double[3])
@@ -143,6 +148,7 @@ def fuse_leaves(cells: CellMap, ancestor: Index, planes: Array, off: Array) -> N
     basis = cython.declare(cython.double[6])
     turn = cython.declare(cython.double[4])
     ranges = cython.declare(cython.double[9])
+    poses = cython.declare(cython.double[9])
     information = cython.declare(cython.double[9])
     with cython.nogil:
         for k in range(ancestor.shape[0]):
@@ -168,22 +174,27 @@ def fuse_leaves(cells: CellMap, ancestor: Index, planes: Array, off: Array) -> N
             for i in range(3):
                 own[i], mean[i] = normal[k, i], planes[a, 3 + i]
                 for j in range(3):
-                    ranges[3 * i + j] = covariance[k, i, j]
+                    ranges[3 * i + j], poses[3 * i + j] = range_part[k, i, j], pose_part[k, i, j]
             basis_at(own, basis)
             minus_at(own, mean, error, turn)
             first = basis[0] * arm[0] + basis[1] * arm[1] + basis[2] * arm[2]
             second = basis[3] * arm[0] + basis[4] * arm[1] + basis[5] * arm[2]
             shift_origin(ranges, first, second)
+            shift_origin(poses, first, second)
             turn_tangent(ranges, turn)
+            turn_tangent(poses, turn)
             error[2] = -(own[0] * arm[0] + own[1] * arm[1] + own[2] * arm[2])
             inverse_symmetric(ranges, information)
             for i in range(3):
                 for j in range(3):
-                    known[a, 3 * i + j] += information[3 * i + j]
+                    parts[0, a, i, j] += information[3 * i + j]
+                    parts[1, a, i, j] += max(count[k], 1.0) / total[a] * poses[3 * i + j]
                     pulled[a, i] += information[3 * i + j] * error[j]
         for a in range(number):
-            for i in range(9):
-                information[i] = known[a, i]
+            for i in range(3):
+                for j in range(3):
+                    information[3 * i + j] = parts[0, a, i, j]
+                    poses[3 * i + j] = parts[1, a, i, j]
             inverse_symmetric(information, ranges)
             for i in range(3):
                 mean[i], error[i] = planes[a, 3 + i], 0.0
@@ -193,8 +204,14 @@ def fuse_leaves(cells: CellMap, ancestor: Index, planes: Array, off: Array) -> N
             plus_at(mean, basis, error, own)
             keep_up(own)
             # d / n_z is how far the plane passes above the origin; the origin moves up to it.
-            planes[a, 2] += error[2] / own[2]
-            planes[a, 3], planes[a, 4], planes[a, 5] = own[0], own[1], own[2]
+            rise = error[2] / own[2]
+            planes[a, 2] += rise
+            shift_origin(ranges, -rise * own[0], -rise * own[1])
+            shift_origin(poses, -rise * own[0], -rise * own[1])
+            for i in range(3):
+                planes[a, 3 + i] = own[i]
+                for j in range(3):
+                    parts[0, a, i, j], parts[1, a, i, j] = ranges[3 * i + j], poses[3 * i + j]
         # Both are planes, so their distance varies linearly and is greatest at a corner.
         for k in range(ancestor.shape[0]):
             a = ancestor[k]
