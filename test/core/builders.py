@@ -217,7 +217,7 @@ def divide(
 ) -> bool:
     """Divide a leaf; its children inherit, as of `LeafTable.divide`."""
     leaves.reserve(3)
-    return bool(leaves.divide(row, square, tilt, spread))
+    return bool(leaves.divide(row, square, tilt, spread, 0.0))
 
 
 def leaf_at(mapper: Mapper, x: float, y: float) -> np.record:

@@ -82,6 +82,7 @@ def test_raster_is_the_leaf_planes_at_the_finest_centres(cells):
         dx, dy = (column + 0.5) * side - cells.x[k], (row + 0.5) * side - cells.y[k]
         normal = cells.normal[k]
         expected = cells.z[k] - (normal[0] * dx + normal[1] * dy) / normal[2]
+        expected = np.clip(expected, cells.low[k], cells.high[k])
         assert raster.elevation[row, column] == pytest.approx(expected, abs=1e-9)
         assert raster.slope_x[row, column] == pytest.approx(-normal[0] / normal[2], abs=1e-12)
 

@@ -79,14 +79,14 @@ def test_children_keep_how_far_noise_may_have_turned_their_parent():
     """Points that tell no slope leave that as it is; fits of their own come to outweigh it."""
     config = configured(domain={"min_level": 2, "max_level": 3}, lidar={"range_noise": 0.02})
     mapper, rng = mapped(config, flat(), density=60.0, scans=4), np.random.default_rng(3)
-    leaf_at(mapper, 1.0, 1.0).bias[0] = 0.5
+    leaf_at(mapper, 1.0, 1.0).bias[:3] = 0.5, 0.1, 0.3
     divide(mapper.leaves, 0, 0.02**2, 12.0 * 0.02**2 / (5.0 * 2.0**2))
     turned = []
     for count in (1, 1, 2, 500, 500):
         look(mapper, flat(), *scattered(rng, 0.2, 0.2, 1.6, count), rng, 0.02)
-        turned.append(leaf_at(mapper, 1.0, 1.0).bias[0])
-    assert turned[:3] == [0.5] * 3
-    assert turned[3] < 0.05 and turned[4] < turned[3]
+        turned.append(leaf_at(mapper, 1.0, 1.0).bias[:3].tolist())
+    assert turned[:3] == [[0.5, 0.1, 0.3]] * 3
+    assert turned[3][0] < 0.05 and turned[4][0] < turned[3][0]
 
 
 @pytest.mark.parametrize("seed", range(4))

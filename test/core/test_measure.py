@@ -196,15 +196,22 @@ def test_a_slope_is_no_more_certain_than_residuals_let_it_be():
     np.testing.assert_allclose(found.range_part[0, 0], 0.2**2 / spread, rtol=0.1)
 
 
-def test_what_a_view_leaves_out_may_lean_otherwise_and_lie_elsewhere():
-    """By 0.1 rad times the share of the width that is left out, however sharp the rest is; and the
-    mean height of the rest by that of uneven ground, the more the less is seen."""
+def test_too_few_points_to_show_uneven_ground_have_it_all_the_same():
+    """What the parent's plane left out makes slopes less certain as noise does, once."""
+    cloud = tilted(np.random.default_rng(4), 5, 0.0) - LIDAR
+    of = rules(noise=0.02)
+    smooth, rough = (fit(of, cloud, 0.0, 0.0, 2.0, UP, NO_POSE, uneven=v)[0] for v in (0.0, 0.03))
+    factor = 1.0 + 0.03 / smooth.variance
+    slope = np.ix_([0, 1, 3, 4])
+    np.testing.assert_allclose(rough.range_part[slope], factor * smooth.range_part[slope], rtol=1e-3)
+    assert rough.own == smooth.own
+
+
+def test_what_a_view_leaves_out_may_lean_otherwise():
+    """By 0.1 rad times the share of the width that is left out, however sharp the rest is."""
     of, (x, y) = rules(noise=1e-4), np.random.default_rng(15).uniform(-1.0, 1.0, (2, 4000))
     cloud = np.column_stack([x, 0.3 * y, 0.0 * x])
     found = fitted(of, cloud)
-    at = shifted(found.range_part, found.normal, cloud.mean(axis=0) - (0.0, 0.0, found.z))
-    expected = of.uneven * (1.0 / (1.0 - found.unseen) ** 2 - 1.0)
-    assert at[2, 2] == pytest.approx(expected, rel=1e-3) and expected > 0.0
     assert found.unseen == pytest.approx(0.7, abs=0.03)
     sigma = 0.1 * found.unseen
     np.testing.assert_allclose(found.range_part[:2, :2], sigma**2 * np.eye(2), atol=1e-3 * sigma**2)
@@ -234,11 +241,13 @@ def test_what_noise_along_the_ray_turns_and_lifts(turned, fall):
         assert (lean < -ray[2]) == (fall > 0.0)
         lean = max(lean, -ray[2])
         spread = np.cov(cloud[:, :2].T, bias=True)
-        turning = share * noise**2 * lean * np.linalg.norm(np.linalg.solve(spread, ray[:2]))
-        assert run.bias[0] == pytest.approx(turning, rel=0.02)
+        turning = share * noise**2 * lean * np.linalg.solve(spread, ray[:2])
+        expected = 0.9 * np.outer(turning, turning) + 0.1 * turning @ turning * np.eye(2)
+        found = run.bias[[0, 1, 1, 2]].reshape(2, 2)
+        np.testing.assert_allclose(found, expected, atol=0.04 * turning @ turning)
         along = np.sqrt(12.0 * ray[:2] @ spread @ ray[:2]) / (ray[:2] @ ray[:2])
         lift = share * lean * noise * (noise / along + 12.0 * (noise / along) ** 2)
-        assert run.bias[1] == pytest.approx(lift, rel=0.02)
+        assert run.bias[3] == pytest.approx(lift, rel=0.02)
 
 
 def test_parts_of_a_leaf_that_were_never_seen_leave_its_height_uncertain():

@@ -30,10 +30,10 @@ def fitted(points: np.ndarray, prior=UP, method: str = "none", noise: float = 1e
     return kernels.fit(rules, points, 0.0, 0.0, 2.0, prior, np.zeros((6, 6)))[0]
 
 
-def slope_part(points: np.ndarray, normal, variance: float, tilt: float = 0.0) -> np.ndarray:
+def slope_part(points: np.ndarray, normal, variance: float) -> np.ndarray:
     """`plane.slope_covariance` of a fit to points (N, 3): (2, 2), rad^2."""
     six = scatter_of(points)[np.triu_indices(3)]
-    return filled(plane.slope_covariance, (4,), six, normal, variance, tilt)[0].reshape(2, 2)
+    return filled(plane.slope_covariance, (4,), six, normal, variance)[0].reshape(2, 2)
 
 
 @pytest.mark.parametrize("count", [1, 2, 30])
@@ -120,8 +120,6 @@ def test_a_direction_that_no_point_tells_is_not_known():
     found = slope_part(line, UP, 0.01**2)
     assert found[0, 0] < 1e-5
     assert found[1, 1] > 90.0
-    tilted = slope_part(line, UP, 0.01**2, 0.04)
-    np.testing.assert_allclose(tilted, found + 0.04 * np.eye(2))
 
 
 def test_error_about_another_place_is_that_of_the_plane_through_the_centroid():

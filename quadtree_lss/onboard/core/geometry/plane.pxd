@@ -19,7 +19,7 @@ cdef void height_normal(double* scatter, double slope_x, double slope_y, double 
 cdef void orthogonal_normal(double* scatter, double* normal) noexcept nogil
 cdef void line_normal(double* scatter, double* prior, double along, double spread, double* normal, double* line) noexcept nogil
 cdef void keep_up(double* normal) noexcept nogil
-cdef void slope_covariance(double* scatter, double* normal, double variance, double tilt, double* out) noexcept nogil
+cdef void slope_covariance(double* scatter, double* normal, double variance, double* out) noexcept nogil
 cdef void covariance_about(double* slope, double offset_variance, double first, double second, double* out) noexcept nogil
 cdef void pose_part(double* normal, double* basis, double* arm, double* sigma, double* out) noexcept nogil
 cdef void fuse(double* prior_normal, double prior_rise, double* prior_range, double* prior_pose, double* normal, double* range_part, double* pose_part, double common, double* out_rise) noexcept nogil

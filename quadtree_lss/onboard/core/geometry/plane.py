@@ -349,10 +349,8 @@ def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
         keep_up(normal)
 
 
-def slope_covariance(
-    scatter: Vector, normal: Vector, variance: float, tilt: float, out: Vector
-) -> None:
-    """Covariance (4) of dphi: the phi block of H^-1 (Eq. 35), and ``tilt`` rad^2 on either axis.
+def slope_covariance(scatter: Vector, normal: Vector, variance: float, out: Vector) -> None:
+    """Covariance (4) of dphi: the phi block of H^-1 (Eq. 35).
 
     H = M S_xy M^T / variance with M = I + kappa kappa^T / (lambda (1 + lambda)), which takes steps
     in x and y to steps along the plane in its tangent basis. To a direction that the points do not
@@ -371,9 +369,9 @@ def slope_covariance(
     h11 = (y0 * m01 + y1 * m11) / variance + LEAST
     # No less than of points in a line: what round-off leaves of large numbers may be 0 or below.
     share = 1.0 / max(h00 * h11 - h01 * h01, LEAST * (h00 + h11 - LEAST))
-    out[0] = share * h11 + tilt
+    out[0] = share * h11
     out[1] = out[2] = -share * h01
-    out[3] = share * h00 + tilt
+    out[3] = share * h00
 
 
 def covariance_about(

@@ -264,7 +264,8 @@ def disc_moments(
                 for j in range(first, after):
                     along_y[row, j] *= moment
                 for j in range(first, after):
-                    length[row, j] = sqrt(along_x[row, j] ** 2 + along_y[row, j] ** 2)
+                    x, y = along_x[row, j], along_y[row, j]
+                    length[row, j] = sqrt(x * x + y * y)  # a power is rounded otherwise
             for j in range(first, after):
                 mean[row, j] = level + share * mean[row, j]
 

@@ -146,11 +146,13 @@ def lay_out(cells: CellMap, side: float, negligible: float, leaf: Index, layers:
             for j in range(width):
                 x = (j - middle) * side - feature[k, 2]
                 shares[j] = bell_share(x, half, sigma)
-                squares[j] = max(max(x - half, -x - half), 0.0) ** 2
+                x = max(max(x - half, -x - half), 0.0)
+                squares[j] = x * x
             for i in range(width):
                 y = (i - middle) * side - feature[k, 3]
                 share = bell_share(y, half, sigma) * volume / (side * side)
-                square = max(max(y - half, -y - half), 0.0) ** 2
+                y = max(max(y - half, -y - half), 0.0)
+                square = y * y
                 for j in range(width):
                     layers[3, row + i, column + j] = share * shares[j]
                     raised = top * exp(-0.5 * (squares[j] + square) / (sigma * sigma))

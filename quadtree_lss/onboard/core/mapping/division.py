@@ -218,10 +218,9 @@ def left_out(leaf: Record, variance: float) -> cython.double:
 
     Of those about the scans' own fits, or about the plane: a scan that sees a part fits it well.
     """
-    count = max(max(leaf.division_weight, leaf.residuals), 1.0)
     mean = leaf.distance_sum / max(leaf.residuals, 1.0) / MEAN_CHI_1
     square = max(leaf.square_sum / max(leaf.division_weight, 1.0), mean * mean)
-    return max(square - noise_square(variance, count), 0.0)
+    return max(square - variance, 0.0)
 
 
 def standing_out(rules: Rules, leaf: Record, variance: float) -> cython.double:

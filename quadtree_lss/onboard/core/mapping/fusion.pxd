@@ -4,7 +4,7 @@ from libc.math cimport exp, fabs, sqrt
 from quadtree_lss.onboard.core.geometry.plane cimport fuse, fuse_height, offset_variance
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
 from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, pose_variance
-from quadtree_lss.onboard.core.tree.leaves cimport HINTS, INHERITED, MEASURED, NOTHING, Leaf
+from quadtree_lss.onboard.core.tree.leaves cimport HINTS, INHERITED, MEASURED, NOTHING, NO_SLOPE, Leaf
 
 @cython.final
 cdef class Fusion:
@@ -22,7 +22,7 @@ cdef class Fusion:
     cdef void fuse(self, Leaf* leaf, Run* run, bint same_scan) noexcept nogil
     cdef void _along(self, Leaf* leaf, Run* run, double* out) noexcept nogil
     cdef double _height(self, double* known) noexcept nogil
-    cdef double _turn(self, Leaf* leaf, Run* run) noexcept nogil
+    cdef void _turn(self, Leaf* leaf, Run* run) noexcept nogil
     cdef bint _apart(self, Leaf* leaf, Run* run) noexcept nogil
     cdef void _begin(self, Leaf* leaf) noexcept nogil
     cdef double common(self, double time) noexcept nogil

@@ -18,12 +18,11 @@ if not cython.compiled:
     from quadtree_lss.onboard.core.geometry.plane import fuse, fuse_height, offset_variance
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
     from quadtree_lss.onboard.core.mapping.measure import pose_variance
+    from quadtree_lss.onboard.core.tree.leaves import NO_SLOPE
 
     NOTHING, HINTS, INHERITED, MEASURED = range(4)
 
 
-#: A slope less certain than this (rad, one sigma) is none.
-MAX_SLOPE_SIGMA = cython.declare(cython.double, 0.3)
 #: Before anything is known, ground is level but for this (rad, one sigma) ...
 LEVEL_SIGMA = cython.declare(cython.double, 0.5)
 #: ... and this high or low, m.
@@ -169,7 +168,7 @@ class Fusion:
             common = self.common(leaf.last_time)
         if leaf.known == INHERITED:
             # An inherited slope counts as a fit as certain as it.
-            leaf.bias[2] = run.variance / (leaf.range_part[0] + leaf.range_part[4])
+            leaf.bias[4] = run.variance / (leaf.range_part[0] + leaf.range_part[4])
         known, told = leaf.range_part, leaf.pose_part
         off = leaf.z - self.origin[2] - run.z
         if run.alone:
@@ -183,18 +182,20 @@ class Fusion:
                 leaf.normal[i] = run.normal[i]
         leaf.z = run.z + self.origin[2] + rise[0]
         leaf.points += run.points
-        leaf.bias[2] += run.bias[2]
-        leaf.bias[0] += run.bias[2] / max(leaf.bias[2], 1e-300) * (run.bias[0] - leaf.bias[0])
-        leaf.bias[1] += run.points / leaf.points * (run.bias[1] - leaf.bias[1])
+        leaf.bias[4] += run.bias[4]
+        share = run.bias[4] / max(leaf.bias[4], 1e-300)
+        for i in range(3):
+            leaf.bias[i] += share * (run.bias[i] - leaf.bias[i])
+        leaf.bias[3] += run.points / leaf.points * (run.bias[3] - leaf.bias[3])
         leaf.last_time = self.now
         if fresh:
             steep = leaf.range_part[0] + leaf.range_part[4]
             few: cython.bint = leaf.points < self.rules.min_points
-            if few or steep > MAX_SLOPE_SIGMA**2 or not self._apart(leaf, run):
+            if few or steep > NO_SLOPE or not self._apart(leaf, run):
                 leaf.known = HINTS
                 return
-        if leaf.bias[2] == 0.0:
-            leaf.bias[0] = self._turn(leaf, run)
+        if leaf.bias[4] == 0.0:
+            self._turn(leaf, run)
         if fresh and self.begins_so:
             self._begin(leaf)
         leaf.known = MEASURED
@@ -260,8 +261,8 @@ class Fusion:
         share = 1.0 / max(known[0] * known[4] - known[1] * known[1], 1e-300)
         return known[8] - share * (x * known[2] + y * known[5])
 
-    def _turn(self, leaf: Record, run: Record) -> cython.double:
-        """What noise along the ray may turn a plane by of which lines of points alone tell, rad.
+    def _turn(self, leaf: Record, run: Record) -> None:
+        """What noise along the ray may turn a plane by of which lines of points alone tell.
 
         A^-1 q, as of a fit (`measure._bias`). Here A is the covariance of the places of all scans
         together. It follows from the covariance V of the slope and the variance h of the height:
@@ -273,8 +274,12 @@ class Fusion:
         x = known[0] * ray[0] + known[1] * ray[1]
         y = known[1] * ray[0] + known[4] * ray[1]
         height = max(self._height(known), 1e-300)
-        lean = run.variance / (run.cosine * leaf.normal[2])
-        return min(lean * sqrt(x * x + y * y) / height, TURNED)
+        lean = run.variance / (run.cosine * leaf.normal[2] * height)
+        lean *= min(1.0, TURNED / max(lean * sqrt(x * x + y * y), 1e-300))
+        lean *= lean
+        leaf.bias[0] = lean * x * x
+        leaf.bias[1] = lean * x * y
+        leaf.bias[2] = lean * y * y
 
     def _apart(self, leaf: Record, run: Record) -> cython.bint:
         """Whether a first plane is of places that lie farther apart along the ray than noise puts

@@ -29,7 +29,7 @@ cdef struct Run:
     double lever[2]
     double range_part[9]
     double pose_part[9]
-    double bias[3]
+    double bias[5]
 
 cdef class Rules:
     cdef readonly double range_noise, noise_per_metre, stereo
@@ -47,7 +47,7 @@ cdef double noise_square(double variance, double free) noexcept nogil
 cdef bint partial(Run* run) noexcept nogil
 cdef bint few(Run* run) noexcept nogil
 cdef double pose_variance(double* normal, double* arm, double* sigma) noexcept nogil
-cdef double _unseen(double square, double correlation, double side, double points) noexcept nogil
+cdef double _unseen(double square, double correlation, double side) noexcept nogil
 cdef void _bias(Run* run, double ray_x, double ray_y, double deviation, double lean, bint sloped) noexcept nogil
-cdef void measure(Rules rules, double* points, Py_ssize_t number, double x, double y, double z, double side, double* prior, double* sigma, Run* run) noexcept nogil
+cdef void measure(Rules rules, double* points, Py_ssize_t number, double x, double y, double z, double side, double* prior, double* sigma, double uneven, Run* run) noexcept nogil
 cpdef unseen_parts(LeafTable table, Py_ssize_t[::1] rows, double[:, ::1] out)

@@ -41,6 +41,9 @@ OVERTURNED = cython.declare(cython.double, 0.5)
 PARTIAL = cython.declare(cython.double, 0.5)
 #: How a strip as thin as noise may be lifted: see `_bias`.
 TAIL = cython.declare(cython.double, 12.0)
+#: Of the variance by which noise along the ray may turn a fit, so much across that: the edges of what
+#: was seen lie otherwise than its moments say.
+ACROSS = cython.declare(cython.double, 0.1)
 #: A view is a line where noise along the ray may make so much of its thinner variance, and that is
 #: below such a share of the cell's square (a full cell's is 1 / 12).
 LINE_NOISE = cython.declare(cython.double, 0.3)
@@ -84,14 +87,14 @@ FEATURE_POINTS = 12.0
 #:   what its points have in common by pose and plane, and not by noise, 0 .. 1;
 #: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z); of points that tell
 #:   their height alone, range_part has the variance of dd and no other;
-#: - bias: what noise along the ray may turn the fit by, rad, and lift it by, m, and how much the
-#:   slope of the fit counts, m^2 (`_bias`).
+#: - bias: what noise along the ray may turn the fit by, t t^T as xx, xy, yy, rad^2, and lift it by,
+#:   m, and how much the slope of the fit counts, m^2 (`_bias`).
 RUN = np.dtype(
     [("points", "f8"), ("centroid", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
     + [(name, "f8") for name in ("z", "cosine", "variance", "square", "statistic", "unseen")]
     + [(name, "f8") for name in ("sloped", "alone", "own", "raised_by", "doubt", "greatest")]
     + [("shared", "f8"), ("lever", "f8", 2), ("range_part", "f8", 9), ("pose_part", "f8", 9)]
-    + [("bias", "f8", 3)]
+    + [("bias", "f8", 5)]
 )
 
 
@@ -163,15 +166,13 @@ def noise_square(variance: float, free: float) -> cython.double:
     return variance * (1.0 + 2.0 * sqrt(2.0 / free))
 
 
-def _unseen(square: float, correlation: float, side: float, points: float) -> cython.double:
+def _unseen(square: float, correlation: float, side: float) -> cython.double:
     """Width of a cell, along one of its axes, that points leave out, m.
 
     Points of variance ``square`` fill sqrt(3 square) to either side of their mean; correlated with
-    the other axis, they fill a diagonal band only. What a full cell leaves out by chance,
-    side / sqrt(points), does not count.
+    the other axis, they fill a diagonal band only.
     """
-    half = sqrt(max(3.0 * square * (1.0 - correlation), 0.0))
-    return side - 2.0 * half - side / sqrt(points)
+    return side - 2.0 * sqrt(max(3.0 * square * (1.0 - correlation), 0.0))
 
 
 def _bias(
@@ -206,18 +207,20 @@ def _bias(
     along = ray_x * ray_x * xx + 2.0 * ray_x * ray_y * xy + ray_y * ray_y * yy
     # Of a vertical ray, or nearly, it is 0.
     thin = deviation * flat / sqrt(max(12.0 * along + least * flat, 1e-300))
-    run.bias[0] = run.bias[2] = 0.0
-    run.bias[1] = share * lean * deviation * min(thin + TAIL * thin * thin, 4.0)
+    run.bias[0] = run.bias[1] = run.bias[2] = run.bias[4] = 0.0
+    run.bias[3] = share * lean * deviation * min(thin + TAIL * thin * thin, 4.0)
     if sloped:
         xx += least
         yy += least
         inverse = share * deviation * deviation * lean / max(xx * yy - xy * xy, least * least)
         turn_x = inverse * (yy * ray_x - xy * ray_y)
         turn_y = inverse * (xx * ray_y - xy * ray_x)
-        run.bias[0] = sqrt(turn_x * turn_x + turn_y * turn_y)
+        run.bias[0] = turn_x * turn_x + ACROSS * turn_y * turn_y
+        run.bias[1] = (1.0 - ACROSS) * turn_x * turn_y
+        run.bias[2] = turn_y * turn_y + ACROSS * turn_x * turn_x
         # A fit counts by the lesser spread of its points:
         # lambda_1 lambda_2 / (lambda_1 + lambda_2).
-        run.bias[2] = run.points * max(xx * yy - xy * xy, 0.0) / (xx + yy)
+        run.bias[4] = run.points * max(xx * yy - xy * xy, 0.0) / (xx + yy)
 
 
 def measure(
@@ -230,6 +233,7 @@ def measure(
     side: float,
     prior: Vector,
     sigma: Vector,
+    uneven: float,
     run: Record,
 ) -> None:
     """Fit a plane to a run of points; it is written to ``run``, without the statistic.
@@ -239,10 +243,11 @@ def measure(
     than to `UNSEEN_TILT`, tells its height alone, and the slope is taken to be the one before: so
     is a strip at the edge of a scan. Other points on a line, and fewer than `FIT_POINTS`, tell the
     slope along it (`line_normal`); their variance is not that of a plane at a flatter angle than
-    level ground, or a plane turned towards the ray would take its points for exact. What
-    the others leave out may differ in slope by `UNSEEN_TILT`. Residuals beyond
-    what noise makes of them are of ground that is no plane: as scans see it from elsewhere, its
-    height is as uncertain, however many points there are, and its slope by as much more noise.
+    level ground, or a plane turned towards the ray would take its points for exact. Residuals
+    beyond what noise makes of them are of ground that is no plane: as scans see it from elsewhere,
+    its height is as uncertain, however many points there are, and its slope by as much more noise.
+    Too few points to show it have as much more as ``uneven`` says.
+    What a view leaves out may differ in slope by `UNSEEN_TILT`.
 
     Args:
         points, number: Of the run (3 N), map axes about the lidar, m, and N.
@@ -251,6 +256,7 @@ def measure(
         side: Of the cell, m.
         prior: (3) normal to keep to where the points do not tell the slope.
         sigma: (36) pose covariance.
+        uneven: Of the leaf, m^2.
         run: Record of type `RUN`.
     """
     basis = cython.declare(cython.double[6])
@@ -272,10 +278,10 @@ def measure(
     if count > 1.0:
         correlation = xy * xy / max(xx * yy, 1e-300)
         wide = max(
-            _unseen(xx / count, correlation, side, count),
-            _unseen(yy / count, correlation, side, count),
+            _unseen(xx / count, correlation, side), _unseen(yy / count, correlation, side)
         )
-        run.unseen = min(max(wide / side, 0.0), 1.0)
+        # What a full cell leaves out by chance does not count.
+        run.unseen = min(max(wide / side - 1.0 / sqrt(count), 0.0), 1.0)
         half = 0.5 * (xx + yy) / count
         root = sqrt(max(half * half - (xx * yy - xy * xy) / (count * count), 0.0))
     distance = sqrt(
@@ -287,6 +293,7 @@ def measure(
     ray_y = run.centroid[1] / distance
     ray_z = run.centroid[2] / distance
     run.sloped = 1.0
+    run.alone = 0.0
     noise = rules.range_noise
     if rules.stereo > 0.0:
         # The depth z errs by c z^2, the range r by as much times r / z.
@@ -308,14 +315,12 @@ def measure(
     for i in range(6):
         scatter[i] = run.scatter[i]
     if run.sloped == 0.0 or (count < rules.min_points and not line):
-        tilt = UNKNOWN_TILT
+        run.alone = 1.0
         for i in range(3):
             run.normal[i] = prior[i]
     elif line:
-        tilt = 0.0
         line_normal(run.scatter, prior, count * (half + root), square, run.normal, scatter)
     else:
-        tilt = run.unseen * UNSEEN_TILT
         height_normal(run.scatter, -prior[0] / prior[2], -prior[1] / prior[2], square, run.normal)
         if rules.ml and count > 3.0:
             first = run.normal[0]
@@ -339,7 +344,7 @@ def measure(
         variance += pose_variance(run.normal, run.centroid, sigma)
     rise = (run.normal[0] * off_x + run.normal[1] * off_y) / up
     run.z = run.centroid[2] + rise
-    run.square = uneven = misfit = 0.0
+    run.square = misfit = 0.0
     if count > 1.0:
         quadratic = (
             run.normal[0] * (run.normal[0] * xx + 2.0 * run.normal[1] * xy)
@@ -351,11 +356,9 @@ def measure(
         free = max(count - 3.0, 1.0)
         run.square = max(quadratic, 0.0) / free
         misfit = max(run.square - noise_square(run.variance, free), 0.0)
-        seen = max(1.0 - run.unseen, 0.1)
-        uneven = misfit + rules.uneven * (1.0 / (seen * seen) - 1.0)
     # A plane that noise has turned towards the ray is not free of it.
     lean = max(cosine / up, -ray_z)
-    _bias(run, ray_x, ray_y, sqrt(along), lean, tilt < UNKNOWN_TILT and not line)
+    _bias(run, ray_x, ray_y, sqrt(along), lean, run.alone == 0.0 and not line)
     if run.sloped == 0.0 and z == z:
         # Of a strip that is as wide as the noise, place and height err together, along the ray u:
         # a range off by e lifts the plane by e (n.u) / n_z, which is a height of -e cosine / up.
@@ -367,14 +370,18 @@ def measure(
         off_y += gap * ray_y
         rise = (run.normal[0] * off_x + run.normal[1] * off_y) / up
     basis_at(run.normal, basis)
-    run.own = variance / count + uneven
+    run.own = variance / count + misfit
     run.lever[0] = first = basis[0] * off_x + basis[1] * off_y - basis[2] * rise
     run.lever[1] = second = basis[3] * off_x + basis[4] * off_y - basis[5] * rise
-    run.alone = tilt == UNKNOWN_TILT
-    if run.alone:
-        run.range_part[8] = run.own + tilt * tilt * (first * first + second * second)
+    if run.alone > 0.0:
+        flat = first * first + second * second
+        run.range_part[8] = run.own + UNKNOWN_TILT * UNKNOWN_TILT * flat
     else:
-        slope_covariance(scatter, run.normal, variance + misfit, tilt * tilt, slope)
+        slope_covariance(scatter, run.normal, variance + max(misfit, uneven), slope)
+        if not line:
+            tilt = run.unseen * UNSEEN_TILT
+            slope[0] += tilt * tilt
+            slope[3] += tilt * tilt
         covariance_about(slope, run.own, first, second, run.range_part)
     if rules.independent:
         for i in range(9):
@@ -391,9 +398,10 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
     """What the parts of leaves (M,) that were never seen add to their covariance (M, 9) of (dphi,
     dd).
 
-    However often a part is seen, it says nothing of the rest, whose slope may differ by
-    `UNSEEN_TILT`: a tilt about the middle of the finest cells in which a point fell, by as much of
-    the leaf's width as these leave out. Noise along the rays turned the plane about there, too.
+    However often a part is seen, it says nothing of the rest. The slope there may differ by
+    `UNSEEN_TILT`, and by what its parent's plane left out: a tilt about the middle of the finest
+    cells in which a point fell, by as much of the leaf's width as these leave out. Noise along the
+    rays turned the plane about there, too.
     """
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])
@@ -405,9 +413,10 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
         for i in range(rows.shape[0]):
             table.expect(rows[min(i + 4, rows.shape[0] - 1)])
             leaf = table.at(rows[i])
-            slope[0] = slope[3] = leaf.bias[0] * leaf.bias[0]
-            slope[1] = slope[2] = 0.0
-            lift = leaf.bias[1] * leaf.bias[1]
+            slope[0] = leaf.bias[0]
+            slope[1] = slope[2] = leaf.bias[1]
+            slope[3] = leaf.bias[2]
+            lift = leaf.bias[3] * leaf.bias[3]
             j = 2 * (table.max_level - leaf.level)
             number = 1 << j
             first = encode(leaf.ix, leaf.iy) << j
@@ -431,19 +440,20 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
                     syy += y * y
             x = sx / seen
             y = sy / seen
-            # A finest cell is a square of side one.
-            sxx = sxx / seen - x * x + 1.0 / 12.0
-            syy = syy / seen - y * y + 1.0 / 12.0
-            sxy = sxy / seen - x * y
+            # Of few, the mean lies nearer to them than to the ground; each is a square of side one.
+            free = max(seen - 1.0, 1.0)
+            sxx = (sxx - seen * x * x) / free + 1.0 / 12.0
+            syy = (syy - seen * y * y) / free + 1.0 / 12.0
+            sxy = (sxy - seen * x * y) / free
             across = sqrt(number)
             correlation = sxy * sxy / (sxx * syy)
-            wide = max(
-                _unseen(sxx, correlation, across, seen), _unseen(syy, correlation, across, seen)
-            )
-            tilt = UNSEEN_TILT * min(max(wide / across, 0.0), 1.0)
-            slope[0] += tilt * tilt
-            slope[3] += tilt * tilt
-            side = table.side(leaf.level) / across
+            wide = max(_unseen(sxx, correlation, across), _unseen(syy, correlation, across))
+            wide = min(max(wide / across, 0.0), 1.0)
+            side = table.side(leaf.level)
+            tilt = wide * wide * (UNSEEN_TILT * UNSEEN_TILT + 12.0 * leaf.uneven / (side * side))
+            slope[0] += tilt
+            slope[3] += tilt
+            side /= across
             x = side * (x - 0.5 * across)
             y = side * (y - 0.5 * across)
             z = -(leaf.normal[0] * x + leaf.normal[1] * y)

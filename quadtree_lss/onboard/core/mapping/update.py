@@ -51,6 +51,9 @@ MOVED = cython.declare(cython.double, 0.75)
 #: The mean of a finest cell's returns rises so many deviations over a plane: of 65,536 cells noise
 #: lifts two so far.
 PILED = cython.declare(cython.double, 4.0)
+#: Of the mean square that a plane leaves out, what planes half as wide leave out: residuals go with
+#: the width.
+LESS = cython.declare(cython.double, 0.25)
 #: Points of a scan in a cell that tell the range noise.
 NOISE_POINTS = cython.declare(cython.double, 8.0)
 #: A plane is higher or lower at no cell's centre, m.
@@ -224,6 +227,8 @@ class ScanUpdate:
             self.fusion.place(leaf, run, place)
             own = run.variance / run.points + offset_variance(leaf.range_part, place[0], place[1])
             self.columns[0, at] = place[2]
+        seen = max(1.0 - run.unseen, 0.1)
+        own += self.rules.uneven * (1.0 / (seen * seen) - 1.0)
         self.columns[1, at] = own / square + max(misfit, 0.0)
         pose = run.pose_part[8]
         if self.rules.independent:  # no part of a plane, but of the scan
@@ -273,7 +278,8 @@ class ScanUpdate:
         side = self.table.size / (1 << leaf.level)
         z = leaf.z - self.fusion.origin[2] if leaf.known != NOTHING else NAN
         points = self._from(begin)
-        measure(self.rules, points, end - begin, x, y, z, side, leaf.normal, self.fusion.sigma, run)
+        sigma, uneven = self.fusion.sigma, leaf.uneven
+        measure(self.rules, points, end - begin, x, y, z, side, leaf.normal, sigma, uneven, run)
 
     def _divide(self, row: cython.Py_ssize_t, run: Record) -> cython.bint:
         """Divide a leaf above the finest level, if there is room.
@@ -281,7 +287,7 @@ class ScanUpdate:
         What the plane did not describe, its mean square residual, makes its height less certain to
         the children. Its slope is worth `slope_points` measurements that fill a child, which have
         the horizontal variance side^2 / 12; what is `left_out` counts twice, for neighbours have
-        it in common.
+        it in common. Points of a child may be too few to show it and have it all the same.
         """
         leaf = self._leaf(row)
         if leaf.level >= self.table.max_level:
@@ -289,11 +295,12 @@ class ScanUpdate:
         square = run.variance
         if leaf.division_weight > 0.0:
             square = max(leaf.square_sum / leaf.division_weight, square)
+        uneven = max(left_out(leaf, run.variance), leaf.uneven)
         side = 0.5 * self.table.side(leaf.level)
-        tilt = run.variance + 2.0 * left_out(leaf, run.variance)
+        tilt = run.variance + 2.0 * uneven
         tilt *= 12.0 / (self.rules.slope_points * side * side)
         spread = standing_out(self.rules, leaf, run.variance)
-        if not self.table.divide(row, square, tilt, spread):
+        if not self.table.divide(row, square, tilt, spread, LESS * uneven):
             self.refused += 1
             return False
         self.divisions += 1

@@ -162,7 +162,8 @@ def fuse_leaves(cells: CellMap, ancestor: Index, planes: Array, parts: Array, of
                 planes[a, 3 + i] += weight * normal[k, i]
         for a in range(number):
             planes[a, 2] /= total[a]
-            length = sqrt(planes[a, 3] ** 2 + planes[a, 4] ** 2 + planes[a, 5] ** 2)
+            east, north, up = planes[a, 3], planes[a, 4], planes[a, 5]
+            length = sqrt(east * east + north * north + up * up)
             for i in range(3, 6):
                 planes[a, i] /= length
         # Each leaf seen from its ancestor's centre, its error in the tangent at the mean normal.

@@ -22,7 +22,7 @@ from quadtree_lss.onboard.core.tree.leaves import LEAF, leaf_raster
 from quadtree_lss.onboard.core.tree.soundness import sound_planes
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-FORMAT = 6
+FORMAT = 7
 """Goes up whenever the arrays of `Mapper.export_state` change their meaning."""
 
 ROUNDING = 1e-6
@@ -39,10 +39,10 @@ MOST_OWED = 1.0
 """The map is lifted by more than a sixth of this at once, m (`mapping.alignment.LEAST_LIFT` of the
 highest vehicle)."""
 MOST_TURN = 1e6
-"""What noise may turn and lift a fit by (`LEAF`), rad and m."""
+"""What noise may turn and lift a fit by (`LEAF`), rad^2 and m."""
 NEVER_NEGATIVE = frozenset(
     "points distance_sum noise_sum exception_sum exception_noise residuals division_sum"
-    " division_weight square_sum greatest strip".split()
+    " division_weight square_sum greatest strip uneven".split()
 )
 
 OUT = 3
@@ -177,8 +177,9 @@ def _check_leaves(leaves: NDArray[Any], domain: Domain) -> None:
         if name in NEVER_NEGATIVE:
             whole &= (leaves[name] >= 0.0).all()
     whole &= (leaves["exception_sum"] <= leaves["residuals"] * (1.0 + ROUNDING)).all()
-    turn, rise, weight = leaves["bias"].T
-    whole &= (np.maximum(np.abs(turn), np.abs(rise)) < MOST_TURN).all() and (weight >= 0.0).all()
+    xx, xy, yy, rise, weight = leaves["bias"].T
+    whole &= (np.maximum(xx + yy, np.abs(rise)) < MOST_TURN).all() and (weight >= 0.0).all()
+    whole &= (np.minimum(xx, yy) >= 0.0).all() and (xy * xy <= xx * yy * (1.0 + ROUNDING)).all()
     whole &= (leaves["points"] < 2**32).all()
     low, high = leaves["low"], leaves["high"]
     # Where nothing came to rest yet they are infinity and minus infinity.

@@ -42,9 +42,12 @@ cdef struct Leaf:
     double high
     double greatest
     double strip
-    double bias[3]
+    double uneven
+    double bias[5]
     double feature[5]
     double feature_information[25]
+
+cdef double NO_SLOPE
 
 cdef Leaf* leaf_at(Leaf[::1] rows, Py_ssize_t row) noexcept nogil
 
@@ -77,7 +80,7 @@ cdef class LeafTable:
     cdef void unknow(self, Leaf* leaf) noexcept nogil
     cdef void forget(self, Leaf* leaf) noexcept nogil
     cdef bint _stands_out(self, int level, int ix, int iy) noexcept nogil
-    cpdef bint divide(self, Py_ssize_t row, double square, double tilt, double spread) noexcept nogil
+    cpdef bint divide(self, Py_ssize_t row, double square, double tilt, double spread, double uneven) noexcept nogil
     cpdef reserve(self, Py_ssize_t more)
 
 cpdef unfold(unsigned char[::1] values, unsigned char[:, ::1] out)

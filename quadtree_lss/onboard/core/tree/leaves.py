@@ -34,7 +34,8 @@ if not cython.compiled:
         """Only a compiled program knows where its numbers lie."""
 
 
-#: No slope is handed on as less certain, rad^2: strips, which keep it, would lie anywhere.
+#: A slope less certain than this, rad^2, is none. None is handed on so: strips, which keep it, would
+#: lie anywhere.
 NO_SLOPE = cython.declare(cython.double, 0.3**2)
 
 #: One record of a table: a pointer to a C structure, or a record of NumPy.
@@ -57,8 +58,10 @@ Record: TypeAlias = Any
 #: - low, high: lowest and highest return, m, of those that came to rest here, or before that of
 #:   those of the parent; low > high for none; greatest: |orthogonal distance| of one, m;
 #: - strip: the greatest share of its width that a strip showed which told no plane of it;
-#: - bias: means of what noise along the rays may turn its fits by, rad, and lift them by, m, and
-#:   the weight of the first, m^2;
+#: - uneven: mean square, m^2, that a plane of its size would leave out by what those leave out that
+#:   it was divided from;
+#: - bias: means of what noise along the rays may turn its fits by, t t^T as xx, xy, yy, rad^2, and
+#:   lift them by, m, and the weight of the first, m^2;
 #: - feature: A, k, mu_x, mu_y about the centre, sigma (Eq. 51), NaN for none, and its inverse
 #:   covariance (25), feature_information.
 LEAF = np.dtype(
@@ -68,8 +71,8 @@ LEAF = np.dtype(
     + [(f"{name}_sum", "f8") for name in ("distance",)]
     + [("noise_sum", "f8"), ("exception_sum", "f8"), ("exception_noise", "f8")]
     + [("residuals", "f8"), ("division_sum", "f8"), ("division_weight", "f8"), ("square_sum", "f8")]
-    + [("low", "f8"), ("high", "f8"), ("greatest", "f8"), ("strip", "f8")]
-    + [("bias", "f8", 3), ("feature", "f8", 5), ("feature_information", "f8", 25)]
+    + [("low", "f8"), ("high", "f8"), ("greatest", "f8"), ("strip", "f8"), ("uneven", "f8")]
+    + [("bias", "f8", 5), ("feature", "f8", 5), ("feature_information", "f8", 25)]
 )
 
 
@@ -89,8 +92,8 @@ def clear(leaf: Record) -> None:
     leaf.exception_sum = leaf.exception_noise = leaf.residuals = 0.0
     leaf.division_sum = leaf.division_weight = leaf.square_sum = 0.0
     leaf.greatest = leaf.strip = 0.0
-    leaf.bias[0] = leaf.bias[1] = leaf.bias[2] = 0.0
     for i in range(5):
+        leaf.bias[i] = 0.0
         leaf.feature[i] = NAN
 
 
@@ -256,14 +259,14 @@ class LeafTable:
 
     @cython.boundscheck(False)
     def divide(
-        self, row: cython.Py_ssize_t, square: float, tilt: float, spread: float
+        self, row: cython.Py_ssize_t, square: float, tilt: float, spread: float, uneven: float
     ) -> cython.bint:
         """Divide a leaf above the maximum level; its children inherit what it knows.
 
         An inherited plane is the parent's moved to the child's centre, and less certain: by
         ``square`` m^2 in height and ``tilt`` rad^2 in either slope, up to `NO_SLOPE`; where a
-        return stood out, by the square of the greatest distance, too. Finest cells whose returns
-        lay within ``spread`` (m) of it stay known. The first child (in Morton's order) has the
+        return stood out, by the square of the greatest distance, too. They are ``uneven`` by so
+        many m^2. Finest cells whose returns lay within ``spread`` (m) of it stay known. The first child (in Morton's order) has the
         parent's row, the others follow the last leaf. They keep what noise may have turned the
         parent by. False, and nothing is done, where ``max_cells`` leaves no room; the caller has
         made room in the table (`reserve`).
@@ -283,10 +286,10 @@ class LeafTable:
             at = row if child == 0 else self.count + child - 1
             self.leaf[at] = self.leaf[row]
             leaf = self.at(at)
-            turn = 0.0
+            xx = xy = yy = 0.0
             if leaf.known >= INHERITED:
                 leaf.known = INHERITED
-                turn = leaf.bias[0]
+                xx, xy, yy = leaf.bias[0], leaf.bias[1], leaf.bias[2]
                 x = quarter if child & 1 else -quarter
                 y = quarter if child & 2 else -quarter
                 z = -(leaf.normal[0] * x + leaf.normal[1] * y) / leaf.normal[2]
@@ -307,7 +310,8 @@ class LeafTable:
             else:
                 leaf.known = NOTHING
             clear(leaf)
-            leaf.bias[0] = turn
+            leaf.bias[0], leaf.bias[1], leaf.bias[2] = xx, xy, yy
+            leaf.uneven = uneven
             self._place(at, level + 1, ix + (child & 1), iy + (child >> 1))
         self.count += 3
         return True
