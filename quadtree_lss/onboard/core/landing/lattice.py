@@ -222,9 +222,10 @@ def disc_moments(
             if row < 0:
                 continue
             mean[row, :] = 0.0
-            along_x[row, :] = 0.0
-            along_y[row, :] = 0.0
-            length[row, :] = 0.0
+            if slopes:
+                along_x[row, :] = 0.0
+                along_y[row, :] = 0.0
+                length[row, :] = 0.0
             first, after = n, 0
             for k in range(max(row - 1, 0), min(row + 1, n)):
                 j = 0
@@ -401,14 +402,15 @@ def find_distances(marked: Bytes, lengths: Array, far: cython.short, out: Array)
         out: (ny, nx), set.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t, z=cython.short)
-    cython.declare(east=cython.short, away=cython.short, widest=cython.short)
+    cython.declare(east=cython.short, away=cython.short, beyond=cython.short)
+    cython.declare(widest=cython.short, other=cython.short)
     cython.declare(nearest=cython.short, west=cython.Py_ssize_t, count=cython.Py_ssize_t)
     most: cython.short = far
     rows: cython.Py_ssize_t = marked.shape[0]
     columns: cython.Py_ssize_t = marked.shape[1]
     near = cython.declare(cython.short[:, ::1], np.full((rows, columns), far, dtype=np.int16))
     height = cython.declare(cython.short[::1], np.full(columns + 2 * far, far**2, dtype=np.int16))
-    least = cython.declare(cython.short[::1], np.empty(SPAN, dtype=np.int16))
+    least = cython.declare(cython.short[::1], np.empty(SPAN + SPAN // 2, dtype=np.int16))
     with cython.nogil:
         for i in range(rows):
             for j in range(columns):
@@ -424,7 +426,8 @@ def find_distances(marked: Bytes, lengths: Array, far: cython.short, out: Array)
                 height[j + most] = near[i, j] * near[i, j]
             west = 0
             while west < columns:
-                count = min(SPAN, columns - west)
+                count = columns - west
+                count = count if count < SPAN + SPAN // 2 else SPAN
                 nearest, widest = most * most, 0
                 for j in range(count + 2 * most):
                     z = height[west + j]
@@ -433,15 +436,19 @@ def find_distances(marked: Bytes, lengths: Array, far: cython.short, out: Array)
                     z = least[j] = height[west + most + j]
                     widest = z if z > widest else widest
                 k = 1
-                # Columns so far away are no nearer than what is found, or as far as all others.
-                while k * k < widest and nearest < most * most:
-                    away, widest = k * k, 0
+                # Nothing in columns so far away is nearer than what is found.
+                while k * k + nearest < widest:
+                    away, beyond, widest = k * k, (k + 1) * (k + 1), 0
                     for j in range(count):
                         z, east = height[west + most + j - k], height[west + most + j + k]
                         z = (z if z < east else east) + away
-                        z = least[j] = z if z < least[j] else least[j]
+                        z = z if z < least[j] else least[j]
+                        other = height[west + most + j - k - 1]
+                        east = height[west + most + j + k + 1]
+                        other = (other if other < east else east) + beyond
+                        z = least[j] = z if z < other else other
                         widest = z if z > widest else widest
-                    k += 1
+                    k += 2
                 for j in range(count):
                     out[i, west + j] = lengths[least[j]]
-                west += SPAN
+                west += count

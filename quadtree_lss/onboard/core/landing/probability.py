@@ -34,7 +34,8 @@ WINDOW, FOOTPRINT = 4.0, 0.9
 #: Returns on a square as wide as the least hazard that are as good as none.
 NO_RETURNS = 1e-3
 #: Entries of a table along a curve, and along what is known.
-FINE, COARSE = 128, 48
+FINE = cython.declare(cython.int, 128)
+COARSE = 48
 #: Place in `LOCAL` of how well ground is seen.
 SEEN = cython.declare(cython.Py_ssize_t, LOCAL.index("seen"))
 #: Log odds between which exp is in a table, and entries of it.
@@ -111,8 +112,7 @@ class RiskTable:
         self._low = np.array([at[0] for at in steps.values()])
         self._last = np.array([len(at) - 1.0 for at in steps.values()])
         self._per = self._last / [at[-1] - at[0] for at in steps.values()]
-        tables: list[float] = []
-        terms = []
+        tables, terms, first = [], [], 0
         for number, name in enumerate(CAUSES):
             for curve in model.causes[name].curves:
                 if curve.of in LOCAL:
@@ -121,9 +121,10 @@ class RiskTable:
                     wide = len(odds) > 1
                     if wide:
                         odds = interpolation_weights(steps["seen"], model.seen) @ odds
-                    terms.append((number, LOCAL.index(curve.of), len(tables), FINE * wide))
-                    tables += odds.ravel().tolist()
-        self._tables = np.array(tables, dtype=np.float32)
+                    terms.append((number, LOCAL.index(curve.of), first, FINE * wide))
+                    tables.append(odds.ravel())
+                    first += odds.size
+        self._tables = np.concatenate(tables, dtype=np.float32, casting="same_kind")
         self._terms = np.array(terms, dtype=np.int32)
         self._exps = np.exp(np.linspace(LEAST, MOST, EXPS))
 
@@ -170,10 +171,7 @@ class RiskTable:
         rough = np.fmax(cells.roughness / (clearance * cells.size**2), 0.0)
         rough = np.minimum(rough, 2.0).astype(np.float32)
         of_cells = np.empty((2, *known.shape), dtype=np.float32)
-        level.take(raster.leaf, out=of_cells[0], mode="clip")
-        rough.take(raster.leaf, out=of_cells[1], mode="clip")
-        np.copyto(of_cells[0], log10(NO_RETURNS), where=raster.bridged)
-        np.copyto(of_cells[1], 0.0, where=raster.bridged)
+        set_known(raster.leaf, known.view(np.uint8), level, rough, log10(NO_RETURNS), of_cells)
         under = max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1)
         around, means = np.empty((2, 3, *judged.shape), dtype=np.float32)
         around[0] = judged
@@ -227,7 +225,7 @@ def aimed(risk: Array, side: float, dispersion: Dispersion) -> Array:
     for sigma, count in zip((dispersion.y, dispersion.x), risk.shape, strict=True):
         weights = normal_weights(sigma, side)
         one = weights[len(weights) // 2 :][:count]
-        one = np.append(one, np.zeros(1 - len(one) % 2))  # pairs, after the first
+        one = np.append(one, np.zeros(3 - (len(one) + 2) % 4))  # fours, after the first
         sides.append(one.astype(np.float32))
     blur(risk, *sides, out)
     return out
@@ -383,6 +381,23 @@ def count_known(leaf: Index, known: Bytes, count: Ints) -> None:
 
 
 @cython.boundscheck(False)
+@cython.locals(leaf=cython.Py_ssize_t[:, ::1], known=cython.uchar[:, ::1])
+@cython.locals(level=cython.float[::1], rough=cython.float[::1], none=cython.float)
+@cython.locals(out=cython.float[:, :, ::1])
+def set_known(
+    leaf: Index, known: Bytes, level: Single, rough: Single, none: float, out: Single
+) -> None:
+    """Set ``out`` (2, n, n) to ``level`` and ``rough`` (M,) of the leaves of the ``known`` finest
+    cells (n, n), and else to ``none`` and 0."""
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    with cython.nogil:
+        for i in range(leaf.shape[0]):
+            for j in range(leaf.shape[1]):
+                out[0, i, j] = level[leaf[i, j]] if known[i, j] else none
+                out[1, i, j] = rough[leaf[i, j]] if known[i, j] else 0.0
+
+
+@cython.boundscheck(False)
 @cython.locals(values=cython.float[:, :, ::1], out=cython.float[:, :, ::1])
 def set_means(
     values: Single, reach: cython.Py_ssize_t, after: cython.Py_ssize_t, out: Single
@@ -474,6 +489,7 @@ def look_up(
     causes: cython.Py_ssize_t = constant.shape[0]
     count: cython.Py_ssize_t = places.shape[0]
     entry = cython.declare(cython.int[:, ::1], np.zeros((count, columns), dtype=np.int32))
+    seen = cython.declare(cython.int[::1], np.zeros(columns, dtype=np.int32))
     odds = cython.declare(cython.double[:, ::1], np.zeros((causes, columns)))
     least: cython.double = LEAST
     end: cython.double = EXPS - 1
@@ -494,15 +510,16 @@ def look_up(
                     x = x if x > 0.0 else 0.0  # also of what is no number
                     x = x if x < top else top
                     entry[f, j] = cython.cast(cython.int, x)
+            for j in range(first, after):
+                seen[j] = FINE * entry[SEEN, j]
             for c in range(causes):
                 for j in range(first, after):
                     odds[c, j] = constant[c]
             for t in range(terms.shape[0]):
                 c, f, k = terms[t, 0], terms[t, 1], terms[t, 2]
-                row: cython.int = terms[t, 3]
-                if row:
+                if terms[t, 3]:
                     for j in range(first, after):
-                        odds[c, j] += tables[k + row * entry[SEEN, j] + entry[f, j]]
+                        odds[c, j] += tables[k + seen[j] + entry[f, j]]
                 else:
                     for j in range(first, after):
                         odds[c, j] += tables[k + entry[f, j]]
@@ -534,13 +551,14 @@ def blur(risk: Array, across: Single, along: Single, out: Array) -> None:
     Args:
         risk: (ny, nx).
         across, along: (K + 1,), (L + 1,) weights of rows and columns so far from the grid point;
-            on both sides they are alike. K and L are even.
+            on both sides they are alike. K and L are multiples of four.
         out: (ny, nx), set.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
     cython.declare(first=cython.Py_ssize_t, after=cython.Py_ssize_t)
     cython.declare(west=cython.Py_ssize_t, east=cython.Py_ssize_t, z=cython.float)
-    cython.declare(near=cython.float, far=cython.float)
+    cython.declare(near=cython.float, far=cython.float, third=cython.float, last=cython.float)
+    w: cython.float
     one: cython.float = 1.0
     rows: cython.Py_ssize_t = risk.shape[0]
     columns: cython.Py_ssize_t = risk.shape[1]
@@ -567,12 +585,14 @@ def blur(risk: Array, across: Single, along: Single, out: Array) -> None:
             begin[i], end[i] = first - right, after - right
             for j in range(first, after):
                 means[up + i, j - right] = along[0] * line[j]
-            for k in range(1, right, 2):
-                near, far = along[k], along[k + 1]
+            for k in range(1, right, 4):
+                near, far, third, last = along[k], along[k + 1], along[k + 2], along[k + 3]
                 for j in range(first, after):
                     z = near * (line[j - k] + line[j + k])
                     z += far * (line[j - k - 1] + line[j + k + 1])
-                    means[up + i, j - right] += z
+                    w = third * (line[j - k - 2] + line[j + k + 2])
+                    w += last * (line[j - k - 3] + line[j + k + 3])
+                    means[up + i, j - right] = (means[up + i, j - right] + z) + w
         for i in range(rows):
             # The columns in which something is safe within reach.
             west, east = columns, 0
@@ -580,14 +600,16 @@ def blur(risk: Array, across: Single, along: Single, out: Array) -> None:
                 west, east = min(west, begin[k]), max(east, end[k])
             for j in range(west, east):
                 line[j] = across[0] * means[up + i, j]
-            for k in range(1, up, 2):
-                near, far = across[k], across[k + 1]
+            for k in range(1, up, 4):
+                near, far, third, last = across[k], across[k + 1], across[k + 2], across[k + 3]
                 south: cython.Py_ssize_t = up + i - k
                 north: cython.Py_ssize_t = up + i + k
                 for j in range(west, east):
                     z = near * (means[south, j] + means[north, j])
                     z += far * (means[south - 1, j] + means[north + 1, j])
-                    line[j] += z
+                    w = third * (means[south - 2, j] + means[north + 2, j])
+                    w += last * (means[south - 3, j] + means[north + 3, j])
+                    line[j] = (line[j] + z) + w
             for j in range(columns):
                 out[i, j] = 1.0
             for j in range(west, east):

@@ -10,7 +10,7 @@ import cython
 import numpy as np
 from cython.cimports.libc.math import erf, exp, fabs, sqrt
 
-from quadtree_lss.onboard.arrays import Array, Index, Mask
+from quadtree_lss.onboard.arrays import Array, Index, Ints, Mask
 from quadtree_lss.onboard.config.sections import LightConfig
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.lattice import grown, nearest_marked
@@ -83,9 +83,7 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
     if not known.any():
         elevation[:] = np.nan
     elif bridged.any():
-        elevation = elevation.take(nearest_marked(known))
-        for slope in (slope_x, slope_y):
-            np.copyto(slope, 0.0, where=bridged)
+        bridge(nearest_marked(known), layers)
     found = (elevation, slope_x, slope_y, subscale, peak, seen, firm, unmapped, bridged)
     return TerrainRaster(domain, leaf, *found, cells)
 
@@ -158,6 +156,22 @@ def lay_out(cells: CellMap, side: float, negligible: float, leaf: Index, layers:
                     raised = top * exp(-0.5 * (squares[j] + square) / (sigma * sigma))
                     if raised >= negligible:
                         layers[4, row + i, column + j] = raised
+
+
+@cython.boundscheck(False)
+@cython.locals(place=cython.int[:, ::1], layers=cython.double[:, :, ::1])
+def bridge(place: Ints, layers: Array) -> None:
+    """Level ground as high as the known cell that is nearest: ``place`` (n, n) is its flat index,
+    ``layers`` (5, n, n) are those of `lay_out`."""
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    n: cython.Py_ssize_t = place.shape[0]
+    height = cython.declare(cython.double[::1], np.asarray(layers[0]).ravel())
+    with cython.nogil:
+        for i in range(n):
+            for j in range(n):
+                if place[i, j] != i * n + j:
+                    height[i * n + j] = height[place[i, j]]
+                    layers[1, i, j], layers[2, i, j] = 0.0, 0.0
 
 
 @cython.cfunc

@@ -125,7 +125,7 @@ def assess_points(
     """Risk, safety and score on the finest lattice. The paper's rules need no contacts; the limits
     of ``check`` decide if ``lss.assessment`` is ``touchdown``; without ``table`` nobody asks for
     the risk."""
-    cells, n, side = raster.cells, raster.domain.finest_count, raster.domain.finest_size
+    cells, side = raster.cells, raster.domain.finest_size
     vehicle, radius, zone = lss.vehicle, 0.5 * lss.vehicle.diameter, lss.zone
     cap = DISTANCE_CAP * vehicle.size
     bits = hazards.avoided_features(cells, lss).take(raster.leaf)
@@ -158,22 +158,18 @@ def assess_points(
         hazard |= spoiled * np.uint8(hazards.TOUCHDOWN)
         safe = ~grown(spoiled, lss.margin, side)
         # Ground that spoils a landing lies about a radius from the points it makes unsafe.
-        near, reach = distance_from(spoiled, side, cap), lss.margin
+        near, reach = distance_from(spoiled, side, cap - (1.0 - SLACK) * radius), lss.margin
         near += radius
         of_slope, of_leaves = WEIGHT_SLOPE, np.zeros(len(cells.level))
     safe &= around.room >= (1.0 - SLACK) * zone
     # Eq. 55 is a volume and grows with the leaf: over its area it is a height.
     rough = cells.roughness / cells.size**2
     rough[np.isnan(rough)] = 0.0
-    # Eq. 58, of the four grid points of each finest cell and of its leaf.
-    free = np.minimum(near, around.room, out=near)
-    np.minimum(free, cap, out=free)
-    free *= WEIGHT_DISTANCE / vehicle.size
-    line = of_slope * around.planes.slope - free
-    line = line[:n] + line[1:]
-    density = 0.25 * (line[:, :n] + line[:, 1:])
-    density += (of_leaves + WEIGHT_ROUGHNESS / vehicle.height * rough).take(raster.leaf)
-    density += WEIGHT_SUBSCALE / vehicle.height * raster.subscale
+    of_leaves += WEIGHT_ROUGHNESS / vehicle.height * rough
+    weights = of_slope, WEIGHT_DISTANCE / vehicle.size, WEIGHT_SUBSCALE / vehicle.height
+    density = np.empty(raster.leaf.shape)
+    lay = around.planes.slope, near, around.room, raster.leaf, raster.subscale
+    set_densities(*lay, of_leaves, cap, *weights, density)
     # Eq. 56's integral as Eq. 59's mean over the disc of each point. No zone fits a domain smaller
     # than itself: none needs sums over more than that.
     over = disc(min(zone, 0.5 * cells.domain.size), side)
@@ -181,6 +177,52 @@ def assess_points(
     return PointAssessment(
         raster, around, worst, risk, cause, hazard, safe, score, rough, spoiled, reach
     )
+
+
+@cython.boundscheck(False)
+@cython.locals(slope=cython.double[:, ::1], near=cython.double[:, ::1], room=cython.double[:, ::1])
+@cython.locals(leaf=cython.Py_ssize_t[:, ::1], subscale=cython.double[:, ::1])
+@cython.locals(of_leaves=cython.double[::1], cap=cython.double, per_slope=cython.double)
+@cython.locals(per_metre=cython.double, per_height=cython.double, out=cython.double[:, ::1])
+def set_densities(
+    slope: Array,
+    near: Array,
+    room: Array,
+    leaf: Index,
+    subscale: Array,
+    of_leaves: Array,
+    cap: float,
+    per_slope: float,
+    per_metre: float,
+    per_height: float,
+    out: Array,
+) -> None:
+    """Eq. 58, of the four grid points of each finest cell and of its leaf.
+
+    Args:
+        slope, near, room: (n + 1, n + 1) slope, rad, and distances to hazards and unseen ground, m.
+        leaf, subscale: (n, n) of `TerrainRaster`.
+        of_leaves: (M,) what is the same all over a leaf.
+        cap: Farther hazards do not matter, m.
+        per_slope, per_metre, per_height: Weights of slope, distance and features.
+        out: (n, n), set.
+    """
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    n: cython.Py_ssize_t = out.shape[0]
+    before = cython.declare(cython.double[::1], np.zeros(n + 1))
+    both = cython.declare(cython.double[::1], np.empty(n + 1))
+    with cython.nogil:
+        for i in range(n + 1):
+            for j in range(n + 1):
+                free: cython.double = near[i, j] if near[i, j] < room[i, j] else room[i, j]
+                free = per_slope * slope[i, j] - per_metre * (free if free < cap else cap)
+                both[j] = before[j] + free
+                before[j] = free
+            if i == 0:
+                continue
+            for j in range(n):
+                out[i - 1, j] = 0.25 * (both[j] + both[j + 1]) + of_leaves[leaf[i - 1, j]]
+                out[i - 1, j] += per_height * subscale[i - 1, j]
 
 
 def unknown_bits(raster: TerrainRaster) -> Bytes:

@@ -62,7 +62,7 @@ class Ancestors:
     off: Array
 
 
-def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
+def fuse_to_level(cells: CellMap, level: int, *, poses: bool = True) -> Ancestors:
     """Fuse leaves to their ancestors of ``level`` by Eq. 39-45.
 
     Each leaf's plane is moved to the ancestor's centre (exactly, value and covariance) and
@@ -71,6 +71,7 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
     leaves' pose parts, weighted by their measurements. Inherited planes are no information.
 
     Fusing children of children at once is the same as level by level, information being additive.
+    Without ``poses`` nobody asks for the pose parts, which stay 0.
     """
     n = 1 << level
     of_leaf, place = np.empty(len(cells.level), dtype=np.intp), np.full(n * n, -1, dtype=np.intp)
@@ -81,7 +82,7 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
     parts = np.zeros((2, len(cell), 3, 3))
     planes[:, 0] = cells.domain.xmin + (cell % n + 0.5) * size
     planes[:, 1] = cells.domain.ymin + (cell // n + 0.5) * size
-    fuse_leaves(cells, of_leaf, planes, parts, off)
+    fuse_leaves(cells, of_leaf, poses, planes, parts, off)
     x, y, z = planes[:, :3].T
     return Ancestors(level, cell, x, y, z, planes[:, 3:], parts[0], parts[1], of_leaf, off)
 
@@ -117,12 +118,15 @@ def find_ancestors(cells: CellMap, at: int, place: Index, of_leaf: Index) -> Non
 @cython.boundscheck(False)
 @cython.locals(ancestor=cython.Py_ssize_t[::1], planes=cython.double[:, ::1])
 @cython.locals(parts=cython.double[:, :, :, ::1], off=cython.double[::1])
-def fuse_leaves(cells: CellMap, ancestor: Index, planes: Array, parts: Array, off: Array) -> None:
+def fuse_leaves(
+    cells: CellMap, ancestor: Index, posed: cython.bint, planes: Array, parts: Array, off: Array
+) -> None:
     """Fuse the measured leaves (M) into their ancestors (A).
 
     Args:
         cells: The map.
         ancestor: (M,) of each leaf, 0 .. A - 1, or less where it has none.
+        posed: The parts from poses are asked for.
         planes: (A, 6) x and y of the ancestors' centres, m; what is 0 is set: z and the normal.
         parts: (2, A, 3, 3) parts of their covariances, from range noise and poses; 0 before.
         off: (M,) as of `Ancestors`; 0 before.
@@ -175,22 +179,29 @@ def fuse_leaves(cells: CellMap, ancestor: Index, planes: Array, parts: Array, of
             for i in range(3):
                 own[i], mean[i] = normal[k, i], planes[a, 3 + i]
                 for j in range(3):
-                    ranges[3 * i + j], poses[3 * i + j] = range_part[k, i, j], pose_part[k, i, j]
+                    ranges[3 * i + j] = range_part[k, i, j]
             basis_at(own, basis)
             minus_at(own, mean, error, turn)
             first = basis[0] * arm[0] + basis[1] * arm[1] + basis[2] * arm[2]
             second = basis[3] * arm[0] + basis[4] * arm[1] + basis[5] * arm[2]
             shift_origin(ranges, first, second)
-            shift_origin(poses, first, second)
             turn_tangent(ranges, turn)
-            turn_tangent(poses, turn)
             error[2] = -(own[0] * arm[0] + own[1] * arm[1] + own[2] * arm[2])
             inverse_symmetric(ranges, information)
             for i in range(3):
                 for j in range(3):
                     parts[0, a, i, j] += information[3 * i + j]
-                    parts[1, a, i, j] += max(count[k], 1.0) / total[a] * poses[3 * i + j]
                     pulled[a, i] += information[3 * i + j] * error[j]
+            if not posed:
+                continue
+            for i in range(3):
+                for j in range(3):
+                    poses[3 * i + j] = pose_part[k, i, j]
+            shift_origin(poses, first, second)
+            turn_tangent(poses, turn)
+            for i in range(3):
+                for j in range(3):
+                    parts[1, a, i, j] += max(count[k], 1.0) / total[a] * poses[3 * i + j]
         for a in range(number):
             for i in range(3):
                 for j in range(3):
