@@ -619,17 +619,13 @@ def _from_pivot(
     """A plane (normal, 3) after a step (3) of (dphi, dd) about the pivot (3), and its covariances,
     of a pair (18) about the pivot, about its own height over the origin; the basis (6) is that of
     its tangent, before and after."""
-    fused = cython.declare(cython.double[3])
     cython.declare(i=cython.int, k=cython.int)
-    plus_at(normal, basis, step, fused)
-    keep_up(fused)
-    rise = step[2]
-    for i in range(3):
-        rise += fused[i] * pivot[i]
-        normal[i] = fused[i]
-    rise /= fused[2]
+    plus_at(normal, basis, step, normal)
+    keep_up(normal)
+    basis_at(normal, basis)
+    rise = step[2] + normal[0] * pivot[0] + normal[1] * pivot[1] + normal[2] * pivot[2]
+    rise /= normal[2]
     pivot[2] -= rise
-    basis_at(fused, basis)
     first = -(basis[0] * pivot[0] + basis[1] * pivot[1] + basis[2] * pivot[2])
     second = -(basis[3] * pivot[0] + basis[4] * pivot[1] + basis[5] * pivot[2])
     shift_origins(pair, first, second)

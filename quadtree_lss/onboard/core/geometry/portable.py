@@ -69,8 +69,10 @@ def eigen(matrix: Array) -> tuple[Array, Array]:
 def limited(matrix: Array, most: float) -> Array:
     """A symmetric matrix (n, n), as `eigen` reads it, with its eigenvalues from 0 to ``most``."""
     left, vectors = _diagonal(matrix)
-    scale_columns(vectors, left, most)
-    multiply(vectors, vectors.T, left)
+    a = cython.declare(cython.double[:, ::1], left)
+    v = cython.declare(cython.double[:, ::1], vectors)
+    scale_columns(v, a, most)
+    multiply(v, v.T, a)
     return left
 
 
@@ -86,8 +88,7 @@ def _diagonal(matrix: Array) -> tuple[Array, Array]:
 
 
 @cython.boundscheck(False)
-@cython.locals(v=cython.double[:, ::1], a=cython.double[:, ::1])
-def scale_columns(v: Array, a: Array, most: float) -> None:
+def scale_columns(v: Array, a: Array, most: float) -> cython.void:
     """Each of the columns v (n, n) times the root of its value, on the diagonal of a (n, n), which
     is taken for 0 or ``most`` if it is beyond."""
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
+cimport cython
 from libc.math cimport NAN, exp, fabs, isfinite, sqrt
 from quadtree_lss.onboard.core.mapping.measure cimport Rules
 from quadtree_lss.onboard.core.tree.leaves cimport Leaf
 
+@cython.final
 cdef class Heights:
     cdef Py_ssize_t[::1] near
-    cdef double[::1] x, y, z, bell
+    cdef double[::1] x, y, z
+    cdef double[:, ::1] row
     cdef Py_ssize_t count
     cdef double weight
     cdef void clear(self, double weight) noexcept nogil

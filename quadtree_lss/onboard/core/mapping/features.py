@@ -47,7 +47,8 @@ class Heights:
 
     def __init__(self, most: int) -> None:
         self.near = np.empty(most + 1, dtype=np.intp)
-        self.x, self.y, self.z, self.bell = np.empty((4, MAX_SAMPLES))
+        self.x, self.y, self.z = np.empty((3, MAX_SAMPLES))
+        self.row = np.ones((MAX_SAMPLES, 6))
         self.count = 0
         self.weight = 0.0
 
@@ -105,8 +106,8 @@ def _linearise(
     measurements' part of it is system[30], all of it system[31].
     """
     # Whole rows of sums, of which the lower half is not used, are computed two at a time, and apart
-    # from calls of the exponential function, over which a processor keeps no sums.
-    row = cython.declare(cython.double[6])
+    # from what they are of: a processor keeps no sums over calls of the exponential function, and
+    # two numbers that were just stored one by one it is slow to take as a pair.
     total = cython.declare(cython.double[30])
     cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int)
     for j in range(30):
@@ -118,23 +119,19 @@ def _linearise(
         dx = heights.x[i] - x
         dy = heights.y[i] - y
         square = (dx * dx + dy * dy) * inverse
-        heights.bell[i] = exp(-0.5 * square) if square < 80.0 else 0.0
-    row[0] = 1.0
+        high = twice * (exp(-0.5 * square) if square < 80.0 else 0.0)
+        bump = 0.5 * root * high
+        heights.row[i, 1] = high
+        heights.row[i, 2] = dx * bump * inverse
+        heights.row[i, 3] = dy * bump * inverse
+        heights.row[i, 4] = (square - 2.0) * bump / sigma
+        heights.row[i, 5] = heights.z[i] - bump - level
     cost = 0.0
     for i in range(heights.count):
-        dx = heights.x[i] - x
-        dy = heights.y[i] - y
-        square = (dx * dx + dy * dy) * inverse
-        row[1] = twice * heights.bell[i]
-        bump = 0.5 * root * row[1]
-        row[2] = dx * bump * inverse
-        row[3] = dy * bump * inverse
-        row[4] = (square - 2.0) * bump / sigma
-        row[5] = heights.z[i] - bump - level
         for j in range(5):
             for k in range(j & ~1, 6):
-                total[6 * j + k] += row[j] * row[k]
-        cost += row[5] * row[5]
+                total[6 * j + k] += heights.row[i, j] * heights.row[i, k]
+        cost += heights.row[i, 5] * heights.row[i, 5]
     for j in range(30):
         system[j] = total[j]
     cost *= heights.weight

@@ -4,7 +4,9 @@ from libc.math cimport exp, fabs, sqrt
 from quadtree_lss.onboard.core.geometry.plane cimport fuse, fuse_height, offset_variance
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
 from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, pose_variance
-from quadtree_lss.onboard.core.tree.leaves cimport HINTS, INHERITED, MEASURED, NOTHING, NO_SLOPE, Leaf
+from quadtree_lss.onboard.core.tree.leaves cimport (
+    HINTS, INHERITED, MEASURED, NOTHING, NO_SLOPE, Leaf, LeafTable
+)
 
 @cython.final
 cdef class Fusion:

@@ -63,7 +63,7 @@ class Fusion:
         self.begins_so = beginning is not None
         self.beginning = NO_PRIOR if beginning is None else beginning
         self.coarsest = table.domain.min_level
-        self.coarse_side = table.domain.cell_size(self.coarsest)
+        self.coarse_side = table.side(self.coarsest)
         x, y, z = scan.origin.tolist()
         self.origin = [x, y, z]
         covariance = scan.pose.covariance.ravel().tolist()

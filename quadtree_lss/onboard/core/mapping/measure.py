@@ -331,6 +331,8 @@ def measure(
                 run.normal[0] = first
                 run.normal[1] = second
                 run.normal[2] = up
+    # Long before it is asked for: of what was just stored, a processor is slow to take two numbers.
+    basis_at(run.normal, basis)
     up = run.normal[2]
     cosine = fabs(run.normal[0] * ray_x + run.normal[1] * ray_y + up * ray_z)
     cosine = max(cosine, MIN_COSINE)
@@ -344,6 +346,7 @@ def measure(
         variance += pose_variance(run.normal, run.centroid, sigma)
     rise = (run.normal[0] * off_x + run.normal[1] * off_y) / up
     run.z = run.centroid[2] + rise
+    arm[0], arm[1], arm[2] = x, y, run.z
     run.square = misfit = 0.0
     if count > 1.0:
         quadratic = (
@@ -369,7 +372,6 @@ def measure(
         off_x += gap * ray_x
         off_y += gap * ray_y
         rise = (run.normal[0] * off_x + run.normal[1] * off_y) / up
-    basis_at(run.normal, basis)
     run.own = variance / count + misfit
     run.lever[0] = first = basis[0] * off_x + basis[1] * off_y - basis[2] * rise
     run.lever[1] = second = basis[3] * off_x + basis[4] * off_y - basis[5] * rise
@@ -387,7 +389,6 @@ def measure(
         for i in range(9):
             run.pose_part[i] = 0.0
     else:
-        arm[0], arm[1], arm[2] = x, y, run.z
         pose_part(run.normal, basis, arm, sigma, run.pose_part)
     run.statistic = run.greatest = run.raised_by = run.doubt = 0.0
     run.shared = 1.0

@@ -259,10 +259,11 @@ class ScanUpdate:
                 self.table.expect(self.rows[min(i + 4, self.cells - 1)])
                 begin, end = self.begins[i], self.begins[i + 1]
                 levels = self.table.max_level - self._leaf(self.rows[i]).level
-                levels = min(3 * levels * (end - begin), (1 << (2 * levels)) - 1)
-                if self.table.count + levels > self.table.capacity:
-                    with cython.gil:
-                        self.table.reserve(levels)
+                if levels > 0:
+                    levels = min(3 * levels * (end - begin), (1 << (2 * levels)) - 1)
+                    if self.table.count + levels > self.table.capacity:
+                        with cython.gil:
+                            self.table.reserve(levels)
                 self._settle(self.rows[i], begin, end, self._run(i), False)
         self.ratio = self.room.ratio[:, : self.rested]
 

@@ -14,6 +14,9 @@ if not cython.compiled:
 
     from quadtree_lss.onboard.core.geometry.morton import PLACE_BITS
 
+    def prefetch(at: object) -> None:
+        """Only a compiled program knows where its numbers lie."""
+
 
 @cython.boundscheck(False)
 def turn(
@@ -148,6 +151,7 @@ def arrange(
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, run=cython.Py_ssize_t)
     cython.declare(begin=cython.Py_ssize_t, end=cython.Py_ssize_t, at=cython.Py_ssize_t)
     key: cython.longlong
+    ahead: cython.longlong
     to: cython.Py_ssize_t = 0
     with cython.nogil:
         for i in range(runs.shape[0]):
@@ -155,6 +159,10 @@ def arrange(
             if key == nowhere:
                 break
             run = runs[i] - (key << PLACE_BITS)
+            if cython.compiled:  # runs lie all over the scan: one is brought near before its turn
+                ahead = runs[min(i + 16, runs.shape[0] - 1)]
+                ahead -= (ahead >> PLACE_BITS) << PLACE_BITS
+                prefetch(cython.address(points[3 * begins[ahead]]))
             begin, end = begins[run], begins[run + 1]
             if isolated:
                 for at in range(begin, end):

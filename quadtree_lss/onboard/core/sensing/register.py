@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import sys
 import threading
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from quadtree_lss.onboard.core.geometry.morton import SPREAD, sort_packed
 from quadtree_lss.onboard.core.sensing.isolated import isolated_in_image, isolated_in_space
 from quadtree_lss.onboard.core.sensing.lidar import Pose, sound_covariance
 from quadtree_lss.onboard.core.sensing.points import arrange, turn
-from quadtree_lss.onboard.core.sensing.sweep import Sweep, still
+from quadtree_lss.onboard.core.sensing.sweep import AT_ONCE, AT_STAMP, Sweep
 
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.tree.domain import Domain
@@ -28,8 +27,7 @@ KEPT_POINTS = 1 << 20
 HIGHEST = MOST_HEIGHT - 2e6
 
 
-@dataclass(frozen=True)
-class RegisteredScan:
+class RegisteredScan(NamedTuple):
     """Points of one scan inside the domain, in Morton order of the finest cells under them.
 
     Attributes:
@@ -79,7 +77,10 @@ def register(
     work = _workspace(len(flat))
     turned = work.points[: len(flat)]
     counts = np.empty(4, np.int64)
-    moved = still(pose.rotation_map_lidar) if sweep is None else sweep
+    moved = sweep
+    if moved is None:
+        moved = work.still
+        moved.motion[0, :9] = pose.rotation_map_lidar.ravel()
     x, y, z = pose.position.tolist()
     n = 1 << domain.max_level
     turn(
@@ -151,6 +152,7 @@ class _Workspace:
         self.points, self.ranges = np.empty((size + 3, 3)), np.empty(size)
         self.runs, self.spare = np.empty((2, size), np.int64)
         self.begins = np.empty(size + 1, np.int32)
+        self.still = Sweep(AT_ONCE, AT_STAMP, np.zeros((1, 12)))
         self._fresh()
 
     def _fresh(self) -> None:

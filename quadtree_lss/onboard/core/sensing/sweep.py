@@ -42,13 +42,6 @@ class Sweep:
     motion: Array
 
 
-def still(rotation_map_lidar: Array) -> Sweep:
-    """The sweep of a scan whose points are of one time."""
-    motion = np.zeros((1, 12))
-    motion[0, :9] = rotation_map_lidar.ravel()
-    return Sweep(AT_ONCE, AT_STAMP, motion)
-
-
 def sweep(offsets: Ints, at_stamp: Pose, poses: Sequence[Pose]) -> Sweep:
     """Motion through ``poses``, the first and last of which bound the points' times. ``offsets``:
     (N,) ns from the stamp of ``at_stamp``."""
