@@ -48,9 +48,8 @@ def chunked(path, **more):
     content = bytearray(file.read_bytes())
     with closing(McapFile(file)) as opened:
         for chunk in opened.chunks:
-            begin = opened._records_of(chunk.place, chunk.length)[3]
-            records = zstandard.decompress(content[begin : chunk.place + chunk.length])
-            struct.pack_into("<I", content, chunk.place + 24, zlib.crc32(records))
+            records = zstandard.decompress(content[chunk.begin : chunk.end])
+            struct.pack_into("<I", content, chunk.place + 33, zlib.crc32(records))
     file.write_bytes(content)
     return path
 
@@ -77,7 +76,7 @@ def chunks_of(path):
     """Begin and end of each chunk's record with the index behind it, in the file."""
     file = file_of(path)
     with closing(McapFile(file)) as opened:
-        places = [chunk.place - 9 for chunk in opened.chunks]
+        places = [chunk.place for chunk in opened.chunks]
     content = file.read_bytes()
     return places, content
 
@@ -106,7 +105,7 @@ def test_one_flipped_bit_costs_one_chunk_and_is_told(sound, tmp_path, capsys):
     (line,) = losses
     lost = len(sound[1]) - len(found)
     assert 0 < lost < len(sound[1]) // 3
-    assert f"1 of {len(places)} chunks damaged, {lost} of {len(sound[1])} messages lost" in line
+    assert f" at byte {places[2]}, {lost} of {len(sound[1])} messages lost" in line
     settings = [f"--set={key}={value}" for key, value in VALUES.items()]
     arguments = ["replay", tmp_path / "spoilt.mcap", "--out", tmp_path / "out", "--no-report"]
     assert main([*map(str, arguments), *settings]) == 3
@@ -143,9 +142,8 @@ def test_a_message_that_says_another_channel_than_the_index_is_lost(tmp_path):
     whole, _ = read(file)
     with closing(McapFile(file)) as opened:
         entry, chunk = opened.index[5], opened.chunks[0]
-        records = opened._records_of(chunk.place, chunk.length)[3]
     content = bytearray(file.read_bytes())
-    place = records + int(entry["offset"]) + 9
+    place = chunk.begin + int(entry["offset"]) + 9
     assert content[place] == entry["channel"] in (0, 1)
     content[place] ^= 1
     file.write_bytes(content)
@@ -212,7 +210,7 @@ def test_a_row_without_data_costs_one_message(tmp_path, data):
     damaged_rows(path, "UPDATE messages SET data = ? WHERE id = 9", data)
     found, losses = read(path)
     assert len(found) == len(whole) - 1
-    assert len(losses) == 1 and "1 messages lost, the first in row 9" in losses[0]
+    assert len(losses) == 1 and "at row 9, at least 1 messages lost" in losses[0]
 
 
 ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT"
