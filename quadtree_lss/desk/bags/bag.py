@@ -121,17 +121,15 @@ class Bag:
     def _open(self) -> None:
         if not self.path.exists():
             raise BagError(f"no such bag: {self.path}")
-        files: list[RecordedFile] = []
         try:
             for path in self._paths():
                 plain = self._unpacked(path)
-                files.append(FORMATS[plain.suffix](plain))
-                self._stack.callback(files[-1].close)
+                file = FORMATS[plain.suffix](plain)
+                self._stack.callback(file.close)
+                self._files.append(file)
         except PermissionError as error:
             raise BagError(f"{error.filename}: {error.strerror}") from None
-        self._files = [file for file in files if len(file.index)]
-        self._losses += [loss for f in files if not len(f.index) for loss in f.losses]
-        if not self._files:
+        if not any(len(file.index) for file in self._files):
             lost = "; ".join(self.losses) or "it is empty"
             raise BagError(f"{self.path}: no message can be read: {lost}")
         types: dict[str, str] = {}

@@ -85,10 +85,6 @@ class RecordedFile(ABC):
     def _contents(self, places: NDArray[np.intp]) -> Iterator[tuple[int, bytes]]:
         """Place in the index and serialised bytes of those messages that can be read."""
 
-    def _disorder(self) -> str:
-        """What is lost of the file's own order where that is not the order of the times."""
-        return ""
-
     def close(self) -> None:
         """Ends reading."""
         self._file.close()
@@ -112,13 +108,11 @@ class RecordedFile(ABC):
         return [f"{self.path.name}: {', '.join(parts)}"] if parts else []
 
     def messages(
-        self, topics: Collection[str] | None, start_ns: int = 0, stop_ns: int = LAST_NS
+        self, topics: Collection[str], start_ns: int, stop_ns: int
     ) -> Iterator[RawMessage]:
-        """Messages with start_ns <= time of reception < stop_ns; None for all topics.
-
-        In the order of their times or, if a clock stepped back, in that of the file.
-        """
-        wanted = [c for c, (name, _) in self.topics.items() if topics is None or name in topics]
+        """Messages with start_ns <= time of reception < stop_ns, in the order of their times or,
+        if a clock stepped back, in that of the file."""
+        wanted = [channel for channel, (name, _) in self.topics.items() if name in topics]
         times = self.index["time_ns"]
         chosen = np.isin(self.index["channel"], wanted) & (times >= start_ns) & (times < stop_ns)
         for place, raw in self._contents(self.order[chosen[self.order]]):
@@ -135,7 +129,9 @@ class RecordedFile(ABC):
             if self._steps_back(stamps, by_time) > self._steps_back(stamps, in_file):
                 self.notes.append(f"{self.path.name}: the recorder's clock stepped back")
                 return in_file
-            self.disorder = self._disorder()
+            _, first = np.unique(self.index["chunk"], return_index=True)
+            if (np.diff(np.minimum.reduceat(self.index["time_ns"], first)) < 0).any():
+                self.disorder = "chunks out of order, put in that of their times"
         return by_time
 
     def _steps_back(self, times: NDArray[np.int64], order: NDArray[np.intp]) -> int:
@@ -282,7 +278,7 @@ class ChunkedFile(RecordedFile):
         return self._size
 
     def _content(self, chunk: Chunk) -> bytes:
-        """Unpacked, of a cut chunk what is there. Raises `DamagedError`: not what the chunk says."""
+        """Unpacked; of a cut chunk what is there. Raises `DamagedError`: not what it says."""
         length, cut = chunk.end - chunk.begin, chunk.end > self._size
         if length > MOST_BYTES:
             raise DamagedError(f"chunk of {length} bytes, {MOST_BYTES} is the most,")
@@ -345,12 +341,6 @@ class ChunkedFile(RecordedFile):
                 del held[number]
             if record is not None and record.channel == channel:
                 yield place, record.raw
-
-    def _disorder(self) -> str:
-        numbers, first = np.unique(self.index["chunk"], return_index=True)
-        starts = np.minimum.reduceat(self.index["time_ns"], first)
-        in_order = (np.diff(starts) >= 0).all()
-        return "" if in_order else "chunks out of order, put in that of their times"
 
 
 def mend_times(times: NDArray[np.int64]) -> int:
