@@ -17,7 +17,7 @@ from quadtree_lss.desk.bags.compression import MOST_BYTES
 from quadtree_lss.desk.bags.recorded_file import INDEX, RecordedFile
 
 MISSES_IN_A_ROW = 10_000
-"""So many numbers without a row end the search for more."""
+"""So many numbers of rows that cannot be read end the search for more."""
 _STEPS = 100_000
 """Of sqlite's machine between two looks at how much it has done."""
 
@@ -37,7 +37,7 @@ class SqliteFile(RecordedFile):
             self._database.set_progress_handler(self._worked, _STEPS)
             self._read_topics()
             self.index = np.fromiter(self._rows(), INDEX)
-        except sqlite3.Error as error:
+        except (sqlite3.Error, TypeError) as error:  # or rows without a number
             self.fault = str(error)
 
     def close(self) -> None:
@@ -65,32 +65,24 @@ class SqliteFile(RecordedFile):
 
     def _rows(self) -> Iterator[tuple[int, int, int, int]]:
         """`INDEX` of each usable row, in their order; an impossible time is -1."""
-        query, last = "SELECT id, topic_id, timestamp FROM messages", 0
-        try:
-            for row in self._database.execute(f"{query} ORDER BY id"):
-                last = row[0] if isinstance(row[0], int) else last
-                yield from self._usable(*row)
-        except sqlite3.Error as error:
-            self.fault = f"rows that cannot be read: {error}"
-            missing = 0
-            while missing < MISSES_IN_A_ROW and self._left > 0:
-                last, missing = last + 1, missing + 1
-                try:
-                    found = self._database.execute(f"{query} WHERE id = ?", (last,)).fetchone()
-                except sqlite3.Error as fault:
-                    self._lose(last, str(fault))
-                    continue
-                if found is not None:
-                    missing = 0
-                    yield from self._usable(*found)
-
-    def _usable(
-        self, row: object, channel: object, time: object
-    ) -> Iterator[tuple[int, int, int, int]]:
-        if isinstance(row, int) and isinstance(channel, int) and channel in self.topics:
-            yield time if isinstance(time, int) else -1, row, channel, 0
-        else:
-            self._lose(row if isinstance(row, int) else 0, "no topic")
+        query = "SELECT id, topic_id, timestamp FROM messages WHERE id >= ? ORDER BY id LIMIT ?"
+        last, missed, most = -(2**62), 0, -1
+        while missed < MISSES_IN_A_ROW and self._left > 0:
+            found = False
+            try:
+                for row, channel, time in self._database.execute(query, (last + missed + 1, most)):
+                    if missed:
+                        self.damage[last + 1], self.lost[last + 1] = "unreadable rows", missed
+                    last, missed, found = max(last, row), 0, True
+                    if isinstance(channel, int) and channel in self.topics:
+                        yield time if isinstance(time, int) else -1, row, channel, 0
+                    else:
+                        self._lose(row, "no topic")
+                if not found:
+                    return
+            except sqlite3.Error as error:
+                self.fault = f"rows that cannot be read: {error}"
+                last, missed, most = max(last, 0), missed + (most == 1), 1
 
     def _lose(self, row: int, why: str) -> None:
         self.damage[row], self.lost[row] = why, 1
