@@ -67,24 +67,29 @@ def read(path):
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory):
-    """The file, its messages, and where its chunks begin."""
+    """The file, its messages, and where its chunks begin and end."""
     file = file_of(chunked(tmp_path_factory.mktemp("sound") / "bag", scans=SCANS, across=150))
     found, losses = read(file)
     with closing(McapFile(file)) as opened:
-        places = [chunk.place for chunk in opened.chunks]
+        places, ends = zip(*((chunk.place, chunk.end) for chunk in opened.chunks), strict=True)
     assert len(found) == WHOLE and not losses and len(places) > 5
-    return file.read_bytes(), found, places
+    return file.read_bytes(), found, places, ends
 
 
 END = b"\x0f" + (4).to_bytes(8, "little")
 """The record that ends the data, before the summary."""
 
 
-@pytest.mark.parametrize("what", ["flipped", "cut out", "cut out, no summary", "out of order"])
+WHERE = ["flipped", "cut out", "cut out, no summary", "out of order", "index", "length"]
+
+
+@pytest.mark.parametrize("what", WHERE)
 def test_damaged_chunks_cost_themselves_and_are_told_in_one_line(sound, tmp_path, what):
-    content, whole, places = sound
+    content, whole, places, ends = sound
     a, b, c = places[2:5]
     middle = (a + b) // 2
+    # Of the chunk's second channel; that of the first stays.
+    index = ends[2] + 9 + int.from_bytes(content[ends[2] + 1 : ends[2] + 9], "little")
     end = content.rindex(END) if "summary" in what else None
     damaged, told = {
         "flipped": (
@@ -97,6 +102,9 @@ def test_damaged_chunks_cost_themselves_and_are_told_in_one_line(sound, tmp_path
             content[:a] + content[b:c] + content[a:b] + content[c:],
             "chunks out of order, put in that of their times",
         ),
+        # Of a record that then leads into the next chunk but one.
+        "length": (content[: ends[2] + 3] + b"\x20" + content[ends[2] + 4 :], f"0 of {WHOLE}"),
+        "index": (content[: index + 5] + content[index + 9 :], f"at byte {index}, 0 of {WHOLE}"),
     }[what]
     path = tmp_path / "spoilt.mcap"
     path.write_bytes(damaged)
@@ -104,12 +112,12 @@ def test_damaged_chunks_cost_themselves_and_are_told_in_one_line(sound, tmp_path
     kept = [message for message in whole if message in found]
     assert told in line and found == kept
     lost = WHOLE - len(found)
-    assert 0 <= lost < WHOLE // 2 and (lost == 0) == (what == "out of order")
+    assert 0 <= lost < WHOLE // 2 and (lost == 0) == (what in WHERE[3:])
     assert end or not lost or f"{lost} of {WHOLE} messages lost" in line
 
 
 def test_a_damaged_bag_is_exit_code_3(sound, tmp_path, capsys):
-    content, _, places = sound
+    content, _, places, _ = sound
     (tmp_path / "cut.mcap").write_bytes(content[: places[3] + 100])
     settings = [f"--set={key}={value}" for key, value in GROUND.items()]
     arguments = ["replay", tmp_path / "cut.mcap", "--out", tmp_path / "out", "--no-report"]
