@@ -140,6 +140,24 @@ def test_a_message_that_says_another_channel_than_the_index_is_lost(tmp_path):
     assert found == whole[:5] + whole[6:] and f"1 of {len(whole)} messages lost" in line
 
 
+def test_messages_outside_chunks_are_read_and_taken_up_again(tmp_path):
+    """As `ros2 bag record --storage-preset-profile fastwrite` leaves them."""
+    file = storage_file(write(tmp_path / "bag"))
+    whole, _ = read(file)
+    with closing(McapFile(file)) as opened:
+        (chunk,) = opened.chunks
+    content = file.read_bytes()
+    records = content[chunk.begin : chunk.end]
+    head, tail = content[: chunk.place], content[content.rindex(END) :]
+    file.write_bytes(head + records + tail)
+    assert read(file) == (whole, [])
+    middle = len(records) // 2
+    file.write_bytes(head + records[:middle] + records[middle + 1000 :] + tail)
+    found, (line,) = read(file)
+    assert len({*found} & {*whole}) >= len(whole) - 4  # nothing tells what the hit one holds
+    assert f"{len(whole) - len(found)} of {len(whole)} messages lost" in line
+
+
 @pytest.mark.parametrize("back", [2 * SECOND, 4000 * SECOND])
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3", "ros1", "mcap in one chunk"])
 def test_a_recorder_clock_that_steps_back_costs_no_scan(tmp_path, storage, back):
