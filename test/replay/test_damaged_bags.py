@@ -19,6 +19,7 @@ from quadtree_lss.cli import main
 from quadtree_lss.desk.bags.bag import Bag, BagError
 from quadtree_lss.desk.bags.compression import MOST_BYTES, DamagedError, unpack
 from quadtree_lss.desk.bags.mcap_file import McapFile
+from quadtree_lss.desk.bags.ros1_file import Ros1File
 from quadtree_lss.desk.replay.info import inspect_bag
 from quadtree_lss.desk.replay.passes import _Clock
 from quadtree_lss.desk.replay.replay import replay as run_replay
@@ -156,6 +157,19 @@ def test_messages_outside_chunks_are_read_and_taken_up_again(tmp_path):
     found, (line,) = read(file)
     assert len({*found} & {*whole}) >= len(whole) - 4  # nothing tells what the hit one holds
     assert f"{len(whole) - len(found)} of {len(whole)} messages lost" in line
+
+
+@pytest.mark.parametrize("compression", ["", "LZ4"])
+def test_a_ros1_bag_is_taken_up_at_the_next_chunk(tmp_path, compression):
+    path = write(tmp_path / "flight.bag", compression=compression, scans=SCANS, across=150)
+    whole, _ = read(path)
+    with closing(Ros1File(path)) as opened:
+        place = opened.chunks[2].place
+    content = path.read_bytes()
+    path.write_bytes(content[:place] + bytes(40) + content[place + 40 :])
+    found, (line,) = read(path)
+    assert WHOLE // 2 < len(found) < WHOLE and found == [m for m in whole if m in found]
+    assert f"at byte {place}, {WHOLE - len(found)} of {WHOLE} messages lost" in line
 
 
 @pytest.mark.parametrize("back", [2 * SECOND, 4000 * SECOND])
