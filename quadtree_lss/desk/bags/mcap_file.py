@@ -87,7 +87,7 @@ class McapFile(ChunkedFile):
             channel, size = struct.unpack_from("<HI", content)
             pairs = np.frombuffer(content, "<u8", size // 8, 6).reshape(-1, 2)
             entries = np.zeros(len(pairs), INDEX)
-            entries["time_ns"], entries["offset"] = np.minimum(pairs, LAST_NS).T
+            entries["time_ns"], entries["offset"] = np.minimum(pairs, np.uint64(LAST_NS)).T
             entries["channel"] = channel
             self.chunks[-1].entries = np.concatenate([self.chunks[-1].entries, entries])
         elif piece.kind == FOOTER and piece.end == self._size - len(self.MAGIC):
