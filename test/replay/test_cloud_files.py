@@ -24,22 +24,25 @@ def flight(tmp_path_factory):
     return bag, list(scans(bag, CONFIG))
 
 
-def tum(path, poses, shift_ns=0):
+def seconds(stamp_ns):
+    return f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d}"
+
+
+def tum(path, poses):
     lines = []
     for pose in poses:
-        stamp = pose.stamp_ns + shift_ns
         turn = Rotation.from_matrix(pose.rotation_map_lidar).as_quat()
         numbers = " ".join(f"{v:.17g}" for v in (*pose.position, *turn))
-        lines.append(f"{stamp // 10**9}.{stamp % 10**9:09d} {numbers}\n")
+        lines.append(f"{seconds(pose.stamp_ns)} {numbers}\n")
     path.write_text("".join(lines))
     return path
 
 
-def write(folder, seen, name):
-    folder.mkdir()
+def clouds_and_poses(folder, seen, name=lambda k, scan: f"{scan.stamp_ns}.npy", poses=6):
+    (folder / "clouds").mkdir()
     for number, scan in enumerate(seen):
-        np.save(folder / name(number, scan), scan.points_lidar)
-    return folder
+        np.save(folder / "clouds" / name(number, scan), scan.points_lidar)
+    return folder / "clouds", tum(folder / "poses.tum", [scan.pose for scan in seen[:poses]])
 
 
 def same(one, other, most=1e-6):
@@ -51,14 +54,13 @@ def same(one, other, most=1e-6):
     "name",
     [
         lambda k, s: f"scan_{s.stamp_ns}.npy",
-        lambda k, s: f"{s.stamp_ns // 10**9}.{s.stamp_ns % 10**9:09d}.npy",
+        lambda k, s: f"{seconds(s.stamp_ns)}.npy",
         lambda k, s: f"cloud{k}.npy",
     ],
 )
 def test_clouds_with_poses_give_the_map_of_the_bag(flight, tmp_path, name):
     bag, seen = flight
-    clouds = write(tmp_path / "clouds", seen, name)
-    poses = tum(tmp_path / "poses.tum", [scan.pose for scan in seen])
+    clouds, poses = clouds_and_poses(tmp_path, seen, name)
     # Poses of text say nothing of their covariance.
     unknown = {"pose.unknown_position_sigma": 0.01, "pose.unknown_attitude_sigma_deg": 0.00573}
     config = load_config((), KEYS | unknown)
@@ -95,18 +97,16 @@ def test_a_cloud_in_the_map_frame_needs_no_poses(flight, tmp_path):
 
 def test_which_pose_belongs_to_which_cloud_is_asked(flight, tmp_path, capsys):
     _, seen = flight
-    clouds = write(tmp_path / "clouds", seen, lambda k, s: f"cloud{k}.npy")
-    poses = tum(tmp_path / "poses.tum", [scan.pose for scan in seen[:4]])
+    clouds, poses = clouds_and_poses(tmp_path, seen, lambda k, s: f"cloud{k}.npy", poses=4)
     code, _, err = run(capsys, "replay", clouds, "--poses", poses, *FAST)
     assert code == 1 and "6 clouds are not 4 poses" in err and err.count("\n") == 1
 
 
 def test_a_damaged_cloud_is_a_loss(flight, tmp_path, capsys):
     _, seen = flight
-    clouds = write(tmp_path / "clouds", seen, lambda k, s: f"{s.stamp_ns}.npy")
+    clouds, poses = clouds_and_poses(tmp_path, seen)
     broken = sorted(clouds.iterdir())[2]
     broken.write_bytes(broken.read_bytes()[:40])
-    poses = tum(tmp_path / "poses.tum", [scan.pose for scan in seen])
     out = tmp_path / "out"
     code, shown, err = run(capsys, "replay", clouds, "--poses", poses, "--out", out, *FAST)
     assert code == 3 and "5 scans mapped" in shown and broken.name in err
@@ -114,8 +114,7 @@ def test_a_damaged_cloud_is_a_loss(flight, tmp_path, capsys):
 
 def test_info_and_suggest_read_clouds_too(flight, tmp_path, capsys):
     _, seen = flight
-    clouds = write(tmp_path / "clouds", seen, lambda k, s: f"{s.stamp_ns}.npy")
-    poses = tum(tmp_path / "poses.tum", [scan.pose for scan in seen])
+    clouds, poses = clouds_and_poses(tmp_path, seen)
     code, out, _ = run(capsys, "info", clouds, "--poses", poses)
     assert code == 0 and "6 scans have a pose" in out and "ready to replay" in out
     code, out, _ = run(capsys, "config", "suggest", clouds, "--poses", poses, "--json")

@@ -9,6 +9,7 @@ put out of order.
 from __future__ import annotations
 
 import heapq
+import itertools
 import tempfile
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
@@ -84,12 +85,22 @@ class Bag:
     ) -> Iterator[RawMessage]:
         """Raw messages of the topics with start_ns <= time of reception < stop_ns.
 
-        One file after the other, as they were recorded; files of one time, such as one per topic,
-        are joined by the time of reception.
+        One file after the other, as they were recorded, for a clock may have stepped back; files
+        that share no topic are joined by the time of reception.
         """
-        for files in _of_one_time(self._files):
-            streams = (file.messages(topics, start_ns, stop_ns) for file in files)
-            yield from heapq.merge(*streams, key=lambda message: message.received_ns)
+        chains: list[list[RecordedFile]] = []
+        for file in self._files:
+            for chain in chains:
+                if any(file.counts.keys() & other.counts.keys() for other in chain):
+                    chain.append(file)
+                    break
+            else:
+                chains.append([file])
+        streams = (
+            itertools.chain.from_iterable(f.messages(topics, start_ns, stop_ns) for f in chain)
+            for chain in chains
+        )
+        return heapq.merge(*streams, key=lambda message: message.received_ns)
 
     def decode(self, raw: bytes, msgtype: str) -> Any:
         """The message of which ``raw`` are the serialised bytes. Raises `MessageError`:
@@ -110,17 +121,15 @@ class Bag:
     def _open(self) -> None:
         if not self.path.exists():
             raise BagError(f"no such bag: {self.path}")
-        files: list[RecordedFile] = []
         try:
             for path in self._paths():
                 plain = self._unpacked(path)
-                files.append(FORMATS[plain.suffix](plain))
-                self._stack.callback(files[-1].close)
+                file = FORMATS[plain.suffix](plain)
+                self._stack.callback(file.close)
+                self._files.append(file)
         except PermissionError as error:
             raise BagError(f"{error.filename}: {error.strerror}") from None
-        self._files = [file for file in files if len(file.index)]
-        self._losses += [loss for f in files if not len(f.index) for loss in f.losses]
-        if not self._files:
+        if not any(len(file.index) for file in self._files):
             lost = "; ".join(self.losses) or "it is empty"
             raise BagError(f"{self.path}: no message can be read: {lost}")
         types: dict[str, str] = {}
@@ -201,23 +210,6 @@ class MessageBag(Bag):
 
     def _decoded(self, raw: Any, msgtype: str) -> Any:
         return raw() if callable(raw) else raw
-
-
-def _of_one_time(files: Iterable[RecordedFile]) -> list[list[RecordedFile]]:
-    """Files in their order, grouped with those before them whose time and no topic they share.
-
-    Files of the same topics are parts of one recording, whose clock may have stepped back.
-    """
-    groups: list[list[RecordedFile]] = []
-    for file in files:
-        for other in groups[-1] if groups else ():
-            at_once = file.start_ns < other.end_ns and other.start_ns < file.end_ns
-            if at_once and not file.counts.keys() & other.counts.keys():
-                groups[-1].append(file)
-                break
-        else:
-            groups.append([file])
-    return groups
 
 
 def _is_stored(path: Path) -> bool:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.desk.bags.bag import Bag, BagError, MessageBag, Topic
+from quadtree_lss.desk.bags.bag import FORMATS, PACKED, Bag, BagError, MessageBag, Topic
 from quadtree_lss.desk.bags.message_types import POSE_TYPE, SCAN_TYPE, typestore
 from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC
 from quadtree_lss.desk.exchange.clouds import READERS, PoseTable, read_clouds, read_poses
@@ -54,7 +54,7 @@ def is_clouds(path: Path) -> bool:
     """Whether it is a cloud, or a folder of clouds without a bag."""
     if path.is_dir():
         names = {p.suffix.lower() for p in path.iterdir()}
-        return not names & {".mcap", ".db3", ".bag", ".zst", ".zstd"} and bool(names & {*READERS})
+        return not names & {*FORMATS, *PACKED} and bool(names & {*READERS})
     return path.is_file() and path.suffix.lower() in READERS
 
 

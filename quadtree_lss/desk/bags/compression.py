@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import bz2
+import itertools
 from typing import BinaryIO
 
 import lz4.frame  # type: ignore[import-untyped]
@@ -48,11 +49,8 @@ def _content(compression: str, data: bytes, most: int) -> bytes:
         return data
     if compression == "zstd":
         reader = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True)
-        pieces, total = [], 0
-        while total <= most and (piece := reader.read(_PIECE)):
-            pieces.append(piece)
-            total += len(piece)
-        return b"".join(pieces)
+        pieces = iter(lambda: reader.read(_PIECE), b"")
+        return b"".join(itertools.islice(pieces, most // _PIECE + 1))
     if compression == "lz4":
         out: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most + 1)
         return out

@@ -8,7 +8,6 @@ than itself; where a query ends in damage, the rest is asked for row by row.
 from __future__ import annotations
 
 import sqlite3
-from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -18,18 +17,17 @@ from quadtree_lss.desk.bags.compression import MOST_BYTES
 from quadtree_lss.desk.bags.recorded_file import INDEX, RecordedFile
 
 MISSES_IN_A_ROW = 10_000
-"""So many numbers without a row end the search for more."""
+"""So many numbers of rows that cannot be read end the search for more."""
 _STEPS = 100_000
 """Of sqlite's machine between two looks at how much it has done."""
 
 
 class SqliteFile(RecordedFile):
+    unit = "row"
+
     def _open(self) -> None:
-        self._faults: Counter[str] = Counter()
-        self._unread: dict[int, str] = {}
-        self.path.open("rb").close()  # one that may not be read is no damaged one
         # A sound table is read in a few steps for each of its bytes.
-        self._left = 100 + 10 * self.path.stat().st_size // _STEPS
+        self._left = 100 + 10 * self._size // _STEPS
         uri = f"{self.path.resolve().as_uri()}?mode=ro&immutable=1"
         self._database = sqlite3.connect(uri, uri=True)
         self._database.text_factory = lambda text: text.decode("utf-8", "replace")
@@ -39,22 +37,12 @@ class SqliteFile(RecordedFile):
             self._database.set_progress_handler(self._worked, _STEPS)
             self._read_topics()
             self.index = np.fromiter(self._rows(), INDEX)
-        except sqlite3.Error as error:
-            self._faults[str(error)] += 1
+        except (sqlite3.Error, TypeError) as error:  # or rows without a number
+            self.fault = str(error)
 
     def close(self) -> None:
         self._database.close()
-
-    @property
-    def losses(self) -> list[str]:
-        """One line for each kind of what could not be read, up to now."""
-        mended = {"row with an impossible time of reception, mended": self.impossible_times}
-        counted = {**self._faults, **mended}.items()
-        faults = [f"{n} x {what}" if n > 1 else what for what, n in counted if n]
-        if self._unread:
-            row, why = next(iter(self._unread.items()))
-            faults.append(f"{len(self._unread)} messages lost, the first in row {row}: {why}")
-        return [f"{self.path.name}: {fault}" for fault in faults]
+        super().close()
 
     def _worked(self) -> int:
         """Ends a query that does far more than read what is there; 0 lets it go on."""
@@ -73,36 +61,31 @@ class SqliteFile(RecordedFile):
             if isinstance(number, int) and isinstance(name, str) and isinstance(kind, str):
                 self.topics[number] = (name, kind)
             else:
-                self._faults["topic that cannot be read"] += 1
+                self.fault = "topic that cannot be read"
 
     def _rows(self) -> Iterator[tuple[int, int, int, int]]:
         """`INDEX` of each usable row, in their order; an impossible time is -1."""
-        query, last = "SELECT id, topic_id, timestamp FROM messages", 0
-        try:
-            for row in self._database.execute(f"{query} ORDER BY id"):
-                last = max(last, row[0] if isinstance(row[0], int) else 0)
-                yield from self._usable(*row)
-        except sqlite3.Error as error:
-            self._faults[f"rows that cannot be read: {error}"] += 1
-            missing = 0
-            while missing < MISSES_IN_A_ROW and self._left > 0:
-                last, missing = last + 1, missing + 1
-                try:
-                    found = self._database.execute(f"{query} WHERE id = ?", (last,)).fetchone()
-                except sqlite3.Error as fault:
-                    self._unread[last] = str(fault)
-                    continue
-                if found is not None:
-                    missing = 0
-                    yield from self._usable(*found)
+        query = "SELECT id, topic_id, timestamp FROM messages WHERE id >= ? ORDER BY id LIMIT ?"
+        last, missed, most = -(2**62), 0, -1
+        while missed < MISSES_IN_A_ROW and self._left > 0:
+            found = False
+            try:
+                for row, channel, time in self._database.execute(query, (last + missed + 1, most)):
+                    if missed:
+                        self.damage[last + 1], self.lost[last + 1] = "unreadable rows", missed
+                    last, missed, found = max(last, row), 0, True
+                    if isinstance(channel, int) and channel in self.topics:
+                        yield time if isinstance(time, int) else -1, row, channel, 0
+                    else:
+                        self._lose(row, "no topic")
+                if not found:
+                    return
+            except sqlite3.Error as error:
+                self.fault = f"rows that cannot be read: {error}"
+                last, missed, most = max(last, 0), missed + (most == 1), 1
 
-    def _usable(
-        self, row: object, channel: object, time: object
-    ) -> Iterator[tuple[int, int, int, int]]:
-        if isinstance(row, int) and isinstance(channel, int) and channel in self.topics:
-            yield time if isinstance(time, int) else -1, row, channel, 0
-        else:
-            self._faults["row of no topic"] += 1
+    def _lose(self, row: int, why: str) -> None:
+        self.damage[row], self.lost[row] = why, 1
 
     def _contents(self, places: NDArray[np.intp]) -> Iterator[tuple[int, bytes]]:
         size = "SELECT length(data), typeof(data) FROM messages WHERE id = ?"
@@ -114,6 +97,6 @@ class SqliteFile(RecordedFile):
                     query = "SELECT data FROM messages WHERE id = ?"
                     yield place, self._database.execute(query, (row,)).fetchone()[0]
                 else:
-                    self._unread[row] = f"data are {kind} of {length} bytes"
+                    self._lose(row, f"data are {kind} of {length} bytes")
             except (sqlite3.Error, TypeError) as error:
-                self._unread[row] = str(error)
+                self._lose(row, str(error))
