@@ -89,6 +89,7 @@ SPOILS = {
     "other columns": become("leaves", lambda leaves: leaves[["level", "ix", "iy"]].copy()),
     "downward": put("leaves", (0.0, 0.0, -1.0), "normal"),
     "infinite": put("leaves", np.inf, "pose_part"),
+    "turned about no axis": put("leaves", (1.0, 2.0, 1.0, 0.0, 1.0), "bias"),
     "certain": put("leaves", 0.0, "range_part"),
     "unheard of": put("leaves", 4, "known"),
     "unseen": become("observed", lambda observed: observed[:-1]),

@@ -39,7 +39,7 @@ MOST_OWED = 1.0
 """The map is lifted by more than a sixth of this at once, m (`mapping.alignment.LEAST_LIFT` of the
 highest vehicle)."""
 MOST_TURN = 1e6
-"""What noise may turn and lift a fit by (`LEAF`), rad^2 and m."""
+"""What noise may turn and lift a fit by (`LEAF`), rad and m."""
 NEVER_NEGATIVE = frozenset(
     "points distance_sum noise_sum exception_sum exception_noise residuals division_sum"
     " division_weight square_sum greatest strip uneven".split()
@@ -178,7 +178,7 @@ def _check_leaves(leaves: NDArray[Any], domain: Domain) -> None:
             whole &= (leaves[name] >= 0.0).all()
     whole &= (leaves["exception_sum"] <= leaves["residuals"] * (1.0 + ROUNDING)).all()
     xx, xy, yy, rise, weight = leaves["bias"].T
-    whole &= (np.maximum(xx + yy, np.abs(rise)) < MOST_TURN).all() and (weight >= 0.0).all()
+    whole &= ((xx + yy < MOST_TURN**2) & (np.abs(rise) < MOST_TURN) & (weight >= 0.0)).all()
     whole &= (np.minimum(xx, yy) >= 0.0).all() and (xy * xy <= xx * yy * (1.0 + ROUNDING)).all()
     whole &= (leaves["points"] < 2**32).all()
     low, high = leaves["low"], leaves["high"]
