@@ -29,7 +29,7 @@ cdef class Blocks:
     cdef float resting_x[PLANES]
     cdef float resting_y[PLANES]
     cdef float resting_z[PLANES]
-    cdef Py_ssize_t reach, width, blocks, spoiler_row, spoiler_column
+    cdef Py_ssize_t reach, first, width, blocks, spoiler_row, spoiler_column
     cdef double[:, :, ::1] ground
     cdef float[:, :, ::1] slopes
     cdef double[::1] offset

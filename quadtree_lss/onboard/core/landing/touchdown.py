@@ -143,6 +143,7 @@ class Blocks:
             north-east of the grid point; four pads around the circle, heading by heading.
         pad_x, pad_y: (2 PLANES,) of the pad from that cell's centre, m.
         half: (2 reach,) half width of the disc of cells under the lander in each column, in cells.
+        first: Column of the first of these.
         top, pad: (width^2,) window over the block's plane: highest ground of each cell, height of a
             pad at its centre.
         stand: (2 PLANES POINTS,) heights of the pads at each grid point, over the plane, m.
@@ -196,7 +197,7 @@ class Blocks:
         self.pad_y = (y - (row + 0.5) * side).astype(np.float32)
         half = np.zeros(2 * self.reach, dtype=np.intp)
         np.maximum.at(half, under.column + self.reach, under.row + 1)
-        self.half = half
+        self.half, self.first = half, int(np.argmax(half > 0))
         self.top, self.pad = np.zeros((2, self.width**2), dtype=np.float32)
         self.run = np.zeros(BLOCK * self.width, dtype=np.float32)
         self.highest = np.zeros(2 * self.reach * POINTS, dtype=np.float32)
@@ -421,13 +422,12 @@ class Blocks:
         cython.declare(half=cython.Py_ssize_t, south=cython.Py_ssize_t, north=cython.Py_ssize_t)
         cython.declare(here=cython.Py_ssize_t, place=cython.Py_ssize_t)
         self.run[:] = -FAR
-        self.highest[:] = -FAR
         for half in range(1, self.reach + 1):
             south, north = (self.reach - half) * self.width, (self.reach + half - 1) * self.width
             for i in range(BLOCK * self.width):
                 z = max(self.top[south + i], self.top[north + i])
                 self.run[i] = max(self.run[i], z)
-            for j in range(2 * self.reach):
+            for j in range(self.first, 2 * self.reach - self.first):
                 if self.half[j] == half:
                     for i in range(BLOCK):
                         here, place = j * POINTS + i * BLOCK, i * self.width + j
@@ -445,7 +445,7 @@ class Blocks:
             aside[p] = max(max(self.fall_south[p], self.fall_north[p]), least)
             level[p] = self.sink[p] + rounding
             self.most[p] = -FAR
-        for j in range(2 * self.reach):
+        for j in range(self.first, 2 * self.reach - self.first):
             away, wide, here = self.away[j], self.aside[j], j * POINTS
             for p in range(POINTS):
                 fall = self.fall_west[p] if j < self.reach else self.fall_east[p]
@@ -492,7 +492,7 @@ class Blocks:
         level: cython.float = self.sink[point] + self.rounding
         limit: cython.float = self.high_rise
         # Nobody foresees which columns these are: collected without a branch.
-        for j in range(2 * reach):
+        for j in range(self.first, 2 * reach - self.first):
             self.columns[count] = j
             count += self.highest[j * POINTS + point] > worst
         for k in range(count):
