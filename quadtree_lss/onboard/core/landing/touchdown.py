@@ -148,7 +148,7 @@ class Blocks:
             pad at its centre.
         stand: (2 PLANES POINTS,) heights of the pads at each grid point, over the plane, m.
         planes_x, planes_y: (PLANES POINTS,) slopes of the resting planes at each grid point, over
-            the block's plane.
+            the block's plane; for each heading, of one point after the other, both of them.
         planes_z: (PLANES / 2 POINTS,) their heights there, which two have in common, m.
         steep: (POINTS,) square of the slope of the steepest.
         sink, fall_east, fall_west, fall_north, fall_south: (POINTS,) bounds of the planes, m, m/m.
@@ -395,8 +395,8 @@ class Blocks:
                 x, y = along * cos - across * sin, along * sin + across * cos
                 along, across = centre - west, centre - south
                 u, v = along * cos - across * sin, along * sin + across * cos
-                self.planes_x[j + p], self.planes_x[j + POINTS + p] = x, u
-                self.planes_y[j + p], self.planes_y[j + POINTS + p] = y, v
+                self.planes_x[j + 2 * p], self.planes_x[j + 2 * p + 1] = x, u
+                self.planes_y[j + 2 * p], self.planes_y[j + 2 * p + 1] = y, v
                 self.planes_z[k * POINTS + p] = centre
                 low = -centre
                 self.sink[p] = max(self.sink[p], low)
@@ -473,11 +473,12 @@ class Blocks:
         width: cython.Py_ssize_t = self.width
         reach: cython.Py_ssize_t = self.reach
         count: cython.Py_ssize_t = 0
-        for k in range(PLANES):
-            self.resting_x[k] = self.planes_x[k * POINTS + point]
-            self.resting_y[k] = self.planes_y[k * POINTS + point]
         for k in range(PLANES // 2):
             i = k * POINTS + point
+            self.resting_x[2 * k] = self.planes_x[2 * i]
+            self.resting_x[2 * k + 1] = self.planes_x[2 * i + 1]
+            self.resting_y[2 * k] = self.planes_y[2 * i]
+            self.resting_y[2 * k + 1] = self.planes_y[2 * i + 1]
             self.resting_z[2 * k] = self.resting_z[2 * k + 1] = self.planes_z[i]
         south: cython.float = self.fall_south[point]
         north: cython.float = self.fall_north[point]
