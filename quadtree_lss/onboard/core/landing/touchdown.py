@@ -161,6 +161,8 @@ class Blocks:
         aside: (2 reach,) farthest of a column of them from its middle, m.
         corner: Of the diamond about them from the grid point, m.
         resting_x, resting_y, resting_z: (PLANES,) resting planes at the grid point at hand.
+        tilt: (2 reach,) what there bounds the rise of each row of cells by its place alone, m.
+        columns: (2 reach,) those of its cells that may be in the way, as many as there are.
         cos, sin: (PLANES / 2,) of the headings, over the radius.
         worst_rise, worst_slope: Worst found there.
         spoiler_row, spoiler_column: Of the cell in the window that was last found in the way.
