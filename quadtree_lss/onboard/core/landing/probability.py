@@ -127,6 +127,8 @@ class RiskTable:
         self._tables = np.concatenate(tables, dtype=np.float32, casting="same_kind")
         self._terms = np.array(terms, dtype=np.int32)
         self._exps = np.exp(np.linspace(LEAST, MOST, EXPS))
+        # Of finest cells of one side, as of the map before.
+        self._constant: tuple[float, Array] | None = None
 
     def overall(self, side: float) -> dict[str, float]:
         """What is the same at all places of a map with finest cells of ``side`` m (`OVERALL`)."""
@@ -176,7 +178,8 @@ class RiskTable:
         around, means = np.empty((2, 3, *judged.shape), dtype=np.float32)
         around[0] = judged
         around[1] = judged & (out[0] > 1.0) & (out[2] <= 1.0)
-        np.multiply(around[0], gradient, out=around[2], casting="same_kind")
+        around[2] = gradient
+        around[2] *= around[0]
         around[2] /= np.float32(steep)
         set_means(of_cells, under, 0, means[:2])
         np.subtract(means[0], np.float32(self._worse(side)), out=out[4])
@@ -198,11 +201,13 @@ class RiskTable:
             (n + 1, n + 1) probabilities, 1 where it is not judged; and numbers in `CAUSES`.
         """
         places = self.features(raster, judged, gradient, worst)
-        of = self.overall(raster.domain.finest_size)
-        constant = np.array([self._model.causes[name].at(of) for name in CAUSES])
+        side = raster.domain.finest_size
+        if self._constant is None or self._constant[0] != side:
+            of = self.overall(side)
+            self._constant = side, np.array([self._model.causes[name].at(of) for name in CAUSES])
         out, cause = np.ones(judged.shape), np.zeros(judged.shape, dtype=np.uint8)
         layout = self._low, self._per, self._last, self._terms, self._tables, self._exps
-        look_up(places, judged.view(np.uint8), constant, *layout, out, cause)
+        look_up(places, judged.view(np.uint8), self._constant[1], *layout, out, cause)
         return out, cause
 
 

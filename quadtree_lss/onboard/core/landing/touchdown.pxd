@@ -29,13 +29,13 @@ cdef class Blocks:
     cdef float resting_x[PLANES]
     cdef float resting_y[PLANES]
     cdef float resting_z[PLANES]
-    cdef Py_ssize_t reach, width, blocks, spoiler_row, spoiler_column
+    cdef Py_ssize_t reach, first, width, blocks, spoiler_row, spoiler_column
     cdef double[:, :, ::1] ground
     cdef float[:, :, ::1] slopes
     cdef double[::1] offset
-    cdef Py_ssize_t[::1] pad_row, pad_column, half
+    cdef Py_ssize_t[::1] pad_row, pad_column, half, columns
     cdef float[::1] pad_x, pad_y, top, pad, run
-    cdef float[::1] cos, sin, highest, middle, away, aside
+    cdef float[::1] cos, sin, highest, middle, away, aside, tilt
     cdef void judge_block(self, unsigned char[:, ::1] due, bint forget, float[:, :, ::1] worst, Py_ssize_t row, Py_ssize_t column) noexcept nogil
     cdef void load(self, Py_ssize_t row, Py_ssize_t column) noexcept nogil
     cdef void place_pads(self, Py_ssize_t row, Py_ssize_t column) noexcept nogil

@@ -143,11 +143,12 @@ class Blocks:
             north-east of the grid point; four pads around the circle, heading by heading.
         pad_x, pad_y: (2 PLANES,) of the pad from that cell's centre, m.
         half: (2 reach,) half width of the disc of cells under the lander in each column, in cells.
+        first: Column of the first of these.
         top, pad: (width^2,) window over the block's plane: highest ground of each cell, height of a
             pad at its centre.
         stand: (2 PLANES POINTS,) heights of the pads at each grid point, over the plane, m.
         planes_x, planes_y: (PLANES POINTS,) slopes of the resting planes at each grid point, over
-            the block's plane.
+            the block's plane; for each heading, of one point after the other, both of them.
         planes_z: (PLANES / 2 POINTS,) their heights there, which two have in common, m.
         steep: (POINTS,) square of the slope of the steepest.
         sink, fall_east, fall_west, fall_north, fall_south: (POINTS,) bounds of the planes, m, m/m.
@@ -160,6 +161,8 @@ class Blocks:
         aside: (2 reach,) farthest of a column of them from its middle, m.
         corner: Of the diamond about them from the grid point, m.
         resting_x, resting_y, resting_z: (PLANES,) resting planes at the grid point at hand.
+        tilt: (2 reach,) what there bounds the rise of each row of cells by its place alone, m.
+        columns: (2 reach,) those of its cells that may be in the way, as many as there are.
         cos, sin: (PLANES / 2,) of the headings, over the radius.
         worst_rise, worst_slope: Worst found there.
         spoiler_row, spoiler_column: Of the cell in the window that was last found in the way.
@@ -196,13 +199,14 @@ class Blocks:
         self.pad_y = (y - (row + 0.5) * side).astype(np.float32)
         half = np.zeros(2 * self.reach, dtype=np.intp)
         np.maximum.at(half, under.column + self.reach, under.row + 1)
-        self.half = half
+        self.half, self.first = half, int(np.argmax(half > 0))
         self.top, self.pad = np.zeros((2, self.width**2), dtype=np.float32)
         self.run = np.zeros(BLOCK * self.width, dtype=np.float32)
         self.highest = np.zeros(2 * self.reach * POINTS, dtype=np.float32)
         self.middle = ((np.arange(-self.reach, self.reach) + 0.5) * side).astype(np.float32)
         self.away = np.abs(self.middle)
         self.aside = (np.maximum(half - 0.5, 0.0) * side).astype(np.float32)
+        self.tilt, self.columns = np.zeros_like(self.away), np.zeros_like(half)
         self.corner = float((np.abs(under.x) + np.abs(under.y)).max())
         if not cython.compiled:  # otherwise parts of the object
             self.resting_x, self.resting_y, self.resting_z = np.zeros((3, PLANES), np.float32)
@@ -393,8 +397,8 @@ class Blocks:
                 x, y = along * cos - across * sin, along * sin + across * cos
                 along, across = centre - west, centre - south
                 u, v = along * cos - across * sin, along * sin + across * cos
-                self.planes_x[j + p], self.planes_x[j + POINTS + p] = x, u
-                self.planes_y[j + p], self.planes_y[j + POINTS + p] = y, v
+                self.planes_x[j + 2 * p], self.planes_x[j + 2 * p + 1] = x, u
+                self.planes_y[j + 2 * p], self.planes_y[j + 2 * p + 1] = y, v
                 self.planes_z[k * POINTS + p] = centre
                 low = -centre
                 self.sink[p] = max(self.sink[p], low)
@@ -420,13 +424,12 @@ class Blocks:
         cython.declare(half=cython.Py_ssize_t, south=cython.Py_ssize_t, north=cython.Py_ssize_t)
         cython.declare(here=cython.Py_ssize_t, place=cython.Py_ssize_t)
         self.run[:] = -FAR
-        self.highest[:] = -FAR
         for half in range(1, self.reach + 1):
             south, north = (self.reach - half) * self.width, (self.reach + half - 1) * self.width
             for i in range(BLOCK * self.width):
                 z = max(self.top[south + i], self.top[north + i])
                 self.run[i] = max(self.run[i], z)
-            for j in range(2 * self.reach):
+            for j in range(self.first, 2 * self.reach - self.first):
                 if self.half[j] == half:
                     for i in range(BLOCK):
                         here, place = j * POINTS + i * BLOCK, i * self.width + j
@@ -444,7 +447,7 @@ class Blocks:
             aside[p] = max(max(self.fall_south[p], self.fall_north[p]), least)
             level[p] = self.sink[p] + rounding
             self.most[p] = -FAR
-        for j in range(2 * self.reach):
+        for j in range(self.first, 2 * self.reach - self.first):
             away, wide, here = self.away[j], self.aside[j], j * POINTS
             for p in range(POINTS):
                 fall = self.fall_west[p] if j < self.reach else self.fall_east[p]
@@ -467,39 +470,51 @@ class Blocks:
         """
         cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
         cython.declare(place=cython.Py_ssize_t, fall=cython.float, deep=cython.float)
-        cython.declare(least=cython.float, reach=cython.float)
+        cython.declare(low=cython.float, high=cython.float, m=cython.Py_ssize_t)
         point: cython.Py_ssize_t = row * BLOCK + column
-        for k in range(PLANES):
-            self.resting_x[k] = self.planes_x[k * POINTS + point]
-            self.resting_y[k] = self.planes_y[k * POINTS + point]
+        width: cython.Py_ssize_t = self.width
+        reach: cython.Py_ssize_t = self.reach
+        count: cython.Py_ssize_t = 0
         for k in range(PLANES // 2):
             i = k * POINTS + point
+            self.resting_x[2 * k] = self.planes_x[2 * i]
+            self.resting_x[2 * k + 1] = self.planes_x[2 * i + 1]
+            self.resting_y[2 * k] = self.planes_y[2 * i]
+            self.resting_y[2 * k + 1] = self.planes_y[2 * i + 1]
             self.resting_z[2 * k] = self.resting_z[2 * k + 1] = self.planes_z[i]
+        south: cython.float = self.fall_south[point]
+        north: cython.float = self.fall_north[point]
+        for i in range(reach):
+            self.tilt[i] = self.away[i] * south
+            self.tilt[reach + i] = self.away[reach + i] * north
         # What is in the way of one grid point mostly is of the next.
         i, j = self.spoiler_row - row, self.spoiler_column - column
         worst: cython.float = self.worst_rise
-        if 0 <= j < 2 * self.reach and -self.half[j] <= i - self.reach < self.half[j]:
+        if 0 <= j < 2 * reach and -self.half[j] <= i - reach < self.half[j]:
             worst = self.rise_at(row, column, i, j, worst)
         level: cython.float = self.sink[point] + self.rounding
         limit: cython.float = self.high_rise
-        south: cython.float = self.fall_south[point]
-        north: cython.float = self.fall_north[point]
-        aside: cython.float = max(max(south, north), 0.0)
-        for j in range(2 * self.reach):
+        # Nobody foresees which columns these are: collected without a branch.
+        for j in range(self.first, 2 * reach - self.first):
+            self.columns[count] = j
+            count += self.highest[j * POINTS + point] > worst
+        for k in range(count):
+            j = self.columns[k]
             if self.highest[j * POINTS + point] <= worst:
                 continue
-            fall = self.fall_west[point] if j < self.reach else self.fall_east[point]
+            fall = self.fall_west[point] if j < reach else self.fall_east[point]
             deep = self.away[j] * fall + level
-            least = worst - (self.aside[j] * aside + deep)
-            place = row * self.width + column + j
-            for i in range(self.reach - self.half[j], self.reach + self.half[j]):
-                height = self.top[place + i * self.width]
-                if height <= least:
+            place = row * width + column + j
+            for i in range(reach - self.half[j], reach + self.half[j], 2):
+                low = self.top[place + i * width] + self.tilt[i]
+                high = self.top[place + (i + 1) * width] + self.tilt[i + 1]
+                if max(low, high) + deep <= worst:
                     continue
-                fall = south if i < self.reach else north
-                reach = height + (self.away[i] * fall + deep)
-                if reach > worst:
-                    worst = self.rise_at(row, column, i, j, worst)
+                for m in range(2):
+                    low = high if m else low
+                    if low + deep <= worst:
+                        continue
+                    worst = self.rise_at(row, column, i + m, j, worst)
                     if worst > limit:
                         self.worst_rise = worst
                         return
