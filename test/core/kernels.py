@@ -85,7 +85,9 @@ def shifted(covariance: Array, normal: ArrayLike, delta: ArrayLike) -> Array:
     return np.array(c).reshape(3, 3)
 
 
-def fit(rules, points: Array, x: float, y: float, side: float, prior, sigma: Array, z=np.nan, uneven=0.0):
+def fit(
+    rules, points: Array, x: float, y: float, side: float, prior, sigma: Array, z=np.nan, uneven=0.0
+):
     """All points (N, 3) fitted in one cell: a record of type `measure.RUN`."""
     runs = np.zeros(1, dtype=measure.RUN).view(np.recarray)
     normal = np.asarray(prior).tolist()

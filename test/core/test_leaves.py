@@ -176,7 +176,7 @@ def test_children_begin_their_statistics_anew():
     children = tree.rows[:4]
     assert np.isnan(children.feature).all()
     assert not (children.points.any() or children.greatest.any())
-    assert (children.bias == (7.0, 7.0, 7.0, 0.0, 0.0)).all(), "what the parent's slope may be turned by"
+    assert (children.bias == (7.0, 7.0, 7.0, 0.0, 0.0)).all(), "what its slope may be turned by"
     for name in tree.rows.dtype.names:
         if name.endswith(("_sum", "_weight", "_noise")) or name == "residuals":
             assert not children[name].any(), name

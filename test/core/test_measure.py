@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from core.builders import configured, flat, lattice, look, pose_covariance
-from core.kernels import fit, shifted, tangent_basis
+from core.kernels import fit, tangent_basis
 
 from quadtree_lss.onboard.core.geometry import rotations
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
@@ -203,7 +203,9 @@ def test_too_few_points_to_show_uneven_ground_have_it_all_the_same():
     smooth, rough = (fit(of, cloud, 0.0, 0.0, 2.0, UP, NO_POSE, uneven=v)[0] for v in (0.0, 0.03))
     factor = 1.0 + 0.03 / smooth.variance
     slope = np.ix_([0, 1, 3, 4])
-    np.testing.assert_allclose(rough.range_part[slope], factor * smooth.range_part[slope], rtol=1e-3)
+    np.testing.assert_allclose(
+        rough.range_part[slope], factor * smooth.range_part[slope], rtol=1e-3
+    )
     assert rough.own == smooth.own
 
 

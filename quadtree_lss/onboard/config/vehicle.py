@@ -133,8 +133,8 @@ class Lengths:
     )
     uneven: float = _follows(
         2.25e-4,
-        "variance by which a view of 70 % of a cell's width may lie off its leaf besides; one of half"
-        " of it three times as much: ground is no plane",
+        "variance by which a view of 70 % of a cell's width may lie off its leaf besides; one of"
+        " half of it three times as much: ground is no plane",
         "least_hazard",
         "m^2",
         2,

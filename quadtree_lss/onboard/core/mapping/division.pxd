@@ -3,9 +3,7 @@ from libc.math cimport fabs, sqrt
 from quadtree_lss.onboard.core.geometry.plane cimport inverse_symmetric
 from quadtree_lss.onboard.core.geometry.portable cimport above
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
-from quadtree_lss.onboard.core.mapping.measure cimport (
-    Rules, Run, few, noise_square, partial, pose_variance
-)
+from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, few, partial, pose_variance
 from quadtree_lss.onboard.core.mapping.features cimport feature_height
 from quadtree_lss.onboard.core.tree.leaves cimport MEASURED, Leaf
 

@@ -20,7 +20,6 @@ if not cython.compiled:
     from quadtree_lss.onboard.core.mapping.features import feature_height
     from quadtree_lss.onboard.core.mapping.measure import (
         few,
-        noise_square,
         partial,
         pose_variance,
     )

@@ -43,7 +43,6 @@ cdef class Rules:
     cdef readonly double feature_height, feature_volume, feature_width, feature_points
     cdef readonly double rock_height, rock_sigma
 
-cdef double noise_square(double variance, double free) noexcept nogil
 cdef bint partial(Run* run) noexcept nogil
 cdef bint few(Run* run) noexcept nogil
 cdef double pose_variance(double* normal, double* arm, double* sigma) noexcept nogil

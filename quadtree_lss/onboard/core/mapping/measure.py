@@ -41,8 +41,8 @@ OVERTURNED = cython.declare(cython.double, 0.5)
 PARTIAL = cython.declare(cython.double, 0.5)
 #: How a strip as thin as noise may be lifted: see `_bias`.
 TAIL = cython.declare(cython.double, 12.0)
-#: Of the variance by which noise along the ray may turn a fit, so much across that: the edges of what
-#: was seen lie otherwise than its moments say.
+#: Of the variance by which noise along the ray may turn a fit, so much across that: the edges of
+#: what was seen lie otherwise than its moments say.
 ACROSS = cython.declare(cython.double, 0.1)
 #: A view is a line where noise along the ray may make so much of its thinner variance, and that is
 #: below such a share of the cell's square (a full cell's is 1 / 12).
@@ -161,11 +161,6 @@ def pose_variance(normal: Vector, arm: Vector, sigma: Vector) -> cython.double:
     return min(max(total, 0.0), MAX_VARIANCE)
 
 
-def noise_square(variance: float, free: float) -> cython.double:
-    """The most that noise makes of a mean square residual, of so many that are free, m^2."""
-    return variance * (1.0 + 2.0 * sqrt(2.0 / free))
-
-
 def _unseen(square: float, correlation: float, side: float) -> cython.double:
     """Width of a cell, along one of its axes, that points leave out, m.
 
@@ -277,9 +272,7 @@ def measure(
     run.unseen = half = root = 0.0
     if count > 1.0:
         correlation = xy * xy / max(xx * yy, 1e-300)
-        wide = max(
-            _unseen(xx / count, correlation, side), _unseen(yy / count, correlation, side)
-        )
+        wide = max(_unseen(xx / count, correlation, side), _unseen(yy / count, correlation, side))
         # What a full cell leaves out by chance does not count.
         run.unseen = min(max(wide / side - 1.0 / sqrt(count), 0.0), 1.0)
         half = 0.5 * (xx + yy) / count
@@ -358,7 +351,9 @@ def measure(
         )
         free = max(count - 3.0, 1.0)
         run.square = max(quadratic, 0.0) / free
-        misfit = max(run.square - noise_square(run.variance, free), 0.0)
+        # Noise makes no more of it, mostly.
+        most = run.variance * (1.0 + 2.0 * sqrt(2.0 / free))
+        misfit = max(run.square - most, 0.0)
     # A plane that noise has turned towards the ray is not free of it.
     lean = max(cosine / up, -ray_z)
     _bias(run, ray_x, ray_y, sqrt(along), lean, run.alone == 0.0 and not line)

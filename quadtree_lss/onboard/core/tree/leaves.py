@@ -34,8 +34,8 @@ if not cython.compiled:
         """Only a compiled program knows where its numbers lie."""
 
 
-#: A slope less certain than this, rad^2, is none. None is handed on so: strips, which keep it, would
-#: lie anywhere.
+#: A slope less certain than this, rad^2, is none. None is handed on so: strips, which keep it,
+#: would lie anywhere.
 NO_SLOPE = cython.declare(cython.double, 0.3**2)
 
 #: One record of a table: a pointer to a C structure, or a record of NumPy.
@@ -266,10 +266,10 @@ class LeafTable:
         An inherited plane is the parent's moved to the child's centre, and less certain: by
         ``square`` m^2 in height and ``tilt`` rad^2 in either slope, up to `NO_SLOPE`; where a
         return stood out, by the square of the greatest distance, too. They are ``uneven`` by so
-        many m^2. Finest cells whose returns lay within ``spread`` (m) of it stay known. The first child (in Morton's order) has the
-        parent's row, the others follow the last leaf. They keep what noise may have turned the
-        parent by. False, and nothing is done, where ``max_cells`` leaves no room; the caller has
-        made room in the table (`reserve`).
+        many m^2. Finest cells whose returns lay within ``spread`` (m) of it stay known. The first
+        child (in Morton's order) has the parent's row, the others follow the last leaf. They keep
+        what noise may have turned the parent by. False, and nothing is done, where ``max_cells``
+        leaves no room; the caller has made room in the table (`reserve`).
         """
         basis = cython.declare(cython.double[6])
         cython.declare(child=cython.Py_ssize_t, at=cython.Py_ssize_t)
