@@ -336,7 +336,9 @@ def update_feature(
     gate = max(HIGH * sqrt(variance), 0.5 * rules.feature_height * up)
     if not known and greatest > gate:
         for i in range(begin, end):
-            raised += residual[i] > gate
+            # A number and not a truth, which compilers do not count two at a time.
+            one = 1.0 if residual[i] > gate else 0.0
+            raised += cython.cast(cython.int, one)
     chance = CHANCE * count
     if not known and raised < max(2.0, chance + 2.0 * sqrt(chance)):
         return

@@ -183,9 +183,10 @@ class Fusion:
         leaf.z = run.z + self.origin[2] + rise[0]
         leaf.points += run.points
         leaf.bias[4] += run.bias[4]
-        share = run.bias[4] / max(leaf.bias[4], 1e-300)
-        for i in range(3):
-            leaf.bias[i] += share * (run.bias[i] - leaf.bias[i])
+        if run.bias[4] > 0.0:
+            share = run.bias[4] / max(leaf.bias[4], 1e-300)
+            for i in range(3):
+                leaf.bias[i] += share * (run.bias[i] - leaf.bias[i])
         leaf.bias[3] += run.points / leaf.points * (run.bias[3] - leaf.bias[3])
         leaf.last_time = self.now
         if fresh:

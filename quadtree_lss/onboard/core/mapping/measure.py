@@ -331,8 +331,8 @@ def measure(
     cosine = max(cosine, MIN_COSINE)
     if line or count < rules.min_points:
         cosine = max(cosine, -ray_z)
-    along = noise + rules.noise_per_metre * distance  # Eq. 13
-    along *= along
+    deviation = noise + rules.noise_per_metre * distance  # Eq. 13
+    along = deviation * deviation
     run.cosine = cosine
     run.variance = variance = along * cosine * cosine
     if rules.independent:
@@ -356,7 +356,7 @@ def measure(
         misfit = max(run.square - most, 0.0)
     # A plane that noise has turned towards the ray is not free of it.
     lean = max(cosine / up, -ray_z)
-    _bias(run, ray_x, ray_y, sqrt(along), lean, run.alone == 0.0 and not line)
+    _bias(run, ray_x, ray_y, deviation, lean, run.alone == 0.0 and not line)
     if run.sloped == 0.0 and z == z:
         # Of a strip that is as wide as the noise, place and height err together, along the ray u:
         # a range off by e lifts the plane by e (n.u) / n_z, which is a height of -e cosine / up.

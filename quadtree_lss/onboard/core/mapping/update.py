@@ -276,7 +276,7 @@ class ScanUpdate:
             leaf.normal[2] = 1.0
         x = leaf.x - self.fusion.origin[0]
         y = leaf.y - self.fusion.origin[1]
-        side = self.table.size / (1 << leaf.level)
+        side = self.table.sides[leaf.level]
         z = leaf.z - self.fusion.origin[2] if leaf.known != NOTHING else NAN
         points = self._from(begin)
         sigma, uneven = self.fusion.sigma, leaf.uneven
@@ -324,7 +324,7 @@ class ScanUpdate:
         leaf.
         """
         leaf = self._leaf(row)
-        side = self.table.size / (1 << leaf.level)
+        side = self.table.sides[leaf.level]
         if self.fusion.contradicts(leaf, run):
             leaf.points -= run.points
             if leaf.points > 0.0:
@@ -357,19 +357,19 @@ class ScanUpdate:
                     return
         if not few(run):
             judge(self.rules, leaf, run, self._from(begin), self.fusion.origin, self.fusion.sigma)
-        x, y, z = leaf.normal[0] / leaf.normal[2], leaf.normal[1] / leaf.normal[2], leaf.z
+        x, y, z, up = leaf.normal[0], leaf.normal[1], leaf.z, leaf.normal[2]
         self.fusion.fuse(leaf, run, same_scan)
         if not fabs(leaf.z) < HIGHEST:  # planes of places far above each other lead anywhere
             self.table.forget(leaf)
             self._mark(begin, end, SEEN)
             return
-        moved = fabs(leaf.normal[0] / leaf.normal[2] - x) + fabs(
-            leaf.normal[1] / leaf.normal[2] - y
-        )
-        most = MOVED * standing_out(self.rules, leaf, run.variance)
-        if fabs(leaf.z - z) + 0.5 * side * moved > most:
-            self.table.unknow(leaf)  # what was known, was by another plane
-            leaf.low, leaf.high = INFINITE, -INFINITE
+        if not fresh:  # by no plane was anything known
+            moved = fabs(leaf.normal[0] / leaf.normal[2] - x / up)
+            moved += fabs(leaf.normal[1] / leaf.normal[2] - y / up)
+            most = MOVED * standing_out(self.rules, leaf, run.variance)
+            if fabs(leaf.z - z) + 0.5 * side * moved > most:
+                self.table.unknow(leaf)  # what was known, was by another plane
+                leaf.low, leaf.high = INFINITE, -INFINITE
         if leaf.known != MEASURED:
             self._mark(begin, end, SEEN)
             return

@@ -87,7 +87,10 @@ def pixels_with_few_links(ranges: Array, limit: float, pixels: Ints) -> cython.P
         for row in range(ranges.shape[0]):
             linked = 0
             for column in range(width - 1):
-                linked += abs(ranges[row, column + 1] - ranges[row, column]) <= limit
+                # A number and not a truth, which compilers do not count two at a time.
+                step = abs(ranges[row, column + 1] - ranges[row, column])
+                link = 1.0 if step <= limit else 0.0
+                linked += cython.cast(cython.int, link)
             column = 0
             while column < width:
                 if ranges[row, column] > 0.0 and pixel_links(ranges, row, column, limit) < 2:

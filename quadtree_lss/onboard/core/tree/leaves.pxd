@@ -72,7 +72,8 @@ cdef class LeafTable:
     cdef readonly Py_ssize_t capacity
     cdef readonly Py_ssize_t max_cells
     cdef readonly int max_level
-    cdef double xmin, ymin, size
+    cdef double xmin, ymin
+    cdef double sides[32]
     cdef void expect(self, Py_ssize_t row) noexcept nogil
     cdef Leaf* at(self, Py_ssize_t row) noexcept nogil
     cdef double side(self, int level) noexcept nogil

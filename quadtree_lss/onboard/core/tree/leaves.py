@@ -124,7 +124,10 @@ class LeafTable:
         self.domain = domain
         self.max_cells = max_cells
         self.max_level = domain.max_level
-        self.xmin, self.ymin, self.size = domain.xmin, domain.ymin, domain.size
+        self.xmin, self.ymin = domain.xmin, domain.ymin
+        self.sides = [0.0] * 32
+        for level in range(domain.max_level + 1):
+            self.sides[level] = domain.size / (1 << level)
         self.leaf_of = np.zeros(4**domain.max_level, dtype=np.int32)
         self.over = self.leaf_of
         self.observed = np.zeros(4**domain.max_level, dtype=np.uint8)
@@ -226,7 +229,7 @@ class LeafTable:
 
     def side(self, level: cython.int) -> cython.double:
         """Side of a cell of a level, m."""
-        return self.size / (1 << level)
+        return self.sides[level]
 
     @cython.boundscheck(False)
     def _place(
