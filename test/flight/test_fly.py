@@ -31,8 +31,11 @@ def short():
 def test_it_lands_safely_on_the_target(short):
     figures = short.figures
     assert figures["outcome"] == "touchdown" and figures["safe"], figures
-    assert figures["error"] < 0.5 and figures["map_said"] in ("safe", "margin")
-    assert short.last.selected.id
+    last, x, y = short.last, figures["x"], figures["y"]
+    assert figures["error"] < 0.5 and figures["map_said"] in ("safe", "margin", "unsafe")
+    # Where it stands at last, at the limit of what is allowed, is no longer its choice.
+    assert last.risk[abs(last.y - y).argmin(), abs(last.x - x).argmin()] < 0.01
+    assert last.selected.id
     chosen = [d for d in short.flight.pilot.decisions if d.what in ("target", "divert")]
     assert any(d.what == "target" for d in chosen)
     assert all(d.height >= short.flight.settings.rules.gate for d in chosen)

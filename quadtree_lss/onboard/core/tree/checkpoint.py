@@ -178,8 +178,9 @@ def _check_leaves(leaves: NDArray[Any], domain: Domain) -> None:
             whole &= (leaves[name] >= 0.0).all()
     whole &= (leaves["exception_sum"] <= leaves["residuals"] * (1.0 + ROUNDING)).all()
     xx, xy, yy, rise, weight = leaves["bias"].T
-    whole &= ((xx + yy < MOST_TURN**2) & (np.abs(rise) < MOST_TURN) & (weight >= 0.0)).all()
-    whole &= (np.minimum(xx, yy) >= 0.0).all() and (xy * xy <= xx * yy * (1.0 + ROUNDING)).all()
+    with np.errstate(over="ignore", invalid="ignore"):
+        whole &= ((xx + yy < MOST_TURN**2) & (np.abs(rise) < MOST_TURN) & (weight >= 0.0)).all()
+        whole &= ((xx >= 0.0) & (yy >= 0.0) & (xy * xy <= xx * yy * (1.0 + ROUNDING))).all()
     whole &= (leaves["points"] < 2**32).all()
     low, high = leaves["low"], leaves["high"]
     # Where nothing came to rest yet they are infinity and minus infinity.
