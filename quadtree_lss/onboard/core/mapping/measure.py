@@ -64,8 +64,8 @@ FIT_POINTS = 3.0
 #: Share of the least hazard by which the mean of a finest cell's returns rises where a rock is: one
 #: as narrow as the cell is seldom in its middle, and poses spread its returns over the neighbours.
 MOUND = 1.0 / 3.0
-#: Weight of the parent's slope in a first height fit, in points. With half as many, 46 and not 52 %
-#: of the safe ground was kept under much noise, at as many hazards found.
+#: What a parent's slope is worth to a child, in points that fill it. With half as many, 46 and not
+#: 52 % of the safe ground was kept under much noise, at as many hazards found.
 SLOPE_POINTS = 10.0
 #: A wider feature (sigma), in widths of the cell, is the form of the ground.
 FEATURE_WIDTH = 0.3
@@ -241,8 +241,8 @@ def measure(
     level ground, or a plane turned towards the ray would take its points for exact. Residuals
     beyond what noise makes of them are of ground that is no plane: as scans see it from elsewhere,
     its height is as uncertain, however many points there are, and its slope by as much more noise.
-    Too few points to show it have as much more as ``uneven`` says.
-    What a view leaves out may differ in slope by `UNSEEN_TILT`.
+    Too few points to show it have as much more as ``uneven`` says. What a view leaves out may differ
+    in slope by `UNSEEN_TILT`.
 
     Args:
         points, number: Of the run (3 N), map axes about the lidar, m, and N.
@@ -251,7 +251,7 @@ def measure(
         side: Of the cell, m.
         prior: (3) normal to keep to where the points do not tell the slope.
         sigma: (36) pose covariance.
-        uneven: Of the leaf, m^2.
+        uneven: Mean square that planes of this size leave out there, of `LEAF`, m^2.
         run: Record of type `RUN`.
     """
     basis = cython.declare(cython.double[6])
