@@ -241,8 +241,8 @@ def measure(
     level ground, or a plane turned towards the ray would take its points for exact. Residuals
     beyond what noise makes of them are of ground that is no plane: as scans see it from elsewhere,
     its height is as uncertain, however many points there are, and its slope by as much more noise.
-    Too few points to show it have as much more as ``uneven`` says. What a view leaves out may differ
-    in slope by `UNSEEN_TILT`.
+    Too few points to show it have as much more as ``uneven`` says. What a view leaves out may
+    differ in slope by `UNSEEN_TILT`.
 
     Args:
         points, number: Of the run (3 N), map axes about the lidar, m, and N.
