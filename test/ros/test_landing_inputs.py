@@ -29,6 +29,8 @@ pytestmark = pytest.mark.xdist_group("ros_landing")
 
 EVERYWHERE = [(-16, -16), (16, -16), (16, 16), (-16, 16)]
 WEST = [(-16, -16), (5, -16), (5, 16), (-16, 16)]
+PATIENT = ("-p", "diagnostics.warn_age:=60.0")
+"""A map counts as fresh in every status: one a second is as seldom as the default warns."""
 
 
 def dispersion(var_x, var_y, heading=0.0, heading_variance=0.0):
@@ -114,7 +116,7 @@ def test_a_required_input_is_waited_for(ros, vehicle):
 def test_a_keep_out_counts_in_the_frame_of_the_map_whenever_it_came(ros, vehicle):
     wait = vehicle.listener.wait_for
     vehicle.send("landing/keep_out", polygon(WEST, "moon"))
-    lss = ros.start("lss_node")
+    lss = ros.start("lss_node", *PATIENT)
     assert wait(lambda: vehicle.values().get("landing.keep_out") == "True"), lss.output()
     stamp = vehicle.send_map(1, "moon")
     assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()

@@ -151,6 +151,7 @@ sys.exit(main())
 )
 def test_a_pass_that_ends_in_an_error_withholds_its_answer_and_the_node_lives(ros, cells):
     command = [sys.executable, "-c", FAULTY, "--ros-args", "--params-file", str(ros.params)]
+    command += ["-p", "diagnostics.warn_age:=60.0"]
     with (
         ros.listen({}) as listener,
         process(command, env=ros.env, cwd=ros.folder, stderr=subprocess.PIPE) as faulty,
