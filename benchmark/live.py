@@ -3,7 +3,8 @@
 
 20 Hz scans of 128 x 128, 100 Hz poses; the 20 s flight is flown again and again with stamps that
 go on. Prints latencies from a scan's stamp to the publication of map and sites, processor time,
-memory and losses.
+memory and losses. Another process listens: to sites and target as guidance does, and in a flight
+before that to the map as well, which is sent once more for it.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import struct
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from multiprocessing.synchronize import Event
@@ -50,6 +51,9 @@ from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed
 SECOND_NS = 1_000_000_000
 POSE_NS = 10_000_000
 CELLS, SITES, SELECTED = "map/cells", "landing/sites", "landing/selected"
+GUIDANCE = {SITES: PoseArray, SELECTED: PoseWithCovarianceStamped}
+"""What guidance takes: nobody but ``lss_node`` takes the map then."""
+ALL = {CELLS: PointCloud2, **GUIDANCE}
 Stamps = NDArray[np.int64]
 
 
@@ -142,12 +146,14 @@ def _pose(make: Messages, intake: Intake, at_ns: int) -> bytearray:
     return bytearray(serialize_message(make.pose(at_ns, pose.position, turn, pose.covariance)))
 
 
-def observe(domain: int, ready: Event, stop: Event, out: Any) -> None:
-    """Process that notes when map and sites come; puts an `Observed` into ``out`` at the end."""
+def observe(
+    domain: int, ready: Event, stop: Event, out: Any, topics: Mapping[str, type[Any]]
+) -> None:
+    """Process that notes when messages come; puts an `Observed` into ``out`` at the end."""
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     node = Node("observer", context=context)
-    seen = Observed({CELLS: [], SITES: [], SELECTED: []})
+    seen = Observed({topic: [] for topic in topics})
 
     def note(topic: str) -> Any:
         def take(raw: bytes) -> None:
@@ -164,10 +170,8 @@ def observe(domain: int, ready: Event, stop: Event, out: Any) -> None:
             level = int.from_bytes(status.level, "little")
             seen.levels[status.name] = max(level, seen.levels.get(status.name, 0))
 
-    node.create_subscription(PointCloud2, CELLS, note(CELLS), latched(), raw=True)
-    node.create_subscription(PoseArray, SITES, note(SITES), latched(), raw=True)
-    kind = PoseWithCovarianceStamped
-    node.create_subscription(kind, SELECTED, note(SELECTED), latched(), raw=True)
+    for topic, kind in topics.items():
+        node.create_subscription(kind, topic, note(topic), latched(), raw=True)
     node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
@@ -188,6 +192,7 @@ def fly(
     config: str = "morpheus",
     extra: Sequence[str] = (),
     kill_every: float = 0.0,
+    topics: Mapping[str, type[Any]] = ALL,
 ) -> Flight:
     """Starts the nodes, plays the script for some time, watches.
 
@@ -195,6 +200,7 @@ def fly(
         config: Of both nodes.
         extra: ROS arguments for both nodes.
         kill_every: Kill the nodes in turn and start them again, s; 0 for never.
+        topics: What another process listens to.
     """
     args = ["--params-file", str(find_config(config))]
     args += ["-p", "qos.scan_reliability:=reliable", *extra]
@@ -203,7 +209,7 @@ def fly(
     with ExitStack() as stack:
         domain = stack.enter_context(local_domain(folder / "log"))
         observer = spawn.Process(
-            target=observe, args=(domain.number, ready, stop, out), daemon=True
+            target=observe, args=(domain.number, ready, stop, out, topics), daemon=True
         )
         observer.start()
         nodes = [
@@ -314,8 +320,8 @@ def latencies_ms(sent: Stamps, received: Sequence[tuple[int, int]]) -> tuple[Any
     return of_messages, (times[first[within]] - sent[within]) / 1e6
 
 
-def report(flight: Flight) -> None:
-    """Prints everything about a flight."""
+def report(flight: Flight, alone: Flight | None) -> None:
+    """Prints everything about a flight, and what the nodes take where only they take the map."""
     rows = []
     for topic, must, aim in ((CELLS, 150, 50), (SITES, 400, 150), (SELECTED, 400, 150)):
         messages, scans = latencies_ms(flight.sent, flight.observed.received[topic])
@@ -331,12 +337,13 @@ def report(flight: Flight) -> None:
     for name, usage in flight.usage.items():
         memory = usage.memory_mb
         shown = memory[min(60, len(memory) // 2)], memory[-1], max(memory)
-        rows.append([name, f"{usage.share():.1f}", *(f"{size:.0f}" for size in shown)])
-    total = sum(usage.share() for usage in flight.usage.values())
-    rows.append(["both (required < 60, aim < 25)", f"{total:.1f}", "", "", ""])
+        shares = [share(of, [name]) for of in (alone, flight)]
+        rows.append([name, *shares, *(f"{size:.0f}" for size in shown)])
+    shares = [share(of, list(flight.usage)) for of in (alone, flight)]
+    rows.append(["both (required < 60, aim < 25)", *shares, "", "", ""])
     table(
-        "Processes (mapping_node is to stay flat below 200 MB, aim 150)",
-        ["", "% of a core", "MB early", "MB last", "MB most"],
+        "Processes, % of a core (mapping_node is to stay flat below 200 MB, aim 150)",
+        ["", "guidance listens", "and to the map, too", "MB early", "MB last", "MB most"],
         rows,
     )
     for name, values in flight.observed.diagnostics.items():
@@ -356,6 +363,11 @@ def report(flight: Flight) -> None:
     )
     for name, seconds in flight.recovery_s:
         print(f"{name} killed and started again: new scans {seconds:.1f} s later (required 6)")
+
+
+def share(flight: Flight | None, names: Sequence[str]) -> str:
+    """Of some of the nodes together, per cent of a core."""
+    return "-" if flight is None else f"{sum(flight.usage[of].share() for of in names):.1f}"
 
 
 def _spread(values: Any) -> list[str]:
@@ -402,9 +414,11 @@ def main() -> None:
             extra += ["-p", f"checkpoint.path:={folder}/checkpoint.map"]
         script, how = write_script(options.seed), {"extra": extra, "kill_every": options.kill}
         flight = fly(script, options.seconds, Path(folder), **how)
+        how["topics"] = GUIDANCE
+        alone = None if options.kill else fly(script, options.seconds, Path(folder), **how)
     if options.kill:
         by_the_minute(flight)
-    report(flight)
+    report(flight, alone)
 
 
 if __name__ == "__main__":
