@@ -1,6 +1,6 @@
 from libc.math cimport INFINITY, NAN, sqrt
 
-from quadtree_lss.onboard.core.geometry.morton cimport PLACE_BITS
+from quadtree_lss.onboard.core.geometry.morton cimport PLACE_BITS, sort_packed
 
 cdef extern from * nogil:
     void prefetch "__builtin_prefetch" (const void* at)
@@ -8,6 +8,17 @@ cdef extern from * nogil:
 ctypedef fused Coordinate:
     float
     double
+
+cdef class Workspace:
+    cdef readonly object turned, ranges, still
+    cdef double[:, ::1] points
+    cdef double[::1] flat, range, arranged
+    cdef long long[::1] runs, spare, key
+    cdef int[::1] begins
+    cdef object _arranged, _key, _holders
+    cdef readonly Py_ssize_t missing, beyond, run_count
+    cdef readonly bint above
+    cpdef tuple answer(self)
 
 cpdef void turn(
     const Coordinate[:, :] points_lidar,
@@ -20,21 +31,7 @@ cpdef void turn(
     double south,
     double per_metre,
     long long count,
-    long long[::1] spread,
-    double[:, ::1] points,
-    double[::1] ranges,
-    long long[::1] runs,
-    int[::1] begins,
-    long long[::1] counts,
+    Workspace work,
 )
 cpdef bint reach_beyond(const Coordinate[:, :] points, double limit)
-cpdef Py_ssize_t arrange(
-    double[::1] points,
-    double[::1] ranges,
-    bint isolated,
-    long long[::1] runs,
-    int[::1] begins,
-    long long nowhere,
-    double[::1] arranged,
-    long long[::1] keys,
-)
+cpdef Py_ssize_t arrange(Workspace work, bint isolated, long long nowhere)

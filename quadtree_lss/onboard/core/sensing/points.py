@@ -3,9 +3,16 @@
 
 from __future__ import annotations
 
+import sys
+
 import cython
+import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Ints, Keys, Points
+from quadtree_lss.onboard.core.geometry.morton import SPREAD, sort_packed
+
+#: Known to be an array of numbers once and for all.
+SPREAD_OUT = cython.declare(cython.longlong[::1], SPREAD)
 
 if not cython.compiled:
     from math import inf as INFINITY
@@ -16,6 +23,45 @@ if not cython.compiled:
 
     def prefetch(at: object) -> None:
         """Only a compiled program knows where its numbers lie."""
+
+
+class Workspace:
+    """What the passes over N points write and read, with room for three more (`arrange`).
+
+    Attributes:
+        turned: (N + 3, 3) points in map axes about the lidar, m; anything where there is no return.
+        ranges: (N,) m, NaN where there is no return.
+        runs: (N,) for the runs of points in one cell that follow one another: the Morton code of
+            the finest cell, its count squared for none, and the number of the run, packed as
+            `morton.sort_packed` needs them.
+        begins: (N + 1,) the first point of each run, and the end of the last.
+        run_count: How many runs there are.
+        still: (1, 12) motion of a lidar that keeps still: its rotation, and zeros.
+        missing, beyond: How many points are not finite, and how many out of range.
+        above: Whether a point in a cell lies above the origin.
+    """
+
+    def __init__(self, size: cython.Py_ssize_t) -> None:
+        self.turned, self.ranges = np.empty((size + 3, 3)), np.empty(size)
+        self.points, self.flat, self.range = self.turned, self.turned.reshape(-1), self.ranges
+        self.runs, self.spare = np.empty((2, size), np.int64)
+        self.begins = np.empty(size + 1, np.int32)
+        self.still = np.zeros((1, 12))
+        self.missing = self.beyond = self.run_count = 0
+        self.above = False
+        self._fresh()
+
+    def _fresh(self) -> None:
+        size = len(self.turned)
+        self._arranged, self._key = np.empty((size, 3)), np.empty(size, np.int64)
+        self.arranged, self.key = self._arranged.reshape(-1), self._key
+        self._holders = sys.getrefcount(self._arranged), sys.getrefcount(self._key)
+
+    def answer(self) -> tuple[Array, Keys]:
+        """For points (N + 3, 3) and keys (N + 3,): the last scan's, unless somebody has them."""
+        if (sys.getrefcount(self._arranged), sys.getrefcount(self._key)) != self._holders:
+            self._fresh()
+        return self._arranged, self._key
 
 
 @cython.boundscheck(False)
@@ -30,12 +76,7 @@ def turn(
     south: float,
     per_metre: float,
     count: cython.longlong,
-    spread: Keys,
-    points: Array,
-    ranges: Array,
-    runs: Keys,
-    begins: Ints,
-    counts: Keys,
+    work: Workspace,
 ) -> cython.void:
     """Turn points (N, 3) to map axes, about the lidar at the scan's stamp, m; find their cells.
 
@@ -44,15 +85,7 @@ def turn(
         least, most: Shorter or longer ranges are no returns, m.
         west, south: Place of the points' origin in the domain, from its corner, m.
         per_metre, count: Finest cells to a metre, and along a side.
-        spread: `morton.SPREAD`.
-        points: (N, 3) for the answer.
-        ranges: (N,) for their ranges, NaN where there is no return.
-        runs: (N,) for the runs of points in one cell that follow one another: the Morton code of
-            the finest cell, ``count`` squared for none, and the number of the run, packed as
-            `morton.sort_packed` needs them.
-        begins: (N + 1,) for the first point of each run, and the end of the last.
-        counts: (4,) for how many are not finite, how many out of range, how many runs there are,
-            and whether a point in a cell lies above the origin.
+        work: For the answer.
     """
     i: cython.Py_ssize_t
     missing: cython.longlong = 0
@@ -68,6 +101,11 @@ def turn(
     moving: cython.bint = offsets.shape[0] > 0
     nearest: cython.double = max(least, 5e-324)  # more than nothing
     r = cython.declare(cython.double[12])
+    points = cython.declare(cython.double[:, ::1], work.points)
+    ranges = cython.declare(cython.double[::1], work.range)
+    runs = cython.declare(cython.longlong[::1], work.runs)
+    begins = cython.declare(cython.int[::1], work.begins)
+    spread = cython.declare(cython.longlong[::1], SPREAD_OUT)
     begins[0] = 0
     with cython.nogil:
         for k in range(12):
@@ -112,10 +150,10 @@ def turn(
             last = code
             runs[run] = (code << PLACE_BITS) | run
             begins[run + 1] = i + 1
-    counts[0] = missing
-    counts[1] = beyond
-    counts[2] = run + 1
-    counts[3] = highest > 0.0
+    work.missing = missing
+    work.beyond = beyond
+    work.run_count = run + 1
+    work.above = highest > 0.0
 
 
 @cython.boundscheck(False)
@@ -130,22 +168,13 @@ def reach_beyond(points: Points, limit: float) -> cython.bint:
 
 
 @cython.boundscheck(False)
-def arrange(
-    points: Array,
-    ranges: Array,
-    isolated: cython.bint,
-    runs: Keys,
-    begins: Ints,
-    nowhere: cython.longlong,
-    arranged: Array,
-    keys: Keys,
-) -> cython.Py_ssize_t:
-    """Copy points run by run to ``arranged`` (3 M + 9,), the key of each to ``keys``; how many.
+def arrange(work: Workspace, isolated: cython.bint, nowhere: cython.longlong) -> cython.Py_ssize_t:
+    """Sort the runs, copy points run by run to the `Workspace.answer` and the key of each; how
+    many.
 
     How long a run is, nobody could foretell: four points of each are copied, the next run replaces
-    what is too much, and the last three of ``points`` (3 N + 9,) are anything. ``runs`` are sorted;
-    those of points in no cell, ``nowhere``, the last, are left. If points are ``isolated``, those
-    without a range (N,) are left, too.
+    what is too much, and the last three of the points are anything. Those in no cell, ``nowhere``,
+    are left, and if points are ``isolated``, those without a range, too.
     """
     four = cython.declare(cython.double[12])
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, run=cython.Py_ssize_t)
@@ -153,6 +182,15 @@ def arrange(
     key: cython.longlong
     ahead: cython.longlong
     to: cython.Py_ssize_t = 0
+    runs = cython.declare(cython.longlong[::1], work.runs[: work.run_count])
+    spare = cython.declare(cython.longlong[::1], work.spare[: work.run_count])
+    points = cython.declare(cython.double[::1], work.flat)
+    ranges = cython.declare(cython.double[::1], work.range)
+    begins = cython.declare(cython.int[::1], work.begins)
+    arranged = cython.declare(cython.double[::1], work.arranged)
+    keys = cython.declare(cython.longlong[::1], work.key)
+    if sort_packed(runs, spare):
+        runs = spare
     with cython.nogil:
         for i in range(runs.shape[0]):
             key = runs[i] >> PLACE_BITS

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -12,10 +11,9 @@ import numpy as np
 from quadtree_lss.onboard.arrays import Array, Keys, Points
 from quadtree_lss.onboard.config.settings import LidarConfig
 from quadtree_lss.onboard.core.geometry.bounds import MOST_HEIGHT
-from quadtree_lss.onboard.core.geometry.morton import SPREAD, sort_packed
 from quadtree_lss.onboard.core.sensing.isolated import isolated_in_image, isolated_in_space
 from quadtree_lss.onboard.core.sensing.lidar import Pose, sound_covariance
-from quadtree_lss.onboard.core.sensing.points import arrange, turn
+from quadtree_lss.onboard.core.sensing.points import Workspace, arrange, turn
 from quadtree_lss.onboard.core.sensing.sweep import AT_ONCE, AT_STAMP, Sweep
 
 if TYPE_CHECKING:
@@ -75,57 +73,37 @@ def register(
         msg = f"sweep of {len(sweep.offsets)} points for a scan of {len(flat)}"
         raise ValueError(msg)
     work = _workspace(len(flat))
-    turned = work.points[: len(flat)]
-    counts = np.empty(4, np.int64)
-    moved = sweep
-    if moved is None:
-        moved = work.still
-        moved.motion[0, :9] = pose.rotation_map_lidar.ravel()
+    turned = work.turned[: len(flat)]
+    if sweep is None:
+        work.still[0, :9] = pose.rotation_map_lidar.ravel()
+        motion = AT_ONCE, AT_STAMP, work.still
+    else:
+        motion = sweep.offsets, sweep.times, sweep.motion
     x, y, z = pose.position.tolist()
     n = 1 << domain.max_level
     turn(
         flat,
-        moved.offsets,
-        moved.times,
-        moved.motion,
+        *motion,
         lidar.min_range,
         lidar.max_range,
         x - domain.xmin,
         y - domain.ymin,
         n / domain.size,
         n,
-        SPREAD,
-        work.points,
-        work.ranges,
-        work.runs,
-        work.begins,
-        counts,
+        work,
     )
     if points_lidar.ndim == 3:
         image = work.ranges.reshape(points_lidar.shape[:2])
         isolated = isolated_in_image(image, lidar.outlier_gate)
     else:
         isolated = isolated_in_space(turned, work.ranges, lidar.outlier_gate)
-    missing, beyond, run_count, any_above = counts.tolist()
-    sound = len(flat) - missing - beyond - isolated
-    inside = 0
+    sound = len(flat) - work.missing - work.beyond - isolated
     points, key = work.answer()
-    if abs(z) < HIGHEST:
-        runs, spare = work.runs[:run_count], work.spare[:run_count]
-        inside = arrange(
-            work.points.reshape(-1),
-            work.ranges,
-            isolated > 0,
-            spare if sort_packed(runs, spare) else runs,
-            work.begins,
-            n * n,
-            points.reshape(-1),
-            key,
-        )
+    inside = arrange(work, isolated > 0, n * n) if abs(z) < HIGHEST else 0
     middle = None
     if sound and not inside:
         middle = (turned[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]).tolist()
-    above = int(np.count_nonzero(points[:inside, 2] > 0.0)) if any_above else 0
+    above = int(np.count_nonzero(points[:inside, 2] > 0.0)) if work.above else 0
     above = inside if 2 * above > inside else 0
     scan = RegisteredScan(
         pose=Pose(
@@ -137,43 +115,21 @@ def register(
         centre=None if middle is None else (middle[0], middle[1]),
     )
     dropped = {
-        "no_return": missing,
-        "range": beyond,
+        "no_return": work.missing,
+        "range": work.beyond,
         "isolated": isolated,
         "outside": sound - inside,
     }
     return scan, dropped | ({"above": above} if above else {})
 
 
-class _Workspace:
-    """What the passes over N points write and read, with room for three more (`arrange`)."""
-
-    def __init__(self, size: int) -> None:
-        self.points, self.ranges = np.empty((size + 3, 3)), np.empty(size)
-        self.runs, self.spare = np.empty((2, size), np.int64)
-        self.begins = np.empty(size + 1, np.int32)
-        self.still = Sweep(AT_ONCE, AT_STAMP, np.zeros((1, 12)))
-        self._fresh()
-
-    def _fresh(self) -> None:
-        size = len(self.points)
-        self._arranged, self._key = np.empty((size, 3)), np.empty(size, np.int64)
-        self._holders = sys.getrefcount(self._arranged), sys.getrefcount(self._key)
-
-    def answer(self) -> tuple[Array, Keys]:
-        """For points (N + 3, 3) and keys (N + 3,): the last scan's, unless somebody has them."""
-        if (sys.getrefcount(self._arranged), sys.getrefcount(self._key)) != self._holders:
-            self._fresh()
-        return self._arranged, self._key
-
-
-def _workspace(size: int) -> _Workspace:
+def _workspace(size: int) -> Workspace:
     """Kept for the next scan of this size: fresh memory costs as much as the work in it."""
     if size > KEPT_POINTS:
-        return _Workspace(size)
+        return Workspace(size)
     if getattr(_kept, "size", None) != size:
-        _kept.size, _kept.work = size, _Workspace(size)
-    work: _Workspace = _kept.work
+        _kept.size, _kept.work = size, Workspace(size)
+    work: Workspace = _kept.work
     return work
 
 
