@@ -22,13 +22,13 @@ Vector: TypeAlias = MutableSequence[float]
 
 def basis_at(normal: Vector, out: Vector) -> None:
     """First two columns of Eq. 2, the axes of dphi in space: n (3) to (6). Not for n = -z."""
+    x, y = normal[0], normal[1]
     share = 1.0 / (1.0 + normal[2])
-    out[0] = 1.0 - share * normal[0] * normal[0]
-    out[1] = -share * normal[0] * normal[1]
-    out[2] = -normal[0]
-    out[3] = out[1]
-    out[4] = 1.0 - share * normal[1] * normal[1]
-    out[5] = -normal[1]
+    out[0] = 1.0 - share * x * x
+    out[1] = out[3] = -share * x * y
+    out[2] = -x
+    out[4] = 1.0 - share * y * y
+    out[5] = -y
 
 
 def exp_at(tangent: Vector, out: Vector) -> None:

@@ -304,15 +304,14 @@ def measure(
         level = ray_x * ray_x + ray_y * ray_y
         line = square * level > LINE_NOISE * least and least < LINE_WIDTH * side * side
         line = line and square * level < LINE_NOISE * (half + root)
-    # But of a line, all of it counts for the covariance.
-    for i in range(6):
-        scatter[i] = run.scatter[i]
+    telling = run.scatter  # for the covariance: all of it, but of a line
     if run.sloped == 0.0 or (count < rules.min_points and not line):
         run.alone = 1.0
         for i in range(3):
             run.normal[i] = prior[i]
     elif line:
-        line_normal(run.scatter, prior, count * (half + root), square, run.normal, scatter)
+        telling = scatter
+        line_normal(run.scatter, prior, count * (half + root), square, run.normal, telling)
     else:
         height_normal(run.scatter, -prior[0] / prior[2], -prior[1] / prior[2], square, run.normal)
         if rules.ml and count > 3.0:
@@ -374,7 +373,7 @@ def measure(
         flat = first * first + second * second
         run.range_part[8] = run.own + UNKNOWN_TILT * UNKNOWN_TILT * flat
     else:
-        slope_covariance(scatter, run.normal, variance + max(misfit, uneven), slope)
+        slope_covariance(telling, run.normal, variance + max(misfit, uneven), slope)
         if not line:
             tilt = run.unseen * UNSEEN_TILT
             slope[0] += tilt * tilt

@@ -192,9 +192,11 @@ class ScanUpdate:
         else:
             return self.points.reshape(-1)[3 * begin :]
 
+    @cython.boundscheck(False)
     def fit(self) -> Array:
-        """Fit every touched leaf; the scan and the map in the M that were measured before, (12, M).
+        """Fit the touched leaves; the scan and the map in the M that were measured before, (12, M).
 
+        Where there is no plane to compare with, `settle` fits, while the leaf is near for more.
         The scan's height over the map, m, variance of that but for pose error, variance of the
         scan's height and of the map's from pose error, m^2, first and last time in the map, s;
         the cell's place about the lidar, x, y, z, m, the map's slope along x and along y, and the
@@ -206,8 +208,12 @@ class ScanUpdate:
         self.columns = out
         with cython.nogil:
             for i in range(self.cells):
-                self.table.expect(self.rows[min(i + 4, self.cells - 1)])
+                self.table.glance(self.rows[min(i + 16, self.cells - 1)])
                 leaf = self._leaf(self.rows[i])
+                if leaf.known <= HINTS:
+                    self._level(leaf)
+                    continue
+                self.table.expect(self.rows[min(i + 4, self.cells - 1)])
                 run = self._run(i)
                 self._measure(leaf, self.begins[i], self.begins[i + 1], run)
                 if leaf.known == MEASURED:
@@ -249,6 +255,7 @@ class ScanUpdate:
         """Lower the scan to where the map lies, by so many m."""
         self.fusion.align(down)
 
+    @cython.boundscheck(False)
     def settle(self) -> None:
         """Fuse, judge and divide until no cell asks for it; then count the residuals."""
         cython.declare(i=cython.Py_ssize_t, begin=cython.Py_ssize_t, end=cython.Py_ssize_t)
@@ -258,22 +265,29 @@ class ScanUpdate:
             for i in range(self.cells):
                 self.table.expect(self.rows[min(i + 4, self.cells - 1)])
                 begin, end = self.begins[i], self.begins[i + 1]
-                levels = self.table.max_level - self._leaf(self.rows[i]).level
+                leaf, run = self._leaf(self.rows[i]), self._run(i)
+                if leaf.known <= HINTS:
+                    run = self._run(self.cells)
+                    self._measure(leaf, begin, end, run)
+                levels = self.table.max_level - leaf.level
                 if levels > 0:
                     levels = min(3 * levels * (end - begin), (1 << (2 * levels)) - 1)
                     if self.table.count + levels > self.table.capacity:
                         with cython.gil:
                             self.table.reserve(levels)
-                self._settle(self.rows[i], begin, end, self._run(i), False)
+                self._settle(self.rows[i], begin, end, run, False)
         self.ratio = self.room.ratio[:, : self.rested]
+
+    def _level(self, leaf: Record) -> None:
+        """Where nothing is known, ground is taken to be level."""
+        if leaf.known == NOTHING:
+            leaf.normal[0] = leaf.normal[1] = 0.0
+            leaf.normal[2] = 1.0
 
     def _measure(
         self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record
     ) -> None:
         """Fit a run of points in a leaf."""
-        if leaf.known == NOTHING:
-            leaf.normal[0] = leaf.normal[1] = 0.0
-            leaf.normal[2] = 1.0
         x = leaf.x - self.fusion.origin[0]
         y = leaf.y - self.fusion.origin[1]
         side = self.table.sides[leaf.level]
@@ -404,7 +418,9 @@ class ScanUpdate:
             stop = begin + 1
             while stop < end and self.table.over[self.key[stop]] == child:
                 stop += 1
-            self._measure(self._leaf(child), begin, stop, run)
+            leaf = self._leaf(child)
+            self._level(leaf)
+            self._measure(leaf, begin, stop, run)
             self._settle(child, begin, stop, run, same_scan)
             begin = stop
 

@@ -74,6 +74,7 @@ cdef class LeafTable:
     cdef readonly int max_level
     cdef double xmin, ymin
     cdef double sides[32]
+    cdef void glance(self, Py_ssize_t row) noexcept nogil
     cdef void expect(self, Py_ssize_t row) noexcept nogil
     cdef Leaf* at(self, Py_ssize_t row) noexcept nogil
     cdef double side(self, int level) noexcept nogil

@@ -219,12 +219,17 @@ class LeafTable:
         """A leaf, to read and to write; until the table grows."""
         return leaf_at(self.leaf, row)
 
+    def glance(self, row: cython.Py_ssize_t) -> None:
+        """Have what is asked first of a leaf brought near: its place, and whether it is known."""
+        if cython.compiled:
+            prefetch(cython.address(self.leaf[row]))
+
     def expect(self, row: cython.Py_ssize_t) -> None:
-        """Have a leaf brought near that will be wanted soon."""
+        """Have a leaf brought near that will be wanted soon; not what is known of its feature."""
         i: cython.int
         if cython.compiled:
             byte: cython.p_char = cython.cast(cython.p_char, cython.address(self.leaf[row]))
-            for i in range(0, 576, 64):
+            for i in range(0, 448, 64):
                 prefetch(byte + i)
 
     def side(self, level: cython.int) -> cython.double:
