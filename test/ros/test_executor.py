@@ -13,7 +13,7 @@ from std_msgs.msg import Int32
 from std_srvs.srv import Trigger
 
 from quadtree_lss.lab.live.processes import local_domain
-from quadtree_lss.onboard.nodes.executor import OneNodeExecutor, WhenWanted, arrived
+from quadtree_lss.onboard.nodes.executor import OneNodeExecutor, WhenWanted, arrived, steady_timer
 from quadtree_lss.onboard.nodes.qos import stream, subscribe
 
 pytestmark = pytest.mark.xdist_group("ros_executor")
@@ -87,7 +87,8 @@ def test_messages_timers_events_services_and_answers_are_served(node, executor):
     assert len(ticks) == count
 
 
-def test_a_timer_that_another_callback_cancels_or_destroys_is_not_called(node, executor):
+@pytest.mark.parametrize("make", [Node.create_timer, steady_timer])
+def test_a_timer_that_another_callback_cancels_or_destroys_is_not_called(node, executor, make):
     called = []
 
     def end_others():
@@ -96,14 +97,30 @@ def test_a_timer_that_another_callback_cancels_or_destroys_is_not_called(node, e
         cancelled.cancel()
         node.destroy_timer(destroyed)
 
-    first = node.create_timer(0.05, end_others)
-    cancelled = node.create_timer(0.05, lambda: called.append("cancelled"))
-    destroyed = node.create_timer(0.05, lambda: called.append("destroyed"))
+    first = make(node, 0.05, end_others)
+    cancelled = make(node, 0.05, lambda: called.append("cancelled"))
+    destroyed = make(node, 0.05, lambda: called.append("destroyed"))
     executor.spin_once(0.0)
     time.sleep(0.1)  # all three are due
     for _ in range(5):
         executor.spin_once(0.01)
     assert called == ["first"]
+
+
+def test_a_timer_on_a_steady_clock_wakes_the_node_when_it_is_due_not_when_it_is_reset(
+    node, executor
+):
+    ticks = []
+    timer = steady_timer(node, 60.0, lambda: ticks.append(1))
+    for _ in range(20):  # whatever the middleware still has to say
+        executor.spin_once(0.05)
+    timer.reset()
+    awake(executor, asleep(executor))
+    timer.timer_period_ns = 50_000_000
+    timer.reset()
+    executor.spin_once(10.0)
+    executor.spin_once(10.0)
+    assert len(ticks) == 2
 
 
 def test_what_is_not_wanted_neither_wakes_the_node_nor_is_served(node, executor):

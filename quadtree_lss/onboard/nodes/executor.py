@@ -87,7 +87,8 @@ class OneNodeExecutor(SingleThreadedExecutor):
     rclpy's wakes itself twice after every callback, for other threads that it might have, and
     gathers all entities and makes a wait set anew each time that it wakes: that took a node more
     processor time than most of its callbacks. Here it is done when an entity came or went. Events,
-    most of what a node has, need not wake it: they are looked at every `EVENTS_S`.
+    most of what a node has, need not wake it: they are looked at every `EVENTS_S`. Nor need timers
+    on a steady clock, of which each reset would wake it: it waits no longer than until one is due.
     """
 
     def __init__(self, *, context: Context | None = None) -> None:
@@ -97,6 +98,7 @@ class OneNodeExecutor(SingleThreadedExecutor):
         self._entities: dict[int, Any] = {}
         self._handles: list[tuple[CallbackGroup, Callable[[Any], int], Any]] = []
         self._events: list[Any] = []
+        self._steady: list[Timer] = []
         self._look_at_events = 0.0
         self._groups: list[WhenWanted] = []
         self._set: Any = None
@@ -146,12 +148,19 @@ class OneNodeExecutor(SingleThreadedExecutor):
         for event in events:
             event.add_to_wait_set(waits)
         waits.add_guard_condition(self._guard.handle)
-        waits.wait(timeout_ns)
+        left = [timeout_ns] if timeout_ns >= 0 else []
+        for timer in self._steady:
+            if (until := timer.time_until_next_call()) is not None:  # of one that is not cancelled
+                left.append(max(until, 0))
+        waits.wait(min(left, default=-1))
         if not self._context.ok():
             raise ExternalShutdownException
         for event in events:
             if event.is_ready(waits):
                 yield self._take_waitable, event
+        for timer in self._steady:
+            if _is_due(timer):
+                yield self._take_timer, timer
         for kind, ready in [(kind, waits.get_ready_entities(kind)) for kind in KINDS]:
             for entity in map(self._entities.__getitem__, ready):
                 if kind != "timer" or _is_due(entity):
@@ -162,6 +171,9 @@ class OneNodeExecutor(SingleThreadedExecutor):
         self._changed = False
         nodes = self.get_nodes()
         served = [(k, one) for k in KINDS for node in nodes for one in getattr(node, f"{k}s")]
+        timers = [timer for node in nodes for timer in node.timers]
+        self._steady = [of for of in timers if of.clock.clock_type == ClockType.STEADY_TIME]
+        served = [(k, one) for k, one in served if one not in self._steady]
         self._events = [event for node in nodes for event in node.waitables]
         groups = {one.callback_group for _, one in served}
         self._groups = [group for group in groups if isinstance(group, WhenWanted)]
