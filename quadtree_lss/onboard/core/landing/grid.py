@@ -222,7 +222,11 @@ def aim(
 
 def probable_first(unsafe: Array, score: Array) -> Array:
     """Costs by P(unsafe | aim), and by the score, whatever it is, where that is equal to `TIE`."""
-    return unsafe + 0.5 * TIE * score / (1.0 + np.abs(score))
+    scale, cost = np.abs(score), 0.5 * TIE * score
+    scale += 1.0
+    cost /= scale
+    cost += unsafe
+    return cost
 
 
 def within_reach(
@@ -253,7 +257,7 @@ def within_reach(
 def _choices(aims: Aims, wanted: Restrictions, lss: LssConfig, reached: Mask) -> Array:
     """(ny, nx) how bad the grid points are that are a choice of those within reach, else NaN."""
     ground, x, y = aims.candidates, aims.at.x, aims.at.y
-    safe = reached & np.isfinite(ground.cost)
+    safe = reached & ground.permitted
     if safe.any() or ground.unsafe is None:
         return np.where(safe, ground.cost if ground.unsafe is None else ground.unsafe, np.nan)
     step, cost = max(len(x) // COARSE, 1), np.full(ground.cost.shape, np.nan)

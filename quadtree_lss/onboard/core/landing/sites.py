@@ -198,14 +198,16 @@ class LandingSiteSelector:
         (motion, waited), above = now, np.zeros_like(aims.candidates.safe)
         if motion is not None:
             offset = cells.offset_z if np.isfinite(cells.offset_z) else 0.0
-            ground = at.linear(points.around.planes.elevation) + offset
-            above = ground > motion.z + ABOVE + lss.vehicle.diameter
-            aims = aims.without(above)
+            ground = at.linear(points.around.planes.elevation)
+            most = motion.z + ABOVE + lss.vehicle.diameter
+            if np.fmax.reduce(ground, axis=None) + offset > most:
+                above = ground + offset > most
+                aims = aims.without(above)
         doubts: tuple[str, ...] = ()
         if self._doubts is not None:
             doubts = self._doubts.of(points.raster, points.risk, points.around.judged)
         cost = aims.candidates.cost
-        landable = bool(np.isfinite(cost).any())
+        landable = bool(aims.candidates.permitted.any())
 
         def why_not(row: int, column: int) -> Reason:
             if aims.withheld or above[row, column]:
@@ -371,7 +373,7 @@ def _explanation(points: PointAssessment, aims: Aims, above: Mask, lss: LssConfi
     safe, raster = aims.candidates.safe, points.raster
     if aims.withheld:
         return f"no site is given out: {aims.withheld}"
-    if np.isfinite(aims.candidates.cost).any():
+    if aims.candidates.permitted.any():
         return f"{np.count_nonzero(safe)} of {safe.size} grid points are safe"
     if safe.any():
         text = "no safe ground within the landing area and outside the keep-outs"

@@ -21,6 +21,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cached_property
 from math import dist, inf, nan
 from typing import NamedTuple
 
@@ -252,6 +253,11 @@ class Candidates:
     cost: Array
     unsafe: Array | None = None
 
+    @cached_property
+    def permitted(self) -> Mask:
+        """(ny, nx) where landing is permitted."""
+        return np.isfinite(self.cost)
+
     def at(self, x: float, y: float) -> tuple[int, int] | None:
         """Row and column of the grid point at a place, None if there is none."""
         return grid_point(self.x, self.y, x, y)
@@ -417,16 +423,20 @@ class TargetKeeper:
             now: What there is within reach.
         """
         self.places.forget(ground)
-        permitted = likely = np.isfinite(ground.cost)
+        permitted = likely = ground.permitted
         least = lss.min_probability
         if ground.unsafe is not None:
             likely = permitted & ~(ground.unsafe > 1.0 - least)
-        best = _least(np.fmin(ground.cost, inf)) if permitted.any() else None
         before, self._before = self._before, ground
         seen_again = likely & before.safe_on(ground) if before else np.zeros_like(likely)
         held, released = self._held, self._released
         self._held, self._released = None, False
         committed = descent is not None and descent.height <= lss.commit_height
+
+        def none(reason: Reason, state: State = State.NONE) -> Choice:
+            best = _least(np.fmin(ground.cost, inf)) if permitted.any() else None
+            return Choice(None, 0, reason, state, best)
+
         if self._now:
             place, reason = self._at_once(ground, held, lss, why_not, descent, committed, now)
             return self._keep(ground, place, reason, reach, State.NOW, why_none)
@@ -434,26 +444,26 @@ class TargetKeeper:
         if held is not None and not released:
             place, reason = ground.at(*held), Reason.HOLDS
             if place is None:
-                return Choice(None, 0, Reason.OUTSIDE_MAP, best=best)
+                return none(Reason.OUTSIDE_MAP)
             if not permitted[place]:
                 why = why_not(*place)
                 most = 1.0 - least if committed else min(KEPT * lss.max_risk, 1.0 - least)
                 bears = ground.unsafe is not None and ground.unsafe[place] <= most
                 if not (bears and why == Reason.HAZARD):
-                    return Choice(None, 0, why, best=best)
+                    return none(why)
             elif not (likely[place] or committed):
-                return Choice(None, 0, Reason.UNLIKELY, best=best)
+                return none(Reason.UNLIKELY)
             better = None if committed else self._better(ground, seen_again, place, descent, lss)
             if better is not None:
                 place, reason = better, Reason.BETTER
-        elif best is None:
-            return Choice(None, 0, why_none)
+        elif not permitted.any():
+            return none(why_none)
         elif not (settled or committed or released):
-            return Choice(None, 0, Reason.SETTLING, State.SETTLING, best)
+            return none(Reason.SETTLING, State.SETTLING)
         elif not likely.any():
-            return Choice(None, 0, Reason.UNLIKELY, best=best)
+            return none(Reason.UNLIKELY)
         elif not seen_again.any():
-            return Choice(None, 0, Reason.UNCONFIRMED, best=best)
+            return none(Reason.UNCONFIRMED)
         else:
             place = _least(np.where(seen_again, ground.cost, inf))
         state = State.COMMITTED if committed else State.HOLDS
@@ -498,7 +508,7 @@ class TargetKeeper:
         unsafe = 0.0 if ground.unsafe is None else float(ground.unsafe[place])
         if now is not None and (not committed or unsafe > 1.0 - lss.min_probability):
             within = replace(ground, cost=now.cost)
-            if better := self._better(within, np.isfinite(now.cost), place, descent, lss):
+            if better := self._better(within, within.permitted, place, descent, lss):
                 return better, Reason.BETTER
         return place, Reason.HOLDS
 
