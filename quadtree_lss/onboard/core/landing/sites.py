@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.onboard.arrays import Array, Bytes, Mask
+from quadtree_lss.onboard.arrays import Array, Bytes, Mask, keep_memory
 from quadtree_lss.onboard.config.risk import risk_model
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.landing import hazards
@@ -85,9 +85,7 @@ class LandingSiteSelector:
         self._target = TargetKeeper()
         self._number = 0
         self._last_ranked: list[tuple[float, float]] = []
-        # What glibc has freed once in this size it keeps: the arrays of a map need not be got
-        # from the system, page by page, for every map.
-        np.empty(31 << 20, dtype=np.uint8)
+        keep_memory()
         self.configure(config)
 
     def configure(self, config: Config) -> None:
