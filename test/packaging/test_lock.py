@@ -80,3 +80,12 @@ def test_nothing_that_is_needed_is_missing():
 def test_markers_of_the_lock_mean_what_those_of_the_constraints_do():
     assert Marker("python_full_version < '3.11'").evaluate({"python_full_version": "3.10.0"})
     assert locked("3.10")["numpy"] != locked("3.11")["numpy"]
+
+
+@pytest.mark.xdist_group("together")
+def test_tests_of_a_group_stay_together(request):
+    """With pytest 9.2.0 xdist 3.8.0 deals them out singly, without a word: nodes then start side by
+    side, and what a module shares is made twice."""
+    if not request.config.getoption("loadgroup", False):
+        pytest.skip("not with --dist loadgroup")
+    assert request.node.nodeid.endswith("@together")
