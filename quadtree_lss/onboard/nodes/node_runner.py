@@ -24,7 +24,6 @@ from rclpy.utilities import remove_ros_args
 
 import quadtree_lss
 from quadtree_lss import build
-from quadtree_lss.onboard.arrays import keep_memory
 from quadtree_lss.onboard.config.loading import read_values
 from quadtree_lss.onboard.config.settings import Config, ConfigError, parameters, values_from_config
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -152,7 +151,6 @@ def run(
     if "ROS_LOG_DIR" not in os.environ and "HOME" not in os.environ:
         os.environ["ROS_LOG_DIR"] = tempfile.gettempdir()
     os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", TRANSPORTS)
-    keep_memory()
     return _spin(make_node, argv)
 
 

@@ -222,11 +222,7 @@ def aim(
 
 def probable_first(unsafe: Array, score: Array) -> Array:
     """Costs by P(unsafe | aim), and by the score, whatever it is, where that is equal to `TIE`."""
-    scale, cost = np.abs(score), 0.5 * TIE * score
-    scale += 1.0
-    cost /= scale
-    cost += unsafe
-    return cost
+    return unsafe + 0.5 * TIE * score / (1.0 + np.abs(score))
 
 
 def within_reach(
