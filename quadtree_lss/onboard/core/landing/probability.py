@@ -183,7 +183,8 @@ class RiskTable:
         around[2] /= np.float32(steep)
         set_means(of_cells, under, 0, means[:2])
         np.subtract(means[0], np.float32(self._worse(side)), out=out[4])
-        np.sqrt(means[1], out=out[7])
+        # Of running sums round-off may leave less than nothing.
+        np.sqrt(np.maximum(means[1], np.float32(0.0), out=means[1]), out=out[7])
         about = max(round(0.5 * WINDOW * vehicle.diameter / side), 1)
         set_means(around, about, 1, means)
         np.divide(means[1:], np.maximum(means[0], np.float32(1e-6), out=means[0]), out=out[5:7])
