@@ -260,6 +260,8 @@ def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
         yield (
             f"lidar.min_range = {lidar.min_range} is not below lidar.max_range = {lidar.max_range}"
         )
+    if (high := config.vehicle.clearance) > (wide := config.vehicle.diameter):
+        yield f"vehicle.clearance = {high:g} m exceeds vehicle.diameter = {wide:g} m"
     mount = config.mount
     if mount.source != "fixed" and mount != MountConfig(source=mount.source, axes=mount.axes):
         yield f"mount.source is {mount.source}: leave mount.x ... mount.yaw_deg at 0"
