@@ -16,6 +16,8 @@ def test_words_that_are_not_known_are_named(capsys):
         (["replay", "bag", "--recrod=x"], ("--recrod=x",)),
         (["replay", "bag", "--config", "morfeus"], ("'morfeus'", "morpheus")),
         (["replay", "bag", "--set", "lss.margn=1"], ("'lss.margin'",)),
+        (["replay", "bag", "--set", "vehicle.clearance=30"], ("vehicle.diameter = 3.7 m",)),
+        (["export", "results", "--origin=470,8"], ("'470,8'", "LAT,LON in deg")),
     ):
         code, out, err = run(capsys, *arguments)
         assert code in (1, 2) and not out and err.count("\n") == 1

@@ -225,3 +225,25 @@ def test_nothing_is_wrong_with_one_that_looks_straight_down_and_the_command_says
     assert code == 1 and "mend:  frames.map: map" in out
     code, out, _ = run(capsys, "doctor", path, *settings, "--set", "frames.map=odom", "--json")
     assert json.loads(out)["findings"][0]["mend"] == "frames.map: map"
+
+
+def test_a_damaged_bag_is_not_called_sound_and_what_follows_from_a_fault_is_no_riddle(
+    tmp_path, capsys
+):
+    settings = ("--set", "lidar.range_noise=0.03")
+    path = write_ros2(tmp_path / "bag", scans=20)
+    file = next(file for file in path.iterdir() if file.suffix != ".yaml")
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 6 // 10])
+    code, out, _ = run(capsys, "doctor", path, *settings)
+    assert code == 3 and "\ndamaged: " in out
+    path = write_ros2(tmp_path / "whole", scans=20)
+    code, out, _ = run(capsys, "doctor", path, *settings, "--set", "frames.map=odom")
+    assert code == 1 and "none known" not in out and "\nmend:  as above\n" in out
+
+
+def test_suggest_says_what_is_wrong_too(tmp_path, capsys):
+    change, values, _, mend = MISTAKES["clouds FLU, poses optical"]
+    path = dataclasses.replace(Good(), **change).write(tmp_path / "bag")
+    settings = [word for key, value in values.items() for word in ("--set", f"{key}={value}")]
+    code, out, err = run(capsys, "config", "suggest", path, *settings)
+    assert code == 0 and mend in out and mend in err

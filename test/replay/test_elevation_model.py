@@ -49,7 +49,8 @@ def test_the_map_is_the_models_ground():
 
 
 def test_sites_keep_off_boulder_slope_and_hole():
-    found = rank_sites(model(), None, CONFIG).assessment
+    with np.errstate(invalid="raise"):  # a warning of NumPy's would reach the user
+        found = rank_sites(model(), None, CONFIG).assessment
     assert len(found.sites) == 5
     x, y, _ = found.sites.position.T
     assert (np.hypot(x - 12.0, y - 10.0) > 1.85).all() and (x < 26.0).all()
@@ -107,3 +108,8 @@ def test_coarse_posts_are_noted_and_bad_files_are_one_line(tmp_path, capsys):
     assert code == 0 and "2 m apart: what is smaller" in err
     code, _, err = run(capsys, "sites", tmp_path / "none.npz", "--out", tmp_path / "none")
     assert code == 1 and "no such file" in err and not (tmp_path / "none").exists()
+    code, _, err = run(capsys, "sites", tmp_path, "--out", tmp_path / "none")
+    assert code == 1 and "a folder" in err
+    np.savez(tmp_path / "degrees.npz", x=1e-5 * x, y=1e-5 * x, elevation=np.zeros((30, 30)))
+    code, _, err = run(capsys, "sites", tmp_path / "degrees.npz", "--out", tmp_path / "none")
+    assert code == 1 and "not in degrees" in err

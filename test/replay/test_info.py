@@ -62,7 +62,7 @@ def test_one_of_the_two_topics_alone(tmp_path, topics, word):
     info = inspect_bag(write_ros2(tmp_path / "bag", **topics), CONFIG)
     assert not info.works and info.kind == "nothing"
     (problem,) = info.problems
-    assert word in problem and "\n" not in problem
+    assert word in problem and "\n" not in problem and "--pose-topic" in problem
 
 
 def write(path, scans, poses):

@@ -102,7 +102,8 @@ class RecordedFile(ABC):
         if self.expected is not None:
             lost += max(self.expected - len(self.index), 0)
         if lost or self.damage or self.fault:
-            unknown = f"at least {lost} messages lost: how many there were is not known"
+            unknown = f"at least {lost} messages lost: " if lost else ""
+            unknown += "how many there were is not known"
             known = f"{lost} of {self.expected} messages lost"
             parts.append(unknown if self.expected is None else known)
         return [f"{self.path.name}: {', '.join(parts)}"] if parts else []

@@ -51,7 +51,9 @@ def choose_topic(bag: Bag, asked: str | None, default: str, option: str, msgtype
         msg = f"several topics of type {msgtype}: choose one by {option}: {listed}"
     else:
         there = ", ".join(f"{t.name} ({t.type}, {t.count})" for t in bag.topics) or "none"
-        msg = f"no messages of type {msgtype}; topics: {there}"
+        alike = (kinds for kinds in (types.SCAN_TYPES, types.POSE_TYPES) if msgtype in kinds)
+        kinds = " or ".join(next(alike, (msgtype,)))
+        msg = f"no messages of type {kinds}; topics: {there}"
     raise BagError(f"{bag.path}: {msg}")
 
 

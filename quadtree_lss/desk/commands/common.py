@@ -175,6 +175,16 @@ def place(text: str) -> list[float] | None:
     return None if corners is None else corners[0]
 
 
+def origin(text: str) -> list[float]:
+    """``46.2,8.6``: latitude and longitude, deg."""
+    with contextlib.suppress(ValueError):
+        north, east = (float(part) for part in text.split(","))
+        if abs(north) <= 90.0 and abs(east) <= 360.0:
+            return [north, east]
+    msg = f"'{text}' is not LAT,LON in deg, latitude first"
+    raise argparse.ArgumentTypeError(msg)
+
+
 def _numbers(text: str) -> list[list[float]] | None:
     if text.strip() == "none":
         return None

@@ -99,6 +99,8 @@ def _suggest(options: argparse.Namespace) -> int:
     with ProgressBar("suggest", "s", options.verbose) as bar:
         found = suggest_config(options.names[0], config, poses=options.poses, progress=bar.update)
     common.show(options, found.as_dict(), found.text().removesuffix("\n"))
+    for note in found.notes[1:]:
+        warn(note)
     return common.DONE
 
 

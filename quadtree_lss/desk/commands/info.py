@@ -63,10 +63,15 @@ def _doctor(options: argparse.Namespace) -> int:
         info = inspect_bag(bag, config, **how, progress=bar.update)
     wrong = [finding for finding in info.findings if finding.mend or finding.fatal]
     notes = [finding for finding in info.findings if finding not in wrong]
-    lines = [f"wrong: {found.text}\nmend:  {found.mend or 'none known'}" for found in wrong]
+    wrong.sort(key=lambda finding: not finding.mend)  # what has none mostly follows from the others
+    none = "as above" if wrong and wrong[0].mend else "none known"
+    lines = [f"wrong: {finding.text}\nmend:  {finding.mend or none}" for finding in wrong]
     if not wrong:
         lines.append(f"nothing is wrong with {info.scan_topic or 'the maps'} and {info.pose_topic}")
     lines += [f"note:  {finding.text}" for finding in notes]
-    content = {"findings": [finding._asdict() for finding in (*wrong, *notes)]}
-    common.show(options, content, "\n".join(lines))
-    return common.ERROR if wrong else common.DONE
+    lines += [f"damaged: {text}" for text in info.losses]
+    findings = [finding._asdict() for finding in (*wrong, *notes)]
+    common.show(options, {"findings": findings, "losses": info.losses}, "\n".join(lines))
+    if wrong:
+        return common.ERROR
+    return common.IN_PART if info.losses else common.DONE

@@ -68,7 +68,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--out", metavar="DIR", type=common.named, help=text)
     add("--crs", metavar="CRS", default="", help="coordinate system of the map frame")
     text = "latitude and longitude of the map frame's origin, deg; x is east, y north"
-    add("--origin", metavar="LAT,LON", type=common.place, help=text)
+    add("--origin", metavar="LAT,LON", type=common.origin, help=text)
     parser = common.add_command(commands, "view", _view, VIEW, VIEW_EXAMPLES)
     add = parser.add_argument
     text = "folder of a replay, flight, campaign or evaluation (default results/latest)"

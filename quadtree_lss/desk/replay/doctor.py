@@ -8,6 +8,7 @@ scans together is named.
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -77,6 +78,13 @@ class Heard:
         self._poses: list[tuple[int, Array, Array, bool]] = []
         self._gimbal: list[tuple[int, Array, Array]] = []
         self.mount: Pose | None = None
+
+    def add(self, what: str, msg: Any) -> None:
+        """A message of a `Stream`; depth images and their cameras say nothing here."""
+        adds = {"cloud": self.add_cloud, "pose": self.add_pose, "gimbal": self.add_gimbal}
+        if what in adds and (what != "cloud" or hasattr(msg, "fields")):
+            with contextlib.suppress(MessageError):  # counted and told by the intake
+                adds[what](msg)
 
     def add_cloud(self, msg: Any) -> None:
         """One scan, of which some points are kept."""

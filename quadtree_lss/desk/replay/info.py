@@ -16,7 +16,7 @@ import numpy as np
 
 from quadtree_lss.desk.bags.bag import Bag, BagError
 from quadtree_lss.desk.bags.cloud_files import open_recording
-from quadtree_lss.desk.bags.message_types import POSE_TYPES, SCAN_TYPE, SCAN_TYPES
+from quadtree_lss.desk.bags.message_types import POSE_TYPES, SCAN_TYPES
 from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.replay.doctor import Finding, Heard
 from quadtree_lss.desk.replay.files import plain
@@ -178,7 +178,7 @@ def inspect_bag(
             stream = Stream(opened, config, scan_topic, pose_topic)
         except BagError as error:
             if pairs is None:
-                info.findings.append(Finding("topics", str(error), fatal=True))
+                info.findings.append(Finding("topics", str(error), MENDS["topics"], fatal=True))
             else:
                 info.kind = "maps"
                 text = "maps and no scans: replay ranks landing sites on the last map, `replay"
@@ -215,15 +215,10 @@ def _read(
             texts.setdefault(notice.reason, notice.text)
 
     def hear(what: str, msg: Any, message: RawMessage) -> None:
-        with contextlib.suppress(MessageError):  # counted and told by the intake
-            if what == "gimbal":
-                heard.add_gimbal(msg)
-            elif what != "camera":
+        if what in ("cloud", "pose"):
+            with contextlib.suppress(MessageError):  # counted and told by the intake
                 headers[message.topic].append(_header(msg, message.received_ns))
-                if what == "pose":
-                    heard.add_pose(msg)
-                elif stream.scan_type == SCAN_TYPE:
-                    heard.add_cloud(msg)
+        heard.add(what, msg)
 
     stream.hear = hear
     for message in Part.of(bag).messages(bag, stream.topics, progress):
@@ -250,7 +245,8 @@ def _read(
     wrong = heard.findings(config)
     warning = points_warning(info.points, dropped, domain, missed_at, why)
     if warning is not None:
-        mend = "" if wrong else MENDS["outside"]
+        elsewhere = not wrong and max(dropped, key=dropped.__getitem__) == "outside"
+        mend = MENDS["outside"] if elsewhere else ""
         fatal = info.points == dropped.total()
         wrong.append(Finding("outside", warning, mend, fatal))
     info.findings += wrong
@@ -276,6 +272,8 @@ MENDS = {
     "pose_attitude": "publish the attitude's covariance in rad^2, or zeros where it is unknown",
     "pose_covariance": "publish a symmetric covariance without negative eigenvalues, m and rad",
     "outside": "quadtree-lss config suggest BAG writes a domain that fits",
+    "topics": "name clouds and poses by --scan-topic and --pose-topic, or record them"
+    " (docs/connecting.md says which types are read)",
 }
 """What mends that which the intake tells, by its keys."""
 

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from quadtree_lss.desk.bags.cloud_files import open_recording
 from quadtree_lss.desk.replay.configuration import dump_values
+from quadtree_lss.desk.replay.doctor import Heard
 from quadtree_lss.desk.replay.stream import Part, Progress, ReplayError, Stream
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.risk import doubt
@@ -67,6 +68,8 @@ def suggest_config(
     seen = _Seen()
     with open_recording(bag, poses, config.frames.map) as opened:
         stream = Stream(opened, config)
+        heard = Heard()
+        stream.hear = lambda what, msg, _: heard.add(what, msg)
         count = next(t.count for t in opened.topics if t.name == stream.scans)
         for scan in stream.ready(Part.of(opened), progress):
             seen.add(scan, config, max(count // SCANS, 1))
@@ -75,7 +78,9 @@ def suggest_config(
     if not seen.places:
         why = causes[0] if causes else "no scan has a pose and a return"
         raise ReplayError(f"{bag}: nothing to suggest from: {why}")
-    return seen.suggestion(Path(bag), config)
+    heard.mount = stream.intake.mount
+    wrong = [f"Wrong: {found.line}" for found in heard.findings(config) if found.mend]
+    return seen.suggestion(Path(bag), config, wrong)
 
 
 class _Seen:
@@ -107,7 +112,7 @@ class _Seen:
         variance = _scatter(points / ranges[:, None], ranges, few)
         self._noise.append(math.sqrt(float(np.quantile(variance, QUANTILE)) / AT_QUANTILE))
 
-    def suggestion(self, bag: Path, config: Config) -> Suggestion:
+    def suggestion(self, bag: Path, config: Config, wrong: list[str]) -> Suggestion:
         noise = max(float(f"{np.median(self._noise):.2g}"), 1e-3)
         spacing = float(np.median(self._spacing))
         low, high = np.percentile(np.concatenate(self.places)[:, :2], [0.5, 99.5], axis=0)
@@ -141,7 +146,7 @@ class _Seen:
         set_to = values_from_config(config).items()
         lander = {name: value for name, value in set_to if name.startswith("vehicle.")}
         found = config_from_values(values := lander | values, config)
-        notes = [f"Suggested for {bag} from {len(self.places)} of its {self._scans} scans."]
+        notes = [f"Suggested for {bag} from {len(self.places)} of its {self._scans} scans.", *wrong]
         if by_data > most:
             notes.append(
                 f"The returns of a scan or their noise are too coarse for a vehicle of"

@@ -64,7 +64,7 @@ def read_dem(path: Path) -> ElevationModel:
     in m.
     """
     if not path.is_file():
-        msg = f"{path}: there is no such file"
+        msg = f"{path}: {'a folder, not a file' if path.is_dir() else 'there is no such file'}"
         raise ExchangeError(msg)
     read = _npz if path.suffix.lower() == ".npz" else _raster
     if read is _raster and path.suffix.lower() not in TIFF:
@@ -81,6 +81,7 @@ def read_dem(path: Path) -> ElevationModel:
     away = max(np.abs(axis).max() for axis in (model.x, model.y))
     if not (CLOSEST <= model.spacing <= FARTHEST and away <= OUTERMOST):
         msg = f"{path}: posts {model.spacing:g} m apart, up to {away:g} m from the origin"
+        msg += "; x and y are in m, not in degrees"
         raise ExchangeError(msg)
     return model
 
