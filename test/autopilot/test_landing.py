@@ -163,7 +163,7 @@ def test_what_is_lost_below_the_gate_is_answered_by_a_climb(height, fault):
         assert flight.order.state == HOLD and flight.order.target is None
 
 
-@pytest.mark.parametrize("age", [MAP_S + 0.1, math.nan])
+@pytest.mark.parametrize("age", [MAP_S + 0.1, -MAP_S - 0.1, math.nan])
 def test_an_old_map_stops_a_descent_but_not_who_has_committed(age):
     flight = Flight().until(in_state(DESCEND)).on(2.0)
     flight.map_age = age

@@ -11,6 +11,7 @@ from geometry_msgs.msg import (
     PoseWithCovarianceStamped,
 )
 from nav_msgs.msg import OccupancyGrid
+from ros import conftest
 from ros.conftest import at_least, has, status_values
 from ros_scene import Sensors, pose
 from sensor_msgs.msg import PointCloud2
@@ -83,6 +84,14 @@ def test_a_second_publisher_is_told_and_no_loss_invented(flight):
     for problem in ("scan_publishers", "pose_publishers"):
         told = functools.partial(at_least, listener, f"problems.{problem}", 1)
         assert listener.wait_for(told), mapping.output()
+
+    def said_for_good():
+        topics = ("'/lidar/points'", "'/nav/pose'")
+        words = [f"2 publishers on {topic}" for topic in topics]
+        old = "new problems" not in listener.diagnostics["mapping_node"].message
+        return old and conftest.told(listener, "mapping_node", *words, levels=conftest.WARN)
+
+    assert listener.wait_for(said_for_good), listener.diagnostics["mapping_node"]
     for k in (1, 2, 3):
         (sensors, second)[k % 2].publish(2, offset_ns=k * TEN_SECONDS_NS)
     total = functools.partial(has, listener, "scans", SCANS + 6)

@@ -7,14 +7,14 @@ import time
 from types import SimpleNamespace
 
 import pytest
-from ros.conftest import process, status_values, told
+from ros.conftest import ERROR, OK, WARN, process, status_values, told
 from ros_scene import Sensors, cloud, pose
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.nodes import losses
-from quadtree_lss.onboard.nodes.diagnostics import Problems
+from quadtree_lss.onboard.nodes.diagnostics import Durations, Problems, Status
 from quadtree_lss.onboard.nodes.losses import CALM_S, LEAST_S, SHARE, Overload, ScanGaps, allowance
 from quadtree_lss.onboard.nodes.qos import latched
 
@@ -47,6 +47,15 @@ def test_gaps_are_found_where_the_middleware_numbers_messages(numbers, lost):
     for number in numbers:
         gaps.on_scan(number)
     assert problems.counts["scan_lost"] == lost
+
+
+@pytest.mark.parametrize(("delay_ms", "level"), [(20.0, OK), (-1500.0, WARN), (-37e3, ERROR)])
+def test_stamps_of_the_future_are_told_as_old_ones_are(delay_ms, level):
+    """Of a lidar on atomic time, which is 37 s ahead of the computer's."""
+    status, delays = Status(), Durations()
+    delays.add(delay_ms)
+    status.judge_delay("maps are sent after", delays.take(), load_config().diagnostics)
+    assert (status.level,) == level and ("-" in status.text) == (delay_ms < 0.0)
 
 
 def test_the_allowance_leaves_time_to_map_and_publish():

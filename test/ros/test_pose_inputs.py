@@ -26,10 +26,10 @@ def odometry(stamp_ns: int, held=pose) -> Odometry:
 class OdometrySensors(Sensors):
     """As Sensors, with poses as odometry."""
 
-    def __init__(self, listener) -> None:
+    def __init__(self, listener, *, reliable=True) -> None:
         super().__init__(listener)
         listener.node.destroy_publisher(self.poses)
-        profile = stream(100, reliable=True)
+        profile = stream(100, reliable=reliable)
         self.poses = listener.node.create_publisher(Odometry, "odometry/filtered", profile)
 
 
@@ -41,6 +41,21 @@ def test_odometry_is_taken_where_it_is_configured(ros):
         sensors.matched()
         sensors.map(mapping, 4, make_pose=odometry)
     assert "/odometry/filtered (reliable, 200)" in mapping.output()
+
+
+def test_poses_that_are_sent_best_effort_are_told_with_what_hears_them(ros):
+    """As MAVROS sends its odometry, since it may lose some."""
+    options = ("-p", "pose.source:=odometry", "-r", "nav/odometry:=odometry/filtered")
+    override = "qos_overrides./odometry/filtered.subscription.reliability"
+    deaf = ros.start("mapping_node", *options)
+    with ros.listen() as listener:
+        sensors = OdometrySensors(listener, reliable=False)
+        assert listener.wait_for(sensors.scans.get_subscription_count), deaf.output()
+        sensors.publish(4, make_pose=odometry)
+        assert listener.wait_for(lambda: f"{override}: best_effort" in deaf.output())
+        assert deaf.stop() == 0
+        mapping = ros.start("mapping_node", *options, "-p", f"{override}:=best_effort")
+        sensors.matched().map(mapping, 4, make_pose=odometry)
 
 
 def test_a_gimbal_moves_the_lidar(ros):

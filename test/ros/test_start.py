@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What nodes say when they start and first succeed, and of a state that lasts."""
 
+import functools
 import os
 import subprocess
 import sys
@@ -11,9 +12,12 @@ import pytest
 from packaging.requirements import Requirement
 from ros.conftest import at_least, has
 from ros_scene import Sensors, cloud, last_scan_ns, pose
+from rosgraph_msgs.msg import Clock
 
 import quadtree_lss
 from quadtree_lss import build
+from quadtree_lss.onboard.nodes.qos import stream
+from quadtree_lss.onboard.nodes.ros_messages import time_message
 
 pytestmark = pytest.mark.xdist_group("ros")
 
@@ -97,6 +101,22 @@ def test_a_node_that_starts_says_for_what_it_waits(ros, name, module, what):
         assert listener.wait_for(lambda: waits in node.output()), node.output()
         status = listener.diagnostics
         assert listener.wait_for(lambda: name in status and waits in status[name].message)
+
+
+@pytest.mark.parametrize("name", ["mapping_node", "lss_node", "autopilot_node"])
+def test_a_node_on_simulated_time_says_that_it_has_none(ros, name):
+    """As on a vehicle with the parameter file of its simulation."""
+    node = ros.start(name, "-p", "use_sim_time:=true")
+    with ros.listen({}) as listener:
+        said = functools.partial(at_least, listener, "problems.no_clock", 1, name)
+        assert listener.wait_for(said) and "'/clock'" in node.output(), node.output()
+        sender = listener.node.create_publisher(Clock, "/clock", stream(1, reliable=True))
+
+        def quiet():
+            sender.publish(Clock(clock=time_message(10**9)))
+            return "'/clock'" not in listener.diagnostics[name].message
+
+        assert listener.wait_for(quiet), listener.diagnostics[name]
 
 
 ONBOARD_ALONE = """

@@ -188,8 +188,8 @@ class Landing:
             return None, seen.why
         if target.age > TARGET_S:
             return None, f"the target was last said {target.age:.1f} s ago: lss_node is silent"
-        if not target.map_age <= MAP_S and self.state != COMMIT:
-            if np.isnan(target.map_age):
+        if not abs(target.map_age) <= MAP_S and self.state != COMMIT:
+            if not target.map_age > 0.0:
                 return None, "how old the map is cannot be known: its stamps are of another clock"
             return None, f"the map is {target.map_age:.1f} s old"
         away = float(np.hypot(*(target.place - self._home)[:2]))

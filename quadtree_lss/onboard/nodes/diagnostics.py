@@ -147,9 +147,10 @@ class Status:
             self.note(level, f"no {what} on '{topic}' {lack} {age:.1f} s")
 
     def judge_delay(self, text: str, delay: Span | None, limits: DiagnosticsConfig) -> None:
-        """Warning or error if what is sent was too old already: ``text`` and for how long."""
-        if delay is not None and delay.worst > 1e3 * limits.warn_age:
-            level = ERROR if delay.worst > 1e3 * limits.error_age else WARN
+        """Warning or error if what is sent was too old already, or by its stamp is of the future:
+        ``text`` and for how long."""
+        if delay is not None and abs(delay.worst) > 1e3 * limits.warn_age:
+            level = ERROR if abs(delay.worst) > 1e3 * limits.error_age else WARN
             self.note(level, f"{text} {1e-3 * delay.worst:.1f} s")
 
     @property

@@ -6,12 +6,12 @@ from __future__ import annotations
 import time
 
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.nodes.diagnostics import Durations, Problems
+from quadtree_lss.onboard.nodes.diagnostics import WARN, Durations, Problems, Status
 
 
 class Publishers:
     """Counts the publishers of a topic that match at present (``number``); of more than one it
-    tells ``problems`` the ``reason`` and the ``effect``."""
+    tells ``problems`` the ``reason`` and the ``effect``, and `judge` the status, while they are."""
 
     def __init__(self, topic: str, reason: str, effect: str, problems: Problems) -> None:
         self.number = 0
@@ -20,13 +20,20 @@ class Publishers:
 
     def changed(self, number: int) -> None:
         """Publishers came or went."""
-        if number > max(self.number, 1):
-            text = (
-                f"{number} publishers on '{self._topic}': {self._effect} (one that was killed"
-                " counts until its lease ends)"
-            )
-            self._problems.report(self._reason, text)
-        self.number = number
+        before, self.number = self.number, number
+        if number > max(before, 1):
+            self._problems.report(self._reason, self._text())
+
+    def judge(self, status: Status) -> None:
+        """Warning while there is more than one."""
+        if self.number > 1:
+            status.note(WARN, self._text())
+
+    def _text(self) -> str:
+        return (
+            f"{self.number} publishers on '{self._topic}': {self._effect} (one that was killed"
+            " counts until its lease ends)"
+        )
 
 
 class ScanGaps:
@@ -41,12 +48,12 @@ class ScanGaps:
         self._topic = topic
         self._problems = problems
         effect = "their scans are mapped as they come, as if of one lidar"
-        self._publishers = Publishers(topic, "scan_publishers", effect, problems)
+        self.publishers = Publishers(topic, "scan_publishers", effect, problems)
         self._last = 0
 
     def on_publishers(self, number: int) -> None:
         """Publishers came or went."""
-        self._publishers.changed(number)
+        self.publishers.changed(number)
         self._last = 0
 
     def on_scan(self, number: int | None) -> None:
@@ -54,7 +61,7 @@ class ScanGaps:
         number = number or 0
         last, self._last = self._last, number
         missing = number - last - 1
-        if last > 0 and missing > 0 and self._publishers.number <= 1:
+        if last > 0 and missing > 0 and self.publishers.number <= 1:
             text = (
                 f"{missing} scans on '{self._topic}' were lost before number {number}: best"
                 " effort, or more than the middleware queues (50) were waiting"

@@ -270,6 +270,7 @@ class LssNode(BaseNode):
         latency = self._delays.take()
         text = "by the map's stamp and this node's clock, sites are sent after"
         status.judge_delay(text, latency, limits)
+        self._map_publishers.judge(status)
         status.add(
             {
                 "map.refused": self._map.refusals,

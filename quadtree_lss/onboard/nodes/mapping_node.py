@@ -366,6 +366,8 @@ class MappingNode(BaseNode):
         config, report = self._config, self._report
         # Not by an event: those of poses are looked at only while a scan waits.
         self._pose_publishers.changed(self.count_publishers(self._topics[POSES]))
+        self._pose_publishers.judge(status)
+        self._gaps.publishers.judge(status)
         for what, name in (("scan", SCANS), ("pose", POSES), ("gimbal", GIMBAL)):
             if what in self._arrived:
                 status.judge_age(what, self._topics[name], self._arrived[what], config.diagnostics)

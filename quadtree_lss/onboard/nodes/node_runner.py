@@ -109,6 +109,9 @@ class BaseNode(Node):
         state, problems = Status(), self._problems
         state.add({"build": self._build})
         self._collect(state)
+        if self.get_clock().ros_time_is_active and not self.get_clock().now().nanoseconds:
+            text = "use_sim_time is set and no time has come on '/clock': no age by stamps is known"
+            problems.report("no_clock", text)
         total = problems.counts.total()
         if total > self._problems_told:
             new = total - self._problems_told

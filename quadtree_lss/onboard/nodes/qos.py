@@ -62,6 +62,10 @@ OVERRIDABLE = QoSOverridingOptions(
 )
 
 
+REMEDIES = {"RELIABILITY": "reliability: best_effort", "DURABILITY": "durability: volatile"}
+"""What makes a subscription accept a publisher that offers less of a policy."""
+
+
 def subscribe(
     node: Node,
     kind: Any,
@@ -83,7 +87,7 @@ def subscribe(
         node.get_logger().warning(
             f"a publisher of '{name}' offers a {policy} that this subscription does not accept"
             f" ({profile.reliability.name}, {profile.durability.name}): none of its messages will"
-            f" arrive; change it, or qos.scan_reliability, or qos_overrides.{name}.subscription.*"
+            f" arrive; change it, or qos_overrides.{name}.subscription.{REMEDIES.get(policy, '*')}"
         )
 
     return node.create_subscription(
