@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Avoided features of leaves and the raster that landing assessment reads."""
 
+from dataclasses import replace
 from unittest import mock
 
 import numpy as np
@@ -125,6 +126,15 @@ def test_ground_within_the_gap_of_an_observed_cell_is_seen(columns, gap, unseen)
     # Gaps are bridged whole or not at all.
     missing = list(range(30, 30 + columns)) if unseen else []
     assert np.flatnonzero(~raster.firm.all(axis=0)).tolist() == missing
+
+
+@pytest.mark.parametrize(("returns", "unseen"), [(6, []), (7, [30, 31, 32, 33])])
+def test_a_gap_among_many_returns_is_a_shadow(returns, unseen):
+    """Of a drop, maybe: its ground is unseen, however narrow it is."""
+    cells = strip(4)
+    raster = rasterise(replace(cells, count=np.full_like(cells.count, returns)), LssConfig())
+    for bridged in (raster.seen, raster.firm):
+        assert np.flatnonzero(~bridged.all(axis=0)).tolist() == unseen
 
 
 def test_gaps_are_bridged_level_from_the_nearest_measured_cell():

@@ -118,6 +118,14 @@ def well_seen(scene: Scene, high: np.ndarray, seen: list[View]) -> Scene:
     return Scene(scene.gradient, scene.spheres[keep[0]], scene.cones[keep[1]], scene.boxes[keep[2]])
 
 
+def beyond(scene: Scene, places: np.ndarray) -> np.ndarray:
+    """(K,) places (K, 2) where the lander is truly beyond its limits."""
+    axis = np.arange(-HALF - 4.0, HALF + 4.0, 0.05)
+    dem = Terrain(axis, axis, scene.dem(axis, axis))
+    slope, rise = worst_contact(dem, places, LandingGear())
+    return (rise > 0.3 + SPARE) | (slope > np.tan(np.radians(10.0 + SPARE_DEG)))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_rock_that_was_measured_is_stood_on(kind):
     """However it was seen."""
@@ -129,10 +137,35 @@ def test_no_rock_that_was_measured_is_stood_on(kind):
         found = LandingSiteSelector(config).assess(mapped(config, seen))
         row, column = np.nonzero(found.safe)
         places = np.column_stack([found.x[column], found.y[row]])
-        axis = np.arange(-HALF - 4.0, HALF + 4.0, 0.05)
-        dem = Terrain(axis, axis, well_seen(scene, high, seen).dem(axis, axis))
-        slope, rise = worst_contact(dem, places, LandingGear())
-        bad = (rise > 0.3 + SPARE) | (slope > np.tan(np.radians(10.0 + SPARE_DEG)))
+        bad = beyond(well_seen(scene, high, seen), places)
+        judged += len(places)
+        if bad.any():
+            told = found.risk[row, column][bad].min()
+            wrong.append(f"seed {seed}: {bad.sum()} of {len(places)}, told {told:.1e}")
+    assert judged > 100
+    assert not wrong, wrong
+
+
+@pytest.mark.parametrize("drop", ["ditch", "step"])
+def test_nobody_stands_where_a_drop_hides_its_ground(drop):
+    """0.6 m deep, seen often, from one side alone: the far wall, and nothing below the near rim."""
+    judged, wrong = 0, []
+    for seed in range(4):
+        rng = np.random.default_rng([seed, 8])
+        config, rim = configured(rng), rng.uniform(-1.0, 1.0)
+        boxes = [[-30.0, -30.0, -1.0, rim, 30.0, 0.6], [rim + 0.5, -30.0, -1.0, 30.0, 30.0, 0.6]]
+        scene = Scene(boxes=np.array(boxes if drop == "ditch" else boxes[:1]))
+        seen, rays = [], fan(8.0, 96)
+        for k in range(30):
+            up, turn = np.radians(rng.uniform(22.0, 35.0)), rng.normal(0.0, 0.2)
+            target = np.array([*rng.uniform(-AREA, AREA, 2), 0.6])
+            ahead = np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), -np.sin(up)
+            position = target - 100.0 * np.array(ahead)
+            seen.append(view(scene, position, target, rays, NOISE, rng, 1.0 + 0.05 * k))
+        found = LandingSiteSelector(config).assess(mapped(config, seen))
+        row, column = np.nonzero(found.safe)
+        places = np.column_stack([found.x[column], found.y[row]])
+        bad = beyond(scene, places)
         judged += len(places)
         if bad.any():
             told = found.risk[row, column][bad].min()

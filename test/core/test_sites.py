@@ -270,7 +270,7 @@ def test_roughness_is_a_height_whatever_the_leafs_size():
         config = configured(
             domain={"min_level": level, "max_level": level},
             lidar={"range_noise": 0.02},
-            vehicle={"diameter": 1.9, "clearance": 6.0, "max_slope_deg": 88.0},
+            vehicle={"diameter": 1.9, "clearance": 1.9, "max_slope_deg": 88.0},
         )
 
         def ground(x, y):

@@ -165,10 +165,8 @@ class RiskTable:
         for k, contact, limit in ((0, worst.rise, clearance), (2, worst.slope, steep)):
             set_contacts(contact, limit, self._low[k], out[k : k + 2])
         known = ~raster.bridged
-        share = np.zeros(len(cells.level), dtype=np.int32)
-        count_known(raster.leaf, known.view(np.uint8), share)
         # Returns on a square as wide as the least hazard, of those that their leaf has there.
-        returns = cells.count * (vehicle.least_hazard / side) ** 2 / np.maximum(share, 1)
+        returns = raster.returns * (vehicle.least_hazard / side) ** 2
         level = np.log10(returns + NO_RETURNS).astype(np.float32)
         rough = np.fmax(cells.roughness / (clearance * cells.size**2), 0.0)
         rough = np.minimum(rough, 2.0).astype(np.float32)
@@ -372,18 +370,6 @@ def set_contacts(contact: Single, limit: float, least: float, out: Single) -> No
                 out[1, i, j] = max(out[1, i, j], out[0, i, j - 1])
             for j in range(n - 1):
                 out[1, i, j] = max(out[1, i, j], out[0, i, j + 1])
-
-
-@cython.boundscheck(False)
-@cython.locals(leaf=cython.Py_ssize_t[:, ::1])
-@cython.locals(known=cython.uchar[:, ::1], count=cython.int[::1])
-def count_known(leaf: Index, known: Bytes, count: Ints) -> None:
-    """Add up the ``known`` finest cells (n, n) of each leaf (M,)."""
-    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
-    with cython.nogil:
-        for i in range(leaf.shape[0]):
-            for j in range(leaf.shape[1]):
-                count[leaf[i, j]] += known[i, j]
 
 
 @cython.boundscheck(False)

@@ -10,7 +10,7 @@ import cython
 import numpy as np
 from cython.cimports.libc.math import erf, exp, fabs, sqrt
 
-from quadtree_lss.onboard.arrays import Array, Index, Ints, Mask
+from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask
 from quadtree_lss.onboard.config.sections import LightConfig
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.lattice import grown, nearest_marked
@@ -20,6 +20,9 @@ from quadtree_lss.onboard.core.tree.domain import Domain
 TWO_PI = cython.declare(cython.double, 2.0 * np.pi)
 #: m. Ground higher than a ray by less does not stop it.
 GRAZING = cython.declare(cython.double, 1e-9)
+#: Returns in each known finest cell of a leaf, in the mean, among which a cell without any is no
+#: chance (e^-6 is one in 400): it lies in a shadow, of a rock or of a drop.
+CHANCE = cython.declare(cython.double, 6.0)
 #: Of a cell: so near to a middle a ray goes through it.
 STRAIGHT = cython.declare(cython.double, 1e-9)
 
@@ -37,12 +40,13 @@ class TerrainRaster:
         subscale: Mean height of the leaf's subscale feature over the cell (Eq. 57), m.
         subscale_peak: Its greatest height within the cell, m; 0 where that is negligible.
         seen: True where the ground is known or lies within the set gap of a known cell; never where
-            it is ``unmapped``.
+            it is ``unmapped``, nor in a gap between so many returns that it is a shadow.
         firm: True where the ground is known or the gap is bridged from all around. Seen ground that
             is not borders on unseen ground: it may be the drop that casts the shadow.
         unmapped: True where a point fell whose return is not part of the map yet: seen by the
             lidar, but nobody knows what is there.
         bridged: True where the height is the nearest known cell's.
+        returns: (M,) of each leaf, on one of its known finest cells in the mean.
         cells: The map.
     """
 
@@ -57,6 +61,7 @@ class TerrainRaster:
     firm: Mask
     unmapped: Mask
     bridged: Mask
+    returns: Array
     cells: CellMap
 
 
@@ -66,7 +71,8 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
     Args:
         cells: The map.
         lss: Ground farther than its ``gap`` from any finest cell that is known (distance of the
-            centres less half a cell) is unseen.
+            centres less half a cell) is unseen. So is what lies nearer where the leaf of the
+            nearest known cell has more than `CHANCE` returns in each.
     """
     max_gap, negligible = lss.gap, lss.vehicle.lengths.negligible
     domain = cells.domain
@@ -79,12 +85,15 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
     bridged = ~known
     unmapped = cells.observed & ~known
     seen = grown(known, max_gap, side, short=0.5) & ~unmapped
-    firm = known | ~grown(~seen, max_gap, side, short=0.5)
+    share = np.zeros(len(cells.level), dtype=np.int32)
+    count_known(leaf, known.view(np.uint8), share)
+    returns = cells.count / np.maximum(share, 1)
     if not known.any():
         elevation[:] = np.nan
     elif bridged.any():
-        bridge(nearest_marked(known), layers)
-    found = (elevation, slope_x, slope_y, subscale, peak, seen, firm, unmapped, bridged)
+        bridge(nearest_marked(known), leaf, returns, layers, seen.view(np.uint8))
+    firm = known | ~grown(~seen, max_gap, side, short=0.5)
+    found = (elevation, slope_x, slope_y, subscale, peak, seen, firm, unmapped, bridged, returns)
     return TerrainRaster(domain, leaf, *found, cells)
 
 
@@ -159,19 +168,41 @@ def lay_out(cells: CellMap, side: float, negligible: float, leaf: Index, layers:
 
 
 @cython.boundscheck(False)
-@cython.locals(place=cython.int[:, ::1], layers=cython.double[:, :, ::1])
-def bridge(place: Ints, layers: Array) -> None:
-    """Level ground as high as the known cell that is nearest: ``place`` (n, n) is its flat index,
-    ``layers`` (5, n, n) are those of `lay_out`."""
+@cython.locals(leaf=cython.Py_ssize_t[:, ::1])
+@cython.locals(known=cython.uchar[:, ::1], count=cython.int[::1])
+def count_known(leaf: Index, known: Bytes, count: Ints) -> None:
+    """Add up the ``known`` finest cells (n, n) of each leaf (M,)."""
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    with cython.nogil:
+        for i in range(leaf.shape[0]):
+            for j in range(leaf.shape[1]):
+                count[leaf[i, j]] += known[i, j]
+
+
+@cython.boundscheck(False)
+@cython.locals(place=cython.int[:, ::1], leaf=cython.Py_ssize_t[:, ::1])
+@cython.locals(returns=cython.double[::1], layers=cython.double[:, :, ::1])
+@cython.locals(seen=cython.uchar[:, ::1])
+def bridge(place: Ints, leaf: Index, returns: Array, layers: Array, seen: Bytes) -> None:
+    """Level ground as high as the known cell that is nearest, unseen where that is in a shadow.
+
+    Args:
+        place: (n, n) flat index of the nearest known cell.
+        leaf, layers: Of `lay_out`; the heights are set.
+        returns, seen: Of `TerrainRaster`; the latter is set.
+    """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     n: cython.Py_ssize_t = place.shape[0]
     height = cython.declare(cython.double[::1], np.asarray(layers[0]).ravel())
+    over = cython.declare(cython.Py_ssize_t[::1], np.asarray(leaf).ravel())
     with cython.nogil:
         for i in range(n):
             for j in range(n):
                 if place[i, j] != i * n + j:
                     height[i * n + j] = height[place[i, j]]
                     layers[1, i, j], layers[2, i, j] = 0.0, 0.0
+                    if returns[over[place[i, j]]] > CHANCE:
+                        seen[i, j] = 0
 
 
 @cython.cfunc
