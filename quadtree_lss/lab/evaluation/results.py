@@ -4,7 +4,7 @@ two mean nothing."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,16 +38,6 @@ _SHAPES: dict[str, tuple[int | str, ...]] = {n: (n,) for n in ("x", "y", "safe_x
 _SHAPES |= {"elevation": ("y", "x"), "safe": ("safe_y", "safe_x"), "box": (4,), "lander": (4,)}
 _SHAPES |= dict.fromkeys(_TRUTH_EXTRA, ("scan_stamp_ns",))
 """How long they are along their first axes: a number, or as many as that array has."""
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table for people: the first column to the left, the others to the right."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = []
-    for first, *others in rows:
-        cells = [f"{cell:>{width}}" for cell, width in zip(others, widths[1:], strict=True)]
-        lines.append("  ".join([f"{first:<{widths[0]}}", *cells]))
-    return lines
 
 
 class EvaluationError(QuadtreeLssError):
