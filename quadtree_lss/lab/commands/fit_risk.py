@@ -33,8 +33,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
+    from quadtree_lss.desk.replay.results import aligned
     from quadtree_lss.lab.campaign.study import parse_seeds
-    from quadtree_lss.lab.evaluation.results import aligned
     from quadtree_lss.lab.evaluation.risk_families import FAMILIES
     from quadtree_lss.lab.evaluation.risk_fit import risk_model_text
     from quadtree_lss.lab.evaluation.risk_flights import fit_risk
@@ -51,13 +51,11 @@ def _run(options: argparse.Namespace) -> int:
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(risk_model_text(model), encoding="utf-8")
     origin = model.provenance
-    if options.json:
-        common.print_json({"out": str(out), **origin})
-        return common.DONE
     rows = [("family", "flights", "points", "failed", "Brier", "log")]
     for name, case in origin["families"].items():
         share, log = f"{100.0 * case['failed']:.1f} %", f"{case['log_score']:.5f}"
         count, points = str(len(case["seeds"])), str(case["points"])
         rows.append((name, count, points, share, f"{case['brier']:.5f}", log))
-    print("\n".join([*aligned(rows), f"the fit is in {out}"]))
+    text = "\n".join([*aligned(rows), f"the fit is in {out}"])
+    common.show(options, {"out": str(out), **origin}, text)
     return common.DONE

@@ -77,10 +77,7 @@ def _run(options: argparse.Namespace) -> int:
     write_flight(options.out, done, report=not options.no_page)
     if done.figures["warnings"]:
         warn(f"warning: {done.figures['warnings']}")
-    if options.json:
-        common.print_json(done.figures)
-    else:
-        print(f"{headline(done)}\nresults in {options.out}")
+    common.show(options, done.figures, f"{headline(done)}\nresults in {options.out}")
     if others := done.figures.get("others"):
         say(f"error: the flight says nothing, for others published {'; '.join(others)}")
         return common.ERROR
