@@ -288,7 +288,7 @@ def test_a_keep_out_that_cannot_be_decoded_is_a_loss(tmp_path):
 
 
 def test_numbers_that_mean_the_same_agree(tmp_path):
-    """Of messages recorded, taken and refused, by replay and by info."""
+    """Of messages recorded, the last too, taken and refused, by replay and by info."""
     path, last = tmp_path / "bag", 1_700_000_100 * SECOND
     with recording(path) as recorder:
         flight(recorder, scans=SCANS)

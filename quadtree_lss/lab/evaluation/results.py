@@ -71,10 +71,6 @@ class Truth(Terrain):
         shown = self.scan_outline[rows[::every]]
         return np.concatenate([shown, shown[:, :1]], axis=1), rows.size
 
-    def flights_of(self, stamps_ns: NDArray[np.int64]) -> int:
-        """How many flights the given scans are from."""
-        return int(np.unique(self.scan_flight[np.isin(self.scan_stamp_ns, stamps_ns)]).size)
-
 
 def load_truth(path: str | Path) -> Truth:
     """Raises `EvaluationError`: there is no such file, or it is none of a simulation."""
