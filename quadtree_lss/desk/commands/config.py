@@ -116,9 +116,6 @@ def _suggest(options: argparse.Namespace) -> int:
     return common.DONE
 
 
-ACTIONS = {"print": _print, "check": _check, "explain": _explain, "suggest": _suggest}
-
-
 def check_files(paths: Iterable[str | os.PathLike[str]], node: str = "") -> dict[str, list[str]]:
     """Each file by itself over the defaults: all that is wrong with it, a line each. ``node``: full
     name of a node that is to get something of each."""
@@ -203,3 +200,6 @@ def rule(name: str) -> str:
     share = item.default / getattr(VehicleConfig(), of) ** power
     given = of if of in Lengths.__dataclass_fields__ else f"vehicle.{of}"
     return f"{share:.3g} x {given}" + (f"^{power}" if power > 1 else "")
+
+
+ACTIONS = {"print": _print, "check": _check, "explain": _explain, "suggest": _suggest}
