@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator
 from itertools import groupby
 
-from quadtree_lss.desk.commands.explained import rule
+from quadtree_lss.desk.commands.config import rule
 from quadtree_lss.onboard.config.settings import Parameter, parameters
 from quadtree_lss.onboard.config.vehicle import Lengths
 

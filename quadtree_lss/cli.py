@@ -25,13 +25,13 @@ from quadtree_lss.desk.commands.common import (
     print_json,
 )
 from quadtree_lss.desk.commands.console import first_line, quiet, say
-from quadtree_lss.lab.commands import campaign, evaluate, fit_risk, fly, simulate
+from quadtree_lss.lab.commands import campaign, evaluate, fly
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 # No part of ROS, and not in every Ubuntu: the nodes do without.
 OF_BAGS = ("rosbags", "zstandard", "lz4", "apsw", "ruamel")
 DESK = (replay, results, info, config)
-LAB = (simulate, evaluate, campaign, fly, fit_risk)
+LAB = (fly, evaluate, campaign)
 REMEDY = "pip install --user --break-system-packages 'rosbags>=0.11' zstandard"
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.lab.live.listener import Listener
-from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, BagRecorder, Messages
+from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, Messages, recorded
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
@@ -78,14 +78,14 @@ def mapped(config: Config, scans: int) -> Mapper:
 def write_bag(path: Path, scans: int) -> None:
     """The events as a bag."""
     make = Messages()
-    with BagRecorder(path) as bag:
+    with recorded(path) as write:
         for event in events(scans):
             if event.points_lidar is None:
                 pose = make.pose(event.stamp_ns, POSITION, DOWN_XYZW, COVARIANCE)
-                bag.write(POSE_TOPIC, event.stamp_ns + 1_000_000, pose)
+                write(POSE_TOPIC, event.stamp_ns + 1_000_000, pose)
             else:
                 scan = make.scan(event.stamp_ns, event.points_lidar)
-                bag.write(SCAN_TOPIC, event.stamp_ns + 10_000_000, scan)
+                write(SCAN_TOPIC, event.stamp_ns + 10_000_000, scan)
 
 
 cloud = MAKE.scan

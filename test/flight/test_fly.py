@@ -261,11 +261,5 @@ def test_a_moment_has_its_view_reach_and_target_on_the_map_and_in_space(text, tm
 
 @in_a_browser
 @pytest.mark.slow
-def test_its_page_can_be_used_by_all(text, tmp_path):
-    assert accessible(text, tmp_path)
-
-
-@in_a_browser
-@pytest.mark.slow
-def test_its_page_prints_on_two_sheets(text, tmp_path):
-    assert 1 <= sheets(text, tmp_path) <= 2
+def test_its_page_can_be_used_by_all_and_prints_on_two_sheets(text, tmp_path):
+    assert accessible(text, tmp_path) and 1 <= sheets(text, tmp_path) <= 2

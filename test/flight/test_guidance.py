@@ -19,7 +19,7 @@ def flown(seconds, dt=0.002):
     position, velocity, mass = START.copy(), SPEED.copy(), VEHICLE.mass
     sizes = []
     for k in range(round(seconds / dt) - 2):
-        push = zem_zev(position, velocity, END, DOWN, seconds - k * dt, VEHICLE.weight)
+        push, _ = zem_zev(position, velocity, END, DOWN, seconds - k * dt, VEHICLE.weight)
         change = push + VEHICLE.weight
         position += velocity * dt + 0.5 * change * dt * dt
         velocity += change * dt

@@ -114,8 +114,9 @@ def test_a_place_may_begin_with_a_minus(capsys, tmp_path):
         code, out, _ = run(capsys, "sites", tmp_path / "dem.npz", *target, *options)
         found.append(json.loads(out)["landing"])
     assert code == 0 and found == [{"target": [-3.0, 4.0]}] * 2
-    code, out, _ = run(capsys, "sites", tmp_path / "none.npz", *options)
+    code, out, _ = run(capsys, "sites", tmp_path / "none.npz", *options, "--out", tmp_path / "no")
     assert code == 1 and "no such file" in json.loads(out)["error"]
+    assert not (tmp_path / "no").exists()
 
 
 @pytest.mark.parametrize("command", ["replay", "info", "config", "simulate", "evaluate"])

@@ -8,6 +8,7 @@ import sys
 from replay.test_cli import FAST, run
 
 from quadtree_lss.desk.commands import console
+from quadtree_lss.desk.replay.results import aligned
 
 
 def test_words_that_are_not_known_are_named(capsys):
@@ -52,7 +53,9 @@ def test_quiet_json_is_json_alone(bag, tmp_path, capsys):
 
 def test_a_table_is_aligned():
     rows = [["n", "x"], ["1", "-2.50"], ["12", "3.00"]]
-    assert console.table(rows) == [" n      x", " 1  -2.50", "12   3.00"]
+    assert aligned(rows, ">") == [" n      x", " 1  -2.50", "12   3.00"]
+    assert aligned(rows) == ["n       x", "1   -2.50", "12   3.00"]
+    assert aligned(rows, "<") == ["n   x", "1   -2.50", "12  3.00"]
 
 
 def test_the_last_line_names_the_page(bag, tmp_path, capsys):

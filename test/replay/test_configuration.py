@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadtree_lss.desk.commands.explained import check_files
+from quadtree_lss.desk.commands.config import check_files
 from quadtree_lss.desk.replay.configuration import dump_config, find_config, load_config
 from quadtree_lss.onboard.config.loading import read_values
 from quadtree_lss.onboard.config.settings import Config, ConfigError, config_from_values, parameters

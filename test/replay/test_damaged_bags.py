@@ -21,7 +21,6 @@ from quadtree_lss.desk.bags.compression import MOST_BYTES, DamagedError, unpack
 from quadtree_lss.desk.bags.mcap_file import McapFile
 from quadtree_lss.desk.bags.ros1_file import Ros1File
 from quadtree_lss.desk.replay.info import inspect_bag
-from quadtree_lss.desk.replay.passes import _Clock
 from quadtree_lss.desk.replay.replay import replay as run_replay
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.messages.clouds import MessageError
@@ -188,17 +187,6 @@ def test_a_recorder_clock_that_steps_back_costs_no_scan(tmp_path, storage, back)
     assert not any("jumped" in line for line in result.warnings)
 
 
-def test_passes_go_on_after_a_step_back_of_the_clock():
-    clock = _Clock(4.0)
-    clock.changed = True
-    assert clock.due(100 * SECOND)
-    clock.sent(100 * SECOND)
-    assert not clock.due(100 * SECOND)
-    clock.changed = True
-    assert not clock.due(100 * SECOND + SECOND // 5) and clock.due(101 * SECOND)
-    assert clock.due(20 * SECOND)
-
-
 def rows_changed(path, *statements, values=()):
     """An sqlite3 bag after some statements, with values for the last."""
     write(path, plugin="sqlite3", scans=SCANS)
@@ -300,7 +288,7 @@ def test_a_keep_out_that_cannot_be_decoded_is_a_loss(tmp_path):
 
 
 def test_numbers_that_mean_the_same_agree(tmp_path):
-    """Of messages recorded, taken and refused, by replay and by info."""
+    """Of messages recorded, the last too, taken and refused, by replay and by info."""
     path, last = tmp_path / "bag", 1_700_000_100 * SECOND
     with recording(path) as recorder:
         flight(recorder, scans=SCANS)

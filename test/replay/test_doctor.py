@@ -77,23 +77,16 @@ class Good:
                 direction = turn.apply(rays().reshape(-1, 3))
                 reach = np.full(len(direction), place[2])
                 for _ in range(20):
-                    x, y, _ = (place + reach[:, None] * direction).T
-                    reach += (
-                        0.8
-                        * (height(x, y) - (place[2] + reach * direction[:, 2]))
-                        / (direction[:, 2])
-                    )
+                    x, y, z = (place + reach[:, None] * direction).T
+                    reach += 0.8 * (height(x, y) - z) / direction[:, 2]
                 points = reach[:, None] * rays().reshape(-1, 3)
-                points *= 1.0 + rng.normal(scale=0.02, size=(len(points), 1)) / (
-                    np.linalg.norm(points, axis=1, keepdims=True)
-                )
+                far = np.linalg.norm(points, axis=1, keepdims=True)
+                points *= 1.0 + rng.normal(scale=0.02, size=far.shape) / far
                 points = self.scale * self.cloud(points, place, turn)
                 at = START + round(t * SECOND)
                 stamp = at + round(self.scan_clock * SECOND)
-                shaped = points.reshape(*rays().shape)
-                recorder.write(
-                    "/lidar/points", recorder.cloud(stamp, shaped), CLOUD, at + 5_000_000
-                )
+                cloud = recorder.cloud(stamp, points.reshape(*rays().shape))
+                recorder.write("/lidar/points", cloud, CLOUD, at + 5_000_000)
         return path
 
 

@@ -59,5 +59,8 @@ def test_maps_that_no_answer_needs_are_not_taken(step, back):
     answers, taken = fly(moments, every_map=False)
     same, all_maps = fly(moments, every_map=True)
     assert answers == same and len(answers) > 2
+    times = [now_ns for now_ns, _ in answers[:-1]]  # the last is made at the end
+    gaps = [b - a for a, b in zip(times, times[1:], strict=False) if b > a]
+    assert min(gaps) >= 250 * MS and (back < 250 * MS or moments[26] in times)
     assert {stamp for _, stamp in answers} <= set(taken) <= set(all_maps)
     assert step >= 250 * MS or len(taken) < 0.7 * len(all_maps)

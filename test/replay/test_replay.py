@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 from replay.recordings import CLOUD, GROUND, POSE, SECOND, START, flight, recording, write_ros2
 
-from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC
 from quadtree_lss.desk.exchange.saved import cells_arrays
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.files import write_npz
 from quadtree_lss.desk.replay.replay import ReplayError, replay
-from quadtree_lss.desk.replay.stream import Part
 from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.onboard.config.settings import config_from_values
 
@@ -201,15 +199,6 @@ def test_a_part_of_the_bag(bag, tmp_path):
     first, last = part.timings[0].stamp_ns, part.timings[-1].stamp_ns
     assert START + 0.3 * SECOND <= first <= last < START + 0.7 * SECOND
     assert seen[-1][0] == seen[-1][1] == pytest.approx(0.4)
-
-
-def test_the_last_message_belongs_to_the_bag(bag):
-    with Bag(bag) as opened:
-        part = Part.of(opened)
-        whole = [message.received_ns for message in opened.messages([SCAN_TOPIC, POSE_TOPIC])]
-        read = [m.received_ns for m in part.messages(opened, [SCAN_TOPIC, POSE_TOPIC])]
-        assert read == whole and read[-1] == opened.end_ns
-        assert part.seconds == (opened.end_ns - opened.start_ns) / SECOND
 
 
 @pytest.mark.parametrize(

@@ -75,11 +75,5 @@ def test_a_link_goes_to_the_place_and_a_section_shows_the_truth(evaluated, tmp_p
 
 @in_a_browser
 @pytest.mark.slow
-def test_it_can_be_used_by_all(evaluated, tmp_path):
-    assert accessible(evaluated[2], tmp_path)
-
-
-@in_a_browser
-@pytest.mark.slow
-def test_print_fits_two_pages(evaluated, tmp_path):
-    assert 1 <= sheets(evaluated[2], tmp_path) <= 2
+def test_it_can_be_used_by_all_and_prints_on_two_sheets(evaluated, tmp_path):
+    assert accessible(evaluated[2], tmp_path) and 1 <= sheets(evaluated[2], tmp_path) <= 2

@@ -1,15 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``quadtree-lss config``: print, check, explain."""
+"""``quadtree-lss config``: print, check, explain; what is wrong with a file, what a key means."""
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import math
+import os
+from collections.abc import Iterable
+from types import SimpleNamespace
 
-from quadtree_lss.desk.commands import common, explained
+from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.console import ProgressBar, warn
-from quadtree_lss.desk.replay.configuration import dump_config, load_config, slow
+from quadtree_lss.desk.replay.configuration import (
+    dump_config,
+    find_config,
+    load_config,
+    scalar_text,
+    slow,
+)
+from quadtree_lss.onboard.config import settings
+from quadtree_lss.onboard.config.loading import check_reaches, read_values
 from quadtree_lss.onboard.config.risk import doubt
-from quadtree_lss.onboard.config.settings import config_from_values, values_from_config
+from quadtree_lss.onboard.config.settings import Config, ConfigError, Parameter
+from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
 
 TEXT = (
     "Print a configuration as a ROS parameter file, check files, explain parameters, or suggest"
@@ -61,11 +75,11 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _explain(options: argparse.Namespace) -> int:
-    rows = [row for name in options.names for row in explained.explain(name)]
-    texts = [explained.explain_text(row) for row in rows]
+    rows = [row for name in options.names for row in explain(name)]
+    texts = [explain_text(row) for row in rows]
     if any(row.name.startswith("vehicle.") for row in rows):
-        texts.append(explained.lengths_text(common.chosen_config(options).vehicle))
-    told = {row.name: explained.parameter_as_dict(row) for row in rows}
+        texts.append(lengths_text(common.chosen_config(options).vehicle))
+    told = {row.name: parameter_as_dict(row) for row in rows}
     common.show(options, told, "\n\n".join(texts))
     return common.DONE
 
@@ -75,12 +89,12 @@ def _print(options: argparse.Namespace) -> int:
         options.parser.error(f"config print takes no names, got {' '.join(options.names)}")
     config = common.chosen_config(options)
     text = dump_config(config, comments=True)
-    common.show(options, values_from_config(config), text.removesuffix("\n"))
+    common.show(options, settings.values_from_config(config), text.removesuffix("\n"))
     return common.DONE
 
 
 def _check(options: argparse.Namespace) -> int:
-    found = explained.check_files(options.names, options.node)
+    found = check_files(options.names, options.node)
     lines = (f"{name}: {line}" for name, errors in found.items() for line in errors or ["good"])
     common.show(options, found, "\n".join(lines))
     for name in (name for name, errors in found.items() if not errors and not options.json):
@@ -95,13 +109,99 @@ def _suggest(options: argparse.Namespace) -> int:
 
     if len(options.names) != 1:
         options.parser.error("config suggest takes one bag")
-    config = config_from_values(options.vehicle or {}, common.chosen_config(options))
+    config = settings.config_from_values(options.vehicle or {}, common.chosen_config(options))
     with ProgressBar("suggest", "s", options.verbose) as bar:
         found = suggest_config(options.names[0], config, poses=options.poses, progress=bar.update)
     common.show(options, found.as_dict(), found.text().removesuffix("\n"))
     for note in found.notes[1:]:
         warn(note)
     return common.DONE
+
+
+def check_files(paths: Iterable[str | os.PathLike[str]], node: str = "") -> dict[str, list[str]]:
+    """Each file by itself over the defaults: all that is wrong with it, a line each. ``node``: full
+    name of a node that is to get something of each."""
+    return {str(path): _errors_of(path, node) for path in paths}
+
+
+def _errors_of(path: str | os.PathLike[str], node: str) -> list[str]:
+    errors: list[str] = []
+    try:
+        found = find_config(path)
+        if node:
+            check_reaches(found, node)
+        values = read_values(found, errors)
+    except ConfigError as error:
+        return [str(error).removeprefix(f"{path}: ")]
+    sound = settings.checked_values(values, errors)
+    sections = {
+        item.name: dataclasses.replace(getattr(Config(), item.name), **sound.get(item.name, {}))
+        for item in dataclasses.fields(Config)
+    }
+    return errors + list(settings.contradictions(SimpleNamespace(**sections)))
+
+
+def explain(name: str) -> list[Parameter]:
+    """The parameter of that name, or all of the section of that name. Raises `ConfigError`: there
+    is none; names the nearest."""
+    table = settings.parameters()
+    rows = [row for row in table if row.name == name or row.name.startswith(f"{name}.")]
+    if not rows:
+        sections = sorted({row.name.partition(".")[0] for row in table})
+        raise ConfigError(f"{settings.unknown_parameter(name)} (sections: {', '.join(sections)})")
+    return rows
+
+
+def explain_text(row: Parameter) -> str:
+    unit = f" {row.unit}" if row.unit else ""
+    lines = [f"{row.name} ({row.type.__name__})", f"  {row.doc}"]
+    lines.append(f"  default  {scalar_text(row.default)}{unit}")
+    name = row.name.removeprefix("lss.")
+    if name in Lengths.__dataclass_fields__:
+        lines[-1] += f": {rule(name)}, {getattr(Lengths(), name):g}{unit} of the default vehicle"
+    if row.choices:
+        lines.append(f"  choices  {', '.join(row.choices)}")
+    elif row.type in (int, float):
+        lines.append(f"  range    {row.low:g} .. {row.high:g}{unit}")
+    lines.append(f"  running  {'may be set on a running node' if row.live else 'read at start'}")
+    return "\n".join(lines)
+
+
+def lengths_text(vehicle: VehicleConfig) -> str:
+    """What follows from a vehicle, value and rule of each, a line each."""
+    of = f"{vehicle.diameter:g} m that clears {vehicle.clearance:g} m"
+    lines = [f"what follows from a vehicle of {of}:"]
+    for item in dataclasses.fields(Lengths):
+        value = f"{getattr(vehicle.lengths, item.name):.4g} {item.metadata['unit']}"
+        text = f"{rule(item.name)}: {item.metadata['doc']}"
+        lines.append(f"  {item.name:<20} {value:<12} = {text}")
+    return "\n".join(lines)
+
+
+def parameter_as_dict(row: Parameter) -> dict[str, object]:
+    """One parameter in JSON's types; limits that are infinite are None."""
+    numeric = row.type in (int, float)
+    return {
+        "type": row.type.__name__,
+        "default": row.default,
+        "unit": row.unit,
+        "low": row.low if numeric and math.isfinite(row.low) else None,
+        "high": row.high if numeric and math.isfinite(row.high) else None,
+        "choices": list(row.choices),
+        "live": row.live,
+        "doc": row.doc,
+    }
+
+
+def rule(name: str) -> str:
+    """How a length follows: ``0.833 x vehicle.clearance``, ``0.5 x least_hazard``."""
+    item = Lengths.__dataclass_fields__[name]
+    if item.metadata["rule"]:
+        return str(item.metadata["rule"])
+    of, power = item.metadata["of"], item.metadata["power"]
+    share = item.default / getattr(VehicleConfig(), of) ** power
+    given = of if of in Lengths.__dataclass_fields__ else f"vehicle.{of}"
+    return f"{share:.3g} x {given}" + (f"^{power}" if power > 1 else "")
 
 
 ACTIONS = {"print": _print, "check": _check, "explain": _explain, "suggest": _suggest}

@@ -115,14 +115,14 @@ class Interruption:
 
 def result_text(result: ReplayResult) -> str:
     """Key figures of a replay and its ranked sites; last, what to open."""
-    from quadtree_lss.desk.replay.results import points_line  # the core: slow to import
+    from quadtree_lss.desk.replay.results import aligned, points_line  # the core: slow to import
 
     summary, sites = result.summary, result.assessment.sites
     form = SCANS if result.timings else MODEL if "posts" in summary else MAPS
     dropped = sum(summary["scans_dropped"].values())
     used = points_line(summary["points"], summary["points_dropped"])
     text = form.format(**summary, dropped=dropped, used=used)
-    lines = [text, *table(_site_rows(sites))]
+    lines = [text, *aligned(_site_rows(sites), ">")]
     if not len(sites):
         reason = result.assessment.explanation.removeprefix("no safe site: ")
         lines = [text, f"no safe site: {reason}"]
@@ -149,12 +149,6 @@ def _site_rows(sites: Sites) -> list[Sequence[str]]:
         "subscale": map("{:.2f} m".format, sites.subscale_height),
     }
     return [tuple(columns), *zip(*columns.values(), strict=True)]
-
-
-def table(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of cells, right-aligned."""
-    widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
-    return ["  ".join(f"{c:>{w}}" for c, w in zip(row, widths, strict=True)) for row in rows]
 
 
 def say(text: str) -> None:

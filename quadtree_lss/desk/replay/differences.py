@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from quadtree_lss.desk.exchange.saved import Grid, Results, ResultsError, load_results
 from quadtree_lss.desk.replay.files import plain, write_bytes, write_json, writing
+from quadtree_lss.desk.replay.results import aligned
+from quadtree_lss.desk.report.palette import HAZARDS
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 
-HAZARDS = {1: "slope", 2: "elevation", 4: "exception", 8: "touchdown"}
-HAZARDS |= {UNMAPPED: "seen, not yet mapped", UNSEEN: "unseen"}
 SIGMAS = 3.0
 SAME_GROUND = 0.5
 """Correlation of heights. Flights over one field have 0.97 and more, over two fields -0.1 to 0.1; a
@@ -110,10 +110,8 @@ class Comparison:
             ("Safe ground of it", f"{self.safe_first:.0f} m² -> {self.safe_second:.0f} m²"),
             ("  gained / lost", f"{self.gained:.0f} m² / {self.lost:.0f} m²"),
         ]
-        width = max(len(label) for label, _ in rows)
-        lines = [f"{label:<{width}}  {value}" for label, value in rows]
         pairs = ", ".join(f"{a} -> {b}" for a, b in self.sites_kept)
-        lines.append(f"Sites kept: {pairs or 'none'}")
+        lines = [*aligned(rows, "<"), f"Sites kept: {pairs or 'none'}"]
         for name, sites in (("gained", self.sites_gained), ("lost", self.sites_lost)):
             for site in sites:
                 place = f"x {site.x:.2f}, y {site.y:.2f}"
@@ -235,7 +233,7 @@ def _verdict(grid: Grid, x: float, y: float, name: str) -> str:
         return f"allowed in the {name}, but others rank before it"
     bits = int(_laid(grid, grid["hazard"], *place)[0, 0])
     bits &= ~UNSEEN if bits & UNMAPPED else 255
-    kinds = ", ".join(kind for bit, kind in HAZARDS.items() if bits & bit)
+    kinds = ", ".join(kind for bit, kind, _ in sorted(HAZARDS) if bits & bit)
     return f"not allowed in the {name}{f' ({kinds})' if kinds else ', which has a hazard near it'}"
 
 

@@ -41,12 +41,7 @@ class Recorder:
     """
 
     def __init__(
-        self,
-        path: Path,
-        frame: str,
-        *,
-        maps: bool = True,
-        looks: tuple[Look, ...] = (),
+        self, path: Path, frame: str, *, maps: bool = True, looks: tuple[Look, ...] = ()
     ) -> None:
         self._path, self._maps, self._looks = path, maps, looks
         self.offset: Callable[[], PriorOffset | None] = lambda: None

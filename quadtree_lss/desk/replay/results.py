@@ -219,6 +219,15 @@ def grid_of(assessment: LandingAssessment) -> Grid:
     return found
 
 
+def aligned(rows: Sequence[Sequence[str]], sides: str = "<>") -> list[str]:
+    """Lines of a table for people: cells to the left (``<``) or right of each column, by default
+    the first to the left; the last of the ``sides`` is that of all further ones."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    sides = sides.ljust(len(widths), sides[-1])
+    forms = [f"{{:{side}{width}}}" for side, width in zip(sides, widths, strict=True)]
+    return ["  ".join(forms).format(*row).rstrip() for row in rows]
+
+
 def points_line(points: int, dropped: Mapping[str, int]) -> str:
     """``points 5.9 of 6.6 million used (10 % outside the domain)``. ``points``: of all mapped
     scans. ``dropped``: those of them that are not in the map, by the keys of

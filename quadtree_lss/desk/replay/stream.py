@@ -80,11 +80,7 @@ class Stream:
     kind. Raises `BagError`: a topic is missing or ambiguous."""
 
     def __init__(
-        self,
-        bag: Bag,
-        config: Config,
-        scan_topic: str | None = None,
-        pose_topic: str | None = None,
+        self, bag: Bag, config: Config, scan_topic: str | None = None, pose_topic: str | None = None
     ) -> None:
         self._bag = bag
         self.hear: Callable[[str, Any, RawMessage], None] | None = None

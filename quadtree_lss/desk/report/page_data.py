@@ -163,13 +163,11 @@ def _leaves(cells: CellMap, columns: Columns) -> dict[str, Any]:
 
 
 def _sites(content: Results) -> list[dict[str, Any]]:
-    normal = ("nx", "ny", "nz")
-    names = [name for name in content.sites if name not in ("rank", *normal)]
+    names = [name for name in content.sites if name not in ("rank", "nx", "ny", "nz")]
     return [
         {
             "rank": k + 1,
             **{name: _json(content.sites[name][k]) for name in names},
-            "normal": [float(content.sites[name][k]) for name in normal],
             "reason": reason,
         }
         for k, reason in enumerate(content.reasons)

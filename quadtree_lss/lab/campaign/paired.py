@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.desk.replay.files import plain
+from quadtree_lss.desk.replay.results import aligned
 from quadtree_lss.lab.campaign.kinds import CampaignError, Quantity, kind_of
 from quadtree_lss.lab.campaign.store import Record
 from quadtree_lss.lab.campaign.summary import bootstrap, number, numbers, read_campaign
-from quadtree_lss.lab.evaluation.results import aligned
 
 
 @dataclass(frozen=True)

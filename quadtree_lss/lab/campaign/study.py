@@ -43,9 +43,6 @@ class Drawn:
     how: str
     of: tuple[Any, ...]
 
-    def draw(self, generator: np.random.Generator) -> Value:
-        return DRAWN[self.how](generator, *self.of)
-
 
 Combination = Mapping[tuple[str, str], Any]
 """Values by (``scenario`` | ``conditions`` | ``parameters`` | ``case``, name)."""
@@ -100,7 +97,7 @@ class Study:
             if isinstance(value, Drawn):
                 own = zlib.crc32(".".join(key).encode())
                 sequence = np.random.SeedSequence(entropy, spawn_key=(turn, own))
-                value = value.draw(np.random.default_rng(sequence))
+                value = DRAWN[value.how](np.random.default_rng(sequence), *value.of)
             values[key] = value
         files = self.files[str(values[("case", "case")])]
         overrides = {name: v for (part, name), v in values.items() if part == "parameters"}

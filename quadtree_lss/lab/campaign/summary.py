@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from quadtree_lss.desk.replay.files import plain, write_bytes, write_csv
+from quadtree_lss.desk.replay.results import aligned
 from quadtree_lss.lab.campaign.kinds import CampaignError, Quantity
 from quadtree_lss.lab.campaign.store import Record, read_record, record_name
 from quadtree_lss.lab.campaign.study import Study
-from quadtree_lss.lab.evaluation.results import aligned
 
 WORST = 5
 """Flights that are listed."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``quadtree-lss fly``."""
+"""``quadtree-lss fly`` and ``simulate``: a lander that flies, and a flight as a bag."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from quadtree_lss.desk.commands import common
-from quadtree_lss.desk.commands.console import ProgressBar, first_line, say, warn
+from quadtree_lss.desk.commands import common, console
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 if TYPE_CHECKING:
@@ -27,10 +26,55 @@ EXAMPLES = """examples:
 """
 AVOIDANCE = ("package", "paper", "none", "perfect")
 LONGEST = 100.0
+TERRAIN = "elevation model: GeoTIFF, or .npz with x, y, elevation (ny, nx), m"
+SCENARIOS = ("morpheus", "parabola", "descent", "drone", "depth")
+GIVEN = "seed duration terrain range_noise outliers dropouts flights rocks overwrite".split()
+SIMULATE = "Simulate a flight: a bag, and truth.npz beside it."
+FLIGHTS = """flights:
+  morpheus   the paper's Section VII: 20 s at 20 Hz on a 30 degree glide slope, 450 m off, 1 degree
+             gimballed lidar, over 60 x 60 m of rocks and craters
+  parabola   the paper's Section VI exactly: 61 scans at 1 Hz from 500 m, 10 degree lidar
+  descent    30 s at 5 Hz from 200 m down to 50 m, looking down with 20 degrees, over 60 x 60 m;
+             for measured ground by --terrain
+  drone      10 s at 10 Hz from 25 m down to 15 m, looking down with 60 degrees, over 16 x 16 m
+  depth      10 s at 5 Hz from 15 m down to 3 m, looking down with a stereo camera's depth images,
+             640 x 480, over 8 x 8 m of the drone's ground
+--terrain takes an elevation model: GeoTIFF, or .npz with x (nx,), y (ny,) ascending in the same
+equal steps and elevation (ny, nx), m, z up, at least 9 x 9 m. Without it morpheus and descent fly
+over a field of rocks and craters. The flight is about the model's middle (parabola's about x 10,
+y 0): let domain.xmin, domain.ymin, domain.size of the replay fit, or take those of `config suggest
+BAG`.
+
+"""
+SIMULATE_EXAMPLES = """examples:
+  quadtree-lss simulate morpheus --seed 7 --out flight/bag      (flight/truth.npz beside it)
+  quadtree-lss simulate parabola --seed 1 --out parabola/bag
+  quadtree-lss simulate descent --terrain dem.npz --out descent/bag
+  quadtree-lss simulate morpheus --flights 2 --outliers 0.02 --dropouts 0.05 --out two/bag
+
+Ctrl-C ends the flight there: bag and truth are those of what was flown so far. A second one
+stops at once and leaves no bag.
+"""
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    add = common.add_command(commands, "fly", _run, TEXT, EXAMPLES).add_argument
+    text = FLIGHTS + SIMULATE_EXAMPLES
+    add = common.add_command(commands, "simulate", _simulate, SIMULATE, text).add_argument
+    add("scenario", choices=SCENARIOS, help="which flight")
+    text = "of terrain and noise (default 1)"
+    add("--seed", type=common.whole(0), default=1, metavar="N", help=text)
+    add("--out", required=True, type=common.named, metavar="BAG", help="bag to write")
+    add("--duration", type=common.positive, metavar="D", help="seconds of flight")
+    add("--terrain", type=common.named, metavar="DEM", help=TERRAIN)
+    add("--range-noise", type=common.not_negative, metavar="M", help="one sigma of a range, m")
+    add("--outliers", type=common.share, default=0.0, metavar="F", help="share of false returns")
+    add("--dropouts", type=common.share, default=0.0, metavar="F", help="share of missing returns")
+    text = "share of the ground that rocks cover"
+    add("--rocks", type=common.not_negative, metavar="K", help=text)
+    text = "fly N times over the same ground, with other navigation errors, into one bag"
+    add("--flights", type=common.whole(1), default=1, metavar="N", help=text)
+    add("--overwrite", action="store_true", help="replace an existing bag and truth.npz")
+    add = common.add_command(commands, "fly", _fly, TEXT, EXAMPLES).add_argument
     text = "of ground, start, navigation, lidar"
     add("--seed", type=common.whole(0), default=1, metavar="N", help=text)
     add("--out", required=True, type=common.named, metavar="DIR", help="folder for the results")
@@ -40,8 +84,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--rate", type=common.positive, metavar="R", help=text)
     text = "by the nodes; by the paper's rules; straight to the planned point; by the true ground"
     add("--avoidance", choices=AVOIDANCE, default="package", help=text)
-    text = "elevation model: GeoTIFF, or .npz with x, y, elevation (ny, nx), m"
-    add("--terrain", type=common.named, metavar="DEM", help=text)
+    add("--terrain", type=common.named, metavar="DEM", help=TERRAIN)
     text = "share of the ground that rocks cover (default 0.05, with --terrain none)"
     add("--rocks", type=common.share, metavar="K", help=text)
     text = "KIND@HEIGHT or KIND@HEIGHT+SECONDS; may be repeated; kinds in docs/closed_loop.md"
@@ -52,18 +95,26 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--no-page", action="store_true", help="no picture and no page")
 
 
-def _run(options: argparse.Namespace) -> int:
+def _fly(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.files import write_json
     from quadtree_lss.lab.flight.flight_page import headline, write_flight
     from quadtree_lss.lab.flight.fly import flown
     from quadtree_lss.lab.flight.settings import flight_settings
 
-    settings = flight_settings(_values(options))
+    given = {
+        "avoidance": options.avoidance,
+        "terrain": str(options.terrain or ""),
+        "rock_abundance": options.rocks,
+        "faults": tuple(options.fault),
+        "config": common.overrides(options),
+        "judge": "physics" if options.physics else "contact",
+    }
+    settings = flight_settings(given)
     alone = options.lockstep or options.avoidance in ("none", "perfect")
     if alone and options.rate is not None:
         options.parser.error("--rate: only over ROS, not with --lockstep")
     figures = {"seed": options.seed, "avoidance": options.avoidance, "outcome": "none"}
-    with ProgressBar("fly", "s", options.verbose) as bar:
+    with console.ProgressBar("fly", "s", options.verbose) as bar:
         progress = partial(bar.update, total=LONGEST)
         try:
             if alone:
@@ -71,18 +122,15 @@ def _run(options: argparse.Namespace) -> int:
             else:
                 done = _live(options, settings, progress)
         except BaseException as error:
-            figures |= {"safe": False, "reason": first_line(error)}
+            figures |= {"safe": False, "reason": console.first_line(error)}
             write_json(options.out / "touchdown.json", figures)
             raise
     write_flight(options.out, done, report=not options.no_page)
     if done.figures["warnings"]:
-        warn(f"warning: {done.figures['warnings']}")
-    if options.json:
-        common.print_json(done.figures)
-    else:
-        print(f"{headline(done)}\nresults in {options.out}")
+        console.warn(f"warning: {done.figures['warnings']}")
+    common.show(options, done.figures, f"{headline(done)}\nresults in {options.out}")
     if others := done.figures.get("others"):
-        say(f"error: the flight says nothing, for others published {'; '.join(others)}")
+        console.say(f"error: the flight says nothing, for others published {'; '.join(others)}")
         return common.ERROR
     return common.DONE
 
@@ -92,7 +140,7 @@ def _live(options: argparse.Namespace, settings: FlightSettings, progress: Progr
         from quadtree_lss.lab.live.flight import fly_live
         from quadtree_lss.lab.live.processes import given_domain
     except ImportError as error:
-        msg = f"ROS 2 is not here ({first_line(error)}); --lockstep flies without"
+        msg = f"ROS 2 is not here ({console.first_line(error)}); --lockstep flies without"
         raise QuadtreeLssError(msg) from None
     rate = 1.0 if options.rate is None else options.rate
     live = options.out / "nodes"
@@ -100,12 +148,19 @@ def _live(options: argparse.Namespace, settings: FlightSettings, progress: Progr
     return fly_live(options.seed, settings, live, **how)
 
 
-def _values(options: argparse.Namespace) -> dict[str, Any]:
-    return {
-        "avoidance": options.avoidance,
-        "terrain": str(options.terrain or ""),
-        "rock_abundance": options.rocks,
-        "faults": tuple(options.fault),
-        "config": common.overrides(options),
-        "judge": "physics" if options.physics else "contact",
-    }
+def _simulate(options: argparse.Namespace) -> int:
+    from quadtree_lss.lab.simulation.simulate import simulate
+
+    then = f"closes {options.out} and writes truth.npz for what was flown so far"
+    verbose, how = options.verbose, common.given(options, *GIVEN)
+    with (
+        console.Interruption(then) as interruption,
+        console.ProgressBar("simulate", "scans", verbose) as bar,
+    ):
+        how |= {"progress": bar.update, "stop": interruption.asked}
+        result = simulate(options.scenario, options.out, **how)
+    common.tell(options, result)
+    if result.interrupted:
+        console.say(f"interrupted: the bag has the first {result.scans} scans")
+        return common.INTERRUPTED
+    return common.DONE

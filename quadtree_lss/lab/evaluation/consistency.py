@@ -14,7 +14,8 @@ from scipy.stats import chi
 
 import quadtree_lss
 from quadtree_lss.desk.replay.replay import scans
-from quadtree_lss.lab.evaluation.results import COLUMNS, EvaluationError, Results, aligned
+from quadtree_lss.desk.replay.results import aligned
+from quadtree_lss.lab.evaluation.results import COLUMNS, EvaluationError, Results
 from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.config.settings import Config, LidarConfig
 from quadtree_lss.onboard.core.geometry.morton import squeezed

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.desk.replay.files import new_folder, plain, write_json, writing
+from quadtree_lss.desk.replay.results import aligned
 from quadtree_lss.lab.evaluation import metrics
 from quadtree_lss.lab.evaluation.consistency import Consistency, consistency
 from quadtree_lss.lab.evaluation.results import (
@@ -19,7 +20,6 @@ from quadtree_lss.lab.evaluation.results import (
     EvaluationError,
     Results,
     Truth,
-    aligned,
     check_truth,
     load_results,
     load_truth,
@@ -86,16 +86,13 @@ class EvaluationResult:
         tables = [part.table() for part in (self.risk, self.consistency) if part is not None]
         if self.risk is not None:
             rows.append(("Brier score of the risk", f"{self.risk.brier:.4f}"))
-        width = max(len(label) for label, _ in rows)
-        text = "\n".join(f"{label:<{width}}  {value}" for label, value in rows)
-        return "\n\n".join([text, *tables, *(["\n".join(self.notes)] if self.notes else [])])
+        notes = ["\n".join(self.notes)] if self.notes else []
+        return "\n\n".join(["\n".join(aligned(rows, "<")), *tables, *notes])
 
     def _unsafe_sites(self) -> str:
-        text, verdicts = (
-            f"{self.unsafe_in_top_five} of {len(self.site_verdicts)}",
-            self.site_verdicts,
-        )
-        ranks = ", ".join(str(k) for k, v in enumerate(verdicts, start=1) if v == "unknown")
+        unknown = (k for k, v in enumerate(self.site_verdicts, start=1) if v == "unknown")
+        text = f"{self.unsafe_in_top_five} of {len(self.site_verdicts)}"
+        ranks = ", ".join(map(str, unknown))
         return text + bool(ranks) * f" (rank {ranks} beyond the true terrain: cannot be judged)"
 
 

@@ -51,7 +51,8 @@ def draw_all(
     (Figs. 10, 13 instead of 9, 12), one of several flights for FF13 + FF14 (Fig. 24 instead of
     23)."""
     sites = {"sites": results.positions[:TOP]}
-    fixed, several = _fixed(results.map), truth.flights_of(results.timing["stamp_ns"]) > 1
+    fixed, stamps = _fixed(results.map), results.timing["stamp_ns"]
+    several = np.unique(truth.scan_flight[np.isin(truth.scan_stamp_ns, stamps)]).size > 1
     cells = "fig10_fixed_resolution_and_scans" if fixed else "fig09_quadtree_and_scans"
     error = "fig13_fixed_resolution_error" if fixed else "fig12_quadtree_error"
     score = "fig24_site_score_of_several_flights" if several else "fig23_site_score"

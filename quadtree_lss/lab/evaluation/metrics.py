@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, distance_transform_edt, label
 
 from quadtree_lss.desk.exchange.saved import Grid
-from quadtree_lss.lab.evaluation.results import Truth, aligned
+from quadtree_lss.desk.replay.results import aligned
+from quadtree_lss.lab.evaluation.results import Truth
 from quadtree_lss.lab.simulation.safety import contact_safe, on_dem, safety_map
 from quadtree_lss.lab.simulation.terrain import bilinear
 from quadtree_lss.onboard.arrays import Array, Mask

@@ -4,7 +4,7 @@ two mean nothing."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,16 +40,6 @@ _SHAPES |= dict.fromkeys(_TRUTH_EXTRA, ("scan_stamp_ns",))
 """How long they are along their first axes: a number, or as many as that array has."""
 
 
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table for people: the first column to the left, the others to the right."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = []
-    for first, *others in rows:
-        cells = [f"{cell:>{width}}" for cell, width in zip(others, widths[1:], strict=True)]
-        lines.append("  ".join([f"{first:<{widths[0]}}", *cells]))
-    return lines
-
-
 class EvaluationError(QuadtreeLssError):
     """Results or truth that cannot be scored; the text is one clear line."""
 
@@ -80,10 +70,6 @@ class Truth(Terrain):
             return np.empty((0, 1, 2)), 0
         shown = self.scan_outline[rows[::every]]
         return np.concatenate([shown, shown[:, :1]], axis=1), rows.size
-
-    def flights_of(self, stamps_ns: NDArray[np.int64]) -> int:
-        """How many flights the given scans are from."""
-        return int(np.unique(self.scan_flight[np.isin(self.scan_stamp_ns, stamps_ns)]).size)
 
 
 def load_truth(path: str | Path) -> Truth:

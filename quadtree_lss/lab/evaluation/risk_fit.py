@@ -8,7 +8,7 @@ it.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -174,16 +174,11 @@ def rounded(values: Array) -> Row:
 
 def risk_model_text(model: RiskModel) -> str:
     """The model as `risk_model` reads it."""
-
-    def line(row: Row) -> str:
-        return "[" + ", ".join(f"{value:.6g}" for value in row) + "]"
-
-    lines = [f"seen: {line(model.seen)}"]
+    content: dict[str, Any] = {"seen": list(model.seen)}
     for name, cause in model.causes.items():
-        lines += [f"{name}:", f"  constant: {cause.constant:.6g}"]
-        for curve in cause.curves:
-            lines += [f"  {curve.of}:", f"    knots: {line(curve.knots)}", "    odds:"]
-            lines += [f"    - {line(row)}" for row in curve.odds]
-    origin = {"provenance": dict(model.provenance)}
-    told = yaml.safe_dump(origin, sort_keys=False, width=96, default_flow_style=None)
-    return "\n".join(lines) + "\n" + str(told)
+        curves = {
+            c.of: {"knots": list(c.knots), "odds": [*map(list, c.odds)]} for c in cause.curves
+        }
+        content[name] = {"constant": cause.constant, **curves}
+    content["provenance"] = dict(model.provenance)
+    return str(yaml.safe_dump(content, sort_keys=False, width=96, default_flow_style=None))

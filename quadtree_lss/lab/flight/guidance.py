@@ -55,21 +55,10 @@ class Paths:
 
 
 def zem_zev(
-    position: Array,
-    velocity: Array,
-    end: Array,
-    end_velocity: Array,
-    time_to_go: float | Array,
-    weight: Array,
-) -> Array:
-    """Acceleration (..., 3) by thrust, now; all in the map frame, m and s."""
-    return _profile(position, velocity, end, end_velocity, time_to_go, weight)[0]
-
-
-def _profile(
     position: Array, velocity: Array, end: Array, end_velocity: Array, t: Any, weight: Array
 ) -> tuple[Array, Array]:
-    """The acceleration now, and its change until the end."""
+    """Acceleration (..., 3) by thrust, now, and its change until the end, ``t`` s on, a number or
+    an array; all in the map frame, m and s."""
     miss = end - position - velocity * t - 0.5 * weight * t * t
     wrong = end_velocity - velocity - weight * t
     change = 6.0 / t * wrong - 12.0 / (t * t) * miss
@@ -88,7 +77,7 @@ def paths(
 ) -> Paths:
     """What it takes to reach each of ``ends`` (K, 3) in each of ``times`` (M,)."""
     t, weight = times[None, :, None], vehicle.weight
-    first, change = _profile(position, velocity, ends[:, None], end_velocity, t, weight)
+    first, change = zem_zev(position, velocity, ends[:, None], end_velocity, t, weight)
     at = _AT[:, None, None, None]
     acceleration = first + change * at  # (n, K, M, 3)
     s = at * t

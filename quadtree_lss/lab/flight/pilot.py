@@ -212,7 +212,7 @@ class Pilot:
             self._note("gate")
             return self._down()
         weight = self.vehicle.weight
-        push = zem_zev(position, velocity, self.gate(), down, self.time_to_go, weight)
+        push, _ = zem_zev(position, velocity, self.gate(), down, self.time_to_go, weight)
         return thrust_for(self.vehicle, mass, push)
 
     def _plan(self, now: float) -> None:
@@ -257,7 +257,7 @@ class Pilot:
             if self.time_to_go > 1.5:
                 self.time_to_go -= 0.1
                 end, weight = (over, np.zeros(3)), self.vehicle.weight
-                push = zem_zev(position, velocity, *end, self.time_to_go, weight)
+                push, _ = zem_zev(position, velocity, *end, self.time_to_go, weight)
                 return thrust_for(self.vehicle, mass, push)
         push = np.clip(0.25 * (over - position), -2.0, 2.0) - 0.8 * velocity
         push[:2] *= min(1.0, 0.5 * gravity / max(float(np.hypot(*push[:2])), 1e-9))

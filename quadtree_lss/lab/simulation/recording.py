@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -113,28 +115,21 @@ class Messages(MessageMaker):
         return self._make(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
 
 
-class BagRecorder:
-    """Context manager that records messages of `TYPES` and `DEPTH_TYPES` into a new mcap bag."""
+@contextmanager
+def recorded(path: Path) -> Iterator[Callable[[str, int, Any], None]]:
+    """Within it, what writes a message of `TYPES` or `DEPTH_TYPES`, of its topic and time of
+    reception in ns, into a new mcap bag."""
+    store, kinds = get_typestore(Stores.ROS2_JAZZY), TYPES | DEPTH_TYPES
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
 
-    def __init__(self, path: Path) -> None:
-        self._store = get_typestore(Stores.ROS2_JAZZY)
-        self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+        @cache
+        def connection(topic: str) -> Any:
+            return writer.add_connection(topic, kinds[topic], typestore=store)
 
-    def __enter__(self) -> BagRecorder:
-        self._writer.open()
-        self._topics = {topic: self._connection(topic) for topic in TYPES}
-        return self
+        def write(topic: str, received_ns: int, message: Any) -> None:
+            raw = store.serialize_cdr(message, kinds[topic])
+            writer.write(connection(topic), received_ns, raw)
 
-    def _connection(self, topic: str) -> Any:
-        kind = {**TYPES, **DEPTH_TYPES}[topic]
-        return self._writer.add_connection(topic, kind, typestore=self._store)
-
-    def __exit__(self, *_: object) -> None:
-        self._writer.close()
-
-    def write(self, topic: str, received_ns: int, message: Any) -> None:
-        if topic not in self._topics:
-            self._topics[topic] = self._connection(topic)
-        connection = self._topics[topic]
-        raw = self._store.serialize_cdr(message, connection.msgtype)
-        self._writer.write(connection, received_ns, raw)
+        for topic in TYPES:
+            connection(topic)
+        yield write

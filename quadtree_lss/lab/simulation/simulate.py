@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.lab.simulation.recording import DEPTH_TOPIC, SCAN_TOPIC, BagRecorder
+from quadtree_lss.lab.simulation.recording import DEPTH_TOPIC, SCAN_TOPIC, recorded
 from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.lab.simulation.simulation import Simulation
 from quadtree_lss.lab.simulation.terrain import SimulationError
@@ -92,9 +92,9 @@ def simulate(
     _make_room(path, overwrite)
     done = 0
     try:
-        with BagRecorder(path) as recorder:
+        with recorded(path) as write:
             for topic, received_ns, message in simulation.messages(stop):
-                recorder.write(topic, received_ns, message)
+                write(topic, received_ns, message)
                 if progress is not None and topic in (SCAN_TOPIC, DEPTH_TOPIC):
                     done += 1
                     progress(done, simulation.scans)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +28,6 @@ _START_NS = 1_700_000_000 * 10**9
 _GAP_S = 10.0
 _SCAN_LATENCY_NS = 12_000_000
 _POSE_LATENCY_NS = 3_000_000
-
-
-class Arrival(NamedTuple):
-    topic: str
-    received_ns: int
-    message: Any
 
 
 @dataclass
@@ -107,8 +101,9 @@ class Simulation:
         """The scanned area: xmin, xmax, ymin, ymax, m."""
         return self.legs[0].plan.box
 
-    def messages(self, stop: Callable[[], bool] | None = None) -> Iterator[Arrival]:
-        """All messages, once; ``stop`` is asked before each."""
+    def messages(self, stop: Callable[[], bool] | None = None) -> Iterator[tuple[str, int, Any]]:
+        """All messages, once, each with its topic and time of reception; ``stop`` is asked before
+        each."""
         for leg in self.legs:
             plan = leg.plan
             poses = plan.trajectory.poses(plan.pose_times)
@@ -122,7 +117,7 @@ class Simulation:
                     leg.poses += 1
                     place, stamp = estimate.positions[k], int(leg.pose_ns[k])
                     pose = self.make.pose(stamp, place, rotations[k], estimate.covariance)
-                    yield Arrival(POSE_TOPIC, received_ns, pose)
+                    yield POSE_TOPIC, received_ns, pose
                     continue
                 at = leg.positions[k], leg.rotations[k]
                 scan = plan.lidar.scan(plan.surface, *at, self._noise)
@@ -130,12 +125,11 @@ class Simulation:
                 leg.points += int(np.isfinite(scan[..., 0]).sum())
                 stamp, camera = int(leg.scan_ns[k]), plan.lidar
                 if not isinstance(camera, StereoCamera):
-                    yield Arrival(SCAN_TOPIC, received_ns, self.make.scan(stamp, scan))
+                    yield SCAN_TOPIC, received_ns, self.make.scan(stamp, scan)
                     continue
                 size = camera.rows, camera.columns
-                info = self.make.camera(stamp, *size, camera.focal_length)
-                yield Arrival(CAMERA_TOPIC, received_ns, info)
-                yield Arrival(DEPTH_TOPIC, received_ns, self.make.depth(stamp, scan[..., 2]))
+                yield CAMERA_TOPIC, received_ns, self.make.camera(stamp, *size, camera.focal_length)
+                yield DEPTH_TOPIC, received_ns, self.make.depth(stamp, scan[..., 2])
 
     def truth(self, bag_name: str, lander: LandingGear | None = None) -> dict[str, NDArray[Any]]:
         """Content of ``truth.npz`` for what has been flown."""
