@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ground that is seen in part: edges, small footprints, few looks, strips, and recorded flights.
+"""Ground that is seen in part: edges, small footprints, few looks, drops, strips, recorded flights.
 
-Scenes of the first four cases are closed formulas (`common.rays`); ``autzen`` and the terrains of
+Scenes of the first five cases are closed formulas (`common.rays`); ``autzen`` and the terrains of
 ``section_vi`` need files that others measured, and are left out where these are not at hand.
 """
 
@@ -272,6 +272,57 @@ def inside(seeds: list[int] | None, quick: bool) -> None:
     )
 
 
+def drops(seeds: list[int] | None, quick: bool) -> None:
+    """Ditches, steps and pits, seen often and from one side alone: no return from their floors."""
+    domain = {"domain__xmin": -16.0, "domain__ymin": -16.0, "domain__size": 32.0}
+    config = configuration("flight", **domain, domain__min_level=3, domain__max_level=7)
+    rows, rays = [], fan(8.0, 96)
+    for kind in ("ditch", "step", "pits"):
+        for incidence in (30, 60) if quick else (20, 30, 40, 50, 60, 70):
+            verdicts = []
+            for seed in seeds or range(5201, 5203 if quick else 5213):
+                rng = np.random.default_rng([seed, incidence])
+                scene, top = dropping(rng, kind)
+                heading, mapper = rng.uniform(-1.0, 1.0), Mapper(config)
+                for k in range(40):
+                    aim = rng.uniform(-6.0, 6.0, 2)
+                    turn = heading + rng.normal(0.0, 0.1)
+                    position = from_glide_slope(aim, turn, 100.0, 90.0 - incidence)
+                    position[2] += top
+                    one = view(scene, position, [*aim, top], rays, NOISE, rng, 1.0 + 0.05 * k)
+                    mapper.update(one.points, one.pose)
+                verdicts.append(verdict(mapper.snapshot(), config, scene))
+            safe, wrong = sum(v.safe for v in verdicts), sum(len(v.wrong) for v in verdicts)
+            rows.append(
+                [kind, incidence, len(verdicts), safe, wrong, f"{100 * wrong / max(safe, 1):.2f}"]
+                + [told(np.nanmin([v.risk for v in verdicts] + [np.inf]))]
+            )
+    table(
+        "drops of 0.4-0.8 m, 0.4-1 m wide, seen in 40 scans from one side; grid points called safe",
+        ["", "incidence, deg", "maps", "safe", "unsafe", "%", "least risk"],
+        rows,
+    )
+
+
+def dropping(rng: np.random.Generator, kind: str) -> tuple[Scene, float]:
+    """Level ground over a plane, with holes down to it; and how high that ground is, m."""
+    deep, wide, far = rng.uniform(0.4, 0.8), rng.uniform(0.4, 1.0), 30.0
+    if kind == "pits":
+        rows = np.linspace(-7.0, 7.0, 4) + rng.uniform(-1.0, 1.0, 4)
+        ends = np.concatenate([[-far], np.column_stack([rows, rows + wide]).ravel(), [far]])
+        # Between rows of pits the ground runs through, in a row from pit to pit.
+        boxes = [[-far, a, -1.0, far, b, deep] for a, b in ends.reshape(-1, 2)]
+        for south in rows:
+            along = np.linspace(-7.0, 7.0, 4) + rng.uniform(-1.0, 1.0, 4)
+            ends = np.concatenate([[-far], np.column_stack([along, along + wide]).ravel(), [far]])
+            boxes += [[a, south, -1.0, b, south + wide, deep] for a, b in ends.reshape(-1, 2)]
+    else:
+        rim = rng.uniform(-2.0, 2.0)
+        boxes = [[-far, -far, -1.0, rim, far, deep]]
+        boxes += [[rim + wide, -far, -1.0, far, far, deep]] if kind == "ditch" else []
+    return Scene(boxes=np.array(boxes)), deep
+
+
 def strips(seeds: list[int] | None, quick: bool) -> None:
     """Flat ground whose scanned part ends anywhere in leaves: what they claim and err by."""
     rows = []
@@ -330,6 +381,7 @@ CASES = {
     "edge": edge,
     "footprints": footprints,
     "inside": inside,
+    "drops": drops,
     "strips": strips,
     "section_vi": section_vi,
     "autzen": autzen,

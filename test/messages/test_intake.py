@@ -55,7 +55,7 @@ def test_bad_messages_are_counted_by_reason_and_told_once_each():
 
 
 @pytest.mark.survives(
-    "covariance all zero",
+    "covariance zero, of position, of attitude, or both",
     "unknown by convention: `pose.unknown_*` are used, with a line at most every five seconds",
 )
 def test_unknown_covariance_is_told_and_replaced():

@@ -108,7 +108,8 @@ class Heard:
         place, turn = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
         size = np.linalg.norm(turn)
         if np.isfinite(place).all() and size > 0.5:
-            known = bool(np.asarray(msg.pose.covariance).any())
+            variances = np.reshape(msg.pose.covariance, (6, 6)).diagonal()
+            known = bool(variances.reshape(2, 3).any(axis=1).all())
             self._poses.append((stamp_ns(msg.header), place, turn / size, known))
 
     def add_gimbal(self, msg: Any) -> None:
@@ -120,7 +121,8 @@ class Heard:
         found = []
         if self._poses and not any(known for *_, known in self._poses):
             place, turn = config.pose.unknown_position_sigma, config.pose.unknown_attitude_sigma_deg
-            text = "the poses' covariances are all zero: nothing says how well they are known"
+            text = "the poses' covariances are zero in position or attitude: nothing says how well"
+            text += " that is known"
             mend = f"publish the filter's own, or set pose.unknown_position_sigma (now {place:g} m)"
             mend += f" and pose.unknown_attitude_sigma_deg (now {turn:g})"
             found.append(Finding("covariance", text, mend))

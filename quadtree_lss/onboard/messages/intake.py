@@ -151,7 +151,7 @@ class Intake:
             return
         if has_unknown_covariance(msg):
             text = (
-                "pose covariance is all zero, taken as unknown: using"
+                "pose covariance is zero in position or attitude, taken as unknown: using"
                 f" {limits.unknown_position_sigma:g} m and"
                 f" {limits.unknown_attitude_sigma_deg:g} deg (pose.unknown_position_sigma,"
                 " pose.unknown_attitude_sigma_deg)"

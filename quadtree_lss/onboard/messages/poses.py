@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.core.geometry.portable import eigen, product
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
 from quadtree_lss.onboard.core.sensing.lidar import Pose
@@ -32,9 +32,6 @@ COVARIANCE_TOLERANCE = 1e-6
 """Relative asymmetry and negative eigenvalue that count as rounding and are mended."""
 
 
-_UNKNOWN = bytes(8 * 36)
-
-
 def pose_from_message(
     msg: Any,
     map_frame: str,
@@ -44,8 +41,9 @@ def pose_from_message(
 ) -> Pose:
     """Pose of the lidar (or body) in the map frame.
 
-    A covariance of zeros alone says "unknown" by convention; the two sigmas (m and degrees, each
-    axis) then take its place (see `has_unknown_covariance`). ``msg`` is like
+    Variances of zeros alone, of position or of attitude, say "unknown" by convention; the two
+    sigmas (m and degrees, each axis) then take their place (see `has_unknown_covariance`). ``msg``
+    is like
     ``geometry_msgs/PoseWithCovarianceStamped`` or ``nav_msgs/Odometry``, of which the velocity is
     not used; its header's frame must be ``map_frame``, a leading slash aside; its covariance is of
     (x, y, z, rotation about that frame's fixed axes), m and rad. Raises `MessageError`: reason
@@ -54,17 +52,17 @@ def pose_from_message(
     check_frame(msg.header.frame_id, map_frame, "pose")
     position = _position(msg.pose.pose.position, "pose position")
     rotation = _rotation(msg.pose.pose.orientation, "pose orientation")
-    covariance = _covariance(_content(msg.pose.covariance))
-    if covariance is None:
-        attitude = np.deg2rad(unknown_attitude_sigma_deg)
-        sigmas = np.repeat([unknown_position_sigma, attitude], 3)
-        covariance = np.diag(sigmas**2)
+    covariance, unknown = _covariance(_content(msg.pose.covariance))
+    if unknown.any():
+        sigmas = np.repeat([unknown_position_sigma, np.deg2rad(unknown_attitude_sigma_deg)], 3)
+        covariance = covariance + np.diag(np.where(unknown, sigmas, 0.0) ** 2)
     return Pose(stamp_ns(msg.header), position, rotation, covariance)
 
 
 def has_unknown_covariance(msg: Any) -> bool:
-    """True if all 36 entries are zero, by which a publisher says that it does not know."""
-    return _content(msg.pose.covariance) == _UNKNOWN
+    """True if the variances of position or of attitude are all zero: a publisher does not know them.
+    Raises `MessageError` as `pose_from_message`."""
+    return bool(_covariance(_content(msg.pose.covariance))[1].any())
 
 
 def mount_from_message(msg: Any, what: str = "gimbal") -> Pose:
@@ -92,17 +90,15 @@ def _content(covariance: Any) -> bytes:
 
 
 @lru_cache(maxsize=8)  # most publishers repeat theirs, and poses come at hundreds a second
-def _covariance(content: bytes) -> Array | None:
+def _covariance(content: bytes) -> tuple[Array, Mask]:
     """A covariance (6, 6) of 36 float64 row by row, symmetric and without negative eigenvalues,
-    read-only; None if all are zero.
+    read-only; and (6,) of which axes nothing is said, all three of position or of attitude.
 
     Rounding is mended, more is refused. Asymmetry and eigenvalues are judged after scaling to unit
     diagonal, since metres and radians differ by orders of magnitude. Raises `MessageError`:
     ``covariance`` if it is of another length, not finite, not symmetric, or has a negative
     eigenvalue; ``attitude`` if that is as good as unknown.
     """
-    if content == _UNKNOWN:
-        return None
     entries = np.frombuffer(content)
     if entries.size != 36:
         text = f"pose covariance has {entries.size} entries; 36 are needed"
@@ -138,7 +134,7 @@ def _covariance(content: bytes) -> Array | None:
         text += "; a covariance of zeros says unknown (pose.unknown_attitude_sigma_deg)"
         raise MessageError("attitude", text)
     covariance.flags.writeable = False
-    return covariance
+    return covariance, np.repeat(~variances.reshape(2, 3).any(axis=1), 3)
 
 
 def _position(point: Any, what: str) -> Array:
