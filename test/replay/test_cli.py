@@ -281,6 +281,12 @@ def test_an_error_leaves_no_empty_results_folder(bag, tmp_path, capsys, monkeypa
     assert not list((tmp_path / "results").iterdir())
 
 
+def test_a_replay_of_no_point_is_no_success(bag, tmp_path, capsys):
+    elsewhere = ("--set", "domain.xmin=5000")
+    code, _, err = run(capsys, "replay", bag, "--out", tmp_path, *FAST, *elsewhere)
+    assert code == 1 and "no point entered the map: quadtree-lss doctor" in err
+
+
 def test_json_for_scripts(bag, tmp_path, capsys):
     code, out, _ = run(capsys, "replay", bag, "--out", tmp_path, *FAST, "--json", "-q")
     result = json.loads(out)

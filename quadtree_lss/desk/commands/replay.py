@@ -96,6 +96,9 @@ def _run(options: argparse.Namespace) -> int:
     if result.interrupted:
         console.say(f"interrupted: results are of the first {result.summary['duration']:.1f} s")
         return common.INTERRUPTED
+    if result.summary.get("points") and not result.summary["points_used"]:
+        console.say(f"no point entered the map: quadtree-lss doctor {options.bag} looks for why")
+        return common.ERROR
     if result.losses:
         console.warn("the bag is damaged: everything readable was processed")
         return common.IN_PART

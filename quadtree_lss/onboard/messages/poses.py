@@ -60,7 +60,7 @@ def pose_from_message(
 
 
 def has_unknown_covariance(msg: Any) -> bool:
-    """True if the variances of position or of attitude are all zero: a publisher does not know them.
+    """True if all variances of position, or of attitude, are zero: the publisher does not know.
     Raises `MessageError` as `pose_from_message`."""
     return bool(_covariance(_content(msg.pose.covariance))[1].any())
 
