@@ -43,11 +43,11 @@ def pose_from_message(
 
     Variances of zeros alone, of position or of attitude, say "unknown" by convention; the two
     sigmas (m and degrees, each axis) then take their place (see `has_unknown_covariance`). ``msg``
-    is like
-    ``geometry_msgs/PoseWithCovarianceStamped`` or ``nav_msgs/Odometry``, of which the velocity is
-    not used; its header's frame must be ``map_frame``, a leading slash aside; its covariance is of
-    (x, y, z, rotation about that frame's fixed axes), m and rad. Raises `MessageError`: reason
-    ``frame``, ``stamp``, ``position``, ``quaternion``, ``covariance`` or ``attitude``.
+    is like ``geometry_msgs/PoseWithCovarianceStamped`` or ``nav_msgs/Odometry``, of which the
+    velocity is not used; its header's frame must be ``map_frame``, a leading slash aside; its
+    covariance is of (x, y, z, rotation about that frame's fixed axes), m and rad. Raises
+    `MessageError`: reason ``frame``, ``stamp``, ``position``, ``quaternion``, ``covariance`` or
+    ``attitude``.
     """
     check_frame(msg.header.frame_id, map_frame, "pose")
     position = _position(msg.pose.pose.position, "pose position")
