@@ -91,8 +91,9 @@ def dispersion_from_message(msg: Any, map_frame: str) -> Array | None:
         raise MessageError("dispersion", text)
     q, known = msg.pose.pose.orientation, 0.0 <= covariance[35] <= KNOWN_HEADING**2
     x, y, z, w = (float(of) for of in (q.x, q.y, q.z, q.w))
-    turned = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return np.append(np.sqrt(variance), turned if known and np.isfinite(turned) else [])
+    along, across = w * w + x * x - y * y - z * z, 2.0 * (w * z + x * y)  # whatever its length
+    known &= 0.0 < np.hypot(along, across) < np.inf
+    return np.append(np.sqrt(variance), np.arctan2(across, along) if known else [])
 
 
 def prior_from_message(msg: Any, map_frame: str) -> Array:
