@@ -181,6 +181,7 @@ class LandingSiteSelector:
         nowhere = np.full((len(at.y), len(at.x)), np.nan)
         ground = Candidates(at.x, at.y, np.isfinite(nowhere), nowhere)
         self._choose(ground, why_not=lambda *_: reason, why_none=reason)
+        self._doubts = None if self._doubts is None else Doubts(self.config)  # of the next map
         return nothing_mapped(cells, self._number, reason, at.x, at.y, at.any(touching(bits)))
 
     def _choose_sites(
