@@ -52,6 +52,23 @@ def test_few_places_say_nothing():
     assert judged_again(0.01, 0.1, judged=few) == ""
 
 
+@pytest.mark.parametrize("reset", [False, True])
+def test_of_a_map_that_was_reset_risks_are_told_anew(reset):
+    by_risk = {"assessment": "probability", "ranking": "probability"}
+    config = configured(vehicle={"diameter": 1.9}, lss=by_risk)
+
+    def blocks(x, y):
+        return 0.6 * ((x % 2.0 < 0.7) & (y % 2.0 < 0.7))
+
+    selector, level = LandingSiteSelector(config), mapped(config, flat()).snapshot()
+    selector.assess(level)
+    if reset:
+        nothing = np.zeros_like(level.observed)
+        selector.assess(dataclasses.replace(level, stamp_ns=0, observed=nothing))
+    found = selector.assess(dataclasses.replace(mapped(config, blocks).snapshot(), stamp_ns=9))
+    assert any("do not come true" in doubt for doubt in found.doubts) is not reset
+
+
 def test_another_map_or_one_begun_anew_is_not_held_against_the_last():
     assert judged_again(0.01, 0.04, stamps=(2, 1)) == ""
     hindsight = Hindsight(1.0)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from core.builders import configured, mapped
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from quadtree_lss.lab.evaluation.risk_fit import ASKED, risk_model_text, risks
 from quadtree_lss.onboard.config.risk import LOCAL, Cause, Curve, RiskModel, risk_model
@@ -234,6 +235,15 @@ def test_aims_are_means_over_the_touchdowns_drawn_from_the_dispersion():
         assert found[row, column] == pytest.approx(fails.mean(), abs=0.01)
 
 
+@pytest.mark.parametrize("sigma", [2.0, 8.0, 100.0])
+def test_of_a_wide_dispersion_most_comes_down_beyond_the_map(sigma):
+    places, side = np.arange(21), 0.25
+    ends = np.array([[20.5], [-0.5]])
+    within = -np.diff(norm.cdf((ends - places) * side / sigma), axis=0)[0]
+    unsafe = aimed(np.zeros((21, 21)), side, Dispersion(sigma, sigma))
+    np.testing.assert_allclose(1.0 - unsafe, np.outer(within, within), rtol=2e-3, atol=1e-5)
+
+
 def test_the_worst_contact_does_not_depend_on_the_limits():
     config = configured(domain={"size": 32.0})
     cells = mapped(config, block, density=60.0).snapshot()
@@ -390,6 +400,11 @@ def test_where_the_probability_is_the_same_the_score_decides(beside_a_rock, tmp_
     assert best.sum() > 100
     row, column = divmod(int(np.argmin(np.where(best, found.score, np.inf))), len(found.x))
     np.testing.assert_allclose(first, (found.x[column], found.y[row]))
+
+
+def test_a_heading_that_is_no_number_is_any():
+    for heading in (np.nan, np.inf):
+        assert Dispersion.of((1.0, 1.0, heading), configured().lss).heading is None
 
 
 @pytest.mark.parametrize("sigma", [1e-160, 1e-200, 1e-320, 1e-3])

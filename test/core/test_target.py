@@ -358,6 +358,21 @@ def test_unseen_ground_withdraws_the_target(level_ground):
     assert found.selected.reason is Reason.UNSEEN
 
 
+def test_between_lattice_points_unseen_ground_withdraws_it_too():
+    """It reaches into the margin of one of the four around the target, not of the nearest."""
+    config = by_risk(grid_spacing=0.3, margin=0.6, dispersion=0.05)
+    cells = mapped(config, flat(3.0), density=200.0).snapshot()
+    selector = LandingSiteSelector(config)
+    for _ in range(3):
+        held = selector.assess(cells, target=(8.1, 8.1)).selected
+    np.testing.assert_allclose(held.position[:2], 8.1)
+    observed = cells.observed.copy()
+    observed[:, 20:] = False  # from x = 10 on
+    lost = dataclasses.replace(cells, observed=observed, known=cells.known & observed)
+    found = selector.assess(lost, target=(8.1, 8.1))
+    assert not found.safe[27, 27] and found.selected.reason is Reason.UNSEEN
+
+
 def test_it_waits_for_a_share_of_the_area_or_some_time(level_ground):
     observed = level_ground.observed.copy()
     observed[:, : observed.shape[1] // 2] = False
@@ -385,6 +400,11 @@ def test_no_site_lies_above_the_vehicle(level_ground):
     lower = dataclasses.replace(level_ground, offset_z=16.0)
     assert not len(selector.assess(lower, vehicle=(6.0, 0.0)).sites), "by navigation's height"
     assert len(selector.assess(lower, vehicle=(18.0, 0.0)).sites)
+    # Far below the map's zero, where nothing is known of the south.
+    deep = lifted(level_ground, -1500.0)
+    deep.known[:8] = deep.observed[:8] = False
+    found = selector.assess(deep, vehicle=(-1480.0, 0.0), area=around((2.0, 2.0), 1.0))
+    assert not len(found.sites) and "above the vehicle" not in found.explanation
 
 
 def test_the_vehicle_is_committed_by_its_height_over_the_target(level_ground):
@@ -395,6 +415,17 @@ def test_the_vehicle_is_committed_by_its_height_over_the_target(level_ground):
         selector.assess(level_ground, vehicle=(z, 2.0)).selected.state for z in (23.1, 22.9, 40.0)
     ]
     assert states == [State.HOLDS, State.COMMITTED, State.HOLDS]
+    # Navigation has risen by 16 m against the map, and the vehicle with it.
+    risen = dataclasses.replace(level_ground, offset_z=16.0)
+    states = [selector.assess(risen, vehicle=(z, 2.0)).selected.state for z in (39.1, 38.9)]
+    assert states == [State.HOLDS, State.COMMITTED]
+
+
+def lifted(cells, z):
+    """The same map, so much higher."""
+    heights = {name: getattr(cells, name) + z for name in ("z", "low", "high")}
+    marks = {name: getattr(cells, name).copy() for name in ("known", "observed")}
+    return dataclasses.replace(cells, **heights, **marks)
 
 
 def by_risk(**lss):
@@ -430,6 +461,32 @@ def test_land_now_goes_where_the_vehicle_comes_to_rest(level_ground):
         assert np.hypot(found.now[0] - x, found.now[1] - 8.0) <= 2.5 + 1e-9
     assert np.isnan(selector.assess(level_ground, vehicle=(5.5, 0.5, -90.0, 8.0)).now).all()
     assert np.isfinite(selector.assess(level_ground, vehicle=(43.0, 0.5)).now).all()
+
+
+@pytest.mark.parametrize("z", [-1500.0, 0.0, 1500.0])
+def test_reach_is_the_same_wherever_heights_count_from(level_ground, z):
+    """Over ground that is not seen the vehicle is as high as over all that is."""
+    cells = lifted(level_ground, z)
+    cells.known[:16] = cells.observed[:16] = False
+    low, high = (
+        LandingSiteSelector(by_risk()).assess(cells, vehicle=(z + 3.0 + up, 0.5, 8.0, 2.0)).now
+        for up in (4.0, 9.0)
+    )
+    assert np.isnan(low).all() and np.hypot(high[0] - 8.0, high[1] - 2.0) <= 9.0
+
+
+def test_land_now_does_not_climb():
+    """No ground is safe but a plateau, which lies above the vehicle."""
+
+    def plateau(x, y):
+        return np.where(x > 9.0, 13.0, 0.5 * (np.floor(x) % 2) * (np.floor(y) % 2))
+
+    cells = mapped(by_risk(), plateau, density=100.0).snapshot()
+    selector = LandingSiteSelector(by_risk(dispersion=0.3))
+    selector.land_now()
+    found = selector.assess(cells, vehicle=(8.0, 0.5, 5.0, 8.0))
+    assert found.selected.state is State.NOW and found.selected.position[2] < 1.0
+    assert found.now[2] < 1.0
 
 
 def test_land_now_heeds_keep_outs_and_takes_what_is_least_unsafe(with_block):

@@ -123,6 +123,9 @@ def test_a_keep_out_of_the_set_that_cannot_be_used_withholds_until_its_id_comes_
     assert len(wishes.arguments()["keep_outs"]) == MAX_KEEP_OUTS
     with pytest.raises(MessageError, match="already"):
         wishes.take("keep_outs", make.polygon(START, KEEP_OUT, -1))
+    wishes.take("area", make.polygon(START, WEST))
+    wishes.take("target", make.point(START, np.zeros(3)))
+    assert len(wishes.arguments()["area"]) == 4
     assert "keep_outs/-1" in wishes.withheld
     for number in (3, -1):
         wishes.take("keep_outs", make.polygon(START, [], number))
@@ -148,6 +151,16 @@ def test_height_and_speed_are_those_of_the_poses():
     assert told[30] == pytest.approx((79.0, 7.0, 10.0, 2.0, 3.0, 0.0))
     assert told[-1] == (20.0, 0.0, 1.0, 2.0, 0.0, 0.0), "a time jump"
     assert navigation.vehicle("moon") is None
+
+
+def test_speed_is_none_from_one_frame_to_another_and_after_the_clocks_first_second():
+    navigation, told = Navigation(), []
+    places = ("map", 1.0, 5.0), ("map", 2.0, 6.0), ("moon", 2.7, 4e6), ("map", 3.4, 7.0)
+    for frame, time, x in places:
+        make, level = Messages(frame=frame), (0.0, 0.0, 0.0, 1.0)
+        navigation.take(make.pose(round(time * SECOND), (x, 0.0, 9.0), level, np.eye(6)))
+        told.append(navigation.vehicle("map"))
+    assert [of and of.along_x for of in told] == [0.0, 1.0, None, 0.0]
 
 
 def test_several_topics_of_one_name_are_ambiguous(tmp_path):

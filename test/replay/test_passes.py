@@ -51,6 +51,16 @@ def fly(moments, every_map):
     return answers.found, taken
 
 
+def test_it_ends_where_no_place_is_within_reach():
+    config = configured(lss={"assessment": "probability", "ranking": "probability"})
+    cells = mapped(config, flat(3.0)).snapshot()
+    passes = Passes(config, lambda: {"vehicle": (20.0, 0.5, 900.0, 8.0)})
+    passes.on_answer.append(lambda *_: None if passes.last.number < 50 else pytest.fail("no end"))
+    passes.land_now()
+    passes.finish(START, lambda: cells)
+    assert not passes.last.selected.id and passes.last.safe.any()
+
+
 @pytest.mark.parametrize("back", [0, 30 * MS, 120 * MS, 200 * MS, 5000 * MS])
 @pytest.mark.parametrize("step", [10 * MS, 50 * MS, 70 * MS, 400 * MS])
 def test_maps_that_no_answer_needs_are_not_taken(step, back):

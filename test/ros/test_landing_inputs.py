@@ -237,6 +237,11 @@ def test_a_dispersion_has_deviations_and_a_heading_that_is_known_or_any():
     found = dispersion_from_message(dispersion(0.0, 1.0, 0.7, 1.0), "map")
     np.testing.assert_array_equal(found, (0.0, 1.0))
     assert dispersion_from_message(dispersion(np.nan, np.nan), "map") is None
+    for length, heading in ((2.0, [0.7]), (0.1, [0.7]), (0.0, [])):
+        said = dispersion(1.0, 1.0, 0.7)
+        q = said.pose.pose.orientation
+        q.z, q.w = length * q.z, length * q.w
+        np.testing.assert_allclose(dispersion_from_message(said, "map")[2:], heading)
 
 
 @pytest.mark.parametrize("variances", [(-1.0, 1.0), (1.0, np.nan), (1.0, 1e5), (np.inf, 1.0)])

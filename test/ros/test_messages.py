@@ -2,6 +2,7 @@
 """Arrays to messages and back; counting and limiting what goes out."""
 
 import struct
+import time
 from operator import attrgetter
 
 import numpy as np
@@ -172,6 +173,31 @@ def test_the_last_change_is_always_published(ros):
     before = len(sent)
     executor.spin_once(timeout_sec=0.2)
     assert len(sent) == before, "without a change nothing is published"
+    executor.shutdown()
+    context.try_shutdown()
+
+
+def test_what_changes_while_it_is_published_leaves_room_for_others(ros):
+    """Each pass takes longer than the interval and asks for another one."""
+    context = Context()
+    rclpy.init(context=context, domain_id=ros.domain)
+    node = Node("node", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    begun, ended = [], []
+
+    def work():
+        begun.append(time.monotonic())
+        time.sleep(0.02)
+        if len(begun) < 5:
+            publisher.changed()
+        ended.append(time.monotonic())
+
+    publisher = ChangePublisher(node, 100.0, work)
+    publisher.changed()
+    while len(ended) < 5:
+        executor.spin_once(timeout_sec=1.0)
+    assert all(end < begin for end, begin in zip(ended, begun[1:], strict=False))
     executor.shutdown()
     context.try_shutdown()
 

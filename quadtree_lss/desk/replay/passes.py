@@ -18,6 +18,10 @@ from quadtree_lss.onboard.messages.maps import round_trip
 ROUNDING = 1e-6
 """A target is the same to so many m: grid points of a domain that follows are but for rounding."""
 
+LAST_PASSES = 4
+"""After them all is said of the last map: withdrawn, seen, seen again. `Passes.land_now` may find
+nothing within reach, however often it asks."""
+
 
 class TargetChange(NamedTuple):
     """A row of ``selected.csv``: another target, or none (``id`` 0, NaN)."""
@@ -77,8 +81,9 @@ class Passes:
         """Makes the last state, however soon it comes after the one before."""
         if self._map.changed or self._snapshot is None:
             self._make_map(now_ns, snapshot)
-        while self._landing.changed or self._settling:
-            self._assess(now_ns, waited=inf)
+        for _ in range(LAST_PASSES):
+            if self._landing.changed or self._settling:
+                self._assess(now_ns, waited=inf)
 
     @property
     def _settling(self) -> bool:

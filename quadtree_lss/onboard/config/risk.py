@@ -6,6 +6,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,8 @@ OVERALL = ("noise", "cell", "clearance", "lean")
 @dataclass(frozen=True)
 class Curve:
     """Log odds by something that is asked, in `LOCAL` or `OVERALL`, straight between knots (K,) and
-    level beyond them: (1, K), or (S, K), a row for each knot of what is seen."""
+    level beyond them: (1, K), or of what is asked of places, ``seen`` aside, (S, K), a row for each
+    knot of what is seen."""
 
     of: str
     knots: Row
@@ -111,6 +113,10 @@ class RiskModel:
             msg = f"its causes are {', '.join(self.causes)}, not {', '.join(CAUSES)}"
             raise ConfigError(msg)
         for name, cause in self.causes.items():
+            numbers = chain(*(row for curve in cause.curves for row in (curve.knots, *curve.odds)))
+            if not np.isfinite([cause.constant, *numbers]).all():
+                msg = f"{name} has numbers that are not finite"
+                raise ConfigError(msg)
             for curve in cause.curves:
                 what = f"{name}: {curve.of}"
                 if curve.of not in LOCAL + OVERALL:
@@ -120,8 +126,10 @@ class RiskModel:
                 if count < 2 or any(len(row) != count for row in curve.odds):
                     msg = f"{what} has {count} knots and other odds"
                     raise ConfigError(msg)
-                if len(curve.odds) not in (1, len(self.seen)):
-                    msg = f"{what} has {len(curve.odds)} rows of odds, not 1 or {len(self.seen)}"
+                rows = {1} if curve.of in ("seen", *OVERALL) else {1, len(self.seen)}
+                if len(curve.odds) not in rows:
+                    wanted = " or ".join(map(str, sorted(rows)))
+                    msg = f"{what} has {len(curve.odds)} rows of odds, not {wanted}"
                     raise ConfigError(msg)
                 if not (np.diff(curve.knots) > 0.0).all() or not (np.diff(self.seen) > 0.0).all():
                     msg = f"the knots of {what} do not ascend"

@@ -91,8 +91,9 @@ def dispersion_from_message(msg: Any, map_frame: str) -> Array | None:
         raise MessageError("dispersion", text)
     q, known = msg.pose.pose.orientation, 0.0 <= covariance[35] <= KNOWN_HEADING**2
     x, y, z, w = (float(of) for of in (q.x, q.y, q.z, q.w))
-    turned = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return np.append(np.sqrt(variance), turned if known and np.isfinite(turned) else [])
+    along, across = w * w + x * x - y * y - z * z, 2.0 * (w * z + x * y)  # whatever its length
+    known &= 0.0 < np.hypot(along, across) < np.inf
+    return np.append(np.sqrt(variance), np.arctan2(across, along) if known else [])
 
 
 def prior_from_message(msg: Any, map_frame: str) -> Array:
@@ -153,7 +154,8 @@ class LandingWishes:
         if topic in self.fixed:
             return
         name = name_of(topic, msg)
-        full = name not in self.heard and len(self.heard) >= MAX_KEEP_OUTS
+        full = topic == KEEP_OUTS and name not in self.heard
+        full &= sum(topic_of(of) == KEEP_OUTS for of in self.heard) >= MAX_KEEP_OUTS
         if not full:
             self.heard[name] = msg
         try:
@@ -212,7 +214,7 @@ class Navigation:
     """Place and speed of the vehicle by its poses, on which its reach depends."""
 
     def __init__(self) -> None:
-        self._frame = ""
+        self._frame: str | None = None
         self._vehicle: Motion | None = None
         self._from = (0, np.full(3, np.nan))
 
@@ -225,9 +227,10 @@ class Navigation:
         if not (np.abs(place) <= FARTHEST).all():
             return False
         x, y, z = place.tolist()
-        self._frame = str(msg.header.frame_id).lstrip("/")
+        before, self._frame = self._frame, str(msg.header.frame_id).lstrip("/")
         seconds = 1e-9 * (now - self._from[0])
-        if not 0.0 <= seconds < 5.0 * SPEED_S:  # the first one, or a time jump
+        goes_on = before == self._frame and 0.0 <= seconds < 5.0 * SPEED_S
+        if not goes_on:  # the first one, of another frame, or after a time jump
             self._from, self._vehicle = (now, place), Motion(z, 0.0, x, y)
         elif seconds >= SPEED_S:
             along_x, along_y, up = ((place - self._from[1]) / seconds).tolist()

@@ -20,13 +20,15 @@ class ChangePublisher:
     Of changes that come regularly, the one nearest to the due time is published as it comes, rather
     than an older one at that time. Whatever no further change follows is published by a timer, on a
     steady clock: the last state goes out even if ``/clock`` has stopped. Without changes there is
-    no timer.
+    no timer. What changes while one is published follows by the timer, too: the node hears others
+    in between.
     """
 
     def __init__(self, node: Node, rate: float, publish: Callable[[], None]) -> None:
         self._period_ns = round(1e9 / rate)
         self._publish = publish
         self._due_ns = self._changed_ns = 0
+        self._at_work = False
         self._timer = steady_timer(node, 1.0 / rate, self._send)
         self._timer.cancel()
 
@@ -36,10 +38,11 @@ class ChangePublisher:
         interval_ns = min(now_ns - self._changed_ns, self._period_ns)
         self._changed_ns = now_ns
         wait_ns = self._due_ns - now_ns
-        if wait_ns <= interval_ns // 2:
+        soon = wait_ns <= interval_ns // 2
+        if soon and not self._at_work:
             self._send()
         elif self._timer.is_canceled():
-            self._timer.timer_period_ns = wait_ns + round(LATE * interval_ns)
+            self._timer.timer_period_ns = 1 if soon else wait_ns + round(LATE * interval_ns)
             self._timer.reset()
 
     def now(self) -> None:
@@ -53,7 +56,11 @@ class ChangePublisher:
         now_ns = time.monotonic_ns()
         in_step = now_ns - self._due_ns < self._period_ns
         self._due_ns = (self._due_ns if in_step else now_ns) + self._period_ns
-        self._publish()
+        self._at_work = True
+        try:
+            self._publish()
+        finally:
+            self._at_work = False
 
 
 class MapStamps:

@@ -188,8 +188,10 @@ class Aims:
         if not places.any():
             return self
         cost = np.where(places, np.nan, self.candidates.cost)
-        score = np.where(places, np.nan, self.score)
-        return replace(self, score=score, candidates=replace(self.candidates, cost=cost))
+        score, unsafe = np.where(places, np.nan, self.score), self.candidates.unsafe
+        unsafe = unsafe if unsafe is None else np.where(places, 1.0, unsafe)
+        found = replace(self.candidates, cost=cost, unsafe=unsafe)
+        return replace(self, score=score, candidates=found)
 
 
 def aim(

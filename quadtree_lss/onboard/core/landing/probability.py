@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import ceil, exp, isnan, log10, radians, tan
+from math import ceil, exp, isfinite, isnan, log10, radians, tan
 
 import cython
 import numpy as np
@@ -78,7 +78,7 @@ class Dispersion:
             msg = f"a dispersion needs two deviations from 0 to {WIDEST:g} m, got {values!r}"
             raise ValueError(msg)
         turned = float(given[2]) if len(given) == 3 else float("nan")
-        return Dispersion(float(given[0]), float(given[1]), None if isnan(turned) else turned)
+        return Dispersion(float(given[0]), float(given[1]), turned if isfinite(turned) else None)
 
 
 def limits(model: RiskModel, lss: LssConfig) -> Limits:
@@ -228,7 +228,9 @@ def aimed(risk: Array, side: float, dispersion: Dispersion) -> Array:
     sides = []
     for sigma, count in zip((dispersion.y, dispersion.x), risk.shape, strict=True):
         weights = normal_weights(sigma, side)
-        one = weights[len(weights) // 2 :][:count]
+        one = weights[len(weights) // 2 :]
+        if len(one) > count:  # what is farther from a point than all others lies beyond them
+            one = np.append(one[:count], one[count:].sum())
         one = np.append(one, np.zeros(3 - (len(one) + 2) % 4))  # fours, after the first
         sides.append(one.astype(np.float32))
     blur(risk, *sides, out)

@@ -181,6 +181,7 @@ class LandingSiteSelector:
         nowhere = np.full((len(at.y), len(at.x)), np.nan)
         ground = Candidates(at.x, at.y, np.isfinite(nowhere), nowhere)
         self._choose(ground, why_not=lambda *_: reason, why_none=reason)
+        self._doubts = None if self._doubts is None else Doubts(self.config)  # of the next map
         return nothing_mapped(cells, self._number, reason, at.x, at.y, at.any(touching(bits)))
 
     def _choose_sites(
@@ -195,12 +196,12 @@ class LandingSiteSelector:
         lss, cells, at = self.config.lss, points.raster.cells, aims.at
         (motion, waited), above = now, np.zeros_like(aims.candidates.safe)
         if motion is not None:
-            offset = cells.offset_z if np.isfinite(cells.offset_z) else 0.0
+            # Its height is navigation's; that of the map is another.
+            motion = motion._replace(z=motion.z - np.nan_to_num(cells.offset_z))
             ground = at.linear(points.around.planes.elevation)
-            most = motion.z + ABOVE + lss.vehicle.diameter
-            if np.fmax.reduce(ground, axis=None) + offset > most:
-                above = ground + offset > most
-                aims = aims.without(above)
+            above = ground > motion.z + ABOVE + lss.vehicle.diameter
+            above &= aims.hazard & hazards.UNSEEN == 0
+            aims = aims.without(above)
         doubts: tuple[str, ...] = ()
         if self._doubts is not None:
             doubts = self._doubts.of(points.raster, points.risk, points.around.judged)
@@ -212,11 +213,11 @@ class LandingSiteSelector:
                 return Reason.WITHHELD
             if unwanted := wanted.fault(at.x[column], at.y[row], lss):
                 return unwanted
-            if at.nearest(points.around.room)[row, column] >= (1.0 - SLACK) * lss.zone:
+            if at.everywhere(points.around.room >= (1.0 - SLACK) * lss.zone)[row, column]:
                 return Reason.HAZARD
-            away = at.nearest(points.around.to_unmapped)[row, column]
             reach = (1.0 - SLACK) * (lss.zone + lss.vehicle.pad_radius)
-            return Reason.UNMAPPED if away < reach else Reason.UNSEEN
+            mapped = at.everywhere(points.around.to_unmapped >= reach)[row, column]
+            return Reason.UNSEEN if mapped else Reason.UNMAPPED
 
         seen = wanted.share(aims.hazard & hazards.UNSEEN == 0, at.x, at.y)
         settled = seen >= SETTLE_SHARE or waited >= lss.settle_time
@@ -360,7 +361,8 @@ def _descent(
     if over is not None and at.x[0] <= over[0] <= at.x[-1] and at.y[0] <= over[1] <= at.y[-1]:
         row = at.near[0][np.abs(at.y - over[1]).argmin()]
         column = at.near[1][np.abs(at.x - over[0]).argmin()]
-        ground = float(points.around.planes.elevation[row, column])
+        if points.raster.seen[max(row - 1, 0) : row + 1, max(column - 1, 0) : column + 1].any():
+            ground = float(points.around.planes.elevation[row, column])
     if isnan(ground):
         ground = float(np.mean(points.raster.elevation[points.raster.seen]))
     return Descent(motion.z - ground, motion.down)

@@ -119,6 +119,7 @@ class TouchdownCheck:
         rim = self._blocks.follow(*moved)
         self._worst = carried(self._worst, *moved, np.nan)
         self._worst[..., :rim] = self._worst[..., -rim:] = np.nan
+        self._worst[:, :rim] = self._worst[:, -rim:] = np.nan  # nobody asks for these any more
 
     def over(self, worst: WorstContact) -> Mask:
         """Where a contact is over the touchdown limits."""
