@@ -28,7 +28,9 @@ class SqliteFile(RecordedFile):
     def _open(self) -> None:
         # A sound table is read in a few steps for each of its bytes.
         self._left = 100 + 10 * self._size // _STEPS
-        uri = f"{self.path.resolve().as_uri()}?mode=ro&immutable=1"
+        log = self.path.with_name(f"{self.path.name}-wal")  # of a recorder that was killed
+        alone = not log.exists() or not log.stat().st_size
+        uri = f"{self.path.resolve().as_uri()}?mode=ro{'&immutable=1' * alone}"
         self._database = sqlite3.connect(uri, uri=True)
         self._database.text_factory = lambda text: text.decode("utf-8", "replace")
         try:
