@@ -14,6 +14,7 @@ from installed import PREFIX, error_without
 from replay.recordings import write_ros2
 
 from quadtree_lss.cli import main, main_replay_bag, without_ros_arguments
+from quadtree_lss.desk.replay.files import new_folder
 
 AREA = ["--set", "domain.xmin=-16.0", "--set", "domain.ymin=-16.0", "--set", "domain.size=32.0"]
 COARSE = [*AREA, "--set", "domain.min_level=3", "--set", "domain.max_level=5"]
@@ -257,6 +258,16 @@ def test_results_without_a_folder_get_one_by_time_and_a_link(bag, tmp_path, caps
     assert len(folders) == 2 and latest.is_symlink()
     assert latest.resolve() in folders
     assert (latest / "config.yaml").exists() and (latest / "summary.json").exists()
+
+
+def test_no_two_runs_of_one_second_share_a_folder(bag, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    first, second = (new_folder(tmp_path / "results") for _ in range(2))
+    assert first != second
+    missing = tmp_path / "missing"
+    for command in ("replay", "sites"):
+        assert run(capsys, command, missing)[0] == 1
+    assert set((tmp_path / "results").iterdir()) == {first, second}
 
 
 def test_a_folder_in_the_place_of_the_link_is_told(bag, tmp_path, capsys, monkeypatch):
