@@ -35,7 +35,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("bag", nargs="?", type=common.named, metavar="BAG", help="a bag; without, what is live")
     common.add_config_options(parser)
     common.add_topics(parser, poses=False)
-    add("--seconds", type=float, default=10.0, metavar="S", help="to listen (default 10)")
+    text = "to listen (default 10)"
+    add("--seconds", type=common.positive, default=10.0, metavar="S", help=text)
 
 
 def _info(options: argparse.Namespace) -> int:
