@@ -202,6 +202,12 @@ def test_a_missing_library_is_one_line_with_its_remedy(capsys, bag, tmp_path, mo
     assert arguments[1] == "none.mcap" or "quadtree_lss[exchange]" in told, told
 
 
+@pytest.mark.parametrize("arguments", [["doctor"], ["replay", "none.mcap", "--publish"]])
+def test_what_needs_ros_says_so(tmp_path, arguments):
+    told = error_without("rclpy", *arguments, cwd=tmp_path)
+    assert "needs ROS 2 (rclpy), which cannot be imported" in told and "internal" not in told
+
+
 def started(*arguments):
     command = [PREFIX / "lib" / "quadtree_lss" / "quadtree-lss", *arguments]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

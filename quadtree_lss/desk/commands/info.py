@@ -57,8 +57,8 @@ def _doctor(options: argparse.Namespace) -> int:
     config, how = common.chosen_config(options), common.given(options, *common.TOPICS[:2])
     bag = options.bag
     if bag is None:
-        from quadtree_lss.desk.player.listen import listen
-
+        with common.of_ros("doctor without a bag"):
+            from quadtree_lss.desk.player.listen import listen
         bag = listen(options.seconds)
     with ProgressBar("doctor", "s", options.verbose) as bar:
         info = inspect_bag(bag, config, **how, progress=bar.update)

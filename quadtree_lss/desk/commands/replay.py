@@ -147,12 +147,8 @@ def _publish(options: argparse.Namespace) -> int:
         text = "does" if "," not in given else "do"
         text = f"{given} {text} not go with --publish: the nodes map and rank the sites"
         options.parser.error(text)
-    try:
+    with common.of_ros("--publish"):
         from quadtree_lss.desk.player.player import play
-    except ImportError as error:
-        why = console.first_line(error)
-        msg = f"--publish needs ROS 2 (rclpy), which cannot be imported: {why}"
-        raise QuadtreeLssError(msg) from None
     how = common.given(options, *common.TOPICS[:2], "start", "duration", "remap")
     how |= {"rate": options.rate or 1.0, "namespace": options.namespace or ""}
     with console.ProgressBar("play", "s", options.verbose) as bar:
