@@ -3,6 +3,7 @@
 
 import contextlib
 import json
+import os
 import shutil
 import sqlite3
 
@@ -90,7 +91,9 @@ def test_files_of_a_recording_that_was_cut_off_come_in_the_order_of_their_number
     assert [entry[1] for entry in found] == [START + k * SECOND for k in range(11)]
 
 
-def test_what_stands_in_the_write_ahead_log_of_a_killed_recorder_is_read(tmp_path, reference):
+def test_what_stands_in_the_write_ahead_log_of_a_killed_recorder_is_read(
+    tmp_path, reference, monkeypatch
+):
     file = storage_file(write_ros2(tmp_path / "bag", plugin="sqlite3"))
     with contextlib.closing(sqlite3.connect(file)) as database:
         database.execute("PRAGMA journal_mode = WAL")
@@ -103,6 +106,9 @@ def test_what_stands_in_the_write_ahead_log_of_a_killed_recorder_is_read(tmp_pat
         database.commit()
         shutil.copytree(tmp_path / "bag", tmp_path / "killed")
     assert content(tmp_path / "killed") == (reference[1], [])
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(BagError, match="-wal is not read"):
+        content(tmp_path / "killed")
 
 
 def test_a_folder_above_a_bag_names_the_bag(tmp_path, bag):
