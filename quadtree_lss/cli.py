@@ -7,6 +7,7 @@ Exit codes: 0 done, 1 error, 2 usage, 3 done in part (damaged input), 130 interr
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -39,6 +40,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; the answer is the exit code."""
     arguments = without_ros_arguments(sys.argv[1:] if argv is None else argv)
     options = argparse.Namespace()
+    if isinstance(sys.stdout, io.TextIOWrapper):  # names of files may be no text of the terminal's
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         options = _parser().parse_args(arguments)
         run: Callable[[argparse.Namespace], int] = options.run

@@ -63,6 +63,9 @@ class Autopilot(threading.Thread):
         landed_at: Where it came to the ground, or None.
         points: Set-points that it took: time and NED.
         boot: When its clock began, by this computer's clock, s.
+        deaf: Commands that it does not hear before it hears one.
+        body_velocity: ODOMETRY has it along the body's axes, else north, east, down as PX4's own.
+        heard: Systems that sent something.
         pace: Seconds of its own that pass in one of this computer.
     """
 
@@ -75,6 +78,7 @@ class Autopilot(threading.Thread):
         self.armed, self.landed_at = True, None
         self.frozen = self.cut = False
         self.delay, self.yaw, self.shift = 0.0, 0.7, np.zeros(3)
+        self.deaf, self.body_velocity, self.heard = 0, False, set()
         self.precland = PrecLand()
         self.points, self.texts, self.targets, self.left_offboard = [], [], [], 0
         self.boot = time.time() - 12345.0
@@ -160,10 +164,12 @@ class Autopilot(threading.Thread):
         q = (np.cos(half), 0.0, 0.0, np.sin(half))
         place = self.position + self.shift
         if self.kind == PX4:
-            body = self._north_of_body().T @ self.velocity
+            along, child = self.velocity, 1
+            if self.body_velocity:
+                along, child = self._north_of_body().T @ self.velocity, 12
             upper = np.zeros(21)
             upper[[0, 6, 11, 15, 18, 20]] = 0.01, 0.02, 0.03, 1e-4, 2e-4, 3e-4
-            values = (round(1e6 * at), 1, 12, *place, q, *body, 0.0, 0.0, 0.0, upper, upper)
+            values = (round(1e6 * at), 1, child, *place, q, *along, 0.0, 0.0, 0.0, upper, upper)
             return [("odometry", values)] if 331 in self._rates else []
         said = []
         if 32 in self._rates:
@@ -174,7 +180,10 @@ class Autopilot(threading.Thread):
 
     def _take(self, message, now):
         kind = message.get_type()
-        if kind == "TIMESYNC" and message.tc1 == 0:
+        self.heard.add(message.get_srcSystem())
+        if kind == "COMMAND_LONG" and message.command in (176, 400) and self.deaf:
+            self.deaf -= 1
+        elif kind == "TIMESYNC" and message.tc1 == 0:
             self._say("timesync", round(1e9 * self._clock()), message.ts1)
         elif kind == "STATUSTEXT":
             if message.chunk_seq:  # a piece more of the last one, as ground stations take it

@@ -181,6 +181,7 @@ def test_an_old_pose_stops_where_the_vehicle_was_last_seen():
     flight.step()
     assert flight.order.state == HOLD
     np.testing.assert_array_equal(flight.order.point, place)
+    assert flight.order.target is None, "where it lies from the vehicle, nobody knows"
     flight.on(3.0)
     np.testing.assert_array_equal(flight.order.point, place)
     flight.pose_age = 0.02
@@ -189,6 +190,20 @@ def test_an_old_pose_stops_where_the_vehicle_was_last_seen():
     flight.pose_age = 1e3
     flight.until(in_state(GIVE_UP))
     assert flight.height > 3.5
+
+
+def test_whoever_came_down_without_a_link_or_a_pose_stays_down():
+    flight = Flight().until(below(0.15))
+    flight.heartbeat_age = HEARTBEAT_S + 0.1
+    assert flight.on(2.0).height == 0.0, "to the last set-point, which is below the ground"
+    flight.heartbeat_age = 0.1
+    assert flight.on(2.0).order.state == TOUCHDOWN and flight.height == 0.0
+    assert flight.order.point[2] < GROUND and WAVE_OFF not in flight.states
+    for fault in ({"pose_age": POSE_S + 0.1}, {"jump": JUMP_M + 0.1}):
+        flight = Flight().until(below(1e-6))
+        for name, value in fault.items():
+            setattr(flight, name, value)
+        assert flight.on(1.0).order.state == TOUCHDOWN
 
 
 def test_without_heartbeats_nothing_is_commanded_and_then_it_climbs():
@@ -230,6 +245,12 @@ def test_a_jump_of_navigation_ends_at_the_pilot():
     assert flight.height == pytest.approx(CONFIG.gate_height, abs=0.1)
     assert flight.on(60.0).order.state == GIVE_UP, "until the pilot has taken over"
     assert flight.order.target is None, "whoever takes over by LAND does not land there"
+    flight = Flight().until(below(4.0))
+    flight.heartbeat_age, flight.jump = HEARTBEAT_S + 0.1, JUMP_M + 0.01
+    flight.step()
+    assert flight.order.point is None
+    flight.heartbeat_age, flight.jump = 0.1, 0.0
+    assert flight.on(1.0).order.state == GIVE_UP, "seen while the link was bad"
 
 
 def test_it_waits_no_longer_than_its_patience_and_is_waved_off_no_more_often_than_it_may():

@@ -47,10 +47,11 @@ def wait(link, condition, seconds=8.0, each=lambda navs: None):
     return navs
 
 
-@BOTH
-def test_poses_are_the_vehicles_by_this_computers_clock(fly, kind):
+@pytest.mark.parametrize(("kind", "body_velocity"), [(ARDUPILOT, False), (PX4, False), (PX4, True)])
+def test_poses_are_the_vehicles_by_this_computers_clock(fly, kind, body_velocity):
     model, link = fly(kind)
     with model._lock:
+        model.body_velocity = body_velocity
         model.goal = model.position + (8.0, -4.0, 1.0)  # it moves: a wrong stamp is a wrong place
         model.mode = FOLLOWS[ARDUPILOT] if kind == ARDUPILOT else PX4_HOLD
     wait(link, lambda navs: len(navs) > 10)
@@ -121,6 +122,33 @@ def test_heartbeats_of_others_are_not_the_autopilots(fly):
     model._link.mav.srcSystem = kept
     wait(link, lambda navs: len(navs) > 3)
     assert link.mode == LOITER and not link.follows
+
+
+@BOTH
+def test_nothing_is_said_in_the_name_of_a_ground_station(fly, kind):
+    """ArduPilot's failsafe waits for heartbeats of system 255 once it has heard one."""
+    model, link = fly(kind)
+    link.close()
+    link = Link(f"udpout:127.0.0.1:{model.port}", time.time_ns)
+    said = []
+    link._port.write = lambda content: said.append(content[5])  # the sender's system
+    link.poll()
+    link.close()
+    assert said == [1]
+
+
+@BOTH
+def test_answers_to_somebody_elses_timesync_do_not_set_the_clock(fly, kind):
+    model, link = fly(kind)
+    taken, add = [], link.remote.add
+    link.remote.add = lambda sent, *times: (taken.append(sent), add(sent, *times))
+    wait(link, lambda _: len(taken) > 1)
+    others = [time.time_ns() + ahead for ahead in (-(10**9), 10**7, 10**12)]
+    for sent in others:
+        model._say("timesync", round(1e9 * model._clock()), sent)
+    already = len(taken)
+    wait(link, lambda _: len(taken) > already + 4)
+    assert not set(taken) & set(others)
 
 
 def test_a_connection_that_is_none_is_one_line():

@@ -37,7 +37,7 @@ def test_noise_of_stereo_is_doubted_where_it_grows():
     stereo = {"lidar.stereo_noise": 0.08 / (380.0 * 0.05)}
     for far, doubted in ((2.0, False), (8.0, True)):
         said = doubt(config_from_values({**stereo, "lidar.max_range": far}))
-        assert ("not one of stereo up to 0.27" in said) is doubted, said
+        assert ("not one that grows to 0.27" in said) is doubted, said
 
 
 def test_what_is_right_on_average_is_no_doubt():

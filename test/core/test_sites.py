@@ -468,6 +468,8 @@ def test_no_room_is_an_empty_result_that_says_so(level_ground, where):
     found = assess(level_ground, small(), **where)
     assert_empty_but_explained(found)
     assert found.safe.any()
+    elsewhere = "x 100 ... 130, y 100 ... 130, lies outside the domain, x 0 ... 16, y 0 ... 16 m"
+    assert (elsewhere in found.explanation) == (np.max(where.get("area", 0.0)) > 99.0)
 
 
 TRIANGLE = [(1.0, 1.0), (15.0, 1.0), (8.0, 15.0)]

@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags of every kind and state give the same messages, as far as they are there."""
 
+import contextlib
 import json
+import os
+import shutil
+import sqlite3
 
 import pytest
 from replay import recordings
@@ -73,6 +77,45 @@ def test_times_are_in_bag_order_and_may_be_limited(reference):
     assert part == [entry for entry in found if first <= entry[1] < last]
     with Bag(path) as bag:
         assert (bag.start_ns, bag.end_ns) == (times[0], times[-1])
+
+
+def test_files_of_a_recording_that_was_cut_off_come_in_the_order_of_their_numbers(tmp_path):
+    (tmp_path / "split").mkdir()
+    for number in range(11):
+        with recording(tmp_path / "part") as recorder:
+            stamp = START + number * SECOND
+            recorder.write("/nav/pose", recorder.pose(stamp, (0.0, 0.0, 50.0)), POSE, stamp)
+        storage_file(tmp_path / "part").rename(tmp_path / "split" / f"split_{number}.mcap")
+        shutil.rmtree(tmp_path / "part")
+    found, _ = content(tmp_path / "split")
+    assert [entry[1] for entry in found] == [START + k * SECOND for k in range(11)]
+
+
+def test_what_stands_in_the_write_ahead_log_of_a_killed_recorder_is_read(
+    tmp_path, reference, monkeypatch
+):
+    file = storage_file(write_ros2(tmp_path / "bag", plugin="sqlite3"))
+    with contextlib.closing(sqlite3.connect(file)) as database:
+        database.execute("PRAGMA journal_mode = WAL")
+        database.execute("PRAGMA wal_autocheckpoint = 0")
+        rows = database.execute("SELECT * FROM messages").fetchall()
+        database.execute("DELETE FROM messages")
+        database.commit()
+        database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        database.executemany(f"INSERT INTO messages VALUES ({'?, ' * 3}?)", rows)
+        database.commit()
+        shutil.copytree(tmp_path / "bag", tmp_path / "killed")
+    assert content(tmp_path / "killed") == (reference[1], [])
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(BagError, match="-wal is not read"):
+        content(tmp_path / "killed")
+
+
+def test_a_folder_above_a_bag_names_the_bag(tmp_path, bag):
+    (tmp_path / "flight7" / "notes").mkdir(parents=True)
+    shutil.copytree(bag, tmp_path / "flight7" / "recorded")
+    with pytest.raises(BagError, match=r"no bag: .* in it, but in recorded$"):
+        Bag(tmp_path / "flight7").__enter__()
 
 
 TRUNCATED = [("bag", {}, share) for share in (0.3, 0.6, 0.95)]

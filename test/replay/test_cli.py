@@ -14,6 +14,7 @@ from installed import PREFIX, error_without
 from replay.recordings import write_ros2
 
 from quadtree_lss.cli import main, main_replay_bag, without_ros_arguments
+from quadtree_lss.desk.replay.files import new_folder
 
 AREA = ["--set", "domain.xmin=-16.0", "--set", "domain.ymin=-16.0", "--set", "domain.size=32.0"]
 COARSE = [*AREA, "--set", "domain.min_level=3", "--set", "domain.max_level=5"]
@@ -201,6 +202,12 @@ def test_a_missing_library_is_one_line_with_its_remedy(capsys, bag, tmp_path, mo
     assert arguments[1] == "none.mcap" or "quadtree_lss[exchange]" in told, told
 
 
+@pytest.mark.parametrize("arguments", [["doctor"], ["replay", "none.mcap", "--publish"]])
+def test_what_needs_ros_says_so(tmp_path, arguments):
+    told = error_without("rclpy", *arguments, cwd=tmp_path)
+    assert "needs ROS 2 (rclpy), which cannot be imported" in told and "internal" not in told
+
+
 def started(*arguments):
     command = [PREFIX / "lib" / "quadtree_lss" / "quadtree-lss", *arguments]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -257,6 +264,16 @@ def test_results_without_a_folder_get_one_by_time_and_a_link(bag, tmp_path, caps
     assert len(folders) == 2 and latest.is_symlink()
     assert latest.resolve() in folders
     assert (latest / "config.yaml").exists() and (latest / "summary.json").exists()
+
+
+def test_no_two_runs_of_one_second_share_a_folder(bag, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    first, second = (new_folder(tmp_path / "results") for _ in range(2))
+    assert first != second
+    missing = tmp_path / "missing"
+    for command in ("replay", "sites"):
+        assert run(capsys, command, missing)[0] == 1
+    assert set((tmp_path / "results").iterdir()) == {first, second}
 
 
 def test_a_folder_in_the_place_of_the_link_is_told(bag, tmp_path, capsys, monkeypatch):

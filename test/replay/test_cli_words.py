@@ -3,10 +3,12 @@
 
 import io
 import json
+import shutil
 import sys
 
 from replay.test_cli import FAST, run
 
+from quadtree_lss.cli import main
 from quadtree_lss.desk.commands import console
 from quadtree_lss.desk.replay.results import aligned
 
@@ -49,6 +51,26 @@ def test_quiet_json_is_json_alone(bag, tmp_path, capsys):
     assert "warning" in run(capsys, *arguments)[2]
     code, out, err = run(capsys, *arguments, "-q", "-v")
     assert code == 0 and err == "" and json.loads(out)["scans"] == 6
+
+
+def test_what_a_terminal_cannot_show_is_no_error(bag, tmp_path, monkeypatch):
+    odd = tmp_path / "caf\udce9"  # a name that is no UTF-8
+    shutil.copytree(bag, odd)
+    shown = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", shown)
+    report = [name for name in FAST if name != "--no-report"]
+    assert main(["replay", str(odd), "--out", str(odd / "out"), *report]) == 0
+    assert main(["view", str(odd / "out"), "--no-open"]) == 0 and main(["info", str(odd)]) == 0
+    assert rb"caf\udce9/out/report.html" in shown.buffer.getvalue()
+    assert "caf?" in (odd / "out" / "report.html").read_text("utf-8")
+
+
+def test_an_angle_in_radians_is_doubted(tmp_path, capsys):
+    file = tmp_path / "mount.yaml"
+    for value, doubted in (("3.14159", True), ("-1.57", True), ("180.0", False), ("3.0", False)):
+        file.write_text(f"/**: {{ros__parameters: {{mount.roll_deg: {value}}}}}")
+        code, _, err = run(capsys, "config", "check", file)
+        assert code == 0 and ("looks like radians: mount.roll_deg" in err) == doubted, value
 
 
 def test_a_table_is_aligned():

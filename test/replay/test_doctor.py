@@ -234,6 +234,13 @@ def test_a_damaged_bag_is_not_called_sound_and_what_follows_from_a_fault_is_no_r
     assert code == 1 and "none known" not in out and "\nmend:  as above\n" in out
 
 
+def test_points_out_of_range_say_nothing_of_axes(tmp_path):
+    path = dataclasses.replace(Good(), **LIDAR_POSES).write(tmp_path / "bag")
+    values = {**BASE, "lidar.max_range": 10.0}
+    (found,) = (f for f in inspect_bag(path, config_from_values(values)).findings if f.fatal)
+    assert "out of range" in found.text and "it would lie" not in found.text
+
+
 def test_suggest_says_what_is_wrong_too(tmp_path, capsys):
     change, values, _, mend = MISTAKES["clouds FLU, poses optical"]
     path = dataclasses.replace(Good(), **change).write(tmp_path / "bag")

@@ -4,6 +4,7 @@
 import dataclasses
 import json
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -189,6 +190,15 @@ def test_each_colour_of_a_class_means_one_thing():
     kinds = [colour for _, _, colour in palette.HAZARDS]
     other = [palette.CLEAR_COLOUR, palette.SAFE_COLOUR, palette.EXCLUDED_COLOUR]
     assert len({*kinds, *other, palette.SITE_COLOUR}) == len(kinds) + 4
+
+
+def test_ground_of_single_heights_is_shaded_without_a_warning():
+    heights = np.full((4, 5), np.nan)
+    heights[1] = 3.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        image = palette.shaded(np.full((4, 5, 3), 0.5), heights, 1.0)
+    np.testing.assert_allclose(image, 0.5)
 
 
 def test_names_in_a_bag_cannot_become_markup(tmp_path):

@@ -137,7 +137,7 @@ def test_a_released_target_is_chosen_anew(ros, pilot):
     assert wait(pilot.has_target), lss.output()
     before = pilot.status()["answer"]
     answer = with_service()
-    assert answer.success and "released" in answer.message
+    assert answer.success and "1 is released: now target " in answer.message
     assert wait(functools.partial(pilot.has_target, before)), lss.output()
     assert pilot.reasons()[before + 1] is Reason.RELEASED
 

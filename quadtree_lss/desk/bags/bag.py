@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import re
 import tempfile
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
@@ -149,7 +150,7 @@ class Bag:
             if not _is_stored(self.path):
                 raise BagError(f"{self.path}: not a bag (.mcap, .db3, .bag, or a folder of these)")
             return [self.path]
-        listed = sorted(filter(_is_stored, self.path.iterdir()))
+        listed = sorted(filter(_is_stored, self.path.iterdir()), key=_by_number)
         try:
             with open(self.path / "metadata.yaml", encoding="utf-8") as file:
                 content: Any = parse_yaml(file.read(yaml_text.MOST_BYTES + 1), aliases=True)
@@ -162,7 +163,10 @@ class Bag:
         self._losses += [f"{p.name} is missing" for p in listed if not p.exists()]
         files = [p for p in listed if p.exists() and _is_stored(p)]
         if not files:
-            raise BagError(f"{self.path}: no bag: there is no .mcap, .db3 or .bag in it")
+            inner = (p for p in sorted(self.path.iterdir()) if p.is_dir())
+            there = ", ".join(p.name for p in inner if any(map(_is_stored, p.iterdir())))
+            text = f"there is no .mcap, .db3 or .bag in it{f', but in {there}' * bool(there)}"
+            raise BagError(f"{self.path}: no bag: {text}")
         return files
 
     def _unpacked(self, file: Path) -> Path:
@@ -210,6 +214,11 @@ class MessageBag(Bag):
 
     def _decoded(self, raw: Any, msgtype: str) -> Any:
         return raw() if callable(raw) else raw
+
+
+def _by_number(path: Path) -> list[str | int]:
+    """Of the files of a recording ``…_10`` comes after ``…_9``."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.name)]
 
 
 def _is_stored(path: Path) -> bool:

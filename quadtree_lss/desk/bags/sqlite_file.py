@@ -7,6 +7,7 @@ than itself; where a query ends in damage, the rest is asked for row by row.
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from collections.abc import Iterator
 
@@ -28,7 +29,12 @@ class SqliteFile(RecordedFile):
     def _open(self) -> None:
         # A sound table is read in a few steps for each of its bytes.
         self._left = 100 + 10 * self._size // _STEPS
-        uri = f"{self.path.resolve().as_uri()}?mode=ro&immutable=1"
+        log = self.path.with_name(f"{self.path.name}-wal")  # of a recorder that was killed
+        logged, writable = log.exists() and log.stat().st_size, os.access(log.parent, os.W_OK)
+        if logged and not writable:  # sqlite makes an index of the log beside it
+            self.fault = f"{log.name} is not read, for its folder cannot be written"
+        immutable = "" if logged and writable else "&immutable=1"
+        uri = f"{self.path.resolve().as_uri()}?mode=ro{immutable}"
         self._database = sqlite3.connect(uri, uri=True)
         self._database.text_factory = lambda text: text.decode("utf-8", "replace")
         try:

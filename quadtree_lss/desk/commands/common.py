@@ -8,10 +8,11 @@ import contextlib
 import json
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
+from quadtree_lss.desk.commands.console import first_line
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
@@ -69,6 +70,16 @@ def add_command(
 def given(options: argparse.Namespace, *names: str) -> dict[str, Any]:
     """Options as arguments of a function that calls them the same."""
     return {name: getattr(options, name) for name in names}
+
+
+@contextlib.contextmanager
+def of_ros(what: str) -> Iterator[None]:
+    """Within it, ROS is imported, which ``what`` needs."""
+    try:
+        yield
+    except ImportError as error:
+        msg = f"{what} needs ROS 2 (rclpy), which cannot be imported: {first_line(error)}"
+        raise QuadtreeLssError(msg) from None
 
 
 def named(text: str) -> Path:

@@ -124,8 +124,9 @@ def result_text(result: ReplayResult) -> str:
     text = form.format(**summary, dropped=dropped, used=used)
     lines = [text, *aligned(_site_rows(sites), ">")]
     if not len(sites):
-        reason = result.assessment.explanation.removeprefix("no safe site: ")
-        lines = [text, f"no safe site: {reason}"]
+        reason = result.assessment.explanation
+        lines = [text.removesuffix(f"; {reason}")]
+        lines.append(f"no safe site: {reason.removeprefix('no safe site: ')}")
     if result.out is not None:
         lines.append(f"results in {one_line(result.out)}")
         page = result.out / "report.html"

@@ -35,7 +35,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("bag", nargs="?", type=common.named, metavar="BAG", help="a bag; without, what is live")
     common.add_config_options(parser)
     common.add_topics(parser, poses=False)
-    add("--seconds", type=float, default=10.0, metavar="S", help="to listen (default 10)")
+    text = "to listen (default 10)"
+    add("--seconds", type=common.positive, default=10.0, metavar="S", help=text)
 
 
 def _info(options: argparse.Namespace) -> int:
@@ -56,8 +57,8 @@ def _doctor(options: argparse.Namespace) -> int:
     config, how = common.chosen_config(options), common.given(options, *common.TOPICS[:2])
     bag = options.bag
     if bag is None:
-        from quadtree_lss.desk.player.listen import listen
-
+        with common.of_ros("doctor without a bag"):
+            from quadtree_lss.desk.player.listen import listen
         bag = listen(options.seconds)
     with ProgressBar("doctor", "s", options.verbose) as bar:
         info = inspect_bag(bag, config, **how, progress=bar.update)

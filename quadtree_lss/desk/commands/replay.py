@@ -79,6 +79,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.namespace is not None or options.remap:
         text = "--namespace and --remap are for --publish: without it nothing is sent"
         options.parser.error(text)
+    from quadtree_lss.desk.replay.files import made
     from quadtree_lss.desk.replay.replay import replay
 
     config, out = common.chosen_config(options), _folder(options)
@@ -89,6 +90,7 @@ def _run(options: argparse.Namespace) -> int:
     with (
         console.Interruption(then) as interruption,
         console.ProgressBar("replay", "s", options.verbose) as bar,
+        made(out, QuadtreeLssError),
     ):
         how |= {"progress": bar.update, "stop": interruption.asked}
         result = replay(options.bag, out, config, **how)
@@ -126,10 +128,13 @@ def _tell(options: argparse.Namespace, result: ReplayResult, out: Path, word: st
 
 def _sites(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.elevation_model import rank_sites
+    from quadtree_lss.desk.replay.files import made
 
     config, out = common.chosen_config(options), _folder(options)
     how = {"report": not options.no_report, "landing": common.landing_of(options)}
-    _tell(options, rank_sites(options.dem, out, config, **how), out, "note")
+    with made(out, QuadtreeLssError):
+        result = rank_sites(options.dem, out, config, **how)
+    _tell(options, result, out, "note")
     return common.DONE
 
 
@@ -142,12 +147,8 @@ def _publish(options: argparse.Namespace) -> int:
         text = "does" if "," not in given else "do"
         text = f"{given} {text} not go with --publish: the nodes map and rank the sites"
         options.parser.error(text)
-    try:
+    with common.of_ros("--publish"):
         from quadtree_lss.desk.player.player import play
-    except ImportError as error:
-        why = console.first_line(error)
-        msg = f"--publish needs ROS 2 (rclpy), which cannot be imported: {why}"
-        raise QuadtreeLssError(msg) from None
     how = common.given(options, *common.TOPICS[:2], "start", "duration", "remap")
     how |= {"rate": options.rate or 1.0, "namespace": options.namespace or ""}
     with console.ProgressBar("play", "s", options.verbose) as bar:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.desk.exchange.saved import Results, load_results
-from quadtree_lss.desk.replay.files import write_json, writing
+from quadtree_lss.desk.replay.files import write_bytes, write_json, writing
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask
 from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED
 from quadtree_lss.onboard.core.landing.raster import rasterise
@@ -198,13 +198,14 @@ def _mesh(end: str, results: Results, folder: Path, crs: str) -> list[Path]:
     if len(vertices) and np.abs(vertices[:, :2]).max() > FAR:
         shift[:2] = np.round(vertices[:, :2].mean(axis=0))
         written.append(folder / f"ground.{end}.txt")
-        written[1].write_text("add to x, y, z in m: {:.1f} {:.1f} {:.1f}\n".format(*shift))
+        text = "add to x, y, z in m: {:.1f} {:.1f} {:.1f}\n".format(*shift)
+        write_bytes(written[1], text.encode())
     vertices = vertices - shift
     if end == "glb":
         vertices = vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
     shown = _colours(results)[np.isfinite(heights)]
     mesh = trimesh.Trimesh(vertices, faces, vertex_colors=shown, process=False)
-    path.write_bytes(mesh.export(file_type=end))
+    write_bytes(path, mesh.export(file_type=end))
     return written
 
 
@@ -272,14 +273,12 @@ def _map_server(results: Results, folder: Path, crs: str) -> list[Path]:
     for name, values in maps.items():
         picture, told = folder / f"{name}.pgm", folder / f"{name}.yaml"
         head = b"P5\n%d %d\n255\n" % (len(grid.x), len(grid.y))
-        picture.write_bytes(head + values[::-1].astype(np.uint8).tobytes())
+        write_bytes(picture, head + values[::-1].astype(np.uint8).tobytes())
         corner = [float(a[0] - 0.5 * grid.spacing) for a in (grid.x, grid.y)]
-        told.write_text(
-            f"image: {picture.name}\nmode: trinary\nresolution: {grid.spacing:.9g}\n"
-            f"origin: [{corner[0]:.9g}, {corner[1]:.9g}, 0.0]\n"
-            "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n",
-            encoding="utf-8",
-        )
+        text = f"image: {picture.name}\nmode: trinary\nresolution: {grid.spacing:.9g}\n"
+        text += f"origin: [{corner[0]:.9g}, {corner[1]:.9g}, 0.0]\n"
+        text += "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+        write_bytes(told, text.encode())
         written += [picture, told]
     return written
 

@@ -13,7 +13,7 @@ import uuid
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -95,12 +95,27 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def new_folder(root: Path) -> Path:
-    """An unused name ``root/<date>_<time>``; the folder is not made."""
+    """A new folder ``root/<date>_<time>``, which no other run has."""
     name = time.strftime("%Y-%m-%d_%H-%M-%S")
     for suffix in ("", *(f"_{n}" for n in range(2, 1000))):
-        if not (root / f"{name}{suffix}").exists():
+        with suppress(FileExistsError):
+            (root / f"{name}{suffix}").mkdir(parents=True)
             return root / f"{name}{suffix}"
     raise OSError(f"{root}: a thousand results of one second")
+
+
+@contextmanager
+def made(folder: Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
+    """Makes a folder before the work begins, which one that cannot be written would waste; where
+    that fails, an empty folder goes again. ``kind``: as of `writing`."""
+    with writing(folder, kind):
+        folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):  # not empty: somebody else's files
+            folder.rmdir()
+        raise
 
 
 def link_latest(folder: Path) -> Path | None:

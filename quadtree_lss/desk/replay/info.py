@@ -230,7 +230,7 @@ def _read(
             scan, lost = register(ready.points_lidar, ready.pose, config.lidar, domain, ready.sweep)
             info.points += ready.points_lidar.size // 3
             dropped.update(ready.lost(lost))
-            if not why and not len(scan.key):
+            if not why and not len(scan.key) and (lost.get("outside") or lost.get("above")):
                 missed_at = scan.centre
                 why = likely_reason(ready.points_lidar, ready.pose, config)
         note()

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
@@ -15,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.cloud_files import open_recording
-from quadtree_lss.desk.replay.files import writing
+from quadtree_lss.desk.replay.files import made
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.desk.replay.results import ReplayResult, points_line, run_summary, write_results
@@ -94,7 +93,7 @@ def replay(
         source = maps or Stream(opened, config, scan_topic, pose_topic)
         topics = LandingTopics(wishes, opened, part.start_ns)
         if folder is not None:
-            stack.enter_context(_made(folder))
+            stack.enter_context(made(folder, ReplayError))
         looks = () if prior is None else look_first(prior, Domain.of(config.domain), config)
         history = History()
         passes = Passes(config, wishes.arguments)
@@ -189,19 +188,3 @@ def steps(bag: str | Path | Bag, config: Config, **options: Any) -> Iterator[Ste
     mapper = Mapper(config, read_prior(config))
     for scan in scans(bag, config, **options):
         yield Step(scan, mapper.update(scan.points_lidar, scan.pose, scan.sweep), mapper)
-
-
-@contextlib.contextmanager
-def _made(folder: Path) -> Iterator[None]:
-    """Makes a folder before the work begins, which one that cannot be written would waste; where
-    that fails, a new folder goes again."""
-    fresh = not folder.exists()
-    with writing(folder, ReplayError):
-        folder.mkdir(parents=True, exist_ok=True)
-    try:
-        yield
-    except BaseException:
-        if fresh:
-            with contextlib.suppress(OSError):  # not empty: somebody else's files
-                folder.rmdir()
-        raise

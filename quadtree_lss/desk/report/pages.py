@@ -26,8 +26,10 @@ _NONE = {"u1": 0xFF, "u2": 0xFFFF}
 
 
 def render(template: str, **values: Any) -> str:
-    """The page that a template, such as ``lab/flight/flight.html``, makes of values."""
-    return _environment().get_template(template).render(**values)
+    """The page that a template, such as ``lab/flight/flight.html``, makes of values; what cannot be
+    encoded, as in names of files that are no UTF-8, is a question mark."""
+    text = _environment().get_template(template).render(**values)
+    return text.encode(errors="replace").decode()
 
 
 def source(name: str) -> str:

@@ -87,7 +87,8 @@ def shaded(image: Array, elevation: Array, spacing: float, strength: float = 0.7
     until the steeper ones throw shade, as on the page.
     """
     along_y, along_x = np.gradient(elevation, spacing)
-    steep = np.nanpercentile(np.hypot(along_x, along_y), 90) if np.isfinite(along_x).any() else 0
+    slopes = np.hypot(along_x, along_y)
+    steep = np.nanpercentile(slopes, 90) if np.isfinite(slopes).any() else 0.0
     factor = np.clip(0.6 / max(steep, 1e-9), 0.5, 6.0)
     a, b = factor * along_x, factor * along_y
     lit = np.nan_to_num((1.0 + np.sqrt(0.5) * (a - b)) / np.hypot(np.hypot(a, b), 1.0), nan=1.0)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.replay.files import new_folder, plain, write_json, writing
+from quadtree_lss.desk.replay.files import made, new_folder, plain, write_json, writing
 from quadtree_lss.desk.replay.results import aligned
 from quadtree_lss.lab.evaluation import metrics
 from quadtree_lss.lab.evaluation.consistency import Consistency, consistency
@@ -185,10 +185,11 @@ def compare(
         msg = f"runs are told apart by their directories' names, but these are {', '.join(names)}"
         raise EvaluationError(msg)
     together = Path(out) if out is not None else new_folder(Path("results"))
-    runs = {
-        name: evaluate(folder, truth_path, together / name, figures=figures, progress=progress)
-        for name, folder in folders.items()
-    }
+    with made(together, EvaluationError):
+        runs = {
+            name: evaluate(folder, truth_path, together / name, figures=figures, progress=progress)
+            for name, folder in folders.items()
+        }
     drawn: tuple[Path, ...] = ()
     if figures:
         from quadtree_lss.lab.evaluation.figures import draw_together

@@ -146,6 +146,10 @@ class Landing:
 
     def step(self, seen: Seen) -> Order:
         """The order of this moment."""
+        down = seen.landed and self.state in (COMMIT, HOLD)  # maybe while there was no link
+        if seen.jump > JUMP_M and self.state not in (PILOT, TOUCHDOWN) and not down:
+            text = f"navigation jumped by {seen.jump:.1f} m: the map lies elsewhere now"
+            self._give_up(seen, text)
         if seen.heartbeat_age > HEARTBEAT_S:
             if self.state != PILOT:
                 self._halt(seen, f"no heartbeat for {seen.heartbeat_age:.1f} s")
@@ -153,6 +157,9 @@ class Landing:
         if not seen.ours or not seen.armed:
             self._leave(seen)
             return Order(self.state, self._text, None, None)
+        if down:
+            self._begin(TOUCHDOWN, "on the ground", seen.now)
+            self._point = seen.position - (0.0, 0.0, THROUGH_M)
         if self.state == TOUCHDOWN and not self._left:  # it goes on pressing on the ground
             return Order(TOUCHDOWN, self._text, self._point, None)
         if self.state in (PILOT, TOUCHDOWN):
@@ -167,10 +174,10 @@ class Landing:
         target, why = self._usable(seen)
         self._decide(seen, target, why)
         point = seen.position.copy() if self._point is None else self._point
-        if seen.pose_age <= POSE_S and self.state != TOUCHDOWN:
+        if seen.pose_age <= POSE_S:
             self._move(point, seen, target, dt)
         self._point = point
-        target = None if self.state == GIVE_UP else target
+        target = None if self.state == GIVE_UP or seen.pose_age > POSE_S else target
         return Order(self.state, self._text, point.copy(), target)
 
     def _leave(self, seen: Seen) -> None:
@@ -203,16 +210,10 @@ class Landing:
     def _decide(self, seen: Seen, target: Target | None, why: str) -> None:
         """The next state."""
         now = seen.now
-        if seen.jump > JUMP_M:
-            text = f"navigation jumped by {seen.jump:.1f} m: the map lies elsewhere now"
-            self._give_up(seen, text)
         if self.state == GIVE_UP:
             return
         if seen.pose_age > POSE_S:
             self._halt(seen, f"the pose is {seen.pose_age:.1f} s old")
-            return
-        if self.state == COMMIT and seen.landed:
-            self._begin(TOUCHDOWN, "on the ground", now)
             return
         if self.state == HOLD and seen.position[2] < self._gate_z - AT_M:
             self._wave_off(seen, self._text)  # it stood still below the gate, and may go on again

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import pairwise
@@ -87,7 +87,8 @@ class Link:
     ) -> None:
         mavutil = dialect()
         device, _, rate = connection.partition(",")
-        options = {"source_component": ONBOARD_COMPUTER, "autoreconnect": True}
+        # Of the system that most autopilots are until it is heard: 255 is a ground station's.
+        options = {"source_component": ONBOARD_COMPUTER, "source_system": 1, "autoreconnect": True}
         try:
             self._port = mavutil.mavlink_connection(device, baud=int(rate or BAUD), **options)
         except (OSError, ValueError, IndexError, ImportError) as error:
@@ -101,7 +102,8 @@ class Link:
         self.heard_of: Counter[str] = Counter()
         self.refused: Counter[str] = Counter()
         self._system = 0
-        self._due = dict.fromkeys(("sync", "beat", "ask"), 0.0)
+        self._due = dict.fromkeys(("sync", "beat", "ask", "settle"), 0.0)
+        self._asked: deque[int] = deque(maxlen=RemoteClock.KEPT)
         self._attitudes: list[tuple[int, Array]] = []
         self._positions: list[tuple[int, Array, Array]] = []
         self._last_nav, self._newest, self._told = -np.inf, 0, 0
@@ -132,7 +134,8 @@ class Link:
             self._say("heartbeat", 18, 8, 0, 0, 4)  # an onboard controller, not an autopilot
         if self.kind is not None:
             if self._is_due("sync", SYNC_S, now):
-                self._say("timesync", 0, self._clock())
+                self._asked.append(self._clock())
+                self._say("timesync", 0, self._asked[-1])
             if now - self._last_nav > 1.0 and self._is_due("ask", ASK_S, now):
                 for number in STREAMS[self.kind]:
                     self._command(SET_INTERVAL, number, 1e6 / POSE_HZ)
@@ -162,7 +165,10 @@ class Link:
             self._set_mode(FOLLOWS[self.kind])
 
     def settle(self, *, disarm: bool) -> None:
-        """On the ground: asks for land mode, where that stops the motors, or disarms."""
+        """On the ground: asks for land mode, where that stops the motors, or disarms; of calls
+        within a second once, so call it until it is done."""
+        if not self._is_due("settle", BEAT_S, self._now()):
+            return
         if disarm:
             self._command(ARM_DISARM, 0.0)
         elif self.kind in LAND:
@@ -209,7 +215,7 @@ class Link:
             return "damaged"
         if message.get_srcSystem() != self._system or message.get_srcComponent() != 1:
             return PASSED
-        if message.get_type() == "TIMESYNC" and message.tc1 > 0:
+        if message.get_type() == "TIMESYNC" and message.tc1 > 0 and message.ts1 in self._asked:
             self.remote.add(message.ts1, message.tc1, self._clock())
             return "state"
         if number == EXTENDED:
@@ -244,10 +250,10 @@ class Link:
 
     def _on_odometry(self, message: Any) -> Nav | str:
         place = np.array([message.x, message.y, message.z])
-        along = np.array([message.vx, message.vy, message.vz])  # of the body's axes
-        q = np.array(message.q)
-        upper = np.array(message.pose_covariance)
-        return self._nav(1000 * message.time_usec, place, q, along, upper, of_body=True)
+        velocity = np.array([message.vx, message.vy, message.vz])
+        q, upper = np.array(message.q), np.array(message.pose_covariance)
+        of_body = message.child_frame_id != LOCAL_NED  # PX4's own is not
+        return self._nav(1000 * message.time_usec, place, q, velocity, upper, of_body=of_body)
 
     @np.errstate(invalid="ignore")  # judged by `_nav`
     def _paired(self) -> Nav | str:

@@ -174,13 +174,11 @@ def doubt(config: Config) -> str:
     for name, (text, value, unit) in used.items():
         low, high = (unit * float(of) for of in fitted.get(name) or (value / unit,) * 2)
         if not (1.0 - NEAR) * low <= value <= (1.0 + NEAR) * high:
-            given = f"{low:g}" if low == high else f"{low:g} to {high:g}"
-            far.append(f"{text.format(given)}, not {value:g}")
+            given = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+            far.append(f"{text.format(given)}, not {value:.4g}")
     noise, stereo = config.lidar.range_noise, config.lidar.stereo_noise * config.lidar.max_range**2
     if np.hypot(noise, stereo) > (1.0 + NEAR) * noise:
-        far.append(
-            f"a noise that is {noise:g} m at any range, not one of stereo up to {stereo:.2g}"
-        )
+        far.append(f"a noise of {noise:g} m at any range, not one that grows to {stereo:.2g}")
     if not far:
         return ""
     name = lss.risk_model or SHIPPED

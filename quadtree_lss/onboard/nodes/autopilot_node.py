@@ -177,6 +177,9 @@ class AutopilotNode(BaseNode):
             link.fly_to(nav.position)  # without a stream it does not go into offboard
         if order.target is not None:
             link.show_target(order.target.place, nav)
+        may = self._config.autopilot.may_command
+        if order.state == TOUCHDOWN and order.point is not None and may != "nothing":
+            link.settle(disarm=may == "arming")
         if order.state != began:
             self._on_change(order, nav)
         self._tell(order)
@@ -193,16 +196,13 @@ class AutopilotNode(BaseNode):
         return ""
 
     def _on_change(self, order: Order, nav: Nav) -> None:
-        """A line for the log and the pilot; what lss_node is to know; motors off once down."""
-        config = self._config.autopilot
+        """A line for the log and the pilot; what lss_node is to know."""
         warn, text = order.state in LEVELS, f"{order.state}: {order.text}"
         if warn:
             self.get_logger().warning(text)
         else:
             self.get_logger().info(text)
         self._link.tell(f"lss {text}", warn=warn)
-        if order.state == TOUCHDOWN and config.may_command != "nothing":
-            self._link.settle(disarm=config.may_command == "arming")
         if order.point is not None:
             self._send_dispersion(nav)
             if self._order.state == PILOT and self.count_publishers(AREA) <= 1:

@@ -88,19 +88,15 @@ class MappingNode(BaseNode):
         self._pose_kind = Odometry if odometry else PoseWithCovarianceStamped
         self._scan_kind = Image if config.lidar.source == "depth" else PointCloud2
         scans = DEPTH if config.lidar.source == "depth" else SCANS
-        names = {SCANS: scans, POSES: ODOMETRY if odometry else POSES, GIMBAL: GIMBAL}
-        self._topics = {name: self.resolve_topic_name(topic) for name, topic in names.items()}
-        self._intake = Intake(
-            config,
-            scan_topic=self._topics[SCANS],
-            pose_topic=self._topics[POSES],
-            gimbal_topic=self._topics[GIMBAL],
-        )
-        self._gaps = ScanGaps(self._topics[SCANS], self._problems)
-        self._overload = Overload(self._topics[SCANS], self._problems)
+        names = {"scan": scans, "pose": ODOMETRY if odometry else POSES, "gimbal": GIMBAL}
+        self._topics = {what: self.resolve_topic_name(name) for what, name in names.items()}
+        topics = {f"{what}_topic": name for what, name in self._topics.items()}
+        self._intake = Intake(config, **topics)
+        self._gaps = ScanGaps(self._topics["scan"], self._problems)
+        self._overload = Overload(self._topics["scan"], self._problems)
         effect = "they are taken as one's; scans are mapped between poses of different ones"
         self._pose_publishers = Publishers(
-            self._topics[POSES], "pose_publishers", effect, self._problems
+            self._topics["pose"], "pose_publishers", effect, self._problems
         )
         self._arrived = {"scan": Arrivals(), "pose": Arrivals()}
         if config.mount.source == "gimbal":
@@ -141,7 +137,7 @@ class MappingNode(BaseNode):
         qos = self._config.qos
         scan_qos = stream(SCAN_DEPTH, reliable=qos.scan_reliability == "reliable")
         pose_qos = stream(POSE_DEPTH, reliable=True)
-        topic, told = self._topics[SCANS], self._gaps.on_publishers
+        topic, told = self._topics["scan"], self._gaps.on_publishers
         clouds = self._scan_kind is PointCloud2
         subscribe(self, self._scan_kind, topic, self._on_scan, scan_qos, told, raw=clouds)
         if self._scan_kind is Image:
@@ -151,8 +147,7 @@ class MappingNode(BaseNode):
         if self._config.domain.follow == "area":
             subscribe_twice(self, PolygonStamped, f"landing/{AREA}", self._on_area)
         ahead = WhenWanted(lambda: len(self._intake.queue) > 0)
-        poses = self._topics[POSES]
-        kind = self._pose_kind
+        poses, kind = self._topics["pose"], self._pose_kind
         take = self._and_work(self._take_pose)
         pose = subscribe(self, kind, poses, take, pose_qos, group=ahead, raw=True)
         self._ahead = [(pose, self._take_pose)]
@@ -248,13 +243,10 @@ class MappingNode(BaseNode):
         """What the first scan to be mapped takes and has not come, empty after it."""
         if self._scans:
             return ""
-        topics = {"scan": SCANS, "pose": POSES, "gimbal": GIMBAL}
-        silent = [self._topics[topics[what]] for what, of in self._arrived.items() if not of.count]
+        silent = [self._topics[what] for what, of in self._arrived.items() if not of.count]
         if silent:
-            known = [
-                f"'{name}' (publishers known: {self.count_publishers(name)})" for name in silent
-            ]
-            return " and ".join(known)
+            known = "'{}' (publishers known: {})".format
+            return " and ".join(known(name, self.count_publishers(name)) for name in silent)
         gone = [f"{n} dropped: {why}" for why, n in self._intake.dropped.items() if n]
         waiting = f"{len(self._intake.queue)} wait for a pose at their stamp"
         return f"a scan that can be mapped ({', '.join([waiting, *gone])})"
@@ -365,12 +357,11 @@ class MappingNode(BaseNode):
     def _collect(self, status: Status) -> None:
         config, report = self._config, self._report
         # Not by an event: those of poses are looked at only while a scan waits.
-        self._pose_publishers.changed(self.count_publishers(self._topics[POSES]))
+        self._pose_publishers.changed(self.count_publishers(self._topics["pose"]))
         self._pose_publishers.judge(status)
         self._gaps.publishers.judge(status)
-        for what, name in (("scan", SCANS), ("pose", POSES), ("gimbal", GIMBAL)):
-            if what in self._arrived:
-                status.judge_age(what, self._topics[name], self._arrived[what], config.diagnostics)
+        for what, of in self._arrived.items():
+            status.judge_age(what, self._topics[what], of, config.diagnostics)
         other = "pose" if config.pose.source == "odometry" else "odometry"
         unused = self.resolve_topic_name(f"nav/{other}")
         if not self._arrived["pose"].count and self.count_publishers(unused):

@@ -25,7 +25,7 @@ from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, serve, 
 from quadtree_lss.onboard.nodes.ros_messages import message_maker
 
 if TYPE_CHECKING:
-    from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
+    from quadtree_lss.onboard.core.landing.assessment import LandingAssessment, Selected
 
 
 class TargetOutput:
@@ -121,24 +121,27 @@ class TargetOutput:
         if selected.id == last:
             return
         if selected.id:
-            x, y, z = selected.position
-            self._logger.info(
-                f"target {selected.id} at x {x:.2f}, y {y:.2f}, z {z:.2f} m"
-                f" ({selected.reason.key}): {selected.site.reasons[0]}"
-            )
+            why = f"({selected.reason.key}): {selected.site.reasons[0]}"
+            self._logger.info(f"{_text(selected)} {why}")
         else:
             self._logger.warning(
                 f"target {last} is withdrawn ({selected.reason.key}): {result.explanation}"
             )
 
     def _on_release(self) -> str:
-        held = 0 if self._result is None else self._result.selected.id
+        before = self._result
+        held = 0 if before is None else before.selected.id
         if not (held or self._urgent):
             msg = "there is no target"
             raise QuadtreeLssError(msg)
         self._urgent = False
         self._release()
-        return f"target {held} is released; the next assessment takes the best site"
+        text = f"target {held} is released" if held else "landing now is not asked for any more"
+        now = self._result
+        if now is None or now is before:
+            return f"{text}: the next map decides"
+        chosen = now.selected
+        return f"{text}: now {_text(chosen) if chosen.id else f'none, {now.explanation}'}"
 
     def _on_land_now(self) -> str:
         self._urgent = True
@@ -148,9 +151,12 @@ class TargetOutput:
             why = "nothing is mapped yet" if result is None else result.explanation
             msg = f"no place within reach ({why}); the first that there is will be it"
             raise QuadtreeLssError(msg)
-        chosen = result.selected
-        x, y, z = chosen.position
         return (
-            f"target {chosen.id} at x {x:.2f}, y {y:.2f}, z {z:.2f} m, safe with probability"
-            f" {chosen.probability:.3f}; {WAIT_S:g} s of waiting would gain {result.gain:+.3f}"
+            f"{_text(result.selected)}, safe with probability {result.selected.probability:.3f};"
+            f" {WAIT_S:g} s of waiting would gain {result.gain:+.3f}"
         )
+
+
+def _text(chosen: Selected) -> str:
+    x, y, z = chosen.position
+    return f"target {chosen.id} at x {x:.2f}, y {y:.2f}, z {z:.2f} m"

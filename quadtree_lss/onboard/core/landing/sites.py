@@ -258,7 +258,7 @@ class LandingSiteSelector:
             score=aims.score,
             probability=aims.probability,
             risk=aims.risk,
-            explanation=_explanation(points, aims, above, lss),
+            explanation=_explanation(points, aims, above, wanted, lss),
             offset_z=cells.offset_z,
             offset_variance=cells.offset_variance,
             ground=(at, points),
@@ -368,13 +368,17 @@ def _descent(
     return Descent(motion.z - ground, motion.down)
 
 
-def _explanation(points: PointAssessment, aims: Aims, above: Mask, lss: LssConfig) -> str:
+def _explanation(
+    points: PointAssessment, aims: Aims, above: Mask, wanted: Restrictions, lss: LssConfig
+) -> str:
     """How many grid points are safe, or why there are no sites."""
     safe, raster = aims.candidates.safe, points.raster
     if aims.withheld:
         return f"no site is given out: {aims.withheld}"
     if aims.candidates.permitted.any():
         return f"{np.count_nonzero(safe)} of {safe.size} grid points are safe"
+    if beside := wanted.beside(aims.at.x, aims.at.y):
+        return f"no safe site: {beside}"
     if safe.any():
         text = "no safe ground within the landing area and outside the keep-outs"
         if above.any():

@@ -189,6 +189,20 @@ class Restrictions:
             left += NEARER[lss.ranking] * np.hypot(x[column] - goal[0], y[row] - goal[1])
         cost[row, column] = left
 
+    def beside(self, x: Array, y: Array) -> str:
+        """That the area lies outside of the grid; empty if it does not."""
+        if self.area is None:
+            return ""
+        area = np.array([np.min(self.area, axis=0), np.max(self.area, axis=0)]).T[:2]
+        grid = np.array([x[[0, -1]], y[[0, -1]]])
+        if (area[:, 0] <= grid[:, 1]).all() and (area[:, 1] >= grid[:, 0]).all():
+            return ""
+        texts = (
+            ", ".join(f"{n} {a:g} ... {b:g}" for n, (a, b) in zip("xy", box, strict=True))
+            for box in (area, grid)
+        )
+        return "the landing area, {}, lies outside the domain, {} m".format(*texts)
+
     def wish(self) -> tuple[list[object] | None, ...]:
         """Area and target: another one asks for another choice."""
         return tuple(
