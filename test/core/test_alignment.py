@@ -179,6 +179,17 @@ def test_leaves_are_lifted_as_far_as_they_share_the_error():
         np.testing.assert_allclose(rows[name][:5], [0.1, 0.0, 0.2, 0.2, 0.0], atol=1e-4)
 
 
+def test_leaves_in_which_time_went_back_are_lifted_whole():
+    """By a millisecond, too, as of two lidars."""
+    mapper = mapped(configured(domain=CELLS), flat(), scans=1)
+    rows = mapper.leaves.rows
+    rows.z[:] = 0.0
+    rows.first_time[:3], rows.last_time[:3] = (0.001, 15.0, 15.0), (0.0, 2.0, 14.9999)
+    lift(mapper.leaves, 0.2, 1.0)
+    np.testing.assert_allclose(rows.z[:3], 0.2)
+    assert (rows.known[:3] == 3).all()
+
+
 def fly(mapper: Mapper, surface, errors, rng, covariance=None, points=12000, start=1.0) -> None:
     """Scans straight down, a second apart; poses are too high by each of ``errors`` (K,)."""
     sigma = pose_covariance(0.3, 1e-9) if covariance is None else covariance

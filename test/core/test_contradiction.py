@@ -3,7 +3,16 @@
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, look, make_pose, pose_covariance, scan, scattered
+from core.builders import (
+    configured,
+    flat,
+    look,
+    make_pose,
+    pose_covariance,
+    scan,
+    scattered,
+    slope,
+)
 
 from quadtree_lss.onboard.core.geometry.rotations import exp
 from quadtree_lss.onboard.core.mapping.contradiction import AGREEING, DEVIATIONS
@@ -169,6 +178,35 @@ def test_points_are_votes_where_a_plane_is_of_another_place_altogether():
     np.testing.assert_allclose(heights, [50.0, 50.0, 50.0, 0.0, 0.0], atol=0.05)
 
 
+def test_what_speaks_against_a_plane_is_seen_and_not_known():
+    """Something tall came to stand on one half of a cell that was level ground a thousand times."""
+    config = configured(domain={"size": 4.0, "min_level": 0, "max_level": 0})
+    mapper, rng = Mapper(config), np.random.default_rng(5)
+    known = []
+    for number, (high, count) in enumerate(((0.0, 1000), (50.0, 100), (0.0, 100))):
+        pose = make_pose((2.0, 2.0, 500.0), stamp_ns=number)
+        look(mapper, flat(high), *scattered(rng, 0, 0, 4, count), rng, NOISE, pose)
+        cells = mapper.snapshot()
+        assert cells.z[0] == pytest.approx(0.0, abs=0.05)
+        assert cells.observed.all()
+        known.append(cells.known.all())
+    assert known == [True, False, True]
+
+
+def test_a_point_that_outvotes_a_plane_is_measured_as_by_a_fresh_leaf():
+    """The slope of what was wrong says nothing any more."""
+    config = configured(domain={"size": 4.0, "min_level": 0, "max_level": 0})
+    wrong, fresh, rng = Mapper(config), Mapper(config), np.random.default_rng(6)
+    look(wrong, slope(1.0, 0.0, 3e3), *scattered(rng, 0, 0, 4, 4), pose=make_pose((2.0, 2.0, 4e3)))
+    corner, pose = (np.array([3.5]), np.array([3.0])), make_pose((2.0, 2.0, 40.0), stamp_ns=5)
+    for _ in range(4):
+        look(wrong, flat(), *corner, pose=pose)
+    look(fresh, flat(), *corner, pose=pose)
+    for name in ("z", "range_part", "points"):
+        expected = fresh.leaves.rows[name][0]
+        np.testing.assert_allclose(wrong.leaves.rows[name][0], expected, atol=1e-9)
+
+
 def test_the_count_of_the_refused_goes_on_after_a_restart():
     flight = Flight(scans=5)
     for _ in range(AGREEING - 1):
@@ -212,6 +250,20 @@ def test_height_and_tilt_are_those_of_most_cells():
     assert found.tilt == pytest.approx((0.004, -0.002), abs=6e-4)
     at = found.height - 0.004 * found.centre[0] + 0.002 * found.centre[1]
     assert at == pytest.approx(0.1, abs=0.01)
+
+
+def test_a_departure_is_the_same_in_any_order_of_the_cells():
+    """Though one cell, far off, was seen at another time than all others."""
+    rng = np.random.default_rng(7)
+    cells = np.zeros((12, 30))
+    cells[1], cells[2], cells[3], cells[5], cells[8] = 4e-4, 0.01, 0.01, 1.0, -30.0
+    cells[6:8] = rng.uniform(-10.0, 10.0, (2, 30))
+    cells[0] = 0.05 * cells[6] + 0.02 * rng.standard_normal(30)
+    cells[0, 0], cells[4:6, 0] = 50.0, 5.0
+    sigma = np.diag([0.01] * 3 + [1e-6] * 3)
+    first, last = (departure(c, sigma, 6.0, 60.0, DEVIATIONS) for c in (cells, cells[:, ::-1]))
+    assert first.deviations == pytest.approx(last.deviations)
+    assert first.deviations > DEVIATIONS
 
 
 @pytest.mark.parametrize("position", [0.05, 0.3])

@@ -25,7 +25,9 @@ from core.builders import (
 )
 
 from quadtree_lss.onboard.core.geometry import morton
+from quadtree_lss.onboard.core.geometry.rotations import exp
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
 
 
 @pytest.mark.parametrize("paper", METHODS)
@@ -179,6 +181,19 @@ def test_a_scan_without_sound_points_changes_nothing(points):
     assert_same(before, mapper.snapshot())
 
 
+def test_returns_all_around_the_lidar_spoil_nothing():
+    """Their middle is the lidar, to which no ray leads."""
+    config = configured(domain={"size": 4.0, "min_level": 0, "max_level": 0})
+    mapper = mapped(config, flat(), density=20.0, scans=1)
+    x, y = np.array([1.0, -1.0, 0.25, -0.25]), np.array([0.5, -0.5, -1.0, 1.0])
+    pose = make_pose((2.0, 2.0, 0.0), pose_covariance(0.1, 1e-3), 10**9)
+    assert look(mapper, flat(), 2.0 + x, 2.0 + y, pose=pose).points_used == 4
+    leaf = mapper.leaves.rows[0]
+    assert leaf.points > 300
+    assert abs(leaf.z) < 0.05
+    Mapper(config).import_state(mapper.export_state())
+
+
 def test_a_snapshot_does_not_change_with_later_scans():
     mapper = mapped(configured(), GROUND, density=20.0, scans=1)
     kept = mapper.snapshot()
@@ -204,6 +219,36 @@ def test_order_and_form_of_points_do_not_matter(how):
         mapper.update(cloud, pose)
         maps.append(mapper.snapshot())
     assert_same(*maps, 1e-7 if fit else 0.0)
+
+
+@pytest.mark.parametrize("paper", ["none", "all"])
+@pytest.mark.parametrize("mirror", [np.diag([-1.0, 1.0, 1.0]), np.eye(3)[[1, 0, 2]]])
+def test_a_mirrored_world_gives_the_mirrored_map(mirror, paper):
+    """Neither axis is another than the other, neither way along it, and pose errors go along."""
+    config, aside = configured(mapping={"paper": paper}), np.diag([-1.0, 1.0, 1.0])
+    one, other = Mapper(config), Mapper(config)
+    rng, middle = np.random.default_rng(12), np.array([8.0, 8.0, 0.0])
+    errors = np.zeros((6, 6))
+    errors[:3, :3], errors[3:, 3:] = mirror, -mirror  # rotations turn the other way
+    for k in range(6):
+        root = np.repeat([0.05, 2e-3], 3)[:, None] * rng.standard_normal((6, 6))
+        turn = exp(rng.standard_normal(3))
+        place = middle + rng.uniform(-15.0, 15.0, 3) + (0.0, 0.0, 40.0)
+        pose = Pose(1 + k * 10**8, place, turn, root @ root.T)
+        x, y = scattered(rng, *rng.uniform(-2.0, 8.0, 2), 10.0, 3000)
+        points = scan(lambda x, y: 0.4 * (x > 5.1) + 0.3 * np.sin(y), x, y, pose, 0.05, rng)
+        one.update(points, pose)
+        there = mirror @ (place - middle) + middle, mirror @ turn @ aside
+        told = Pose(pose.stamp_ns, *there, errors @ pose.covariance @ errors.T)
+        other.update(points @ aside, told)
+    cells, mirrored = one.snapshot(), other.snapshot()
+    x, y = lattice(0.0, 0.0, 16.0, 64)
+    found = cells.at(x, y)
+    away = mirror @ np.array([x - 8.0, y - 8.0, 0.0 * x]) + middle[:, None]
+    for a, b in zip(found, mirrored.at(*away[:2]), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-6)
+    assert len(cells.level) == len(mirrored.level) > 100
+    assert np.isfinite(found.height).any()
 
 
 @pytest.mark.parametrize(("scans", "points"), [(1, 6000), (5, 512)])

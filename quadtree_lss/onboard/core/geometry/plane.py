@@ -156,7 +156,8 @@ def shift_origins(pair: Vector, first: float, second: float) -> None:
 def keep_possible(c: Vector) -> None:
     """Covariance (9) in place: what rounding made impossible has nothing in common any more.
 
-    Planes that lie 1e5 m and more apart are fused about a place so far away that little is left.
+    Planes that lie 1e5 m and more apart are fused about a place so far away that little is left,
+    and exact positions of a lidar leave nothing of the height right below it.
     """
     cython.declare(i=cython.int)
     xy, xz, yz = c[1] * c[1], c[2] * c[2], c[5] * c[5]
@@ -638,7 +639,9 @@ def _from_pivot(
             for k in range(3):
                 range_part[3 * i + k] = range_part[3 * k + i] = 0.0
             range_part[4 * i] = SURE
-    if first * first + second * second > REMOTE:
+    remote: cython.bint = first * first + second * second > REMOTE
+    if remote:
         keep_possible(range_part)
+    if remote or min(pose_part[0], pose_part[4], pose_part[8]) < SURE:
         keep_possible(pose_part)
     out_rise[0] = rise

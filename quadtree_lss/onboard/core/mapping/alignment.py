@@ -177,7 +177,9 @@ def lift(table: LeafTable, height: float, since: float) -> None:
         if leaf[row].known >= HINTS:
             first = leaf[row].first_time
             last = leaf[row].last_time
-            shared = (last - max(first, since) + INSTANT) / (last - first + INSTANT)
+            shared = 1.0  # of a leaf in which time went back
+            if last >= first:
+                shared = (last - max(first, since) + INSTANT) / (last - first + INSTANT)
             rise = height * min(max(shared, 0.0), 1.0)
             leaf[row].z += rise
             leaf[row].low += rise

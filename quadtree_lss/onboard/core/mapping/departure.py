@@ -15,10 +15,11 @@ import numpy as np
 from quadtree_lss.onboard.arrays import Array
 
 if cython.compiled:
-    from cython.cimports.libc.math import exp, fabs, sqrt
+    from cython.cimports.libc.math import INFINITY, exp, fabs, sqrt
     from cython.cimports.quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
 else:
     from math import exp, fabs, sqrt
+    from math import inf as INFINITY
 
     from quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
 
@@ -154,7 +155,7 @@ def departure(
     square = weights = mapped = tilted = began = last = 0.0
     if count < MIN_CELLS:
         return None
-    early = late = 0.5 * (cells[4, 0] + cells[5, 0])
+    early, late = INFINITY, -INFINITY
     for j in range(18):
         moved[j] = 0.0
     kept = cython.declare(cython.Py_ssize_t[::1], np.empty(count, dtype=np.intp))

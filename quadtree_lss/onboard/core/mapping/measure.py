@@ -282,6 +282,9 @@ def measure(
         + run.centroid[1] * run.centroid[1]
         + run.centroid[2] * run.centroid[2]
     )
+    if distance == 0.0:  # all around the lidar: no ray leads there
+        run.centroid[2] = -1e-9
+        distance = 1e-9
     ray_x = run.centroid[0] / distance
     ray_y = run.centroid[1] / distance
     ray_z = run.centroid[2] / distance

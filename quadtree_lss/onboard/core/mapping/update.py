@@ -63,11 +63,18 @@ KEPT_POINTS = 1 << 20
 
 
 @cython.boundscheck(False)
-def know(seen: Bytes, key: Keys, begin: cython.Py_ssize_t, end: cython.Py_ssize_t) -> None:
-    """The finest cells under the points ``begin`` to ``end``, of these keys (N,), are `KNOWN`."""
+def put(
+    seen: Bytes,
+    key: Keys,
+    begin: cython.Py_ssize_t,
+    end: cython.Py_ssize_t,
+    state: cython.uchar,
+) -> None:
+    """The finest cells under the points ``begin`` to ``end``, of these keys (N,), are `SEEN`, or
+    `KNOWN`."""
     i: cython.Py_ssize_t
     for i in range(begin, end):
-        seen[key[i]] = KNOWN
+        seen[key[i]] = state
 
 
 class Room:
@@ -342,9 +349,10 @@ class ScanUpdate:
         if self.fusion.contradicts(leaf, run):
             leaf.points -= run.points
             if leaf.points > 0.0:
-                self._mark(begin, end, SEEN)
+                put(self.table.seen, self.key, begin, end, SEEN)
                 return
             self.table.forget(leaf)
+            self._measure(leaf, begin, end, run)
         fresh: cython.bint = leaf.known <= HINTS
         if fresh and run.sloped == 0.0:
             seen = 1.0 - run.unseen
@@ -446,7 +454,7 @@ class ScanUpdate:
         out = count = 0.0
         rest(self.rules, leaf, run, self.points, self.residual, begin, end, self.fusion.origin)
         if run.greatest <= run.raised_by:
-            know(self.table.seen, self.key, begin, end)
+            put(self.table.seen, self.key, begin, end, KNOWN)
             return
         for i in range(begin, end):
             count += 1.0
