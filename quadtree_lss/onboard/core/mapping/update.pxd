@@ -10,7 +10,7 @@ from quadtree_lss.onboard.core.mapping.fusion cimport Fusion
 from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, few, measure, partial, pose_variance
 from quadtree_lss.onboard.core.tree.leaves cimport HINTS, INHERITED, KNOWN, MEASURED, NOTHING, OUT, SEEN, Leaf, LeafTable
 
-cdef void know(unsigned char[::1] seen, long long[::1] key, Py_ssize_t begin, Py_ssize_t end) noexcept nogil
+cdef void put(unsigned char[::1] seen, long long[::1] key, Py_ssize_t begin, Py_ssize_t end, unsigned char state) noexcept nogil
 
 cdef class Room:
     cdef Py_ssize_t points, cells

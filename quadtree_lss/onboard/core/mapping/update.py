@@ -63,11 +63,13 @@ KEPT_POINTS = 1 << 20
 
 
 @cython.boundscheck(False)
-def know(seen: Bytes, key: Keys, begin: cython.Py_ssize_t, end: cython.Py_ssize_t) -> None:
-    """The finest cells under the points ``begin`` to ``end``, of these keys (N,), are `KNOWN`."""
+def put(
+    seen: Bytes, key: Keys, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, state: cython.uchar
+) -> None:
+    """The finest cells under the points ``begin`` to ``end``, of these keys (N,), are so."""
     i: cython.Py_ssize_t
     for i in range(begin, end):
-        seen[key[i]] = KNOWN
+        seen[key[i]] = state
 
 
 class Room:
@@ -342,7 +344,10 @@ class ScanUpdate:
         if self.fusion.contradicts(leaf, run):
             leaf.points -= run.points
             if leaf.points > 0.0:
-                self._mark(begin, end, SEEN)
+                if run.points > 1.0:  # one return alone is no evidence
+                    put(self.table.seen, self.key, begin, end, SEEN)
+                else:
+                    self._mark(begin, end, SEEN)
                 return
             self.table.forget(leaf)
         fresh: cython.bint = leaf.known <= HINTS
@@ -446,7 +451,7 @@ class ScanUpdate:
         out = count = 0.0
         rest(self.rules, leaf, run, self.points, self.residual, begin, end, self.fusion.origin)
         if run.greatest <= run.raised_by:
-            know(self.table.seen, self.key, begin, end)
+            put(self.table.seen, self.key, begin, end, KNOWN)
             return
         for i in range(begin, end):
             count += 1.0
