@@ -178,21 +178,6 @@ def test_points_are_votes_where_a_plane_is_of_another_place_altogether():
     np.testing.assert_allclose(heights, [50.0, 50.0, 50.0, 0.0, 0.0], atol=0.05)
 
 
-def test_what_speaks_against_a_plane_is_seen_and_not_known():
-    """Something tall came to stand on one half of a cell that was level ground a thousand times."""
-    config = configured(domain={"size": 4.0, "min_level": 0, "max_level": 0})
-    mapper, rng = Mapper(config), np.random.default_rng(5)
-    known = []
-    for number, (high, count) in enumerate(((0.0, 1000), (50.0, 100), (0.0, 100))):
-        pose = make_pose((2.0, 2.0, 500.0), stamp_ns=number)
-        look(mapper, flat(high), *scattered(rng, 0, 0, 4, count), rng, NOISE, pose)
-        cells = mapper.snapshot()
-        assert cells.z[0] == pytest.approx(0.0, abs=0.05)
-        assert cells.observed.all()
-        known.append(cells.known.all())
-    assert known == [True, False, True]
-
-
 def test_a_point_that_outvotes_a_plane_is_measured_as_by_a_fresh_leaf():
     """The slope of what was wrong says nothing any more."""
     config = configured(domain={"size": 4.0, "min_level": 0, "max_level": 0})
@@ -205,6 +190,40 @@ def test_a_point_that_outvotes_a_plane_is_measured_as_by_a_fresh_leaf():
     for name in ("z", "range_part", "points"):
         expected = fresh.leaves.rows[name][0]
         np.testing.assert_allclose(wrong.leaves.rows[name][0], expected, atol=1e-9)
+
+
+@pytest.mark.survives(
+    "something 30 deviations high comes onto mapped ground (a drone's: 0.75 m)",
+    "the first scan that shows it by two returns or more in a leaf makes this seen, not yet "
+    "mapped, and so not safe, until more returns speak for it than for the ground before it; once "
+    "it has gone, the next scan makes the ground known again",
+)
+def test_what_comes_onto_mapped_ground_is_not_known():
+    """A block of 3 m by 3 m, of which a tenth of the scan's returns tell."""
+    domain = {"xmin": 0.0, "ymin": 0.0, "size": 8.0, "min_level": 5, "max_level": 5}
+    mapper, rng = Mapper(configured(domain=domain)), np.random.default_rng(7)
+
+    def block(x, y):
+        return 5.0 * ((np.abs(x - 4.0) < 1.5) & (np.abs(y - 4.0) < 1.5))
+
+    def fly(ground, stamp_ns):
+        pose = make_pose((4.0, 4.0, 500.0), stamp_ns=stamp_ns)
+        look(mapper, ground, *scattered(rng, 0.0, 0.0, 8.0, 20000), rng, NOISE, pose)
+        known = mapper.snapshot().known
+        return known[11:21, 11:21], np.r_[known[:9].ravel(), known[-9:].ravel()]
+
+    for number in range(10):
+        fly(flat(0.0), number)
+    for number in range(10, 13):
+        under, beside = fly(block, number)
+        assert not under.any()
+        assert beside.all()
+    under, beside = fly(flat(0.0), 13)
+    assert under.all()
+    # One return alone, which the outlier gate let through, is no evidence.
+    pose = make_pose((4.0, 4.0, 500.0), stamp_ns=14)
+    look(mapper, flat(5.0), np.full(1, 4.1), np.full(1, 4.1), rng, NOISE, pose)
+    assert mapper.snapshot().known.all()
 
 
 def test_the_count_of_the_refused_goes_on_after_a_restart():

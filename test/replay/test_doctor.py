@@ -58,6 +58,7 @@ class Good:
     quaternion: object = staticmethod(lambda place, turn: turn.as_quat())
     cloud: object = staticmethod(lambda points, place, turn: points)
     of_lidar: bool = False
+    sweep: float = 0.0  # from the first return of a scan to its last, each with its time
 
     def write(self, path):
         rng = np.random.default_rng(70011)
@@ -72,10 +73,11 @@ class Good:
                 message.pose.covariance = self.covariance.reshape(-1)
                 recorder.write("/nav/pose", message, POSE, at + 2_000_000)
             for t in self.scan_times:
-                place, turn = body(t)
+                after = np.linspace(0.0, self.sweep, rays().size // 3)
+                place, turn = body(t + after)
                 turn = turn * self.mount
                 direction = turn.apply(rays().reshape(-1, 3))
-                reach = np.full(len(direction), place[2])
+                reach = place[:, 2].copy()
                 for _ in range(20):
                     x, y, z = (place + reach[:, None] * direction).T
                     reach += 0.8 * (height(x, y) - z) / direction[:, 2]
@@ -86,6 +88,12 @@ class Good:
                 at = START + round(t * SECOND)
                 stamp = at + round(self.scan_clock * SECOND)
                 cloud = recorder.cloud(stamp, points.reshape(*rays().shape))
+                if self.sweep:
+                    fields = [*((name, "<f4") for name in "xyz"), ("t", "<u4")]
+                    timed = np.empty(after.shape, fields)
+                    timed["x"], timed["y"], timed["z"] = points.T
+                    timed["t"] = np.rint(SECOND * after)
+                    cloud = recorder.messages().cloud(timed, stamp)
                 recorder.write("/lidar/points", cloud, CLOUD, at + 5_000_000)
         return path
 
@@ -148,6 +156,9 @@ MISTAKES = {
     "clouds of a clock 37 s ahead": ({"scan_clock": 37.0}, MOUNTED, "clocks", "37.0"),
     "clouds 0.2 s late": ({"scan_clock": 0.2}, MOUNTED, "lag", "-0.20 s"),
     "poses 0.12 s late": ({"pose_clock": 0.12}, MOUNTED, "lag", "+0.12 s"),
+    "poses 0.12 s late, points with times": (
+        {"pose_clock": 0.12, "sweep": 0.1}, MOUNTED, "lag", "+0.12 s",
+    ),
     "a mount 9 deg off in roll": (
         {}, {**BASE, "mount.roll_deg": 171.0}, "mount_angle", "roll_deg: ",
     ),
@@ -193,6 +204,7 @@ GOOD = {
     "hardly any motion": (STILL, MOUNTED),
     "clocks since boot, both": ({"scan_clock": -1.7e9, "pose_clock": -1.7e9}, MOUNTED),
     "another noise": ({}, {**MOUNTED, "lidar.range_noise": 0.06}),
+    "a time for each point": ({"sweep": 0.1}, MOUNTED),
 }
 
 

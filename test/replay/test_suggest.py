@@ -66,6 +66,16 @@ def test_cells_suit_the_vehicle(flight, tmp_path, capsys, given, sparse):
     assert run(capsys, "config", "suggest", flight, "--vehicle", "small")[0] == 2
 
 
+@pytest.mark.parametrize("diameter", [1.4, 2.0, 2.5, 3.0, 3.7, 6.0])
+def test_it_keeps_what_is_given_and_asks_for_no_cells_that_no_risk_was_fitted_to(flight, diameter):
+    given = {"vehicle.diameter": diameter, "lss.dispersion": 0.7, "mount.z": 0.001}
+    found = suggest_config(flight, load_config((), given))
+    assert {name: found.values[name] for name in given} == given
+    finest = found.values["domain.size"] / 2 ** found.values["domain.max_level"]
+    assert finest > 0.99 * diameter / 16.0
+    assert "qos.overload" not in found.values
+
+
 def test_nothing_to_suggest_from_says_why(tmp_path, capsys):
     bag = write_ros2(tmp_path / "bag", scans=3)
     code, _, err = run(capsys, "config", "suggest", bag, "--set", "frames.map=moon")

@@ -28,6 +28,7 @@ from quadtree_lss.onboard.core.sensing.mount import AXES, cloud_turn, fixed_moun
 from quadtree_lss.onboard.messages.clouds import MessageError, points_from_cloud, stamp_ns
 from quadtree_lss.onboard.messages.lost_points import LOOKING_DOWN, NED_FROM_ENU
 from quadtree_lss.onboard.messages.poses import mount_from_message
+from quadtree_lss.onboard.messages.times import offsets_from_cloud
 
 MOST_SCANS, MOST_POINTS = 60, 800
 """Looked at of a bag, in pairs of neighbours, which see the same ground, and of each scan."""
@@ -96,6 +97,7 @@ class Heard:
             stamp = stamp_ns(msg.header)
         except MessageError:
             return
+        stamp += _middle(msg, stamp, points)
         points = points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
         if len(points) >= FEWEST:
             self._scans.append((stamp, points[:: max(len(points) // MOST_POINTS, 1)]))
@@ -148,6 +150,14 @@ class Heard:
         if mount is None:
             mount = Pose(0, np.zeros(3), cloud_turn(config.mount), np.zeros((6, 6)))
         return _Flight(scans, body, gimbal, mount)
+
+
+def _middle(msg: Any, stamp: int, points: Array) -> int:
+    """Of the times of a scan's returns, if they have any, ns from its stamp: it is as of then."""
+    with contextlib.suppress(MessageError):  # counted and told by the intake
+        if (times := offsets_from_cloud(msg, stamp, points)) is not None:
+            return int(np.median(times[0][np.isfinite(points[:, 2])]))
+    return 0
 
 
 def _thinned(scans: list[Any], every: int) -> list[Any]:

@@ -120,7 +120,8 @@ class _Seen:
         vehicle, by_data = config.vehicle, max(SPACINGS * spacing, NOISES * noise)
         least, most = vehicle.diameter / MOST_CELLS, vehicle.diameter / LEAST_CELLS
         wanted = min(max(by_data, least), most)
-        level = min(max(round(math.log2(side / wanted) + FINER), 0), 10)
+        level = math.floor(min(math.log2(side / wanted) + FINER + 0.5, math.log2(side / least)))
+        level = min(max(level, 0), 10)
         finest = math.ceil(1000.0 * side / 2**level) / 1000.0
         size = finest * 2**level
         corner = np.round(2.0 * (middle - 0.5 * size)) / 2.0
@@ -143,9 +144,13 @@ class _Seen:
             "domain.max_level": sizes,
             "lidar.range_noise": "scatter of neighbouring returns where the ground is smoothest",
         }
-        set_to = values_from_config(config).items()
-        lander = {name: value for name, value in set_to if name.startswith("vehicle.")}
-        found = config_from_values(values := lander | values, config)
+        usual = values_from_config(Config())
+        given = {
+            name: value
+            for name, value in values_from_config(config).items()
+            if name.startswith("vehicle.") or value != usual[name]
+        }
+        found = config_from_values(values := given | values, config)
         notes = [f"Suggested for {bag} from {len(self.places)} of its {self._scans} scans.", *wrong]
         if by_data > most:
             notes.append(

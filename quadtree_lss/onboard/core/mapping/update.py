@@ -64,14 +64,9 @@ KEPT_POINTS = 1 << 20
 
 @cython.boundscheck(False)
 def put(
-    seen: Bytes,
-    key: Keys,
-    begin: cython.Py_ssize_t,
-    end: cython.Py_ssize_t,
-    state: cython.uchar,
+    seen: Bytes, key: Keys, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, state: cython.uchar
 ) -> None:
-    """The finest cells under the points ``begin`` to ``end``, of these keys (N,), are `SEEN`, or
-    `KNOWN`."""
+    """The finest cells under the points ``begin`` to ``end``, of these keys (N,), are that."""
     i: cython.Py_ssize_t
     for i in range(begin, end):
         seen[key[i]] = state
@@ -349,7 +344,10 @@ class ScanUpdate:
         if self.fusion.contradicts(leaf, run):
             leaf.points -= run.points
             if leaf.points > 0.0:
-                put(self.table.seen, self.key, begin, end, SEEN)
+                if run.points > 1.0:  # one return alone is no evidence
+                    put(self.table.seen, self.key, begin, end, SEEN)
+                else:
+                    self._mark(begin, end, SEEN)
                 return
             self.table.forget(leaf)
             self._measure(leaf, begin, end, run)
