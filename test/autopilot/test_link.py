@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """MAVLink's bytes over a socket: against the model of what ArduPilot and PX4 accept."""
 
+import os
+import pty
 import time
+import tty
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +17,7 @@ from quadtree_lss.onboard.autopilot import link as module
 from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PX4, Link
 from quadtree_lss.onboard.config.settings import ConfigError
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
+from quadtree_lss.onboard.errors import QuadtreeLssError
 
 BOTH = pytest.mark.parametrize("kind", [ARDUPILOT, PX4])
 pytestmark = pytest.mark.xdist_group("autopilot")
@@ -154,6 +158,21 @@ def test_answers_to_somebody_elses_timesync_do_not_set_the_clock(fly, kind):
 def test_a_connection_that_is_none_is_one_line():
     with pytest.raises(ConfigError, match="autopilot.connection = 'tcp:nowhere:1:2'"):
         Link("tcp:nowhere:1:2", time.time_ns)
+    with pytest.raises(QuadtreeLssError, match="'/dev/ttyACM77' cannot be opened") as raised:
+        Link("/dev/ttyACM77", time.time_ns)  # it may be plugged in later
+    assert not isinstance(raised.value, ConfigError), "the node is to be started again"
+
+
+def test_an_autopilot_on_a_serial_line_is_heard():
+    ours, theirs = pty.openpty()
+    tty.setraw(theirs)
+    link = Link(f"{os.ttyname(theirs)},57600", time.time_ns)
+    says = module.dialect().mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
+    os.write(ours, says.heartbeat_encode(2, ARDUPILOT, 129, 4, 4).pack(says))
+    wait(link, lambda _: link.kind == ARDUPILOT and link.follows and link.armed)
+    link.close()
+    os.close(ours)
+    os.close(theirs)
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ from quadtree_lss.onboard.autopilot.frames import (
 from quadtree_lss.onboard.config.settings import ConfigError
 from quadtree_lss.onboard.core.geometry.bounds import MOST_HEIGHT
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
+from quadtree_lss.onboard.errors import QuadtreeLssError
 
 ARDUPILOT, PX4 = 3, 12
 """MAV_AUTOPILOT of a heartbeat."""
@@ -76,7 +77,8 @@ class Link:
     or None before the first. ``heard_of`` counts messages that told a ``pose``, ``half`` of one,
     the vehicle's ``state``, or nothing: those that were ``passed_over``, of others or without a
     meaning here; ``refused`` those that could not be used, by reason. Together these are all.
-    Raises `ConfigError`: no pymavlink, or the connection cannot be opened.
+    Raises `ConfigError`: no pymavlink, or what is no connection; `QuadtreeLssError`: it cannot be
+    opened at present.
     """
 
     def __init__(
@@ -93,7 +95,8 @@ class Link:
             self._port = mavutil.mavlink_connection(device, baud=int(rate or BAUD), **options)
         except (OSError, ValueError, IndexError, ImportError) as error:
             msg = f"autopilot.connection = {connection!r} cannot be opened: {error}"
-            raise ConfigError(msg) from None
+            later = isinstance(error, OSError)  # a device that comes: another start may help
+            raise (QuadtreeLssError if later else ConfigError)(msg) from None
         self._clock, self._now = clock, now
         self.kind: int | None = None
         self.mode, self.armed, self.landed = -1, False, False
