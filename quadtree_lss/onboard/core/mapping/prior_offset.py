@@ -6,7 +6,7 @@ cell's place x their mean height z is h(x - d) + d_u and an error of variance r:
 `SHIFTS`^2 shifts (d_e, d_n) over three deviations d_u is estimated by a Kalman filter of one
 number, and each shift is as likely as the heights are by it. Unlike J = (-a, -b, 1) about a first
 shift, that holds where slopes change within the offset, and where two places look alike. Windows
-overlap and errors of posts are alike over L: r counts as often as a cell shares them.
+overlap: r counts as often as cells share its posts.
 
 By what was known before, each gap has an expected square. A prior whose gaps are too large for
 chi-square is of another place, unit or datum, and is not used any more.

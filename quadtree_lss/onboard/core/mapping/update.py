@@ -13,7 +13,7 @@ from quadtree_lss.onboard.core.geometry.bounds import HEIGHTS
 from quadtree_lss.onboard.core.mapping.features import Heights
 from quadtree_lss.onboard.core.mapping.fusion import Fusion
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
-from quadtree_lss.onboard.core.sensing.register import RegisteredScan
+from quadtree_lss.onboard.core.sensing.register import KEPT_POINTS, RegisteredScan
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
 
 if not cython.compiled:
@@ -58,8 +58,6 @@ LESS = cython.declare(cython.double, 0.25)
 NOISE_POINTS = cython.declare(cython.double, 8.0)
 #: A plane is higher or lower at no cell's centre, m.
 HIGHEST = cython.declare(cython.double, HEIGHTS)
-#: Of larger scans no memory is kept.
-KEPT_POINTS = 1 << 20
 
 
 @cython.boundscheck(False)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ground that is known before the first scan: planes of an elevation model, with covariance.
 
-Of a window of posts, W wide, with heights z and errors of covariance R (deviation sigma,
-correlation exp(-r^2 / 2 L^2)), the plane (h, a, b) about its middle is K z, by least squares; its
-covariance is K R K^T, and s^2 is what ground adds to the mean square of the residuals. A model that
-lies d = (d_e, d_n) too far west and south, and d_u too low, d of covariance P, says of a place x
+Of a window of posts, W wide, with heights z, each with an error of its own, of deviation sigma, the
+plane (h, a, b) about its middle is K z, by least squares; its covariance is C = sigma^2 K K^T, and
+s^2 is what ground adds to the mean square of the residuals. A model that lies d = (d_e, d_n) too
+far west and south, and d_u too low, d of covariance P, says of a place x
 
-    E z = (G * h)(x - d) + d_u,    var z = P_uu + (K R K^T)_hh + G * (h^2 + s^2) - (G * h)^2,
+    E z = (G * h)(x - d) + d_u,    var z = P_uu + C_hh + G * (h^2 + s^2) - (G * h)^2,
 
 with G the density of d_e, d_n: on even ground J P J^T with J = (-a, -b, 1), and no more linear than
 the ground. Slopes alike, with 12 s^2 / W^2 for what the plane leaves out.
@@ -67,7 +67,7 @@ class Planes:
         corner: x and y of the first post, m; ``step`` between posts, m; ``width`` of windows, m.
         fields: (4, ny, nx) height, m, slope along x and along y, and s^2, m^2; NaN where a window
             lacks a post.
-        height, slope: (K R K^T)_hh, m^2, and the variance of either slope.
+        height, slope: C_hh, m^2, and the variance of either slope.
     """
 
     corner: tuple[float, float]
@@ -141,7 +141,7 @@ def _planes(
             values = correlate1d(values, weights, axis, mode="constant", cval=np.nan)
         return values
 
-    of_mean, of_line = mean @ mean, line @ line  # of K K^T: each post has an error of its own
+    of_mean, of_line = mean @ mean, line @ line  # of K K^T
     height, slope = config.sigma**2 * of_mean**2, config.sigma**2 * of_mean * of_line
     middle, spread = np.nanmean(z), np.mean(steps**2)
     z = z - middle
