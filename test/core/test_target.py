@@ -387,6 +387,11 @@ def test_it_waits_for_a_share_of_the_area_or_some_time(level_ground):
     assert east.assess(cells, waited=0.0, area=area).pending
     found = east.assess(cells, waited=0.0, area=area)
     assert found.seen == 1.0 and found.selected.id == 1
+    # Guidance that says anew what it can still reach asks for no other: there is none yet.
+    reach = LandingSiteSelector(small(settle_time=3.0))
+    for half in (7.9, 7.8, 7.7):
+        found = reach.assess(cells, waited=0.0, area=around((8.0, 8.0), half))
+        assert found.selected.state is State.SETTLING
 
 
 def test_no_site_lies_above_the_vehicle(level_ground):

@@ -393,12 +393,12 @@ class TargetKeeper:
         """
         wish, before = wanted.wish(), self._wish
         self._wish = wish
-        if before is None or wish == before or self._now:
+        if before is None or self._held is None or self._now:
             return
-        kept = self._held is not None
-        if self._held is not None and wish[0] != before[0]:
+        kept = True
+        if wish[0] != before[0]:
             kept = wanted.area_holds(*self._held, lss)
-        if self._held is not None and wish[1] != before[1]:
+        if wish[1] != before[1]:
             kept &= wanted.is_near(*self._held, reach)
         if not kept:
             self.release()
