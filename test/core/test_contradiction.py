@@ -53,14 +53,21 @@ class Flight:
             self.fly()
 
     def fly(
-        self, off=(0.0, 0.0, 0.0), turned=(0.0, 0.0, 0.0), extent=None, claimed=CLAIMED
+        self,
+        off=(0.0, 0.0, 0.0),
+        turned=(0.0, 0.0, 0.0),
+        extent=None,
+        claimed=CLAIMED,
+        along=None,
     ) -> ScanReport:
-        """One scan from x to x, by default of all, its pose off and turned by so much."""
+        """One scan from x to x and from y to y, by default of all, its pose off and turned by so
+        much."""
         west, east = extent or (0.0, self.size)
+        south, north = along or (0.0, self.size)
         self.scans += 1
         true = make_pose(self.above, claimed, self.scans * 500_000_000)
         x = self.rng.uniform(west, east, 6000)
-        y = self.rng.uniform(0.0, self.size, 6000)
+        y = self.rng.uniform(south, north, 6000)
         points = scan(self.ground, x, y, true, NOISE, self.rng)
         rotation = exp(np.array(turned)) @ true.rotation_map_lidar
         pose = Pose(true.stamp_ns, true.position + off, rotation, claimed)
@@ -126,6 +133,32 @@ def test_many_that_agree_win_and_what_was_mapped_goes_with_them():
     assert flight.mapper.leaves.count >= leaves
     # The half that was not seen again was lifted, too.
     assert np.abs(flight.errors(4.0)).max() < 0.2
+
+
+@pytest.mark.parametrize("east", [6.0, 10.0])
+def test_a_view_narrower_than_the_leaves_contradicts_the_map_too(east):
+    flight = Flight(ground=lambda x, y: 0.0 * x, scans=5)  # leaves of 4 m: one is touched, or two
+    before = rows(flight.mapper)
+    view = {"extent": (east - 1.5, east), "along": (4.5, 6.0)}
+    for _ in range(AGREEING - 1):
+        assert flight.fly(off=(0.0, 0.0, 0.6), **view).dropped["contradiction"] == 6000
+    assert rows(flight.mapper) == before
+    assert flight.fly(off=(0.0, 0.0, 0.6), **view).overruled
+    assert np.abs(flight.errors(0.6)).max() < 0.1
+
+
+def test_what_a_narrow_view_shows_for_the_first_time_is_no_contradiction():
+    def terrace(x, y):
+        return np.where(x < 6.0, 0.0, 1.0) + 0.0 * y
+
+    flight = Flight(ground=terrace)
+    for _ in range(5):
+        flight.fly(extent=(0.0, 5.5))
+    for _ in range(AGREEING):
+        report = flight.fly(extent=(6.1, 7.6), along=(4.5, 6.0))
+        assert report.points_used == 6000
+    ground = flight.mapper.snapshot().at([5.0, 7.0], [5.0, 5.0])
+    assert ground.height == pytest.approx([0.0, 1.0], abs=0.1)
 
 
 @pytest.mark.survives("a scan that contradicts the map", "or begun anew where that does not do")

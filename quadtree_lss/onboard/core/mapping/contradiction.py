@@ -9,13 +9,15 @@ from enum import Enum
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.core.mapping.departure import Departure
+from quadtree_lss.onboard.core.mapping.departure import FLOOR, MIN_CELLS, Departure
 
 #: A scan contradicts the map if less than this share of its cells stands where they may, ...
 SHARE = 1.0 / 3.0
 #: ... or if these depart in common by more than so many deviations: of three degrees of freedom one
 #: sound scan in 7,000 does.
 DEVIATIONS = 4.5
+#: A view narrower than the leaves touches so many of them at the most.
+NARROW = 4
 #: So many scans in a row that agree with each other are right and the map is wrong.
 AGREEING = 10
 
@@ -38,15 +40,15 @@ class Contradiction:
     height: float = 0.0
     variance: float = 0.0
 
-    def judge(self, cells: Array, found: Departure | None) -> Verdict:
+    def judge(self, cells: Array, contradicts: bool) -> Verdict:
         """Judge a scan by how its ground stands over the map's.
 
         Rocks, shadows and edges are in few cells, and wrong ground in the map is in some: only
         where a height or an attitude is beyond what is claimed do most cells, or all in common,
         depart. `AGREEING` refused scans whose heights are the same but for what their own poses
-        claim win. ``cells``: (12, M) of `ScanUpdate.fit`. ``found``: of `departure`.
+        claim win. ``cells``: (4, M) or more rows of `ScanUpdate.fit`, or of `ScanUpdate.parts`.
         """
-        if not departs(found):
+        if not contradicts:
             self.count = 0
             return Verdict.SOUND
         height, variance = float(np.median(cells[0])), float(np.median(cells[1] + cells[2]))
@@ -63,3 +65,14 @@ class Contradiction:
 def departs(found: Departure | None) -> bool:
     """Whether a scan contradicts the map."""
     return found is not None and (found.share < SHARE or found.deviations > DEVIATIONS)
+
+
+def stands_apart(parts: Array, metre: float) -> bool:
+    """Whether a scan of a view so narrow that its leaves hardly tell a `Departure` contradicts the
+    map: whether less than `SHARE` of the finest cells that were known stand where they may.
+    ``parts``: (4, M) of `ScanUpdate.parts`. ``metre``: as of `departure.departure`."""
+    height, own, of_scan, of_map = parts
+    allowed = DEVIATIONS**2 * (own + of_scan + of_map + FLOOR * metre**2)
+    count = len(height)
+    stand = int(np.count_nonzero(height**2 <= allowed))
+    return count >= MIN_CELLS and stand < SHARE * count

@@ -23,10 +23,12 @@ from quadtree_lss.onboard.core.mapping.alignment import (
 from quadtree_lss.onboard.core.mapping.contradiction import (
     AGREEING,
     DEVIATIONS,
+    NARROW,
     SHARE,
     Contradiction,
     Verdict,
     departs,
+    stands_apart,
 )
 from quadtree_lss.onboard.core.mapping.departure import Departure, departure
 from quadtree_lss.onboard.core.mapping.measure import Rules, unseen_parts
@@ -214,11 +216,15 @@ class Mapper:
         Where it overrules the map, that is put right.
         """
         change, cells, found = self._compare(scan, now)
+        compared, contradicts = cells, departs(found)
         if found is not None:
             self._note_step(cells, found, now)
-        verdict = self._against.judge(cells, found)
+        if not contradicts and 0 < cells.shape[1] <= NARROW:
+            compared = change.parts()
+            contradicts = stands_apart(compared, self.config.vehicle.height)
+        verdict = self._against.judge(compared, contradicts)
         if verdict is Verdict.OVERRULES:
-            height = float(np.median(cells[0]))
+            height = float(np.median(compared[0]))
             self._owed = 0.0
             cells[0] -= height
             if departs(self._departure(scan, cells, now)):

@@ -221,6 +221,41 @@ class ScanUpdate:
                     found += 1
         return out[:, :found]
 
+    @cython.boundscheck(False)
+    def parts(self) -> Array:
+        """Rows 0 to 3 of `fit`, (4, M), for the finest cells that were known, each by its mean."""
+        cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t)
+        found: cython.Py_ssize_t = 0
+        out = np.empty((4, len(self.key)))
+        self.columns = out
+        for i in range(self.cells):
+            leaf = self._leaf(self.rows[i])
+            if leaf.known != MEASURED:
+                continue
+            run = self._run(i)
+            up = leaf.normal[2]
+            x = leaf.x - self.fusion.origin[0]
+            y = leaf.y - self.fusion.origin[1]
+            z = leaf.z - self.fusion.origin[2]
+            misfit = leaf.square_sum / max(leaf.division_weight, 1.0) - run.variance
+            along_x = leaf.normal[0] / up
+            along_y = leaf.normal[1] / up
+            total = count = 0.0
+            for k in range(self.begins[i], self.begins[i + 1]):
+                total += self.points[k, 2] - z
+                total += along_x * (self.points[k, 0] - x) + along_y * (self.points[k, 1] - y)
+                count += 1.0
+                if k + 1 == self.begins[i + 1] or self.key[k + 1] != self.key[k]:
+                    if self.table.seen[self.key[k]] == KNOWN:
+                        own = run.variance / count + leaf.range_part[8]
+                        self.columns[0, found] = total / count
+                        self.columns[1, found] = own / (up * up) + max(misfit, 0.0)
+                        self.columns[2, found] = run.pose_part[8] / (up * up)
+                        self.columns[3, found] = leaf.pose_part[8] / (up * up)
+                        found += 1
+                    total = count = 0.0
+        return out[:, :found]
+
     def _compare(self, leaf: Record, run: Record, at: cython.Py_ssize_t) -> None:
         """One column of what `fit` returns; few points are compared where they lie, for what they
         say of the cell's centre is the slope that the map has."""
