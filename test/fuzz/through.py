@@ -334,7 +334,9 @@ class Vehicle:
         self.link._port.recv_msg = counted
         kind_of = int(one_of(rng, [PX4, ARDUPILOT]))
         beat = mavlink.MAVLink_heartbeat_message(2, kind_of, 129, 4, 4, 3)
-        for message in (beat, mavlink.MAVLink_timesync_message(self.now - 10**9, self.now - 10**5)):
+        asked = self.now - 10**5
+        self.link._asked.append(asked)
+        for message in (beat, mavlink.MAVLink_timesync_message(self.now - 10**9, asked)):
             self.octets += self.socket.sendto(message.pack(self.autopilot), self.there)
 
     def send(self) -> str:
