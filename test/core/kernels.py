@@ -33,9 +33,9 @@ def sources(*names: str) -> list[ModuleType]:
     return found
 
 
-sphere, plane, measure, division = sources(
+sphere, plane, measure, division, features = sources(
     *("geometry.sphere", "geometry.plane"),
-    *("mapping.measure", "mapping.division"),
+    *("mapping.measure", "mapping.division", "mapping.features"),
 )
 
 

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 from core.builders import by, configured, lattice, look, make_pose, mapped, slope
+from core.kernels import features
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, peak
@@ -151,3 +152,10 @@ def test_too_few_points_make_no_feature():
         for _ in range(3):
             look(mapper, ground, *lattice(0.0, 0.0, 16.0, 8 * per_side), rng, 0.01)
         assert np.isfinite(mapper.snapshot().feature[:, K]).any() == some
+
+
+def test_a_bell_is_that_of_the_exponential_function():
+    square = np.linspace(0.0, 20.0, 1001)
+    bell = np.array([features.bell(s) for s in square])
+    np.testing.assert_allclose(bell, np.exp(-0.5 * square), rtol=1e-8)
+    assert [features.bell(s) < 1e-15 for s in (80.0, 1e3, 1e6, 1e300)] == [True] * 4

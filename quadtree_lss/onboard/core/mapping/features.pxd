@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 cimport cython
-from libc.math cimport NAN, exp, fabs, isfinite, sqrt
+from libc.math cimport NAN, fabs, isfinite, sqrt
 from quadtree_lss.onboard.core.mapping.measure cimport Rules
 from quadtree_lss.onboard.core.tree.leaves cimport Leaf
 
 @cython.final
 cdef class Heights:
     cdef Py_ssize_t[::1] near
-    cdef double[::1] x, y, z
+    cdef double[::1] x, y, z, bell
     cdef double[:, ::1] row
     cdef Py_ssize_t count
     cdef double weight
     cdef void clear(self, double weight) noexcept nogil
     cdef void add(self, double x, double y, double z) noexcept nogil
 
+cdef double bell(double square) noexcept nogil
+cdef void bells(Heights heights, double* state) noexcept nogil
 cdef double feature_height(double* state) noexcept nogil
 cdef double promise(Heights heights, double* state) noexcept nogil
 cdef double _linearise(Heights heights, double* state, double* mean, double* information, double* system) noexcept nogil
