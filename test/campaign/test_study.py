@@ -7,11 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from quadtree_lss import build
 from quadtree_lss.lab.campaign.engine import Where, campaign, fly
 from quadtree_lss.lab.campaign.kinds import CampaignError
 from quadtree_lss.lab.campaign.landings import FLY, settings_of
-from quadtree_lss.lab.campaign.store import key_of
-from quadtree_lss.lab.campaign.study import parse_seeds, read_study
+from quadtree_lss.lab.campaign.store import FILES, key_of
+from quadtree_lss.lab.campaign.study import parse_seeds, read_study, this_build
+from quadtree_lss.lab.evaluation.risk_fit import risk_model_text, unfitted
 from quadtree_lss.onboard.config.parameter import ConfigError
 
 VARIED = """
@@ -89,14 +91,42 @@ def test_the_key_tells_everything_that_decides_a_flight(study_of, tmp_path):
     changes = [{"seed": 1}, {"scenario": "descent"}, {"version": "9"}, {"build": "9"}]
     changes.append({"conditions": {**case.conditions, "duration": 3}})
     changes.append({"parameters": {**case.parameters, "lss.margin": 0.7}})
+
+    def naming(name):
+        file = str(tmp_path / name)
+        found = [{"parameters": {**case.parameters, f: file}} for f in FILES if "." in f]
+        return [{"conditions": {"terrain": file}}, *found]
+
     for name in ("one", "two"):
         (tmp_path / name).write_text(name)
-        changes.append({"conditions": {"terrain": str(tmp_path / name)}})
+        changes += naming(name)
     keys = {key_of(dataclasses.replace(case, **change)) for change in ({}, *changes)}
     assert len(keys) == len(changes) + 1
     (tmp_path / "three").write_text("one")  # the content counts, whatever its name
-    copied = dataclasses.replace(case, conditions={"terrain": str(tmp_path / "three")})
-    assert key_of(copied) in keys
+    assert {key_of(dataclasses.replace(case, **change)) for change in naming("three")} <= keys
+
+
+def test_the_build_is_of_the_risk_model_too(tmp_path, monkeypatch):
+    monkeypatch.setattr(build, "PACKAGE", tmp_path)
+    found = set()
+    for text in ("one", "two"):
+        (tmp_path / "risk.yaml").write_text(text)
+        found.add(this_build.__wrapped__())
+    assert len(found) == 2
+
+
+def test_files_lie_beside_the_study(study_of, tmp_path):
+    for name in ("one.npz", "two.npz", "risk.yaml"):
+        (tmp_path / name).write_text(risk_model_text(unfitted()))
+    study = study_of(
+        "flights: 9\nconditions: {terrain: {choice: [one.npz, two.npz]}}\n"
+        "parameters: {lss.risk_model: ['', risk.yaml]}\n"
+    )
+    cases = [study.case(index) for index in range(18)]
+    grounds = {case.conditions["terrain"] for case in cases}
+    assert grounds == {str(tmp_path / "one.npz"), str(tmp_path / "two.npz")}
+    models = [case.parameters["lss.risk_model"] for case in cases[:2]]
+    assert models == ["", str(tmp_path / "risk.yaml")]
 
 
 def test_cases_win_over_what_holds_for_all(study_of):
