@@ -164,6 +164,28 @@ def test_what_is_killed_loses_nothing(first, study, tmp_path, killed):
     assert files(tmp_path) == files(first[0].out)
 
 
+DEADLY = """
+import os, signal
+from quadtree_lss.lab.campaign.kinds import Kind, Quantity
+def fly(case):
+    if case.conditions["half"] == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {"safe": 1, "one": 1}
+KIND = Kind(fly, None, "", ["none"], ["half"], (Quantity("safe", "Safe", of="one"),))
+"""
+
+
+@pytest.mark.slow
+def test_a_flight_that_kills_its_worker_takes_no_other_along(tmp_path, monkeypatch):
+    (tmp_path / "deadly.py").write_text(DEADLY)
+    monkeypatch.syspath_prepend(tmp_path)
+    path = tmp_path / "study.yaml"
+    given = "scenario: none\nconditions: {half: [1, 2, 3, 4, 5]}"
+    path.write_text(f"kind: deadly:KIND\nflights: 1\n{given}\n")
+    result = campaign(read_study(path), tmp_path / "out", Where(workers=1))
+    assert result.failed == {1: "the worker that flew it died, each time it was tried"}
+
+
 @pytest.mark.slow
 def test_a_scheduler_started_separately(first, study, tmp_path):
     note = tmp_path / "scheduler.json"

@@ -131,7 +131,8 @@ def fly(case: Case) -> Figures | str:
 def _fly_all(
     client: Any, study: Study, store: Store, missing: Iterator[int], stop: Callable[[], bool]
 ) -> Iterator[Record]:
-    """Keeps two flights for each worker on the way, so that a million need no more memory."""
+    """Keeps one flight for each worker on the way: a million need no more memory, and Dask gives
+    one up that only waits at a worker of which others die."""
     from dask.distributed import wait
 
     running: dict[Any, Case] = {}
@@ -144,7 +145,7 @@ def _fly_all(
             seen = time.monotonic()
         elif time.monotonic() - seen > NO_WORKER_S:
             raise CampaignError(f"the scheduler has had no worker for {NO_WORKER_S:.0f} s")
-        while len(running) < 2 * max(threads, 1):
+        while len(running) < max(threads, 1):
             index = next(missing, None)
             if index is None:
                 return
@@ -170,6 +171,8 @@ def _given(future: Any) -> Figures | str:
     if future.status == "finished":
         return future.result()
     error = future.exception() if future.status == "error" else None
+    if type(error).__name__ == "KilledWorker":  # whose text has addresses
+        return "the worker that flew it died, each time it was tried"
     return one_line(f"{type(error).__name__}: {error}") if error else "it was cancelled"
 
 
