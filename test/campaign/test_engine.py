@@ -140,7 +140,10 @@ def test_what_was_flown_is_not_flown_again(first, study, tmp_path):
     assert changed == {gone, sorted(before)[2]}
     assert result.table() == first[0].table()
     with pytest.raises(CampaignError, match="no flight 99"):
-        campaign(read_study(study), tmp_path / "c", rerun=[99])
+        campaign(read_study(study), tmp_path / "c", rerun=[2, 99])
+    with pytest.raises(KeyboardInterrupt):
+        campaign(read_study(study), tmp_path / "c", rerun=range(COUNT), stop=lambda: True)
+    assert files(tmp_path / "c") == files(first[0].out)  # until it is flown, what was stays
 
 
 @pytest.mark.slow

@@ -53,8 +53,6 @@ def test_what_is_no_record_of_a_flight_is_named(store, spoil, word):
         store.read(CASES[1])
     assert path.name in str(caught.value)
     assert store.read(CASES[0]) and store.read(CASES[2])
-    store.forget(CASES[1])
-    assert store.read(CASES[1]) is None
 
 
 def test_a_copied_record_is_not_counted_twice(store):

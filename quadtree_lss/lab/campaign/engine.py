@@ -68,14 +68,11 @@ def campaign(
     """
     store, stopped = Store(out), stop or (lambda: False)
     with store.opened():
-        for index in rerun:
-            store.forget(study.case(index))
+        again = {study.case(index).index for index in rerun}
         records: dict[int, Record] = {}
         for case in map(study.case, range(study.count)):
-            record = store.read(case)
-            if record is not None and record.error and rerun_failed:
-                store.forget(case)
-            elif record is not None:
+            record = None if case.index in again else store.read(case)
+            if record is not None and not (record.error and rerun_failed):
                 records[case.index] = record
         missing = iter(i for i in range(study.count) if i not in records)
         tell_progress = progress or (lambda done, total: None)

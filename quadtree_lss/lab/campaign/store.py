@@ -98,10 +98,6 @@ class Store:
         write_bytes(self.path(case), (text + "\n").encode())
         return record
 
-    def forget(self, case: Case) -> None:
-        """It is to be flown again."""
-        self.path(case).unlink(missing_ok=True)
-
 
 def read_record(path: Path) -> Record:
     """A flight's file. Raises `CampaignError`: it is none, or was changed or copied."""
