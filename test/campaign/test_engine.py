@@ -244,6 +244,22 @@ def test_workers_that_do_not_come_end_it_in_a_line(study, tmp_path, monkeypatch)
             campaign(read_study(study), tmp_path / "out", where)
 
 
+@pytest.mark.slow
+def test_a_scheduler_that_is_lost_ends_it_in_a_line(first, study, tmp_path):
+    """And no flight has failed."""
+    cluster = LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None)
+
+    def progress(done, of):
+        if done == 1:
+            cluster.close()
+
+    with pytest.raises(CampaignError, match="the scheduler is lost"):
+        where = Where(scheduler_address=cluster.scheduler_address)
+        campaign(read_study(study), tmp_path, where, progress=progress)
+    kept = files(tmp_path)
+    assert len(kept) == 1 and kept.items() <= files(first[0].out).items()
+
+
 def test_ctrl_c_keeps_what_is_done(first, study, tmp_path):
     process = start(study, tmp_path, "--workers", 1)
     wait_until(lambda: flown(tmp_path) >= 1)
