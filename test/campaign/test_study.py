@@ -3,6 +3,7 @@
 repository can be flown, and the small one is."""
 
 import dataclasses
+import re
 from pathlib import Path
 
 import pytest
@@ -193,6 +194,13 @@ def test_every_study_can_be_flown(path):
     if study.what is FLY:
         for index in range(len(study.combinations)):
             settings_of(study.case(index))
+
+
+def test_the_documents_have_every_study_with_its_flights():
+    text = (STUDIES[0].parents[1] / "docs" / "campaigns.md").read_text("utf-8")
+    told = re.findall(r"studies/(\w+)\.yaml\) \| ([\d,]+) \|", text)
+    flights = {name: int(count.replace(",", "")) for name, count in told}
+    assert flights == {path.stem: read_study(path).count for path in STUDIES}
 
 
 def test_small_flights_find_hazards():
