@@ -162,6 +162,8 @@ def test_cases_win_over_what_holds_for_all(study_of):
         ("flights: 3\nconditions: {rocks: {poisson: 3}}", "poisson"),
         ("flights: 3\nconditions: {rocks: []}", "rocks"),
         ("flights: 3\nconditions: {rocks: {log_uniform: [0, 1]}}", "rocks"),
+        ("flights: 3\nconditions: {rocks: [0.1, {uniform: [0, 0.1]}]}", "rocks: .* in a list"),
+        ("flights: 3\nconditions: {rocks: {range: [0, 0.1, 2.5]}}", "range"),
         ("flights: 3\ncases: [{name: a}, {name: a}]", "two cases"),
         ("flights: 9000000", "most"),
     ],
@@ -173,9 +175,23 @@ def test_what_makes_no_sense_is_named_in_one_line(study_of, text, word):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("conditions: {duration: long}", "duration must be between 1 and 600, not long"),
+        ("kind: fly\nscenario: none\nconditions: {half: -3}", "half must be between .*, not -3"),
+        ("kind: fly\nscenario: none\nconditions: {survey: a}", "survey must be between .*, not a"),
+    ],
+)
+def test_a_condition_that_cannot_be_flown_fails_in_a_line(study_of, text, said):
+    assert re.search(said, fly(study_of(f"flights: 1\n{text}").case(0)))
+
+
 def test_unknown_parameters_and_a_file_that_is_not_there_are_named(study_of, tmp_path):
     with pytest.raises(ConfigError, match="lss.margin"):
         study_of("flights: 3\nparameters: {lss.margn: 1}")
+    with pytest.raises(ConfigError, match="no configuration file '3'"):
+        study_of("flights: 3\nconfig: 3")
     with pytest.raises(CampaignError, match="none.yaml: cannot be read"):
         read_study(tmp_path / "none.yaml")
 

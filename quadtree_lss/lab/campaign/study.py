@@ -165,7 +165,7 @@ def _study(content: Mapping[Any, Any], file: Path) -> Study:
         if name in files:
             raise CampaignError(f"two cases are called {name!r}")
         named = case.get("config", content.get("config", []))
-        listed = [named] if isinstance(named, str) else list(named or [])
+        listed = named or [] if isinstance(named or [], list) else [named]
         files[name] = tuple(str(_beside(entry, file)) for entry in listed)
         combinations += _combinations(content, case, name, kind, file)
     keys = {key for c in combinations for key in c}
@@ -231,6 +231,8 @@ def values_of(value: Any, name: str) -> list[Any]:
     if isinstance(value, list):
         if not value:
             raise CampaignError(f"{name}: an empty list")
+        if drawn := [one for one in value if isinstance(one, (list, Mapping))]:
+            raise CampaignError(f"{name}: {drawn[0]} in a list; it holds values alone")
         return value
     if not isinstance(value, Mapping):
         return [value]
@@ -239,7 +241,7 @@ def values_of(value: Any, name: str) -> list[Any]:
     try:
         if how == "range":
             first, last, number = (float(v) for v in of)
-            if np.isfinite([first, last]).all() and 1 <= number <= MOST_FLIGHTS:
+            if np.isfinite([first, last]).all() and number in range(1, MOST_FLIGHTS + 1):
                 return [float(v) for v in np.linspace(first, last, int(number))]
         if how == "choice" and of:
             return [Drawn(how, tuple(of))]
