@@ -12,6 +12,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmark"))
 
 import hover
+import probability
 
 FOLDER = Path(hover.__file__).parent
 SMALL = {
@@ -92,6 +93,16 @@ def test_script_prints_its_tables(script, tmp_path):
     for text in expected:
         assert text in done.stdout
     assert "nan" not in done.stdout
+
+
+def test_maps_of_one_ground_leave_a_risk_no_surer():
+    """Whose failures are the same, tile by tile."""
+    rng = np.random.default_rng(3)
+    tile = np.repeat(np.arange(600), 50)
+    failed, risk = (rng.random(600) < 0.02)[tile], np.full(tile.size, 0.02)
+    judged = probability.Judged(np.zeros((tile.size, 1)), failed, tile, 1.0)
+    once, thrice = (probability.line([(judged, risk)] * times)[2] for times in (1, 3))
+    assert once == thrice
 
 
 @pytest.mark.parametrize("align", [True, False])
