@@ -47,10 +47,10 @@ class Comparison:
         rows = [head]
         for d in self.differences:
             digits = f".{max(d.quantity.digits, 2)}f"
-            flight = "-" if d.largest_flight is None else str(d.largest_flight)
+            flight = "–" if d.largest_flight is None else str(d.largest_flight)
             values = f"{d.first:{digits}}", f"{d.second:{digits}}", f"{d.mean:+{digits}}"
-            interval = f"{d.low:+{digits}} … {d.high:+{digits}}"
-            rows.append((d.quantity.label, *values, interval, f"{d.better} / {d.worse}", flight))
+            interval = "–" if d.low != d.low else f"{d.low:+{digits}} … {d.high:+{digits}}"
+            rows.append((d.quantity.title, *values, interval, f"{d.better} / {d.worse}", flight))
         lines = aligned(rows)
         pairs = max((d.count for d in self.differences), default=0)
         lines.append(f"{pairs} pairs of flights; the flight is where the second lost most")
