@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rates, means, intervals and worst flights of records made by hand."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.stats import binom
@@ -50,7 +48,7 @@ def test_a_figure_that_a_flight_lacks_is_left_out():
 
 def test_one_pair_tells_no_spread():
     pairs = [tuple(_records(rms=[0.1, 0.3]))]
-    found = Comparison(Path(), Path(), (_difference(Quantity("rms", "RMS", "m"), pairs),), 0)
+    found = Comparison((_difference(Quantity("rms", "RMS", "m"), pairs),), 0)
     row = found.table().splitlines()[1]
     assert row.split()[:6] == ["RMS", "[m]", "0.10", "0.30", "+0.20", "–"]
 

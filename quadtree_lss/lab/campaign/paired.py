@@ -37,8 +37,6 @@ class Difference:
 class Comparison:
     """All quantities, and flights that only one of the two has."""
 
-    first: Path
-    second: Path
     differences: tuple[Difference, ...]
     unpaired: int
 
@@ -79,7 +77,7 @@ def compare_campaigns(first: str | Path, second: str | Path) -> Comparison:
     quantities = kind_of(kind).quantities
     differences = filter(None, (_difference(quantity, pairs) for quantity in quantities))
     unpaired = len(one) + len(two) - 2 * len(pairs)
-    return Comparison(Path(first), Path(second), tuple(differences), unpaired)
+    return Comparison(tuple(differences), unpaired)
 
 
 def _difference(quantity: Quantity, pairs: list[tuple[Record, Record]]) -> Difference | None:

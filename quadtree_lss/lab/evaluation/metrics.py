@@ -311,25 +311,17 @@ def scores(risk: Array, failed: Mask, weight: Array | None = None) -> tuple[floa
     return float(np.average(brier, weights=weight)), float(np.average(log, weights=weight))
 
 
-def reliability(risk: Array, failed: Mask) -> Reliability | None:
-    """Of risks and what was true (any shape); None if nobody asked for risks.
+def reliability_of(safety: SafetyField) -> Reliability | None:
+    """Of the risk that a map gives to seen grid points; None if it gives none.
 
     A risk of 1 is no prediction: there the lander would reach unseen ground.
     """
-    asked = np.isfinite(risk) & (risk < 1.0)
-    if not asked.any():
+    if safety.risk is None or not (asked := safety.seen & (safety.risk < 1.0)).any():
         return None
-    given, true = risk[asked], failed[asked]
+    given, true = safety.risk[asked], ~safety.truly_safe[asked]
     bins = []
     for low, high in zip(EDGES, EDGES[1:], strict=False):
         here = (given >= low) & (given < high)
         shares = (given[here].mean(), true[here].mean()) if here.any() else (np.nan, np.nan)
         bins.append(RiskBin(low, high, int(here.sum()), float(shares[0]), float(shares[1])))
-    return Reliability(*scores(given, true), int(asked.sum()), tuple(bins))
-
-
-def reliability_of(safety: SafetyField) -> Reliability | None:
-    """Of the risk that a map gives to seen grid points; None if it gives none."""
-    if safety.risk is None:
-        return None
-    return reliability(np.where(safety.seen, safety.risk, np.nan), ~safety.truly_safe)
+    return Reliability(*scores(given, true), given.size, tuple(bins))
