@@ -35,7 +35,7 @@ from quadtree_lss.lab.evaluation.risk_flights import (
 from quadtree_lss.lab.simulation.hazard_field import strewn
 from quadtree_lss.lab.simulation.terrain import Terrain, load_terrain
 from quadtree_lss.onboard.arrays import Array, Index, Mask, Single
-from quadtree_lss.onboard.config.risk import RiskModel, risk_model
+from quadtree_lss.onboard.config.risk import risk_model
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 
 BINS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
@@ -81,28 +81,16 @@ def main() -> None:
     reliability("the shipped model", judged, told)
     if not options.shipped:
         samples, seeds = fit_samples(parse_seeds(options.fit_seeds), config, keep)
-        of = {
-            name: [risks(without(name, samples, seeds, config), one.asked) for one in judged[name]]
-            for name in FAMILIES
-        }
+        of = {}
+        for name in FAMILIES:
+            rest = {other: some for other, some in samples.items() if other != name}
+            model = fitted(rest, seeds, config)
+            of[name] = [risks(model, one.asked) for one in judged[name]]
         reliability("a fit without the family", {name: judged[name] for name in FAMILIES}, of)
         curve("whole flights, left out of the fit", judged["whole"], of["whole"])
     curve("whole flights, the shipped model", judged["whole"], told["whole"])
     if options.figure:
         draw(options.figure, judged, told)
-
-
-def without(
-    name: str, samples: dict[str, list[Sample]], seeds: dict[str, list[int]], config: Config
-) -> RiskModel:
-    """The model of all families but one."""
-    if name not in _WITHOUT:
-        rest = {other: of for other, of in samples.items() if other != name}
-        _WITHOUT[name] = fitted(rest, seeds, config)
-    return _WITHOUT[name]
-
-
-_WITHOUT: dict[str, RiskModel] = {}
 
 
 def fit_samples(
