@@ -105,6 +105,16 @@ def test_maps_of_one_ground_leave_a_risk_no_surer():
     assert once == thrice
 
 
+def test_a_seed_of_another_family_is_another_flight(tmp_path, monkeypatch):
+    asked = []
+    noted = lambda family, seed, *_: asked.append((family, seed)) or []  # noqa: E731
+    monkeypatch.setattr(probability, "fly", noted)
+    for seeds in ([5], [4, 5], [4, 5]):
+        probability.flown(seeds, None, tmp_path, [])
+    whole, thin, *_ = probability.FAMILIES.values()
+    assert asked == [(whole, 5), (whole, 4), (thin, 5)]
+
+
 @pytest.mark.parametrize("align", [True, False])
 @pytest.mark.parametrize("kind", hover.KINDS)
 def test_errors_are_as_claimed(kind, align):

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +77,7 @@ def check_limits(
     """Raises an error of the ``kind`` where an attribute is neither None nor within its limits."""
     for name, (low, high) in limits.items():
         value = getattr(of, name)
-        if value is not None and not (isinstance(value, (int, float)) and low <= value <= high):
+        if value is not None and not (isinstance(value, Real) and low <= value <= high):
             raise kind(f"{name} must be between {low:g} and {high:g}, not {value}")
 
 
