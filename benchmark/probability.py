@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import pickle
 import sys
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.interpolate import RectBivariateSpline
 
-from quadtree_lss.lab.campaign.study import parse_seeds
+from quadtree_lss.lab.campaign.study import parse_seeds, this_build
 from quadtree_lss.lab.evaluation.metrics import scores
 from quadtree_lss.lab.evaluation.risk_families import FAMILIES, Family
 from quadtree_lss.lab.evaluation.risk_fit import risks, unfitted
@@ -34,7 +35,7 @@ from quadtree_lss.lab.evaluation.risk_flights import (
 from quadtree_lss.lab.simulation.hazard_field import strewn
 from quadtree_lss.lab.simulation.terrain import Terrain, load_terrain
 from quadtree_lss.onboard.arrays import Array, Index, Mask, Single
-from quadtree_lss.onboard.config.risk import RiskModel, risk_model
+from quadtree_lss.onboard.config.risk import risk_model
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 
 BINS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
@@ -49,7 +50,8 @@ REAL = ("whole", "thin", "few", "views")
 
 @dataclass(frozen=True)
 class Judged:
-    """Landings of a map: what was asked (K, F), what failed (K,), tiles (K,), part flown."""
+    """Landings of a map: what was asked (K, F), what failed (K,), tiles (K,), which maps of one
+    flight share, part flown."""
 
     asked: Single
     failed: Mask
@@ -70,35 +72,25 @@ def main() -> None:
     add("--figure", type=Path, help="PNG to draw")
     options = parser.parse_args()
     print(machine())
-    options.keep.mkdir(parents=True, exist_ok=True)
     config, model = configuration("morpheus"), risk_model(options.model)
-    judged = flown(parse_seeds(options.seeds), config, options.keep, options.terrain)
+    by = hashlib.sha256(repr((this_build(), config)).encode()).hexdigest()[:8]
+    keep = options.keep / by  # what others flew is not taken for it
+    keep.mkdir(parents=True, exist_ok=True)
+    judged = flown(parse_seeds(options.seeds), config, keep, options.terrain)
     told = {name: [risks(model, of.asked) for of in maps] for name, maps in judged.items()}
     reliability("the shipped model", judged, told)
     if not options.shipped:
-        samples, seeds = fit_samples(parse_seeds(options.fit_seeds), config, options.keep)
-        of = {
-            name: [risks(without(name, samples, seeds, config), one.asked) for one in judged[name]]
-            for name in FAMILIES
-        }
+        samples, seeds = fit_samples(parse_seeds(options.fit_seeds), config, keep)
+        of = {}
+        for name in FAMILIES:
+            rest = {other: some for other, some in samples.items() if other != name}
+            model = fitted(rest, seeds, config)
+            of[name] = [risks(model, one.asked) for one in judged[name]]
         reliability("a fit without the family", {name: judged[name] for name in FAMILIES}, of)
         curve("whole flights, left out of the fit", judged["whole"], of["whole"])
     curve("whole flights, the shipped model", judged["whole"], told["whole"])
     if options.figure:
         draw(options.figure, judged, told)
-
-
-def without(
-    name: str, samples: dict[str, list[Sample]], seeds: dict[str, list[int]], config: Config
-) -> RiskModel:
-    """The model of all families but one."""
-    if name not in _WITHOUT:
-        rest = {other: of for other, of in samples.items() if other != name}
-        _WITHOUT[name] = fitted(rest, seeds, config)
-    return _WITHOUT[name]
-
-
-_WITHOUT: dict[str, RiskModel] = {}
 
 
 def fit_samples(
@@ -108,7 +100,8 @@ def fit_samples(
     names = list(FAMILIES)
     out: dict[str, list[Sample]] = {name: [] for name in names}
     for number, seed in enumerate(seeds):
-        name, file = names[number % len(names)], keep / f"fit_{seed}.pkl"
+        name = names[number % len(names)]
+        file = keep / f"fit_{name}_{seed}.pkl"
         if not file.exists():
             rng = np.random.default_rng([seed, 78])
             maps = fly(FAMILIES[name], seed, config)
@@ -125,7 +118,7 @@ def flown(
     out: dict[str, list[Judged]] = {name: [] for name in names}
     for number, seed in enumerate(seeds):
         name = names[number % len(names)]
-        out[name] += judged_flight(keep / f"judged_{seed}.pkl", FAMILIES[name], seed, config)
+        out[name] += judged_flight(keep / f"{name}_{seed}.pkl", FAMILIES[name], seed, config)
     for path in terrains:
         for rocks in ("", " + rocks"):
             of = out.setdefault(path.stem + rocks, [])
@@ -143,13 +136,13 @@ def judged_flight(
 ) -> list[Judged]:
     """The maps of a flight, from a file if it is there."""
     if not file.exists():
-        maps = [judge(mapped) for mapped in fly(family, seed, config, terrain)]
+        maps = [judge(mapped, seed) for mapped in fly(family, seed, config, terrain)]
         file.write_bytes(pickle.dumps(maps))
         print(f"flown: {file.stem}", flush=True)
     return list(pickle.loads(file.read_bytes()))
 
 
-def judge(mapped: Mapped) -> Judged:
+def judge(mapped: Mapped, seed: int) -> Judged:
     """All landings of a map."""
     model = unfitted()
     landings = land(mapped, model)
@@ -157,7 +150,7 @@ def judge(mapped: Mapped) -> Judged:
     finest = landings.raster.domain.finest_size
     side = max(1, round(TILE * mapped.config.vehicle.diameter / finest))
     row, column = np.argwhere(landings.counts).T // side
-    tiles = 10_000 * row + column
+    tiles = 10**8 * seed + 10_000 * row + column
     return Judged(asked, landings.failed, tiles, mapped.part)
 
 
@@ -197,8 +190,7 @@ def line(some: list[tuple[Judged, Array]]) -> list[str]:
     risk, failed = np.concatenate([p for _, p in some]), np.concatenate([j.failed for j, _ in some])
     if not failed.size:
         return ["-"] * (len(BINS) + 4)
-    tile = np.concatenate([10**8 * k + one.tile for k, (one, _) in enumerate(some)])
-    tiles, place = np.unique(tile, return_inverse=True)
+    tiles, place = np.unique(np.concatenate([one.tile for one, _ in some]), return_inverse=True)
     rng = np.random.default_rng(1)
     times = rng.multinomial(len(tiles), np.full(len(tiles), 1.0 / len(tiles)), RESAMPLED)
     out = []

@@ -19,9 +19,11 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
-from common import machine, table
+from common import configuration, machine, table
 
+from quadtree_lss.lab.campaign.mapped import fly_in_memory
 from quadtree_lss.lab.campaign.summary import rate_interval
+from quadtree_lss.lab.evaluation.metrics import EDGES
 from quadtree_lss.lab.simulation.hazard_field import FIELDS, HazardField, hazard_field
 from quadtree_lss.lab.simulation.safety import contact_safe, worst_contact
 from quadtree_lss.lab.simulation.terrain import Terrain
@@ -239,14 +241,10 @@ def limits(done: Sequence[Touched], legs: Legs) -> None:
 
 def told(seed: int, legs: Legs) -> Iterator[Touched]:
     """Touchdowns at places of a simulated flight of `morpheus`, as many of each bin of risk."""
-    from quadtree_lss.desk.replay.configuration import load_config
-    from quadtree_lss.lab.campaign.mapped import fly_in_memory
-    from quadtree_lss.lab.evaluation.metrics import EDGES
-
     generator = np.random.default_rng(seed)
     rocks, slope_deg = (float(generator.choice(v)) for v in ((0.02, 0.05, 0.1), (1.5, 4.0, 6.0)))
     given = {"rocks": rocks, "slope_deg": slope_deg}
-    results, truth = fly_in_memory("morpheus", seed, load_config(["morpheus"]), given)
+    results, truth = fly_in_memory("morpheus", seed, configuration("morpheus"), given)
     grid = results.grid
     risk = np.asarray(grid.layers["risk"])
     for low, high in zip(EDGES, EDGES[1:], strict=False):
@@ -260,8 +258,6 @@ def told(seed: int, legs: Legs) -> Iterator[Touched]:
 
 def reliability(done: Sequence[Touched], legs: Legs) -> None:
     """The given risk against static and dynamic failure."""
-    from quadtree_lss.lab.evaluation.metrics import EDGES
-
     rows = []
     for low, high in zip(EDGES, EDGES[1:], strict=False):
         here = [t for t in done if low <= t.risk < high]

@@ -18,8 +18,9 @@ from quadtree_lss.lab.evaluation.metrics import (
     elevation_error,
     elevation_field,
     safety_field,
+    site_verdicts,
 )
-from quadtree_lss.lab.simulation.safety import contact_safe
+from quadtree_lss.lab.evaluation.results import TOP
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
@@ -56,12 +57,11 @@ def score(flight: Recording, config: Config, *, consistent: bool = True) -> MapS
     cells = mapper.snapshot()
     found = LandingSiteSelector(config).assess(cells)
     grid, truth = grid_of(found), flight.truth
-    stands = contact_safe(truth, found.sites.position[:5, :2])
     return MapScore(
         leaves=int(cells.estimated.sum()),
         elevation=elevation_error(elevation_field(cells, grid, truth)),
         detection=detection(safety_field(grid, truth)),
-        unsafe_in_top_five=int(np.count_nonzero(~stands)),
+        unsafe_in_top_five=site_verdicts(found.sites.position[:TOP], truth).count("unsafe"),
         scan_ms=np.array(times),
         counts=counts,
     )

@@ -140,7 +140,10 @@ def test_what_was_flown_is_not_flown_again(first, study, tmp_path):
     assert changed == {gone, sorted(before)[2]}
     assert result.table() == first[0].table()
     with pytest.raises(CampaignError, match="no flight 99"):
-        campaign(read_study(study), tmp_path / "c", rerun=[99])
+        campaign(read_study(study), tmp_path / "c", rerun=[2, 99])
+    with pytest.raises(KeyboardInterrupt):
+        campaign(read_study(study), tmp_path / "c", rerun=range(COUNT), stop=lambda: True)
+    assert files(tmp_path / "c") == files(first[0].out)  # until it is flown, what was stays
 
 
 @pytest.mark.slow
@@ -162,6 +165,28 @@ def test_what_is_killed_loses_nothing(first, study, tmp_path, killed):
     _, told = process.communicate(timeout=120)
     assert process.returncode == 0, told
     assert files(tmp_path) == files(first[0].out)
+
+
+DEADLY = """
+import os, signal
+from quadtree_lss.lab.campaign.kinds import Kind, Quantity
+def fly(case):
+    if case.conditions["half"] == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {"safe": 1, "one": 1}
+KIND = Kind(fly, None, "", ["none"], ["half"], (Quantity("safe", "Safe", of="one"),))
+"""
+
+
+@pytest.mark.slow
+def test_a_flight_that_kills_its_worker_takes_no_other_along(tmp_path, monkeypatch):
+    (tmp_path / "deadly.py").write_text(DEADLY)
+    monkeypatch.syspath_prepend(tmp_path)
+    path = tmp_path / "study.yaml"
+    given = "scenario: none\nconditions: {half: [1, 2, 3, 4, 5]}"
+    path.write_text(f"kind: deadly:KIND\nflights: 1\n{given}\n")
+    result = campaign(read_study(path), tmp_path / "out", Where(workers=1))
+    assert result.failed == {1: "the worker that flew it died, each time it was tried"}
 
 
 @pytest.mark.slow
@@ -217,6 +242,22 @@ def test_workers_that_do_not_come_end_it_in_a_line(study, tmp_path, monkeypatch)
         where = Where(scheduler_address=cluster.scheduler_address)
         with pytest.raises(CampaignError, match="no worker for 1 s"):
             campaign(read_study(study), tmp_path / "out", where)
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_is_lost_ends_it_in_a_line(first, study, tmp_path):
+    """And no flight has failed."""
+    cluster = LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None)
+
+    def progress(done, of):
+        if done == 1:
+            cluster.close()
+
+    with pytest.raises(CampaignError, match="the scheduler is lost"):
+        where = Where(scheduler_address=cluster.scheduler_address)
+        campaign(read_study(study), tmp_path, where, progress=progress)
+    kept = files(tmp_path)
+    assert len(kept) == 1 and kept.items() <= files(first[0].out).items()
 
 
 def test_ctrl_c_keeps_what_is_done(first, study, tmp_path):

@@ -3,12 +3,14 @@
 
 import csv
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import replay
+from quadtree_lss.lab.campaign import landings
 from quadtree_lss.lab.campaign.kinds import Case
 from quadtree_lss.lab.campaign.landings import FLY, settings_of
 from quadtree_lss.lab.campaign.mapped import figures, fly_in_memory, lander_of
@@ -81,7 +83,7 @@ def study(tmp_path):
     return read_study(tmp_path / "study.yaml")
 
 
-def test_a_case_flies_as_the_function_does(study):
+def test_a_case_flies_as_the_function_does(study, monkeypatch):
     case = study.case(1)
     assert (case.scenario, case.index) == ("perfect", 1)
     figures = FLY.fly(case)
@@ -90,6 +92,9 @@ def test_a_case_flies_as_the_function_does(study):
     for name in ("x", "y", "propellant", "safe", "time"):
         assert figures[name] == alone[name]
     assert figures["one"] == 1 and figures["unsafe"] + figures["aborted"] + figures["safe"] == 1
+    gone = SimpleNamespace(figures=alone | {"outcome": "aborted", "safe": False})
+    monkeypatch.setattr(landings.lockstep, "flown", lambda *_: gone)
+    assert FLY.fly(case)["from_planned"] is None  # of a touchdown that there was not
 
 
 def test_every_quantity_is_a_figure_and_a_column(study, tmp_path):

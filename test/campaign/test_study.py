@@ -3,15 +3,18 @@
 repository can be flown, and the small one is."""
 
 import dataclasses
+import re
 from pathlib import Path
 
 import pytest
 
+from quadtree_lss import build
 from quadtree_lss.lab.campaign.engine import Where, campaign, fly
 from quadtree_lss.lab.campaign.kinds import CampaignError
 from quadtree_lss.lab.campaign.landings import FLY, settings_of
-from quadtree_lss.lab.campaign.store import key_of
-from quadtree_lss.lab.campaign.study import parse_seeds, read_study
+from quadtree_lss.lab.campaign.store import FILES, key_of
+from quadtree_lss.lab.campaign.study import parse_seeds, read_study, this_build
+from quadtree_lss.lab.evaluation.risk_fit import risk_model_text, unfitted
 from quadtree_lss.onboard.config.parameter import ConfigError
 
 VARIED = """
@@ -89,14 +92,42 @@ def test_the_key_tells_everything_that_decides_a_flight(study_of, tmp_path):
     changes = [{"seed": 1}, {"scenario": "descent"}, {"version": "9"}, {"build": "9"}]
     changes.append({"conditions": {**case.conditions, "duration": 3}})
     changes.append({"parameters": {**case.parameters, "lss.margin": 0.7}})
+
+    def naming(name):
+        file = str(tmp_path / name)
+        found = [{"parameters": {**case.parameters, f: file}} for f in FILES if "." in f]
+        return [{"conditions": {"terrain": file}}, *found]
+
     for name in ("one", "two"):
         (tmp_path / name).write_text(name)
-        changes.append({"conditions": {"terrain": str(tmp_path / name)}})
+        changes += naming(name)
     keys = {key_of(dataclasses.replace(case, **change)) for change in ({}, *changes)}
     assert len(keys) == len(changes) + 1
     (tmp_path / "three").write_text("one")  # the content counts, whatever its name
-    copied = dataclasses.replace(case, conditions={"terrain": str(tmp_path / "three")})
-    assert key_of(copied) in keys
+    assert {key_of(dataclasses.replace(case, **change)) for change in naming("three")} <= keys
+
+
+def test_the_build_is_of_the_risk_model_too(tmp_path, monkeypatch):
+    monkeypatch.setattr(build, "PACKAGE", tmp_path)
+    found = set()
+    for text in ("one", "two"):
+        (tmp_path / "risk.yaml").write_text(text)
+        found.add(this_build.__wrapped__())
+    assert len(found) == 2
+
+
+def test_files_lie_beside_the_study(study_of, tmp_path):
+    for name in ("one.npz", "two.npz", "risk.yaml"):
+        (tmp_path / name).write_text(risk_model_text(unfitted()))
+    study = study_of(
+        "flights: 9\nconditions: {terrain: {choice: [one.npz, two.npz]}}\n"
+        "parameters: {lss.risk_model: ['', risk.yaml]}\n"
+    )
+    cases = [study.case(index) for index in range(18)]
+    grounds = {case.conditions["terrain"] for case in cases}
+    assert grounds == {str(tmp_path / "one.npz"), str(tmp_path / "two.npz")}
+    models = [case.parameters["lss.risk_model"] for case in cases[:2]]
+    assert models == ["", str(tmp_path / "risk.yaml")]
 
 
 def test_cases_win_over_what_holds_for_all(study_of):
@@ -131,6 +162,8 @@ def test_cases_win_over_what_holds_for_all(study_of):
         ("flights: 3\nconditions: {rocks: {poisson: 3}}", "poisson"),
         ("flights: 3\nconditions: {rocks: []}", "rocks"),
         ("flights: 3\nconditions: {rocks: {log_uniform: [0, 1]}}", "rocks"),
+        ("flights: 3\nconditions: {rocks: [0.1, {uniform: [0, 0.1]}]}", "rocks: .* in a list"),
+        ("flights: 3\nconditions: {rocks: {range: [0, 0.1, 2.5]}}", "range"),
         ("flights: 3\ncases: [{name: a}, {name: a}]", "two cases"),
         ("flights: 9000000", "most"),
     ],
@@ -142,9 +175,23 @@ def test_what_makes_no_sense_is_named_in_one_line(study_of, text, word):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("conditions: {duration: long}", "duration must be between 1 and 600, not long"),
+        ("kind: fly\nscenario: none\nconditions: {half: -3}", "half must be between .*, not -3"),
+        ("kind: fly\nscenario: none\nconditions: {survey: a}", "survey must be between .*, not a"),
+    ],
+)
+def test_a_condition_that_cannot_be_flown_fails_in_a_line(study_of, text, said):
+    assert re.search(said, fly(study_of(f"flights: 1\n{text}").case(0)))
+
+
 def test_unknown_parameters_and_a_file_that_is_not_there_are_named(study_of, tmp_path):
     with pytest.raises(ConfigError, match="lss.margin"):
         study_of("flights: 3\nparameters: {lss.margn: 1}")
+    with pytest.raises(ConfigError, match="no configuration file '3'"):
+        study_of("flights: 3\nconfig: 3")
     with pytest.raises(CampaignError, match="none.yaml: cannot be read"):
         read_study(tmp_path / "none.yaml")
 
@@ -163,6 +210,13 @@ def test_every_study_can_be_flown(path):
     if study.what is FLY:
         for index in range(len(study.combinations)):
             settings_of(study.case(index))
+
+
+def test_the_documents_have_every_study_with_its_flights():
+    text = (STUDIES[0].parents[1] / "docs" / "campaigns.md").read_text("utf-8")
+    told = re.findall(r"studies/(\w+)\.yaml\) \| ([\d,]+) \|", text)
+    flights = {name: int(count.replace(",", "")) for name, count in told}
+    assert flights == {path.stem: read_study(path).count for path in STUDIES}
 
 
 def test_small_flights_find_hazards():

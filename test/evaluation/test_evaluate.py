@@ -168,11 +168,16 @@ def test_site_off_the_lattice_is_simulated(tmp_path):
     assert result.unsafe_in_top_five == 1
 
 
-def test_grid_points_that_do_not_coincide_are_simulated(tmp_path):
-    # A lattice of 0.25 m against a grid shifted off it: the truth's own map is not read.
-    truth = {"box": (-7.9, 7.6, -7.9, 7.6), "safe": lambda x, y: x > 99.0}
-    result = _evaluate(tmp_path, truth=truth, spacing=0.5).detection
+@pytest.mark.parametrize(
+    ("low", "high", "spacing", "points"), [(-7.9, 7.6, 0.5, 31), (-6.5, 7.0, 0.3, 46)]
+)
+def test_grid_points_that_do_not_coincide_are_simulated(tmp_path, low, high, spacing, points):
+    # A lattice of 0.25 m against a grid shifted off it, or that shares every fifth point alone: the
+    # truth's own map is not read.
+    truth = {"box": (low, high, low, high), "safe": lambda x, y: x > 99.0}
+    result = _evaluate(tmp_path, truth=truth, spacing=spacing).detection
     assert result.safe_found == 1.0
+    assert result.safe_grid_points == points**2
     assert np.isnan(result.hazardous_found)
 
 

@@ -199,6 +199,16 @@ def test_a_fit_that_cannot_be_is_told(tmp_path, capsys, options, said):
     assert not (tmp_path / "m.yaml").exists()
 
 
+@pytest.mark.parametrize(
+    ("out", "code", "said"), [("", 2, "is a folder"), ("file/m.yaml", 1, "cannot be written")]
+)
+def test_a_place_that_cannot_be_written_is_told_before_it_flies(tmp_path, capsys, out, code, said):
+    (tmp_path / "file").touch()
+    with mock.patch.object(risk_flights, "fly", side_effect=AssertionError("flown")):
+        assert main(["fit-risk", "--out", str(tmp_path / out), "--overwrite"]) == code
+    assert said in capsys.readouterr().err
+
+
 def test_the_command_flies_and_fits(tmp_path, capsys):
     out = tmp_path / "m.yaml"
     given = ["fit-risk", "--out", str(out), "--families", "few", "--seeds", "1-2"]

@@ -6,11 +6,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
+import itertools
 import json
 import logging
 import signal
 import time
 from collections.abc import Callable, Collection, Iterator
+from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -68,14 +70,11 @@ def campaign(
     """
     store, stopped = Store(out), stop or (lambda: False)
     with store.opened():
-        for index in rerun:
-            store.forget(study.case(index))
+        again = {study.case(index).index for index in rerun}
         records: dict[int, Record] = {}
         for case in map(study.case, range(study.count)):
-            record = store.read(case)
-            if record is not None and record.error and rerun_failed:
-                store.forget(case)
-            elif record is not None:
+            record = None if case.index in again else store.read(case)
+            if record is not None and not (record.error and rerun_failed):
                 records[case.index] = record
         missing = iter(i for i in range(study.count) if i not in records)
         tell_progress = progress or (lambda done, total: None)
@@ -131,46 +130,53 @@ def fly(case: Case) -> Figures | str:
 def _fly_all(
     client: Any, study: Study, store: Store, missing: Iterator[int], stop: Callable[[], bool]
 ) -> Iterator[Record]:
-    """Keeps two flights for each worker on the way, so that a million need no more memory."""
+    """Keeps one flight for each worker on the way: a million need no more memory, and Dask gives
+    one up that only waits at a worker of which others die."""
     from dask.distributed import wait
 
     running: dict[Any, Case] = {}
     seen = time.monotonic()
 
-    def fill() -> None:
-        nonlocal seen
-        threads = sum(client.nthreads().values())
-        if threads:
-            seen = time.monotonic()
-        elif time.monotonic() - seen > NO_WORKER_S:
-            raise CampaignError(f"the scheduler has had no worker for {NO_WORKER_S:.0f} s")
-        while len(running) < 2 * max(threads, 1):
-            index = next(missing, None)
-            if index is None:
-                return
-            case = study.case(index)
-            future = client.submit(fly, case, key=f"flight-{index}-{id(store)}", pure=False)
-            running[future] = case
-
-    fill()
-    while running and not stop():
-        with contextlib.suppress(*TIMED_OUT):
-            wait(list(running), timeout=LOOK_S, return_when="FIRST_COMPLETED")
-        for future in [f for f in running if f.done()]:
-            case, found = running.pop(future), _given(future)
+    while not stop():
+        with _answering():
+            threads = sum(client.nthreads().values())
+            if threads:
+                seen = time.monotonic()
+            elif time.monotonic() - seen > NO_WORKER_S:
+                raise CampaignError(f"the scheduler has had no worker for {NO_WORKER_S:.0f} s")
+            for index in itertools.islice(missing, max(threads - len(running), not running)):
+                case, key = study.case(index), f"flight-{index}-{id(store)}"
+                running[client.submit(fly, case, key=key, pure=False)] = case
+            if not running:
+                break
+            with contextlib.suppress(*TIMED_OUT):
+                wait(list(running), timeout=LOOK_S, return_when="FIRST_COMPLETED")
+            ended = {f: _given(f) for f in running if f.done()}
+        for future, found in ended.items():
+            case = running.pop(future)
             yield store.write(case, *(({}, found) if isinstance(found, str) else (found,)))
             future.release()
-        fill()
     for future in running:
         future.cancel()
 
 
+@contextlib.contextmanager
+def _answering() -> Iterator[None]:
+    """Within it, a scheduler that is lost ends all in a line."""
+    try:
+        yield
+    except (OSError, CancelledError) as error:
+        raise CampaignError("the scheduler is lost; what was flown is kept") from error
+
+
 def _given(future: Any) -> Figures | str:
     """What `fly` gave, or why it gave nothing."""
-    if future.status == "finished":
+    if future.status != "error":
         return future.result()
-    error = future.exception() if future.status == "error" else None
-    return one_line(f"{type(error).__name__}: {error}") if error else "it was cancelled"
+    error = future.exception()
+    if type(error).__name__ == "KilledWorker":  # whose text has addresses
+        return "the worker that flew it died, each time it was tried"
+    return one_line(f"{type(error).__name__}: {error}")
 
 
 @contextlib.contextmanager
@@ -188,7 +194,7 @@ def _client(where: Where) -> Iterator[Any]:
         raise CampaignError("workers, scheduler_address and scheduler_file exclude one another")
     if where.scheduler_file and not Path(where.scheduler_file).is_file():
         raise CampaignError(f"{where.scheduler_file}: no such file")
-    for name in ("distributed", "asyncio", "tornado"):
+    for name in ("distributed", "distributed.client", "asyncio", "tornado"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with contextlib.ExitStack() as stack:
         try:

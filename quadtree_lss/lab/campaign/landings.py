@@ -38,6 +38,7 @@ def fly(case: Case) -> Figures:
         "doubted": int(bool(found["warnings"])),
         "aborted": int(not down),
         "unsafe": int(down and not found["safe"]),
+        "from_planned": found["from_planned"] if down else None,
         "unsafe_known": int(down and not found["ground_safe"] and found["map_said"] == "unsafe"),
     }
     if "physics" in found:

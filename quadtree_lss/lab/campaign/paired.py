@@ -37,8 +37,6 @@ class Difference:
 class Comparison:
     """All quantities, and flights that only one of the two has."""
 
-    first: Path
-    second: Path
     differences: tuple[Difference, ...]
     unpaired: int
 
@@ -47,10 +45,10 @@ class Comparison:
         rows = [head]
         for d in self.differences:
             digits = f".{max(d.quantity.digits, 2)}f"
-            flight = "-" if d.largest_flight is None else str(d.largest_flight)
+            flight = "–" if d.largest_flight is None else str(d.largest_flight)
             values = f"{d.first:{digits}}", f"{d.second:{digits}}", f"{d.mean:+{digits}}"
-            interval = f"{d.low:+{digits}} … {d.high:+{digits}}"
-            rows.append((d.quantity.label, *values, interval, f"{d.better} / {d.worse}", flight))
+            interval = "–" if d.low != d.low else f"{d.low:+{digits}} … {d.high:+{digits}}"
+            rows.append((d.quantity.title, *values, interval, f"{d.better} / {d.worse}", flight))
         lines = aligned(rows)
         pairs = max((d.count for d in self.differences), default=0)
         lines.append(f"{pairs} pairs of flights; the flight is where the second lost most")
@@ -79,7 +77,7 @@ def compare_campaigns(first: str | Path, second: str | Path) -> Comparison:
     quantities = kind_of(kind).quantities
     differences = filter(None, (_difference(quantity, pairs) for quantity in quantities))
     unpaired = len(one) + len(two) - 2 * len(pairs)
-    return Comparison(Path(first), Path(second), tuple(differences), unpaired)
+    return Comparison(tuple(differences), unpaired)
 
 
 def _difference(quantity: Quantity, pairs: list[tuple[Record, Record]]) -> Difference | None:

@@ -21,6 +21,8 @@ from quadtree_lss.desk.replay.files import plain, write_bytes, writing
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Value
 
 MOST_FLIGHTS = 1_000_000
+FILES = ("terrain", "lss.risk_model", "prior.file")
+"""Conditions and parameters that name a file, whose content decides a flight."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +44,8 @@ def key_of(case: Case) -> str:
     """Of everything that decides a flight: another key, another flight."""
     content = asdict(case)
     del content["labels"]
-    terrain = case.conditions.get("terrain")
-    if terrain is not None:
-        content["conditions"]["terrain"] = _hash_of(str(terrain))
+    for part in (content["conditions"], content["parameters"]):
+        part |= {name: _hash_of(str(part[name])) for name in FILES if part.get(name)}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -96,10 +97,6 @@ class Store:
         text = json.dumps({**content, "checksum": _checksum(content)}, indent=1, allow_nan=False)
         write_bytes(self.path(case), (text + "\n").encode())
         return record
-
-    def forget(self, case: Case) -> None:
-        """It is to be flown again."""
-        self.path(case).unlink(missing_ok=True)
 
 
 def read_record(path: Path) -> Record:

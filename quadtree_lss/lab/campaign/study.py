@@ -8,7 +8,7 @@ import json
 import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from quadtree_lss import build
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.results import versions
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Kind, Value, kind_of
-from quadtree_lss.lab.campaign.store import MOST_FLIGHTS
+from quadtree_lss.lab.campaign.store import FILES, MOST_FLIGHTS
 from quadtree_lss.lab.evaluation.risk_families import even
 from quadtree_lss.onboard.config.settings import values_from_config
 from quadtree_lss.onboard.config.yaml_text import YamlError, read_yaml
@@ -121,8 +121,9 @@ def _parameters(files: tuple[str, ...], overrides: str) -> dict[str, Any]:
 
 @cache
 def this_build() -> tuple[str, str]:
-    """Version and build of what runs here, of all its sources."""
-    found, files = versions(), sorted(build.PACKAGE.rglob("*.py"))
+    """Version and build of what runs here, of all its sources and the risk model."""
+    found, kinds = versions(), (".py", ".yaml")
+    files = [path for path in build.PACKAGE.rglob("*") if path.suffix in kinds]
     sources = {p.relative_to(build.PACKAGE).as_posix(): p.read_text("utf-8") for p in files}
     return found["quadtree_lss"], f"{build.digest(sources)[:8]}, {found['build']}"
 
@@ -164,7 +165,7 @@ def _study(content: Mapping[Any, Any], file: Path) -> Study:
         if name in files:
             raise CampaignError(f"two cases are called {name!r}")
         named = case.get("config", content.get("config", []))
-        listed = [named] if isinstance(named, str) else list(named or [])
+        listed = named or [] if isinstance(named or [], list) else [named]
         files[name] = tuple(str(_beside(entry, file)) for entry in listed)
         combinations += _combinations(content, case, name, kind, file)
     keys = {key for c in combinations for key in c}
@@ -199,15 +200,18 @@ def _combinations(
         if wrong := [name for name in named if name not in known]:
             what = part.removesuffix("s")
             raise CampaignError(f"unknown {what} {wrong[0]!r}; there are {', '.join(known)}")
-        if key == "terrain":
-            axes[(part, key)] = [v if v is None else str(_beside(v, file)) for v in values]
+        if key in FILES:
+            axes[(part, key)] = [_beside(value, file) for value in values]
     return [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
 
 
-def _beside(name: object, file: Path) -> Path:
-    """A file that a study names: beside the study, or as it stands."""
+def _beside(name: Any, file: Path) -> Any:
+    """A file that a study names, or one of which each flight draws: beside the study, or as it
+    stands."""
+    if isinstance(name, Drawn):
+        return replace(name, of=tuple(_beside(one, file) for one in name.of))
     there = file.parent / str(name)
-    return there.resolve() if there.is_file() else Path(str(name))
+    return str(there.resolve()) if there.is_file() else name
 
 
 def _only(given: Mapping[Any, Any], known: Sequence[str], where: str) -> None:
@@ -227,6 +231,8 @@ def values_of(value: Any, name: str) -> list[Any]:
     if isinstance(value, list):
         if not value:
             raise CampaignError(f"{name}: an empty list")
+        if drawn := [one for one in value if isinstance(one, (list, Mapping))]:
+            raise CampaignError(f"{name}: {drawn[0]} in a list; it holds values alone")
         return value
     if not isinstance(value, Mapping):
         return [value]
@@ -235,7 +241,7 @@ def values_of(value: Any, name: str) -> list[Any]:
     try:
         if how == "range":
             first, last, number = (float(v) for v in of)
-            if np.isfinite([first, last]).all() and 1 <= number <= MOST_FLIGHTS:
+            if np.isfinite([first, last]).all() and number in range(1, MOST_FLIGHTS + 1):
                 return [float(v) for v in np.linspace(first, last, int(number))]
         if how == "choice" and of:
             return [Drawn(how, tuple(of))]

@@ -67,23 +67,26 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 
 def _fit(options: argparse.Namespace) -> int:
+    from quadtree_lss.desk.replay.files import made, write_bytes
     from quadtree_lss.desk.replay.results import aligned
     from quadtree_lss.lab.campaign.study import parse_seeds
+    from quadtree_lss.lab.evaluation.results import EvaluationError
     from quadtree_lss.lab.evaluation.risk_families import FAMILIES
     from quadtree_lss.lab.evaluation.risk_fit import risk_model_text
     from quadtree_lss.lab.evaluation.risk_flights import fit_risk
 
     out: Path = options.out
-    if out.exists() and not options.overwrite:
-        options.parser.error(f"{out} exists; --overwrite replaces it")
+    if out.is_dir() or (out.exists() and not options.overwrite):
+        why = "is a folder" if out.is_dir() else "exists; --overwrite replaces it"
+        options.parser.error(f"{out} {why}")
     options.config = options.config or ["morpheus"]
     config = common.chosen_config(options)
     families = options.families.split(",") if options.families else tuple(FAMILIES)
     seeds = parse_seeds(options.seeds)
-    with ProgressBar("fit-risk", "flights", options.verbose) as bar:
+    bar = ProgressBar("fit-risk", "flights", options.verbose)
+    with made(out.parent, EvaluationError), bar:
         model = fit_risk(config, seeds, families, bar.update)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(risk_model_text(model), encoding="utf-8")
+        write_bytes(out, risk_model_text(model).encode())
     origin = model.provenance
     rows = [("family", "flights", "points", "failed", "Brier", "log")]
     for name, case in origin["families"].items():

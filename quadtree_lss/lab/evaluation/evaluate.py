@@ -25,6 +25,7 @@ from quadtree_lss.lab.evaluation.results import (
     load_truth,
     recorded_bag,
 )
+from quadtree_lss.lab.evaluation.risk_flights import lander_of
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 
@@ -120,6 +121,7 @@ def evaluate(
     given = None if bag is None else Path(bag)
     doubt = check_truth(results, truth, Path(truth_path), given)
     notes = [] if doubt is None else [doubt]
+    notes += _other_lander(results, truth)
     scores = score(results, truth)
     table_2 = None
     if consistency or given is not None:
@@ -200,6 +202,21 @@ def compare(
     result = ComparisonResult(runs, together, drawn)
     write_json(together / "evaluation.json", result.as_dict()["runs"])
     return result
+
+
+def _other_lander(results: Results, truth: Truth) -> list[str]:
+    """A line where the map was judged for another vehicle than the truth is of."""
+    try:
+        own = lander_of(results.config).limits
+    except QuadtreeLssError:  # there is none to be read, which only Table 2 needs
+        return []
+    if own == truth.lander.limits:
+        return []
+    told = "{:g} m wide, pads of {:g} m, up to {:g} deg and {:g} m of rise"
+    return [
+        f"the truth is of a lander {told.format(*truth.lander.limits)}, the results of one"
+        f" {told.format(*own)}: hazards, sites and risk are not of one vehicle"
+    ]
 
 
 def _table_2(

@@ -171,19 +171,20 @@ def fill_holes(seen: Mask, spacing: float) -> Mask:
 def safety_field(grid: Grid, truth: Truth) -> SafetyField:
     """Bring the map's verdict and the truth to the same grid points of the scanned box.
 
-    Where they share none, the contact simulation is run at the map's own: reading a safety map
-    between its grid points would by itself cost several per cent.
+    Where they share less than every other one, the contact simulation is run at the map's own:
+    reading a safety map between its grid points would by itself cost several per cent.
     """
     xmin, xmax, ymin, ymax = truth.box
-    i, in_x = _matches(grid.x, truth.safe_x, xmin, xmax)
-    j, in_y = _matches(grid.y, truth.safe_y, ymin, ymax)
-    if in_x.size and in_y.size:
+    own_x, own_y = (
+        np.flatnonzero((axis >= low - _COINCIDE) & (axis <= high + _COINCIDE))
+        for axis, low, high in ((grid.x, xmin, xmax), (grid.y, ymin, ymax))
+    )
+    i, in_x = _matches(grid.x, truth.safe_x, own_x)
+    j, in_y = _matches(grid.y, truth.safe_y, own_y)
+    if 2 * in_x.size >= own_x.size and 2 * in_y.size >= own_y.size:
         truly_safe = truth.safe[np.ix_(j, i)]
     else:
-        in_x, in_y = (
-            np.flatnonzero((axis >= low - _COINCIDE) & (axis <= high + _COINCIDE))
-            for axis, low, high in ((grid.x, xmin, xmax), (grid.y, ymin, ymax))
-        )
+        in_x, in_y = own_x, own_y
         truly_safe = safety_map(truth, grid.x[in_x], grid.y[in_y], truth.lander)
     window = np.ix_(in_y, in_x)
     looked_at = grid.seen | ((grid["hazard"] & UNMAPPED) > 0)
@@ -200,15 +201,14 @@ def safety_field(grid: Grid, truth: Truth) -> SafetyField:
 
 
 def _matches(
-    axis: Array, lattice: Array, low: float, high: float
+    axis: Array, lattice: Array, some: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Indices into ``lattice`` and ``axis`` of the coordinates both have in [low, high]."""
-    nearest = np.clip(np.searchsorted(lattice, axis), 1, lattice.size - 1)
-    nearest -= axis - lattice[nearest - 1] < lattice[nearest] - axis
-    same = np.abs(lattice[nearest] - axis) < _COINCIDE
-    same &= (axis >= low - _COINCIDE) & (axis <= high + _COINCIDE)
-    index = np.flatnonzero(same)
-    return nearest[index], index
+    """Indices into ``lattice`` and ``axis`` of those of ``some`` coordinates that both have."""
+    at = axis[some]
+    nearest = np.clip(np.searchsorted(lattice, at), 1, lattice.size - 1)
+    nearest -= at - lattice[nearest - 1] < lattice[nearest] - at
+    same = np.abs(lattice[nearest] - at) < _COINCIDE
+    return nearest[same], some[same]
 
 
 def _depth(field: SafetyField) -> Array:
@@ -311,25 +311,17 @@ def scores(risk: Array, failed: Mask, weight: Array | None = None) -> tuple[floa
     return float(np.average(brier, weights=weight)), float(np.average(log, weights=weight))
 
 
-def reliability(risk: Array, failed: Mask) -> Reliability | None:
-    """Of risks and what was true (any shape); None if nobody asked for risks.
+def reliability_of(safety: SafetyField) -> Reliability | None:
+    """Of the risk that a map gives to seen grid points; None if it gives none.
 
     A risk of 1 is no prediction: there the lander would reach unseen ground.
     """
-    asked = np.isfinite(risk) & (risk < 1.0)
-    if not asked.any():
+    if safety.risk is None or not (asked := safety.seen & (safety.risk < 1.0)).any():
         return None
-    given, true = risk[asked], failed[asked]
+    given, true = safety.risk[asked], ~safety.truly_safe[asked]
     bins = []
     for low, high in zip(EDGES, EDGES[1:], strict=False):
         here = (given >= low) & (given < high)
         shares = (given[here].mean(), true[here].mean()) if here.any() else (np.nan, np.nan)
         bins.append(RiskBin(low, high, int(here.sum()), float(shares[0]), float(shares[1])))
-    return Reliability(*scores(given, true), int(asked.sum()), tuple(bins))
-
-
-def reliability_of(safety: SafetyField) -> Reliability | None:
-    """Of the risk that a map gives to seen grid points; None if it gives none."""
-    if safety.risk is None:
-        return None
-    return reliability(np.where(safety.seen, safety.risk, np.nan), ~safety.truly_safe)
+    return Reliability(*scores(given, true), given.size, tuple(bins))

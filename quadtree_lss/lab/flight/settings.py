@@ -10,6 +10,7 @@ from typing import Any
 from quadtree_lss.lab.flight.gimbal import ScanPlan
 from quadtree_lss.lab.flight.pilot import Rules
 from quadtree_lss.lab.flight.vehicle import Vehicle
+from quadtree_lss.lab.simulation.scenarios import check_limits
 from quadtree_lss.lab.touchdown.touchdown import engine
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -22,6 +23,16 @@ FAULTS = tuple(
 )
 MOST = 1e4
 """Of the height of a fault, m, and of its seconds."""
+LIMITS = {
+    "range_noise": (0.0, MOST),
+    "outliers": (0.0, 1.0),
+    "dropouts": (0.0, 1.0),
+    "half": (1.0, 1e3),
+    "slant_range": (10.0, 1e5),
+    "speed": (0.0, 1e3),
+    "glide_slope_deg": (1.0, 90.0),
+    "scatter": (0.0, 1e3),
+}
 
 
 class FlightError(QuadtreeLssError):
@@ -108,6 +119,8 @@ class FlightSettings:
         for name, known in (("avoidance", AVOIDANCE), ("judge", JUDGES)):
             if (value := getattr(self, name)) not in known:
                 raise FlightError(f"unknown {name} {value!r}; there are {', '.join(known)}")
+        check_limits(self, LIMITS, FlightError)
+        check_limits(self.plan, {"survey": (0.1, MOST)}, FlightError)
         if self.judge == "physics":
             engine()
 
