@@ -12,6 +12,7 @@ from quadtree_lss.lab.flight.flight_page import write_flight
 from quadtree_lss.lab.flight.fly import flown
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.settings import Fault, FlightError, flight_settings
+from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.core.landing.target import State
 
 SHORT = {"slant_range": 260.0, "speed": 26.0, "half": 8.0, "scatter": 3.0, "plan": {"survey": 3.0}}
@@ -91,6 +92,14 @@ def test_rocks_are_strewn_on_a_terrain_if_asked_for(tmp_path):
     )
     assert not bare.terrain.elevation.any() and bare.safe[2].min() > 0.0
     assert rocky.terrain.elevation.max() > 0.3 and (rocky.safe[2] == 0.0).any()
+
+
+def test_a_ridge_on_the_way_is_ground_too():
+    posts = np.linspace(-100.0, 100.0, 101)
+    ridge = np.broadcast_to(np.where(np.abs(posts + 80.0) < 5.0, 90.0, 0.0), (101, 101))
+    ground = Ground(Terrain(posts, posts, ridge), np.zeros(3), 10.0)
+    assert ground.touches(np.array([-80.0, 0.0, 50.0]))
+    assert not ground.touches(np.array([0.0, 0.0, 50.0]))
 
 
 WRONG_TIMES = ("nan", "inf", "-1", "60+-3", "60+1e99", "60+nan", "60+0")
