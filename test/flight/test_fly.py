@@ -12,7 +12,7 @@ from quadtree_lss.lab.flight.flight_page import write_flight
 from quadtree_lss.lab.flight.fly import flown
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.settings import Fault, FlightError, flight_settings
-from quadtree_lss.lab.simulation.terrain import Terrain
+from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
 from quadtree_lss.onboard.core.landing.target import State
 
 SHORT = {"slant_range": 260.0, "speed": 26.0, "half": 8.0, "scatter": 3.0, "plan": {"survey": 3.0}}
@@ -92,6 +92,9 @@ def test_rocks_are_strewn_on_a_terrain_if_asked_for(tmp_path):
     )
     assert not bare.terrain.elevation.any() and bare.safe[2].min() > 0.0
     assert rocky.terrain.elevation.max() > 0.3 and (rocky.safe[2] == 0.0).any()
+    np.savez(tmp_path / "flat.npz", x=posts[29:32], y=posts[29:32], elevation=np.zeros((3, 3)))
+    with pytest.raises(SimulationError, match="too small"):
+        Ground.of(flight_settings(given), np.random.default_rng(1))
 
 
 def test_a_ridge_on_the_way_is_ground_too():
@@ -117,6 +120,9 @@ WRONG_TIMES = ("nan", "inf", "-1", "60+-3", "60+1e99", "60+nan", "60+0")
         ({"faults": ("meteor@50",)}, "meteor"),
         ({"faults": ("pose_gap",)}, "KIND@HEIGHT"),
         ({"vehicle": {"wings": 2}}, "vehicle"),
+        ({"half": -3.0}, "half must be between 2 and 10000, not -3"),
+        ({"outliers": "many"}, "outliers must be between 0 and 1, not many"),
+        ({"plan": {"survey": 0.0}}, "survey must be"),
         *(({"faults": (f"kill_mapping@{when}",)}, "from 0 to") for when in WRONG_TIMES),
     ],
 )

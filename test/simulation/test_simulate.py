@@ -183,7 +183,7 @@ def test_truth_of_another_flight_is_kept_unless_told_otherwise(tmp_path, hill):
         {"duration": 0.0},
         {"duration": float("nan")},
         {"outliers": 1.5},
-        {"dropouts": -0.1},
+        {"dropouts": "many"},
         {"range_noise": -1.0},
         {"flights": 0},
         {"seed": -1},

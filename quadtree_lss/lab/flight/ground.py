@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.simulation import safety
 from quadtree_lss.lab.simulation.scenarios import Conditions
-from quadtree_lss.lab.simulation.terrain import Terrain
+from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
 from quadtree_lss.onboard.arrays import Array
 
 GRID = 0.25
@@ -31,13 +31,15 @@ class Ground:
     @classmethod
     def of(cls, settings: FlightSettings, generator: np.random.Generator) -> Ground:
         """As the settings say; on a large DEM the planned point lies anywhere within 100 m. Raises
-        `SimulationError`: the terrain cannot be read."""
+        `SimulationError`: the terrain cannot be read, or is too small."""
         given = Conditions(terrain=settings.terrain or None, rocks=settings.rock_abundance)
         terrain = given.ground("morpheus", generator)
         assert terrain is not None
         xmin, xmax, ymin, ymax = terrain.bounds
         x, y = GRID * round(0.5 * (xmin + xmax) / GRID), GRID * round(0.5 * (ymin + ymax) / GRID)
         room = 0.5 * min(xmax - xmin, ymax - ymin) - 4.0
+        if room < 2.0:
+            raise SimulationError("terrain: too small; a flight needs 12 m by 12 m")
         if settings.terrain:
             spread = float(np.clip(room - settings.half, 0.0, 100.0))
             x, y = (c + GRID * round(generator.uniform(-spread, spread) / GRID) for c in (x, y))

@@ -10,6 +10,8 @@ from typing import Any
 from quadtree_lss.lab.flight.gimbal import ScanPlan
 from quadtree_lss.lab.flight.pilot import Rules
 from quadtree_lss.lab.flight.vehicle import Vehicle
+from quadtree_lss.lab.simulation.scenarios import LIMITS as SIMULATED
+from quadtree_lss.lab.simulation.terrain import check
 from quadtree_lss.lab.touchdown.touchdown import engine
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -20,6 +22,15 @@ JUDGES = ("contact", "physics")
 FAULTS = tuple(
     "kill_lss kill_mapping forget_mapping pose_gap pose_jump lidar_gap keep_out land_now".split()
 )
+LIKE_SIMULATED = ("range_noise", "outliers", "dropouts", "glide_slope_deg")
+LIMITS = {name: SIMULATED[name] for name in LIKE_SIMULATED} | {
+    "half": (2.0, 1e4),
+    "slant_range": (20.0, 1e5),
+    "speed": (0.0, 1e3),
+    "scatter": (0.0, 1e3),
+    "answer_delay": (0.0, 1e3),
+    "longest": (1.0, 1e4),
+}
 MOST = 1e4
 """Of the height of a fault, m, and of its seconds."""
 
@@ -108,6 +119,8 @@ class FlightSettings:
         for name, known in (("avoidance", AVOIDANCE), ("judge", JUDGES)):
             if (value := getattr(self, name)) not in known:
                 raise FlightError(f"unknown {name} {value!r}; there are {', '.join(known)}")
+        check(self, LIMITS, FlightError)
+        check(self.plan, {"survey": (0.1, 1e3)}, FlightError)
         if self.judge == "physics":
             engine()
 

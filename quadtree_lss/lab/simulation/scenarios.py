@@ -20,6 +20,7 @@ from quadtree_lss.lab.simulation.terrain import (
     SimulationError,
     Surface,
     Terrain,
+    check,
     load_terrain,
 )
 from quadtree_lss.lab.simulation.trajectory import (
@@ -98,10 +99,7 @@ class Conditions:
     slope_deg: float | None = None
 
     def __post_init__(self) -> None:
-        for name, (low, high) in LIMITS.items():
-            value = getattr(self, name)
-            if value is not None and not low <= value <= high:
-                raise SimulationError(f"{name} must be between {low:g} and {high:g}, not {value:g}")
+        check(self, LIMITS, SimulationError)
 
     def ground(self, scenario: str, generator: np.random.Generator) -> Ground:
         """The terrain, made or read; None for the one of Section VI."""
