@@ -136,7 +136,7 @@ def test_a_fault_is_read_from_text():
     assert Fault.read("keep_out@12") == Fault("keep_out", 12.0, 3.0)
 
 
-def test_the_command_writes_figures_and_page(tmp_path, capsys):
+def test_the_command_writes_figures_and_page(tmp_path, capsys, monkeypatch):
     out = tmp_path / "flight"
     code = main(["fly", "--lockstep", "--seed", "3", "--avoidance", "none", "--out", str(out)])
     assert code == 0 and "touchdown" in capsys.readouterr().out
@@ -147,6 +147,9 @@ def test_the_command_writes_figures_and_page(tmp_path, capsys):
     assert "the flight made none" in page and (out / "cells.npz").exists()
     assert "Content-Security-Policy" in page and 'class="verdict' in page  # as all pages are
     assert main(["fly", "--lockstep", "--fault", "x@1", "--out", str(out)]) == 1
+    monkeypatch.setattr("quadtree_lss.lab.flight.fly.flown", None)  # nothing is flown for nothing
+    assert main(["fly", "--lockstep", "--out", str(out / "flight.csv" / "none")]) == 1
+    assert "cannot be written" in capsys.readouterr().err
 
 
 @pytest.fixture(scope="module")
