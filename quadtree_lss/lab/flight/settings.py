@@ -49,7 +49,7 @@ class Fault:
             back), ``lidar_gap``, ``keep_out`` (4 m about where the lander is going),
             ``land_now`` (somebody calls that service).
         height: Over the aim at which it begins, m.
-        seconds: How long it lasts; a keep-out stays, and so does ``land_now``.
+        seconds: How long it lasts; a keep-out stays until another one, ``land_now`` for good.
     """
 
     kind: str
