@@ -22,8 +22,7 @@ JUDGES = ("contact", "physics")
 FAULTS = tuple(
     "kill_lss kill_mapping forget_mapping pose_gap pose_jump lidar_gap keep_out land_now".split()
 )
-LIKE_SIMULATED = ("range_noise", "outliers", "dropouts", "glide_slope_deg")
-LIMITS = {name: SIMULATED[name] for name in LIKE_SIMULATED} | {
+LIMITS = {k: SIMULATED[k] for k in "range_noise outliers dropouts glide_slope_deg".split()} | {
     "half": (2.0, 1e4),
     "slant_range": (20.0, 1e5),
     "speed": (0.0, 1e3),
