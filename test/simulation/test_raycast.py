@@ -9,18 +9,14 @@ from quadtree_lss.lab.simulation.terrain import Parabola, Terrain
 from quadtree_lss.lab.simulation.trajectory import look_at
 
 
-def _terrain(function, half=20.0, post=0.1):
-    axis = np.linspace(-half, half, round(2 * half / post) + 1)
+def _terrain(function):
+    axis = np.linspace(-20.0, 20.0, 401)
     return Terrain(axis, axis, function(axis[None, :], axis[:, None]))
 
 
 def _fan(origin, targets):
     directions = np.asarray(targets, float) - origin
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
-
-
-def _targets(generator, count=4000, half=12.0):
-    return np.column_stack([generator.uniform(-half, half, (count, 2)), np.zeros(count)])
 
 
 def _first_hit_of_all_cells(terrain, origin, direction):
@@ -81,7 +77,7 @@ def test_parabola_is_hit_where_its_elevation_says():
     generator = np.random.default_rng(4)
     for origin in ([100.0, -100.0, 500.0], [0.0, 0.0, 20.0], [5.0, -5.0, 60.0]):
         origin = np.array(origin)
-        directions = _fan(origin, _targets(generator, half=55.0))
+        directions = _fan(origin, [55.0, 55.0, 0.0] * generator.uniform(-1.0, 1.0, (4000, 3)))
         points = origin + parabola.cast(origin, directions)[:, None] * directions
         np.testing.assert_allclose(
             points[:, 2], parabola.elevation_at(points[:, 0], points[:, 1]), atol=1e-9
