@@ -90,7 +90,7 @@ def test_what_was_started_ends_with_sigterm_and_at_once_with_another(tmp_path, m
     deaf.write_text("#!/bin/sh\ntrap '' INT\necho deaf\nexec sleep 100\n")
     deaf.chmod(0o755)
     monkeypatch.setattr(processes, "program", lambda name: deaf)
-    again = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGTERM))
+    again = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGTERM))
     with pytest.raises(KeyboardInterrupt), local_domain(tmp_path) as domain:
         with NodeProcess("deaf", (), domain.env, tmp_path / "log") as node:
             while not node.output():

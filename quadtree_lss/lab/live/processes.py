@@ -234,8 +234,8 @@ class NodeProcess:
 
     def stop(self, signal_number: int = signal.SIGINT, timeout: float = 15.0) -> int:
         """Asks it to end, kills it if it does not, or if we are interrupted; its exit code."""
-        self.process.send_signal(signal_number)
         try:
+            self.process.send_signal(signal_number)
             with suppress(subprocess.TimeoutExpired):
                 self.process.wait(timeout)
         finally:
