@@ -8,10 +8,12 @@ import pytest
 from report.pages import Page, accessible, in_a_browser, in_browser, sheets
 
 from quadtree_lss.cli import main
+from quadtree_lss.lab.flight.flight import Flight
 from quadtree_lss.lab.flight.flight_page import write_flight
 from quadtree_lss.lab.flight.fly import flown
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.settings import Fault, FlightError, flight_settings
+from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
 from quadtree_lss.onboard.core.landing.target import State
 
 SHORT = {"slant_range": 260.0, "speed": 26.0, "half": 8.0, "scatter": 3.0, "plan": {"survey": 3.0}}
@@ -91,6 +93,17 @@ def test_rocks_are_strewn_on_a_terrain_if_asked_for(tmp_path):
     )
     assert not bare.terrain.elevation.any() and bare.safe[2].min() > 0.0
     assert rocky.terrain.elevation.max() > 0.3 and (rocky.safe[2] == 0.0).any()
+    np.savez(tmp_path / "flat.npz", x=posts[29:32], y=posts[29:32], elevation=np.zeros((3, 3)))
+    with pytest.raises(SimulationError, match="too small"):
+        Ground.of(flight_settings(given), np.random.default_rng(1))
+
+
+def test_a_ridge_on_the_way_is_ground_too():
+    posts = np.linspace(-100.0, 100.0, 101)
+    ridge = np.broadcast_to(np.where(np.abs(posts + 80.0) < 5.0, 90.0, 0.0), (101, 101))
+    ground = Ground(Terrain(posts, posts, ridge), np.zeros(3), 10.0)
+    assert ground.touches(np.array([-80.0, 0.0, 50.0]))
+    assert not ground.touches(np.array([0.0, 0.0, 50.0]))
 
 
 WRONG_TIMES = ("nan", "inf", "-1", "60+-3", "60+1e99", "60+nan", "60+0")
@@ -108,6 +121,9 @@ WRONG_TIMES = ("nan", "inf", "-1", "60+-3", "60+1e99", "60+nan", "60+0")
         ({"faults": ("meteor@50",)}, "meteor"),
         ({"faults": ("pose_gap",)}, "KIND@HEIGHT"),
         ({"vehicle": {"wings": 2}}, "vehicle"),
+        ({"half": -3.0}, "half must be between 2 and 10000, not -3"),
+        ({"outliers": "many"}, "outliers must be between 0 and 1, not many"),
+        ({"plan": {"survey": 0.0}}, "survey must be"),
         *(({"faults": (f"kill_mapping@{when}",)}, "from 0 to") for when in WRONG_TIMES),
     ],
 )
@@ -121,7 +137,15 @@ def test_a_fault_is_read_from_text():
     assert Fault.read("keep_out@12") == Fault("keep_out", 12.0, 3.0)
 
 
-def test_the_command_writes_figures_and_page(tmp_path, capsys):
+def test_a_second_keep_out_takes_the_place_of_the_first():
+    faults = ("keep_out@110+1", "keep_out@90+1")
+    flight, sent = Flight(SEED, flight_settings({**SHORT, "faults": faults})), []
+    while flight.time < 5.0:
+        sent += [one for one in flight.step() if one.topic == "landing/keep_out"]
+    assert len(sent) == len(flight.failed) == 2
+
+
+def test_the_command_writes_figures_and_page(tmp_path, capsys, monkeypatch):
     out = tmp_path / "flight"
     code = main(["fly", "--lockstep", "--seed", "3", "--avoidance", "none", "--out", str(out)])
     assert code == 0 and "touchdown" in capsys.readouterr().out
@@ -132,6 +156,9 @@ def test_the_command_writes_figures_and_page(tmp_path, capsys):
     assert "the flight made none" in page and (out / "cells.npz").exists()
     assert "Content-Security-Policy" in page and 'class="verdict' in page  # as all pages are
     assert main(["fly", "--lockstep", "--fault", "x@1", "--out", str(out)]) == 1
+    monkeypatch.setattr("quadtree_lss.lab.flight.fly.flown", None)  # nothing is flown for nothing
+    assert main(["fly", "--lockstep", "--out", str(out / "flight.csv" / "none")]) == 1
+    assert "cannot be written" in capsys.readouterr().err
 
 
 @pytest.fixture(scope="module")

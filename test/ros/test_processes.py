@@ -2,9 +2,11 @@
 """Domains of their own for processes that are started at the same time."""
 
 import os
+import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from contextlib import ExitStack
 from xml.etree import ElementTree
@@ -16,7 +18,7 @@ from rclpy.node import Node
 from std_msgs.msg import Int32
 
 from quadtree_lss.lab.live import processes
-from quadtree_lss.lab.live.processes import ProcessError, local_domain
+from quadtree_lss.lab.live.processes import NodeProcess, ProcessError, local_domain
 
 pytestmark = pytest.mark.xdist_group("ros")
 
@@ -81,6 +83,22 @@ def test_environment_of_a_domain_ends_with_it(tmp_path, monkeypatch):
         assert os.environ["ROS_DOMAIN_ID"] == domain.env["ROS_DOMAIN_ID"] == str(domain.number)
         assert os.environ["ROS_LOG_DIR"] == str(tmp_path)
     assert os.environ["ROS_DOMAIN_ID"] == "3" and "ROS_LOG_DIR" not in os.environ
+
+
+def test_what_was_started_ends_with_sigterm_and_at_once_with_another(tmp_path, monkeypatch):
+    deaf, before = tmp_path / "deaf", signal.getsignal(signal.SIGTERM)
+    deaf.write_text("#!/bin/sh\ntrap '' INT\necho deaf\nexec sleep 100\n")
+    deaf.chmod(0o755)
+    monkeypatch.setattr(processes, "program", lambda name: deaf)
+    again = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGTERM))
+    with pytest.raises(KeyboardInterrupt), local_domain(tmp_path) as domain:
+        with NodeProcess("deaf", (), domain.env, tmp_path / "log") as node:
+            while not node.output():
+                time.sleep(0.01)
+            again.start()
+            signal.raise_signal(signal.SIGTERM)
+    assert node.process.poll() == -signal.SIGKILL
+    assert signal.getsignal(signal.SIGTERM) == before
 
 
 def test_who_joins_late_hears_those_who_are_there_at_once(tmp_path):

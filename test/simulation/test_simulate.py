@@ -183,7 +183,7 @@ def test_truth_of_another_flight_is_kept_unless_told_otherwise(tmp_path, hill):
         {"duration": 0.0},
         {"duration": float("nan")},
         {"outliers": 1.5},
-        {"dropouts": -0.1},
+        {"dropouts": "many"},
         {"range_noise": -1.0},
         {"flights": 0},
         {"seed": -1},
@@ -202,6 +202,19 @@ def test_place_that_cannot_be_written_is_one_clear_line(tmp_path, hill):
     (tmp_path / "file").write_text("")
     with pytest.raises(SimulationError, match="cannot"):
         simulate("descent", tmp_path / "file" / "bag", seed=1, duration=1.0, terrain=hill)
+
+
+def test_a_full_disk_leaves_neither_half_a_bag_nor_half_a_truth(tmp_path, hill, monkeypatch):
+    def write_half(path, **arrays):
+        path.write_bytes(b"PK")
+        raise OSError(28, "No space left on device")
+
+    (tmp_path / "truth.npz").write_text("of another")
+    monkeypatch.setattr(np, "savez_compressed", write_half)
+    how = {"seed": 1, "duration": 1.0, "terrain": hill, "overwrite": True}
+    with pytest.raises(SimulationError, match="No space left"):
+        simulate("descent", tmp_path / "bag", **how)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["of another"]
 
 
 def test_outlines_go_round_the_points_of_their_scan(morpheus):

@@ -96,7 +96,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _fly(options: argparse.Namespace) -> int:
-    from quadtree_lss.desk.replay.files import write_json
+    from quadtree_lss.desk.replay.files import made, write_json
     from quadtree_lss.lab.flight.flight_page import headline, write_flight
     from quadtree_lss.lab.flight.fly import flown
     from quadtree_lss.lab.flight.settings import flight_settings
@@ -114,7 +114,10 @@ def _fly(options: argparse.Namespace) -> int:
     if alone and options.rate is not None:
         options.parser.error("--rate: only over ROS, not with --lockstep")
     figures = {"seed": options.seed, "avoidance": options.avoidance, "outcome": "none"}
-    with console.ProgressBar("fly", "s", options.verbose) as bar:
+    with (
+        made(options.out, QuadtreeLssError),
+        console.ProgressBar("fly", "s", options.verbose) as bar,
+    ):
         progress = partial(bar.update, total=LONGEST)
         try:
             if alone:

@@ -234,6 +234,8 @@ class Flight:
             self.active[fault.kind] = self.time + fault.seconds
             self.failed.append((fault.kind, self.time, self.active[fault.kind]))
             self._due.remove(fault)
+            if fault.kind == "keep_out":  # one after another takes its place
+                self._asked.pop("landing/keep_out", None)
 
     def _sense(self, position: Array, velocity: Array) -> Iterator[Sent]:
         pilot = self.pilot

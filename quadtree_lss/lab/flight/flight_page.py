@@ -14,7 +14,7 @@ from matplotlib.patches import Circle
 
 from quadtree_lss.desk.exchange.saved import Results, load_results
 from quadtree_lss.desk.replay.elevation_model import rank_sites
-from quadtree_lss.desk.replay.files import write_csv, write_json, write_npz
+from quadtree_lss.desk.replay.files import write_bytes, write_csv, write_json, write_npz
 from quadtree_lss.desk.replay.results import ReplayResult, run_summary, write_results
 from quadtree_lss.desk.report import drawing
 from quadtree_lss.desk.report.page_data import Layer
@@ -46,8 +46,8 @@ def write_flight(out: Path, flown: Flown, *, report: bool = True) -> None:
     _write_csv(out / "decisions.csv", Decision._fields, flight.pilot.decisions)
     if report:
         picture = drawing.png(figure(flown), dpi=110)
-        (out / "flight.png").write_bytes(picture)
-        (out / "flight.html").write_text(_page(out, flown, picture), encoding="utf-8")
+        write_bytes(out / "flight.png", picture)
+        write_bytes(out / "flight.html", _page(out, flown, picture).encode())
 
 
 def figure(flown: Flown) -> Figure:

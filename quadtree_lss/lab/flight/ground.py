@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.simulation import safety
 from quadtree_lss.lab.simulation.scenarios import Conditions
-from quadtree_lss.lab.simulation.terrain import Terrain
+from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
 from quadtree_lss.onboard.arrays import Array
 
 GRID = 0.25
@@ -31,13 +31,15 @@ class Ground:
     @classmethod
     def of(cls, settings: FlightSettings, generator: np.random.Generator) -> Ground:
         """As the settings say; on a large DEM the planned point lies anywhere within 100 m. Raises
-        `SimulationError`: the terrain cannot be read."""
+        `SimulationError`: the terrain cannot be read, or is too small."""
         given = Conditions(terrain=settings.terrain or None, rocks=settings.rock_abundance)
         terrain = given.ground("morpheus", generator)
         assert terrain is not None
         xmin, xmax, ymin, ymax = terrain.bounds
         x, y = GRID * round(0.5 * (xmin + xmax) / GRID), GRID * round(0.5 * (ymin + ymax) / GRID)
         room = 0.5 * min(xmax - xmin, ymax - ymin) - 4.0
+        if room < 2.0:
+            raise SimulationError("terrain: too small; a flight needs 12 m by 12 m")
         if settings.terrain:
             spread = float(np.clip(room - settings.half, 0.0, 100.0))
             x, y = (c + GRID * round(generator.uniform(-spread, spread) / GRID) for c in (x, y))
@@ -46,7 +48,7 @@ class Ground:
 
     def touches(self, position: Array) -> bool:
         """Whether a lander whose pads are level with ``position`` (3,) is on the ground."""
-        if position[2] > self._highest:
+        if position[2] > self._highest:  # it saves looking
             return False
         radius = 0.5 * safety.LandingGear().diameter
         angles = 0.25 * np.pi * np.arange(8)
@@ -58,8 +60,7 @@ class Ground:
 
     @cached_property
     def _highest(self) -> float:
-        t, (x, y, _) = self.terrain, self.planned
-        return float(t.elevation[np.ix_(np.abs(t.y - y) < 60.0, np.abs(t.x - x) < 60.0)].max())
+        return float(self.terrain.elevation.max())
 
     @cached_property
     def safe(self) -> tuple[Array, Array, Array]:

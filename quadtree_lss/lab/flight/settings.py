@@ -10,7 +10,8 @@ from typing import Any
 from quadtree_lss.lab.flight.gimbal import ScanPlan
 from quadtree_lss.lab.flight.pilot import Rules
 from quadtree_lss.lab.flight.vehicle import Vehicle
-from quadtree_lss.lab.simulation.scenarios import check_limits
+from quadtree_lss.lab.simulation.scenarios import LIMITS as SIMULATED
+from quadtree_lss.lab.simulation.terrain import check
 from quadtree_lss.lab.touchdown.touchdown import engine
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -21,18 +22,16 @@ JUDGES = ("contact", "physics")
 FAULTS = tuple(
     "kill_lss kill_mapping forget_mapping pose_gap pose_jump lidar_gap keep_out land_now".split()
 )
+LIMITS = {k: SIMULATED[k] for k in "range_noise outliers dropouts glide_slope_deg".split()} | {
+    "half": (2.0, 1e4),
+    "slant_range": (20.0, 1e5),
+    "speed": (0.0, 1e3),
+    "scatter": (0.0, 1e3),
+    "answer_delay": (0.0, 1e3),
+    "longest": (1.0, 1e4),
+}
 MOST = 1e4
 """Of the height of a fault, m, and of its seconds."""
-LIMITS = {
-    "range_noise": (0.0, MOST),
-    "outliers": (0.0, 1.0),
-    "dropouts": (0.0, 1.0),
-    "half": (1.0, 1e3),
-    "slant_range": (10.0, 1e5),
-    "speed": (0.0, 1e3),
-    "glide_slope_deg": (1.0, 90.0),
-    "scatter": (0.0, 1e3),
-}
 
 
 class FlightError(QuadtreeLssError):
@@ -49,7 +48,7 @@ class Fault:
             back), ``lidar_gap``, ``keep_out`` (4 m about where the lander is going),
             ``land_now`` (somebody calls that service).
         height: Over the aim at which it begins, m.
-        seconds: How long it lasts; a keep-out stays, and so does ``land_now``.
+        seconds: How long it lasts; a keep-out stays until another one, ``land_now`` for good.
     """
 
     kind: str
@@ -119,8 +118,8 @@ class FlightSettings:
         for name, known in (("avoidance", AVOIDANCE), ("judge", JUDGES)):
             if (value := getattr(self, name)) not in known:
                 raise FlightError(f"unknown {name} {value!r}; there are {', '.join(known)}")
-        check_limits(self, LIMITS, FlightError)
-        check_limits(self.plan, {"survey": (0.1, MOST)}, FlightError)
+        check(self, LIMITS, FlightError)
+        check(self.plan, {"survey": (0.1, 1e3)}, FlightError)
         if self.judge == "physics":
             engine()
 

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -133,16 +133,29 @@ def refuse_company(node: Any, ours: Mapping[str, int]) -> None:
 def local_domain(log_dir: Path, given: int | None = None) -> Iterator[LocalDomain]:
     """A ROS domain for this process and those started with its environment: the ``given`` one,
     whoever else may be there, or one of one's own. However many ask at once on this computer, each
-    has another one until it leaves the context. Raises `ProcessError`: all domains are taken, or
-    another asked for the given one."""
+    has another one until it leaves the context, in which SIGTERM interrupts as Ctrl-C does, so that
+    processes end. Raises `ProcessError`: all domains are taken, or another asked for the given
+    one."""
     number, reservation = _reserve_domain() if given is None else (given, None)
     reservation = reservation or _bound(number, RESERVATION_PORT)
     if reservation is None:
         msg = f"another flight or demo has ROS domain {number}: set another ROS_DOMAIN_ID"
         raise ProcessError(msg)
     env = _local_environment(number, log_dir)
-    with reservation, mock.patch.dict(os.environ, env):
+    with reservation, mock.patch.dict(os.environ, env), _interrupted_by_sigterm():
         yield LocalDomain(number, env)
+
+
+@contextmanager
+def _interrupted_by_sigterm() -> Iterator[None]:
+    before: Any = signal.SIG_DFL
+    with suppress(ValueError):  # not the main thread, which alone hears it
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        with suppress(ValueError):
+            signal.signal(signal.SIGTERM, before)
 
 
 def _reserve_domain() -> tuple[int, socket.socket]:
@@ -220,14 +233,15 @@ class NodeProcess:
             raise ProcessError(msg)
 
     def stop(self, signal_number: int = signal.SIGINT, timeout: float = 15.0) -> int:
-        """Asks it to end, kills it if it does not; its exit code."""
-        if self.process.poll() is None:
-            self.process.send_signal(signal_number)
+        """Asks it to end, kills it if it does not, or if we are interrupted; its exit code."""
         try:
-            return self.process.wait(timeout)
-        except subprocess.TimeoutExpired:
+            self.process.send_signal(signal_number)
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(timeout)
+        finally:
             self.process.kill()
-            return self.process.wait()
+            code = self.process.wait()
+        return code
 
     def __enter__(self) -> NodeProcess:
         return self

@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from quadtree_lss.lab.simulation.terrain import (
     SimulationError,
     Surface,
     Terrain,
+    check,
     load_terrain,
 )
 from quadtree_lss.lab.simulation.trajectory import (
@@ -30,7 +30,6 @@ from quadtree_lss.lab.simulation.trajectory import (
     section_vi_trajectory,
 )
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.errors import QuadtreeLssError
 
 Ground = Terrain | None
 """Of a flight; None for Section VI's."""
@@ -71,16 +70,6 @@ LIMITS = {
 }
 
 
-def check_limits(
-    of: object, limits: Mapping[str, tuple[float, float]], kind: type[QuadtreeLssError]
-) -> None:
-    """Raises an error of the ``kind`` where an attribute is neither None nor within its limits."""
-    for name, (low, high) in limits.items():
-        value = getattr(of, name)
-        if value is not None and not (isinstance(value, Real) and low <= value <= high):
-            raise kind(f"{name} must be between {low:g} and {high:g}, not {value}")
-
-
 @dataclass(frozen=True)
 class Conditions:
     """What the user asks of a flight; None for the scenario's own. Raises `SimulationError` for
@@ -110,7 +99,7 @@ class Conditions:
     slope_deg: float | None = None
 
     def __post_init__(self) -> None:
-        check_limits(self, LIMITS, SimulationError)
+        check(self, LIMITS, SimulationError)
 
     def ground(self, scenario: str, generator: np.random.Generator) -> Ground:
         """The terrain, made or read; None for the one of Section VI."""

@@ -102,7 +102,12 @@ def simulate(
             raise KeyboardInterrupt
         if truth_path is not None:
             arrays = simulation.truth(path.name, lander)
-            np.savez_compressed(truth_path, **arrays)  # type: ignore[arg-type]
+            beside = path.parent / f".{TRUTH_NAME}"
+            try:
+                np.savez_compressed(beside, **arrays)  # type: ignore[arg-type]
+                beside.replace(truth_path)
+            finally:
+                beside.unlink(missing_ok=True)
             safe_fraction = float(arrays["safe"].mean())
     except BaseException as error:
         # Half a bag looks like a whole one.

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +25,16 @@ WINDOWS = (64, 16, 4)
 
 class SimulationError(QuadtreeLssError):
     """A simulation that cannot be run as asked; the text is one clear line."""
+
+
+def check(
+    of: object, limits: Mapping[str, tuple[float, float]], error: type[QuadtreeLssError]
+) -> None:
+    """Raises the error where an attribute is no number within its limits, nor None."""
+    for name, (low, high) in limits.items():
+        value = getattr(of, name)
+        if value is not None and not (isinstance(value, Real) and low <= value <= high):
+            raise error(f"{name} must be between {low:g} and {high:g}, not {value}")
 
 
 def spacing(axis: Array) -> float:
