@@ -92,7 +92,11 @@ class Link:
         # Of the system that most autopilots are until it is heard: 255 is a ground station's.
         options = {"source_component": ONBOARD_COMPUTER, "source_system": 1, "autoreconnect": True}
         try:
-            self._port = mavutil.mavlink_connection(device, baud=int(rate or BAUD), **options)
+            options |= {"baud": int(rate or BAUD), "retries": 1}  # it sleeps between more
+            self._port = mavutil.mavlink_connection(device, **options)
+            if hasattr(self._port, "baud"):  # a serial device
+                self._port.port.exclusive = True
+                self._port.write = self._write
         except (OSError, ValueError, IndexError, ImportError) as error:
             msg = f"autopilot.connection = {connection!r} cannot be opened: {error}"
             later = isinstance(error, OSError)  # a device that comes: another start may help
@@ -105,7 +109,7 @@ class Link:
         self.heard_of: Counter[str] = Counter()
         self.refused: Counter[str] = Counter()
         self._system = 0
-        self._due = dict.fromkeys(("sync", "beat", "ask", "settle"), 0.0)
+        self._due = dict.fromkeys(("sync", "beat", "ask", "settle", "connect"), 0.0)
         self._asked: deque[int] = deque(maxlen=RemoteClock.KEPT)
         self._attitudes: list[tuple[int, Array]] = []
         self._positions: list[tuple[int, Array, Array]] = []
@@ -117,7 +121,8 @@ class Link:
         return self.kind is not None and self.mode == FOLLOWS[self.kind]
 
     def close(self) -> None:
-        self._port.close()
+        if self._port.port is not None:
+            self._port.close()
 
     def poll(self) -> list[Nav]:
         """Takes what has come, says what is due; new poses, oldest first."""
@@ -196,7 +201,21 @@ class Link:
     def _say(self, name: str, *values: Any) -> None:
         """Sends; a link that is gone is seen by the age of its heartbeats."""
         with suppress(OSError):
-            getattr(self._port.mav, f"{name}_send")(*values)
+            if not self._is_away():
+                getattr(self._port.mav, f"{name}_send")(*values)
+
+    def _write(self, content: bytes) -> None:
+        """To a serial device; pyserial would wait for one that takes nothing."""
+        try:
+            os.write(self._port.fd, content)
+        except BlockingIOError:
+            return
+        except OSError:  # unplugged
+            self._port.reset()
+
+    def _is_away(self) -> bool:
+        """True while a TCP peer has gone and it is too early to look for it again."""
+        return self._port.port is None and not self._is_due("connect", ASK_S, self._now())
 
     def _is_due(self, what: str, period: float, now: float) -> bool:
         if now < self._due[what]:
@@ -206,7 +225,7 @@ class Link:
 
     def _receive(self) -> Any:
         with suppress(OSError):
-            return self._port.recv_msg()
+            return None if self._is_away() else self._port.recv_msg()
         return None
 
     def _take(self, message: Any) -> Nav | str:

@@ -7,6 +7,7 @@ Computes nothing: ``onboard.autopilot`` decides, and speaks MAVLink.
 from __future__ import annotations
 
 import math
+import socket
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -50,6 +51,8 @@ from quadtree_lss.onboard.nodes.ros_messages import header_message, message_make
 ODOMETRY, AREA, DISPERSION = "nav/odometry", "landing/area", "landing/dispersion"
 STATE = "landing/autopilot"
 POLL_S, STEP_S = 0.01, 0.1
+CONNECT_S = 0.3
+"""A peer by TCP that does not answer would hold the node up for two minutes."""
 CORNERS = 24
 CONTROL_M = 0.1
 """What the autopilot's control adds to navigation's deviation: of 251 landings with ArduCopter none
@@ -271,4 +274,5 @@ class AutopilotNode(BaseNode):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Console script ``autopilot_node``."""
+    socket.setdefaulttimeout(CONNECT_S)
     return run(AutopilotNode, "autopilot_node: lands by the target, with a MAVLink autopilot", args)
