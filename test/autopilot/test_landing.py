@@ -303,6 +303,15 @@ def test_a_target_that_follows_the_map_by_little_is_followed():
     assert flight.position[0] == pytest.approx(0.3, abs=0.02)
 
 
+def test_nobody_is_led_back_to_where_an_old_pose_was_when_the_pilot_hands_over():
+    flight = Flight()
+    flight.pose_age = 60.0
+    assert flight.on(2.0).order.state == PILOT and flight.order.point is None
+    assert "pose" in flight.order.text
+    flight.pose_age = 0.02
+    flight.until(in_state(TOUCHDOWN))
+
+
 def test_nobody_lifts_off():
     flight = Flight((0.0, 0.0, GROUND))
     assert flight.on(2.0).order.state == PILOT and flight.order.point is None

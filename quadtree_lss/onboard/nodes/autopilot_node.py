@@ -25,6 +25,7 @@ from quadtree_lss.onboard.autopilot.landing import (
     HEARTBEAT_S,
     HOLD,
     PILOT,
+    POSE_S,
     TOUCHDOWN,
     WAVE_OFF,
     Landing,
@@ -173,7 +174,7 @@ class AutopilotNode(BaseNode):
         self._jump = 0.0
         began = self._landing.state
         order = self._landing.step(seen)
-        fresh = seen.heartbeat_age <= HEARTBEAT_S
+        fresh = seen.heartbeat_age <= HEARTBEAT_S and seen.pose_age <= POSE_S
         if order.point is not None:
             link.fly_to(order.point)
         elif link.kind == PX4 and fresh and order.state == PILOT:
