@@ -166,6 +166,12 @@ def test_a_connection_that_is_none_is_one_line():
     assert not isinstance(raised.value, ConfigError), "the node is to be started again"
 
 
+def test_whether_it_is_on_the_ground_is_asked_for_until_it_is_said(fly):
+    model, link = fly(ARDUPILOT)
+    model.deaf = 1
+    wait(link, lambda _: 245 in model._rates)
+
+
 def beat():
     """A heartbeat's bytes: armed, in guided."""
     says = module.dialect().mavlink.MAVLink(None, srcSystem=7, srcComponent=1)

@@ -113,7 +113,8 @@ class Link:
         self._asked: deque[int] = deque(maxlen=RemoteClock.KEPT)
         self._attitudes: list[tuple[int, Array]] = []
         self._positions: list[tuple[int, Array, Array]] = []
-        self._last_nav, self._newest, self._told = -np.inf, 0, 0
+        self._last_nav = self._last_state = -np.inf
+        self._newest, self._told = 0, 0
 
     @property
     def follows(self) -> bool:
@@ -144,7 +145,8 @@ class Link:
             if self._is_due("sync", SYNC_S, now):
                 self._asked.append(self._clock())
                 self._say("timesync", 0, self._asked[-1])
-            if now - self._last_nav > 1.0 and self._is_due("ask", ASK_S, now):
+            last = min(self._last_nav, self._last_state)
+            if now - last > 1.0 and self._is_due("ask", ASK_S, now):
                 for number in STREAMS[self.kind]:
                     self._command(SET_INTERVAL, number, 1e6 / POSE_HZ)
                 self._command(SET_INTERVAL, EXTENDED, 1e6 / STATE_HZ)
@@ -241,7 +243,7 @@ class Link:
             self.remote.add(message.ts1, message.tc1, self._clock())
             return "state"
         if number == EXTENDED:
-            self.landed = message.landed_state == ON_GROUND
+            self.landed, self._last_state = message.landed_state == ON_GROUND, self._now()
             return "state"
         if number == ODOMETRY and message.frame_id == LOCAL_NED:
             return self._on_odometry(message)
