@@ -248,7 +248,7 @@ class AutopilotNode(BaseNode):
         self._state.publish(status)
 
     def _on_land(self) -> str:
-        lack = "" if self._link.kind is not None else "no heartbeat"
+        lack = "" if self._now() - self._link.heard <= HEARTBEAT_S else "no heartbeat"
         if self._config.autopilot.may_command == "nothing":
             lack = "autopilot.may_command is nothing"
         if lack:
