@@ -161,6 +161,9 @@ def test_answers_to_somebody_elses_timesync_do_not_set_the_clock(fly, kind):
 def test_a_connection_that_is_none_is_one_line():
     with pytest.raises(ConfigError, match="autopilot.connection = 'tcp:nowhere:1:2'"):
         Link("tcp:nowhere:1:2", time.time_ns)
+    with pytest.raises(ConfigError, match="port must be 0-65535"):
+        Link("udpin:127.0.0.1:99999", time.time_ns)
+    Link(__file__, time.time_ns).poll()  # pymavlink takes it for a recording
     with pytest.raises(QuadtreeLssError, match="'/dev/ttyACM77' cannot be opened") as raised:
         Link("/dev/ttyACM77", time.time_ns)  # it may be plugged in later
     assert not isinstance(raised.value, ConfigError), "the node is to be started again"

@@ -97,7 +97,7 @@ class Link:
             if hasattr(self._port, "baud"):  # a serial device
                 self._port.port.exclusive = True
                 self._port.write = self._write
-        except (OSError, ValueError, IndexError, ImportError) as error:
+        except (OSError, ValueError, OverflowError, IndexError, ImportError) as error:
             msg = f"autopilot.connection = {connection!r} cannot be opened: {error}"
             later = isinstance(error, OSError)  # a device that comes: another start may help
             raise (QuadtreeLssError if later else ConfigError)(msg) from None
@@ -122,7 +122,7 @@ class Link:
         return self.kind is not None and self.mode == FOLLOWS[self.kind]
 
     def close(self) -> None:
-        if self._port.port is not None:
+        with suppress(AttributeError):  # there is none to a TCP peer that has gone
             self._port.close()
 
     def poll(self) -> list[Nav]:
@@ -217,7 +217,8 @@ class Link:
 
     def _is_away(self) -> bool:
         """True while a TCP peer has gone and it is too early to look for it again."""
-        return self._port.port is None and not self._is_due("connect", ASK_S, self._now())
+        gone = getattr(self._port, "port", 0) is None
+        return gone and not self._is_due("connect", ASK_S, self._now())
 
     def _is_due(self, what: str, period: float, now: float) -> bool:
         if now < self._due[what]:
