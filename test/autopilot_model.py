@@ -130,7 +130,7 @@ class Autopilot(threading.Thread):
                     steps += 1
                     if steps % 2 == 0 and not self.frozen:
                         pending.append((now + self.delay, self._poses(base + steps * STEP_S)))
-                    if steps % 20 == 0:
+                    if steps % 20 == 0 and 245 in self._rates:
                         pending.append((now, [("extended_sys_state", (0, 1 + (not self._down)))]))
                     if steps % 50 == 0:
                         bits = 1 | 128 * self.armed
@@ -181,7 +181,8 @@ class Autopilot(threading.Thread):
     def _take(self, message, now):
         kind = message.get_type()
         self.heard.add(message.get_srcSystem())
-        if kind == "COMMAND_LONG" and message.command in (176, 400) and self.deaf:
+        lost = kind == "COMMAND_LONG" and (message.command in (176, 400) or message.param1 == 245)
+        if lost and self.deaf:
             self.deaf -= 1
         elif kind == "TIMESYNC" and message.tc1 == 0:
             self._say("timesync", round(1e9 * self._clock()), message.ts1)

@@ -49,7 +49,7 @@ class Flight:
         self.ours = self.armed = True
         self.target, self.target_age, self.map_age, self.why = SITE, 0.2, 0.3, "withdrawn"
         self.heartbeat_age, self.pose_age, self.jump = 0.3, 0.02, 0.0
-        self.wind = np.zeros(3)
+        self.wind, self.seen = np.zeros(3), (self.position, self.velocity)
         self.states, self.order, self.goal = [], None, None
 
     @property
@@ -60,9 +60,11 @@ class Flight:
         target = None
         if self.target is not None:
             target = Target(self.target, self.target_age, self.map_age)
+        if self.pose_age <= POSE_S:
+            self.seen = self.position.copy(), self.velocity.copy()
         seen = Seen(
             self.now, self.ours, self.armed, self.height <= 1e-6, self.heartbeat_age, self.pose_age,
-            self.position.copy(), self.velocity.copy(), self.jump, target, self.why,
+            *self.seen, self.jump, target, self.why,
         )  # fmt: skip
         self.order = self.landing.step(seen)
         if not self.states or self.states[-1] != self.order.state:
@@ -176,7 +178,7 @@ def test_an_old_map_stops_a_descent_but_not_who_has_committed(age):
 
 def test_an_old_pose_stops_where_the_vehicle_was_last_seen():
     flight = Flight().until(below(4.0))
-    place = flight.position.copy()
+    place = flight.seen[0]
     flight.pose_age = POSE_S + 0.01
     flight.step()
     assert flight.order.state == HOLD
@@ -204,6 +206,12 @@ def test_whoever_came_down_without_a_link_or_a_pose_stays_down():
         for name, value in fault.items():
             setattr(flight, name, value)
         assert flight.on(1.0).order.state == TOUCHDOWN
+    flight = Flight().until(below(4.0))
+    for pose_age in (POSE_S + 0.1, POSE_S + 0.1, 0.02):  # it came down unseen
+        flight.position[2], flight.pose_age = GROUND, pose_age
+        flight.velocity[:] = 0.0
+        flight.step()
+    assert flight.order.state == TOUCHDOWN and flight.order.point[2] < GROUND
 
 
 def test_without_heartbeats_nothing_is_commanded_and_then_it_climbs():
@@ -301,6 +309,15 @@ def test_a_target_that_follows_the_map_by_little_is_followed():
     flight.until(in_state(TOUCHDOWN))
     assert WAVE_OFF not in flight.states
     assert flight.position[0] == pytest.approx(0.3, abs=0.02)
+
+
+def test_nobody_is_led_back_to_where_an_old_pose_was_when_the_pilot_hands_over():
+    flight = Flight()
+    flight.pose_age = 60.0
+    assert flight.on(2.0).order.state == PILOT and flight.order.point is None
+    assert "pose" in flight.order.text
+    flight.pose_age = 0.02
+    flight.until(in_state(TOUCHDOWN))
 
 
 def test_nobody_lifts_off():

@@ -3,8 +3,11 @@
 
 import os
 import pty
+import socket
 import time
 import tty
+from select import select
+from threading import Thread
 from types import SimpleNamespace
 
 import numpy as np
@@ -158,21 +161,62 @@ def test_answers_to_somebody_elses_timesync_do_not_set_the_clock(fly, kind):
 def test_a_connection_that_is_none_is_one_line():
     with pytest.raises(ConfigError, match="autopilot.connection = 'tcp:nowhere:1:2'"):
         Link("tcp:nowhere:1:2", time.time_ns)
+    with pytest.raises(ConfigError, match="port must be 0-65535"):
+        Link("udpin:127.0.0.1:99999", time.time_ns)
+    Link(__file__, time.time_ns).poll()  # pymavlink takes it for a recording
     with pytest.raises(QuadtreeLssError, match="'/dev/ttyACM77' cannot be opened") as raised:
         Link("/dev/ttyACM77", time.time_ns)  # it may be plugged in later
     assert not isinstance(raised.value, ConfigError), "the node is to be started again"
 
 
-def test_an_autopilot_on_a_serial_line_is_heard():
+def test_whether_it_is_on_the_ground_is_asked_for_until_it_is_said(fly):
+    model, link = fly(ARDUPILOT)
+    model.deaf = 1
+    wait(link, lambda _: 245 in model._rates)
+
+
+def beat():
+    """A heartbeat's bytes: armed, in guided."""
+    says = module.dialect().mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
+    return says.heartbeat_encode(2, ARDUPILOT, 129, 4, 4).pack(says)
+
+
+def test_an_autopilot_on_a_serial_line_is_heard_by_one_node_also_while_it_takes_nothing():
     ours, theirs = pty.openpty()
     tty.setraw(theirs)
     link = Link(f"{os.ttyname(theirs)},57600", time.time_ns)
-    says = module.dialect().mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
-    os.write(ours, says.heartbeat_encode(2, ARDUPILOT, 129, 4, 4).pack(says))
+    with pytest.raises(QuadtreeLssError, match="cannot be opened"):
+        Link(os.ttyname(theirs), time.time_ns)
+    # In a thread, for it would wait for ever.
+    says = Thread(target=lambda: [link.fly_to(np.zeros(3)) for _ in range(999)], daemon=True)
+    says.start()
+    says.join(10.0)
+    assert not says.is_alive()
+    os.write(ours, beat())
     wait(link, lambda _: link.kind == ARDUPILOT and link.follows and link.armed)
     link.close()
     os.close(ours)
     os.close(theirs)
+
+
+def test_a_tcp_peer_that_has_gone_holds_nothing_up_and_is_heard_when_it_is_back():
+    door = socket.create_server(("127.0.0.1", 0))
+    port = door.getsockname()[1]
+    link = Link(f"tcp:127.0.0.1:{port}", time.time_ns)
+    door.accept()[0].close()
+    door.close()
+    begin = time.monotonic()
+    for _ in range(10):
+        link.poll()
+        link.fly_to(np.zeros(3))
+    assert time.monotonic() - begin < 1.0
+    link.close()  # there is nothing to close
+    with socket.create_server(("127.0.0.1", port)) as door:
+        wait(link, lambda _: select([door], [], [], 0.0)[0])
+        with door.accept()[0] as peer:
+            peer.sendall(beat())
+            wait(link, lambda _: link.kind == ARDUPILOT)
+            link.close()
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 
 import contextlib
 import json
+import resource
 from dataclasses import replace as changed
 
 import numpy as np
@@ -231,6 +232,20 @@ def test_a_folder_that_cannot_be_written_is_named(written, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ExchangeError, match="cannot be written"):
         export_results(written.out, tmp_path / "file", ["map_server"])
+
+
+def test_where_the_disk_is_full_the_files_of_before_stay(written, tmp_path):
+    before = {
+        path: path.read_bytes() for path in export_results(written.out, tmp_path, ["geotiff"])
+    }
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
+        with pytest.raises(ExchangeError, match="tif: cannot be written: File too large"):
+            export_results(written.out, tmp_path, ["geotiff"])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 def test_the_formats_of_the_command_are_those_there_are():

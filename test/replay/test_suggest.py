@@ -61,6 +61,7 @@ def test_cells_suit_the_vehicle(flight, tmp_path, capsys, given, sparse):
     diameter, clearance = map(float, given.split(","))
     assert code == 0 and config.vehicle.diameter == diameter
     assert config.vehicle.clearance == clearance
+    assert config.vehicle.pad_radius == pytest.approx(0.15 * diameter / 3.7, rel=0.01)
     assert 5.0 < diameter * 2**config.domain.max_level / config.domain.size < 18.0
     assert ("too coarse for a vehicle of" in out) == sparse
     assert run(capsys, "config", "suggest", flight, "--vehicle", "small")[0] == 2

@@ -64,6 +64,20 @@ def test_a_refused_map_does_not_make_the_one_before_younger(monkeypatch, cells):
     assert received.arrivals.count == 2
 
 
+def test_a_map_refused_for_how_landing_is_judged_is_used_once_it_is_judged_otherwise(cells):
+    lss = LssConfig(grid_spacing=0.001)
+    received = ReceivedMap(Problems(Log()), "map", lambda: lss, binding=False)
+    give(received, cells)
+    received.take()
+    assert received.cells is None and "lss.grid_spacing" in received.refused
+    lss = LssConfig()
+    received.take()
+    assert received.cells is None, "not again without a reason"
+    received.retry()
+    received.take()
+    assert received.cells is not None and not received.refused
+
+
 def test_age_counts_from_when_a_map_came_not_from_when_it_was_decoded(cells, monkeypatch):
     clock = SimpleNamespace(monotonic=lambda: clock.now, now=100.0)
     monkeypatch.setattr(diagnostics, "time", clock)

@@ -54,18 +54,21 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--poses", type=common.named, metavar="FILE", help=common.POSES)
     text = "check: the files are for this node, /uav1/lss_node"
     add("--node", default="", metavar="NAME", help=text)
-    text = "suggest for a vehicle of this diameter and clearance, m"
+    text = "suggest for a vehicle of this diameter and clearance, m, with pads in proportion"
     add("--vehicle", type=vehicle, metavar="D,C", help=text)
 
 
 def vehicle(text: str) -> dict[str, float]:
-    """``0.6,0.08`` as values of the vehicle."""
+    """``0.6,0.08`` as values of the vehicle, with pads in proportion."""
     try:
         diameter, clearance = (float(part) for part in text.split(","))
     except ValueError:
         msg = f"'{text}' is not a diameter and a clearance D,C in m"
         raise argparse.ArgumentTypeError(msg) from None
-    return {"vehicle.diameter": diameter, "vehicle.clearance": clearance}
+    usual = VehicleConfig()
+    pad = float(f"{usual.pad_radius * diameter / usual.diameter:.3g}")
+    values = {"vehicle.diameter": diameter, "vehicle.clearance": clearance}
+    return {**values, "vehicle.pad_radius": pad}
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -162,14 +162,16 @@ def _write_geotiff(
     dx, dy = (float(a[-1] - a[0]) / (len(a) - 1) if len(a) > 1 else 1.0 for a in (x, y))
     options["transform"] = rasterio.Affine(dx, 0.0, x[0] - 0.5 * dx, 0.0, -dy, y[-1] + 0.5 * dy)
     shape = {"width": len(x), "height": len(y), "count": 1, "dtype": pixels.dtype.name}
-    with rasterio.open(path, "w", **options, **shape) as file:
-        file.write(pixels, 1)
-        file.units = (unit or None,)
-        file.update_tags(TIFFTAG_IMAGEDESCRIPTION=f"{name}: {words}")
-        if name in (tables := _colour_tables()):
-            shades = {value: bytes.fromhex(text[1:]) for value, text in tables[name].items()}
-            file.write_colormap(1, {value: tuple(shade) for value, shade in shades.items()})
-        file.set_band_description(1, name)
+    with rasterio.MemoryFile() as content:
+        with content.open(**options, **shape) as file:
+            file.write(pixels, 1)
+            file.units = (unit or None,)
+            file.update_tags(TIFFTAG_IMAGEDESCRIPTION=f"{name}: {words}")
+            if name in (tables := _colour_tables()):
+                shades = {value: bytes.fromhex(text[1:]) for value, text in tables[name].items()}
+                file.write_colormap(1, {value: tuple(shade) for value, shade in shades.items()})
+            file.set_band_description(1, name)
+        write_bytes(path, content.read())
     return path
 
 

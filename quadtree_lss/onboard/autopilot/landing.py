@@ -159,12 +159,14 @@ class Landing:
             return Order(self.state, self._text, None, None)
         if down:
             self._begin(TOUCHDOWN, "on the ground", seen.now)
-            self._point = seen.position - (0.0, 0.0, THROUGH_M)
         if self.state == TOUCHDOWN and not self._left:  # it goes on pressing on the ground
+            if seen.landed:  # where a newer pose may show it
+                self._point = seen.position - (0.0, 0.0, THROUGH_M)
             return Order(TOUCHDOWN, self._text, self._point, None)
         if self.state in (PILOT, TOUCHDOWN):
-            if seen.landed:
-                self._begin(PILOT, "on the ground", seen.now)
+            if seen.landed or seen.pose_age > POSE_S:  # to stay where it was once seen is to fly
+                old = f"the pose is {seen.pose_age:.1f} s old"
+                self._begin(PILOT, "on the ground" if seen.landed else old, seen.now)
                 return Order(PILOT, self._text, None, None)
             self._reset()
             self._home = seen.position.copy()

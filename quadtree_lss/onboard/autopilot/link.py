@@ -92,8 +92,12 @@ class Link:
         # Of the system that most autopilots are until it is heard: 255 is a ground station's.
         options = {"source_component": ONBOARD_COMPUTER, "source_system": 1, "autoreconnect": True}
         try:
-            self._port = mavutil.mavlink_connection(device, baud=int(rate or BAUD), **options)
-        except (OSError, ValueError, IndexError, ImportError) as error:
+            options |= {"baud": int(rate or BAUD), "retries": 1}  # it sleeps between more
+            self._port = mavutil.mavlink_connection(device, **options)
+            if hasattr(self._port, "baud"):  # a serial device
+                self._port.port.exclusive = True
+                self._port.write = self._write
+        except (OSError, ValueError, OverflowError, IndexError, ImportError) as error:
             msg = f"autopilot.connection = {connection!r} cannot be opened: {error}"
             later = isinstance(error, OSError)  # a device that comes: another start may help
             raise (QuadtreeLssError if later else ConfigError)(msg) from None
@@ -105,11 +109,12 @@ class Link:
         self.heard_of: Counter[str] = Counter()
         self.refused: Counter[str] = Counter()
         self._system = 0
-        self._due = dict.fromkeys(("sync", "beat", "ask", "settle"), 0.0)
+        self._due = dict.fromkeys(("sync", "beat", "ask", "settle", "connect"), 0.0)
         self._asked: deque[int] = deque(maxlen=RemoteClock.KEPT)
         self._attitudes: list[tuple[int, Array]] = []
         self._positions: list[tuple[int, Array, Array]] = []
-        self._last_nav, self._newest, self._told = -np.inf, 0, 0
+        self._last_nav = self._last_state = -np.inf
+        self._newest, self._told = 0, 0
 
     @property
     def follows(self) -> bool:
@@ -117,7 +122,8 @@ class Link:
         return self.kind is not None and self.mode == FOLLOWS[self.kind]
 
     def close(self) -> None:
-        self._port.close()
+        with suppress(AttributeError):  # there is none to a TCP peer that has gone
+            self._port.close()
 
     def poll(self) -> list[Nav]:
         """Takes what has come, says what is due; new poses, oldest first."""
@@ -139,7 +145,8 @@ class Link:
             if self._is_due("sync", SYNC_S, now):
                 self._asked.append(self._clock())
                 self._say("timesync", 0, self._asked[-1])
-            if now - self._last_nav > 1.0 and self._is_due("ask", ASK_S, now):
+            last = min(self._last_nav, self._last_state)
+            if now - last > 1.0 and self._is_due("ask", ASK_S, now):
                 for number in STREAMS[self.kind]:
                     self._command(SET_INTERVAL, number, 1e6 / POSE_HZ)
                 self._command(SET_INTERVAL, EXTENDED, 1e6 / STATE_HZ)
@@ -196,7 +203,22 @@ class Link:
     def _say(self, name: str, *values: Any) -> None:
         """Sends; a link that is gone is seen by the age of its heartbeats."""
         with suppress(OSError):
-            getattr(self._port.mav, f"{name}_send")(*values)
+            if not self._is_away():
+                getattr(self._port.mav, f"{name}_send")(*values)
+
+    def _write(self, content: bytes) -> None:
+        """To a serial device; pyserial would wait for one that takes nothing."""
+        try:
+            os.write(self._port.fd, content)
+        except BlockingIOError:
+            return
+        except OSError:  # unplugged
+            self._port.reset()
+
+    def _is_away(self) -> bool:
+        """True while a TCP peer has gone and it is too early to look for it again."""
+        gone = getattr(self._port, "port", 0) is None
+        return gone and not self._is_due("connect", ASK_S, self._now())
 
     def _is_due(self, what: str, period: float, now: float) -> bool:
         if now < self._due[what]:
@@ -206,7 +228,7 @@ class Link:
 
     def _receive(self) -> Any:
         with suppress(OSError):
-            return self._port.recv_msg()
+            return None if self._is_away() else self._port.recv_msg()
         return None
 
     def _take(self, message: Any) -> Nav | str:
@@ -222,7 +244,7 @@ class Link:
             self.remote.add(message.ts1, message.tc1, self._clock())
             return "state"
         if number == EXTENDED:
-            self.landed = message.landed_state == ON_GROUND
+            self.landed, self._last_state = message.landed_state == ON_GROUND, self._now()
             return "state"
         if number == ODOMETRY and message.frame_id == LOCAL_NED:
             return self._on_odometry(message)

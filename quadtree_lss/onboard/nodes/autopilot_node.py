@@ -7,6 +7,7 @@ Computes nothing: ``onboard.autopilot`` decides, and speaks MAVLink.
 from __future__ import annotations
 
 import math
+import socket
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -24,6 +25,7 @@ from quadtree_lss.onboard.autopilot.landing import (
     HEARTBEAT_S,
     HOLD,
     PILOT,
+    POSE_S,
     TOUCHDOWN,
     WAVE_OFF,
     Landing,
@@ -50,6 +52,8 @@ from quadtree_lss.onboard.nodes.ros_messages import header_message, message_make
 ODOMETRY, AREA, DISPERSION = "nav/odometry", "landing/area", "landing/dispersion"
 STATE = "landing/autopilot"
 POLL_S, STEP_S = 0.01, 0.1
+CONNECT_S = 0.3
+"""A peer by TCP that does not answer would hold the node up for two minutes."""
 CORNERS = 24
 CONTROL_M = 0.1
 """What the autopilot's control adds to navigation's deviation: of 251 landings with ArduCopter none
@@ -170,7 +174,7 @@ class AutopilotNode(BaseNode):
         self._jump = 0.0
         began = self._landing.state
         order = self._landing.step(seen)
-        fresh = seen.heartbeat_age <= HEARTBEAT_S
+        fresh = seen.heartbeat_age <= HEARTBEAT_S and seen.pose_age <= POSE_S
         if order.point is not None:
             link.fly_to(order.point)
         elif link.kind == PX4 and fresh and order.state == PILOT:
@@ -244,7 +248,7 @@ class AutopilotNode(BaseNode):
         self._state.publish(status)
 
     def _on_land(self) -> str:
-        lack = "" if self._link.kind is not None else "no heartbeat"
+        lack = "" if self._now() - self._link.heard <= HEARTBEAT_S else "no heartbeat"
         if self._config.autopilot.may_command == "nothing":
             lack = "autopilot.may_command is nothing"
         if lack:
@@ -271,4 +275,5 @@ class AutopilotNode(BaseNode):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Console script ``autopilot_node``."""
+    socket.setdefaulttimeout(CONNECT_S)
     return run(AutopilotNode, "autopilot_node: lands by the target, with a MAVLink autopilot", args)

@@ -113,6 +113,7 @@ class LssNode(BaseNode):
 
     def _reconfigure(self, config: Config) -> None:
         self._selector.configure(config)
+        self._map.retry()
         self._ask()
 
     def _ask(self) -> None:

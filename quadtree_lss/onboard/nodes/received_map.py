@@ -45,6 +45,7 @@ class ReceivedMap:
         self._binding = binding
         self._halves: dict[str, bytes] = {}
         self._whole: tuple[bytes, bytes, float] | None = None
+        self._kept: tuple[bytes, bytes, float] | None = None  # refused
 
     @property
     def lacks_observed(self) -> bool:
@@ -76,11 +77,16 @@ class ReceivedMap:
         heard = f"{came} came, {rest} of one stamp did not" if came else "nothing came"
         return f"a map: {self.refused or heard}"
 
+    def retry(self) -> None:
+        """Landing is judged otherwise now: the next `take` decodes a map that was refused again."""
+        self._whole = self._whole or self._kept
+
     def take(self) -> None:
         """Decodes the newest complete map if that was not done yet."""
         if self._whole is None:
             return
-        (raw_cells, raw_observed, arrival), self._whole = self._whole, None
+        whole, self._whole, self._kept = self._whole, None, None
+        raw_cells, raw_observed, arrival = whole
         try:
             cells, observed = cloud_message(raw_cells), deserialised(raw_observed, OccupancyGrid)
             frame = cells.header.frame_id
@@ -88,6 +94,7 @@ class ReceivedMap:
                 check_frame(frame, self._configured, "map/cells")
             self.cells = map_from_messages(cells, observed, self._lss())
         except MessageError as error:
+            self._kept = whole
             self.refusals += 1
             self.refused = f"the newest map cannot be used: {error}"
             self._problems.report(f"map.{error.reason}", f"map not used: {error}")
