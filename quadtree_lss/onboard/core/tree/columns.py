@@ -57,7 +57,7 @@ def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, 
             side = table.side(leaf.level)
             column[0, i] = leaf.z + unknown
             column[1, i] = side * side * mean + unmeasured
-            column[2, i] = leaf.exception_sum / counted + unmeasured
+            column[2, i] = max(leaf.exception_sum - leaf.exception_noise, 0.0) / counted + unmeasured
             column[3, i] = leaf.low if leaf.low <= leaf.high else NAN
             column[4, i] = leaf.high if leaf.low <= leaf.high else NAN
             for j in range(3):
