@@ -13,9 +13,7 @@ from quadtree_lss.onboard.config.vehicle import Lengths
 INTRODUCTION = """\
 # Parameters
 
-Written by `python docs/parameters.py > docs/parameters.md` from the table
-in `onboard/config/sections.py`, which also declares and documents them; the
-module `settings` beside it checks them.
+<!-- From onboard/config/sections.py by: python docs/parameters.py > docs/parameters.md -->
 
 All nodes accept all of them, so one parameter file serves them, and `quadtree-lss replay` as
 well. *Live* ones can be set while a node runs (`ros2 param set`); the others are read-only after

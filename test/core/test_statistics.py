@@ -86,6 +86,16 @@ def test_exceptions_are_the_share_of_points_beyond_the_tolerance(height, toleran
     assert np.delete(cells.exception_fraction, at).max() < 1e-6
 
 
+def test_noise_alone_makes_no_exceptions():
+    """Half of the tolerance, as a depth camera's: a sixth of the mass would lie beyond it."""
+    rng = np.random.default_rng(70021)
+
+    def rough(x, y):
+        return rng.normal(scale=0.15, size=x.shape)
+
+    assert seen_on_lattice(fixed(2, 0.15), rough, 256).exception_fraction.max() < 0.02
+
+
 def test_pose_uncertainty_makes_no_exception_of_flat_ground():
     """Erratum of Eq. 48: a metre of common error says nothing of the ground within the cell."""
     cells = seen_on_lattice(fixed(2, 0.02), flat(), 64, pose_covariance(1.0, 1e-3))

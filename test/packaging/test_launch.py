@@ -6,6 +6,7 @@ import re
 import runpy
 import sys
 from contextlib import nullcontext
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -131,8 +132,10 @@ def test_the_readmes_vehicle_section_names_what_there_is(make):
             make(**given)
         elif kind == "ros2 run":
             assert (PREFIX / "lib" / words[2] / words[3]).exists()
-            for option, value in zip(words, words[1:], strict=False):
+            for option, value in pairwise(words):
                 assert option != "-p" or value.split(":=")[0] in names, value
+            remaps = dict(w.split(":=") for o, w in pairwise(words) if o == "--remap")
+            assert {name.replace("/", "_"): to for name, to in remaps.items()} == given
         elif kind == "ros2 param":
             assert words[4] in names
         elif kind == "ros2 topic":

@@ -232,6 +232,27 @@ def test_nothing_is_wrong_with_one_that_looks_straight_down_and_the_command_says
     assert json.loads(out)["findings"][0]["mend"] == "frames.map: map"
 
 
+def test_hills_in_a_long_narrow_view_are_no_mount(tmp_path, monkeypatch):
+    """A spinning lidar on its side, of a drone that hardly turns."""
+    across, along = np.meshgrid(np.tan(np.linspace(-1.3, 1.3, 192)), np.linspace(-0.47, 0.27, 8))
+    view = np.stack([along, across, np.ones_like(along)], axis=-1)
+
+    def way(t):
+        angles = [3.0 * np.sin(1.7 * t), 2.5 * np.sin(1.3 * t + 1.0), 20.0 + 10.0 * np.sin(0.4 * t)]
+        place = np.stack([0.8 * t - 3.0, 2.0 * np.sin(0.5 * t), 14.0 - 0.2 * t], axis=-1)
+        return place, Rotation.from_euler("xyz", np.stack(angles, axis=-1), degrees=True)
+
+    def hills(x, y):
+        return 0.04 * x + 1.2 * np.sin(x / 14.0) * np.cos(y / 11.0)
+
+    for name, other in (("rays", lambda: view), ("body", way), ("height", hills)):
+        monkeypatch.setitem(globals(), name, other)
+    path = Good().write(tmp_path / "bag")
+    values = {**MOUNTED, "domain": {**DOMAIN, "xmin": -64.0, "ymin": -64.0, "size": 128.0}}
+    info = inspect_bag(path, config_from_values(values))
+    assert info.works and not [f for f in info.findings if f.mend], info.findings
+
+
 def test_a_damaged_bag_is_not_called_sound_and_what_follows_from_a_fault_is_no_riddle(
     tmp_path, capsys
 ):

@@ -80,6 +80,6 @@ def test_it_keeps_what_is_given_and_asks_for_no_cells_that_no_risk_was_fitted_to
 def test_nothing_to_suggest_from_says_why(tmp_path, capsys):
     bag = write_ros2(tmp_path / "bag", scans=3)
     code, _, err = run(capsys, "config", "suggest", bag, "--set", "frames.map=moon")
-    assert code == 1 and "nothing to suggest from" in err and "moon" in err
+    assert code == 1 and "nothing to suggest from" in err and "moon" in err and "info" in err
     assert run(capsys, "config", "suggest")[0] == 2
     assert run(capsys, "config", "suggest", bag, bag)[0] == 2

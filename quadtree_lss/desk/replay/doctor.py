@@ -402,7 +402,11 @@ def _mount(flight: _Flight, config: Config) -> list[Finding]:
         text = "the flight is too calm to find a short lag, or a lidar that looks"
         text += f" {SURE * unsure:.0f} deg beside where it should: turn and sway the vehicle"
         return [Finding("calm", text)]
-    mount = flight.mounts[0] @ exp(fit.x[:2] @ across) @ cloud_turn(config.mount).T
+    turn = exp(fit.x[:2] @ across)
+    there = flight.disagreement(flight.origins, turns @ turn)[0]
+    if LAG_GAIN * there > flight.disagreement(flight.origins, turns)[0]:
+        return []  # hills in a long narrow view: what would mend a mount takes the scans apart
+    mount = flight.mounts[0] @ turn @ cloud_turn(config.mount).T
     angles = np.round(Rotation.from_matrix(mount).as_euler("xyz", degrees=True), 1)
     roll, pitch, yaw = np.where(angles == -180.0, 180.0, angles)
     text = f"the lidar looks {angle:.1f} deg ({unsure:.1f}) beside where its mount says: the ground"

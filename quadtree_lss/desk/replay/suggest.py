@@ -77,7 +77,8 @@ def suggest_config(
         causes = [notice.text for notice in stream.intake.notices()]
     if not seen.places:
         why = causes[0] if causes else "no scan has a pose and a return"
-        raise ReplayError(f"{bag}: nothing to suggest from: {why}")
+        mend = f"quadtree-lss info {bag} says what to --set"
+        raise ReplayError(f"{bag}: nothing to suggest from: {why}; {mend}")
     heard.mount = stream.intake.mount
     wrong = [f"Wrong: {found.line}" for found in heard.findings(config) if found.mend]
     return seen.suggestion(Path(bag), config, wrong)

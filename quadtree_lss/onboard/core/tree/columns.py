@@ -52,12 +52,13 @@ def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, 
             number[2, i] = cython.cast(cython.uint, leaf.points) if own else 0
             counted = max(leaf.residuals, 1.0)
             # On flat ground noise is all there is, and times a large cell's area it would look
-            # rough.
+            # rough; a depth camera's makes exceptions.
             mean = max(leaf.distance_sum - leaf.noise_sum, 0.0) / counted
+            excepted = max(leaf.exception_sum - leaf.exception_noise, 0.0) / counted
             side = table.side(leaf.level)
             column[0, i] = leaf.z + unknown
             column[1, i] = side * side * mean + unmeasured
-            column[2, i] = leaf.exception_sum / counted + unmeasured
+            column[2, i] = excepted + unmeasured
             column[3, i] = leaf.low if leaf.low <= leaf.high else NAN
             column[4, i] = leaf.high if leaf.low <= leaf.high else NAN
             for j in range(3):
