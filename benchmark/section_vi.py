@@ -24,6 +24,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(101, 111)))
     parser.add_argument("--duration", type=float, help="s of each flight, by default all")
+    parser.add_argument("--terrain", help="an elevation model to fly over")
     options = parser.parse_args()
     seeds = options.seeds
     quadtree, fixed = configuration("parabola"), configuration("parabola", "parabola_fixed")
@@ -31,7 +32,7 @@ def main() -> None:
     tree: list[MapScore] = []
     grid: list[MapScore] = []
     for seed in seeds:
-        flight = recording("parabola", seed, options.duration)
+        flight = recording("parabola", seed, options.duration, options.terrain)
         tree.append(score(flight, quadtree))
         grid.append(score(flight, fixed))
         recording.cache_clear()

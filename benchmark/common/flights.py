@@ -29,8 +29,11 @@ def configuration(*names: str, **changes: object) -> Config:
 
 
 @functools.lru_cache(maxsize=12)
-def recording(scenario: str, seed: int, duration: float | None = None) -> Recording:
-    """What is recorded of a flight of ``scenario``; ``duration`` (s) cuts it."""
-    flight = Simulation(scenario, seed, duration=duration)
+def recording(
+    scenario: str, seed: int, duration: float | None = None, terrain: str | None = None
+) -> Recording:
+    """What is recorded of a flight of ``scenario``; ``duration`` (s) cuts it, and it may be over an
+    elevation model."""
+    flight = Simulation(scenario, seed, duration=duration, terrain=terrain)
     found = list(scans(in_memory(flight), configuration(scenario)))
     return Recording(found, truth_of(flight.truth("bag")))
