@@ -86,7 +86,7 @@ class CellMap:
         measured: (M,) True where the cell's own points were fitted, False if it is empty or
             inherited its plane.
         roughness: (M,) roughness density of Eq. 55 without its noise floor, m^3.
-        exception_fraction: (M,) Eq. 48.
+        exception_fraction: (M,) Eq. 48, less what noise alone makes of it.
         feature: (M, 5) A, k, mu_x, mu_y (about the centre), sigma of Eq. 51; NaN for none. k^2 is
             the volume, k^2 / (2 pi sigma^2) the height (``columns.WIDER``).
         low, high: (M,) lowest and highest height that a return has in the leaf, give or take its
