@@ -67,7 +67,8 @@ class Heights:
 
 
 def bell(square: float) -> cython.double:
-    """exp(-square / 2), to a billionth up to 20 and next to nothing from 80 on.
+    """exp(-square / 2) of a squared distance over sigma^2, to a billionth up to 20 and next to
+    nothing from 80 on.
 
     It is 1 / (1 + r + r^2 / 2 + ...)^256, r = square / 512: numbers only and no choice, so that
     many are computed at once, and everywhere to the same bits.
@@ -81,7 +82,8 @@ def bell(square: float) -> cython.double:
 
 @cython.boundscheck(False)
 def bells(heights: Heights, state: Vector) -> None:
-    """Those of all heights, of the state's place and width, to ``heights.bell``."""
+    """What `bell` is at the place of each height, for the centre and sigma of a state (5), to
+    ``heights.bell``."""
     i: cython.Py_ssize_t
     x, y = state[2], state[3]
     inverse = 1.0 / (state[4] * state[4])
