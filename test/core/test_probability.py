@@ -6,6 +6,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from numpy.lib.stride_tricks import sliding_window_view
 from core.builders import configured, mapped
 from numpy.typing import NDArray
 from scipy.stats import norm
@@ -39,7 +40,7 @@ MODEL = RiskModel(
             (
                 Curve("rise", (0.5, 1.0, 1.4), ((0.0, 2.0, 6.0), (0.0, 1.0, 8.0))),
                 Curve("rise_beside", (0.5, 1.5), ((0.0, 3.0), (0.0, 4.0))),
-                Curve("rocks", (0.0, 0.2, 0.7), ((0.0, 0.5, 1.0),)),
+                Curve("relief", (0.0, 0.2, 0.7), ((0.0, 0.5, 1.0),)),
                 Curve("cell", (-0.1, 0.4), ((0.0, 1.5),)),
             ),
         ),
@@ -48,7 +49,7 @@ MODEL = RiskModel(
             (
                 Curve("tilt", (0.6, 1.3), ((0.0, 5.0),)),
                 Curve("tilt_beside", (0.6, 1.3), ((0.0, 4.0),)),
-                Curve("slopes", (0.1, 0.9), ((0.0, 1.0),)),
+                Curve("gradient", (0.1, 0.9), ((0.0, 1.0), (0.0, 3.0))),
             ),
         ),
         "hidden": Cause(
@@ -102,13 +103,13 @@ def landed(config, cells):
     raster = rasterise(cells, lss)
     around = look_around(raster, lss)
     worst = TouchdownCheck(lss, limits(MODEL, lss)).worst(raster, around.met)
-    return raster, around.judged, around.planes.gradient, worst
+    return raster, around.judged, around.planes, worst
 
 
 def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     config, cells = rough_ground
-    raster, judged, gradient, worst = given = landed(config, cells)
-    table = RiskTable(MODEL, config.lss, 0.06)
+    raster, judged, planes, worst = landed(config, cells)
+    table, given = RiskTable(MODEL, config.lss, 0.06), (raster, planes, worst)
     found = dict(zip(LOCAL, table.features(*given), strict=True))
     side, c, steep = raster.domain.finest_size, 0.3, np.tan(np.radians(10.0))
     size, seen = len(judged), ~raster.bridged
@@ -126,7 +127,7 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     count = np.bincount(raster.leaf[seen], minlength=len(cells.level))
     density = (cells.count / np.maximum(count, 1))[raster.leaf] / side**2
     known = np.log10(np.where(seen, density * c * c, 0.0) + 1e-3)
-    under, about = round(0.45 * 3.7 / side), round(2.0 * 3.7 / side)
+    under = round(0.45 * 3.7 / side)
     expected = square_means(known, under, under, size)
     expected -= 3.0 * np.log10(side / c / 0.85)  # noise is 0.2 clearances
     np.testing.assert_allclose(found["seen"], expected, atol=1e-4)
@@ -138,23 +139,22 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     np.testing.assert_allclose(
         found["roughness"], np.sqrt(square_means(rough, under, under, size)), atol=1e-4
     )
-    places = square_means(judged, about, about + 1, size)
-    rocks = judged & (found["rise"] > 1.0) & (found["tilt"] <= 1.0)
-    assert 0.02 < rocks.mean() < 0.9
-    for name, values in (("rocks", rocks), ("slopes", judged * gradient / steep)):
-        with np.errstate(invalid="ignore", divide="ignore"):
-            means = square_means(values, about, about + 1, size) / places
-        means = np.sqrt(means) if name == "rocks" else means
-        np.testing.assert_allclose(found[name][judged], means[judged], atol=1e-4)
+    corners = sliding_window_view(planes.elevation, (2, 2)).mean(axis=(2, 3))
+    over = np.clip((raster.elevation - corners) / c, 0.0, 5.0) * raster.seen
+    assert (over > 1.0).any()
+    relief = np.sqrt(square_means(over**2, under, under, size))
+    np.testing.assert_allclose(found["relief"], relief, atol=1e-4)
+    np.testing.assert_allclose(found["gradient"], planes.gradient / steep, rtol=1e-5)
 
 
 @pytest.mark.parametrize("noise", [0.06, 0.03])
 def test_the_fit_is_looked_up_as_its_equations_say(rough_ground, noise):
     config, cells = rough_ground
-    raster, judged, gradient, worst = given = landed(config, cells)
+    raster, judged, planes, worst = landed(config, cells)
     table = RiskTable(MODEL, config.lss, noise)
-    found, cause = table.risk(*given)
-    of = dict(zip(LOCAL, table.features(*given)[:, judged].astype(float), strict=True))
+    found, cause = table.risk(raster, judged, planes, worst)
+    asked = table.features(raster, planes, worst)[:, judged].astype(float)
+    of = dict(zip(LOCAL, asked, strict=True))
     of |= {"noise": np.log10(noise / 0.3), "cell": np.log10(raster.domain.finest_size / 0.3)}
     of["clearance"] = np.log10(0.3 / 3.7)
     of["lean"] = np.log10(3.7 * np.tan(np.radians(10.0)) / np.sqrt(2.0) / 0.3)
@@ -215,8 +215,7 @@ def test_ground_that_no_return_is_from_raises_the_risk(rough_ground):
         left = np.bincount(cells.leaf_raster()[known], minlength=len(leaves))
         count = (4 * left).astype(np.uint32)  # so few that a cell without any may be chance
         thin = replace(flat, known=known, observed=known, count=count)
-        raster, judged, gradient, worst = landed(config, thin)
-        told.append(table.risk(raster, judged, gradient, worst)[0][inner])
+        told.append(table.risk(*landed(config, thin))[0][inner])
     for fewer, more in zip(told, told[1:], strict=False):
         assert (more >= fewer - 1e-6).mean() > 0.98
         assert (more > fewer).mean() > 0.5

@@ -22,7 +22,7 @@ from quadtree_lss.onboard.core.landing.probability import COARSE
 SMALL = {
     "obstacle": (Term("rise", (0.4, 0.9, 1.5), begin=8.0), Term("noise", (-1.0, -0.5), 0)),
     "slope": (Term("tilt", (0.4, 1.0, 1.5), begin=8.0),),
-    "hidden": (Term("seen", (-1.0, 1.0, 2.0), -1, begin=-3.0), Term("rocks", (0.0, 0.6))),
+    "hidden": (Term("seen", (-1.0, 1.0, 2.0), -1, begin=-3.0), Term("relief", (0.0, 0.6))),
 }
 
 
@@ -36,7 +36,7 @@ def made_up(small):
     """Places drawn evenly, and how often landings there fail by a small model."""
     model = unfitted()
     odds = {"rise": ((0.0, 4.0, 9.0),), "tilt": ((0.0, 5.0, 8.0),), "noise": ((0.0, -1.0),)}
-    odds |= {"seen": ((0.0, -2.0, -4.0),), "rocks": ((0.0, 1.5),)}
+    odds |= {"seen": ((0.0, -2.0, -4.0),), "relief": ((0.0, 1.5),)}
     causes = {
         name: Cause(constant, tuple(replace(c, odds=odds[c.of]) for c in cause.curves))
         for (name, cause), constant in zip(model.causes.items(), (-6.0, -7.0, -1.0), strict=True)
@@ -132,16 +132,16 @@ def test_a_file_that_holds_no_model_is_one_clear_error(tmp_path, place, value, s
 
 
 def test_a_key_that_is_missing_or_a_file_is_told(tmp_path):
-    former = "of a former version.*fit-risk makes one anew"
-    for cause, key, said in (
-        ("hidden", "lean", former),
-        ("obstacle", "constant", "'constant' is missing"),
+    file = tmp_path / "model.yaml"
+    for cause, without, key, said in (
+        ("hidden", "relief", "rocks", "of a former version.*fit-risk makes one anew"),
+        ("obstacle", "constant", "other", "'constant' is missing"),
     ):
-        values, file = yaml.safe_load(risk_model_text(unfitted())), tmp_path / f"{key}.yaml"
-        del values[cause][key]
+        values = yaml.safe_load(risk_model_text(unfitted()))
+        values[cause][key] = values[cause].pop(without)
         file.write_text(yaml.safe_dump(values))
         with pytest.raises(ConfigError, match=said):
-            risk_model(str(file))
+            risk_model.__wrapped__(str(file))
     with pytest.raises(ConfigError, match="cannot be read"):
         risk_model(str(tmp_path / "none.yaml"))
 
@@ -149,7 +149,7 @@ def test_a_key_that_is_missing_or_a_file_is_told(tmp_path):
 def test_the_shipped_model_says_what_it_was_fitted_to():
     model = risk_model("")
     assert set(model.provenance["families"]) == set(FAMILIES)
-    assert model.numbers < 150
+    assert model.numbers <= 156
     for name, terms in risk_fit.TERMS.items():
         for curve, term in zip(model.causes[name].curves, terms, strict=True):
             assert (term.sign * np.diff(curve.odds, axis=1) >= 0.0).all()

@@ -47,26 +47,26 @@ class Term(NamedTuple):
 
 
 _CONTACT = (0.4, 0.6, 0.8, 0.9, 1.0, 1.15, 1.5)
-_ROCKS, _SLOPES = (0.0, 0.05, 0.15, 0.3, 0.6), (0.05, 0.15, 0.35, 0.6, 0.9)
 _CELL, _NOISE = (-0.2, 0.0, 0.15, 0.35), (-1.2, -0.8, -0.35)
+_RELIEF = (0.0, 0.05, 0.1, 0.2, 0.35, 0.6)
 TERMS: dict[str, tuple[Term, ...]] = {
     "obstacle": (
         Term("rise", _CONTACT, by_seen=True, begin=5.5),
         Term("rise_beside", _CONTACT, by_seen=True, begin=5.5),
-        Term("rocks", _ROCKS),
+        Term("relief", _RELIEF),
         Term("noise", _NOISE, 0),
         Term("cell", _CELL, 0),
     ),
     "slope": (
         Term("tilt", _CONTACT[:-1], by_seen=True, begin=5.5),
         Term("tilt_beside", _CONTACT[:-1], by_seen=True, begin=5.5),
-        Term("slopes", _SLOPES),
+        Term("gradient", _CONTACT[:-1], by_seen=True),
+        Term("relief", _RELIEF),
         Term("noise", _NOISE, 0),
     ),
     "hidden": (
         Term("seen", (-1.5, -0.5, 0.2, 0.6, 1.0, 1.4, 1.8, 2.2, 2.6), -1, begin=-5.5),
-        Term("rocks", _ROCKS),
-        Term("slopes", _SLOPES),
+        Term("relief", _RELIEF),
         Term("roughness", (0.0, 0.07, 0.15, 0.3, 0.5)),
         Term("noise", _NOISE, 0),
         Term("cell", _CELL, 0),

@@ -168,13 +168,12 @@ class Landings:
 
     def risk(self, table: RiskTable) -> Array:
         """(K,) P(unsafe)."""
-        gradient = self.around.planes.gradient
-        return table.risk(self.raster, self.around.judged, gradient, self.worst)[0][self.counts]
+        around = self.around
+        return table.risk(self.raster, around.judged, around.planes, self.worst)[0][self.counts]
 
     def asked(self, table: RiskTable) -> Single:
         """(K, len(ASKED)) what a model asks of each place."""
-        gradient = self.around.planes.gradient
-        of = table.features(self.raster, self.around.judged, gradient, self.worst)[:, self.counts].T
+        of = table.features(self.raster, self.around.planes, self.worst)[:, self.counts].T
         overall = table.overall(self.raster.domain.finest_size)
         all_over = np.tile([overall[name] for name in OVERALL], (len(of), 1))
         return np.hstack([of, all_over]).astype(np.float32)

@@ -26,7 +26,7 @@ NEAR = 0.3
 #: the map does not show at all.
 CAUSES = ("obstacle", "slope", "hidden")
 #: What a model may ask of each place, and of a map as a whole (see `RiskModel`).
-LOCAL = ("rise", "rise_beside", "tilt", "tilt_beside", "seen", "rocks", "slopes", "roughness")
+LOCAL = ("rise", "rise_beside", "tilt", "tilt_beside", "seen", "gradient", "roughness", "relief")
 OVERALL = ("noise", "cell", "clearance", "lean")
 
 
@@ -76,10 +76,10 @@ class RiskModel:
       returns on a square as wide as h, in the returns that would tell as much at a range noise of
       0.2 h and cells of 0.85 h: less 2 log10(noise / 0.2 h), and for wider cells
       3 log10(cell / 0.85 h). Ground without a return counts 0.001.
-    - ``rocks``: square root of the share of the places about (4 d) where something rises by more
-      than c on ground that is level enough; ``slopes``: the mean tangent of the slope there over
-      that of the limit; ``roughness``: square root of the mean deviation from the leaves' planes
-      under the lander over c.
+    - ``gradient``: the tangent of the ground's slope at the lander's scale over that of the limit.
+    - ``roughness``: square root of the mean deviation from the leaves' planes under the lander
+      over c; ``relief``: the root mean square there of how far the map's cells rise over the
+      ground at the lander's scale, over c (those below it count 0).
     - ``noise``, ``cell``, ``clearance``: log10 of noise / c, of finest cells / c, of c / d;
       ``lean``: of the height under one pad that leans the vehicle too far, over c.
 
@@ -189,8 +189,8 @@ def _from_values(values: Any) -> RiskModel:
     def row(given: Any) -> Row:
         return tuple(float(value) for value in given)
 
-    if "lean" not in values["hidden"]:
-        msg = "it is of a former version, which counted returns otherwise: fit-risk makes one anew"
+    if "rocks" in values["hidden"]:
+        msg = "it is of a former version, which asked something else: fit-risk makes one anew"
         raise ConfigError(msg)
     causes = {}
     for name in CAUSES:

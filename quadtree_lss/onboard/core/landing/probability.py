@@ -26,11 +26,14 @@ from numpy.typing import ArrayLike
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask, Single
 from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, RiskModel, Row
 from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.core.landing.lattice import GroundPlanes
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.landing.touchdown import Limits, WorstContact
 
-#: The window of what lies about a place, and that of the ground under the lander, diameters.
-WINDOW, FOOTPRINT = 4.0, 0.9
+#: Side of the square of the ground under the lander, diameters.
+FOOTPRINT = 0.9
+#: Nothing counts as higher over the ground at the lander's scale, clearances.
+HIGHEST = cython.declare(cython.double, 5.0)
 #: Returns on a square as wide as the least hazard that are as good as none.
 NO_RETURNS = 1e-3
 #: Entries of a table along a curve, and along what is known.
@@ -148,20 +151,17 @@ class RiskTable:
         wide = max(log10(side / (0.85 * least)), 0.0)
         return 2.0 * log10(self._noise / (0.2 * least)) + 3.0 * wide
 
-    def features(
-        self, raster: TerrainRaster, judged: Mask, gradient: Array, worst: WorstContact
-    ) -> Single:
+    def features(self, raster: TerrainRaster, planes: GroundPlanes, worst: WorstContact) -> Single:
         """What the model asks of each grid point, (F, n + 1, n + 1) in the order of `LOCAL`.
 
         Args:
             raster: The map.
-            judged: (n + 1, n + 1) grid points where all ground under the lander is seen.
-            gradient: (n + 1, n + 1) of the ground at the lander's scale, rise over run.
-            worst: The lander's worst contacts on the map, at those and beside them.
+            planes: The ground at the lander's scale.
+            worst: The lander's worst contacts on the map, where it is judged and beside that.
         """
         vehicle, side, cells = self._vehicle, raster.domain.finest_size, raster.cells
         clearance, steep = vehicle.clearance, tan(radians(vehicle.max_slope_deg))
-        out = np.empty((len(LOCAL), *judged.shape), dtype=np.float32)
+        out = np.empty((len(LOCAL), *worst.rise.shape), dtype=np.float32)
         for k, contact, limit in ((0, worst.rise, clearance), (2, worst.slope, steep)):
             set_contacts(contact, limit, self._low[k], out[k : k + 2])
         known = ~raster.bridged
@@ -170,36 +170,30 @@ class RiskTable:
         level = np.log10(returns + NO_RETURNS).astype(np.float32)
         rough = np.fmax(cells.roughness / (clearance * cells.size**2), 0.0)
         rough = np.minimum(rough, 2.0).astype(np.float32)
-        of_cells = np.empty((2, *known.shape), dtype=np.float32)
-        set_known(raster.leaf, known.view(np.uint8), level, rough, log10(NO_RETURNS), of_cells)
-        under = max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1)
-        around, means = np.empty((2, 3, *judged.shape), dtype=np.float32)
-        around[0] = judged
-        around[1] = judged & (out[0] > 1.0) & (out[2] <= 1.0)
-        around[2] = gradient
-        around[2] *= around[0]
-        around[2] /= np.float32(steep)
-        set_means(of_cells, under, 0, means[:2])
-        np.subtract(means[0], np.float32(self._worse(side)), out=out[4])
+        of_cells = np.empty((3, *known.shape), dtype=np.float32)
+        of_leaves = raster.leaf, known.view(np.uint8), level, rough, log10(NO_RETURNS)
+        set_known(*of_leaves, of_cells)
+        heights = raster.elevation, planes.elevation, raster.seen.view(np.uint8)
+        set_relief(*heights, clearance, of_cells[2])
+        set_means(of_cells, max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1), out[5:])
+        np.subtract(out[5], np.float32(self._worse(side)), out=out[4])
+        np.divide(planes.gradient, steep, out=out[5], casting="same_kind")
         # Of running sums round-off may leave less than nothing.
-        np.sqrt(np.maximum(means[1], np.float32(0.0), out=means[1]), out=out[7])
-        about = max(round(0.5 * WINDOW * vehicle.diameter / side), 1)
-        set_means(around, about, 1, means)
-        np.divide(means[1:], np.maximum(means[0], np.float32(1e-6), out=means[0]), out=out[5:7])
-        np.sqrt(out[5], out=out[5])
+        np.sqrt(np.maximum(out[6:], np.float32(0.0), out=out[6:]), out=out[6:])
         return out
 
     def risk(
-        self, raster: TerrainRaster, judged: Mask, gradient: Array, worst: WorstContact
+        self, raster: TerrainRaster, judged: Mask, planes: GroundPlanes, worst: WorstContact
     ) -> tuple[Array, Bytes]:
         """P(unsafe) of landing at each grid point, and what most of it comes from.
 
-        Arguments as of `features`.
+        ``judged`` are (n + 1, n + 1) grid points where all ground under the lander is seen; the
+        other arguments are as of `features`.
 
         Returns:
             (n + 1, n + 1) probabilities, 1 where it is not judged; and numbers in `CAUSES`.
         """
-        places = self.features(raster, judged, gradient, worst)
+        places = self.features(raster, planes, worst)
         side = raster.domain.finest_size
         if self._constant is None or self._constant[0] != side:
             of = self.overall(side)
@@ -381,8 +375,8 @@ def set_contacts(contact: Single, limit: float, least: float, out: Single) -> No
 def set_known(
     leaf: Index, known: Bytes, level: Single, rough: Single, none: float, out: Single
 ) -> None:
-    """Set ``out`` (2, n, n) to ``level`` and ``rough`` (M,) of the leaves of the ``known`` finest
-    cells (n, n), and else to ``none`` and 0."""
+    """Set ``out``'s first (2, n, n) to ``level`` and ``rough`` (M,) of the leaves of the ``known``
+    finest cells (n, n), and else to ``none`` and 0."""
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     with cython.nogil:
         for i in range(leaf.shape[0]):
@@ -392,33 +386,51 @@ def set_known(
 
 
 @cython.boundscheck(False)
-@cython.locals(values=cython.float[:, :, ::1], out=cython.float[:, :, ::1])
-def set_means(
-    values: Single, reach: cython.Py_ssize_t, after: cython.Py_ssize_t, out: Single
-) -> None:
-    """Means over squares about each point, of what of them lies within the lattice.
+@cython.locals(height=cython.double[:, ::1], ground=cython.double[:, ::1])
+@cython.locals(seen=cython.uchar[:, ::1], clearance=cython.double, out=cython.float[:, ::1])
+def set_relief(height: Array, ground: Array, seen: Bytes, clearance: float, out: Single) -> None:
+    """Set ``out`` (n, n) to the square of how far finest cells rise over the ground at the
+    lander's scale, clearances, 0 below it and where nothing is ``seen``.
 
     Args:
-        values: (L, n, n) of cells, or of points; three layers at the most.
-        reach: Cells, or points, on either side.
-        after: 0 for cells about grid points, 1 for points about points.
-        out: (L, m, m), set; m = n + 1 - ``after``.
+        height: (n, n) m.
+        ground: (n + 1, n + 1) at the corners of the cells, m.
+        seen: (n, n).
+        clearance: m.
+    """
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    with cython.nogil:
+        for i in range(out.shape[0]):
+            for j in range(out.shape[1]):
+                z = ground[i, j] + ground[i, j + 1] + ground[i + 1, j] + ground[i + 1, j + 1]
+                z = (height[i, j] - 0.25 * z) / clearance
+                z = z if z > 0.0 else 0.0  # also of what is no number
+                z = z if z < HIGHEST else HIGHEST
+                out[i, j] = z * z if seen[i, j] else 0.0
+
+
+@cython.boundscheck(False)
+@cython.locals(values=cython.float[:, :, ::1], out=cython.float[:, :, ::1])
+def set_means(values: Single, reach: cython.Py_ssize_t, out: Single) -> None:
+    """Means over squares of cells about each grid point, of what of them lies in the lattice.
+
+    Args:
+        values: (3, n, n).
+        reach: Cells on either side.
+        out: (3, n + 1, n + 1), set.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
     cython.declare(south=cython.Py_ssize_t, north=cython.Py_ssize_t, f=cython.Py_ssize_t)
     cython.declare(west=cython.Py_ssize_t, east=cython.Py_ssize_t, below=cython.Py_ssize_t)
-    layers: cython.Py_ssize_t = values.shape[0]
     n: cython.Py_ssize_t = values.shape[1]
-    m: cython.Py_ssize_t = out.shape[1]
-    edge: cython.Py_ssize_t = min(reach, m)
+    edge: cython.Py_ssize_t = min(reach, n + 1)
     column = cython.declare(cython.double[:, ::1], np.zeros((3, n)))
     sums = cython.declare(cython.double[:, ::1], np.zeros((3, n + 1)))
-    least: cython.double = 0.0 if after else -np.inf  # round-off may leave less than nothing
     below = 0
     with cython.nogil:
-        for i in range(m):
-            south, north = max(i - reach, 0), min(i + reach + after, n)
-            for f in range(layers):
+        for i in range(n + 1):
+            south, north = max(i - reach, 0), min(i + reach, n)
+            for f in range(3):
                 for k in range(below, north):
                     for j in range(n):
                         column[f, j] += values[f, k, j]
@@ -433,17 +445,16 @@ def set_means(
                 y += column[1, j]
                 z += column[2, j]
                 sums[0, j + 1], sums[1, j + 1], sums[2, j + 1] = x, y, z
-            for f in range(layers):
+            for f in range(3):
                 # All but the outermost have squares of the same width.
-                share: cython.double = 1.0 / ((2 * reach + after) * (north - south))
-                for j in range(reach, n + 1 - after - reach):
-                    z = share * (sums[f, j + reach + after] - sums[f, j - reach])
-                    out[f, i, j] = z if z > least else least
+                share: cython.double = 1.0 / (2 * reach * (north - south))
+                for j in range(reach, n + 1 - reach):
+                    out[f, i, j] = share * (sums[f, j + reach] - sums[f, j - reach])
                 for k in range(2 * edge):
-                    j = k if k < edge else m - 1 - k + edge
-                    west, east = max(j - reach, 0), min(j + reach + after, n)
+                    j = k if k < edge else n - k + edge
+                    west, east = max(j - reach, 0), min(j + reach, n)
                     z = (sums[f, east] - sums[f, west]) / ((east - west) * (north - south))
-                    out[f, i, j] = z if z > least else least
+                    out[f, i, j] = z
 
 
 @cython.boundscheck(False)

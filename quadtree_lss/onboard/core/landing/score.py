@@ -133,7 +133,7 @@ def assess_points(
     bits |= unknown_bits(raster)
     hazard = touching(bits)
     if worst is not None and table is not None:
-        risk, cause = table.risk(raster, around.judged, around.planes.gradient, worst)
+        risk, cause = table.risk(raster, around.judged, around.planes, worst)
     else:
         risk, cause = np.full(hazard.shape, np.nan), np.zeros_like(hazard)
     if worst is None or check is None or lss.assessment == "paper":
