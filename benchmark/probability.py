@@ -39,7 +39,7 @@ from quadtree_lss.onboard.config.risk import risk_model
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 
 BINS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
-LIMITS = (0.001, 0.0015, 0.002, 0.003, 0.005, 0.008, 0.012, 0.02, 0.05)
+LIMITS = (0.001, 0.0018, 0.002, 0.003, 0.005, 0.008, 0.012, 0.02, 0.05)
 RESAMPLED = 500
 TILE = 2.2
 """Side of the tiles, diameters, whose failures are taken for independent."""

@@ -6,8 +6,8 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from numpy.lib.stride_tricks import sliding_window_view
 from core.builders import configured, mapped
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.stats import norm
 

@@ -51,13 +51,12 @@ def test_a_keep_out_an_area_and_a_target_of_the_bag_hold(tmp_path, free):
         bag = write(tmp_path / name, say)
         for start in (0.0, 0.3):  # latched: what was said before holds
             assert not len(sites(bag, start=start).sites) or east(sites(bag, start=start)) == 0.0
-    found = []
+    first = sites(free).sites.position[0, :2]
     for x in (-8.0, 8.0):
         say = functools.partial(LandingRecorder.target, topic="/landing/target", x=x, y=1.0)
         bag = write(tmp_path / f"target{x}", functools.partial(say, received_ns=START))
-        found.append(sites(bag).sites.position[0, :2])
-    (west, _), (east_most, _) = found
-    assert west <= 0.0 < east_most and east_most - west > 5.0
+        wanted, found = np.array([x, 1.0]), sites(bag).sites.position[0, :2]
+        assert np.linalg.norm(found - wanted) < np.linalg.norm(first - wanted) - 1.0
 
 
 def test_a_square_that_follows_goes_to_the_area_of_the_bag(tmp_path):
