@@ -353,7 +353,7 @@ def test_unseen_ground_is_never_landable(assessment):
     config = configured(
         domain={"min_level": 6, "max_level": 6},
         vehicle={"diameter": 1.9},
-        lss={"assessment": assessment, "grid_spacing": 0.25, "max_gap": 0.6},
+        lss={"assessment": assessment, "grid_spacing": 0.25, "max_gap": 0.6, "max_risk": 0.01},
     )
     bridged, broken = (assess(strip(columns), config) for columns in (4, 5))
     assert not (bridged.hazard & hazards.UNSEEN).any()
