@@ -44,7 +44,7 @@ RESAMPLED = 500
 TILE = 2.2
 """Side of the tiles, diameters, whose failures are taken for independent."""
 HALF, POST = 40.0, 0.1
-#: Views of real terrains, in turn.
+#: Views of real terrains, in turn, three times.
 REAL = ("whole", "thin", "few", "views")
 
 
@@ -122,7 +122,7 @@ def flown(
     for path in terrains:
         for rocks in ("", " + rocks"):
             of = out.setdefault(path.stem + rocks, [])
-            for k, seed in enumerate(seeds[: len(REAL)]):
+            for k, seed in enumerate(seeds[: 3 * len(REAL)]):
                 rng = np.random.default_rng([seed, 2])
                 ground = piece(rng, load_terrain(path))
                 ground = strewn(rng, ground, 0.05) if rocks else ground

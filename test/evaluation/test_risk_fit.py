@@ -62,10 +62,9 @@ def test_a_model_is_found_again_from_what_it_made(made_up):
 
 
 def test_an_independent_optimiser_finds_nothing_better(made_up):
-    _, places, failed, weight = made_up
-    rng = np.random.default_rng(2)
-    some = rng.random(len(places)) < 0.2
-    places, failed, weight = places[some], rng.random(some.sum()) < 0.2, weight[some] + 0.1
+    _, *landings = made_up
+    some = np.random.default_rng(2).random(len(landings[0])) < 0.2
+    places, failed, weight = (of[some] for of in landings)
     found = fit(places, failed, weight)
 
     def score(values):
@@ -85,7 +84,7 @@ def test_an_independent_optimiser_finds_nothing_better(made_up):
     for cause in found.causes.values():
         begin += [cause.constant, *np.concatenate([np.diff(c.odds[0]) for c in cause.curves])]
     best = minimize(score, begin, method="Powell", options={"maxfev": 6000})
-    assert score(begin) <= best.fun + 2e-4
+    assert score(begin) <= best.fun + 1e-5
 
 
 def test_steps_keep_their_signs_where_chance_does_not(made_up):
@@ -149,7 +148,7 @@ def test_a_key_that_is_missing_or_a_file_is_told(tmp_path):
 def test_the_shipped_model_says_what_it_was_fitted_to():
     model = risk_model("")
     assert set(model.provenance["families"]) == set(FAMILIES)
-    assert model.numbers <= 156
+    assert model.numbers <= 163
     for name, terms in risk_fit.TERMS.items():
         for curve, term in zip(model.causes[name].curves, terms, strict=True):
             assert (term.sign * np.diff(curve.odds, axis=1) >= 0.0).all()
@@ -242,7 +241,7 @@ def test_what_a_fit_asks_is_what_is_looked_up():
     step = odds(risks(model, asked + half)) - odds(risks(model, asked - half))
     assert np.mean(np.abs(off)) < 0.5 * np.mean(np.abs(step)) + 0.03
     assert abs(off.mean()) < 0.03
-    assert len(LOCAL) == 8
+    assert len(LOCAL) == 9
 
 
 @pytest.mark.parametrize("kind", ["mixed", "bare", "cratered", "any"])

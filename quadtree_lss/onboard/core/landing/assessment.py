@@ -187,7 +187,9 @@ class LandingAssessment:
     @cached_property
     def slope_deg(self) -> Array:
         """(ny, nx) slope at the lander's scale, NaN if unseen."""
-        return self._layer(lambda at, points: np.degrees(at.nearest(points.around.planes.slope)))
+        return self._layer(
+            lambda at, points: np.degrees(np.arctan(at.nearest(points.around.planes.gradient)))
+        )
 
 
 def no_target(

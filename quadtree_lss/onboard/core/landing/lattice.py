@@ -70,13 +70,12 @@ def disc_means(values: Array, over: Disc, seen: Mask) -> Array:
 class GroundPlanes:
     """Least-squares plane of the map over a disc about each grid point: arrays (n + 1, n + 1).
     ``elevation``: height at the grid point, m. ``slope_x``, ``slope_y``: dz/dx, dz/dy.
-    ``gradient``: rise over run. ``slope``: angle to the horizontal, rad."""
+    ``gradient``: rise over run."""
 
     elevation: Array
     slope_x: Array
     slope_y: Array
     gradient: Array
-    slope: Array
 
 
 def ground_planes(elevation: Array, seen: Mask, side: float, radius: float) -> GroundPlanes:
@@ -92,8 +91,7 @@ def ground_planes(elevation: Array, seen: Mask, side: float, radius: float) -> G
     square = side * float(np.mean((over.x / side) ** 2))
     out = np.empty((4, len(elevation) + 1, len(elevation) + 1))
     disc_moments(elevation, np.mean(elevation), over.half, seen.view(np.uint8), square, out)
-    height, slope_x, slope_y, gradient = out
-    return GroundPlanes(height, slope_x, slope_y, gradient, np.arctan(gradient))
+    return GroundPlanes(*out)
 
 
 def touching(cells: Bytes) -> Bytes:

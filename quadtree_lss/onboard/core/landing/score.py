@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import radians, tan
+from math import pi, radians, tan
 
 import cython
 import numpy as np
@@ -36,6 +36,7 @@ WEIGHT_SLOPE, WEIGHT_ROUGHNESS, WEIGHT_DISTANCE, WEIGHT_SUBSCALE = 1.0, 2.0, 0.0
 DISTANCE_CAP = 10.0
 #: A share of a length that rounding may take.
 SLACK = 1e-9
+UPRIGHT = cython.declare(cython.double, 0.5 * pi)
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,8 @@ def look_around(raster: TerrainRaster, lss: LssConfig) -> Surroundings:
     limit = max(lss.zone, DISTANCE_CAP * lss.vehicle.size)
     room = distance_from(touching((~raster.firm).view(np.uint8)) > 0, side, limit)
     unmapped = touching(raster.unmapped.view(np.uint8)) > 0
-    to_unmapped = distance_from(unmapped, side, limit + lss.vehicle.pad_radius)
+    farthest = max(lss.zone, 0.5 * lss.vehicle.diameter) + lss.vehicle.pad_radius + side
+    to_unmapped = distance_from(unmapped, side, farthest)
     np.minimum(room, to_unmapped - lss.vehicle.pad_radius, out=room)
     border = np.minimum(np.arange(n + 1), np.arange(n, -1, -1)) * side
     np.minimum(room, border, out=room)
@@ -168,7 +170,7 @@ def assess_points(
     of_leaves += WEIGHT_ROUGHNESS / vehicle.height * rough
     weights = of_slope, WEIGHT_DISTANCE / vehicle.size, WEIGHT_SUBSCALE / vehicle.height
     density = np.empty(raster.leaf.shape)
-    lay = around.planes.slope, near, around.room, raster.leaf, raster.subscale
+    lay = around.planes.gradient, near, around.room, raster.leaf, raster.subscale
     set_densities(*lay, of_leaves, cap, *weights, density)
     # Eq. 56's integral as Eq. 59's mean over the disc of each point. No zone fits a domain smaller
     # than itself: none needs sums over more than that.
@@ -180,12 +182,13 @@ def assess_points(
 
 
 @cython.boundscheck(False)
-@cython.locals(slope=cython.double[:, ::1], near=cython.double[:, ::1], room=cython.double[:, ::1])
-@cython.locals(leaf=cython.Py_ssize_t[:, ::1], subscale=cython.double[:, ::1])
+@cython.locals(gradient=cython.double[:, ::1], near=cython.double[:, ::1])
+@cython.locals(room=cython.double[:, ::1], leaf=cython.Py_ssize_t[:, ::1])
+@cython.locals(subscale=cython.double[:, ::1])
 @cython.locals(of_leaves=cython.double[::1], cap=cython.double, per_slope=cython.double)
 @cython.locals(per_metre=cython.double, per_height=cython.double, out=cython.double[:, ::1])
 def set_densities(
-    slope: Array,
+    gradient: Array,
     near: Array,
     room: Array,
     leaf: Index,
@@ -200,7 +203,8 @@ def set_densities(
     """Eq. 58, of the four grid points of each finest cell and of its leaf.
 
     Args:
-        slope, near, room: (n + 1, n + 1) slope, rad, and distances to hazards and unseen ground, m.
+        gradient: (n + 1, n + 1) rise over run.
+        near, room: (n + 1, n + 1) distances to hazards and to unseen ground, m.
         leaf, subscale: (n, n) of `TerrainRaster`.
         of_leaves: (M,) what is the same all over a leaf.
         cap: Farther hazards do not matter, m.
@@ -215,7 +219,13 @@ def set_densities(
         for i in range(n + 1):
             for j in range(n + 1):
                 free: cython.double = near[i, j] if near[i, j] < room[i, j] else room[i, j]
-                free = per_slope * slope[i, j] - per_metre * (free if free < cap else cap)
+                # The arc tangent but for 1e-5 (Hastings 1955), several points at a time.
+                x = gradient[i, j] if gradient[i, j] < 1.0 else 1.0 / gradient[i, j]
+                z = x * x
+                z = 0.180141 + z * (-0.085133 + z * 0.0208351)
+                z = x * (0.999866 + x * x * (-0.3302995 + x * x * z))
+                z = z if gradient[i, j] < 1.0 else UPRIGHT - z
+                free = per_slope * z - per_metre * (free if free < cap else cap)
                 both[j] = before[j] + free
                 before[j] = free
             if i == 0:

@@ -314,7 +314,7 @@ class LandingSiteSelector:
         rough, raised, room = zones_about(points, centre, place, lss)
         along_x, along_y = around.planes.slope_x[centre], around.planes.slope_y[centre]
         normal = np.column_stack([-along_x, -along_y, np.ones_like(along_x)])
-        slope_deg = np.degrees(around.planes.slope[centre])
+        slope_deg = np.degrees(np.arctan(around.planes.gradient[centre]))
         risks = [""] * len(places)
         if points.worst is not None and self._table is not None:
             reach = 0.5 * vehicle.diameter + vehicle.pad_radius
