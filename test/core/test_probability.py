@@ -50,7 +50,6 @@ MODEL = RiskModel(
                 Curve("tilt", (0.6, 1.3), ((0.0, 5.0),)),
                 Curve("tilt_beside", (0.6, 1.3), ((0.0, 4.0),)),
                 Curve("gradient", (0.1, 0.9), ((0.0, 1.0), (0.0, 3.0))),
-                Curve("reserve", (-1.0, 2.0, 9.0), ((0.0, -1.0, -2.0),)),
             ),
         ),
         "hidden": Cause(
@@ -145,9 +144,6 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     assert (over > 1.0).any()
     relief = np.sqrt(square_means(over**2, under, under, size))
     np.testing.assert_allclose(found["relief"], relief, atol=1e-4)
-    one_pad = 3.7 * steep / np.sqrt(2.0) / c
-    reserve = (1.0 - found["tilt_beside"]) * one_pad / (found["relief"] + 0.06)
-    np.testing.assert_allclose(found["reserve"], reserve, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(found["gradient"], planes.gradient / steep, rtol=1e-5)
 
 
@@ -181,7 +177,7 @@ def test_the_fit_is_looked_up_as_its_equations_say(rough_ground, noise):
 
 
 def test_more_that_speaks_against_a_place_never_lowers_its_risk():
-    """Of the shipped model: returns and a reserve alone lower it."""
+    """Of the shipped model: returns alone lower it."""
     rng, model = np.random.default_rng(8), risk_model("")
     low, high = np.transpose([model.span(name) for name in ASKED])
     places = rng.uniform(low, high, (4000, len(ASKED)))
@@ -190,8 +186,7 @@ def test_more_that_speaks_against_a_place_never_lowers_its_risk():
         if name == "seen":
             continue
         more = places.copy()
-        sign = -1.0 if name == "reserve" else 1.0
-        more[:, k] += sign * rng.uniform(0.0, 1.0, len(more)) * (high[k] - low[k])
+        more[:, k] += rng.uniform(0.0, 1.0, len(more)) * (high[k] - low[k])
         assert (risks(model, more) >= risk - 1e-12).all(), name
         assert (risks(model, more) > risk + 1e-6).any(), name
     hidden = replace(

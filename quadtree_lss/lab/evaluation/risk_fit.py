@@ -62,7 +62,6 @@ TERMS: dict[str, tuple[Term, ...]] = {
         Term("tilt_beside", _CONTACT[:-1], by_seen=True, begin=5.5),
         Term("gradient", _CONTACT[:-1], by_seen=True),
         Term("relief", _RELIEF),
-        Term("reserve", (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0), -1, begin=-0.1),
         Term("noise", _NOISE, 0),
     ),
     "hidden": (

@@ -26,8 +26,7 @@ NEAR = 0.3
 #: the map does not show at all.
 CAUSES = ("obstacle", "slope", "hidden")
 #: What a model may ask of each place, and of a map as a whole (see `RiskModel`).
-LOCAL: tuple[str, ...] = ("rise", "rise_beside", "tilt", "tilt_beside", "seen", "gradient")
-LOCAL += ("roughness", "relief", "reserve")
+LOCAL = ("rise", "rise_beside", "tilt", "tilt_beside", "seen", "gradient", "roughness", "relief")
 OVERALL = ("noise", "cell", "clearance", "lean")
 
 
@@ -81,8 +80,6 @@ class RiskModel:
     - ``roughness``: square root of the mean deviation from the leaves' planes under the lander
       over c; ``relief``: the root mean square there of how far the map's cells rise over the
       ground at the lander's scale, over c (those below it count 0).
-    - ``reserve``: (1 - ``tilt_beside``) l / c / (``relief`` + 0.06): by how many such rises one
-      pad may yet be lifted until the vehicle leans too far, which l does on level ground.
     - ``noise``, ``cell``, ``clearance``: log10 of noise / c, of finest cells / c, of c / d;
       ``lean``: of the height under one pad that leans the vehicle too far, over c.
 

@@ -34,8 +34,6 @@ from quadtree_lss.onboard.core.landing.touchdown import Limits, WorstContact
 FOOTPRINT = 0.9
 #: Nothing counts as higher over the ground at the lander's scale, clearances.
 HIGHEST = cython.declare(cython.double, 5.0)
-#: Relief that is there where none is seen, clearances.
-LEAST_RELIEF = np.float32(0.06)
 #: Returns on a square as wide as the least hazard that are as good as none.
 NO_RETURNS = 1e-3
 #: Entries of a table along a curve, and along what is known.
@@ -177,14 +175,11 @@ class RiskTable:
         set_known(*of_leaves, of_cells)
         heights = raster.elevation, planes.elevation, raster.seen.view(np.uint8)
         set_relief(*heights, clearance, of_cells[2])
-        set_means(of_cells, max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1), out[5:8])
+        set_means(of_cells, max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1), out[5:])
         np.subtract(out[5], np.float32(self._worse(side)), out=out[4])
         np.divide(planes.gradient, steep, out=out[5], casting="same_kind")
         # Of running sums round-off may leave less than nothing.
-        np.sqrt(np.maximum(out[6:8], np.float32(0.0), out=out[6:8]), out=out[6:8])
-        np.subtract(np.float32(1.0), out[3], out=out[8])
-        out[8] *= np.float32(vehicle.leaning / clearance)
-        out[8] /= out[7] + LEAST_RELIEF
+        np.sqrt(np.maximum(out[6:], np.float32(0.0), out=out[6:]), out=out[6:])
         return out
 
     def risk(
