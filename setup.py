@@ -21,7 +21,7 @@ PACKAGE = Path(NAME)
 CHECKED = os.environ.get("QUADTREE_LSS_CHECKED", "0") not in ("", "0")
 DIRECTIVES = {"language_level": 3, "wraparound": False, "cdivision": True, "boundscheck": True}
 DIRECTIVES |= {"initializedcheck": CHECKED, "show_performance_hints": False}
-COMPILE = ["-O3", "-ffp-contract=off", "-fno-math-errno", "-g0"]
+COMPILE = ["-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-g0"]
 GENERATED = Path("build", "cython")  # C is written here, and of what it was made
 STATE = GENERATED / "state.json"
 
