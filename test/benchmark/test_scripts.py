@@ -57,10 +57,7 @@ SMALL = {
         ["--draws", "200", "--of-twenty", "50", "--rolling", "3", "--figure", "c.png"],
         ["error over claimed deviation", "20, all"],
     ),
-    "wrong_poses": (
-        ["--seeds", "1", "--before", "3"],
-        ["level ground: scans refused", "hills: scans refused"],
-    ),
+    "wrong_poses": (["--seeds", "1", "--before", "3"], ["wrong scans refused", "hills"]),
     "landing_pass": (["--duration", "1", "--repeats", "1"], ["the paper's rules"]),
     "target": (["--seeds", "201", "--told"], ["withdrawn from truly safe ground", "truth off by"]),
     "live": (["--seconds", "6", "--kill", "4"], ["By the minute", "scans sent", "lss_node"]),
