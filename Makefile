@@ -33,7 +33,7 @@ help:
 	@echo 'make test-all  test suite with the slow tests'
 	@echo 'make test-checked  tests of the core with every index checked'
 	@echo 'make test-vehicle  test suite with the versions of a vehicle computer, where there is a Python 3.12'
-	@echo 'make test-autopilot  landings with the ArduCopter, software in the loop, that ARDUCOPTER names'
+	@echo 'make test-autopilot  landings with ArduCopter and PX4, software in the loop: ARDUCOPTER, PX4 name them'
 	@echo 'make lint      ruff, mypy, and the language of the documents'
 	@echo 'make docs      the site, into build/site/html'
 	@echo 'make figures   make the quick tables of the documents anew, list the others'
@@ -120,6 +120,7 @@ test-all: setup
 FLIGHTS ?= --landings 200 --faults 60
 test-autopilot: setup
 	@$(BIN)/python benchmark/arducopter.py $(FLIGHTS)
+	@$(BIN)/python benchmark/px4.py $(FLIGHTS)
 
 # What Ubuntu 24.04 has, in an environment of its own. Other tests than all: VEHICLE_TESTS=test/core
 VEHICLE_PYTHON ?= $(shell for python in python3.12 "$${PYENV_ROOT:-$$HOME/.pyenv}"/versions/3.12*/bin/python3.12 \
@@ -186,7 +187,7 @@ lint: setup
 	$(BIN)/python docs/language.py
 
 bench: setup
-	@for script in $$(ls benchmark/*.py | grep -v arducopter.py); do \
+	@for script in $$(ls benchmark/*.py | grep -v -e arducopter.py -e px4.py); do \
 	    echo "== $$script"; $(BIN)/python "$$script" || exit 1; \
 	done
 

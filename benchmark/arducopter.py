@@ -28,7 +28,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -60,7 +60,7 @@ HEIGHT_M, SCAN_S = 18.0, 0.2
 AWAY_M, LONGEST_S, START_S, LONGEST_START_S = 25.0, 150.0, 120.0, 400.0
 STEPS_HZ, BEGAN_S = 800, 1_700_000_000
 BACKLOG = 40  # places that waited to be heard
-POSES = ("LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
+POSES = ("LOCAL_POSITION_NED", "ATTITUDE_QUATERNION", "ODOMETRY")
 NODES = ("mapping_node", "lss_node", "autopilot_node")
 BENCH = {
     "FRAME_CLASS": 1, "LOG_BACKEND_TYPE": 0, "BATT_MONITOR": 4, "EK3_IMU_MASK": 1,
@@ -81,53 +81,60 @@ class Copter:
         texts: What it said.
         now: The simulator's time, s.
         behind: The computer was too busy to hear its places as they came: the last is not of now.
+        origin: (3,) of the map's axes from where the true places count, m.
     """
 
     def __init__(
         self, binary: str, folder: Path, heading: float, tell: Callable[[float], None]
     ) -> None:
+        self.port = _free_port()
+        self._node = dialect().mavlink_connection(f"udpout:127.0.0.1:{self.port}")
+        self.mode, self.armed, self.texts = -1, False, []
+        self._values: dict[str, float] = {}
+        self.cut, self.lost, self.delay = False, False, 0.0
+        self.behind, self.origin = False, np.zeros(3)
+        self.now, self._said, self._steps, self._clocked = 0.0, 0.0, 0, 0.0
+        self._tell = tell
+        self._late: list[tuple[float, bytes]] = []
+        self._place: tuple[float, tuple[float, ...]] = (0.0, (math.nan,) * 6)
+        self._sticks = [1500, 1500, 1000, 1500]
+        with (folder / "autopilot.txt").open("wb") as output:
+            self.process = self._launch(binary, folder, heading, output)
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._pump, daemon=True)
+
+    def _launch(
+        self, binary: str, folder: Path, heading: float, output: BinaryIO
+    ) -> subprocess.Popen[bytes]:
         mavutil = dialect()
         # Below the ports of ROS domains.
         for instance in map(int, np.random.default_rng().permutation(np.arange(10, 180))):
             try:
-                with _bound(5501 + 10 * instance):
-                    self._truth = _bound(5503 + 10 * instance)
+                with bound(5501 + 10 * instance):
+                    self._truth = bound(5503 + 10 * instance)
                 break
             except OSError:
                 continue
         self._truth.setblocking(False)
-        ground, own, self.port = (_free_port() for _ in range(3))
+        ground, own = _free_port(), _free_port()
         self._ground = mavutil.mavlink_connection(f"udpin:127.0.0.1:{ground}", source_system=255)
         self._own = mavutil.mavlink_connection(f"udpin:127.0.0.1:{own}")
-        self._node = mavutil.mavlink_connection(f"udpout:127.0.0.1:{self.port}")
         self._radio = ("127.0.0.1", 5501 + 10 * instance)
         lines = [f"{name} {value}" for name, value in BENCH.items()]
         given = (CONFIG / "ardupilot.parm").read_text("utf-8").splitlines()
         lines += [line for line in given if not line.startswith("#")]
         (folder / "bench.parm").write_text("\n".join(lines) + "\n", encoding="utf-8")
         home = ",".join(map(str, (*HOME, heading)))
-        with (folder / "arducopter.txt").open("wb") as output:
-            self.process = subprocess.Popen(
-                [
-                    binary, "--model", "quad", "--home", home, "--enable-fgview", "--wipe",
-                    "--rate", str(STEPS_HZ), "--speedup", "10",
-                    "-I", str(instance), "--defaults", "bench.parm",
-                    "--serial0", f"udpclient:127.0.0.1:{ground}",
-                    "--serial2", f"udpclient:127.0.0.1:{own}",
-                ],
-                cwd=folder, stdout=output, stderr=subprocess.STDOUT,
-            )  # fmt: skip
-        self.mode, self.armed, self.texts = -1, False, []
-        self._values: dict[str, float] = {}
-        self.cut, self.lost, self.delay = False, False, 0.0
-        self.behind = False
-        self.now, self._said, self._steps, self._clocked = 0.0, 0.0, 0, 0.0
-        self._tell = tell
-        self._late: list[tuple[float, bytes]] = []
-        self._place: tuple[float, tuple[float, ...]] = (0.0, (math.nan,) * 6)
-        self._sticks = [1500, 1500, 1000, 1500]
-        self._end = threading.Event()
-        self._thread = threading.Thread(target=self._pump, daemon=True)
+        return subprocess.Popen(
+            [
+                binary, "--model", "quad", "--home", home, "--enable-fgview", "--wipe",
+                "--rate", str(STEPS_HZ), "--speedup", "10",
+                "-I", str(instance), "--defaults", "bench.parm",
+                "--serial0", f"udpclient:127.0.0.1:{ground}",
+                "--serial2", f"udpclient:127.0.0.1:{own}",
+            ],
+            cwd=folder, stdout=output, stderr=subprocess.STDOUT,
+        )  # fmt: skip
 
     def __enter__(self) -> Copter:
         self._thread.start()
@@ -167,45 +174,84 @@ class Copter:
         """A command of the pilot's."""
         self._ground.mav.command_long_send(1, 1, number, 0, *values, *[0.0] * (7 - len(values)))
 
-    def switch(self, mode: int) -> None:
-        """The pilot's switch."""
+    def start(self) -> None:
+        """The pilot arms."""
+        self.take_back()
+        self.command(ARM_DISARM, 1.0)
+
+    def climb(self) -> None:
+        """He takes off; not too late after `start`, else it disarms."""
+        self._sticks[2] = 1900
+
+    def stay(self) -> None:
+        """He hovers."""
+        self._sticks[2] = 1500
+
+    def hand_over(self) -> bool:
+        """He switches to the mode that follows set-points: whether it is in it."""
+        self._switch(GUIDED)
+        return self.mode == GUIDED
+
+    def take_back(self) -> None:
+        """He flies."""
+        self._switch(LOITER)
+
+    def pace(self, seconds: float) -> None:
+        """So many of the simulator for one."""
+        self.set("SIM_SPEEDUP", seconds)
+
+    def wind(self, heading: float) -> None:
+        """Of 8 m/s."""
+        self.set("SIM_WIND_DIR", heading)
+        self.set("SIM_WIND_SPD", 8.0)
+
+    def glitch(self, off: bool) -> None:
+        """Whether GPS is 11 m off."""
+        self.set("SIM_GPS1_GLTCH_X", 1e-4 * off)
+
+    def _switch(self, mode: int) -> None:
         self.command(DO_SET_MODE, CUSTOM_MODE, mode)
 
-    def throttle(self, pulse: int) -> None:
-        """The pilot's stick, 1000 to 2000."""
-        self._sticks[2] = pulse
+    def _look(self) -> None:
+        """Hears where it is truly, and what time it is."""
+        packet, before = b"", self._steps
+        try:
+            while True:
+                packet = self._truth.recv(2048)
+                self._steps += 1
+        except OSError:
+            pass
+        self.behind = self._steps - before > BACKLOG
+        since = self._steps / STEPS_HZ
+        self.now = max(self.now, self._said + min(since, 0.03) if self._said else since)
+        if packet:
+            values = struct.unpack_from(">3d4f", packet, 8)
+            self._place = (self.now, (*values[:3], *values[4:]))
+
+    def _hear(self, message: Any) -> None:
+        """What a ground station hears."""
+        if message.get_type() == "HEARTBEAT" and message.get_srcComponent() == 1:
+            self.mode, self.armed = message.custom_mode, bool(message.base_mode & ARMED)
+        elif message.get_type() == "PARAM_VALUE":
+            self._values[message.param_id] = message.param_value
+        elif message.get_type() == "STATUSTEXT" and message.chunk_seq and self.texts:
+            self.texts[-1] += message.text
+        elif message.get_type() == "STATUSTEXT":
+            self.texts.append(message.text)
 
     def _pump(self) -> None:
-        radio, due, packet = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), 0.0, b""
+        radio, due = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), 0.0
         while not self._end.is_set():
-            before = self._steps
-            try:
-                while True:
-                    packet = self._truth.recv(2048)
-                    self._steps += 1
-            except OSError:
-                pass
-            self.behind = self._steps - before > BACKLOG
-            since = self._steps / STEPS_HZ
-            now = self.now = max(self.now, self._said + min(since, 0.03) if self._said else since)
-            if packet:
-                values = struct.unpack_from(">3d4f", packet, 8)
-                self._place = (now, (*values[:3], *values[4:]))
+            self._look()
+            now = self.now
             if now - self._clocked > 0.01 and self.armed:
                 self._clocked = now
                 self._tell(now)
             while (message := self._ground.recv_msg()) is not None:
-                if message.get_type() == "HEARTBEAT" and message.get_srcComponent() == 1:
-                    self.mode, self.armed = message.custom_mode, bool(message.base_mode & ARMED)
-                elif message.get_type() == "PARAM_VALUE":
-                    self._values[message.param_id] = message.param_value
-                elif message.get_type() == "STATUSTEXT" and message.chunk_seq and self.texts:
-                    self.texts[-1] += message.text
-                elif message.get_type() == "STATUSTEXT":
-                    self.texts.append(message.text)
+                self._hear(message)
             while (message := self._own.recv_msg()) is not None:
                 pose = message.get_type() in POSES
-                if pose:
+                if hasattr(message, "time_boot_ms") and pose:
                     self._said, self._steps = 1e-3 * message.time_boot_ms, 0
                 if not self.cut and not (pose and self.lost):
                     self._late.append((now + pose * self.delay, bytes(message.get_msgbuf())))
@@ -232,7 +278,7 @@ def _send(port: Any, data: bytes) -> None:
         return
 
 
-def _bound(port: int) -> socket.socket:
+def bound(port: int) -> socket.socket:
     bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         bound.bind(("127.0.0.1", port))
@@ -243,7 +289,7 @@ def _bound(port: int) -> socket.socket:
 
 
 def _free_port() -> int:
-    with _bound(0) as probe:
+    with bound(0) as probe:
         return int(probe.getsockname()[1])
 
 
@@ -286,8 +332,17 @@ class Landing:
 class Flight:
     """One landing of a seed."""
 
-    def __init__(self, binary: str, seed: int, fault: str, folder: Path, pace: float = 1.0) -> None:
+    def __init__(
+        self,
+        binary: str,
+        seed: int,
+        fault: str,
+        folder: Path,
+        pace: float = 1.0,
+        kind: type[Copter] = Copter,
+    ) -> None:
         self.landing, self._folder, self._pace = Landing(seed, fault), folder, pace
+        self._kind = kind
         self._draw = np.random.default_rng(seed)
         made = Conditions().ground("drone", self._draw)
         assert made is not None
@@ -317,7 +372,7 @@ class Flight:
             self._make = Messages(TYPES, packed)
             clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
             tell = lambda now: clock.publish(Clock(clock=time_message(_stamp(now))))  # noqa: E731
-            made = Copter(self._binary, self._folder, self._heading, tell)
+            made = self._kind(self._binary, self._folder, self._heading, tell)
             self.copter = stack.enter_context(made)
             over = {
                 "pose.source": "odometry",
@@ -346,6 +401,7 @@ class Flight:
         return self._stack.enter_context(NodeProcess(name, self._args, self._env, log))
 
     def _say_keep_out(self, corners: np.ndarray) -> None:
+        corners = corners - self.copter.origin[:2]
         self._forbid.publish(self._make.polygon(_stamp(self.copter.now), corners))
 
     def _tick(self) -> tuple[np.ndarray, float]:
@@ -369,7 +425,7 @@ class Flight:
         if selected is not None:
             at = selected.pose.pose.position
             if not math.isnan(at.x):
-                self._target = np.array([at.x, at.y, at.z])
+                self._target = np.array([at.x, at.y, at.z]) + self.copter.origin
         return place, float(np.linalg.norm(place - before[1])) / span
 
     @property
@@ -386,24 +442,20 @@ class Flight:
             if not copter.armed:
                 if copter.now - asked > 1.0:
                     asked = copter.now
-                    copter.switch(LOITER)
-                    copter.command(ARM_DISARM, 1.0)
+                    copter.start()
             elif not self.nodes:
-                copter.throttle(1900)
-                copter.set("SIM_SPEEDUP", self._pace)  # until here, nothing happens
+                copter.climb()
+                copter.pace(self._pace)  # until here, nothing happens
                 self.nodes = {name: self._start(name) for name in NODES}
                 self._say_keep_out(np.zeros((0, 2)))
             elif place[2] < HEIGHT_M - 1.5:
-                copter.throttle(1900)
+                copter.climb()
             else:
-                copter.throttle(1500)
+                copter.stay()
                 if self.landing.fault == "wind of 8 m/s":
-                    copter.set("SIM_WIND_DIR", self._heading)
-                    copter.set("SIM_WIND_SPD", 8.0)
-                if speed < 0.3 and np.isfinite(self._target).all():
-                    copter.switch(GUIDED)
-                    if copter.mode == GUIDED:
-                        return True
+                    copter.wind(self._heading)
+                if speed < 0.3 and np.isfinite(self._target).all() and copter.hand_over():
+                    return True
         if copter.armed and copter.truth()[1][2] >= HEIGHT_M - 1.5:
             self.landing.outcome = "no target"
         return False
@@ -473,10 +525,10 @@ class Flight:
             self._keep_out = self._target[:2] + 2.0 * square
             self._say_keep_out(self._keep_out)
         elif fault == "GPS 11 m off for 4 s":
-            copter.set("SIM_GPS1_GLTCH_X", 1e-4)
-            self._ends.append((now + 4.0, lambda: copter.set("SIM_GPS1_GLTCH_X", 0.0)))
+            copter.glitch(True)
+            self._ends.append((now + 4.0, lambda: copter.glitch(False)))
         elif fault == "pilot takes over":
-            copter.switch(LOITER)
+            copter.take_back()
 
     def _judge(self, place: np.ndarray) -> None:
         """By the true ground, and by what was forbidden."""
@@ -505,13 +557,13 @@ FAULTS = (
 )
 
 
-def fly(case: tuple[str, int, str, Path | None, float]) -> Landing:
+def fly(case: tuple[str, int, str, Path | None, float, type[Copter]]) -> Landing:
     """One flight, in a folder that is gone afterwards unless one is given."""
-    binary, seed, fault, keep, pace = case
+    binary, seed, fault, keep, pace, kind = case
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) if keep is None else keep / f"{seed}"
         folder.mkdir(parents=True, exist_ok=True)
-        flight = Flight(binary, seed, fault, folder, pace)
+        flight = Flight(binary, seed, fault, folder, pace, kind)
         try:
             return flight.fly()
         except (ProcessError, TimeoutError) as error:  # the other flights go on
@@ -529,7 +581,12 @@ def _recorded(file: Path | None, cases: set[tuple[int, str]]) -> list[Landing]:
     ]
 
 
-def main(args: Sequence[str] | None = None) -> int:
+def main(
+    args: Sequence[str] | None = None,
+    kind: type[Copter] = Copter,
+    variable: str = "ARDUCOPTER",
+    known: Sequence[str] = FAULTS,
+) -> int:
     """Flies, prints a line for each flight, and the table; 1 if one ended as none may."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--landings", type=int, default=200, help="without a fault")
@@ -542,13 +599,13 @@ def main(args: Sequence[str] | None = None) -> int:
     text = "file of flights, a line each: those that are in it are not flown again"
     parser.add_argument("--records", type=Path, help=text)
     given = parser.parse_args(args)
-    binary = os.environ.get("ARDUCOPTER", "")
+    binary = os.environ.get(variable, "")
     if not binary:
-        print(f"nothing flown: ARDUCOPTER names no software-in-the-loop binary; {machine()}")
+        print(f"nothing flown: {variable} names no software-in-the-loop binary; {machine()}")
         return 0
-    faults = [FAULTS[k % len(FAULTS)] for k in range(given.faults)]
+    faults = [known[k % len(known)] for k in range(given.faults)]
     names = [*[""] * given.landings, *faults]
-    how = given.keep, given.pace
+    how = given.keep, given.pace, kind
     cases = [(binary, given.seed + k, name, *how) for k, name in enumerate(names)]
     found = _recorded(given.records, {(seed, name) for _, seed, name, *_ in cases})
     flown = {one.seed for one in found}

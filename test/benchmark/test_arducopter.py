@@ -90,7 +90,7 @@ def test_the_bridge_passes_loses_delays_and_cuts(copter):
 
 def test_a_simulator_that_ends_breaks_off_its_flight_alone(tmp_path):
     binary = shutil.which("true")
-    flown = arducopter.fly((binary, 5, "", tmp_path, 1.0))
+    flown = arducopter.fly((binary, 5, "", tmp_path, 1.0, arducopter.Copter))
     assert flown.outcome == "broken off, the simulator has ended"
 
 

@@ -26,6 +26,7 @@ SMALL = {
     ),
     "prior": ([], ["nothing flown: --terrain names no ground"]),
     "arducopter": ([], ["nothing flown: ARDUCOPTER names no"]),
+    "px4": ([], ["nothing flown: PX4 names no"]),
     "depth": (["--seeds", "9421", "--duration", "2"], ["unsafe called safe", "scan update"]),
     "follow": (
         ["--seeds", "9481", "--length", "80", "--moments", "3"],
@@ -63,7 +64,7 @@ SMALL = {
     "live": (["--seconds", "6", "--kill", "4"], ["By the minute", "scans sent", "lss_node"]),
     "start": (["--starts", "1"], ["first scan mapped", "memory"]),
 }
-NEED_ROS = {"arducopter", "live", "start"}
+NEED_ROS = {"arducopter", "px4", "live", "start"}
 
 
 def test_every_script_is_tried():
