@@ -15,13 +15,11 @@ INTRODUCTION = """\
 
 <!-- From onboard/config/sections.py by: python docs/parameters.py > docs/parameters.md -->
 
-All nodes accept all of them, so one parameter file serves them, and `quadtree-lss replay` as
-well. *Live* ones can be set while a node runs (`ros2 param set`); the others are read-only after
-the start. Lengths are m, and a name that ends in `_deg` is in degrees.
-
-[What follows from `vehicle`](#what-follows-from-the-vehicle) is no parameter: `quadtree-lss config
-explain vehicle` shows each value and rule. Old names (`lss.vehicle_diameter`, `lss.max_roughness`,
-`lss.max_slope_deg`, `lss.pad_radius`) are still read, with a line.
+To look up a parameter. One file serves all nodes and `quadtree-lss replay`. *Live* ones can be set
+while a node runs (`ros2 param set`); the others are read-only after the start. Lengths are m, and a
+name that ends in `_deg` is in degrees. Old names (`lss.vehicle_diameter`, `lss.max_roughness`,
+`lss.max_slope_deg`, `lss.pad_radius`) are still read, with a line. Most lengths need not be set:
+they [follow from `vehicle`](#what-follows-from-the-vehicle).
 """
 
 

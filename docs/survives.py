@@ -2,7 +2,7 @@
 """Writes the table "What survives what" of docs/onboard.md: `python docs/survives.py`.
 
 Its rows are the arguments of `@pytest.mark.survives(EVENT, EFFECT)` on the tests that show them;
-what several tests show of one event stands in one row.
+what several tests show of one event stands in one row. The test's file says under which heading.
 """
 
 import ast
@@ -14,16 +14,29 @@ PAGE = ROOT / "docs" / "onboard.md"
 TABLE = re.compile(r"(?<=<!-- python docs/survives.py -->\n).*?(?=<!-- end -->)", re.DOTALL)
 
 
+THEMES = {  # the first of which the test's file has a word
+    "Scans and poses": "contradiction|follow|mapping|pose|intake|mount|faults",
+    "Ends, restarts and files": "checkpoint|map_files|entry",
+    "Maps, areas and keep-outs at `lss_node`": "landing_inputs|received|start",
+    "Configuration": "",
+}
+
+
 def table():
-    """Of all tests, file by file."""
-    rows = {"Event": ["Effect"], "---": ["---"]}
+    """Of all tests, theme by theme."""
+    themes = {theme: {"Event": ["Effect"], "---": ["---"]} for theme in THEMES}
     for path in sorted(ROOT.glob("test/**/test_*.py")):
+        rows = themes[next(t for t, words in THEMES.items() if re.search(words, path.stem))]
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             for mark in getattr(node, "decorator_list", []):
                 if ast.unparse(mark).startswith("pytest.mark.survives("):
                     event, effect = (ast.literal_eval(text) for text in mark.args)
                     rows.setdefault(event, []).append(effect)
-    return "".join(f"| {event} | {'; '.join(effects)} |\n" for event, effects in rows.items())
+    return "".join(
+        f"\n### {theme}\n\n"
+        + "".join(f"| {event} | {'; '.join(effects)} |\n" for event, effects in rows.items())
+        for theme, rows in themes.items()
+    )
 
 
 if __name__ == "__main__":

@@ -227,9 +227,9 @@ def test_a_point_that_outvotes_a_plane_is_measured_as_by_a_fresh_leaf():
 
 @pytest.mark.survives(
     "something 30 deviations high comes onto mapped ground (a drone's: 0.75 m)",
-    "the first scan that shows it by two returns or more in a leaf makes this seen, not yet "
-    "mapped, and so not safe, until more returns speak for it than for the ground before it; once "
-    "it has gone, the next scan makes the ground known again",
+    "not safe from the first scan that shows it by two returns or more in a leaf: seen, not yet "
+    "mapped, until more returns speak for it than for the ground before. Once it has gone, the "
+    "next scan makes the ground known again",
 )
 def test_what_comes_onto_mapped_ground_is_not_known():
     """A block of 3 m by 3 m, of which a tenth of the scan's returns tell."""

@@ -2,6 +2,7 @@
 """Point clouds without a bag: the same map as of a bag with the same scans and poses."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,6 +70,19 @@ def test_clouds_with_poses_give_the_map_of_the_bag(flight, tmp_path, name):
     assert [r.stamp_ns for r in of_files.timings] == [r.stamp_ns for r in of_bag.timings]
     same(of_files.cells, of_bag.cells)
     assert not of_files.losses
+
+
+@pytest.mark.parametrize(("name", "clouds"), [("cloud{k}", 6), ("{s:.6f}", 6), ("{s:.6f}", 5)])
+def test_names_are_no_nanoseconds_because_poses_begin_at_zero(flight, tmp_path, name, clouds):
+    seen = flight[1]
+    times = [scan.stamp_ns - seen[0].stamp_ns for scan in seen]
+    (tmp_path / "clouds").mkdir()
+    for k, scan in enumerate(seen[:clouds]):
+        file = tmp_path / "clouds" / f"{name.format(k=k, s=1e-9 * times[k])}.npy"
+        np.save(file, scan.points_lidar)
+    poses = [replace(s.pose, stamp_ns=t) for s, t in zip(seen, times, strict=True)]
+    found = replay(tmp_path / "clouds", None, CONFIG, poses=tum(tmp_path / "poses.tum", poses))
+    assert [row.stamp_ns for row in found.timings] == times[:clouds]
 
 
 def test_stamps_of_a_file_and_poses_between(flight, tmp_path):

@@ -108,8 +108,8 @@ def _stamp_in(path):
 
 @pytest.mark.survives(
     "disk full, path not writable",
-    "`problems.checkpoint` counts, one line in five seconds, mapping goes on, written as soon as "
-    "it can be",
+    "mapping goes on; `problems.checkpoint` counts, one line in five seconds, until the checkpoint "
+    "can be written",
 )
 def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
     path, args = keeping(ros)
@@ -168,9 +168,9 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
 @pytest.mark.survives(
     "a scan ends in an error of the program",
     "left out: ERROR in the diagnostics with the reason, the traceback in the log, "
-    "`problems.scan_failed`; the map, which may be half changed by it, is that of the checkpoint "
-    "again, or without one goes on if every figure in it is sound, or begins anew. The next scan "
-    "is mapped",
+    "`problems.scan_failed`. It may have changed half of the map, so that of the checkpoint is "
+    "taken; without one the map goes on if all its figures are sound, or begins anew. The next "
+    "scan is mapped",
 )
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):

@@ -61,9 +61,9 @@ def east(places):
 
 @pytest.mark.survives(
     "`lss_node` killed",
-    "started again, it gets the last map, and latched area, keep-out and target; sites at once if "
-    "both an area and a keep-out are among them (without vertices = no restriction), else 3 s "
-    "after it came, since a publisher may be found late",
+    "started again, it gets the last map and what is latched: area, keep-out, target. Sites come "
+    "at once if both an area and a keep-out are among them (without vertices = no restriction), "
+    "else after 3 s, since a publisher may be found late",
 )
 def test_a_restarted_node_waits_for_the_latched_keep_out(ros, vehicle):
     wait = vehicle.listener.wait_for
@@ -79,7 +79,7 @@ def test_a_restarted_node_waits_for_the_latched_keep_out(ros, vehicle):
         vehicle.send("landing/area", polygon([]))
 
 
-@pytest.mark.survives("`lss_node` killed", "and all keep-outs of the latched set")
+@pytest.mark.survives("`lss_node` killed", "of a latched set it gets all keep-outs")
 def test_a_restarted_node_has_all_keep_outs_of_the_latched_set(ros, vehicle):
     """West, then the east but for its north; the west comes again, smaller, and is removed."""
     wait = vehicle.listener.wait_for

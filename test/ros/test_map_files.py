@@ -137,9 +137,8 @@ def test_what_is_no_file_is_neither_read_nor_replaced_nor_moved(tmp_path):
 
 @pytest.mark.survives(
     "checkpoint that cannot be read",
-    "a line; the one before is taken up, or empty map; it may be a good one, so it is neither "
-    "moved nor replaced, and `problems.checkpoint` counts, until it is removed or `~/reset` is "
-    "called",
+    "a line; the one before is taken up, or an empty map. It may be a good one, so it stays, and "
+    "`problems.checkpoint` counts, until it is removed or `~/reset` is called",
 )
 def test_a_checkpoint_that_cannot_be_read_is_left_alone(tmp_path):
     """``/proc/self/mem`` is a regular file that gives an input/output error, to root as well."""

@@ -46,7 +46,7 @@ def give(received, cells):
     assert received.complete_with("cells", cloud)
 
 
-@pytest.mark.survives("a map that `lss_node` cannot use", "it makes the one before no younger")
+@pytest.mark.survives("a map that `lss_node` cannot use", "the map before it keeps its age")
 def test_a_refused_map_does_not_make_the_one_before_younger(monkeypatch, cells):
     received = ReceivedMap(Problems(Log()), "map", LssConfig, binding=False)
     give(received, cells)
@@ -102,9 +102,8 @@ sys.exit(main())
 
 @pytest.mark.survives(
     "a map that `lss_node` cannot use",
-    "ERROR in the diagnostics with the reason, the sites of the one before hold; the map's age "
-    "runs on, and after 30 s without one that can be used the sites are "
-    "withdrawn",
+    "ERROR in the diagnostics with the reason; the sites hold, and are withdrawn after 30 s "
+    "without a map that can be used",
 )
 def test_sites_are_withdrawn_when_maps_are_refused_for_too_long(ros, cells):
     command = [sys.executable, "-c", IMPATIENT, "--ros-args", "--params-file", str(ros.params)]
@@ -192,7 +191,7 @@ def test_a_pass_that_ends_in_an_error_withholds_its_answer_and_the_node_lives(ro
 
 @pytest.mark.survives(
     "nothing to work with comes (a map, one half of it, scans, poses, a required input)",
-    "of a map it is said which half lacks",
+    "the log says what is waited for, or which half of a map lacks",
 )
 def test_what_a_first_map_lacks(cells):
     received = ReceivedMap(Problems(Log()), "map", LssConfig, binding=False)
@@ -224,8 +223,7 @@ def test_who_waits_says_for_what_ever_less_often(monkeypatch):
 
 @pytest.mark.survives(
     "nothing to work with comes (a map, one half of it, scans, poses, a required input)",
-    "the node says in its log what it waits for, after 5 s and then each time after twice as long; "
-    "WARN in the diagnostics",
+    "after 5 s, and then each time after twice as long; WARN in the diagnostics",
 )
 def test_nodes_that_wait_say_so_in_the_log(ros):
     lss, mapping = ros.start("lss_node"), ros.start("mapping_node")

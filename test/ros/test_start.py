@@ -76,7 +76,7 @@ sys.meta_path.insert(0, Late())
 
 @pytest.mark.survives(
     "nothing to work with comes (a map, one half of it, scans, poses, a required input)",
-    "while it starts, too",
+    "also while the node starts",
 )
 @pytest.mark.parametrize(
     ("name", "module", "what"),

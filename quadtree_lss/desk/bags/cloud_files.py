@@ -129,8 +129,10 @@ def _stamps(path: Path, files: list[Path], table: PoseTable | None) -> list[int]
     if len(set(numbers)) == len(files):
         tries = [[round(n * unit) for n in numbers] for unit in _UNITS_NS]
         inside = [sum(known[0] <= t <= known[-1] for t in times) for times in tries]
-        if max(inside) > 0.5 * len(files):
-            return tries[inside.index(max(inside))]
+        fit = [t for t, n in zip(tries, inside, strict=True) if n == max(inside) > 0.5 * len(files)]
+        # From 0 s on, small numbers are within the poses in any unit, and may be no times at all.
+        if len(fit) == 1 or fit and len(files) != len(known):
+            return fit[-1]
     if len(files) == len(known):
         return known.tolist()
     span = " ... ".join(f"{1e-9 * t:.3f}" for t in (known[0], known[-1]))

@@ -176,7 +176,7 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
         raise DemoError(f"others published {'; '.join(flown.figures['others'])} while it flew")
     print("7. The same for GIS, 3D programs and navigation", flush=True)
     exported = subprocess.run([str(program("quadtree-lss")), "export", str(offline)], check=False)
-    print(f"\nOpen {offline / 'report.html'}: the answer, the map, the ground in 3D")
+    print(f"\nOpen {offline / 'report.html'}: the sites, the map, the ground in 3D")
     print(f"Open {out / 'lander' / 'flight.html'}: the landing")
     if exported.returncode == 0:
         print(f"GeoTIFFs of every layer: {offline / 'exchange'}/*.tif")
