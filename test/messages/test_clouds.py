@@ -125,18 +125,15 @@ def test_zero_points_are_an_empty_scan():
     assert points_from_cloud(msg).shape == (0, 3)
 
 
-def broken(**changes):
+def broken(part=lambda msg: msg, **changes):
+    """A cloud of which a part, or it itself, is otherwise."""
     msg = cloud(np.ones((3, 4, 3)))
-    for name, value in changes.items():
-        setattr(msg, name, value)
+    vars(part(msg)).update(changes)
     return msg
 
 
 def broken_field(**changes):
-    msg = cloud(np.ones((3, 4, 3)))
-    for name, value in changes.items():
-        setattr(msg.fields[1], name, value)
-    return msg
+    return broken(lambda msg: msg.fields[1], **changes)
 
 
 @pytest.mark.parametrize(
