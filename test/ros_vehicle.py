@@ -6,7 +6,6 @@ import dataclasses
 import numpy as np
 from geometry_msgs.msg import PolygonInstanceStamped, PolygonStamped, PoseArray
 from nav_msgs.msg import OccupancyGrid
-from ros.conftest import status_values, told
 from ros_scene import MAKE, START_NS, mapped
 from sensor_msgs.msg import PointCloud2
 
@@ -66,6 +65,10 @@ class Vehicle:
         self.send("map/cells", map_messages(cells, frame)[0])
         return stamp
 
+    def until(self, condition, *args, **how):
+        """As the listener's."""
+        self.listener.until(condition, *args, **how)
+
     def send(self, topic, message):
         self._publishers[topic].publish(message)
 
@@ -82,9 +85,13 @@ class Vehicle:
         last, _, places = self.last()
         return last == stamp and len(places) == 0
 
+    def has(self, key, value):
+        """True if a value of its diagnostics is this."""
+        return self.values().get(key) == str(value)
+
     def values(self):
-        return status_values(self.listener, "lss_node")
+        return self.listener.values("lss_node")
 
     def told(self, level, *words):
         """True if its last status has this level, and all these words in its text."""
-        return told(self.listener, "lss_node", *words, levels=(level,))
+        return self.listener.told("lss_node", (level,), *words)

@@ -64,12 +64,11 @@ def test_the_subscriber_follows_the_target_until_it_is_withdrawn(ros, run):
 
             return condition
 
-        assert listener.wait_for(says(1.0)), log.read_text()
+        listener.until(says(1.0))
         assert "target 1.00 2.00 0.50 m, height known to 0.30 m" in log.read_text()
-        assert listener.wait_for(says(math.nan)), log.read_text()
-        assert listener.wait_for(says(4.0)), log.read_text()
-        assert listener.wait_for(lambda: math.isnan(place())), "a dead lss_node is noticed"
+        listener.until(says(math.nan))
+        listener.until(says(4.0))
+        listener.until(lambda: math.isnan(place()))  # a dead lss_node is noticed
         assert "publishers of landing/selected" not in log.read_text()
         publisher_of_selected(listener)
-        seen = lambda: "2 publishers of landing/selected" in log.read_text()  # noqa: E731
-        assert listener.wait_for(seen), "whose target it is nobody knows"
+        listener.until(lambda: "2 publishers of landing/selected" in log.read_text())

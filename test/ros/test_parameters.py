@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The parameter table on a node."""
 
-from collections.abc import Iterator
-
 import pytest
-import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -17,15 +14,6 @@ pytestmark = pytest.mark.xdist_group("ros")
 
 POSE_QOS = "qos_overrides__/nav/pose__subscription__"
 TOLD_QOS = POSE_QOS.replace("__", ".")
-
-
-@pytest.fixture
-def context(ros) -> Iterator[Context]:
-    """An initialised context in the test's domain."""
-    result = Context()
-    rclpy.init(context=result, domain_id=ros.domain)
-    yield result
-    result.try_shutdown()
 
 
 def make_node(context: Context, **overrides: object) -> Node:
@@ -85,7 +73,7 @@ def test_qos_overrides_of_topics_that_the_node_lacks_are_told(ros):
         " /lidar/points, /nav/pose\n"
     )
     with ros.listen() as listener:
-        assert listener.wait_for(lambda: told in node.output()), node.output()
+        listener.until(lambda: told in node.output())
     assert node.output().count("has no effect") == 1
 
 
