@@ -3,18 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import (
-    ABOVE,
-    configured,
-    flat,
-    look,
-    make_pose,
-    mapped,
-    pose_covariance,
-    scan,
-    scattered,
-    slope,
-)
+from core.builders import configured, look, mapped
+from core.scenes import ABOVE, flat, make_pose, pose_covariance, scan, scattered, slope
 
 from quadtree_lss.onboard.core.mapping.alignment import lift, lower, offset_of
 from quadtree_lss.onboard.core.mapping.departure import Departure

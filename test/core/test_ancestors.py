@@ -5,8 +5,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from core.builders import GROUND, configured, make_pose, mapped, pose_covariance, scan, scattered
+from core.builders import configured, mapped
 from core.kernels import minus
+from core.scenes import GROUND, make_pose, pose_covariance, scan, scattered
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.ancestors import fuse_to_level

@@ -3,16 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import (
-    configured,
-    flat,
-    look,
-    make_pose,
-    pose_covariance,
-    scan,
-    scattered,
-    slope,
-)
+from core.builders import configured, look
+from core.scenes import flat, make_pose, pose_covariance, scan, scattered, slope
 
 from quadtree_lss.onboard.core.geometry.rotations import exp
 from quadtree_lss.onboard.core.mapping.contradiction import AGREEING, DEVIATIONS

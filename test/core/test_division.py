@@ -3,18 +3,9 @@
 
 import numpy as np
 import pytest
-from core.builders import (
-    configured,
-    four_leaves,
-    look,
-    make_pose,
-    mapped,
-    point_covariances,
-    pose_covariance,
-    scan,
-    slope,
-)
+from core.builders import configured, four_leaves, look, mapped, point_covariances
 from core.kernels import division, tangent_basis
+from core.scenes import make_pose, pose_covariance, scan, slope
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, mapped
+from core.builders import configured, mapped
+from core.scenes import flat
 
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import config_from_values

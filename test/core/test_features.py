@@ -3,8 +3,9 @@
 
 import numpy as np
 import pytest
-from core.builders import by, configured, lattice, look, make_pose, mapped, slope
+from core.builders import by, configured, look, mapped
 from core.kernels import features
+from core.scenes import lattice, make_pose, slope
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, peak

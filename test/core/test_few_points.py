@@ -3,21 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import (
-    ABOVE,
-    configured,
-    flat,
-    leaf_at,
-    look,
-    make_pose,
-    mapped,
-    nees,
-    plane_errors,
-    pose_covariance,
-    scan,
-    scattered,
-    slope,
-)
+from core.builders import configured, leaf_at, look, mapped, nees, plane_errors
+from core.scenes import ABOVE, flat, make_pose, pose_covariance, scan, scattered, slope
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 

@@ -5,7 +5,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from core.builders import assert_same, configured, flat, look, make_pose, pose_covariance, scattered
+from core.builders import assert_same, configured, look
+from core.scenes import flat, make_pose, pose_covariance, scattered
 from hypothesis import given
 from hypothesis import strategies as st
 

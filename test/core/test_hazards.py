@@ -6,7 +6,8 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from core.builders import configured, feature_height, flat, mapped, strip
+from core.builders import configured, feature_height, mapped, strip
+from core.scenes import flat
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing import hazards

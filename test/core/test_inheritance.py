@@ -3,21 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import (
-    ABOVE,
-    configured,
-    divide,
-    flat,
-    lattice,
-    leaf_at,
-    look,
-    make_pose,
-    mapped,
-    pose_covariance,
-    scan,
-    scattered,
-    slope,
-)
+from core.builders import configured, divide, leaf_at, look, mapped
+from core.scenes import ABOVE, flat, lattice, make_pose, pose_covariance, scan, scattered, slope
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose

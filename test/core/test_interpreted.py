@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from core.builders import by, configured, make_pose, pose_covariance, scan, scattered
+from core.builders import by, configured
+from core.scenes import make_pose, pose_covariance, scan, scattered
 
 from quadtree_lss import build
 from quadtree_lss.lab.evaluation.consistency import prefit_statistics

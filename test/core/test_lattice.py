@@ -3,7 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import configured, mapped, slope
+from core.builders import configured, mapped
+from core.scenes import slope
 from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.onboard.config.settings import LssConfig

@@ -3,7 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, lattice, make_pose, scan
+from core.builders import configured
+from core.scenes import flat, lattice, make_pose, scan
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.onboard.core.geometry import morton

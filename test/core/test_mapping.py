@@ -5,19 +5,13 @@ import copy
 
 import numpy as np
 import pytest
-from core.builders import (
+from core.builders import METHODS, assert_same, assert_sound, by, configured, look, mapped
+from core.scenes import (
     ABOVE,
     GROUND,
-    METHODS,
-    assert_same,
-    assert_sound,
-    by,
-    configured,
     flat,
     lattice,
-    look,
     make_pose,
-    mapped,
     pose_covariance,
     scan,
     scattered,

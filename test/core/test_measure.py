@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, lattice, look, pose_covariance
+from core.builders import configured, look
 from core.kernels import fit, tangent_basis
+from core.scenes import flat, lattice, pose_covariance
 
 from quadtree_lss.onboard.core.geometry import rotations
 from quadtree_lss.onboard.core.mapping.mapper import Mapper

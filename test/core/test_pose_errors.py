@@ -3,7 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, look, make_pose, pose_covariance, scattered
+from core.builders import configured, look
+from core.scenes import flat, make_pose, pose_covariance, scattered
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.pose_errors import LEAST, PoseErrors, Steps

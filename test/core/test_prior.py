@@ -3,7 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import configured, lattice, leaf_at, look, make_pose, pose_covariance, scattered
+from core.builders import configured, leaf_at, look
+from core.scenes import lattice, make_pose, pose_covariance, scattered
 
 from quadtree_lss.onboard.config.settings import PriorConfig
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector

@@ -5,8 +5,9 @@ import functools
 
 import numpy as np
 import pytest
-from core.builders import by, configured, flat, four_leaves, mapped, scattered
+from core.builders import by, configured, four_leaves, mapped
 from core.kernels import division
+from core.scenes import flat, scattered
 from scipy.stats import norm
 
 from quadtree_lss.onboard.core.geometry import morton

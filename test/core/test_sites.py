@@ -6,7 +6,8 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from core.builders import OWN, configured, elevation, flat, mapped, slope, strip
+from core.builders import OWN, configured, elevation, mapped, strip
+from core.scenes import flat, slope
 
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.polygons import signed_distance

@@ -3,20 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import (
-    EXACT,
-    by,
-    configured,
-    flat,
-    lattice,
-    look,
-    make_pose,
-    mapped,
-    pose_covariance,
-    scan,
-    scattered,
-    slope,
-)
+from core.builders import by, configured, look, mapped
+from core.scenes import EXACT, flat, lattice, make_pose, pose_covariance, scan, scattered, slope
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap

@@ -6,8 +6,9 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from core.builders import flat, mapped
+from core.builders import mapped
 from core.kernels import tangent_basis
+from core.scenes import flat
 from core.test_sites import small
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -6,7 +6,8 @@ import itertools
 
 import numpy as np
 import pytest
-from core.builders import configured, feature_height, mapped, slope, with_lengths
+from core.builders import configured, feature_height, mapped, with_lengths
+from core.scenes import slope
 
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.landing import hazards, touchdown

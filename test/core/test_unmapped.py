@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, mapped, slope, strip
+from core.builders import configured, mapped, strip
+from core.scenes import flat, slope
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry.bounds import bounded, within

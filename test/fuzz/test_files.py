@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from core.builders import assert_sound, make_pose, scan, scattered
+from core.builders import assert_sound
+from core.scenes import make_pose, scan, scattered
 from fuzz.cases import NUMBERS, damaged, one_of
 from fuzz.through import MAKER, judge, sent_and_read
 from replay.recordings import GROUND
