@@ -146,13 +146,8 @@ def random_transform(rng: np.random.Generator, stamp_ns: int) -> SimpleNamespace
     """Body to lidar, with up to two parts spoilt."""
     turn = rng.normal(size=4)
     turn /= np.linalg.norm(turn)
-    place = SimpleNamespace(**dict(zip("xyz", rng.normal(size=3).tolist(), strict=True)))
-    quaternion = SimpleNamespace(**dict(zip("xyzw", turn.tolist(), strict=True)))
-    transform = SimpleNamespace(
-        header=samples.header(stamp_ns, "body"),
-        child_frame_id="lidar",
-        transform=SimpleNamespace(translation=place, rotation=quaternion),
-    )
+    transform = samples.transform(stamp_ns, rng.normal(size=3).tolist(), turn.tolist())
+    place, quaternion = transform.transform.translation, transform.transform.rotation
     for _ in range(rng.integers(0, 3)):
         which = rng.integers(5)
         if which == 0:

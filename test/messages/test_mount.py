@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from messages import samples
 from messages.samples import cloud, pose
 
 from quadtree_lss.onboard.config.settings import ConfigError, MountConfig, config_from_values
@@ -20,18 +21,9 @@ def scan(stamp_ms):
     return cloud(np.ones((3, 3)), stamp_ns=stamp_ms * MS)
 
 
-def transform(stamp_ms, translation, rotation):
-    x, y, z = translation
-    qx, qy, qz, qw = quaternion_from_rotation(rotation)
-    stamp = SimpleNamespace(sec=stamp_ms // 1000, nanosec=stamp_ms % 1000 * MS)
-    return SimpleNamespace(
-        header=SimpleNamespace(stamp=stamp, frame_id="body"),
-        child_frame_id="lidar",
-        transform=SimpleNamespace(
-            translation=SimpleNamespace(x=x, y=y, z=z),
-            rotation=SimpleNamespace(x=qx, y=qy, z=qz, w=qw),
-        ),
-    )
+def transform(stamp_ms, translation, rotation, *frames):
+    turn = quaternion_from_rotation(rotation)
+    return samples.transform(stamp_ms * MS, translation, turn, *frames)
 
 
 def test_without_parameters_poses_are_the_lidars():
@@ -149,11 +141,7 @@ def tf_intake(**more):
 
 def chain(*links):
     """Static transforms, each (parent, child, translation, rotation)."""
-    items = []
-    for parent, child, translation, rotation in links:
-        item = transform(0, translation, rotation)
-        item.header.frame_id, item.child_frame_id = parent, child
-        items.append(item)
+    items = [transform(0, *turned, parent, child) for parent, child, *turned in links]
     return SimpleNamespace(transforms=items)
 
 

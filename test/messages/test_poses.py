@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses: what is mended, what is refused."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from messages.samples import header, pose
+from messages.samples import pose, transform
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.onboard.messages.clouds import MessageError
@@ -130,12 +128,7 @@ def test_the_covariance_cannot_be_changed_by_accident():
 
 def test_mount_is_the_lidar_in_body_axes():
     rotation = Rotation.from_rotvec([0.1, -0.2, 0.3])
-    x, y, z, w = rotation.as_quat()
-    transform = SimpleNamespace(
-        translation=SimpleNamespace(x=1.0, y=2.0, z=3.0),
-        rotation=SimpleNamespace(x=x, y=y, z=z, w=w),
-    )
-    mount = mount_from_message(SimpleNamespace(header=header(7, "body"), transform=transform))
+    mount = mount_from_message(transform(7, (1.0, 2.0, 3.0), rotation.as_quat()))
     assert mount.stamp_ns == 7
     np.testing.assert_array_equal(mount.position, [1.0, 2.0, 3.0])
     np.testing.assert_allclose(mount.rotation_map_lidar, rotation.as_matrix(), atol=1e-15)
