@@ -6,10 +6,9 @@ import dataclasses
 import numpy as np
 from geometry_msgs.msg import PolygonInstanceStamped, PolygonStamped, PoseArray
 from nav_msgs.msg import OccupancyGrid
-from ros_scene import MAKE, START_NS, mapped
+from ros_scene import MAKE, START_NS
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.nodes.qos import latched
 from quadtree_lss.onboard.nodes.ros_messages import map_messages
@@ -24,12 +23,6 @@ def polygon(corners, frame="map", number=None):
 
 def point(x, y):
     return MAKE.point(1, (x, y, 0.0))
-
-
-def flat_map():
-    """A map that has room for sites everywhere."""
-    domain = {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}
-    return mapped(load_config(overrides={"domain": domain}), 2).snapshot()
 
 
 class Vehicle:

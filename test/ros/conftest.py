@@ -22,11 +22,13 @@ else:
     from rclpy.context import Context
     from rclpy.node import Node
     from rclpy.parameter import Parameter
-    from ros_scene import Ears, Sensors
+    from ros_scene import Ears, Sensors, mapped
     from std_srvs.srv import Trigger
 
+    from quadtree_lss.desk.replay.configuration import load_config
     from quadtree_lss.lab.live.listener import TOPICS, Listener
     from quadtree_lss.lab.live.processes import NodeProcess, local_domain
+    from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 PARAMETERS = """\
 /**:
@@ -108,6 +110,13 @@ def ros(tmp_path: Path) -> Iterator[Ros]:
     """See `Ros`."""
     with ExitStack() as stack:
         yield Ros(tmp_path, stack)
+
+
+@pytest.fixture(scope="session")
+def cells() -> CellMap:
+    """A map that has room for sites everywhere."""
+    domain = {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}
+    return mapped(load_config(overrides={"domain": domain}), 2).snapshot()
 
 
 @pytest.fixture

@@ -6,10 +6,9 @@ import shutil
 import signal
 
 import pytest
+from ros.test_map_files import small
 from ros_scene import ERROR, WARN
 
-from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.nodes.files import MapFileError
 from quadtree_lss.onboard.nodes.map_files import load
 
@@ -34,7 +33,6 @@ def update(self, *scan):
 mapper.Mapper.update = update
 """
 """Three scans are mapped, and the fourth ends in an error after it has spoilt the map."""
-SMALL = {"domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}}
 
 
 def keeping(ros):
@@ -67,8 +65,7 @@ def test_killed_mapping_node_takes_up_its_checkpoint(ros):
         listener.until_stamped(last, "map/cells")
         assert bytes(listener.newest["map/cells"].data) == before
         assert "taken up" in again.output()
-        later = _publish_until_mapped(listener, sensors, 1)
-        assert later, again.output()
+        assert _publish_until_mapped(listener, sensors), again.output()
         assert ros.call(listener, "/mapping_node/reset").success
         assert not path.exists(), "a reset forgets the checkpoint, too"
         last = sensors.map(SCANS, offset_ns=100 * TEN_SECONDS_NS)
@@ -76,21 +73,18 @@ def test_killed_mapping_node_takes_up_its_checkpoint(ros):
     assert _stamp_in(path) == last, "a clean end leaves the last state"
 
 
-def _publish_until_mapped(listener, sensors, first, topic="map/cells"):
-    """Sends scans, from ``first`` times ten seconds on, until one is in; its stamp or None.
-
-    That a killed node's successor has subscribed cannot be seen by number of subscribers: the
-    killed one counts until its lease ends.
-    """
-    for k in range(first, first + 30):
+def _publish_until_mapped(listener, sensors):
+    """Sends scans until one is in: that a killed node's successor has subscribed cannot be seen by
+    the number of subscribers, for the killed one counts until its lease ends."""
+    for k in range(1, 31):
         last = sensors.publish(SCANS, offset_ns=k * TEN_SECONDS_NS)
-        if listener.wait_for(lambda last=last: listener.stamp(topic) == last, timeout=1.0):
-            return last
-    return None
+        if listener.wait_for(lambda last=last: listener.stamp("map/cells") == last, timeout=1.0):
+            return True
+    return False
 
 
 def _stamp_in(path):
-    mapper = Mapper(load_config(overrides=SMALL))
+    mapper = small()
     try:
         load(path, mapper)
     except MapFileError:
@@ -141,8 +135,7 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
     """However lately another one was told."""
     folder = ros.folder / "disk"
     folder.mkdir()
-    args = ("-p", f"checkpoint.path:={folder / 'a.map'}")
-    mapping = ros.start("mapping_node", *args)
+    mapping = ros.start("mapping_node", "-p", f"checkpoint.path:={folder / 'a.map'}")
     with ros.sensors() as (listener, sensors):
         sensors.publish(SCANS)
         listener.until((folder / "a.map").exists)
@@ -150,8 +143,8 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
         sensors.publish(SCANS, offset_ns=TEN_SECONDS_NS)
         listener.until(listener.at_least, "problems.checkpoint", 1)
     assert mapping.stop() == 0
-    assert "is lost" in mapping.output().splitlines()[-1]
-    assert "[ERROR]" in mapping.output().splitlines()[-1]
+    last = mapping.output().splitlines()[-1]
+    assert "is lost" in last and "[ERROR]" in last
 
 
 @pytest.mark.survives(

@@ -2,12 +2,7 @@
 """What goes wrong on a vehicle: nodes count it, say so, keep the map and go on."""
 
 import pytest
-from geometry_msgs.msg import (
-    PointStamped,
-    PolygonInstanceStamped,
-    PolygonStamped,
-    PoseWithCovarianceStamped,
-)
+from geometry_msgs import msg
 from nav_msgs.msg import OccupancyGrid
 from ros_scene import WARN, Sensors, pose
 from sensor_msgs.msg import PointCloud2
@@ -106,14 +101,14 @@ def test_scans_of_which_nothing_enters_the_map_are_told_with_the_reason(flight):
 #: Topics, kinds of message of which an empty one cannot be used, who counts it, and as what.
 UNUSABLE = (
     ("lidar/points", PointCloud2, "mapping_node", "cloud_empty"),
-    ("nav/pose", PoseWithCovarianceStamped, "mapping_node", "pose_frame"),
-    ("landing/area", PolygonStamped, "mapping_node", "area_frame"),
-    ("landing/area", PolygonStamped, "lss_node", "area_frame"),
-    ("landing/keep_out", PolygonStamped, "lss_node", "keep_out_frame"),
-    ("landing/keep_outs", PolygonInstanceStamped, "lss_node", "keep_outs_frame"),
-    ("landing/target", PointStamped, "lss_node", "target_frame"),
-    ("landing/dispersion", PoseWithCovarianceStamped, "lss_node", "dispersion_frame"),
-    ("map/prior", PoseWithCovarianceStamped, "lss_node", "prior_frame"),
+    ("nav/pose", msg.PoseWithCovarianceStamped, "mapping_node", "pose_frame"),
+    ("landing/area", msg.PolygonStamped, "mapping_node", "area_frame"),
+    ("landing/area", msg.PolygonStamped, "lss_node", "area_frame"),
+    ("landing/keep_out", msg.PolygonStamped, "lss_node", "keep_out_frame"),
+    ("landing/keep_outs", msg.PolygonInstanceStamped, "lss_node", "keep_outs_frame"),
+    ("landing/target", msg.PointStamped, "lss_node", "target_frame"),
+    ("landing/dispersion", msg.PoseWithCovarianceStamped, "lss_node", "dispersion_frame"),
+    ("map/prior", msg.PoseWithCovarianceStamped, "lss_node", "prior_frame"),
     ("map/cells", PointCloud2, "lss_node", "map.frame"),
 )
 

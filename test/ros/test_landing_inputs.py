@@ -9,7 +9,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from ros_scene import MAKE
-from ros_vehicle import Vehicle, flat_map, point, polygon
+from ros_vehicle import Vehicle, point, polygon
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.messages.clouds import MessageError
@@ -37,12 +37,6 @@ def dispersion(var_x, var_y, heading=0.0, heading_variance=0.0):
     turn = (0.0, 0.0, np.sin(0.5 * heading), np.cos(0.5 * heading))
     covariance = np.diag([var_x, var_y, 0.0, 0.0, 0.0, heading_variance])
     return MAKE.pose(1, np.zeros(3), turn, covariance)
-
-
-@pytest.fixture(scope="module")
-def cells():
-    """A map that has room for sites everywhere."""
-    return flat_map()
 
 
 @pytest.fixture
@@ -167,13 +161,9 @@ def test_halves_of_two_maps_are_not_joined(ros, vehicle):
     stamp = vehicle.send_map(0)
     vehicle.until(vehicle.sites_of, stamp, anywhere)
     received, said = int(vehicle.values().get("map.received", 1)), len(vehicle.said)
-    _, grid = map_messages(
-        dataclasses.replace(
-            vehicle.cells, stamp_ns=stamp, observed=np.zeros_like(vehicle.cells.observed)
-        ),
-        "map",
-    )
-    vehicle.send("map/observed", grid)
+    nothing = np.zeros_like(vehicle.cells.observed)
+    other = dataclasses.replace(vehicle.cells, stamp_ns=stamp, observed=nothing)
+    vehicle.send("map/observed", map_messages(other, "map")[1])
     stamp = vehicle.send_map(0, "odom", observed_frame="map")
     vehicle.until(vehicle.has, "problems.map.frame", 1)
     values = vehicle.values()

@@ -13,6 +13,8 @@ pytestmark = pytest.mark.xdist_group("ros")
 
 
 POSE_QOS = "qos_overrides__/nav/pose__subscription__"
+#: Whoever might set these could overwrite, or have read, any file that the node may.
+WRITTEN = ("map_file.path", "checkpoint.path", "prior.file")
 TOLD_QOS = POSE_QOS.replace("__", ".")
 
 
@@ -119,12 +121,12 @@ def test_live_parameters_change_and_others_do_not(context):
     (done,) = node.set_parameters([Parameter("lss.margin", value=1.5)])
     assert done.successful
     assert held.config.lss.margin == 1.5 and seen == [held.config]
-    for name, value in (
-        ("domain.size", 10.0),
-        ("lss.margin", -1.0),
-        ("lss.margin", "wide"),
-        ("map_file.path", "/"),
+    for name, value, why in (
+        ("domain.size", 10.0, "read-only"),
+        ("lss.margin", -1.0, "lss.margin"),
+        ("lss.margin", "wide", "type"),
+        *((name, "elsewhere", "read-only") for name in WRITTEN),
     ):
         (done,) = node.set_parameters([Parameter(name, value=value)])
-        assert not done.successful and done.reason
+        assert not done.successful and why in done.reason
     assert held.config.lss.margin == 1.5 and len(seen) == 1

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from ros_vehicle import Vehicle, flat_map
+from ros_vehicle import Vehicle
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.nodes import diagnostics, entry, received_map
@@ -21,9 +21,9 @@ pytestmark = pytest.mark.xdist_group("ros_landing")
 LOG = SimpleNamespace(warning=print)
 
 
-@pytest.fixture(scope="module")
-def cells():
-    return flat_map()
+@pytest.fixture
+def received():
+    return ReceivedMap(Problems(LOG), "map", LssConfig, binding=False)
 
 
 def broken(cells):
@@ -40,8 +40,7 @@ def give(received, cells):
 
 
 @pytest.mark.survives("a map that `lss_node` cannot use", "it makes the one before no younger")
-def test_a_refused_map_does_not_make_the_one_before_younger(monkeypatch, cells):
-    received = ReceivedMap(Problems(LOG), "map", LssConfig, binding=False)
+def test_a_refused_map_does_not_make_the_one_before_younger(monkeypatch, received, cells):
     give(received, cells)
     received.take()
     first, age = received.cells, received.arrivals.age()
@@ -71,10 +70,9 @@ def test_a_map_refused_for_how_landing_is_judged_is_used_once_it_is_judged_other
     assert received.cells is not None and not received.refused
 
 
-def test_age_counts_from_when_a_map_came_not_from_when_it_was_decoded(cells, monkeypatch):
+def test_age_counts_from_when_it_came_not_from_when_it_was_decoded(monkeypatch, received, cells):
     clock = SimpleNamespace(monotonic=lambda: clock.now, now=100.0)
     monkeypatch.setattr(diagnostics, "time", clock)
-    received = ReceivedMap(Problems(LOG), "map", LssConfig, binding=False)
     give(received, cells)
     give(received, cells)
     clock.now += 5.0
@@ -164,15 +162,13 @@ def test_a_pass_that_ends_in_an_error_withholds_its_answer_and_the_node_lives(ro
     "nothing to work with comes (a map, one half of it, scans, poses, a required input)",
     "of a map it is said which half lacks",
 )
-def test_what_a_first_map_lacks(cells):
-    received = ReceivedMap(Problems(LOG), "map", LssConfig, binding=False)
+def test_what_a_first_map_lacks(received, cells):
     cloud, grid = map_messages(cells, "map")
     assert "nothing came" in received.lacks()
     received.complete_with("cells", cloud)
     assert "map/cells came, the other half" in received.lacks()
-    received.complete_with(
-        "observed", map_messages(dataclasses.replace(cells, stamp_ns=1), "map")[1]
-    )
+    later = dataclasses.replace(cells, stamp_ns=1)
+    received.complete_with("observed", map_messages(later, "map")[1])
     assert "both halves of one stamp did not" in received.lacks()
     received.complete_with("observed", grid)
     received.take()

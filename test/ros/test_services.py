@@ -19,11 +19,6 @@ pytestmark = pytest.mark.xdist_group("ros_services")
 SCANS = 4
 
 
-def cells_of(listener):
-    """Bytes of the newest map."""
-    return bytes(listener.newest["map/cells"].data)
-
-
 def site_places(listener):
     """Ranked sites (K, 2)."""
     poses = listener.newest["landing/sites"].poses
@@ -39,7 +34,7 @@ def test_reset_save_and_load(ros):
         missing = call("/mapping_node/load_map")
         assert not missing.success and str(path) in missing.message
         last = sensors.map(SCANS, "landing/sites")
-        before = cells_of(listener)
+        before = bytes(listener.newest["map/cells"].data)
         assert len(site_places(listener)) > 0
         saved = call("/mapping_node/save_map")
         assert saved.success and str(path) in saved.message
@@ -54,7 +49,7 @@ def test_reset_save_and_load(ros):
 
         assert call("/mapping_node/load_map").success
         listener.until_stamped(last, "map/cells")
-        assert cells_of(listener) == before
+        assert bytes(listener.newest["map/cells"].data) == before
         listener.until_stamped(last, "landing/sites")
 
         path.write_bytes(path.read_bytes()[:-100])
@@ -79,18 +74,6 @@ def test_services_without_a_path_or_a_folder_say_so(ros):
     nowhere.check()
 
 
-def test_no_peer_can_say_where_a_node_writes(ros):
-    """Whoever may set parameters could overwrite any file that the node may."""
-    mapping = ros.start("mapping_node", "-p", f"map_file.path:={ros.folder}/a.map")
-    with ros.listen() as listener:
-        for name in ("map_file.path", "checkpoint.path", "prior.file"):
-            answer = ros.set(listener, "mapping_node", name, str(ros.folder / "elsewhere"))
-            assert not answer.successful and "read-only" in answer.reason
-        assert not ros.set(listener, "mapping_node", "domain.size", 50.0).successful
-        assert ros.call(listener, "/mapping_node/save_map").success, mapping.output()
-    assert not (ros.folder / "elsewhere").exists()
-
-
 def test_live_parameters_area_keep_out_and_target_move_the_sites(ros):
     ros.start("mapping_node"), ros.start("lss_node")
     with ros.sensors() as (listener, sensors):
@@ -103,13 +86,8 @@ def test_live_parameters_area_keep_out_and_target_move_the_sites(ros):
         assert len(free)
 
         ask = functools.partial(ros.set, listener, "lss_node")
-        for name, value, why in (
-            ("domain.size", 64.0, "read-only"),
-            ("lss.margin", -1.0, "lss.margin"),
-            ("lss.marign", 1.0, "did you mean 'lss.margin'"),
-        ):
-            refused = ask(name, value)
-            assert not refused.successful and why in refused.reason, refused
+        refused = ask("lss.marign", 1.0)
+        assert not refused.successful and "did you mean 'lss.margin'" in refused.reason, refused
         assert ask("lss.margin", 12).successful, "a whole number will do"
         listener.until(lambda: not len(site_places(listener)))
         assert ask("lss.margin", 0.0).successful

@@ -12,7 +12,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile
 from ros_scene import MAKE
-from ros_vehicle import Vehicle, flat_map, polygon
+from ros_vehicle import Vehicle, polygon
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.core.landing.target import WAIT_S, Reason, State
@@ -27,8 +27,8 @@ pytestmark = pytest.mark.xdist_group("ros_target")
 class Pilot(Vehicle):
     """Hears the target, too, each change of it once: place, and what the status says."""
 
-    def __init__(self, listener):
-        super().__init__(listener, flat_map())
+    def __init__(self, listener, cells):
+        super().__init__(listener, cells)
         self.targets, self.answers, self.tables = [], [], []
         for kind, topic, keep in (
             (PoseWithCovarianceStamped, "landing/selected", self.targets),
@@ -37,6 +37,11 @@ class Pilot(Vehicle):
         ):
             profile = QoSProfile(depth=50, durability=latched().durability)
             listener.node.create_subscription(kind, topic, keep.append, profile)
+
+    def sees_the_east_alone(self):
+        observed = self.cells.observed.copy()
+        observed[:, : 2 * observed.shape[1] // 5] = False
+        self.cells = dataclasses.replace(self.cells, observed=observed)
 
     def status(self):
         """The last record of the status."""
@@ -59,9 +64,9 @@ class Pilot(Vehicle):
 
 
 @pytest.fixture
-def pilot(ros):
+def pilot(ros, cells):
     with ros.listen({}) as listener:
-        yield Pilot(listener)
+        yield Pilot(listener, cells)
 
 
 def test_the_target_is_withdrawn_with_its_reason_and_replaced(ros, pilot):
@@ -94,12 +99,9 @@ def test_the_target_is_withdrawn_with_its_reason_and_replaced(ros, pilot):
 
 def test_a_vehicle_that_is_low_is_committed_by_its_poses(ros, pilot):
     """A map that stays the same: without the poses the target would only hold."""
-    navigation = pilot.listener.node.create_publisher(
-        PoseWithCovarianceStamped, "nav/pose", stream(5, reliable=True)
-    )
-    observed = pilot.cells.observed.copy()
-    observed[:, : 2 * observed.shape[1] // 5] = False
-    pilot.cells = dataclasses.replace(pilot.cells, observed=observed)
+    profile, make = stream(5, reliable=True), pilot.listener.node.create_publisher
+    navigation = make(PoseWithCovarianceStamped, "nav/pose", profile)
+    pilot.sees_the_east_alone()
     ros.start("lss_node", "-p", "lss.settle_time:=9.0")
     pilot.send_map(0)
 
@@ -137,9 +139,7 @@ def test_a_released_target_is_chosen_anew(ros, pilot):
 
 def test_land_now_gives_a_place_before_anything_is_settled(ros, pilot):
     ros.start("lss_node", "-p", "lss.settle_time:=900.0")
-    observed = pilot.cells.observed.copy()
-    observed[:, : 2 * observed.shape[1] // 5] = False
-    pilot.cells = dataclasses.replace(pilot.cells, observed=observed)
+    pilot.sees_the_east_alone()
     pilot.send_map(0)
     pilot.until(lambda: pilot.status() is not None)
     assert pilot.status()["state"] == State.SETTLING
@@ -165,18 +165,13 @@ def test_land_now_waits_for_the_first_map(ros, pilot):
 
 
 def test_a_dead_node_is_missed_by_the_middleware_and_a_silent_one_is_not(ros, pilot):
-    missed, alive = [], []
+    missed, alive, heard = [], [], []
     callbacks = SubscriptionEventCallbacks(
         deadline=missed.append, liveliness=lambda event: alive.append(event.alive_count)
     )
-    heard = []
-    pilot.listener.node.create_subscription(
-        PoseWithCovarianceStamped,
-        "landing/selected",
-        heard.append,
-        target(),
-        event_callbacks=callbacks,
-    )
+    how = {"qos_profile": target(), "event_callbacks": callbacks}
+    hear = pilot.listener.node.create_subscription
+    hear(PoseWithCovarianceStamped, "landing/selected", heard.append, **how)
     lss = ros.start("lss_node")
     pilot.send_map(0)
     pilot.until(lambda: heard and pilot.has_target())
