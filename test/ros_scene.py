@@ -160,10 +160,8 @@ class Sensors:
 
     def matched(self) -> Sensors:
         """The same, once the mapping node is there."""
-        publishers = (self.scans, self.poses)
-        self._listener.until(
-            lambda: all(p.get_subscription_count() for p in publishers), timeout=30.0
-        )
+        for publisher in (self.scans, self.poses):
+            self._listener.until(publisher.get_subscription_count, timeout=30.0)
         time.sleep(0.5)  # the subscriber's side of the match
         return self
 

@@ -35,6 +35,8 @@ Array = np.ndarray
 #: All that ``mapping.paper`` may be.
 METHODS = ("none", "fit", "covariance", "division", "all")
 
+#: Landing by the probability that the lander fails.
+BY_RISK = {"assessment": "probability", "ranking": "probability"}
 #: Lengths that tests set for themselves.
 OWN = ("hazard_growth", "min_separation", "outlier_gate")
 
@@ -42,12 +44,8 @@ OWN = ("hazard_growth", "min_separation", "outlier_gate")
 def disturbed(pose: Pose, rng: np.random.Generator) -> Pose:
     """The true pose, drawn around an estimate: an error about fixed map axes."""
     error = rng.multivariate_normal(np.zeros(6), pose.covariance)
-    return Pose(
-        pose.stamp_ns,
-        pose.position + error[:3],
-        rotations.exp(error[3:]) @ pose.rotation_map_lidar,
-        pose.covariance,
-    )
+    turned = rotations.exp(error[3:]) @ pose.rotation_map_lidar
+    return Pose(pose.stamp_ns, pose.position + error[:3], turned, pose.covariance)
 
 
 def look(
@@ -84,8 +82,11 @@ def with_lengths(config: Config, **own: float) -> Config:
     return dataclasses.replace(config, vehicle=vehicle)
 
 
-def configured(**sections: dict[str, object]) -> Config:
-    """A configuration on a small domain; ``sections`` are laid over it, lengths of a vehicle too.
+def configured(
+    levels: tuple[int, int] = (2, 6), noise: float | None = None, **sections: dict[str, object]
+) -> Config:
+    """A configuration on a small domain of these levels, of range noise if given; ``sections`` are
+    laid over it, lengths of a vehicle too.
 
     Landing is judged by the touchdown check and ranked by the score: hard limits, which can be
     worked out by hand.
@@ -94,8 +95,9 @@ def configured(**sections: dict[str, object]) -> Config:
         "domain.xmin": 0.0,
         "domain.ymin": 0.0,
         "domain.size": 16.0,
-        "domain.min_level": 2,
-        "domain.max_level": 6,
+        "domain.min_level": levels[0],
+        "domain.max_level": levels[1],
+        **({} if noise is None else {"lidar.range_noise": noise}),
         "lss.assessment": "touchdown",
         "lss.ranking": "score",
     }
@@ -192,9 +194,8 @@ def point_covariances(points_map: Array, pose: Pose, range_noise: float) -> Arra
     J = [I, -[r - m]_x].
     """
     arm = points_map - pose.position
-    jacobian = np.concatenate(
-        [np.broadcast_to(np.eye(3), (len(arm), 3, 3)), -rotations.skew(arm)], axis=-1
-    )
+    moved = np.broadcast_to(np.eye(3), (len(arm), 3, 3))
+    jacobian = np.concatenate([moved, -rotations.skew(arm)], axis=-1)
     ray = arm / np.linalg.norm(arm, axis=-1, keepdims=True)
     along = range_noise**2 * ray[:, :, None] * ray[:, None, :]
     out: Array = jacobian @ pose.covariance @ jacobian.transpose(0, 2, 1) + along
@@ -210,9 +211,8 @@ def unit_vectors(rng: np.random.Generator, count: int) -> Array:
 def upward_normals(rng: np.random.Generator, count: int, steepest: float = 0.6) -> Array:
     """Normals (count, 3) that lean by up to ``steepest`` rad."""
     angle, heading = steepest * rng.random(count), 2.0 * np.pi * rng.random(count)
-    return np.stack(
-        [np.sin(angle) * np.cos(heading), np.sin(angle) * np.sin(heading), np.cos(angle)], axis=1
-    )
+    x, y = np.sin(angle) * (np.cos(heading), np.sin(heading))
+    return np.stack([x, y, np.cos(angle)], axis=1)
 
 
 def random_covariances(rng: np.random.Generator, count: int, size: int, scale: float) -> Array:

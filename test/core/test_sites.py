@@ -32,7 +32,7 @@ def small(**lss: object) -> Config:
     values = {"min_separation": 2.0, "grid_spacing": 0.5, "max_gap": 0.6, **lss}
     names = {"diameter", "clearance", "max_slope_deg", *OWN} & values.keys()
     lander = {"diameter": 2.0 * RADIUS, **{name: values.pop(name) for name in names}}
-    return configured(domain=SMALL, lidar={"range_noise": 0.02}, vehicle=lander, lss=values)
+    return configured(domain=SMALL, noise=0.02, vehicle=lander, lss=values)
 
 
 def obstacles(x, y):
@@ -244,11 +244,8 @@ def test_roughness_is_a_height_whatever_the_leafs_size():
     """Eq. 55's volume over the leaf's area: the same ground is as rough in large leaves."""
     found = []
     for level in (2, 4):
-        config = configured(
-            domain={"min_level": level, "max_level": level},
-            lidar={"range_noise": 0.02},
-            vehicle={"diameter": 1.9, "clearance": 1.9, "max_slope_deg": 88.0},
-        )
+        lander = {"diameter": 1.9, "clearance": 1.9, "max_slope_deg": 88.0}
+        config = configured(levels=(level, level), noise=0.02, vehicle=lander)
 
         def ground(x, y):
             return 0.2 * np.sin(9.0 * x) * np.sin(9.0 * y)
@@ -297,9 +294,7 @@ def test_a_rock_is_kept_clear_of_and_ground_well_away_is_free(assessment):
 
     found = assess(mapped(config, ground, density=200.0).snapshot(), config)
     x, y = np.meshgrid(found.x, found.y)
-    edge = np.hypot(
-        np.maximum(np.abs(x - 8.25) - 0.5, 0.0), np.maximum(np.abs(y - 8.25) - 0.5, 0.0)
-    )
+    edge = np.hypot(*(np.maximum(np.abs(at - 8.25) - 0.5, 0.0) for at in (x, y)))
     # Wholly under the lander, or under a pad at some heading.
     assert not found.safe[edge <= 1.45 - 0.5].any()
     inside = to_edge(x, y) > 1.45
@@ -325,11 +320,8 @@ def test_a_slope_of_twelve_degrees_is_no_landing_ground(assessment):
 @pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 def test_unseen_ground_is_never_landable(assessment):
     """A strip of five cells of 0.25 m leaves its middle unseen, one of four is bridged."""
-    config = configured(
-        domain={"min_level": 6, "max_level": 6},
-        vehicle={"diameter": 1.9},
-        lss={"assessment": assessment, "grid_spacing": 0.25, "max_gap": 0.6, "max_risk": 0.01},
-    )
+    lss = {"assessment": assessment, "grid_spacing": 0.25, "max_gap": 0.6, "max_risk": 0.01}
+    config = configured(levels=(6, 6), vehicle={"diameter": 1.9}, lss=lss)
     bridged, broken = (assess(strip(columns), config) for columns in (4, 5))
     assert not (bridged.hazard & hazards.UNSEEN).any()
     seam = broken.hazard & hazards.UNSEEN > 0
@@ -421,9 +413,7 @@ def assert_empty_but_explained(found: LandingAssessment) -> None:
 @pytest.mark.parametrize("level", [0, 1])
 @pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 def test_maps_of_one_or_four_cells_are_assessed(level, assessment):
-    config = with_lss(
-        configured(domain={"min_level": level, "max_level": level}), assessment=assessment
-    )
+    config = with_lss(configured(levels=(level, level)), assessment=assessment)
     found = assess(mapped(config, flat(), density=10.0).snapshot(), config)
     assert found.score.shape == (33, 33)
     assert found.explanation

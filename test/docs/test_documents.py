@@ -51,10 +51,13 @@ def flight(tmp_path_factory):
     return folder
 
 
-def environment():
-    """The programs of this python, and nothing that depends on the terminal."""
+def ran(folder, *command):
+    """What a command says that ends well, with the programs of this python."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
-    return {**os.environ, "PATH": path}
+    how = {"cwd": folder, "env": {**os.environ, "PATH": path}, "capture_output": True}
+    done = subprocess.run(command, text=True, **how)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 @pytest.mark.parametrize(("needs_flight", "code"), blocks("shell"))
@@ -65,10 +68,7 @@ def test_commands_run_as_written(needs_flight, code, flight, tmp_path):
     command = f"{sys.executable} -m quadtree_lss.cli"
     script = "set -e\n" + "".join(code)
     script = re.sub(r"^quadtree-lss ", f"{command} ", script, flags=re.MULTILINE)
-    done = subprocess.run(
-        ["bash", "-c", script], cwd=tmp_path, env=environment(), capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
+    ran(tmp_path, "bash", "-c", script)
 
 
 class LevelBody(OdometryRecorder):
@@ -92,11 +92,7 @@ def test_the_drone_of_the_tutorial_is_checked_and_its_hover_is_replayed(tmp_path
         script = script.replace("$(ros2 pkg prefix --share quadtree_lss)", str(ROOT))
         script = script.replace("ros2 run quadtree_lss ", "")
         script = script.replace("quadtree-lss ", f"{sys.executable} -m quadtree_lss.cli ")
-        done = subprocess.run(
-            ["bash", "-ec", script], cwd=tmp_path, env=environment(), capture_output=True, text=True
-        )
-        assert done.returncode == 0, done.stderr
-        return done.stdout
+        return ran(tmp_path, "bash", "-ec", script)
 
     run(copied)
     file = tmp_path / "drone.yaml"
@@ -113,11 +109,7 @@ def test_python_runs_as_written(needs_flight, code, flight, tmp_path):
     if needs_flight:
         shutil.copytree(flight, tmp_path / "flight")
     for text in code:
-        done = subprocess.run(
-            [sys.executable, "-c", text], cwd=tmp_path, capture_output=True, text=True
-        )
-        assert done.returncode == 0, done.stderr
-        assert done.stdout
+        assert ran(tmp_path, sys.executable, "-c", text)
 
 
 def test_the_blocks_above_were_found():

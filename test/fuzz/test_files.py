@@ -61,9 +61,8 @@ def spoilt_array(rng, array):
     for _ in range(int(one_of(rng, [0, 0, 1, 2]))):
         how = rng.integers(5)
         if how == 0 and array.size and array.dtype.kind in "fiu":
-            array.reshape(-1)[rng.integers(array.size)] = np.float64(one_of(rng, NUMBERS)).astype(
-                array.dtype
-            )
+            place = rng.integers(array.size)
+            array.reshape(-1)[place] = np.float64(one_of(rng, NUMBERS)).astype(array.dtype)
         elif how == 1 and array.dtype.kind in "fiu":
             array = array * np.float64(one_of(rng, NUMBERS))
         elif how == 2 and array.dtype.kind in "fiu":

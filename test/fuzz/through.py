@@ -164,9 +164,8 @@ class Flight(Mapping):
         if kind == "follow":
             values |= {"domain.follow": one_of(rng, ["vehicle", "area"]), "domain.min_level": 3}
         super().__init__(rng, kind, values)
-        self.word = {"odometry": "pose", "follow": "pose", "transforms": "transform"}.get(
-            kind, kind
-        )
+        words = {"odometry": "pose", "follow": "pose", "transforms": "transform"}
+        self.word = words.get(kind, kind)
 
     def send(self) -> str:
         self.sent += 1

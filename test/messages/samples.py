@@ -37,14 +37,8 @@ def cloud(
         names, kinds = (*names, times[0]), (*kinds, times[1])
         columns.append(np.reshape(times[2], grid.shape[:2]))
     offsets = lead + np.cumsum([0, *(int(kind[1]) + gap for kind in kinds)])
-    layout = np.dtype(
-        {
-            "names": names,
-            "formats": [order + kind for kind in kinds],
-            "offsets": offsets[:-1],
-            "itemsize": offsets[-1],
-        }
-    )
+    form = {"names": names, "formats": [order + kind for kind in kinds]}
+    layout = np.dtype({**form, "offsets": offsets[:-1], "itemsize": offsets[-1]})
     return cloud_of(layout, columns, row_padding, stamp_ns, container)
 
 

@@ -49,15 +49,8 @@ def test_every_layout_gives_the_points_that_were_put_in(
     rng = np.random.default_rng(seed)
     points = rng.normal(scale=100.0, size=(height, width, 3)).astype(np.float32).astype(float)
     points[rng.random((height, width)) < 0.3] = np.nan
-    msg = cloud(
-        points[0] if flat else points,
-        kinds=kinds,
-        order=order,
-        lead=lead,
-        gap=gap,
-        row_padding=row_padding,
-        container=CONTAINERS[container],
-    )
+    layout = {"kinds": kinds, "order": order, "lead": lead, "gap": gap, "row_padding": row_padding}
+    msg = cloud(points[0] if flat else points, **layout, container=CONTAINERS[container])
     decoded = points_from_cloud(msg)
     expected = points if height > 1 and not flat else points[0]
     assert decoded.dtype == ("f4" if set(kinds) == {"f4"} else "f8")

@@ -130,9 +130,8 @@ def test_axes_turn_the_cloud_under_every_mount():
         return ready.points_lidar @ ready.pose.rotation_map_lidar.T + ready.pose.position
 
     for mount in ({}, {"x": 2.0, "pitch_deg": 30.0}, {"source": "gimbal"}, {"source": "tf"}):
-        np.testing.assert_allclose(
-            mapped(flu, axes="flu_to_optical", **mount), mapped(optical, **mount), atol=1e-6
-        )
+        turned = mapped(flu, axes="flu_to_optical", **mount)
+        np.testing.assert_allclose(turned, mapped(optical, **mount), atol=1e-6)
 
 
 def tf_intake(**more):
@@ -160,9 +159,8 @@ def test_the_mount_follows_static_transforms_up_and_down():
     body_deck = first.T
     place = body_deck @ (np.array([3.0, 0.0, 0.0]) + second @ [0.0, 0.0, -1.0] - [0.0, 1.0, 0.5])
     np.testing.assert_allclose(ready.pose.position, place + [10.0, 20.0, 30.0], atol=1e-12)
-    np.testing.assert_allclose(
-        ready.pose.rotation_map_lidar, body_deck @ second @ third, atol=1e-12
-    )
+    turned = body_deck @ second @ third
+    np.testing.assert_allclose(ready.pose.rotation_map_lidar, turned, atol=1e-12)
 
 
 @pytest.mark.survives(

@@ -101,9 +101,8 @@ def test_rounding_of_a_covariance_is_mended():
 def test_zeros_mean_unknown_and_take_the_configured_sigmas():
     msg = pose(covariance=np.zeros(36))
     assert has_unknown_covariance(msg) and not has_unknown_covariance(pose())
-    decoded = pose_from_message(
-        msg, "map", unknown_position_sigma=0.5, unknown_attitude_sigma_deg=0.1
-    )
+    of = {"unknown_position_sigma": 0.5, "unknown_attitude_sigma_deg": 0.1}
+    decoded = pose_from_message(msg, "map", **of)
     sigmas = np.sqrt(np.diag(decoded.covariance))
     np.testing.assert_allclose(sigmas, [0.5] * 3 + [np.deg2rad(0.1)] * 3)
 

@@ -54,8 +54,8 @@ class Ros:
         self._nodes: list[NodeProcess] = []
 
     def start(self, name: str, *args: str, first: str = "") -> NodeProcess:
-        """A node with the test's parameters, which runs a program ``first``; its output goes to a
-        file of its own."""
+        """A node with the test's parameters; its output goes to a file of its own. It, and what is
+        started after it, runs a program ``first``."""
         log = self.folder / f"{len(self._nodes)}_{name}.txt"
         if first:
             (self.folder / "sitecustomize.py").write_text(first)
@@ -90,10 +90,8 @@ class Ros:
 
     def set(self, listener: Listener, node: str, name: str, value: object) -> SetParametersResult:
         """What a node says to a new value of a parameter, as ``ros2 param set`` asks it."""
-        request = SetParameters.Request(
-            parameters=[Parameter(name, value=value).to_parameter_msg()]
-        )
-        service = f"/{node}/set_parameters"
+        given = [Parameter(name, value=value).to_parameter_msg()]
+        request, service = SetParameters.Request(parameters=given), f"/{node}/set_parameters"
         return self._ask(listener, SetParameters, service, request).results[0]
 
     def _ask(self, listener: Listener, kind: Any, service: str, request: Any) -> Any:

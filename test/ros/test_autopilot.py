@@ -24,12 +24,7 @@ from quadtree_lss.onboard.nodes.qos import latched, stream, target
 from quadtree_lss.onboard.nodes.ros_messages import header_message, time_message
 
 pytestmark = pytest.mark.xdist_group("ros_autopilot")
-FAST = {
-    "gate_height": 5.0,
-    "descent_speed": 1.5,
-    "touchdown_speed": 0.5,
-    "transit_speed": 4.0,
-}
+FAST = {"gate_height": 5.0, "descent_speed": 1.5, "touchdown_speed": 0.5, "transit_speed": 4.0}
 
 
 class Scene:
@@ -41,9 +36,8 @@ class Scene:
         self.says = State.HOLDS
         self.states, self.odometry = [], []
         node = listener.node
-        self._selected = node.create_publisher(
-            PoseWithCovarianceStamped, "landing/selected", target()
-        )
+        kind = PoseWithCovarianceStamped
+        self._selected = node.create_publisher(kind, "landing/selected", target())
         self._status = node.create_publisher(PointCloud2, "landing/status", latched())
         node.create_subscription(DiagnosticStatus, "landing/autopilot", self._on_state, latched())
         every = QoSProfile(depth=50)

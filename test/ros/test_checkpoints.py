@@ -191,12 +191,7 @@ def test_two_nodes_on_one_checkpoint(ros):
         stamp = sensors.publish(SCANS)
         listener.until(lambda: _stamp_in(path) == stamp)
         second = ros.start("mapping_node", *args, "-r", "__node:=second")
-        listener.until(
-            listener.told,
-            "second",
-            WARN,
-            "another node keeps",
-        )
+        listener.until(listener.told, "second", WARN, "another node keeps")
         assert "newest scan" not in second.output()
         stored = path.stat()
         assert second.stop() == 0

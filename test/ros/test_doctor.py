@@ -18,12 +18,9 @@ pytestmark = pytest.mark.xdist_group("ros")
 def test_some_seconds_of_live_topics_are_looked_at(ros, frame, code):
     command = [program("quadtree-lss"), "doctor", "--seconds", "4", "--set", f"frames.map={frame}"]
     with ros.listen({}) as listener:
-        clouds = listener.node.create_publisher(
-            PointCloud2, "lidar/points", stream(5, reliable=False)
-        )
-        poses = listener.node.create_publisher(
-            PoseWithCovarianceStamped, "nav/pose", stream(100, reliable=True)
-        )
+        make = listener.node.create_publisher
+        clouds = make(PointCloud2, "lidar/points", stream(5, reliable=False))
+        poses = make(PoseWithCovarianceStamped, "nav/pose", stream(100, reliable=True))
         sent = events(60)
         with subprocess.Popen(
             command, env=ros.env, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE

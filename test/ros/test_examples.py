@@ -32,9 +32,8 @@ def run(ros):
         log = ros.folder / f"{name}.txt"
         command = [sys.executable, str(FOLDER / f"{name}.py"), "--ros-args", *options]
         with log.open("wb") as output:
-            processes.append(
-                subprocess.Popen(command, env=ros.env, stdout=output, stderr=subprocess.STDOUT)
-            )
+            how = {"env": ros.env, "stdout": output, "stderr": subprocess.STDOUT}
+            processes.append(subprocess.Popen(command, **how))
             logs.append(log)
         return log
 

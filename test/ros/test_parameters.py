@@ -21,12 +21,8 @@ TOLD_QOS = POSE_QOS.replace("__", ".")
 def make_node(context: Context, **overrides: object) -> Node:
     """A node with overrides; double underscores in names stand for dots."""
     given = [Parameter(name.replace("__", "."), value=value) for name, value in overrides.items()]
-    return Node(
-        "node",
-        context=context,
-        parameter_overrides=given,
-        automatically_declare_parameters_from_overrides=True,
-    )
+    how = {"context": context, "parameter_overrides": given}
+    return Node("node", **how, automatically_declare_parameters_from_overrides=True)
 
 
 def test_every_row_is_declared_with_type_range_and_access(context):

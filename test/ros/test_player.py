@@ -109,10 +109,8 @@ def test_pause_by_keyboard_and_by_service_loses_no_scan(ros):
         output = player.communicate(timeout=60.0)[0].decode()
         assert player.returncode == 0 and f"{SCANS} scans" in output, output
         listener.until(listener.has, "scans", SCANS)
-    dropped = {
-        k: n for k, n in listener.values().items() if k.startswith("scans.dropped") and n != "0"
-    }
-    assert not dropped
+    values = listener.values()
+    assert not {k: n for k, n in values.items() if k.startswith("scans.dropped") and n != "0"}
     assert termios.tcgetattr(terminal) == before, "the terminal is as it was"
     os.close(keys)
     os.close(terminal)
@@ -126,12 +124,8 @@ def test_a_bag_of_maps_is_played_into_lss_node_alone(ros):
     ros.start("lss_node")
     told = []
     with ros.listen({"landing/sites": PoseArray}) as listener:  # maps have one listener: the node
-        report = play(
-            ros.folder / "products",
-            rate=5.0,
-            domain_id=ros.domain,
-            progress=lambda done, total: told.append((done, total)),
-        )
+        how = {"rate": 5.0, "domain_id": ros.domain, "progress": lambda *done: told.append(done)}
+        report = play(ros.folder / "products", **how)
         assert report.maps > 1 and not report.scans and not report.poses
         final = made.cells.stamp_ns
         listener.until_stamped(final, "landing/sites")

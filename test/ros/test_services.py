@@ -61,9 +61,8 @@ def test_reset_save_and_load(ros):
 
 def test_services_without_a_path_or_a_folder_say_so(ros):
     mapping = ros.start("mapping_node")
-    nowhere = ros.start(
-        "mapping_node", "-p", f"map_file.path:={ros.folder}/none/a.map", "-r", "__node:=nowhere"
-    )
+    where = f"map_file.path:={ros.folder}/none/a.map"
+    nowhere = ros.start("mapping_node", "-p", where, "-r", "__node:=nowhere")
     with ros.listen() as listener:
         for service in ("save_map", "load_map"):
             answer = ros.call(listener, f"/mapping_node/{service}")

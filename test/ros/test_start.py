@@ -118,11 +118,8 @@ def test_both_nodes_fly_with_what_the_package_itself_requires(ros):
     """Without the other wings, and without what any extra brings but rclpy and its messages."""
     asked = (Requirement(line) for line in metadata.requires("quadtree_lss") or [])
     of_extras = {item.name for item in asked if item.marker and "wheels" not in str(item.marker)}
-    names = {
-        name
-        for name, distributions in metadata.packages_distributions().items()
-        if of_extras & {distribution for distribution in distributions}
-    }
+    brought = metadata.packages_distributions().items()
+    names = {name for name, distributions in brought if of_extras & set(distributions)}
     assert {"matplotlib", "rosbags", "tqdm"} <= names
     ros.start("mapping_node", first=ONBOARD_ALONE.format(lacking=sorted(names)))
     lss = ros.start("lss_node")
