@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
@@ -21,6 +23,7 @@ from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.nodes.qos import stream
 from quadtree_lss.onboard.nodes.ros_messages import TYPES, header_message, packed
 
+OK, WARN, ERROR = (DiagnosticStatus.OK,), (DiagnosticStatus.WARN,), (DiagnosticStatus.ERROR,)
 MAKE = Messages(TYPES, packed)  # of rclpy's classes
 START_NS = 1_700_000_000_000_000_000
 SCAN_NS, POSE_NS = 100_000_000, 37_000_000
@@ -110,10 +113,46 @@ def level_body(stamp_ns: int, above: float) -> PoseWithCovarianceStamped:
     return MAKE.pose(stamp_ns, POSITION + (0.0, 0.0, above), (0.0, 0.0, 0.0, 1.0), COVARIANCE)
 
 
+class Ears(Listener):
+    """The listener of a test, who asserts that what it waits for comes."""
+
+    def __init__(self, ros: Any, topics: Mapping[str, Any]) -> None:
+        super().__init__(ros.domain, topics)
+        self._ros = ros
+
+    def until(self, condition: Callable[..., object], *args: Any, timeout: float = 20.0) -> None:
+        """Until ``condition(*args)`` is true."""
+        came = self.wait_for(partial(condition, *args), timeout)
+        assert came, f"{self.diagnostics}\n{self._ros.output()}"
+
+    def until_stamped(self, stamp_ns: int, *topics: str) -> None:
+        """Until the newest message of each topic has this stamp."""
+        self.until(lambda: all(self.stamp(topic) == stamp_ns for topic in topics))
+
+    def values(self, node: str = "mapping_node") -> dict[str, str]:
+        """Values by key of the last diagnostic status of a node."""
+        status = self.diagnostics.get(node)
+        return {} if status is None else {item.key: item.value for item in status.values}
+
+    def has(self, key: str, number: int, node: str = "mapping_node") -> bool:
+        """True if a diagnostic value is this number."""
+        return self.values(node).get(key) == str(number)
+
+    def at_least(self, key: str, number: int, node: str = "mapping_node") -> bool:
+        """True if a diagnostic value is this number or more."""
+        return int(self.values(node).get(key, 0)) >= number
+
+    def told(self, node: str, levels: Sequence[bytes], *words: str) -> bool:
+        """True if the last status of a node has one of the levels and all these words."""
+        status = self.diagnostics.get(node)
+        found = status is not None and all(word in status.message for word in words)
+        return found and (not levels or status.level in levels)
+
+
 class Sensors:
     """Publishers of scans and poses, matched with whoever listens."""
 
-    def __init__(self, listener: Listener) -> None:
+    def __init__(self, listener: Ears) -> None:
         node, profile = listener.node, stream(100, reliable=True)
         self.scans = node.create_publisher(PointCloud2, "lidar/points", profile)
         self.poses = node.create_publisher(PoseWithCovarianceStamped, "nav/pose", profile)
@@ -121,18 +160,15 @@ class Sensors:
 
     def matched(self) -> Sensors:
         """The same, once the mapping node is there."""
-        publishers = (self.scans, self.poses)
-        assert self._listener.wait_for(
-            lambda: all(p.get_subscription_count() for p in publishers), timeout=30.0
-        )
+        for publisher in (self.scans, self.poses):
+            self._listener.until(publisher.get_subscription_count, timeout=30.0)
         time.sleep(0.5)  # the subscriber's side of the match
         return self
 
-    def map(self, mapping: Any, scans: int, **how: Any) -> int:
-        """As `publish`, and until the node's map has the stamp of the last scan."""
+    def map(self, scans: int, topic: str = "map/cells", **how: Any) -> int:
+        """As `publish`, and until what is made of it has the stamp of the last scan."""
         last = self.publish(scans, **how)
-        listener = self._listener
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), mapping.output()
+        self._listener.until_stamped(last, topic)
         return last
 
     def publish(

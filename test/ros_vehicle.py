@@ -6,11 +6,9 @@ import dataclasses
 import numpy as np
 from geometry_msgs.msg import PolygonInstanceStamped, PolygonStamped, PoseArray
 from nav_msgs.msg import OccupancyGrid
-from ros.conftest import status_values, told
-from ros_scene import MAKE, START_NS, mapped
+from ros_scene import MAKE, START_NS
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.nodes.qos import latched
 from quadtree_lss.onboard.nodes.ros_messages import map_messages
@@ -25,12 +23,6 @@ def polygon(corners, frame="map", number=None):
 
 def point(x, y):
     return MAKE.point(1, (x, y, 0.0))
-
-
-def flat_map():
-    """A map that has room for sites everywhere."""
-    domain = {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}
-    return mapped(load_config(overrides={"domain": domain}), 2).snapshot()
 
 
 class Vehicle:
@@ -66,6 +58,10 @@ class Vehicle:
         self.send("map/cells", map_messages(cells, frame)[0])
         return stamp
 
+    def until(self, condition, *args, **how):
+        """As the listener's."""
+        self.listener.until(condition, *args, **how)
+
     def send(self, topic, message):
         self._publishers[topic].publish(message)
 
@@ -82,9 +78,13 @@ class Vehicle:
         last, _, places = self.last()
         return last == stamp and len(places) == 0
 
+    def has(self, key, value):
+        """True if a value of its diagnostics is this."""
+        return self.values().get(key) == str(value)
+
     def values(self):
-        return status_values(self.listener, "lss_node")
+        return self.listener.values("lss_node")
 
     def told(self, level, *words):
         """True if its last status has this level, and all these words in its text."""
-        return told(self.listener, "lss_node", *words, levels=(level,))
+        return self.listener.told("lss_node", (level,), *words)

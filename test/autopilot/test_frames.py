@@ -34,12 +34,6 @@ def test_the_bodys_axes_point_where_they_did(k):
         np.testing.assert_allclose(enu_flu.apply(flu), [east, north, -down], atol=1e-12)
 
 
-def test_level_with_the_nose_to_the_east_is_no_rotation():
-    q = attitude(mavlink(Rotation.from_euler("z", 90.0, degrees=True)))
-    np.testing.assert_allclose(q, [0.0, 0.0, 0.0, 1.0], atol=1e-12)
-    np.testing.assert_allclose(enu(np.array([1.0, 2.0, 3.0])), [2.0, 1.0, -3.0])
-
-
 def test_a_place_seen_from_the_body_is_forward_right_and_down():
     for k in range(20):
         vector_ned = RNG.normal(size=3)

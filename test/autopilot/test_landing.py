@@ -6,35 +6,13 @@ import math
 import numpy as np
 import pytest
 
-from quadtree_lss.onboard.autopilot.landing import (
-    CLIMB,
-    COMMIT,
-    COMMIT_SHARE,
-    DESCEND,
-    GIVE_UP,
-    HEARTBEAT_S,
-    HOLD,
-    JUMP_M,
-    MAP_S,
-    OFFSET_M,
-    PATIENCE_S,
-    PILOT,
-    POSE_S,
-    TARGET_S,
-    TOUCHDOWN,
-    TRANSIT,
-    WAIT,
-    WAVE_OFF,
-    WAVE_OFFS,
-    Landing,
-    Seen,
-    Target,
-    target_of,
-)
+from quadtree_lss.onboard.autopilot import landing
+from quadtree_lss.onboard.autopilot.landing import Landing, Seen, Target, target_of
 from quadtree_lss.onboard.config.sections import AutopilotConfig
 from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.messages.maps import STATUS_FIELDS
 
+PILOT, WAIT, CLIMB, TRANSIT, DESCEND, COMMIT, TOUCHDOWN, HOLD, WAVE_OFF, GIVE_UP = landing.STATES
 CONFIG = AutopilotConfig()
 GROUND = 1.5
 SITE = np.array([0.0, 0.0, GROUND])
@@ -60,7 +38,7 @@ class Flight:
         target = None
         if self.target is not None:
             target = Target(self.target, self.target_age, self.map_age)
-        if self.pose_age <= POSE_S:
+        if self.pose_age <= landing.POSE_S:
             self.seen = self.position.copy(), self.velocity.copy()
         seen = Seen(
             self.now, self.ours, self.armed, self.height <= 1e-6, self.heartbeat_age, self.pose_age,
@@ -109,7 +87,7 @@ def test_the_whole_way_down():
     assert flight.height > CONFIG.gate_height - 1.0 and np.hypot(*flight.position[:2]) < 0.5
     began = flight.now
     flight.until(in_state(COMMIT))
-    took = (1.0 - COMMIT_SHARE) * CONFIG.gate_height / CONFIG.descent_speed
+    took = (1.0 - landing.COMMIT_SHARE) * CONFIG.gate_height / CONFIG.descent_speed
     assert flight.now - began == pytest.approx(took, abs=2.5)
     flight.until(below(1.0)).on(0.5)
     assert flight.velocity[2] == pytest.approx(-CONFIG.touchdown_speed, rel=0.3)
@@ -135,7 +113,7 @@ def test_from_below_the_gate_it_climbs_first():
     "fault",
     [
         {"target": None},
-        {"target_age": TARGET_S + 0.1},
+        {"target_age": landing.TARGET_S + 0.1},
         {"target": SITE + (4.0, 0.0, 0.0)},
         {"target": SITE + (-80.0, 0.0, 0.0)},
         {"target": SITE + (0.0, 0.0, 15.0)},
@@ -165,7 +143,7 @@ def test_what_is_lost_below_the_gate_is_answered_by_a_climb(height, fault):
         assert flight.order.state == HOLD and flight.order.target is None
 
 
-@pytest.mark.parametrize("age", [MAP_S + 0.1, -MAP_S - 0.1, math.nan])
+@pytest.mark.parametrize("age", [landing.MAP_S + 0.1, -landing.MAP_S - 0.1, math.nan])
 def test_an_old_map_stops_a_descent_but_not_who_has_committed(age):
     flight = Flight().until(in_state(DESCEND)).on(2.0)
     flight.map_age = age
@@ -179,7 +157,7 @@ def test_an_old_map_stops_a_descent_but_not_who_has_committed(age):
 def test_an_old_pose_stops_where_the_vehicle_was_last_seen():
     flight = Flight().until(below(4.0))
     place = flight.seen[0]
-    flight.pose_age = POSE_S + 0.01
+    flight.pose_age = landing.POSE_S + 0.01
     flight.step()
     assert flight.order.state == HOLD
     np.testing.assert_array_equal(flight.order.point, place)
@@ -196,18 +174,18 @@ def test_an_old_pose_stops_where_the_vehicle_was_last_seen():
 
 def test_whoever_came_down_without_a_link_or_a_pose_stays_down():
     flight = Flight().until(below(0.15))
-    flight.heartbeat_age = HEARTBEAT_S + 0.1
+    flight.heartbeat_age = landing.HEARTBEAT_S + 0.1
     assert flight.on(2.0).height == 0.0, "to the last set-point, which is below the ground"
     flight.heartbeat_age = 0.1
     assert flight.on(2.0).order.state == TOUCHDOWN and flight.height == 0.0
     assert flight.order.point[2] < GROUND and WAVE_OFF not in flight.states
-    for fault in ({"pose_age": POSE_S + 0.1}, {"jump": JUMP_M + 0.1}):
+    for fault in ({"pose_age": landing.POSE_S + 0.1}, {"jump": landing.JUMP_M + 0.1}):
         flight = Flight().until(below(1e-6))
         for name, value in fault.items():
             setattr(flight, name, value)
         assert flight.on(1.0).order.state == TOUCHDOWN
     flight = Flight().until(below(4.0))
-    for pose_age in (POSE_S + 0.1, POSE_S + 0.1, 0.02):  # it came down unseen
+    for pose_age in (landing.POSE_S + 0.1, landing.POSE_S + 0.1, 0.02):  # it came down unseen
         flight.position[2], flight.pose_age = GROUND, pose_age
         flight.velocity[:] = 0.0
         flight.step()
@@ -216,7 +194,7 @@ def test_whoever_came_down_without_a_link_or_a_pose_stays_down():
 
 def test_without_heartbeats_nothing_is_commanded_and_then_it_climbs():
     flight = Flight().until(below(4.0))
-    flight.heartbeat_age = HEARTBEAT_S + 0.1
+    flight.heartbeat_age = landing.HEARTBEAT_S + 0.1
     flight.on(1.0)
     assert flight.order.point is None and flight.order.target is None
     flight.heartbeat_age = 0.1
@@ -245,7 +223,7 @@ def test_the_pilots_switch_ends_it_at_once(state):
 
 def test_a_jump_of_navigation_ends_at_the_pilot():
     flight = Flight().until(below(4.0))
-    flight.jump = JUMP_M + 0.01
+    flight.jump = landing.JUMP_M + 0.01
     flight.step()
     flight.jump = 0.0
     flight.on(10.0)
@@ -254,7 +232,7 @@ def test_a_jump_of_navigation_ends_at_the_pilot():
     assert flight.on(60.0).order.state == GIVE_UP, "until the pilot has taken over"
     assert flight.order.target is None, "whoever takes over by LAND does not land there"
     flight = Flight().until(below(4.0))
-    flight.heartbeat_age, flight.jump = HEARTBEAT_S + 0.1, JUMP_M + 0.01
+    flight.heartbeat_age, flight.jump = landing.HEARTBEAT_S + 0.1, landing.JUMP_M + 0.01
     flight.step()
     assert flight.order.point is None
     flight.heartbeat_age, flight.jump = 0.1, 0.0
@@ -264,12 +242,12 @@ def test_a_jump_of_navigation_ends_at_the_pilot():
 def test_it_waits_no_longer_than_its_patience_and_is_waved_off_no_more_often_than_it_may():
     flight = Flight()
     flight.target = None
-    flight.on(PATIENCE_S - 1.0)
+    flight.on(landing.PATIENCE_S - 1.0)
     assert flight.order.state == WAIT
     np.testing.assert_allclose(flight.position, [10.0, 5.0, 25.0], atol=1e-9)
     assert flight.on(2.0).order.state == GIVE_UP
     flight = Flight()
-    for _ in range(WAVE_OFFS + 1):
+    for _ in range(landing.WAVE_OFFS + 1):
         flight.until(in_state(DESCEND)).on(1.0)
         flight.target = None
         flight.step()
@@ -283,7 +261,7 @@ def test_beside_the_target_it_does_not_come_down():
     flight.wind = np.array([1.5, 0.0, 0.0])  # it is blown a metre off, and stays so
     flight.on(3.0)
     height = flight.height
-    assert np.hypot(*flight.position[:2]) > OFFSET_M
+    assert np.hypot(*flight.position[:2]) > landing.OFFSET_M
     assert flight.on(20.0).height > height - 0.3 and flight.order.state == DESCEND
     flight.wind[:] = 0.0
     flight.until(in_state(COMMIT))
@@ -296,7 +274,7 @@ def test_set_points_never_lead_by_more_than_stops_above_the_ground():
     """Whoever hears no more of us flies to the last set-point and stays there."""
     flight = Flight().until(in_state(DESCEND))
     while flight.order.state == DESCEND:
-        assert flight.order.point[2] >= GROUND + COMMIT_SHARE * CONFIG.gate_height - 1e-9
+        assert flight.order.point[2] >= GROUND + landing.COMMIT_SHARE * CONFIG.gate_height - 1e-9
         flight.step()
     while flight.order.state == COMMIT:
         assert flight.order.point[2] >= flight.position[2] - 2.0 * CONFIG.touchdown_speed - 0.6

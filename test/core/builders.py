@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Terrain, poses and scans for the tests of the core: a small generator of its own.
-
-Points are put where the caller wants them in x and y, so that no ray casting is needed; range
-noise moves each along its ray. All lengths in m, all frames the map's unless a name says other.
-"""
+"""Configurations, mappers and maps of small scenes, and what is asked of them, for the tests of the
+core. All lengths in m, all frames the map's unless a name says other."""
 
 import contextlib
 import dataclasses
@@ -12,6 +9,17 @@ from unittest import mock
 
 import numpy as np
 from core.kernels import minus
+from core.scenes import (  # noqa: F401
+    ABOVE,
+    EXACT,
+    Surface,
+    flat,
+    make_pose,
+    pose_covariance,
+    scan,
+    scattered,
+    slope,
+)
 
 from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
@@ -23,92 +31,21 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap, peak
 from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
 Array = np.ndarray
-Surface = Callable[[Array, Array], Array]
 
-#: Boresight down, right = map x: rotation_map_lidar of a lidar that looks straight down.
-LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
-#: A pose as good as exact.
-EXACT = 1e-12 * np.eye(6)
-#: Over the middle of the small domain.
-ABOVE = (8.0, 8.0, 500.0)
 #: All that ``mapping.paper`` may be.
 METHODS = ("none", "fit", "covariance", "division", "all")
 
+#: Landing by the probability that the lander fails.
+BY_RISK = {"assessment": "probability", "ranking": "probability"}
 #: Lengths that tests set for themselves.
 OWN = ("hazard_growth", "min_separation", "outlier_gate")
-
-
-def make_pose(
-    position: tuple[float, float, float] = (0.0, 0.0, 500.0),
-    covariance: Array = EXACT,
-    stamp_ns: int = 1_000_000_000,
-    rotation: Array = LOOKING_DOWN,
-) -> Pose:
-    """A pose, straight down and exact unless told."""
-    return Pose(stamp_ns, np.asarray(position, dtype=np.float64), rotation, covariance)
-
-
-def pose_covariance(position_sigma: float, attitude_sigma: float) -> Array:
-    """Independent position (m) and attitude (rad) errors."""
-    return np.diag([position_sigma**2] * 3 + [attitude_sigma**2] * 3)
 
 
 def disturbed(pose: Pose, rng: np.random.Generator) -> Pose:
     """The true pose, drawn around an estimate: an error about fixed map axes."""
     error = rng.multivariate_normal(np.zeros(6), pose.covariance)
-    return Pose(
-        pose.stamp_ns,
-        pose.position + error[:3],
-        rotations.exp(error[3:]) @ pose.rotation_map_lidar,
-        pose.covariance,
-    )
-
-
-def flat(height: float = 0.0) -> Surface:
-    """Level ground."""
-    return lambda x, y: np.full(np.shape(x), height)
-
-
-def slope(gradient_x: float, gradient_y: float, height: float = 0.0) -> Surface:
-    """Tilted plane z = height + gradient_x x + gradient_y y."""
-    return lambda x, y: height + gradient_x * x + gradient_y * y
-
-
-#: A slope, and its normal.
-GRADIENT = (0.12, -0.07)
-GROUND = slope(*GRADIENT, 30.0)
-NORMAL = np.array([-GRADIENT[0], -GRADIENT[1], 1.0]) / np.sqrt(1.0 + np.sum(np.square(GRADIENT)))
-
-
-def scattered(
-    rng: np.random.Generator, xmin: float, ymin: float, size: float, count: int
-) -> tuple[Array, Array]:
-    """``count`` places drawn uniformly over a square."""
-    return xmin + size * rng.random(count), ymin + size * rng.random(count)
-
-
-def lattice(xmin: float, ymin: float, size: float, per_side: int) -> tuple[Array, Array]:
-    """Centres of a regular grid of ``per_side`` by ``per_side`` over a square."""
-    step = (np.arange(per_side) + 0.5) * size / per_side
-    x, y = np.meshgrid(xmin + step, ymin + step)
-    return x.ravel(), y.ravel()
-
-
-def scan(
-    surface: Surface,
-    x: Array,
-    y: Array,
-    true_pose: Pose,
-    noise: float,
-    rng: np.random.Generator | None = None,
-) -> Array:
-    """Lidar points (N, 3), lidar axes, of the ground at x, y (N,), range noise along the rays."""
-    truth = np.column_stack([x, y, surface(x, y)]) - true_pose.position
-    ranges = np.linalg.norm(truth, axis=1)
-    if noise > 0.0:
-        assert rng is not None
-        truth *= (1.0 + noise * rng.standard_normal(len(x)) / ranges)[:, None]
-    return truth @ true_pose.rotation_map_lidar
+    turned = rotations.exp(error[3:]) @ pose.rotation_map_lidar
+    return Pose(pose.stamp_ns, pose.position + error[:3], turned, pose.covariance)
 
 
 def look(
@@ -145,8 +82,11 @@ def with_lengths(config: Config, **own: float) -> Config:
     return dataclasses.replace(config, vehicle=vehicle)
 
 
-def configured(**sections: dict[str, object]) -> Config:
-    """A configuration on a small domain; ``sections`` are laid over it, lengths of a vehicle too.
+def configured(
+    levels: tuple[int, int] = (2, 6), noise: float | None = None, **sections: dict[str, object]
+) -> Config:
+    """A configuration on a small domain of these levels, of range noise if given; ``sections`` are
+    laid over it, lengths of a vehicle too.
 
     Landing is judged by the touchdown check and ranked by the score: hard limits, which can be
     worked out by hand.
@@ -155,8 +95,9 @@ def configured(**sections: dict[str, object]) -> Config:
         "domain.xmin": 0.0,
         "domain.ymin": 0.0,
         "domain.size": 16.0,
-        "domain.min_level": 2,
-        "domain.max_level": 6,
+        "domain.min_level": levels[0],
+        "domain.max_level": levels[1],
+        **({} if noise is None else {"lidar.range_noise": noise}),
         "lss.assessment": "touchdown",
         "lss.ranking": "score",
     }
@@ -253,9 +194,8 @@ def point_covariances(points_map: Array, pose: Pose, range_noise: float) -> Arra
     J = [I, -[r - m]_x].
     """
     arm = points_map - pose.position
-    jacobian = np.concatenate(
-        [np.broadcast_to(np.eye(3), (len(arm), 3, 3)), -rotations.skew(arm)], axis=-1
-    )
+    moved = np.broadcast_to(np.eye(3), (len(arm), 3, 3))
+    jacobian = np.concatenate([moved, -rotations.skew(arm)], axis=-1)
     ray = arm / np.linalg.norm(arm, axis=-1, keepdims=True)
     along = range_noise**2 * ray[:, :, None] * ray[:, None, :]
     out: Array = jacobian @ pose.covariance @ jacobian.transpose(0, 2, 1) + along
@@ -271,9 +211,8 @@ def unit_vectors(rng: np.random.Generator, count: int) -> Array:
 def upward_normals(rng: np.random.Generator, count: int, steepest: float = 0.6) -> Array:
     """Normals (count, 3) that lean by up to ``steepest`` rad."""
     angle, heading = steepest * rng.random(count), 2.0 * np.pi * rng.random(count)
-    return np.stack(
-        [np.sin(angle) * np.cos(heading), np.sin(angle) * np.sin(heading), np.cos(angle)], axis=1
-    )
+    x, y = np.sin(angle) * (np.cos(heading), np.sin(heading))
+    return np.stack([x, y, np.cos(angle)], axis=1)
 
 
 def random_covariances(rng: np.random.Generator, count: int, size: int, scale: float) -> Array:

@@ -3,18 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import (
-    ABOVE,
-    configured,
-    flat,
-    look,
-    make_pose,
-    mapped,
-    pose_covariance,
-    scan,
-    scattered,
-    slope,
-)
+from core.builders import configured, look, mapped
+from core.scenes import ABOVE, flat, make_pose, pose_covariance, scan, scattered, slope
 
 from quadtree_lss.onboard.core.mapping.alignment import lift, lower, offset_of
 from quadtree_lss.onboard.core.mapping.departure import Departure
@@ -36,7 +26,7 @@ def cells_of(rise, own=1e-4, of_scan=0.09, of_map=0.01, first=0.0, last=0.0) -> 
 
 def test_cells_that_are_compared_tell_where_they_are_how_steep_and_how_well_known():
     """What a plane of the map did not describe makes its height less certain here, too."""
-    config = configured(domain=CELLS, lidar={"range_noise": NOISE})
+    config = configured(domain=CELLS, noise=NOISE)
     mapper, rng = mapped(config, slope(0.2, -0.1), scans=2), np.random.default_rng(9)
     pose = make_pose((20.0, -30.0, 90.0), pose_covariance(0.1, 1e-3), 10)
     points = scan(slope(0.2, -0.1, 0.3), *scattered(rng, 0, 0, 16, 12000), pose, NOISE, rng)
@@ -131,7 +121,7 @@ def test_an_exact_pose_is_believed_whatever_stands_there(ground, coarsest, monke
     for seed in range(4):
         rng = np.random.default_rng(seed)
         domain = {"min_level": coarsest, "max_level": 6}
-        mapper = Mapper(configured(domain=domain, lidar={"range_noise": 0.06}))
+        mapper = Mapper(configured(domain=domain, noise=0.06))
         for number in range(60):
             width = rng.uniform(1.0, 6.0)
             west, south = rng.uniform(0.0, 16.0 - width, 2)
@@ -199,14 +189,8 @@ def fly(mapper: Mapper, surface, errors, rng, covariance=None, points=12000, sta
 
 
 def mapper_of(correlation_time: float = 300.0, **mapping: object) -> Mapper:
-    return Mapper(
-        configured(
-            domain=CELLS,
-            lidar={"range_noise": NOISE},
-            mapping=mapping,
-            pose={"correlation_time": correlation_time},
-        )
-    )
+    pose = {"correlation_time": correlation_time}
+    return Mapper(configured(domain=CELLS, noise=NOISE, mapping=mapping, pose=pose))
 
 
 def test_new_ground_joins_at_the_height_of_the_old():

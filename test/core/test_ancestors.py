@@ -5,8 +5,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from core.builders import GROUND, configured, make_pose, mapped, pose_covariance, scan, scattered
+from core.builders import configured, mapped
 from core.kernels import minus
+from core.scenes import GROUND, make_pose, pose_covariance, scan, scattered
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.ancestors import fuse_to_level
@@ -14,9 +15,7 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 
 def one_scan(level: int, covariance: np.ndarray, seed: int = 1) -> CellMap:
-    config = configured(
-        domain={"min_level": level, "max_level": level}, lidar={"range_noise": 0.03}
-    )
+    config = configured(levels=(level, level), noise=0.03)
     rng = np.random.default_rng(seed)
     pose = make_pose((40.0, -30.0, 500.0), covariance)
     mapper = Mapper(config)
@@ -52,9 +51,7 @@ def test_fused_planes_are_those_of_a_direct_fit(level):
 
 
 def test_each_leaf_finds_its_ancestor():
-    cells = mapped(
-        configured(lidar={"range_noise": 0.03}), lambda x, y: 0.5 * (x > 5.1), density=50.0
-    ).snapshot()
+    cells = mapped(configured(noise=0.03), lambda x, y: 0.5 * (x > 5.1), density=50.0).snapshot()
     for level in range(5):
         fused = fuse_to_level(cells, level)
         assert fused.level == level
@@ -71,9 +68,8 @@ def test_each_leaf_finds_its_ancestor():
 def test_inherited_leaves_are_no_information():
     cells = one_scan(4, pose_covariance(0.1, 1e-6))
     inherited = (cells.ix + cells.iy) % 2 == 0
-    poisoned = dataclasses.replace(
-        cells, measured=~inherited, z=np.where(inherited, cells.z + 5.0, cells.z)
-    )
+    wrong = cells.z + 5.0 * inherited
+    poisoned = dataclasses.replace(cells, measured=~inherited, z=wrong)
     fused, full = fuse_to_level(poisoned, 2), fuse_to_level(cells, 2)
     assert np.abs(fused.z - full.z).max() < 0.05
     ratio = fused.range_part[:, 2, 2] / full.range_part[:, 2, 2]

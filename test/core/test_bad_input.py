@@ -121,11 +121,8 @@ def scan_of(kinds: list[str], rng: np.random.Generator) -> np.ndarray:
 def test_no_geometry_and_no_covariance_breaks_the_map(seed, method, lidar, poses):
     """10,000 cells and more, of many kinds or of one alone; NumPy has nothing to complain about."""
     rng = np.random.default_rng(seed)
-    config = configured(
-        domain={"min_level": 2, "max_level": 4},
-        lidar={"min_range": 0.0, "max_range": 1e5},
-        mapping={"paper": method, "max_cells": 120},
-    )
+    far, mapping = {"min_range": 0.0, "max_range": 1e5}, {"paper": method, "max_cells": 120}
+    config = configured(levels=(2, 4), lidar=far, mapping=mapping)
     mapper = Mapper(config)
     for k, pose_kind in enumerate(poses):
         turn = exp(rng.normal(0.0, 1.0, 3))

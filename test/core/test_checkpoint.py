@@ -7,7 +7,8 @@ import zipfile
 
 import numpy as np
 import pytest
-from core.builders import assert_same, configured, look, make_pose, scattered
+from core.builders import assert_same, configured, look
+from core.scenes import make_pose, scattered
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_bytes, to_bytes

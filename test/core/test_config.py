@@ -124,11 +124,6 @@ def test_contradictions_are_found(values, about):
         config_from_values(values)
 
 
-def test_just_allowed_combinations_pass():
-    config_from_values({"domain.min_level": 5, "domain.max_level": 5})
-    config_from_values({"domain.min_level": 4, "mapping.max_cells": 256})
-
-
 def other_value(row: Parameter) -> object:
     """A legal value that is not the default."""
     if row.type is bool:
@@ -188,15 +183,3 @@ def test_each_value_round_trips_dotted_and_nested(row):
         assert values[row.name] == value
         assert config_from_values(values) == config
         assert [k for k in values if values[k] != values_from_config(base)[k]] == [row.name]
-
-
-def test_values_are_laid_over_the_base():
-    base = config_from_values({"lss": {"sites": 9}, "domain": {"size": 64.0}})
-    over = config_from_values({"lss.margin": 1.5}, base)
-    assert (over.lss.sites, over.lss.margin, over.domain.size) == (9, 1.5, 64.0)
-
-
-def test_a_contradiction_with_the_base_is_found():
-    base = config_from_values({"domain.max_level": 5})
-    with pytest.raises(ConfigError):
-        config_from_values({"domain.min_level": 6}, base)

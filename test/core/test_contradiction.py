@@ -3,16 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import (
-    configured,
-    flat,
-    look,
-    make_pose,
-    pose_covariance,
-    scan,
-    scattered,
-    slope,
-)
+from core.builders import configured, look
+from core.scenes import flat, make_pose, pose_covariance, scan, scattered, slope
 
 from quadtree_lss.onboard.core.geometry.rotations import exp
 from quadtree_lss.onboard.core.mapping.contradiction import AGREEING, DEVIATIONS
@@ -44,7 +36,7 @@ class Flight:
     ) -> None:
         self.ground = ground
         domain = {"xmin": 0.0, "ymin": 0.0, "size": size, "min_level": 2, "max_level": 4}
-        config = configured(domain=domain, lidar={"range_noise": NOISE}, mapping={"paper": paper})
+        config = configured(domain=domain, noise=NOISE, mapping={"paper": paper})
         self.size, self.above = size, np.array([0.5 * size, 0.5 * size, 60.0])
         self.mapper = Mapper(config)
         self.rng = np.random.default_rng(seed)

@@ -3,18 +3,9 @@
 
 import numpy as np
 import pytest
-from core.builders import (
-    configured,
-    four_leaves,
-    look,
-    make_pose,
-    mapped,
-    point_covariances,
-    pose_covariance,
-    scan,
-    slope,
-)
+from core.builders import configured, four_leaves, look, mapped, point_covariances
 from core.kernels import division, tangent_basis
+from core.scenes import make_pose, pose_covariance, scan, slope
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
@@ -69,7 +60,7 @@ def test_a_view_of_less_than_half_of_a_leaf_does_not_judge_it():
 @pytest.mark.parametrize("per_cell", [12, 40])
 def test_the_statistic_is_that_of_noise_whatever_the_number_of_points(per_cell):
     """Three degrees of freedom go into the plane: sqrt(N / (N - 3)) makes up for them."""
-    config = configured(domain={"min_level": 4, "max_level": 4}, lidar={"range_noise": 0.05})
+    config = configured(levels=(4, 4), noise=0.05)
     leaves = mapped(config, slope(0.1, -0.2), density=per_cell, scans=8).leaves.rows
     mean = leaves.division_sum.sum() / leaves.division_weight.sum()
     assert mean == pytest.approx(MEAN_CHI_1, rel=0.02 + 3.0 / per_cell**2)
@@ -77,11 +68,8 @@ def test_the_statistic_is_that_of_noise_whatever_the_number_of_points(per_cell):
 
 def test_a_known_cells_statistic_is_that_of_equations_46_and_47(monkeypatch):
     """The mean distance to the plane that it had, over what map and points may be off there."""
-    config = configured(
-        domain={"size": 8.0, "min_level": 0, "max_level": 1},
-        mapping={"paper": "division"},
-        lidar={"range_noise": 0.02},
-    )
+    of = {"domain": {"size": 8.0}, "mapping": {"paper": "division"}}
+    config = configured(levels=(0, 1), noise=0.02, **of)
     mapper, rng = Mapper(config), np.random.default_rng(6)
     monkeypatch.setattr(mapper, "_align", lambda *_: 0.0)
     pose = make_pose((40.0, -20.0, 90.0), pose_covariance(0.05, 1e-3), 10**9)

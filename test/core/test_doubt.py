@@ -6,7 +6,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, mapped
+from core.builders import BY_RISK, configured, mapped
+from core.scenes import flat
 
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import config_from_values
@@ -54,8 +55,7 @@ def test_few_places_say_nothing():
 
 @pytest.mark.parametrize("reset", [False, True])
 def test_of_a_map_that_was_reset_risks_are_told_anew(reset):
-    by_risk = {"assessment": "probability", "ranking": "probability"}
-    config = configured(vehicle={"diameter": 1.9}, lss=by_risk)
+    config = configured(vehicle={"diameter": 1.9}, lss=BY_RISK)
 
     def blocks(x, y):
         return 0.6 * ((x % 2.0 < 0.7) & (y % 2.0 < 0.7))
@@ -97,9 +97,8 @@ def test_ground_bridged_beyond_what_was_fitted_is_told(more):
 
 def test_an_answer_gives_its_doubts():
     """Of the shipped fit with a lander, and of a map, of another kind."""
-    named = {"assessment": "probability", "ranking": "probability"}
     for lander, some in ({"diameter": 3.7}, False), ({"diameter": 20.0}, True):
-        config = configured(domain={"max_level": 6}, vehicle=lander, lss=named)
+        config = configured(domain={"max_level": 6}, vehicle=lander, lss=BY_RISK)
         cells = mapped(config, flat()).snapshot()
         doubts = LandingSiteSelector(config).assess(cells).doubts
         assert any("not 20" in line for line in doubts) == some

@@ -3,8 +3,9 @@
 
 import numpy as np
 import pytest
-from core.builders import by, configured, lattice, look, make_pose, mapped, slope
+from core.builders import by, configured, look, mapped
 from core.kernels import features
+from core.scenes import lattice, make_pose, slope
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, peak
@@ -46,7 +47,7 @@ def by_place(cells: CellMap) -> np.ndarray:
 def test_hemispheres_are_found_with_their_height_and_place():
     """100 points/m^2 and scan, 3 scans, 4 cm noise: nine of ten are found, which means with
     their height within 35 % and their centre within 0.1 m."""
-    config = configured(domain=CELLS_2M, lidar={"range_noise": 0.04})
+    config = configured(domain=CELLS_2M, noise=0.04)
     found, high, near = [], [], []
     for seed in range(5):
         radius, x0, y0 = hemispheres(seed)
@@ -70,7 +71,7 @@ def test_hemispheres_are_found_with_their_height_and_place():
 )
 def test_plain_ground_has_hardly_any_feature(gradient, density, noise):
     """One in 1,280 cells; height is above the cell's plane, so slopes are none."""
-    config, ground = configured(domain=CELLS_2M, lidar={"range_noise": noise}), slope(*gradient)
+    config, ground = configured(domain=CELLS_2M, noise=noise), slope(*gradient)
     maps = (mapped(config, ground, density=density, seed=seed).snapshot() for seed in range(20))
     assert sum(np.isfinite(cells.feature[:, K]).sum() for cells in maps) <= 1
 
@@ -81,9 +82,7 @@ def bell(height: float, sigma: float, x0: float, y0: float):
 
 def seen_on_4m(ground, gradient: float) -> np.ndarray:
     """Feature (5,) of a single cell of 4 m after three dense scans; it may slope along x."""
-    config = configured(
-        domain={"size": 4.0, "min_level": 0, "max_level": 0}, lidar={"range_noise": 0.01}
-    )
+    config = configured(domain={"size": 4.0, "min_level": 0, "max_level": 0}, noise=0.01)
     mapper, rng = Mapper(config), np.random.default_rng(1)
     x, y = lattice(0.0, 0.0, 4.0, 80)
     pose = make_pose((2.0, 2.0, 500.0))
@@ -107,7 +106,7 @@ def test_k_squared_is_the_volume(height, sigma, gradient):
 
 
 def test_a_feature_stays_with_more_scans_and_is_one():
-    config = configured(domain=CELLS_2M, lidar={"range_noise": 0.04})
+    config = configured(domain=CELLS_2M, noise=0.04)
     radius, x0, y0 = hemispheres(11, 0.3, 0.4)
     ground = rocky(radius, x0, y0)
     few = by_place(mapped(config, ground, density=100.0, scans=2, seed=1).snapshot())
@@ -134,7 +133,7 @@ def test_limits_are_obeyed(limit):
 
     def found(**limits: float) -> np.ndarray:
         with by(**limits):
-            config = configured(domain=CELLS_2M, lidar={"range_noise": 0.04})
+            config = configured(domain=CELLS_2M, noise=0.04)
             state = by_place(mapped(config, ground, density=100.0).snapshot())
         return of(state[np.isfinite(state[:, K])])
 
@@ -148,7 +147,7 @@ def test_too_few_points_make_no_feature():
     ground = rocky(*hemispheres(3, 0.35, 0.4))
     rng = np.random.default_rng(2)
     for per_side, some in ((3, False), (5, True)):  # 9 and 25 points in each cell
-        mapper = Mapper(configured(domain=CELLS_2M, lidar={"range_noise": 0.01}))
+        mapper = Mapper(configured(domain=CELLS_2M, noise=0.01))
         for _ in range(3):
             look(mapper, ground, *lattice(0.0, 0.0, 16.0, 8 * per_side), rng, 0.01)
         assert np.isfinite(mapper.snapshot().feature[:, K]).any() == some

@@ -3,21 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import (
-    ABOVE,
-    configured,
-    flat,
-    leaf_at,
-    look,
-    make_pose,
-    mapped,
-    nees,
-    plane_errors,
-    pose_covariance,
-    scan,
-    scattered,
-    slope,
-)
+from core.builders import configured, leaf_at, look, mapped, nees, plane_errors
+from core.scenes import ABOVE, flat, make_pose, pose_covariance, scan, scattered, slope
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
@@ -30,7 +17,7 @@ TWO = np.array([1.0, 3.0])
 def test_two_points_a_scan_make_a_plane_in_time(fit):
     """Never a fit by themselves; a few scans together tell slope and height."""
     ground, gradient = slope(0.12, -0.07, 30.0), np.array([-0.12, 0.07, 1.0])
-    config = configured(domain=FINEST_1M, lidar={"range_noise": 0.01}, mapping={"paper": fit})
+    config = configured(domain=FINEST_1M, noise=0.01, mapping={"paper": fit})
     rng, mapper = np.random.default_rng(4), Mapper(config)
     corners = np.stack(np.meshgrid(*[np.arange(16.0)] * 2)).reshape(2, 1, 256)
     for k in range(12):
@@ -49,7 +36,7 @@ def test_two_points_a_scan_make_a_plane_in_time(fit):
 @pytest.mark.parametrize("crossed", [False, True])
 def test_two_points_tell_the_slope_along_their_line(crossed):
     """On one diagonal, scan by scan, no plane; on both of them in turn, one."""
-    config = configured(domain=CELLS_4M, lidar={"range_noise": 0.05})
+    config = configured(domain=CELLS_4M, noise=0.05)
     rng, mapper = np.random.default_rng(2), Mapper(config)
     for k in range(30):
         y = np.array([3.0, 1.0] if crossed and k % 2 else [1.0, 3.0])
@@ -64,7 +51,7 @@ def test_two_points_tell_the_slope_along_their_line(crossed):
 def under_lines(ground, spacing: float, aside: float, step: float):
     """A map of 1 m cells after 150 scans; lines in every third, ``step`` m farther each scan."""
     noise, rng = 0.16, np.random.default_rng(3)
-    mapper = Mapper(configured(domain=FINEST_1M, lidar={"range_noise": noise}))
+    mapper = Mapper(configured(domain=FINEST_1M, noise=noise))
     for k in range(150):
         y = np.arange(-1.0, 17.0, spacing) + spacing * rng.random()
         x, y = np.meshgrid(np.arange(-2.7, 19.0, 3.0) + (step * k) % 3.0, y)
@@ -102,7 +89,7 @@ def test_lines_that_stand_tell_no_planes(aside):
 def test_a_strip_first_does_not_starve_a_steep_cell(seed):
     """1 m cells at 45 degrees: points of a strip, again and again, then three good scans."""
     ground = slope(1.0, 0.0)
-    config = configured(domain=FINEST_1M, lidar={"range_noise": 0.05})
+    config = configured(domain=FINEST_1M, noise=0.05)
     rng, mapper = np.random.default_rng(seed), Mapper(config)
     for k in range(32):
         x, y = np.array([8.0 + 0.05 * rng.random()]), np.array([8.0 + rng.random()])
@@ -122,7 +109,7 @@ def test_a_strip_first_does_not_starve_a_steep_cell(seed):
 )
 def test_a_strip_that_grows_waits_and_another_goes_on_in_smaller_leaves(widths, leaves, side):
     """Sixteen leaves of 4 m; a scan comes in over one, or what it shows is all there is."""
-    config = configured(domain={"max_level": 3}, lidar={"range_noise": 0.06})
+    config = configured(domain={"max_level": 3}, noise=0.06)
     rng, mapper = np.random.default_rng(5), Mapper(config)
     for k, width in enumerate(widths):
         pose = make_pose(ABOVE, stamp_ns=k + 1)
@@ -134,9 +121,7 @@ def test_a_strip_that_grows_waits_and_another_goes_on_in_smaller_leaves(widths, 
 
 def test_hints_go_up_with_the_map():
     """Two scans in three are 0.4 m too high; the corner's cell gets two points of each."""
-    config = configured(
-        domain=FINEST_1M, lidar={"range_noise": 0.01}, pose={"correlation_time": 0.0}
-    )
+    config = configured(domain=FINEST_1M, noise=0.01, pose={"correlation_time": 0.0})
     rng, mapper = np.random.default_rng(1), Mapper(config)
     estimate = make_pose(ABOVE, pose_covariance(0.3, 1e-9))
     for number, error in enumerate((0.0, 0.4, 0.4)):
@@ -153,7 +138,7 @@ def test_hints_go_up_with_the_map():
 
 
 def test_two_points_more_are_counted_and_weigh_no_more_than_two():
-    config = configured(domain=CELLS_4M, lidar={"range_noise": 0.05})
+    config = configured(domain=CELLS_4M, noise=0.05)
     mapper = mapped(config, flat(), density=2.0, scans=1)
     before = leaf_at(mapper, 2.0, 2.0).copy()
     look(mapper, flat(), TWO, TWO, pose=make_pose(ABOVE, stamp_ns=5))
@@ -166,9 +151,7 @@ def test_two_points_more_are_counted_and_weigh_no_more_than_two():
 @pytest.mark.parametrize("fit", ["none", "fit"])
 def test_a_strip_that_climbs_at_the_edge_of_a_leaf_leaves_its_middle_near(fit):
     """Over 0.08 m beside a rock, past which the rest is not seen, heights go from 0 to 1.1 m."""
-    config = configured(
-        domain={"min_level": 6, "max_level": 6}, lidar={"range_noise": 0.01}, mapping={"paper": fit}
-    )
+    config = configured(levels=(6, 6), noise=0.01, mapping={"paper": fit})
     rng, mapper = np.random.default_rng(8), Mapper(config)
     for k in range(6):
         x, y = 8.0 + 0.25 * rng.random(20), 8.17 + 0.08 * rng.random(20)
@@ -181,9 +164,7 @@ def test_a_strip_that_climbs_at_the_edge_of_a_leaf_leaves_its_middle_near(fit):
 
 def sparse(ground, points: int, scans: int, seed: int, sigma: float = 0.0, **sections):
     """Leaves of 4 m, which may divide, of so many points a scan each; poses err as they say."""
-    config = configured(
-        domain={"min_level": 2, "max_level": 6}, lidar={"range_noise": 0.06}, **sections
-    )
+    config = configured(levels=(2, 6), noise=0.06, **sections)
     rng, mapper = np.random.default_rng(seed), Mapper(config)
     corners = 4.0 * np.stack(np.meshgrid(*[np.arange(4.0)] * 2)).reshape(2, 1, 16)
     for k in range(scans):

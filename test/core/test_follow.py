@@ -5,7 +5,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from core.builders import assert_same, configured, flat, look, make_pose, pose_covariance, scattered
+from core.builders import assert_same, configured, look
+from core.scenes import flat, make_pose, pose_covariance, scattered
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,12 +23,8 @@ from quadtree_lss.onboard.core.tree.leaves import LEAF
 from quadtree_lss.onboard.messages.maps import round_trip
 
 SQUARE = Domain(0.0, 0.0, 16.0, 4, 7)
-FOLLOWING = configured(
-    domain={"min_level": 4, "max_level": 7, "follow": "vehicle"}, lss={"grid_spacing": 0.25}
-)
-FIXED = configured(
-    domain={"xmin": -64.0, "ymin": -64.0, "size": 128.0, "min_level": 7, "max_level": 10}
-)
+FOLLOWING = configured((4, 7), domain={"follow": "vehicle"}, lss={"grid_spacing": 0.25})
+FIXED = configured((7, 10), domain={"xmin": -64.0, "ymin": -64.0, "size": 128.0})
 
 
 def ground(x, y):
@@ -131,9 +128,8 @@ def test_a_wrong_pose_does_not_drop_the_map():
     away = make_pose((9e3, 8.0, 30.0), pose_covariance(0.03, 1e-3), stamp_ns=7 * 10**8)
     for k in range(AGREEING):
         assert mapper.domain == domain
-        look(
-            mapper, flat(), *scattered(np.random.default_rng(k), 8995.0, 3.0, 10.0, 500), pose=away
-        )
+        places = scattered(np.random.default_rng(k), 8995.0, 3.0, 10.0, 500)
+        look(mapper, flat(), *places, pose=away)
         if k == 0:
             assert np.array_equal(before.z, mapper.snapshot().z, equal_nan=True)
     assert mapper.domain.steps_to(9e3, 8.0) == (0, 0), "nor does it stay behind for ever"

@@ -6,7 +6,8 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from core.builders import configured, feature_height, flat, mapped, strip
+from core.builders import configured, feature_height, mapped, strip
+from core.scenes import flat
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing import hazards
@@ -24,7 +25,7 @@ def terrain(x, y):
 
 @pytest.fixture(scope="module")
 def cells() -> CellMap:
-    config = configured(lidar={"range_noise": 0.03})
+    config = configured(noise=0.03)
     return mapped(config, terrain, density=120.0, scans=2).snapshot()
 
 
@@ -92,7 +93,7 @@ def test_raster_is_the_leaf_planes_at_the_finest_centres(cells):
 def test_subscale_is_the_mean_and_the_greatest_height_within_the_cell(place):
     """Against a fine sampling; wherever on the lattice it lies, a feature has its full peak and its
     volume."""
-    config = configured(domain={"min_level": 3, "max_level": 6}, lidar={"range_noise": 0.01})
+    config = configured(levels=(3, 6), noise=0.01)
     cells = mapped(config, flat(), density=50.0, scans=1).snapshot()
     k = int(np.flatnonzero((cells.x == 5.0) & (cells.y == 7.0))[0])
     cells.feature[:] = np.nan

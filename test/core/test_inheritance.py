@@ -3,21 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import (
-    ABOVE,
-    configured,
-    divide,
-    flat,
-    lattice,
-    leaf_at,
-    look,
-    make_pose,
-    mapped,
-    pose_covariance,
-    scan,
-    scattered,
-    slope,
-)
+from core.builders import configured, divide, leaf_at, look, mapped
+from core.scenes import ABOVE, flat, lattice, make_pose, pose_covariance, scan, scattered, slope
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
@@ -32,7 +19,7 @@ def block(x, y):
 
 
 def test_children_keep_the_mean_height_of_all_scans():
-    config = configured(lidar={"range_noise": 0.02}, pose=INDEPENDENT)
+    config = configured(noise=0.02, pose=INDEPENDENT)
     mapper, rng = Mapper(config), np.random.default_rng(2)
     for high in (0.1, 0.1, 0.1):
         look(mapper, flat(), *scattered(rng, 0.0, 0.0, 16.0, 8000), rng, 0.02, POSE, high)
@@ -49,7 +36,7 @@ def test_children_keep_the_mean_height_of_all_scans():
 
 @pytest.mark.parametrize("correlation_time", [0.0, 300.0])
 def test_children_keep_the_pose_part_of_all_scans(correlation_time):
-    config = configured(lidar={"range_noise": 0.02}, pose={"correlation_time": correlation_time})
+    config = configured(noise=0.02, pose={"correlation_time": correlation_time})
     mapper, rng = Mapper(config), np.random.default_rng(2)
     for surface in (flat(), flat(), flat(), block):
         look(mapper, surface, *scattered(rng, 0.0, 0.0, 16.0, 8000), rng, 0.02, POSE)
@@ -64,7 +51,7 @@ def test_children_keep_the_pose_part_of_all_scans(correlation_time):
 
 def test_children_of_planar_ground_are_as_sure_as_a_quarter_of_its_points():
     """What divides them is elsewhere: nothing of the slope is forgotten."""
-    config = configured(domain={"min_level": 2, "max_level": 3}, lidar={"range_noise": 0.02})
+    config = configured(levels=(2, 3), noise=0.02)
     mapper = mapped(config, slope(0.2, -0.1), density=60.0, scans=4)
     for row in range(16):
         divide(mapper.leaves, row, 0.02**2, 12.0 * 0.02**2 / (5.0 * 2.0**2))
@@ -77,7 +64,7 @@ def test_children_of_planar_ground_are_as_sure_as_a_quarter_of_its_points():
 
 def test_children_keep_how_far_noise_may_have_turned_their_parent():
     """Points that tell no slope leave that as it is; fits of their own come to outweigh it."""
-    config = configured(domain={"min_level": 2, "max_level": 3}, lidar={"range_noise": 0.02})
+    config = configured(levels=(2, 3), noise=0.02)
     mapper, rng = mapped(config, flat(), density=60.0, scans=4), np.random.default_rng(3)
     leaf_at(mapper, 1.0, 1.0).bias[:3] = 0.5, 0.1, 0.3
     divide(mapper.leaves, 0, 0.02**2, 12.0 * 0.02**2 / (5.0 * 2.0**2))
@@ -98,7 +85,7 @@ def test_a_strip_does_not_spoil_a_leaf_that_is_well_known(seed, x0, width):
     def ground(x, y):
         return 0.03 * (x - 6.0) ** 2 + 0.02 * (y - 6.0) ** 2
 
-    config = configured(lidar={"range_noise": 0.05})
+    config = configured(noise=0.05)
     rng, mapper = np.random.default_rng(seed), Mapper(config)
     for k in range(3):
         places, pose = scattered(rng, 0.0, 0.0, 16.0, 16_000), make_pose(ABOVE, stamp_ns=1 + k)
@@ -120,7 +107,7 @@ def test_a_strip_does_not_spoil_a_leaf_that_is_well_known(seed, x0, width):
 @pytest.mark.parametrize("part", ["strip", "corner"])
 def test_a_part_of_a_known_leaf_moves_its_middle_by_no_more_than_its_points(part):
     """200 points 0.3 m high in a tenth of a leaf that is known from 3,000."""
-    config = configured(domain={"min_level": 2, "max_level": 2}, lidar={"range_noise": 0.05})
+    config = configured(levels=(2, 2), noise=0.05)
     mapper, rng = mapped(config, flat(), density=60.0, scans=3), np.random.default_rng(5)
     before = leaf_at(mapper, 6.0, 6.0).copy()
     x = 4.0 + 0.4 * rng.random(200)
@@ -142,11 +129,7 @@ def test_what_pose_errors_explain_of_a_part_does_not_stand_out(
     monkeypatch, correlation_time, align, stands_out
 ):
     """0.3 m, by poses as uncertain: unless the error lasts, or the rest of the scan tells it."""
-    config = configured(
-        domain={"min_level": 2, "max_level": 2},
-        lidar={"range_noise": 0.02},
-        pose={"correlation_time": correlation_time},
-    )
+    config = configured(levels=(2, 2), noise=0.02, pose={"correlation_time": correlation_time})
     mapper, rng = Mapper(config), np.random.default_rng(7)
     if not align:
         monkeypatch.setattr(mapper, "_align", lambda *_: 0.0)
@@ -169,7 +152,7 @@ def test_a_scan_that_is_off_sideways_does_not_outvote_what_children_inherit(seed
     On either side of the roof it is 0.2 m off, one up and one down: no height takes that out. The
     mean of the ten, less certain by 6 cm, weighs ten times as much.
     """
-    config = configured(lidar={"range_noise": 0.05}, pose=INDEPENDENT)
+    config = configured(noise=0.05, pose=INDEPENDENT)
     mapper, rng = Mapper(config), np.random.default_rng(seed)
 
     def roof(x, y):

@@ -18,10 +18,8 @@ from quadtree_lss.onboard.core.sensing.isolated import (
 
 
 def scene(height: int = 12, width: int = 16) -> np.ndarray:
-    azimuth, elevation = np.meshgrid(
-        np.linspace(-0.01, 0.01, width), np.linspace(-0.01, 0.01, height)
-    )
-    return lidar.points_from_ranges(np.full((height, width), 400.0), azimuth, elevation)
+    angles = np.meshgrid(*(np.linspace(-0.01, 0.01, count) for count in (width, height)))
+    return lidar.points_from_ranges(np.full((height, width), 400.0), *angles)
 
 
 def isolated(points: np.ndarray, gate: float = 0.4) -> np.ndarray:

@@ -3,7 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import configured, mapped, slope
+from core.builders import configured, mapped
+from core.scenes import slope
 from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.onboard.config.settings import LssConfig
@@ -24,7 +25,7 @@ from quadtree_lss.onboard.core.tree.domain import Domain
 
 def test_beyond_the_edge_the_ground_goes_on():
     """Level, at the height of the edge: half of the disc of a point there has no slope."""
-    config = configured(lidar={"range_noise": 0.01})
+    config = configured(noise=0.01)
     cells = mapped(config, slope(0.2, 0.0), density=60.0).snapshot()
     raster = rasterise(cells, LssConfig())
     found = ground_planes(raster.elevation, raster.seen, cells.domain.finest_size, 1.5)

@@ -5,7 +5,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from core.builders import configured, mapped
+from core.builders import BY_RISK, configured, mapped
 
 from quadtree_lss.lab.simulation.safety import LandingGear, contact_safe
 from quadtree_lss.lab.simulation.terrain import Terrain
@@ -13,15 +13,8 @@ from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 
 #: Not of the least hazard: of the diameter, of the slope, and a rise over the pads' plane.
-OTHERS = {
-    "grid_spacing",
-    "min_separation",
-    "max_gap",
-    "hazard_growth",
-    "touchdown_slope_deg",
-    "touchdown_roughness",
-    "reference_size",
-}
+OTHERS = {"grid_spacing", "min_separation", "max_gap", "hazard_growth", "reference_size"}
+OTHERS |= {"touchdown_slope_deg", "touchdown_roughness"}
 
 
 def block(high: float, wide: float, x: float, y: float):
@@ -71,12 +64,7 @@ def test_no_pad_may_stand_on_a_block_that_leans_the_vehicle_too_far():
         domain={"max_level": 7},
         vehicle={"diameter": 2.0, "clearance": 0.34, "max_slope_deg": 6.0, "pad_radius": 0.1},
         lidar={"range_noise": 0.02, "min_range": 0.1},
-        lss={
-            "assessment": "probability",
-            "ranking": "probability",
-            "grid_spacing": 0.125,
-            "dispersion": 0.0,
-        },
+        lss={**BY_RISK, "grid_spacing": 0.125, "dispersion": 0.0},
     )
     ground = block(0.165, 0.3, 8.0, 8.0)
     found = LandingSiteSelector(config).assess(mapped(config, ground, density=200.0).snapshot())

@@ -3,8 +3,9 @@
 
 import numpy as np
 import pytest
-from core.builders import configured, divide, flat, look, mapped
+from core.builders import configured, divide, look, mapped
 from core.kernels import shifted
+from core.scenes import flat
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -3,7 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, lattice, make_pose, scan
+from core.builders import configured
+from core.scenes import flat, lattice, make_pose, scan
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.onboard.core.geometry import morton
@@ -62,12 +63,9 @@ def test_points_of_a_cell_are_one_run_in_the_order_of_the_scan(form):
 
 
 def test_a_scan_that_somebody_keeps_is_not_written_over():
-    config = configured()
-    scans = [
-        scan(flat(z), *lattice(0.0, 0.0, 16.0, 40), make_pose((8.0, 8.0, 100.0)), 0.0)
-        for z in (0.0, 1.0, 2.0)
-    ]
-    args = (make_pose((8.0, 8.0, 100.0)), config.lidar, Domain.of(config.domain))
+    config, pose, places = configured(), make_pose((8.0, 8.0, 100.0)), lattice(0.0, 0.0, 16.0, 40)
+    scans = [scan(flat(z), *places, pose, 0.0) for z in (0.0, 1.0, 2.0)]
+    args = (pose, config.lidar, Domain.of(config.domain))
     kept, _ = register(scans[0], *args)
     part = register(scans[1], *args)[0].points[5:]
     key = memoryview(register(scans[1], *args)[0].key)
@@ -95,6 +93,5 @@ def test_a_covariance_is_made_positive_and_bounded():
     values = np.array([-1.0, 0.0, 1e-6, 0.5, 3.0, 2e6])
     axes = np.linalg.qr(np.random.default_rng(4).standard_normal((6, 6)))[0]
     expected = (axes * np.clip(values, 0.0, 1e6)) @ axes.T
-    np.testing.assert_allclose(
-        lidar.sound_covariance((axes * values) @ axes.T), expected, atol=1e-8
-    )
+    found = lidar.sound_covariance((axes * values) @ axes.T)
+    np.testing.assert_allclose(found, expected, atol=1e-8)

@@ -5,19 +5,13 @@ import copy
 
 import numpy as np
 import pytest
-from core.builders import (
+from core.builders import METHODS, assert_same, assert_sound, by, configured, look, mapped
+from core.scenes import (
     ABOVE,
     GROUND,
-    METHODS,
-    assert_same,
-    assert_sound,
-    by,
-    configured,
     flat,
     lattice,
-    look,
     make_pose,
-    mapped,
     pose_covariance,
     scan,
     scattered,
@@ -32,7 +26,7 @@ from quadtree_lss.onboard.core.sensing.lidar import Pose
 
 @pytest.mark.parametrize("paper", METHODS)
 def test_every_method_divides_at_a_step_and_not_on_a_slope(paper):
-    config = configured(mapping={"paper": paper}, lidar={"range_noise": 0.03})
+    config = configured(mapping={"paper": paper}, noise=0.03)
     even = mapped(config, GROUND, density=30.0, scans=3)
     assert even.leaves.count == 4**config.domain.min_level
     stepped = mapped(config, lambda x, y: 0.5 * (x > 5.1), density=60.0, scans=3)
@@ -55,13 +49,11 @@ def test_the_papers_criterion_hides_misfit_behind_pose_uncertainty():
     """
     counts = []
     for paper in ("none", "division"):
-        config = configured(mapping={"paper": paper}, lidar={"range_noise": 0.03})
+        config = configured(mapping={"paper": paper}, noise=0.03)
         with by(MOUND=np.inf, FEATURE_HEIGHT=np.inf):
             mapper, rng = Mapper(config), np.random.default_rng(5)
-        pose, places = (
-            make_pose(ABOVE, pose_covariance(0.5, 1e-12)),
-            scattered(rng, 0, 0, 16, 10_000),
-        )
+        pose = make_pose(ABOVE, pose_covariance(0.5, 1e-12))
+        places = scattered(rng, 0, 0, 16, 10_000)
         look(mapper, lambda x, y: 0.3 * (x > 5.1), *places, rng, 0.03, pose)
         counts.append(mapper.leaves.count)
     assert counts[0] > 50 and counts[1] == 16
@@ -69,7 +61,7 @@ def test_the_papers_criterion_hides_misfit_behind_pose_uncertainty():
 
 def test_children_without_points_inherit_and_no_hole_appears():
     """Every 8 m cell has points in its western half alone, with a step there."""
-    config = configured(domain={"min_level": 1}, lidar={"range_noise": 0.03})
+    config = configured(domain={"min_level": 1}, noise=0.03)
     rng, mapper = np.random.default_rng(6), Mapper(config)
     x, y = lattice(0.0, 0.0, 16.0, 160)  # four points or more in the finest cells
     west = (x % 8.0) < 4.0
@@ -115,7 +107,7 @@ def test_points_are_all_accounted_for():
 
 
 def test_observed_is_where_points_fell_and_count_is_how_many():
-    config = configured(domain={"min_level": 2, "max_level": 5})
+    config = configured(levels=(2, 5))
     x, y = scattered(np.random.default_rng(8), 0.0, 0.0, 16.0, 600)
     mapper = Mapper(config)
     for _ in range(2):
@@ -131,7 +123,7 @@ def test_observed_is_where_points_fell_and_count_is_how_many():
 
 def test_where_returns_stand_out_is_remembered():
     """By the last look, if they are more than a sixteenth: 7 of 100 a cell."""
-    config = configured(domain={"min_level": 4, "max_level": 4}, lidar={"range_noise": 0.01})
+    config = configured(levels=(4, 4), noise=0.01)
     mapper, rng = Mapper(config), np.random.default_rng(9)
     x, y = lattice(0.0, 0.0, 16.0, 160)
     cell = np.flatnonzero((np.floor(x) == 5) & (np.floor(y) == 9))
@@ -257,9 +249,7 @@ def test_a_shifted_world_gives_the_shifted_map(scans, points):
     scan as of many."""
     maps, domain = [], {} if scans == 1 else {"min_level": 4, "max_level": 4}
     for at in (np.zeros(3), np.array([20_000.0, -20_000.0, 3_000.0])):
-        mapper = Mapper(
-            configured(domain={"xmin": at[0], "ymin": at[1], **domain}, lidar={"range_noise": 0.03})
-        )
+        mapper = Mapper(configured(domain={"xmin": at[0], "ymin": at[1], **domain}, noise=0.03))
         rng = np.random.default_rng(13)
         for k in range(scans):
             place = np.array([8.0, 8.0, 500.0] if scans == 1 else [-180.0, 8.0 + 20.0 * k, 120.0])

@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, lattice, look, pose_covariance
+from core.builders import configured, look
 from core.kernels import fit, tangent_basis
+from core.scenes import flat, lattice, pose_covariance
 
 from quadtree_lss.onboard.core.geometry import rotations
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
@@ -22,7 +23,7 @@ FITS = pytest.mark.parametrize("method", ["none", "fit"])
 
 def rules(method: str = "none", noise: float = 0.02, **mapping: object) -> Rules:
     values = {"paper": method, **mapping}
-    return Rules(configured(mapping=values, lidar={"range_noise": noise}))
+    return Rules(configured(mapping=values, noise=noise))
 
 
 class Found(NamedTuple):
@@ -202,10 +203,8 @@ def test_too_few_points_to_show_uneven_ground_have_it_all_the_same():
     of = rules(noise=0.02)
     smooth, rough = (fit(of, cloud, 0.0, 0.0, 2.0, UP, NO_POSE, uneven=v)[0] for v in (0.0, 0.03))
     factor = 1.0 + 0.03 / smooth.variance
-    slope = np.ix_([0, 1, 3, 4])
-    np.testing.assert_allclose(
-        rough.range_part[slope], factor * smooth.range_part[slope], rtol=1e-3
-    )
+    one, other = (run.range_part[[0, 1, 3, 4]] for run in (smooth, rough))  # of slopes
+    np.testing.assert_allclose(other, factor * one, rtol=1e-3)
     assert rough.own == smooth.own
 
 
@@ -254,7 +253,7 @@ def test_what_noise_along_the_ray_turns_and_lifts(turned, fall):
 
 def test_parts_of_a_leaf_that_were_never_seen_leave_its_height_uncertain():
     """However sharply the rest is known: its slope may differ by 0.1 rad."""
-    config = configured(domain={"min_level": 2, "max_level": 6}, lidar={"range_noise": 0.01})
+    config = configured(levels=(2, 6), noise=0.01)
     mapper, (x, y) = Mapper(config), lattice(0.0, 0.0, 4.0, 160)
     part = (x < 2.0) & (y < 1.0)
     for _ in range(2):
@@ -269,7 +268,7 @@ def test_parts_of_a_leaf_that_were_never_seen_leave_its_height_uncertain():
 @pytest.mark.parametrize("part", [(0.0, 1.5, 0.0, 4.0), (1.0, 4.0, 2.5, 4.0), (0.0, 2.0, 0.0, 2.0)])
 def test_a_height_is_known_best_in_the_middle_of_what_was_seen(part):
     """However little of the leaf that is, and wherever; far from it the slope makes it worse."""
-    config = configured(domain={"min_level": 2, "max_level": 6}, lidar={"range_noise": 0.01})
+    config = configured(levels=(2, 6), noise=0.01)
     mapper, (x, y) = Mapper(config), lattice(0.0, 0.0, 4.0, 160)
     west, east, south, north = part
     here = (x > west) & (x < east) & (y > south) & (y < north)

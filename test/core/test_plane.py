@@ -26,7 +26,7 @@ def scatter_of(points: np.ndarray) -> np.ndarray:
 
 def fitted(points: np.ndarray, prior=UP, method: str = "none", noise: float = 1e-3):
     """What `measure` makes of points (N, 3) about the lidar that fill a cell of 2 m below it."""
-    rules = Rules(configured(lidar={"range_noise": noise}, mapping={"paper": method}))
+    rules = Rules(configured(noise=noise, mapping={"paper": method}))
     return kernels.fit(rules, points, 0.0, 0.0, 2.0, prior, np.zeros((6, 6)))[0]
 
 
@@ -148,14 +148,11 @@ def test_shift_of_origin_maps_errors_as_differentiation_does():
         covariance = random_covariances(rng, 1, 3, 0.05)[0]
         change = differentiated(after, 3)
         lever = delta @ kernels.tangent_basis(normal)
+        expected = change @ covariance @ change.T
         height = plane.offset_variance(covariance.ravel(), *lever)
-        assert height == pytest.approx((change @ covariance @ change.T)[2, 2], rel=1e-6)
-        np.testing.assert_allclose(
-            kernels.shifted(covariance, normal, delta),
-            change @ covariance @ change.T,
-            rtol=1e-6,
-            atol=1e-6,
-        )
+        assert height == pytest.approx(expected[2, 2], rel=1e-6)
+        found = kernels.shifted(covariance, normal, delta)
+        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
 
 
 def test_pose_part_is_the_covariance_of_a_rigid_motion():
@@ -171,12 +168,6 @@ def test_pose_part_is_the_covariance_of_a_rigid_motion():
 
         jacobian = differentiated(moved, 6)
         expected = jacobian @ sigma @ jacobian.T
-        (found,) = filled(
-            plane.pose_part,
-            (9,),
-            normal,
-            kernels.tangent_basis(normal).T.ravel(),
-            arm,
-            sigma.ravel(),
-        )
+        basis = kernels.tangent_basis(normal).T.ravel()
+        (found,) = filled(plane.pose_part, (9,), normal, basis, arm, sigma.ravel())
         np.testing.assert_allclose(found.reshape(3, 3), expected, rtol=1e-5, atol=1e-8)

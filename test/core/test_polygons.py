@@ -26,10 +26,9 @@ def test_sign_tells_inside(polygon):
 def test_length_is_the_distance_to_the_edge(polygon):
     x, y = places()
     corners = np.array(polygon)
-    steps = np.linspace(0.0, 1.0, 2001)[:, None]
-    edge = np.concatenate(
-        [a + steps * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
-    )
+    along = np.roll(corners, -1, axis=0) - corners
+    edge = corners + np.linspace(0.0, 1.0, 2001)[:, None, None] * along
+    edge = edge.reshape(-1, 2)
     nearest = np.hypot(x[:, None] - edge[:, 0], y[:, None] - edge[:, 1]).min(axis=1)
     # Samples are at most 1.6 mm from any point of an edge.
     np.testing.assert_allclose(np.abs(signed_distance(polygon, x, y)), nearest, atol=2e-3)

@@ -3,7 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, look, make_pose, pose_covariance, scattered
+from core.builders import configured, look
+from core.scenes import flat, make_pose, pose_covariance, scattered
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.pose_errors import LEAST, PoseErrors, Steps
@@ -64,9 +65,8 @@ def test_what_is_not_as_claimed_is_told(kind, claimed_time, rate, claimed, expec
     rng = np.random.default_rng(1)
     for _ in range(DRAWS):
         found = judged(rng, kind, claimed_time, rate, claimed=claimed * SIGMA)
-        assert {name for name in ("white", "persist", "too_small") if getattr(found, name)} == (
-            expected
-        ), found
+        told = {name for name in ("white", "persist", "too_small") if getattr(found, name)}
+        assert told == expected, found
 
 
 def test_it_is_told_what_the_map_would_say():
@@ -116,11 +116,7 @@ def test_little_is_not_judged():
     ],
 )
 def test_a_mapper_tells_of_a_hover(kind, claimed_time, expected):
-    config = configured(
-        domain={"min_level": 4, "max_level": 4},
-        lidar={"range_noise": 0.02},
-        pose={"correlation_time": claimed_time},
-    )
+    config = configured(levels=(4, 4), noise=0.02, pose={"correlation_time": claimed_time})
     mapper, rng = Mapper(config), np.random.default_rng(7)
     sigma = pose_covariance(SIGMA, 1e-3)
     for k, error in enumerate(errors(rng, kind, 20.0, 61)):

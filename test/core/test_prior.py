@@ -3,7 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import configured, lattice, leaf_at, look, make_pose, pose_covariance, scattered
+from core.builders import configured, leaf_at, look
+from core.scenes import flat, lattice, make_pose, pose_covariance, scattered
 
 from quadtree_lss.onboard.config.settings import PriorConfig
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
@@ -84,19 +85,19 @@ def test_a_place_without_posts_is_not_covered():
 
 def test_a_leaf_is_the_mean_of_what_points_and_prior_say():
     """Weighted by information, as two measurements of one height are, on level ground."""
-    config = configured(lidar={"range_noise": 1.0}, domain={"min_level": 2, "max_level": 2})
-    plain, begun = Mapper(config), Mapper(config, prior_of(lambda x, y: 0.0 * x + 0.2, **SURE))
+    config = configured(noise=1.0, levels=(2, 2))
+    plain, begun = Mapper(config), Mapper(config, prior_of(flat(0.2), **SURE))
     x, y = lattice(4.0, 4.0, 4.0, 12)
     for mapper in (plain, begun):
-        look(mapper, lambda x, y: 0.0 * x, x, y, np.random.default_rng(4), noise=1.0)
+        look(mapper, flat(), x, y, np.random.default_rng(4), noise=1.0)
     one, both = leaf_at(plain, 6.0, 6.0), leaf_at(begun, 6.0, 6.0)
-    planes = prior_of(lambda x, y: 0.0 * x, **SURE).planes(begun.domain, 4.0)
+    planes = prior_of(flat(), **SURE).planes(begun.domain, 4.0)
     weight = np.array([1.0 / one.range_part[8], 1.0 / planes.height])
     assert both.z == pytest.approx(weight @ [one.z, 0.2] / weight.sum(), abs=5e-3)
     assert both.range_part[8] == pytest.approx(1.0 / weight.sum(), rel=0.05)
     assert both.range_part[0] < one.range_part[0]
     again = both.z, both.range_part[8]
-    look(begun, lambda x, y: 0.0 * x, x, y, np.random.default_rng(5), noise=1.0)
+    look(begun, flat(), x, y, np.random.default_rng(5), noise=1.0)
     share = again[1] / (again[1] + one.range_part[8])  # the prior counts once
     assert leaf_at(begun, 6.0, 6.0).range_part[8] == pytest.approx(again[1] * (1 - share), rel=0.1)
 
@@ -156,7 +157,7 @@ def test_a_right_prior_is_kept_and_its_offset_found():
 
 
 def test_height_is_known_before_the_place():
-    prior = prior_of(lambda x, y: 0.0 * x + 4.0, offset_sigma=8.0, height_sigma=10.0)
+    prior = prior_of(flat(4.0), offset_sigma=8.0, height_sigma=10.0)
     match = PriorMatch(prior, Domain(0.0, 0.0, 64.0, 4, 7))
     match.compare(10.0, 10.0, 7.0)
     east, north, up = np.sqrt(match.found.covariance.diagonal())
@@ -166,10 +167,8 @@ def test_height_is_known_before_the_place():
 
 def test_the_prior_makes_no_ground_seen_or_known():
     """Not even under a prior as sure as can be: what no scan saw is no map, and no site."""
-    prior = prior_of(lambda x, y: 0.0 * x, **SURE)
-    plain, begun = (
-        three_looks(Mapper(SQUARE, p), lambda x, y: 0.0 * x, seed=2) for p in (None, prior)
-    )
+    prior = prior_of(flat(), **SURE)
+    plain, begun = (three_looks(Mapper(SQUARE, p), flat(), seed=2) for p in (None, prior))
     one, other = plain.snapshot(), begun.snapshot()
     for name in ("observed", "known", "measured", "estimated", "count", "level"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
@@ -179,10 +178,8 @@ def test_the_prior_makes_no_ground_seen_or_known():
     assert not (empty.estimated.any() or empty.observed.any())
     assert not len(LandingSiteSelector(SQUARE).assess(empty).sites)
     # A line of points tells no plane, whatever the prior knows of its slope.
-    line = Mapper(SQUARE, prior)
-    x = np.linspace(0.5, 3.5, 40)
-    look(line, lambda x, y: 0.0 * x, x, 0.0 * x + 2.0, np.random.default_rng(1), noise=0.06,
-         pose=make_pose((2.0, 2.0, 500.0)))  # fmt: skip
+    line, x, pose = Mapper(SQUARE, prior), np.linspace(0.5, 3.5, 40), make_pose((2.0, 2.0, 500.0))
+    look(line, flat(), x, 0.0 * x + 2.0, np.random.default_rng(1), noise=0.06, pose=pose)
     assert not line.snapshot().measured.any()
 
 
@@ -227,15 +224,14 @@ def test_to_look_first_is_where_the_ground_is_even():
         return np.where(x < 30.0, 0.6 * (30.0 - x), 0.0) + 0.0 * y
 
     domain = Domain(0.0, 0.0, 64.0, 4, 7)
-    sure, shifted = (
-        look_first(prior_of(ground, sigma=0.1, offset_sigma=s), domain, SQUARE) for s in (0.5, 8.0)
-    )
+    by = [prior_of(ground, sigma=0.1, offset_sigma=sigma) for sigma in (0.5, 8.0)]
+    sure, shifted = (look_first(prior, domain, SQUARE) for prior in by)
     for places in (sure, shifted):
         assert places and places[0].x > 35.0 and places[0].slope_deg < 2.0
         assert all(a.x < 64.0 and abs(a.z) < 20.0 for a in places)
         assert all(np.hypot(a.x - b.x, a.y - b.y) > 10.0 for a in places for b in places if a != b)
     assert shifted[0].ease < sure[0].ease <= 1.0
-    near = look_first(prior_of(ground, sigma=0.1, offset_sigma=0.5), domain, SQUARE, [55.0, 20.0])
+    near = look_first(by[0], domain, SQUARE, [55.0, 20.0])
     assert np.hypot(near[0].x - 55.0, near[0].y - 20.0) < 6.0
     empty = prior_of(ground)
     empty.elevation[:] = np.nan

@@ -121,9 +121,8 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
         np.testing.assert_allclose(found[name], own, rtol=1e-5)
         padded = np.pad(own, 1, constant_values=-np.inf)
         four = padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]
-        np.testing.assert_allclose(
-            found[f"{name}_beside"], np.maximum.reduce([own, *four]), rtol=1e-5
-        )
+        beside = np.maximum.reduce([own, *four])
+        np.testing.assert_allclose(found[f"{name}_beside"], beside, rtol=1e-5)
     count = np.bincount(raster.leaf[seen], minlength=len(cells.level))
     density = (cells.count / np.maximum(count, 1))[raster.leaf] / side**2
     known = np.log10(np.where(seen, density * c * c, 0.0) + 1e-3)
@@ -136,9 +135,8 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
         noisy[LOCAL.index("seen")], expected - np.log10(4.0), atol=1e-4
     )
     rough = np.nan_to_num(cells.roughness / cells.size**2)[raster.leaf] / c * seen
-    np.testing.assert_allclose(
-        found["roughness"], np.sqrt(square_means(rough, under, under, size)), atol=1e-4
-    )
+    rough = np.sqrt(square_means(rough, under, under, size))
+    np.testing.assert_allclose(found["roughness"], rough, atol=1e-4)
     corners = sliding_window_view(planes.elevation, (2, 2)).mean(axis=(2, 3))
     over = np.clip((raster.elevation - corners) / c, 0.0, 5.0) * raster.seen
     assert (over > 1.0).any()
@@ -189,13 +187,8 @@ def test_more_that_speaks_against_a_place_never_lowers_its_risk():
         more[:, k] += rng.uniform(0.0, 1.0, len(more)) * (high[k] - low[k])
         assert (risks(model, more) >= risk - 1e-12).all(), name
         assert (risks(model, more) > risk + 1e-6).any(), name
-    hidden = replace(
-        model,
-        causes={
-            name: cause if name == "hidden" else Cause(-40.0, ())
-            for name, cause in model.causes.items()
-        },
-    )
+    never = dict.fromkeys(model.causes, Cause(-40.0, ()))
+    hidden = replace(model, causes={**never, "hidden": model.causes["hidden"]})
     more = places.copy()
     more[:, LOCAL.index("seen")] += 0.5
     assert (risks(hidden, more) <= risks(hidden, places) + 1e-12).all()
@@ -273,11 +266,8 @@ def beside_a_rock():
 def test_a_rock_is_bad_ground_and_what_is_far_from_it_is_safe(beside_a_rock):
     found = probable(dispersion=0.0).assess(beside_a_rock)
     at_rock = np.hypot(found.x[None] - 16.0, found.y[:, None] - 16.0)
-    on_edge = np.minimum.reduce(
-        np.broadcast_arrays(
-            found.x[None], found.y[:, None], 32.0 - found.x[None], 32.0 - found.y[:, None]
-        )
-    )
+    x, y = np.meshgrid(found.x, found.y)
+    on_edge = np.minimum.reduce([x, y, 32.0 - x, 32.0 - y])
     assert found.risk[at_rock < 1.5].min() > 0.3
     far = (at_rock > 4.0) & (on_edge > 2.5)
     assert found.risk[far].max() < 0.005
@@ -353,16 +343,10 @@ def test_words():
     risk = "probability 99.2 %: the remaining risk is"
     assert Remainder(0.9917, 3.14, 0.0, "obstacle").words() == f"{risk} an obstacle 3.1 m east"
     assert Remainder(0.9917, 0.0, 0.0, "slope").words() == f"{risk} too steep a slope here"
-    assert (
-        Remainder(0.99997, 0.0, 0.0, "slope").words() == "probability 99.99 %"
-    )  # not worth a word
-    assert [heading_word(np.radians(a)) for a in (0, 44, 91, 180, -91)] == [
-        "east",
-        "north-east",
-        "north",
-        "west",
-        "south",
-    ]
+    little = Remainder(0.99997, 0.0, 0.0, "slope")
+    assert little.words() == "probability 99.99 %", "not worth a word"
+    words = ["east", "north-east", "north", "west", "south"]
+    assert [heading_word(np.radians(a)) for a in (0, 44, 91, 180, -91)] == words
 
 
 def test_what_is_more_probable_comes_first_whatever_its_score():

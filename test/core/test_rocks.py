@@ -5,8 +5,9 @@ import functools
 
 import numpy as np
 import pytest
-from core.builders import by, configured, flat, four_leaves, mapped, scattered
+from core.builders import by, configured, four_leaves, mapped
 from core.kernels import division
+from core.scenes import flat, scattered
 from scipy.stats import norm
 
 from quadtree_lss.onboard.core.geometry import morton
@@ -23,7 +24,7 @@ NEVER = np.inf
 def hides(leaves: LeafTable, noise: float = 0.02, **constants: float) -> list[bool]:
     """Which of `four_leaves` hold a rock, by the default limits but for those given."""
     with by(**constants):
-        rules = Rules(configured(lidar={"range_noise": noise}))
+        rules = Rules(configured(noise=noise))
     return [division.hides_rock(rules, leaves.rows[row]) for row in range(4)]
 
 
@@ -64,7 +65,7 @@ def test_a_rock_that_noise_hides_in_every_scan_divides():
 
     No return stands out: an exception, three deviations, is farther off than the rock is high.
     """
-    config = configured(domain={**LEAVES_4M, "max_level": 5}, lidar={"range_noise": 0.1})
+    config = configured(domain={**LEAVES_4M, "max_level": 5}, noise=0.1)
     ground = functools.partial(bump, x0=5.25, y0=6.75, radius=0.6, height=0.25)
     for surface, share in ((ground, np.inf), (ground, 1.0 / 3.0), (flat(), 1.0 / 3.0)):
         with by(MOUND=share, ROCK_EXCEPTIONS=NEVER, ROCK_SIGMA=0.0):
@@ -77,7 +78,7 @@ def test_a_rock_that_noise_hides_in_every_scan_divides():
 def test_every_return_lies_in_one_pile():
     """However often the leaf above it divides on the way; under a finest leaf perhaps in none."""
     ground = functools.partial(bump, x0=8.0, y0=6.0, radius=0.45, height=0.29)
-    config = configured(domain=LEAVES_4M, lidar={"range_noise": NOISE})
+    config = configured(domain=LEAVES_4M, noise=NOISE)
     table = mapped(config, ground, scans=4, noise=0.0, seed=1).leaves
     rng, fell = np.random.default_rng(1), np.zeros(4**6)
     for _ in range(4):  # where `mapped` put them
@@ -91,7 +92,7 @@ def test_every_return_lies_in_one_pile():
 
 def test_pits_divide_by_their_exceptions():
     """A pit as narrow as a rock has no raised points, and too few points to move a mean."""
-    config = configured(domain=LEAVES_4M, lidar={"range_noise": NOISE})
+    config = configured(domain=LEAVES_4M, noise=NOISE)
     ground = functools.partial(bump, x0=6.0, y0=6.0, radius=0.3, height=-0.6)
     for exceptions in (NEVER, 1.5):
         with by(ROCK_EXCEPTIONS=exceptions):
@@ -111,9 +112,7 @@ def test_pits_divide_by_their_exceptions():
 )
 def test_noise_and_curvature_are_no_rocks(ground):
     """Bowls raise a leaf's corners by 0.07 m; division by lack of fit is kept out of it."""
-    config = configured(
-        domain=LEAVES_4M, lidar={"range_noise": NOISE}, mapping={"division_factor": 20.0}
-    )
+    config = configured(domain=LEAVES_4M, noise=NOISE, mapping={"division_factor": 20.0})
     with by(ROCK_EXCEPTIONS=NEVER):
         assert mapped(config, ground, density=900.0, scans=3).leaves.count == 16
 

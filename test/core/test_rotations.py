@@ -17,9 +17,8 @@ def random_rotations(count: int, seed: int) -> Rotation:
 
 def test_skew_is_the_cross_product():
     a, b = np.random.default_rng(1).standard_normal((2, 50, 3))
-    np.testing.assert_allclose(
-        (rotations.skew(a) @ b[:, :, None])[:, :, 0], np.cross(a, b), atol=EXACT
-    )
+    found = (rotations.skew(a) @ b[:, :, None])[:, :, 0]
+    np.testing.assert_allclose(found, np.cross(a, b), atol=EXACT)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-8, 1e-4, 0.5, 2.0, 3.1, 3.1415926, 6.0])
@@ -72,6 +71,5 @@ def test_quaternion_round_trip_at_half_turns(turn):
 def test_slerp_matches_scipy(fraction):
     for start, end in random_rotations(40, 7).as_matrix().reshape(20, 2, 3, 3):
         expected = Slerp([0.0, 1.0], Rotation.from_matrix(np.stack([start, end])))(fraction)
-        np.testing.assert_allclose(
-            rotations.slerp(start, end, fraction), expected.as_matrix(), atol=1e-9
-        )
+        found = rotations.slerp(start, end, fraction)
+        np.testing.assert_allclose(found, expected.as_matrix(), atol=1e-9)

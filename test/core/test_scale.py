@@ -5,7 +5,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from core.builders import configured, make_pose, pose_covariance, scan, scattered
+from core.builders import configured
+from core.scenes import make_pose, pose_covariance, scan, scattered
 
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector

@@ -6,7 +6,9 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from core.builders import OWN, configured, elevation, flat, mapped, slope, strip
+from core.builders import OWN, configured, elevation, mapped, strip
+from core.scenes import flat, slope
+from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.polygons import signed_distance
@@ -30,7 +32,7 @@ def small(**lss: object) -> Config:
     values = {"min_separation": 2.0, "grid_spacing": 0.5, "max_gap": 0.6, **lss}
     names = {"diameter", "clearance", "max_slope_deg", *OWN} & values.keys()
     lander = {"diameter": 2.0 * RADIUS, **{name: values.pop(name) for name in names}}
-    return configured(domain=SMALL, lidar={"range_noise": 0.02}, vehicle=lander, lss=values)
+    return configured(domain=SMALL, noise=0.02, vehicle=lander, lss=values)
 
 
 def obstacles(x, y):
@@ -54,23 +56,18 @@ def assess(cells: CellMap, config: Config, **where: object) -> LandingAssessment
     return LandingSiteSelector(config).assess(cells, **where)
 
 
-def rectangle_distance(x: float, y: float, cells: list[tuple[int, int]], side: float) -> float:
-    """Distance of a point from the nearest of some finest cells (row, column)."""
-    best = np.inf
-    for row, column in cells:
-        dx = max(column * side - x, x - (column + 1) * side, 0.0)
-        dy = max(row * side - y, y - (row + 1) * side, 0.0)
-        best = min(best, float(np.hypot(dx, dy)))
-    return best
+def to_edge(x, y):
+    """Distance to the domain's edge, beyond which nothing is seen."""
+    return np.minimum.reduce([x, y, 16.0 - x, 16.0 - y])
 
 
-def marked(raster: np.ndarray) -> list[tuple[int, int]]:
-    return [(int(r), int(c)) for r, c in np.argwhere(raster)]
-
-
-def nearest_bad(x: float, y: float, bad: list[tuple[int, int]]) -> float:
-    """Distance to a hazardous cell or to the domain's edge, beyond which nothing is seen."""
-    return min(rectangle_distance(x, y, bad, 0.5), x, y, 16.0 - x, 16.0 - y)
+def to_bad(x, y, cells: CellMap, config: Config):
+    """Distance to a finest cell that the paper's rule avoids."""
+    bad = np.argwhere(hazards.avoided_features(cells, config.lss)[cells.leaf_raster()])
+    assert len(bad)
+    north, east = (0.5 * bad.T + 0.25)[:, :, None, None]  # their middles
+    away = np.abs(np.array([x - east, y - north])) - 0.25
+    return np.hypot(*np.maximum(away, 0.0)).min(axis=0)
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.7])
@@ -78,15 +75,9 @@ def test_the_papers_rule_keeps_the_zone_off_every_hazardous_cell(cells, margin):
     """Safe where the zone lies inside the domain and touches neither hazard nor unseen ground."""
     config = small(assessment="paper", margin=margin)
     found = assess(cells, config)
-    bits = hazards.avoided_features(cells, config.lss)[cells.leaf_raster()]
-    bad = marked(bits > 0)
-    assert bad
-    zone = RADIUS + margin
-    for row, y in enumerate(found.y):
-        for column, x in enumerate(found.x):
-            inside = min(x, y, 16.0 - x, 16.0 - y) > zone
-            clear = rectangle_distance(x, y, bad, 0.5) > zone
-            assert found.safe[row, column] == (inside and clear), (x, y)
+    at = np.meshgrid(found.x, found.y)
+    clear = np.minimum(to_edge(*at), to_bad(*at, cells, config)) > RADIUS + margin
+    np.testing.assert_array_equal(found.safe, clear)
     np.testing.assert_array_equal(np.isfinite(found.score), found.safe)
 
 
@@ -98,25 +89,20 @@ def test_leaves_with_many_exceptions_are_kept_off(level_ground, assessment):
     for limit, hazardous in ((0.05, True), (0.15, False), (1.0, False)):
         with mock.patch.object(hazards, "MAX_EXCEPTION_FRACTION", limit):
             found = assess(cells, small(assessment=assessment, hazard_growth=0.0))
-        for row, y in enumerate(found.y):
-            for column, x in enumerate(found.x):
-                inside = min(x, y, 16.0 - x, 16.0 - y) > RADIUS
-                away = np.hypot(max(8.0 - x, 0.0), max(8.0 - y, 0.0))
-                meets = hazardous and away <= RADIUS
-                assert found.safe[row, column] == (inside and not meets), (x, y)
+        x, y = np.meshgrid(found.x, found.y)
+        away = np.hypot(np.maximum(8.0 - x, 0.0), np.maximum(8.0 - y, 0.0)) > RADIUS
+        inside = to_edge(x, y) > RADIUS
+        np.testing.assert_array_equal(found.safe, inside & away if hazardous else inside)
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.7, 1.3])
 def test_the_margin_keeps_off_points_that_fail_the_touchdown_check(cells, margin):
-    config = small(margin=margin)
-    found = assess(cells, config)
-    failed = np.argwhere(found.hazard & hazards.TOUCHDOWN > 0)
-    assert len(failed)
-    for row, y in enumerate(found.y):
-        for column, x in enumerate(found.x):
-            inside = min(x, y, 16.0 - x, 16.0 - y) > RADIUS + margin
-            away = 0.5 * np.hypot(*(failed - (row, column)).T).min()
-            assert found.safe[row, column] == (inside and away > max(margin, 1e-9)), (x, y)
+    found = assess(cells, small(margin=margin))
+    failed = found.hazard & hazards.TOUCHDOWN > 0
+    away = 0.5 * distance_transform_edt(~failed) > max(margin, 1e-9)
+    inside = to_edge(*np.meshgrid(found.x, found.y)) > RADIUS + margin
+    np.testing.assert_array_equal(found.safe, inside & away)
+    assert failed.any()
 
 
 def densities(cells: CellMap, config: Config) -> np.ndarray:
@@ -161,20 +147,15 @@ def test_the_distance_to_the_nearest_hazard_counts_up_to_its_cap(cells):
     """d_H of a cell varies by less than half its diagonal within the cell, so that much error."""
     weight, cap = 0.5, 3.0
     config = small(assessment="paper")
-    mine = {
-        "WEIGHT_DISTANCE": weight * config.vehicle.size,
-        "DISTANCE_CAP": cap / config.vehicle.size,
-    }
+    size = config.vehicle.size
+    mine = {"WEIGHT_DISTANCE": weight * size, "DISTANCE_CAP": cap / size}
     others = dict.fromkeys(("WEIGHT_SLOPE", "WEIGHT_ROUGHNESS", "WEIGHT_SUBSCALE"), 0.0)
     with mock.patch.multiple(score, **mine, **others):
         found = assess(cells, config)
-    bad = marked(hazards.avoided_features(cells, config.lss)[cells.leaf_raster()] > 0)
+    at = np.meshgrid(*[0.5 * np.arange(32) + 0.25] * 2)
+    distances = np.minimum(np.minimum(to_edge(*at), to_bad(*at, cells, config)), cap)
     for row, column in np.argwhere(found.safe)[::7]:
-        over = zone_cells(found.x[column], found.y[row], RADIUS)
-        distance = [
-            min(nearest_bad(0.5 * (c + 0.5), 0.5 * (r + 0.5), bad), cap)
-            for r, c in zip(*over, strict=True)
-        ]
+        distance = distances[zone_cells(found.x[column], found.y[row], RADIUS)]
         assert found.score[row, column] == pytest.approx(-weight * np.mean(distance), abs=0.1)
     far = found.score[found.safe]
     assert far.min() >= -weight * cap - 1e-9
@@ -185,11 +166,9 @@ def test_the_distance_to_the_nearest_hazard_counts_up_to_its_cap(cells):
 def test_ranking_takes_the_best_that_are_far_enough_apart(cells, assessment, count, separation):
     config = small(assessment=assessment, sites=count, min_separation=separation)
     found = assess(cells, config)
-    open_ = [
-        (found.score[row, column], row, column) for row, column in np.argwhere(found.safe).tolist()
-    ]
     expected: list[tuple[float, float]] = []
-    for _, row, column in sorted(open_):
+    places = np.argwhere(found.safe)
+    for row, column in places[np.argsort(found.score[found.safe], kind="stable")]:
         x, y = found.x[column], found.y[row]
         if all(np.hypot(x - a, y - b) >= separation for a, b in expected):
             expected.append((x, y))
@@ -205,14 +184,13 @@ def test_sites_are_described_by_the_ground_in_their_zone(cells):
     config = small(assessment="paper")
     found = assess(cells, config)
     leaf, sites = cells.leaf_raster(), found.sites
-    bad = marked(hazards.avoided_features(cells, config.lss)[leaf] > 0)
     subscale = rasterise(cells, config.lss).subscale_peak
     rough = np.nan_to_num(cells.roughness / cells.size**2)[leaf]
     for k, (x, y, z) in enumerate(sites.position):
         over = zone_cells(x, y, RADIUS)
         assert sites.roughness[k] == pytest.approx(rough[over].max(), abs=1e-12)
         assert sites.subscale_height[k] == pytest.approx(subscale[over].max(), abs=1e-12)
-        clear = nearest_bad(x, y, bad) - RADIUS
+        clear = min(to_edge(x, y), to_bad(x, y, cells, config)[0, 0]) - RADIUS
         assert sites.hazard_distance[k] == pytest.approx(max(clear, 0.0), abs=1e-9)
         assert abs(z - obstacles(x, y)) < 0.1
         angle = np.degrees(np.arccos(min(sites.normal[k, 2], 1.0)))
@@ -227,13 +205,12 @@ def test_hazard_distance_is_how_far_the_zone_may_move(cells, assessment, margin)
     config = small(hazard_growth=0.0, min_separation=0.0, **lss)
     found = assess(cells, config)
     fine = assess(cells, small(hazard_growth=0.0, assessment=assessment))
-    bad = marked(hazards.avoided_features(cells, config.lss)[cells.leaf_raster()] > 0)
     failed = np.argwhere(fine.hazard & hazards.TOUCHDOWN) * 0.5
     assert len(found.sites.score) == 50
     for k, (x, y, _) in enumerate(found.sites.position):
-        free = min(x, y, 16.0 - x, 16.0 - y) - RADIUS - margin
+        free = to_edge(x, y) - RADIUS - margin
         if assessment == "paper":
-            free = min(free, rectangle_distance(x, y, bad, 0.5) - RADIUS - margin)
+            free = min(free, to_bad(x, y, cells, config)[0, 0] - RADIUS - margin)
         else:
             free = min(free, np.hypot(*(failed - (y, x)).T).min() - margin)
         assert found.sites.hazard_distance[k] == pytest.approx(free, abs=1e-9)
@@ -267,11 +244,8 @@ def test_roughness_is_a_height_whatever_the_leafs_size():
     """Eq. 55's volume over the leaf's area: the same ground is as rough in large leaves."""
     found = []
     for level in (2, 4):
-        config = configured(
-            domain={"min_level": level, "max_level": level},
-            lidar={"range_noise": 0.02},
-            vehicle={"diameter": 1.9, "clearance": 1.9, "max_slope_deg": 88.0},
-        )
+        lander = {"diameter": 1.9, "clearance": 1.9, "max_slope_deg": 88.0}
+        config = configured(levels=(level, level), noise=0.02, vehicle=lander)
 
         def ground(x, y):
             return 0.2 * np.sin(9.0 * x) * np.sin(9.0 * y)
@@ -300,14 +274,12 @@ def test_reasons_give_a_sites_figures_and_the_limit_that_decided(cells, assessme
 @pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 def test_level_ground_is_safe_wherever_the_zone_fits(level_ground, assessment):
     found = assess(level_ground, small(assessment=assessment, margin=0.5))
-    inside = np.minimum(found.x, 16.0 - found.x) > RADIUS + 0.5
-    np.testing.assert_array_equal(found.safe, inside[:, None] & inside)
+    inside = to_edge(*np.meshgrid(found.x, found.y)) > RADIUS + 0.5
+    np.testing.assert_array_equal(found.safe, inside)
     assert len(found.sites.score) == 5
     assert (found.sites.slope_deg < 1.0).all()
     np.testing.assert_allclose(found.sites.position[:, 2], 3.0, atol=0.02)
-    x, y = found.sites.position[:, 0], found.sites.position[:, 1]
-    edge = np.minimum(np.minimum(x, 16.0 - x), np.minimum(y, 16.0 - y))
-    assert (found.sites.hazard_distance <= edge).all()
+    assert (found.sites.hazard_distance <= to_edge(*found.sites.position[:, :2].T)).all()
     assert (found.sites.hazard_distance > 1.0).all()  # the middle of 16 m is best
     assert not found.hazard.any()
 
@@ -322,12 +294,10 @@ def test_a_rock_is_kept_clear_of_and_ground_well_away_is_free(assessment):
 
     found = assess(mapped(config, ground, density=200.0).snapshot(), config)
     x, y = np.meshgrid(found.x, found.y)
-    edge = np.hypot(
-        np.maximum(np.abs(x - 8.25) - 0.5, 0.0), np.maximum(np.abs(y - 8.25) - 0.5, 0.0)
-    )
+    edge = np.hypot(*(np.maximum(np.abs(at - 8.25) - 0.5, 0.0) for at in (x, y)))
     # Wholly under the lander, or under a pad at some heading.
     assert not found.safe[edge <= 1.45 - 0.5].any()
-    inside = np.minimum(np.minimum(x, 16.0 - x), np.minimum(y, 16.0 - y)) > 1.45
+    inside = to_edge(x, y) > 1.45
     assert found.safe[inside & (edge > 1.45 + 1.5)].all()
     assert found.safe.any()
 
@@ -350,11 +320,8 @@ def test_a_slope_of_twelve_degrees_is_no_landing_ground(assessment):
 @pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 def test_unseen_ground_is_never_landable(assessment):
     """A strip of five cells of 0.25 m leaves its middle unseen, one of four is bridged."""
-    config = configured(
-        domain={"min_level": 6, "max_level": 6},
-        vehicle={"diameter": 1.9},
-        lss={"assessment": assessment, "grid_spacing": 0.25, "max_gap": 0.6, "max_risk": 0.01},
-    )
+    lss = {"assessment": assessment, "grid_spacing": 0.25, "max_gap": 0.6, "max_risk": 0.01}
+    config = configured(levels=(6, 6), vehicle={"diameter": 1.9}, lss=lss)
     bridged, broken = (assess(strip(columns), config) for columns in (4, 5))
     assert not (bridged.hazard & hazards.UNSEEN).any()
     seam = broken.hazard & hazards.UNSEEN > 0
@@ -446,9 +413,7 @@ def assert_empty_but_explained(found: LandingAssessment) -> None:
 @pytest.mark.parametrize("level", [0, 1])
 @pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
 def test_maps_of_one_or_four_cells_are_assessed(level, assessment):
-    config = with_lss(
-        configured(domain={"min_level": level, "max_level": level}), assessment=assessment
-    )
+    config = with_lss(configured(levels=(level, level)), assessment=assessment)
     found = assess(mapped(config, flat(), density=10.0).snapshot(), config)
     assert found.score.shape == (33, 33)
     assert found.explanation

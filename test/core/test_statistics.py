@@ -3,27 +3,15 @@
 
 import numpy as np
 import pytest
-from core.builders import (
-    EXACT,
-    by,
-    configured,
-    flat,
-    lattice,
-    look,
-    make_pose,
-    mapped,
-    pose_covariance,
-    scan,
-    scattered,
-    slope,
-)
+from core.builders import by, configured, look, mapped
+from core.scenes import EXACT, flat, lattice, make_pose, pose_covariance, scan, scattered, slope
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 
 def fixed(level: int, noise: float):
-    return configured(domain={"min_level": level, "max_level": level}, lidar={"range_noise": noise})
+    return configured(levels=(level, level), noise=noise)
 
 
 def seen_on_lattice(config, surface, per_side: int, covariance=EXACT) -> CellMap:
@@ -144,7 +132,7 @@ def test_the_noise_ratio_is_observed_over_configured_and_follows_by_a_tenth_a_sc
 
 def test_a_scan_that_divides_cells_tells_the_noise_once():
     """A stepped map divides to the finest level; each point counts where it came to rest."""
-    rng, mapper = np.random.default_rng(16), Mapper(configured(lidar={"range_noise": 0.05}))
+    rng, mapper = np.random.default_rng(16), Mapper(configured(noise=0.05))
     for _ in range(5):
         places = scattered(rng, 0.0, 0.0, 16.0, 30_000)
         report = look(mapper, lambda x, y: 0.5 * (x > 5.1), *places, rng, 0.05)

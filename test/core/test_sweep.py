@@ -40,9 +40,8 @@ def test_each_point_is_turned_and_moved_by_the_pose_at_its_time(seed, count, shu
     rng = np.random.default_rng(seed)
     knots = np.sort(rng.choice(np.arange(-50, 150), count, replace=False)).astype(float)
     knots[0], knots[-1] = -60.0, 160.0
-    poses = [
-        pose_at(t, (8.0, 8.0, 50.0) + rng.normal(size=3), rng.normal(0.0, 0.2, 3)) for t in knots
-    ]
+    above = np.array([8.0, 8.0, 50.0])
+    poses = [pose_at(t, above + rng.normal(size=3), rng.normal(0.0, 0.2, 3)) for t in knots]
     buffer = buffer_of(poses, 300.0)
     times = rng.uniform(-55.0, 155.0, 200)
     times = times if shuffled else np.sort(times)

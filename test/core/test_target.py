@@ -6,8 +6,9 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from core.builders import flat, mapped
+from core.builders import mapped
 from core.kernels import tangent_basis
+from core.scenes import flat
 from core.test_sites import small
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -36,23 +37,20 @@ AXIS = np.arange(4.0)
 def ground(merit, safe=None, axis=AXIS):
     """A grid of one row."""
     merit = np.array([merit], dtype=np.float64)
-    return Candidates(
-        axis, np.zeros(1), np.isfinite(merit) if safe is None else np.array([safe]), -merit
-    )
+    safe = np.isfinite(merit) if safe is None else np.array([safe])
+    return Candidates(axis, np.zeros(1), safe, -merit)
+
+
+def chosen(keeper: TargetKeeper, seen: Candidates, **others: object) -> Choice:
+    why = {"why_not": lambda *_: Reason.HAZARD, "why_none": Reason.NO_SITE}
+    return keeper.choose(seen, LSS, reach=0.9, **why, **others)
 
 
 def choose(keeper: TargetKeeper, *seen: Candidates, **others: object) -> Choice:
     """The last choice over some assessments, by a margin of 0.5."""
     for each in seen:
         with mock.patch.dict(SWITCH, {LSS.ranking: 0.5}):
-            choice = keeper.choose(
-                each,
-                LSS,
-                reach=0.9,
-                why_not=lambda row, column: Reason.HAZARD,
-                why_none=Reason.NO_SITE,
-                **others,
-            )
+            choice = chosen(keeper, each, **others)
     return choice
 
 
@@ -129,9 +127,7 @@ def test_a_gain_less_than_it_is_uncertain_by_moves_nothing():
         choose(keeper, seen, seen)
         better = unsafe([0.5, 0.08, 0.5, risk])
         for _ in range(2):
-            choice = keeper.choose(
-                better, LSS, reach=0.9, why_not=lambda *_: Reason.HAZARD, why_none=Reason.NO_SITE
-            )
+            choice = chosen(keeper, better)
         # 0.02 of gain are uncertain by 0.05, 0.06 by 0.041.
         assert (choice.place == (0, 3)) is moves
 
@@ -416,14 +412,11 @@ def test_the_vehicle_is_committed_by_its_height_over_the_target(level_ground):
     """The ground is at 3 m."""
     selector = LandingSiteSelector(small())
     target_of(selector, level_ground)
-    states = [
-        selector.assess(level_ground, vehicle=(z, 2.0)).selected.state for z in (23.1, 22.9, 40.0)
-    ]
-    assert states == [State.HOLDS, State.COMMITTED, State.HOLDS]
-    # Navigation has risen by 16 m against the map, and the vehicle with it.
+    # Then navigation has risen by 16 m against the map, and the vehicle with it.
     risen = dataclasses.replace(level_ground, offset_z=16.0)
-    states = [selector.assess(risen, vehicle=(z, 2.0)).selected.state for z in (39.1, 38.9)]
-    assert states == [State.HOLDS, State.COMMITTED]
+    flown = [(level_ground, z) for z in (23.1, 22.9, 40.0)] + [(risen, z) for z in (39.1, 38.9)]
+    low = [selector.assess(on, vehicle=(z, 2.0)).selected.state for on, z in flown]
+    assert low == [State.HOLDS, State.COMMITTED, State.HOLDS, State.HOLDS, State.COMMITTED]
 
 
 def lifted(cells, z):
@@ -544,9 +537,8 @@ def test_covariance_is_that_of_drawn_maps():
     claimed = ground_covariance(rasterise(pose_free, LssConfig(max_gap=1.0)), x, y, radius)
     scatter, claimed_part = np.cov(np.array(drawn).T), claimed[2:5, 2:5]
     np.testing.assert_allclose(scatter.diagonal(), claimed_part.diagonal(), rtol=0.15)
-    correlations = [
-        of / np.sqrt(np.outer(of.diagonal(), of.diagonal())) for of in (scatter, claimed_part)
-    ]
+    both = (scatter, claimed_part)
+    correlations = [of / np.sqrt(np.outer(of.diagonal(), of.diagonal())) for of in both]
     np.testing.assert_allclose(*correlations, atol=0.1)
     assert np.abs(correlations[1]).min() > 0.25  # each sign counts
     assert not claimed[:2].any()
@@ -558,9 +550,8 @@ def test_an_error_of_the_poses_moves_the_whole_ground():
     common = np.zeros((len(cells.z), 3, 3))
     common[:, 2, 2] = 0.2**2
     common[:, 0, 0] = 0.01**2
-    cells = dataclasses.replace(
-        cells, covariance_pose=common, covariance_range=np.zeros_like(common)
-    )
+    nothing = np.zeros_like(common)
+    cells = dataclasses.replace(cells, covariance_pose=common, covariance_range=nothing)
     claimed = ground_covariance(rasterise(cells, LssConfig(max_gap=1.0)), 7.0, 7.0, 1.5)
     assert claimed[2, 2] == pytest.approx(0.2**2, rel=0.1)
     assert claimed[4, 4] == pytest.approx(0.01**2, rel=0.1)

@@ -145,10 +145,8 @@ def test_the_queue_is_bounded_in_number_and_the_oldest_goes():
     for k in range(5):
         queue.push_scan(k * MS, k, 0)
     assert len(queue) == 3
-    assert [(d.stamp_ns // MS, d.reason) for d in queue.expire(0)] == [
-        (0, "queue_full"),
-        (1, "queue_full"),
-    ]
+    dropped = [(drop.stamp_ns // MS, drop.reason) for drop in queue.expire(0)]
+    assert dropped == [(0, "queue_full"), (1, "queue_full")]
     buffer.add(plain_pose(0)), buffer.add(plain_pose(10 * MS))
     assert [scan for _, scan, _ in queue.pop_ready()] == [2, 3, 4]
 
@@ -209,11 +207,8 @@ def test_when_it_is_asked_for_does_not_change_what_comes_out(data, latency, peri
                 out += queue.pop_ready()
         return out + queue.pop_ready(), queue.dropped
 
-    seldom = [data.draw(st.booleans()) for _ in events]
-    (often_out, often_dropped), (seldom_out, seldom_dropped) = (
-        run([True] * len(events)),
-        run(seldom),
-    )
+    often_out, often_dropped = run([True] * len(events))
+    seldom_out, seldom_dropped = run([data.draw(st.booleans()) for _ in events])
     assert often_dropped == seldom_dropped
     assert [s for s, _, _ in often_out] == [s for s, _, _ in seldom_out]
     for (_, _, one), (_, _, other) in zip(often_out, seldom_out, strict=True):

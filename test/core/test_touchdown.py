@@ -6,7 +6,8 @@ import itertools
 
 import numpy as np
 import pytest
-from core.builders import configured, feature_height, mapped, slope, with_lengths
+from core.builders import configured, feature_height, mapped, with_lengths
+from core.scenes import slope
 
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.landing import hazards, touchdown
@@ -90,9 +91,8 @@ def unsafe(config, raster: TerrainRaster, candidates: np.ndarray) -> np.ndarray:
 
 
 def touchdown_bits(cells: CellMap, config) -> np.ndarray:
-    fine = dataclasses.replace(
-        config, lss=dataclasses.replace(config.lss, grid_spacing=cells.domain.finest_size)
-    )
+    lss = dataclasses.replace(config.lss, grid_spacing=cells.domain.finest_size)
+    fine = dataclasses.replace(config, lss=lss)
     return LandingSiteSelector(fine).assess(cells).hazard & hazards.TOUCHDOWN > 0
 
 
@@ -109,15 +109,12 @@ def assert_agrees(cells: CellMap, config) -> None:
     assert cells.measured.all()
     found, slow = touchdown_bits(cells, config), SlowLander(cells, config.lss)
     limit = np.tan(np.radians(config.vehicle.lengths.touchdown_slope_deg))
-    outcome = set()
+    outcome, rough = set(), config.vehicle.lengths.touchdown_roughness
     for row, column in landable(cells, config):
         steepest, highest = slow.worst(row, column)
-        margin = min(
-            abs(steepest - limit), abs(highest - config.vehicle.lengths.touchdown_roughness)
-        )
-        if margin < 1e-5:
+        if min(abs(steepest - limit), abs(highest - rough)) < 1e-5:
             continue  # too near to call in single precision
-        fails = steepest > limit or highest > config.vehicle.lengths.touchdown_roughness
+        fails = steepest > limit or highest > rough
         assert found[row, column] == fails, (row, column, steepest, highest)
         outcome.add(fails)
     assert outcome == {True, False}
@@ -144,7 +141,7 @@ def landing_at(monkeypatch):
     def configuration(domain: dict[str, object], yaws: int, diameter: float = 2.9) -> Config:
         monkeypatch.setattr(touchdown, "YAWS", yaws)
         lander, lss = {"diameter": diameter, "hazard_growth": 0.0}, {"max_gap": 0.6}
-        return configured(domain=domain, lidar={"range_noise": 0.02}, vehicle=lander, lss=lss)
+        return configured(domain=domain, noise=0.02, vehicle=lander, lss=lss)
 
     return configuration
 
@@ -175,7 +172,7 @@ def test_subscale_features_stand_out_of_the_ground(landing_at):
 def test_unsafe_ground_grows_by_the_set_length_rounded_outwards(growth, reach):
     """Points lie half a metre apart: the next one at the least is unsafe, if it grows at all."""
     lander = {"diameter": 2.9, "hazard_growth": 0.0}
-    config = configured(domain=SMALL, lidar={"range_noise": 0.02}, vehicle=lander)
+    config = configured(domain=SMALL, noise=0.02, vehicle=lander)
 
     def ground(x, y):
         return 0.5 * ((np.abs(x - 3.3) < 0.5) & (np.abs(y - 4.8) < 0.5))
@@ -193,11 +190,8 @@ def placed(raster: TerrainRaster, rows: int, columns: int) -> TerrainRaster:
     """The ground so many cells farther north-east on a domain twice as large, edges repeated."""
     n = raster.domain.finest_count
     around = ((rows, n - rows), (columns, n - columns))
-    layers = {
-        name: np.pad(value, around, mode="edge")
-        for name, value in vars(raster).items()
-        if isinstance(value, np.ndarray) and value.ndim == 2
-    }
+    arrays = {name: value for name, value in vars(raster).items() if np.ndim(value) == 2}
+    layers = {name: np.pad(value, around, mode="edge") for name, value in arrays.items()}
     domain = raster.domain
     larger = dataclasses.replace(domain, size=2 * domain.size, max_level=domain.max_level + 1)
     return dataclasses.replace(raster, domain=larger, **layers)
@@ -255,8 +249,6 @@ def test_a_cell_that_changes_is_judged_again(landing_at, layer):
         anew = TouchdownCheck(config.lss, wide).worst(raster, candidates)
         np.testing.assert_array_equal(found.rise[candidates], anew.rise[candidates])
         np.testing.assert_array_equal(found.slope[candidates], anew.slope[candidates])
-        assert (
-            found.rise[row - 5 : row + 7, column - 5 : column + 7]
-            != before[row - 5 : row + 7, column - 5 : column + 7]
-        ).any()
+        near = np.s_[row - 5 : row + 7, column - 5 : column + 7]
+        assert (found.rise[near] != before[near]).any()
         before = found.rise.copy()

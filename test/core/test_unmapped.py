@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, mapped, slope, strip
+from core.builders import BY_RISK, configured, mapped, strip
+from core.scenes import flat, slope
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry.bounds import bounded, within
@@ -27,7 +28,7 @@ def limits(assessment="probability", **changes):
 @pytest.fixture(scope="module")
 def level_ground():
     """16 m of one level, wholly seen and mapped."""
-    config = configured(domain={"min_level": 6, "max_level": 6}, lidar={"range_noise": 0.01})
+    config = configured(levels=(6, 6), noise=0.01)
     cells = mapped(config, flat(), density=400.0, scans=1).snapshot()
     assert cells.known.all()
     return cells
@@ -79,9 +80,8 @@ def test_the_lander_is_not_set_down_on_it_nor_its_height_taken(level_ground):
     leaf = cells.leaf_raster()[tuple(np.transpose(CELLS))]
     z = cells.z.copy()
     z[leaf] += 30.0
-    one, other = (
-        LandingSiteSelector(limits("touchdown")).assess(c) for c in (cells, replace(cells, z=z))
-    )
+    both = cells, replace(cells, z=z)
+    one, other = (LandingSiteSelector(limits("touchdown")).assess(c) for c in both)
     np.testing.assert_array_equal(one.safe, other.safe)
     reachable = one.hazard & hazards.UNSEEN == 0
     np.testing.assert_array_equal(one.elevation[reachable], other.elevation[reachable])
@@ -110,9 +110,8 @@ def test_heights_are_lent_by_known_cells_alone(level_ground):
     measured, z = cells.measured.copy(), cells.z.copy()
     measured[row[1]] = False  # between what is not mapped and a plane no point of which is known
     z[row[[0, 2]]] += 9.0
-    raster = rasterise(
-        replace(cells, measured=measured, z=z, observed=observed, known=known), LssConfig()
-    )
+    cells = replace(cells, measured=measured, z=z, observed=observed, known=known)
+    raster = rasterise(cells, LssConfig())
     beside = raster.elevation[[29, 31], 31]
     assert raster.elevation[30, 31] in beside and abs(raster.elevation[30, 31]) < 0.1
 
@@ -120,9 +119,8 @@ def test_heights_are_lent_by_known_cells_alone(level_ground):
 def test_why_there_is_no_site_tells_seen_from_mapped(level_ground):
     cells = without(level_ground, np.argwhere(np.indices((64, 64)).sum(axis=0) % 4 == 0))
     found = LandingSiteSelector(limits()).assess(cells)
-    assert "75 % of the domain is seen, 25 % seen but not yet mapped, 0 % shows" in (
-        found.explanation
-    )
+    said = "75 % of the domain is seen, 25 % seen but not yet mapped, 0 % shows"
+    assert said in found.explanation
 
 
 def test_the_target_is_withdrawn_with_a_word_of_its_own(level_ground):
@@ -139,8 +137,7 @@ def test_the_target_is_withdrawn_with_a_word_of_its_own(level_ground):
 def test_what_is_left_of_the_risk_names_it(level_ground):
     """Sites close to ground not yet mapped, with a wide dispersion."""
     cells = without(level_ground, np.argwhere(np.indices((64, 64))[1] >= 40))
-    lss = {"assessment": "probability", "ranking": "probability", "dispersion": 1.2}
-    config = configured(lss={**lss, "grid_spacing": SIDE})
+    config = configured(lss={**BY_RISK, "dispersion": 1.2, "grid_spacing": SIDE})
     area = [(6.0, 3.0), (11.0, 3.0), (11.0, 13.0), (6.0, 13.0)]
     found = LandingSiteSelector(config).assess(cells, area=area)
     assert any("ground not yet mapped" in reason for reason in found.sites.reasons)
@@ -148,7 +145,7 @@ def test_what_is_left_of_the_risk_names_it(level_ground):
 
 def test_heights_keep_to_what_was_measured_there(level_ground):
     """On a steep plane with bounds, everywhere that a height is taken from it."""
-    config = configured(domain={"min_level": 2, "max_level": 6})
+    config = configured(levels=(2, 6))
     cells = mapped(config, slope(0.8, 0.0), density=60.0, scans=1).snapshot()
     low, high = cells.z - 0.4, cells.z + 0.2
     low[::2] = high[1::3] = np.nan

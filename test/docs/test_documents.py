@@ -51,10 +51,13 @@ def flight(tmp_path_factory):
     return folder
 
 
-def environment():
-    """The programs of this python, and nothing that depends on the terminal."""
+def ran(folder, *command):
+    """What a command says that ends well, with the programs of this python."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
-    return {**os.environ, "PATH": path}
+    how = {"cwd": folder, "env": {**os.environ, "PATH": path}, "capture_output": True}
+    done = subprocess.run(command, text=True, **how)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 @pytest.mark.parametrize(("needs_flight", "code"), blocks("shell"))
@@ -65,10 +68,7 @@ def test_commands_run_as_written(needs_flight, code, flight, tmp_path):
     command = f"{sys.executable} -m quadtree_lss.cli"
     script = "set -e\n" + "".join(code)
     script = re.sub(r"^quadtree-lss ", f"{command} ", script, flags=re.MULTILINE)
-    done = subprocess.run(
-        ["bash", "-c", script], cwd=tmp_path, env=environment(), capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
+    ran(tmp_path, "bash", "-c", script)
 
 
 class LevelBody(OdometryRecorder):
@@ -92,11 +92,7 @@ def test_the_drone_of_the_tutorial_is_checked_and_its_hover_is_replayed(tmp_path
         script = script.replace("$(ros2 pkg prefix --share quadtree_lss)", str(ROOT))
         script = script.replace("ros2 run quadtree_lss ", "")
         script = script.replace("quadtree-lss ", f"{sys.executable} -m quadtree_lss.cli ")
-        done = subprocess.run(
-            ["bash", "-ec", script], cwd=tmp_path, env=environment(), capture_output=True, text=True
-        )
-        assert done.returncode == 0, done.stderr
-        return done.stdout
+        return ran(tmp_path, "bash", "-ec", script)
 
     run(copied)
     file = tmp_path / "drone.yaml"
@@ -113,11 +109,7 @@ def test_python_runs_as_written(needs_flight, code, flight, tmp_path):
     if needs_flight:
         shutil.copytree(flight, tmp_path / "flight")
     for text in code:
-        done = subprocess.run(
-            [sys.executable, "-c", text], cwd=tmp_path, capture_output=True, text=True
-        )
-        assert done.returncode == 0, done.stderr
-        assert done.stdout
+        assert ran(tmp_path, sys.executable, "-c", text)
 
 
 def test_the_blocks_above_were_found():
@@ -157,15 +149,8 @@ def test_pages_that_code_and_configurations_name_exist():
     assert len(named) > 5 and all((ROOT / name).exists() for name in named), named
 
 
-def test_every_equation_is_found_in_one_search():
-    page = (ROOT / "docs" / "how_it_works.md").read_text()
-    code = "".join(path.read_text() for path in (ROOT / "quadtree_lss").rglob("*.py"))
-    for text in (page, code):
-        assert {int(n) for n in re.findall(r"Eq\. (\d+)", text)} >= set(range(1, 64))
-
-
-def test_the_table_of_equations_leads_to_functions_and_to_code_that_names_them():
-    text = (ROOT / "docs" / "how_it_works.md").read_text()
+def test_the_table_of_equations_leads_from_each_to_functions_and_to_code_that_names_it():
+    text, found = (ROOT / "docs" / "how_it_works.md").read_text(), set()
     for row in re.findall(r"^\| Eq\..*$", text, re.MULTILINE):
         code = ""
         for file, functions in re.findall(r"`([\w/]+\.py)`((?: `\w+`,?)*)", row):
@@ -175,6 +160,8 @@ def test_the_table_of_equations_leads_to_functions_and_to_code_that_names_them()
             code += source
         for number in re.findall(r"Eq\. (\d+)", row.split("|")[1]):
             assert re.search(rf"Eq\. {number}\b", code), (number, row)
+            found.add(int(number))
+    assert found == set(range(1, 64))
 
 
 def test_every_name_in_the_files_is_documented(flight, tmp_path):

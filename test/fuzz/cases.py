@@ -16,9 +16,8 @@ from quadtree_lss.lab.simulation.recording import Messages
 
 WHOLE = [0, 1, 2, 3, 4, 7, 8, 12, 16, 255, 2**16, 2**22, 2**22 + 1, 2**31 - 1, 2**31, 2**32 - 1]
 NUMBERS = [0.0, -0.0, 1.0, -1.0, 2.0**0.5, math.inf, -math.inf, math.nan]
-NUMBERS += [
-    sign * 10.0**n for n in (-320, -200, -160, -44, -9, 7, 9, 12, 38, 160) for sign in (1, -1)
-]
+POWERS = (-320, -200, -160, -44, -9, 7, 9, 12, 38, 160)
+NUMBERS += [sign * 10.0**n for n in POWERS for sign in (1, -1)]
 NUMBERS += [5e-324, 1.7e308, -1.7e308, 3.4e38]
 NAMES = ["x", "y", "z", "t", "time", "range", "azimuth", "elevation", "", "x\n\x1b[2J", "q" * 10**5]
 FRAMES = ["map", "/map", "", "odom\nERROR all is well", "\x1b]0;title\x07", "m" * 10**6, "\u202e"]
@@ -146,13 +145,8 @@ def random_transform(rng: np.random.Generator, stamp_ns: int) -> SimpleNamespace
     """Body to lidar, with up to two parts spoilt."""
     turn = rng.normal(size=4)
     turn /= np.linalg.norm(turn)
-    place = SimpleNamespace(**dict(zip("xyz", rng.normal(size=3).tolist(), strict=True)))
-    quaternion = SimpleNamespace(**dict(zip("xyzw", turn.tolist(), strict=True)))
-    transform = SimpleNamespace(
-        header=samples.header(stamp_ns, "body"),
-        child_frame_id="lidar",
-        transform=SimpleNamespace(translation=place, rotation=quaternion),
-    )
+    transform = samples.transform(stamp_ns, rng.normal(size=3).tolist(), turn.tolist())
+    place, quaternion = transform.transform.translation, transform.transform.rotation
     for _ in range(rng.integers(0, 3)):
         which = rng.integers(5)
         if which == 0:
@@ -171,9 +165,8 @@ def random_transform(rng: np.random.Generator, stamp_ns: int) -> SimpleNamespace
 def random_image(rng: np.random.Generator, stamp_ns: int, z: np.ndarray) -> SimpleNamespace:
     """A depth image of z (H, W), m, with up to two of its parts spoilt."""
     height, width = z.shape
-    name, kind, unit = one_of(
-        rng, [("16UC1", "u2", 1e-3), ("mono16", "u2", 1e-3), ("32FC1", "f4", 1.0)]
-    )
+    kinds = [("16UC1", "u2", 1e-3), ("mono16", "u2", 1e-3), ("32FC1", "f4", 1.0)]
+    name, kind, unit = one_of(rng, kinds)
     order, padding = one_of(rng, ["<", ">"]), int(rng.integers(0, 3))
     z = z.copy()
     with np.errstate(over="ignore", invalid="ignore"):
@@ -274,17 +267,15 @@ def random_keep_out(rng: np.random.Generator) -> SimpleNamespace:
     """One of a set."""
     polygon = random_polygon(rng)
     number = int(one_of(rng, WHOLE) if rng.random() < 0.1 else rng.integers(0, 300))
-    return SimpleNamespace(
-        header=polygon.header, polygon=SimpleNamespace(polygon=polygon.polygon, id=number)
-    )
+    numbered = SimpleNamespace(polygon=polygon.polygon, id=number)
+    return SimpleNamespace(header=polygon.header, polygon=numbered)
 
 
 def random_target(rng: np.random.Generator) -> SimpleNamespace:
     x, y = (extreme(rng) if rng.random() < 0.5 else rng.normal(8.0, 9.0) for _ in range(2))
     frame = one_of(rng, ["map"] * 9 + FRAMES)
-    return SimpleNamespace(
-        header=samples.header(0, frame), point=SimpleNamespace(x=x, y=y, z=extreme(rng))
-    )
+    place = samples.xyz((x, y, extreme(rng)))
+    return SimpleNamespace(header=samples.header(0, frame), point=place)
 
 
 def random_dispersion(rng: np.random.Generator) -> SimpleNamespace:
@@ -351,9 +342,8 @@ def spoil_values(values: np.ndarray, rng: np.random.Generator) -> None:
         if values.dtype.kind == "f":
             by = extreme(rng)
             many = np.count_nonzero(where)
-            values[where] = one_of(
-                rng, [np.full(many, by), values[where] * by, values[where] + by, -values[where]]
-            )
+            old = values[where]
+            values[where] = one_of(rng, [np.full(many, by), old * by, old + by, -old])
         else:
             values[where] = np.array(one_of(rng, WHOLE)).astype(values.dtype)
 

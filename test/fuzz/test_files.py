@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from core.builders import assert_sound, make_pose, scan, scattered
+from core.builders import assert_sound
+from core.scenes import make_pose, scan, scattered
 from fuzz.cases import NUMBERS, damaged, one_of
 from fuzz.through import MAKER, judge, sent_and_read
 from replay.recordings import GROUND
@@ -60,9 +61,8 @@ def spoilt_array(rng, array):
     for _ in range(int(one_of(rng, [0, 0, 1, 2]))):
         how = rng.integers(5)
         if how == 0 and array.size and array.dtype.kind in "fiu":
-            array.reshape(-1)[rng.integers(array.size)] = np.float64(one_of(rng, NUMBERS)).astype(
-                array.dtype
-            )
+            place = rng.integers(array.size)
+            array.reshape(-1)[place] = np.float64(one_of(rng, NUMBERS)).astype(array.dtype)
         elif how == 1 and array.dtype.kind in "fiu":
             array = array * np.float64(one_of(rng, NUMBERS))
         elif how == 2 and array.dtype.kind in "fiu":

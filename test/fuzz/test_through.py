@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from core import builders
+from core import builders, scenes
 from fuzz.through import INPUTS, attack
 from messages import samples
 
@@ -27,7 +27,7 @@ def sources() -> str:
     whole = hashlib.sha256()
     folders = (Path(quadtree_lss.onboard.__file__).parent, Path(__file__).parent)
     paths = [path for folder in folders for path in sorted(folder.rglob("*.py"))]
-    for path in (*paths, Path(builders.__file__), Path(samples.__file__)):
+    for path in (*paths, *(Path(module.__file__) for module in (builders, scenes, samples))):
         whole.update(path.read_bytes())
     return whole.hexdigest()[:12]
 

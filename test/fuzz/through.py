@@ -22,7 +22,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from core.builders import assert_sound, configured, make_pose, scan, scattered
+from core.builders import assert_sound, configured
+from core.scenes import make_pose, scan, scattered
 from fuzz import cases
 from fuzz.cases import extreme, one_of
 from messages import samples
@@ -163,9 +164,8 @@ class Flight(Mapping):
         if kind == "follow":
             values |= {"domain.follow": one_of(rng, ["vehicle", "area"]), "domain.min_level": 3}
         super().__init__(rng, kind, values)
-        self.word = {"odometry": "pose", "follow": "pose", "transforms": "transform"}.get(
-            kind, kind
-        )
+        words = {"odometry": "pose", "follow": "pose", "transforms": "transform"}
+        self.word = words.get(kind, kind)
 
     def send(self) -> str:
         self.sent += 1
@@ -460,12 +460,9 @@ class Checkpoints:
         self.rng = rng
         self.config = one_of(rng, CONFIGS)
         self.selector = LandingSiteSelector(self.config)
-        self.good = mapped_scene(self.config)
-        self.state = self.good.export_state()
-        self.content, self.empty = (
-            to_bytes(self.state),
-            to_bytes(Mapper(self.config).export_state()),
-        )
+        self.state = mapped_scene(self.config).export_state()
+        self.content = to_bytes(self.state)
+        self.empty = to_bytes(Mapper(self.config).export_state())
         self.sent = 0
 
     def send(self) -> str:

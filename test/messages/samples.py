@@ -37,14 +37,8 @@ def cloud(
         names, kinds = (*names, times[0]), (*kinds, times[1])
         columns.append(np.reshape(times[2], grid.shape[:2]))
     offsets = lead + np.cumsum([0, *(int(kind[1]) + gap for kind in kinds)])
-    layout = np.dtype(
-        {
-            "names": names,
-            "formats": [order + kind for kind in kinds],
-            "offsets": offsets[:-1],
-            "itemsize": offsets[-1],
-        }
-    )
+    form = {"names": names, "formats": [order + kind for kind in kinds]}
+    layout = np.dtype({**form, "offsets": offsets[:-1], "itemsize": offsets[-1]})
     return cloud_of(layout, columns, row_padding, stamp_ns, container)
 
 
@@ -73,13 +67,20 @@ def cloud_of(layout, columns, row_padding=0, stamp_ns=0, container=np.asarray):
     )
 
 
+def xyz(values):
+    """A place, or with a fourth number a quaternion."""
+    return SimpleNamespace(**dict(zip("xyzw", values, strict=False)))
+
+
+def transform(stamp_ns, translation, xyzw, parent="body", child="lidar"):
+    turned = SimpleNamespace(translation=xyz(translation), rotation=xyz(xyzw))
+    head = header(stamp_ns, parent)
+    return SimpleNamespace(header=head, child_frame_id=child, transform=turned)
+
+
 def pose(stamp_ns=0, position=(1.0, 2.0, 3.0), xyzw=(0, 0, 0, 1), covariance=None, frame="map"):
     if covariance is None:
         covariance = np.diag([0.04, 0.04, 0.09, 1e-6, 1e-6, 1e-6])
-    x, y, z = position
-    qx, qy, qz, qw = xyzw
-    at = SimpleNamespace(
-        position=SimpleNamespace(x=x, y=y, z=z), orientation=SimpleNamespace(x=qx, y=qy, z=qz, w=qw)
-    )
+    at = SimpleNamespace(position=xyz(position), orientation=xyz(xyzw))
     held = SimpleNamespace(pose=at, covariance=np.asarray(covariance, dtype=float).reshape(-1))
     return SimpleNamespace(header=header(stamp_ns, frame), pose=held)

@@ -49,15 +49,8 @@ def test_every_layout_gives_the_points_that_were_put_in(
     rng = np.random.default_rng(seed)
     points = rng.normal(scale=100.0, size=(height, width, 3)).astype(np.float32).astype(float)
     points[rng.random((height, width)) < 0.3] = np.nan
-    msg = cloud(
-        points[0] if flat else points,
-        kinds=kinds,
-        order=order,
-        lead=lead,
-        gap=gap,
-        row_padding=row_padding,
-        container=CONTAINERS[container],
-    )
+    layout = {"kinds": kinds, "order": order, "lead": lead, "gap": gap, "row_padding": row_padding}
+    msg = cloud(points[0] if flat else points, **layout, container=CONTAINERS[container])
     decoded = points_from_cloud(msg)
     expected = points if height > 1 and not flat else points[0]
     assert decoded.dtype == ("f4" if set(kinds) == {"f4"} else "f8")
@@ -125,18 +118,15 @@ def test_zero_points_are_an_empty_scan():
     assert points_from_cloud(msg).shape == (0, 3)
 
 
-def broken(**changes):
+def broken(part=lambda msg: msg, **changes):
+    """A cloud of which a part, or it itself, is otherwise."""
     msg = cloud(np.ones((3, 4, 3)))
-    for name, value in changes.items():
-        setattr(msg, name, value)
+    vars(part(msg)).update(changes)
     return msg
 
 
 def broken_field(**changes):
-    msg = cloud(np.ones((3, 4, 3)))
-    for name, value in changes.items():
-        setattr(msg.fields[1], name, value)
-    return msg
+    return broken(lambda msg: msg.fields[1], **changes)
 
 
 @pytest.mark.parametrize(

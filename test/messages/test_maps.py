@@ -58,10 +58,8 @@ def test_what_matters_comes_back_exactly(cells):
 
 
 def test_a_round_trip_is_what_a_subscriber_decodes(cells):
-    records, d = maps.encode_cells(cells), cells.domain
-    received = maps.decode_cells(
-        records, cells.observed, d.xmin, d.ymin, cells.stamp_ns, known=cells.known
-    )
+    given = maps.encode_cells(cells), cells.observed, cells.domain.xmin, cells.domain.ymin
+    received = maps.decode_cells(*given, cells.stamp_ns, known=cells.known)
     assert_same(maps.round_trip(cells), received)
 
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from messages import samples
 from messages.samples import cloud, pose
 
 from quadtree_lss.onboard.config.settings import ConfigError, MountConfig, config_from_values
@@ -20,18 +21,9 @@ def scan(stamp_ms):
     return cloud(np.ones((3, 3)), stamp_ns=stamp_ms * MS)
 
 
-def transform(stamp_ms, translation, rotation):
-    x, y, z = translation
-    qx, qy, qz, qw = quaternion_from_rotation(rotation)
-    stamp = SimpleNamespace(sec=stamp_ms // 1000, nanosec=stamp_ms % 1000 * MS)
-    return SimpleNamespace(
-        header=SimpleNamespace(stamp=stamp, frame_id="body"),
-        child_frame_id="lidar",
-        transform=SimpleNamespace(
-            translation=SimpleNamespace(x=x, y=y, z=z),
-            rotation=SimpleNamespace(x=qx, y=qy, z=qz, w=qw),
-        ),
-    )
+def transform(stamp_ms, translation, rotation, *frames):
+    turn = quaternion_from_rotation(rotation)
+    return samples.transform(stamp_ms * MS, translation, turn, *frames)
 
 
 def test_without_parameters_poses_are_the_lidars():
@@ -138,9 +130,8 @@ def test_axes_turn_the_cloud_under_every_mount():
         return ready.points_lidar @ ready.pose.rotation_map_lidar.T + ready.pose.position
 
     for mount in ({}, {"x": 2.0, "pitch_deg": 30.0}, {"source": "gimbal"}, {"source": "tf"}):
-        np.testing.assert_allclose(
-            mapped(flu, axes="flu_to_optical", **mount), mapped(optical, **mount), atol=1e-6
-        )
+        turned = mapped(flu, axes="flu_to_optical", **mount)
+        np.testing.assert_allclose(turned, mapped(optical, **mount), atol=1e-6)
 
 
 def tf_intake(**more):
@@ -149,11 +140,7 @@ def tf_intake(**more):
 
 def chain(*links):
     """Static transforms, each (parent, child, translation, rotation)."""
-    items = []
-    for parent, child, translation, rotation in links:
-        item = transform(0, translation, rotation)
-        item.header.frame_id, item.child_frame_id = parent, child
-        items.append(item)
+    items = [transform(0, *turned, parent, child) for parent, child, *turned in links]
     return SimpleNamespace(transforms=items)
 
 
@@ -172,9 +159,8 @@ def test_the_mount_follows_static_transforms_up_and_down():
     body_deck = first.T
     place = body_deck @ (np.array([3.0, 0.0, 0.0]) + second @ [0.0, 0.0, -1.0] - [0.0, 1.0, 0.5])
     np.testing.assert_allclose(ready.pose.position, place + [10.0, 20.0, 30.0], atol=1e-12)
-    np.testing.assert_allclose(
-        ready.pose.rotation_map_lidar, body_deck @ second @ third, atol=1e-12
-    )
+    turned = body_deck @ second @ third
+    np.testing.assert_allclose(ready.pose.rotation_map_lidar, turned, atol=1e-12)
 
 
 @pytest.mark.survives(

@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses: what is mended, what is refused."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from messages.samples import header, pose
+from messages.samples import pose, transform
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.onboard.messages.clouds import MessageError
@@ -103,9 +101,8 @@ def test_rounding_of_a_covariance_is_mended():
 def test_zeros_mean_unknown_and_take_the_configured_sigmas():
     msg = pose(covariance=np.zeros(36))
     assert has_unknown_covariance(msg) and not has_unknown_covariance(pose())
-    decoded = pose_from_message(
-        msg, "map", unknown_position_sigma=0.5, unknown_attitude_sigma_deg=0.1
-    )
+    of = {"unknown_position_sigma": 0.5, "unknown_attitude_sigma_deg": 0.1}
+    decoded = pose_from_message(msg, "map", **of)
     sigmas = np.sqrt(np.diag(decoded.covariance))
     np.testing.assert_allclose(sigmas, [0.5] * 3 + [np.deg2rad(0.1)] * 3)
 
@@ -130,12 +127,7 @@ def test_the_covariance_cannot_be_changed_by_accident():
 
 def test_mount_is_the_lidar_in_body_axes():
     rotation = Rotation.from_rotvec([0.1, -0.2, 0.3])
-    x, y, z, w = rotation.as_quat()
-    transform = SimpleNamespace(
-        translation=SimpleNamespace(x=1.0, y=2.0, z=3.0),
-        rotation=SimpleNamespace(x=x, y=y, z=z, w=w),
-    )
-    mount = mount_from_message(SimpleNamespace(header=header(7, "body"), transform=transform))
+    mount = mount_from_message(transform(7, (1.0, 2.0, 3.0), rotation.as_quat()))
     assert mount.stamp_ns == 7
     np.testing.assert_array_equal(mount.position, [1.0, 2.0, 3.0])
     np.testing.assert_allclose(mount.rotation_map_lidar, rotation.as_matrix(), atol=1e-15)

@@ -134,14 +134,8 @@ def scan_lines(start):
     return ray * ranges[:, None], seconds
 
 
-MAP = {
-    "domain.xmin": -16.0,
-    "domain.ymin": -16.0,
-    "domain.size": 32.0,
-    "domain.min_level": 5,
-    "domain.max_level": 7,
-    "lidar.range_noise": 0.01,
-}
+DOMAIN = {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 5, "max_level": 7}
+MAP = {"domain": DOMAIN, "lidar": {"range_noise": 0.01}}
 
 
 def mapped(ready):

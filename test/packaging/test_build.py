@@ -45,10 +45,8 @@ def test_every_kernel_of_the_checkout_is_imported_as_a_binary():
     sources = [(path.relative_to(ROOT), path) for path in (ROOT / "quadtree_lss").rglob("*.py")]
     says = "import cython"
     assert kernels == {name for name, path in sources if says in path.read_text().splitlines()}
-    declared = {
-        path.relative_to(ROOT).with_suffix(".py") for path in ROOT.glob("quadtree_lss/**/*.pxd")
-    }
-    assert kernels >= {name for name in declared if (ROOT / name).exists()}
+    declared = {path.with_suffix(".py") for path in ROOT.glob("quadtree_lss/**/*.pxd")}
+    assert kernels >= {path.relative_to(ROOT) for path in declared if path.exists()}
     for path in build.kernels():
         module = importlib.import_module(module_of(path))
         assert module.__file__ is not None and module.__file__.endswith(EXTENSION_SUFFIXES[0])

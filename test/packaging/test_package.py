@@ -18,25 +18,13 @@ from installed import PREFIX, SHARE
 
 from quadtree_lss.desk.bags.topics import SCAN_TOPIC
 from quadtree_lss.desk.replay.configuration import load_config
+from quadtree_lss.onboard.messages import outputs
 from quadtree_lss.onboard.messages.landing_inputs import POINT_TYPE, TYPES
 from quadtree_lss.onboard.messages.maps import CELL_FIELDS, PRIOR_STATUS_FIELDS, SITE_FIELDS
-from quadtree_lss.onboard.messages.outputs import (
-    CLOUD_TYPE,
-    GRID_TYPE,
-    POSES_TYPE,
-    SELECTED_TYPE,
-    SITE_TABLE,
-    STATUS,
-    TOPIC_TYPES,
-)
 
 ROOT = Path(__file__).parents[2]
 NODES = ("mapping_node", "lss_node", "autopilot_node")
 EXECUTABLES = (*NODES, "replay_bag", "simulate", "evaluate", "quadtree-lss")
-
-needs_rclpy = pytest.mark.skipif(
-    importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed"
-)
 
 
 def test_installed_files_are_those_of_the_checkout():
@@ -56,8 +44,8 @@ def test_installed_files_are_those_of_the_checkout():
         assert names and names == {path.name for path in (SHARE / folder).glob(pattern)}
 
 
-@needs_rclpy
 def test_ament_index_knows_the_package(monkeypatch):
+    pytest.importorskip("rclpy")
     packages = pytest.importorskip("ament_index_python.packages")
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(PREFIX))
     assert Path(packages.get_package_prefix("quadtree_lss")) == PREFIX
@@ -96,7 +84,7 @@ def test_manifest_names_every_ros_package_that_is_imported():
     imported = {name for path in ours for name in _imports(path)}
     of_ros = {n for n in imported if n.endswith(("_msgs", "_interfaces")) or n == "rclpy"}
     of_ros |= imported & {"launch", "launch_ros"}
-    of_ros |= {kind.partition("/")[0] for kind in TOPIC_TYPES.values()}
+    of_ros |= {kind.partition("/")[0] for kind in outputs.TOPIC_TYPES.values()}
     of_ros.discard("grid_map_msgs")  # nobody must have it
     assert of_ros and of_ros <= depends, f"package.xml lacks {of_ros - depends}"
 
@@ -129,17 +117,19 @@ def test_the_foxglove_layout_shows_topics_and_fields_that_there_are():
     assert shown(layout["layout"]) == set(panels)
     nodes = "".join(p.read_text() for p in (ROOT / "quadtree_lss/onboard/nodes").glob("*_node.py"))
     markers = re.findall(r'advertise\(self, MarkerArray, "([\w/]+)"', nodes)
-    kinds = {**TOPIC_TYPES, SCAN_TOPIC[1:]: CLOUD_TYPE}
+    kinds = {**outputs.TOPIC_TYPES, SCAN_TOPIC[1:]: outputs.CLOUD_TYPE}
     kinds |= dict.fromkeys(markers, "visualization_msgs/msg/MarkerArray")
     kinds = {f"/{name}": kind for name, kind in kinds.items()}
     fields = {"/map/cells": CELL_FIELDS.names, SCAN_TOPIC: ("x", "y", "z")}
     topics = {topic: view for p in panels.values() for topic, view in p.get("topics", {}).items()}
-    hidden = {f"/{SITE_TABLE}", f"/{STATUS}"}
+    hidden = {f"/{outputs.SITE_TABLE}", f"/{outputs.STATUS}"}
     assert len(markers) == 2 and set(topics) == set(kinds) - hidden
     for topic, about in topics.items():
-        needs = dict.fromkeys(("costmap", "map", "custom"), GRID_TYPE) | {"colormap": CLOUD_TYPE}
+        needs = dict.fromkeys(("costmap", "map", "custom"), outputs.GRID_TYPE)
+        needs["colormap"] = outputs.CLOUD_TYPE
         assert needs.get(about.get("colorMode"), kinds[topic]) == kinds[topic], topic
-        assert "type" not in about or kinds[topic] in (POSES_TYPE, SELECTED_TYPE), topic
+        of_poses = kinds[topic] in (outputs.POSES_TYPE, outputs.SELECTED_TYPE)
+        assert "type" not in about or of_poses, topic
         assert "colorField" not in about or about["colorField"] in fields[topic], topic
     wishes = {f"/landing/{name}": kind for name, kind in TYPES.items()}
     for panel in panels.values():

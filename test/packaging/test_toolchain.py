@@ -50,9 +50,8 @@ def test_a_compiler_that_fails_is_told(toolchain, monkeypatch):
 
 @pytest.mark.parametrize("command", [["toolchain.py"], ["setup.py", "build"]])
 def test_setting_up_ends_with_one_line(command, tmp_path):
-    done = subprocess.run(
-        [sys.executable, *command], cwd=ROOT, env={"PATH": str(tmp_path)}, capture_output=True
-    )
+    how = {"cwd": ROOT, "env": {"PATH": str(tmp_path)}, "capture_output": True}
+    done = subprocess.run([sys.executable, *command], **how)
     assert done.returncode == 1 and done.stdout == b""
     (line,) = done.stderr.splitlines()
     assert line.startswith(b"quadtree_lss: ") and b"build-essential" in line

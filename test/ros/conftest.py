@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes as real processes, each test in a ROS domain of its own on this computer alone."""
 
+from __future__ import annotations
+
 import importlib.util
+import os
 import subprocess
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,16 +16,19 @@ import pytest
 if importlib.util.find_spec("rclpy") is None:
     collect_ignore_glob = ["test_*.py"]
 else:
-    from diagnostic_msgs.msg import DiagnosticStatus
+    import rclpy
     from rcl_interfaces.msg import SetParametersResult
     from rcl_interfaces.srv import SetParameters
+    from rclpy.context import Context
+    from rclpy.node import Node
     from rclpy.parameter import Parameter
+    from ros_scene import Ears, Sensors, mapped
     from std_srvs.srv import Trigger
 
+    from quadtree_lss.desk.replay.configuration import load_config
     from quadtree_lss.lab.live.listener import TOPICS, Listener
     from quadtree_lss.lab.live.processes import NodeProcess, local_domain
-
-    OK, WARN, ERROR = (DiagnosticStatus.OK,), (DiagnosticStatus.WARN,), (DiagnosticStatus.ERROR,)
+    from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 PARAMETERS = """\
 /**:
@@ -35,39 +41,6 @@ PARAMETERS = """\
 """
 
 
-def status_values(listener: Listener, name: str) -> dict[str, str]:
-    """Values by key of the last diagnostic status of a node."""
-    status = listener.diagnostics.get(name)
-    return {} if status is None else {item.key: item.value for item in status.values}
-
-
-def has(listener: Listener, key: str, number: int, node: str = "mapping_node") -> bool:
-    """True if a diagnostic value is this number."""
-    return status_values(listener, node).get(key) == str(number)
-
-
-def at_least(listener: Listener, key: str, number: int, node: str = "mapping_node") -> bool:
-    """True if a diagnostic value is this number or more."""
-    return int(status_values(listener, node).get(key, 0)) >= number
-
-
-def told(listener: Listener, node: str, *words: str, levels: Sequence[bytes] = ()) -> bool:
-    """True if the last status of a node has all these words, and a level of those given."""
-    status = listener.diagnostics.get(node)
-    found = status is not None and all(word in status.message for word in words)
-    return found and (not levels or status.level in levels)
-
-
-@contextmanager
-def process(command: list[str], **how: Any) -> Iterator[subprocess.Popen[str]]:
-    """A program that ends with the context, whatever happens."""
-    with subprocess.Popen(command, text=True, **how) as running:
-        try:
-            yield running
-        finally:
-            running.kill()
-
-
 class Ros:
     """A domain with the processes and listeners of one test."""
 
@@ -78,18 +51,38 @@ class Ros:
         self.params = folder / "params.yaml"
         self.params.write_text(PARAMETERS)
         self._stack = stack
-        self._count = 0
+        self._nodes: list[NodeProcess] = []
 
-    def start(self, name: str, *args: str) -> NodeProcess:
-        """A node with the test's parameters; its output goes to a file of its own."""
-        self._count += 1
-        log = self.folder / f"{self._count}_{name}.txt"
+    def start(self, name: str, *args: str, first: str = "") -> NodeProcess:
+        """A node with the test's parameters; its output goes to a file of its own. It, and what is
+        started after it, runs a program ``first``."""
+        log = self.folder / f"{len(self._nodes)}_{name}.txt"
+        if first:
+            (self.folder / "sitecustomize.py").write_text(first)
+            before = filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))
+            self.env["PYTHONPATH"] = os.pathsep.join([str(self.folder), *before])
         ros_args = ["--params-file", str(self.params), *args]
-        return self._stack.enter_context(NodeProcess(name, ros_args, self.env, log))
+        self._nodes.append(NodeProcess(name, ros_args, self.env, log))
+        return self._stack.enter_context(self._nodes[-1])
 
-    def listen(self, topics: Mapping[str, Any] = TOPICS) -> Listener:
+    def output(self) -> str:
+        """What all nodes have written."""
+        return "\n".join(node.output() for node in self._nodes)
+
+    def run(self, *command: object) -> subprocess.CompletedProcess[str]:
+        """What became of another program in this domain."""
+        words = [str(word) for word in command]
+        return subprocess.run(words, env=self.env, capture_output=True, text=True, check=False)
+
+    def listen(self, topics: Mapping[str, Any] | None = None) -> Ears:
         """Collects the nodes' topics, as a context manager."""
-        return Listener(self.domain, topics)
+        return Ears(self, TOPICS if topics is None else topics)
+
+    @contextmanager
+    def sensors(self, topics: Mapping[str, Any] | None = None) -> Iterator[tuple[Ears, Sensors]]:
+        """A listener, and sensors that a mapping node hears."""
+        with self.listen(topics) as listener:
+            yield listener, Sensors(listener).matched()
 
     def call(self, listener: Listener, service: str) -> Trigger.Response:
         """Answer of a Trigger service."""
@@ -97,10 +90,8 @@ class Ros:
 
     def set(self, listener: Listener, node: str, name: str, value: object) -> SetParametersResult:
         """What a node says to a new value of a parameter, as ``ros2 param set`` asks it."""
-        request = SetParameters.Request(
-            parameters=[Parameter(name, value=value).to_parameter_msg()]
-        )
-        service = f"/{node}/set_parameters"
+        given = [Parameter(name, value=value).to_parameter_msg()]
+        request, service = SetParameters.Request(parameters=given), f"/{node}/set_parameters"
         return self._ask(listener, SetParameters, service, request).results[0]
 
     def _ask(self, listener: Listener, kind: Any, service: str, request: Any) -> Any:
@@ -117,3 +108,25 @@ def ros(tmp_path: Path) -> Iterator[Ros]:
     """See `Ros`."""
     with ExitStack() as stack:
         yield Ros(tmp_path, stack)
+
+
+@pytest.fixture(scope="session")
+def cells() -> CellMap:
+    """A map that has room for sites everywhere."""
+    domain = {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}
+    return mapped(load_config(overrides={"domain": domain}), 2).snapshot()
+
+
+@pytest.fixture
+def context(ros: Ros) -> Iterator[Context]:
+    """An initialised context in the test's domain."""
+    result = Context()
+    rclpy.init(context=result, domain_id=ros.domain)
+    yield result
+    result.try_shutdown()
+
+
+@pytest.fixture
+def node(context: Context) -> Node:
+    """A node in it."""
+    return Node("node", context=context)

@@ -24,12 +24,7 @@ from quadtree_lss.onboard.nodes.qos import latched, stream, target
 from quadtree_lss.onboard.nodes.ros_messages import header_message, time_message
 
 pytestmark = pytest.mark.xdist_group("ros_autopilot")
-FAST = {
-    "gate_height": 5.0,
-    "descent_speed": 1.5,
-    "touchdown_speed": 0.5,
-    "transit_speed": 4.0,
-}
+FAST = {"gate_height": 5.0, "descent_speed": 1.5, "touchdown_speed": 0.5, "transit_speed": 4.0}
 
 
 class Scene:
@@ -41,9 +36,8 @@ class Scene:
         self.says = State.HOLDS
         self.states, self.odometry = [], []
         node = listener.node
-        self._selected = node.create_publisher(
-            PoseWithCovarianceStamped, "landing/selected", target()
-        )
+        kind = PoseWithCovarianceStamped
+        self._selected = node.create_publisher(kind, "landing/selected", target())
         self._status = node.create_publisher(PointCloud2, "landing/status", latched())
         node.create_subscription(DiagnosticStatus, "landing/autopilot", self._on_state, latched())
         every = QoSProfile(depth=50)
@@ -51,10 +45,8 @@ class Scene:
         given = {"connection": model.connection, **FAST, **parameters}
         options = [o for k, v in given.items() for o in ("-p", f"autopilot.{k}:={v}")]
         if model.pace != 1.0:
-            clock, began = (
-                node.create_publisher(Clock, "/clock", stream(10, reliable=True)),
-                time.time(),
-            )
+            clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
+            began = time.time()
 
             def tell():
                 now = began + model.pace * (time.time() - began)
@@ -63,8 +55,7 @@ class Scene:
             node.create_timer(0.01, tell)
             options += ["-p", "use_sim_time:=true"]
         self.node = ros.start("autopilot_node", *options)
-        timer = node.create_timer(0.1, self._say)
-        assert timer is not None
+        node.create_timer(0.1, self._say)
 
     def _on_state(self, message):
         state = {item.key: item.value for item in message.values}["state"]
@@ -83,9 +74,9 @@ class Scene:
         self._status.publish(MAKE.cloud(record, stamp))
 
     def wait(self, condition, seconds=40.0):
-        assert self.listener.wait_for(condition, timeout=seconds), (
-            f"{self.states} at {self.model.enu}, {self.model.texts}\n{self.node.output()}"
-        )
+        came = self.listener.wait_for(condition, timeout=seconds)
+        model, said = self.model, self.node.output()
+        assert came, f"{self.states} at {model.enu}, {model.texts}\n{said}"
         return self
 
     def handed_over(self):
@@ -147,7 +138,7 @@ def test_it_lands_at_the_target_and_says_where_it_is(ros, scene, kind):
     assert (variances > 0.0).all()
     if kind == PX4:
         np.testing.assert_allclose(variances[:3], [0.02, 0.01, 0.03], rtol=1e-5)
-    if kind == PX4:  # without a pose there is no place to stream, and so no offboard
+        # Without a pose there is no place to stream, and so no offboard.
         flight.wait(lambda: flight.model.points).model.frozen = True
         flight.wait(lambda: flight.model._now - flight.model.points[-1][0] > 0.7)
         flight.model.frozen = False
@@ -204,8 +195,7 @@ def test_the_pilots_switch_and_a_jump_of_navigation(scene):
     flight.handed_over().until("descend")
     model.shift[:] = 3.0, 0.0, 0.0
     flight.until("give_up")
-    said = flight.listener.wait_for(lambda: any("jumped" in text for text in model.texts))
-    assert said, model.texts
+    flight.wait(lambda: any("jumped" in text for text in model.texts))
     assert model.landed_at is None
 
 
@@ -222,17 +212,17 @@ def test_all_ages_go_by_the_simulators_time_where_that_is_used(scene):
 def test_what_lss_node_never_says_is_passed_over(scene):
     """A status of no point, and a target in a frame whose name would forge a line of the log."""
     flight = scene(place=(0.0, 0.0, 4.5))
-    node, wait = flight.listener.node, flight.listener.wait_for
+    node = flight.listener.node
     flight.wait(lambda: flight.states).silent = True  # so that no other status comes after it
     status = node.create_publisher(PointCloud2, "landing/status", latched())
     empty = np.zeros(0, dtype=STATUS_FIELDS)
     status.publish(MAKE.cloud(empty, 0))
-    assert wait(lambda: "landing/status has 0 points" in flight.node.output())
+    flight.wait(lambda: "landing/status has 0 points" in flight.node.output())
     node.destroy_publisher(status)
     flight.silent = False
     other = node.create_publisher(PoseWithCovarianceStamped, "landing/selected", target())
     other.publish(PoseWithCovarianceStamped(header=header_message(0, "x\n[INFO] all is well" * 9)))
-    assert wait(lambda: "landing/selected is in frame 'x" in flight.node.output())
+    flight.wait(lambda: "landing/selected is in frame 'x" in flight.node.output())
     assert "\n[INFO] all is well" not in flight.node.output()
     node.destroy_publisher(other)
     flight.handed_over().until("touchdown")

@@ -1,19 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checkpoints of a running node: taken up, set aside, left alone, and what is told."""
 
-import functools
 import resource
 import shutil
 import signal
-import subprocess
-import sys
 
 import pytest
-from ros.conftest import ERROR, WARN, at_least, has, process, told
-from ros_scene import Sensors
+from ros.test_map_files import small
+from ros_scene import ERROR, WARN
 
-from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.nodes.files import MapFileError
 from quadtree_lss.onboard.nodes.map_files import load
 
@@ -22,9 +17,7 @@ pytestmark = pytest.mark.xdist_group("ros_checkpoints")
 SCANS = 4
 TEN_SECONDS_NS = 10**10
 FAULTY = """
-import sys
 import quadtree_lss.onboard.core.mapping.mapper as mapper
-from quadtree_lss.onboard.nodes.mapping_node import main
 
 whole = mapper.Mapper.update
 left = [3]
@@ -38,10 +31,8 @@ def update(self, *scan):
     return whole(self, *scan)
 
 mapper.Mapper.update = update
-sys.exit(main())
 """
-"""A node that maps three scans, and the fourth ends in an error after it has spoilt the map."""
-SMALL = {"domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}}
+"""Three scans are mapped, and the fourth ends in an error after it has spoilt the map."""
 
 
 def keeping(ros):
@@ -63,42 +54,37 @@ def test_killed_mapping_node_takes_up_its_checkpoint(ros):
     """The sensors stay and are heard by the successor, as on a vehicle."""
     path, args = keeping(ros)
     mapping = ros.start("mapping_node", *args)
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
-        last = sensors.map(mapping, SCANS)
+    with ros.sensors() as (listener, sensors):
+        last = sensors.map(SCANS)
         before = bytes(listener.newest["map/cells"].data)
-        assert listener.wait_for(lambda: _stamp_in(path) == last), mapping.output()
+        listener.until(lambda: _stamp_in(path) == last)
         mapping.process.kill()
         mapping.process.wait(10.0)
         listener.newest.clear()
         again = ros.start("mapping_node", *args)
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == last), again.output()
+        listener.until_stamped(last, "map/cells")
         assert bytes(listener.newest["map/cells"].data) == before
         assert "taken up" in again.output()
-        later = _publish_until_mapped(listener, sensors, 1)
-        assert later, again.output()
+        assert _publish_until_mapped(listener, sensors), again.output()
         assert ros.call(listener, "/mapping_node/reset").success
         assert not path.exists(), "a reset forgets the checkpoint, too"
-        last = sensors.map(again, SCANS, offset_ns=100 * TEN_SECONDS_NS)
+        last = sensors.map(SCANS, offset_ns=100 * TEN_SECONDS_NS)
     assert again.stop(signal.SIGHUP) == 0
     assert _stamp_in(path) == last, "a clean end leaves the last state"
 
 
-def _publish_until_mapped(listener, sensors, first, topic="map/cells"):
-    """Sends scans, from ``first`` times ten seconds on, until one is in; its stamp or None.
-
-    That a killed node's successor has subscribed cannot be seen by number of subscribers: the
-    killed one counts until its lease ends.
-    """
-    for k in range(first, first + 30):
+def _publish_until_mapped(listener, sensors):
+    """Sends scans until one is in: that a killed node's successor has subscribed cannot be seen by
+    the number of subscribers, for the killed one counts until its lease ends."""
+    for k in range(1, 31):
         last = sensors.publish(SCANS, offset_ns=k * TEN_SECONDS_NS)
-        if listener.wait_for(lambda last=last: listener.stamp(topic) == last, timeout=1.0):
-            return last
-    return None
+        if listener.wait_for(lambda last=last: listener.stamp("map/cells") == last, timeout=1.0):
+            return True
+    return False
 
 
 def _stamp_in(path):
-    mapper = Mapper(load_config(overrides=SMALL))
+    mapper = small()
     try:
         load(path, mapper)
     except MapFileError:
@@ -116,31 +102,29 @@ def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
     mapping = ros.start("mapping_node", *args)
     before = resource.prlimit(mapping.process.pid, resource.RLIMIT_FSIZE)
     resource.prlimit(mapping.process.pid, resource.RLIMIT_FSIZE, (20_000, before[1]))
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
-        sensors.map(mapping, SCANS)
-        assert listener.wait_for(lambda: at_least(listener, "problems.checkpoint", 3))
+    with ros.sensors() as (listener, sensors):
+        sensors.map(SCANS)
+        listener.until(listener.at_least, "problems.checkpoint", 3)
         lines = [line for line in mapping.output().splitlines() if "File too large" in line]
         assert len(lines) == 1, "told once, though it fails again and again"
         assert not path.exists()
         resource.prlimit(mapping.process.pid, resource.RLIMIT_FSIZE, before)
-        assert listener.wait_for(path.exists), "written once there is room again"
+        listener.until(path.exists)  # written once there is room again
     assert mapping.stop() == 0
 
 
 def test_a_checkpoint_that_cannot_be_removed_does_not_hold_up_a_reset(ros):
     path, args = keeping(ros)
     mapping = ros.start("mapping_node", *args)
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
-        sensors.map(mapping, SCANS)
-        assert listener.wait_for(path.exists), mapping.output()
+    with ros.sensors() as (listener, sensors):
+        sensors.map(SCANS)
+        listener.until(path.exists)
         path.unlink()
         path.mkdir()
         answer = ros.call(listener, "/mapping_node/reset")
         assert answer.success, answer.message
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == 0), mapping.output()
-        assert listener.wait_for(lambda: at_least(listener, "problems.checkpoint", 1))
+        listener.until_stamped(0, "map/cells")
+        listener.until(listener.at_least, "problems.checkpoint", 1)
         assert "cannot be removed" in mapping.output()
 
 
@@ -151,18 +135,16 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
     """However lately another one was told."""
     folder = ros.folder / "disk"
     folder.mkdir()
-    args = ("-p", f"checkpoint.path:={folder / 'a.map'}")
-    mapping = ros.start("mapping_node", *args)
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
+    mapping = ros.start("mapping_node", "-p", f"checkpoint.path:={folder / 'a.map'}")
+    with ros.sensors() as (listener, sensors):
         sensors.publish(SCANS)
-        assert listener.wait_for((folder / "a.map").exists), mapping.output()
+        listener.until((folder / "a.map").exists)
         shutil.rmtree(folder)
         sensors.publish(SCANS, offset_ns=TEN_SECONDS_NS)
-        assert listener.wait_for(lambda: at_least(listener, "problems.checkpoint", 1))
+        listener.until(listener.at_least, "problems.checkpoint", 1)
     assert mapping.stop() == 0
-    assert "is lost" in mapping.output().splitlines()[-1]
-    assert "[ERROR]" in mapping.output().splitlines()[-1]
+    last = mapping.output().splitlines()[-1]
+    assert "is lost" in last and "[ERROR]" in last
 
 
 @pytest.mark.survives(
@@ -176,33 +158,25 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
 def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):
     """Whatever it was, the map that it happened to may be half changed."""
     path, args = keeping(ros)
-    command = [sys.executable, "-c", FAULTY, "--ros-args", "--params-file", str(ros.params)]
-    command += args if kept else ()
-    with (
-        ros.listen() as listener,
-        process(command, env=ros.env, cwd=ros.folder, stderr=subprocess.PIPE) as faulty,
-    ):
-        sensors = Sensors(listener).matched()
+    faulty = ros.start("mapping_node", *(args if kept else ()), first=FAULTY)
+    with ros.sensors() as (listener, sensors):
         good = sensors.publish(SCANS - 1)
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == good)
-        assert not kept or listener.wait_for(lambda: _stamp_in(path) == good)
+        listener.until_stamped(good, "map/cells")
+        listener.until(lambda: not kept or _stamp_in(path) == good)
         leaves = len(listener.newest["map/cells"].data)
         sensors.publish(1, offset_ns=TEN_SECONDS_NS)
 
         how = "that of the checkpoint" if kept else "sound and goes on"
-        failed = functools.partial(told, listener, "mapping_node", how, levels=ERROR)
-        assert listener.wait_for(failed), listener.diagnostics
+        listener.until(listener.told, "mapping_node", ERROR, how)
         assert "ValueError" in listener.diagnostics["mapping_node"].message
-        assert has(listener, "problems.scan_failed", 1)
-        assert not kept or listener.wait_for(lambda: _stamp_in(path) == good)
+        assert listener.has("problems.scan_failed", 1)
+        listener.until(lambda: not kept or _stamp_in(path) == good)
         last = sensors.publish(1, offset_ns=2 * TEN_SECONDS_NS)
-        assert listener.wait_for(lambda: listener.stamp("map/cells") == last)
+        listener.until_stamped(last, "map/cells")
         assert not kept or len(listener.newest["map/cells"].data) >= leaves
-        well = lambda: "failed" not in listener.diagnostics["mapping_node"].message  # noqa: E731
-        assert listener.wait_for(well), listener.diagnostics
-        faulty.send_signal(signal.SIGTERM)
-        _, errors = faulty.communicate(timeout=20.0)
-    assert faulty.returncode == 0 and "ValueError: math domain error" in errors
+        listener.until(lambda: "failed" not in listener.diagnostics["mapping_node"].message)
+    assert faulty.stop(signal.SIGTERM) == 0
+    assert "ValueError: math domain error" in faulty.output()
 
 
 @pytest.mark.survives(
@@ -212,17 +186,15 @@ def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):
 )
 def test_two_nodes_on_one_checkpoint(ros):
     path, args = keeping(ros)
-    first = ros.start("mapping_node", *args)
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
+    ros.start("mapping_node", *args)
+    with ros.sensors() as (listener, sensors):
         stamp = sensors.publish(SCANS)
-        assert listener.wait_for(lambda: _stamp_in(path) == stamp), first.output()
+        listener.until(lambda: _stamp_in(path) == stamp)
         second = ros.start("mapping_node", *args, "-r", "__node:=second")
-        kept = functools.partial(told, listener, "second", "another node keeps", levels=WARN)
-        assert listener.wait_for(kept), second.output()
+        listener.until(listener.told, "second", WARN, "another node keeps")
         assert "newest scan" not in second.output()
         stored = path.stat()
         assert second.stop() == 0
         assert path.stat() == stored
         stamp = sensors.publish(SCANS, offset_ns=TEN_SECONDS_NS)
-        assert listener.wait_for(lambda: _stamp_in(path) == stamp), first.output()
+        listener.until(lambda: _stamp_in(path) == stamp)

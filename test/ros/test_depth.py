@@ -3,7 +3,6 @@
 
 import numpy as np
 import pytest
-from ros.conftest import status_values
 from ros_scene import MAKE, POSITION, SCAN_NS, START_NS, Sensors, pose
 from sensor_msgs.msg import CameraInfo, Image
 
@@ -33,20 +32,18 @@ class CameraSensors(Sensors):
 
 
 def test_a_depth_camera_is_mapped_live(ros):
-    options = ("-p", "lidar.source:=depth")
-    mapping = ros.start("mapping_node", *options)
+    mapping = ros.start("mapping_node", "-p", "lidar.source:=depth")
     with ros.listen() as listener:
-        sensors = CameraSensors(listener)
-        sensors.matched()
+        sensors = CameraSensors(listener).matched()
         # The first image may come before its CameraInfo, on another topic, and is not used then.
-        sensors.map(mapping, 4, make_cloud=sensors.image, make_pose=pose)
+        sensors.map(4, make_cloud=sensors.image, make_pose=pose)
         assert listener.stamp("map/cells") == START_NS + 3 * SCAN_NS
 
         def unusable_are_counted():
             sensors.camera.publish(CameraInfo())
             sensors.scans.publish(Image())
-            problems = "".join(status_values(listener, "mapping_node"))
+            problems = "".join(listener.values())
             return "problems.camera_info" in problems and "problems.cloud" in problems
 
-        assert listener.wait_for(unusable_are_counted), listener.diagnostics
+        listener.until(unusable_are_counted)
     assert "Traceback" not in mapping.output()

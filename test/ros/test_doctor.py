@@ -18,18 +18,15 @@ pytestmark = pytest.mark.xdist_group("ros")
 def test_some_seconds_of_live_topics_are_looked_at(ros, frame, code):
     command = [program("quadtree-lss"), "doctor", "--seconds", "4", "--set", f"frames.map={frame}"]
     with ros.listen({}) as listener:
-        clouds = listener.node.create_publisher(
-            PointCloud2, "lidar/points", stream(5, reliable=False)
-        )
-        poses = listener.node.create_publisher(
-            PoseWithCovarianceStamped, "nav/pose", stream(100, reliable=True)
-        )
+        make = listener.node.create_publisher
+        clouds = make(PointCloud2, "lidar/points", stream(5, reliable=False))
+        poses = make(PoseWithCovarianceStamped, "nav/pose", stream(100, reliable=True))
         sent = events(60)
         with subprocess.Popen(
             command, env=ros.env, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
         ) as doctor:
-            assert listener.wait_for(lambda: poses.get_subscription_count() > 0)
-            assert listener.wait_for(lambda: clouds.get_subscription_count() > 0)
+            listener.until(poses.get_subscription_count)
+            listener.until(clouds.get_subscription_count)
 
             def send():
                 for _ in range(4):
@@ -40,7 +37,7 @@ def test_some_seconds_of_live_topics_are_looked_at(ros, frame, code):
                         clouds.publish(cloud(event.stamp_ns, event.points_lidar))
                 return doctor.poll() is not None
 
-            assert listener.wait_for(send, timeout=60.0)
+            listener.until(send, timeout=60.0)
             out, err = doctor.communicate()
     assert doctor.returncode == code, err
     expected = "nothing is wrong with /lidar/points" if code == 0 else "mend:  frames.map: map"
@@ -48,7 +45,6 @@ def test_some_seconds_of_live_topics_are_looked_at(ros, frame, code):
 
 
 def test_silence_is_one_line(ros):
-    command = [program("quadtree-lss"), "doctor", "--seconds", "0.5"]
-    done = subprocess.run(command, env=ros.env, capture_output=True, text=True, check=False)
+    done = ros.run(program("quadtree-lss"), "doctor", "--seconds", "0.5")
     assert done.returncode == 1 and done.stderr.count("\n") == 1
     assert "nothing came in 0.5 s" in done.stderr

@@ -32,9 +32,8 @@ def run(ros):
         log = ros.folder / f"{name}.txt"
         command = [sys.executable, str(FOLDER / f"{name}.py"), "--ros-args", *options]
         with log.open("wb") as output:
-            processes.append(
-                subprocess.Popen(command, env=ros.env, stdout=output, stderr=subprocess.STDOUT)
-            )
+            how = {"env": ros.env, "stdout": output, "stderr": subprocess.STDOUT}
+            processes.append(subprocess.Popen(command, **how))
             logs.append(log)
         return log
 
@@ -64,12 +63,11 @@ def test_the_subscriber_follows_the_target_until_it_is_withdrawn(ros, run):
 
             return condition
 
-        assert listener.wait_for(says(1.0)), log.read_text()
+        listener.until(says(1.0))
         assert "target 1.00 2.00 0.50 m, height known to 0.30 m" in log.read_text()
-        assert listener.wait_for(says(math.nan)), log.read_text()
-        assert listener.wait_for(says(4.0)), log.read_text()
-        assert listener.wait_for(lambda: math.isnan(place())), "a dead lss_node is noticed"
+        listener.until(says(math.nan))
+        listener.until(says(4.0))
+        listener.until(lambda: math.isnan(place()))  # a dead lss_node is noticed
         assert "publishers of landing/selected" not in log.read_text()
         publisher_of_selected(listener)
-        seen = lambda: "2 publishers of landing/selected" in log.read_text()  # noqa: E731
-        assert listener.wait_for(seen), "whose target it is nobody knows"
+        listener.until(lambda: "2 publishers of landing/selected" in log.read_text())

@@ -6,26 +6,15 @@ import time
 
 import pytest
 import rclpy
-from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from std_msgs.msg import Int32
 from std_srvs.srv import Trigger
 
-from quadtree_lss.lab.live.processes import local_domain
 from quadtree_lss.onboard.nodes.executor import OneNodeExecutor, WhenWanted, arrived, steady_timer
 from quadtree_lss.onboard.nodes.qos import stream, subscribe
 
 pytestmark = pytest.mark.xdist_group("ros_executor")
-
-
-@pytest.fixture
-def node(tmp_path):
-    with local_domain(tmp_path) as domain:
-        context = Context()
-        rclpy.init(context=context, domain_id=domain.number)
-        yield Node("served", context=context)
-        context.try_shutdown()
 
 
 @pytest.fixture

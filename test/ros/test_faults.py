@@ -1,19 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What goes wrong on a vehicle: nodes count it, say so, keep the map and go on."""
 
-import functools
-
 import pytest
-from geometry_msgs.msg import (
-    PointStamped,
-    PolygonInstanceStamped,
-    PolygonStamped,
-    PoseWithCovarianceStamped,
-)
+from geometry_msgs import msg
 from nav_msgs.msg import OccupancyGrid
-from ros import conftest
-from ros.conftest import at_least, has, status_values
-from ros_scene import Sensors, pose
+from ros_scene import WARN, Sensors, pose
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.nodes.qos import latched
@@ -24,17 +15,11 @@ SCANS = 4
 TEN_SECONDS_NS = 10**10
 
 
-def stamped_both(listener, stamp_ns):
-    """True if the newest messages of the map have this stamp."""
-    return all(listener.stamp(topic) == stamp_ns for topic in ("map/cells", "map/observed"))
-
-
 @pytest.fixture
 def flight(ros):
     """A mapping node with sensors: listener, sensors, process."""
     mapping = ros.start("mapping_node", "-p", "pose.max_wait:=0.3")
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
+    with ros.sensors() as (listener, sensors):
         yield listener, sensors, mapping
         mapping.check()
         assert "Traceback" not in mapping.output()
@@ -48,10 +33,9 @@ def test_poses_stop_and_resume(flight):
     listener, sensors, mapping = flight
     sensors.publish(SCANS)
     sensors.publish(SCANS, offset_ns=TEN_SECONDS_NS, make_pose=lambda stamp: None)
-    dropped = functools.partial(has, listener, "scans.dropped.no_pose", SCANS)
-    assert listener.wait_for(dropped), mapping.output()
-    sensors.map(mapping, SCANS, offset_ns=2 * TEN_SECONDS_NS)
-    assert listener.wait_for(lambda: has(listener, "scans", 2 * SCANS))
+    listener.until(listener.has, "scans.dropped.no_pose", SCANS)
+    sensors.map(SCANS, offset_ns=2 * TEN_SECONDS_NS)
+    listener.until(listener.has, "scans", 2 * SCANS)
     lines = [line for line in mapping.output().splitlines() if "no longer sent" in line]
     assert len(lines) == 1, "one line for all of them"
 
@@ -65,11 +49,9 @@ def test_time_jumps_back_and_forward(flight):
     # The second pass is a looping bag. At a jump itself scans that still wait may be dropped.
     for done, offset_ns in enumerate((TEN_SECONDS_NS, 0, 10**6 * 10**9), start=1):
         last = sensors.publish(SCANS, offset_ns=offset_ns)
-        mapped = functools.partial(has, listener, "scans", done * SCANS)
-        assert listener.wait_for(mapped), mapping.output()
-        stamped = functools.partial(stamped_both, listener, last)
-        assert listener.wait_for(stamped), "the map's stamp follows"
-    assert listener.wait_for(lambda: at_least(listener, "problems.time_jump", 1))
+        listener.until(listener.has, "scans", done * SCANS)
+        listener.until_stamped(last, "map/cells", "map/observed")
+    listener.until(listener.at_least, "problems.time_jump", 1)
     assert "jumped back" in mapping.output()
 
 
@@ -82,21 +64,18 @@ def test_a_second_publisher_is_told_and_no_loss_invented(flight):
     sensors.publish(SCANS)
     second = Sensors(listener)
     for problem in ("scan_publishers", "pose_publishers"):
-        told = functools.partial(at_least, listener, f"problems.{problem}", 1)
-        assert listener.wait_for(told), mapping.output()
+        listener.until(listener.at_least, f"problems.{problem}", 1)
 
     def said_for_good():
-        topics = ("'/lidar/points'", "'/nav/pose'")
-        words = [f"2 publishers on {topic}" for topic in topics]
+        words = [f"2 publishers on {topic}" for topic in ("'/lidar/points'", "'/nav/pose'")]
         old = "new problems" not in listener.diagnostics["mapping_node"].message
-        return old and conftest.told(listener, "mapping_node", *words, levels=conftest.WARN)
+        return old and listener.told("mapping_node", WARN, *words)
 
-    assert listener.wait_for(said_for_good), listener.diagnostics["mapping_node"]
+    listener.until(said_for_good)
     for k in (1, 2, 3):
         (sensors, second)[k % 2].publish(2, offset_ns=k * TEN_SECONDS_NS)
-    total = functools.partial(has, listener, "scans", SCANS + 6)
-    assert listener.wait_for(total), mapping.output()
-    assert "problems.scan_lost" not in status_values(listener, "mapping_node")
+    listener.until(listener.has, "scans", SCANS + 6)
+    assert "problems.scan_lost" not in listener.values()
 
 
 @pytest.mark.survives(
@@ -113,8 +92,7 @@ def test_scans_of_which_nothing_enters_the_map_are_told_with_the_reason(flight):
         return message
 
     sensors.publish(SCANS, make_pose=elsewhere)
-    told = functools.partial(has, listener, "problems.no_points_used", SCANS)
-    assert listener.wait_for(told), mapping.output()
+    listener.until(listener.has, "problems.no_points_used", SCANS)
     lines = [line for line in mapping.output().splitlines() if "entered the map" in line]
     assert len(lines) == 1 and "4096 outside the domain" in lines[0]
     assert "x -16 ... 16" in lines[0] and "middle is at x 5000." in lines[0]
@@ -123,14 +101,14 @@ def test_scans_of_which_nothing_enters_the_map_are_told_with_the_reason(flight):
 #: Topics, kinds of message of which an empty one cannot be used, who counts it, and as what.
 UNUSABLE = (
     ("lidar/points", PointCloud2, "mapping_node", "cloud_empty"),
-    ("nav/pose", PoseWithCovarianceStamped, "mapping_node", "pose_frame"),
-    ("landing/area", PolygonStamped, "mapping_node", "area_frame"),
-    ("landing/area", PolygonStamped, "lss_node", "area_frame"),
-    ("landing/keep_out", PolygonStamped, "lss_node", "keep_out_frame"),
-    ("landing/keep_outs", PolygonInstanceStamped, "lss_node", "keep_outs_frame"),
-    ("landing/target", PointStamped, "lss_node", "target_frame"),
-    ("landing/dispersion", PoseWithCovarianceStamped, "lss_node", "dispersion_frame"),
-    ("map/prior", PoseWithCovarianceStamped, "lss_node", "prior_frame"),
+    ("nav/pose", msg.PoseWithCovarianceStamped, "mapping_node", "pose_frame"),
+    ("landing/area", msg.PolygonStamped, "mapping_node", "area_frame"),
+    ("landing/area", msg.PolygonStamped, "lss_node", "area_frame"),
+    ("landing/keep_out", msg.PolygonStamped, "lss_node", "keep_out_frame"),
+    ("landing/keep_outs", msg.PolygonInstanceStamped, "lss_node", "keep_outs_frame"),
+    ("landing/target", msg.PointStamped, "lss_node", "target_frame"),
+    ("landing/dispersion", msg.PoseWithCovarianceStamped, "lss_node", "dispersion_frame"),
+    ("map/prior", msg.PoseWithCovarianceStamped, "lss_node", "prior_frame"),
     ("map/cells", PointCloud2, "lss_node", "map.frame"),
 )
 
@@ -139,22 +117,20 @@ def test_messages_that_cannot_be_used_are_counted_on_every_topic_and_good_ones_t
     mapping = ros.start("mapping_node", "-p", "domain.follow:=area")
     prior = ("-p", "prior.file:=by_mapping_node_alone.npz", "-p", "frames.map:=map")
     lss = ros.start("lss_node", *prior)
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
-        sensors.map(mapping, SCANS)
+    with ros.sensors() as (listener, sensors):
+        sensors.map(SCANS)
         observed = listener.node.create_publisher(OccupancyGrid, "map/observed", latched())
         for topic, kind, node, reason in UNUSABLE:
             sender = listener.node.create_publisher(kind, topic, latched())
-            said = functools.partial(at_least, listener, f"problems.{reason}", 1, node)
 
-            def counted(sender=sender, kind=kind, said=said):
+            def counted(sender=sender, kind=kind, node=node, reason=reason):
                 sender.publish(kind())
                 observed.publish(OccupancyGrid())  # the other half of a map
-                return said()
+                return listener.at_least(f"problems.{reason}", 1, node)
 
-            assert listener.wait_for(counted), (topic, reason, listener.diagnostics[node])
+            listener.until(counted)
             listener.node.destroy_publisher(sender)
         assert ros.call(listener, "/lss_node/land_now").message
-        sensors.map(mapping, SCANS, offset_ns=TEN_SECONDS_NS)
+        sensors.map(SCANS, offset_ns=TEN_SECONDS_NS)
     for process in (mapping, lss):
         assert process.stop() == 0 and "Traceback" not in process.output()

@@ -3,7 +3,6 @@
 
 import pytest
 from geometry_msgs.msg import PolygonStamped
-from ros_scene import Sensors
 from ros_vehicle import polygon
 
 from quadtree_lss.onboard.nodes.qos import stream
@@ -12,15 +11,13 @@ pytestmark = pytest.mark.xdist_group("ros_faults")
 
 
 def test_mapping_node_follows_the_landing_area(ros):
-    mapping = ros.start("mapping_node", "-p", "domain.follow:=area")
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
-        sensors.map(mapping, 2)
+    ros.start("mapping_node", "-p", "domain.follow:=area")
+    with ros.sensors() as (listener, sensors):
+        sensors.map(2)
         assert listener.newest["map/observed"].info.origin.position.x == -16.0
-        say = listener.node.create_publisher(
-            PolygonStamped, "landing/area", stream(1, reliable=True)
-        )
-        assert listener.wait_for(lambda: say.get_subscription_count() == 1), mapping.output()
+        profile = stream(1, reliable=True)
+        say = listener.node.create_publisher(PolygonStamped, "landing/area", profile)
+        listener.until(say.get_subscription_count)
         area, later = polygon([(4.0, -3.0), (12.0, -3.0), (12.0, 3.0)]), [0]
 
         def moved():
@@ -29,5 +26,5 @@ def test_mapping_node_follows_the_landing_area(ros):
             sensors.publish(1, offset_ns=later[0])
             return listener.newest["map/observed"].info.origin.position.x == -8.0
 
-        assert listener.wait_for(moved), mapping.output()
+        listener.until(moved)
         assert listener.newest["map/observed"].info.origin.position.y == -16.0

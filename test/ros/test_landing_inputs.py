@@ -2,14 +2,14 @@
 """No site inside a keep-out or outside an area that lss_node was told or could have read."""
 
 import dataclasses
-import functools
+import signal
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from ros_scene import MAKE
-from ros_vehicle import Vehicle, flat_map, point, polygon
+from ros_vehicle import Vehicle, point, polygon
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.messages.clouds import MessageError
@@ -39,12 +39,6 @@ def dispersion(var_x, var_y, heading=0.0, heading_variance=0.0):
     return MAKE.pose(1, np.zeros(3), turn, covariance)
 
 
-@pytest.fixture(scope="module")
-def cells():
-    """A map that has room for sites everywhere."""
-    return flat_map()
-
-
 @pytest.fixture
 def vehicle(ros, cells):
     with ros.listen({}) as listener:
@@ -66,15 +60,13 @@ def east(places):
     "else after 3 s, since a publisher may be found late",
 )
 def test_a_restarted_node_waits_for_the_latched_keep_out(ros, vehicle):
-    wait = vehicle.listener.wait_for
     vehicle.send("landing/keep_out", polygon(WEST))
     stamp = vehicle.send_map(0)
     for _ in range(2):  # first without an area, for which it waits in vain, then with both
         lss = ros.start("lss_node")
-        assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()
+        vehicle.until(vehicle.sites_of, stamp, anywhere)
         assert all(east(places).all() for _, _, places in vehicle.said), vehicle.said
-        lss.process.kill()
-        lss.process.wait(10.0)
+        lss.stop(signal.SIGKILL)
         vehicle.said.clear()
         vehicle.send("landing/area", polygon([]))
 
@@ -82,18 +74,16 @@ def test_a_restarted_node_waits_for_the_latched_keep_out(ros, vehicle):
 @pytest.mark.survives("`lss_node` killed", "of a latched set it gets all keep-outs")
 def test_a_restarted_node_has_all_keep_outs_of_the_latched_set(ros, vehicle):
     """West, then the east but for its north; the west comes again, smaller, and is removed."""
-    wait = vehicle.listener.wait_for
     south = [(4, -16), (16, -16), (16, 0), (4, 0)]
     for number, corners in ((1, WEST), (2, south), (3, WEST), (3, [])):
         vehicle.send("landing/keep_outs", polygon(corners, number=number))
     stamp = vehicle.send_map(0)
     for _ in range(2):
         lss = ros.start("lss_node")
-        assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()
+        vehicle.until(vehicle.sites_of, stamp, anywhere)
         said = [places for _, _, places in vehicle.said]
         assert all(east(places).all() and (places[:, 1] > 0.0).all() for places in said), said
-        lss.process.kill()
-        lss.process.wait(10.0)
+        lss.stop(signal.SIGKILL)
         vehicle.said.clear()
 
 
@@ -102,37 +92,34 @@ def test_a_restarted_node_has_all_keep_outs_of_the_latched_set(ros, vehicle):
 )
 def test_a_required_input_is_waited_for(ros, vehicle):
     """However late it comes: longer than any wait for what may come."""
-    wait = vehicle.listener.wait_for
-    lss = ros.start("lss_node", "-p", "lss.required_input:=keep_out")
+    ros.start("lss_node", "-p", "lss.required_input:=keep_out")
     stamp = vehicle.send_map(0)
-    told = functools.partial(vehicle.told, DiagnosticStatus.WARN, "waiting for", "landing/keep_out")
-    assert wait(told), lss.output()
-    assert not wait(lambda: vehicle.said, timeout=JOIN_S + UNHEARD_S + 1.0)
+    vehicle.until(vehicle.told, DiagnosticStatus.WARN, "waiting for", "landing/keep_out")
+    assert not vehicle.listener.wait_for(lambda: vehicle.said, timeout=JOIN_S + UNHEARD_S + 1.0)
     vehicle.send("landing/keep_out", polygon(WEST))
-    assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()
+    vehicle.until(vehicle.sites_of, stamp, anywhere)
     assert all(east(places).all() for _, _, places in vehicle.said), vehicle.said
 
 
 def test_a_keep_out_counts_in_the_frame_of_the_map_whenever_it_came(ros, vehicle):
-    wait = vehicle.listener.wait_for
     vehicle.send("landing/keep_out", polygon(WEST, "moon"))
-    lss = ros.start("lss_node", *PATIENT)
-    assert wait(lambda: vehicle.values().get("landing.keep_out") == "True"), lss.output()
+    ros.start("lss_node", *PATIENT)
+    vehicle.until(vehicle.has, "landing.keep_out", True)
     stamp = vehicle.send_map(1, "moon")
-    assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()
+    vehicle.until(vehicle.sites_of, stamp, anywhere)
     assert vehicle.last()[1] == "moon"
 
     stamp = vehicle.send_map(2, "map")
-    assert wait(functools.partial(vehicle.none_of, stamp)), lss.output()
+    vehicle.until(vehicle.none_of, stamp)
     words = ("no site is given out", "landing/keep_out", "'moon'", "'map'")
-    assert wait(lambda: vehicle.told(DiagnosticStatus.ERROR, *words)), lss.output()
+    vehicle.until(vehicle.told, DiagnosticStatus.ERROR, *words)
     assert vehicle.values()["landing.keep_out"] == "unusable"
     assert vehicle.values()["problems.keep_out_frame"] == "1", "it came by two ways, but once"
 
     stamp = vehicle.send_map(3, "moon")
-    assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()
+    vehicle.until(vehicle.sites_of, stamp, anywhere)
     assert all(east(places).all() for _, _, places in vehicle.said), vehicle.said
-    assert wait(lambda: vehicle.told(DiagnosticStatus.OK, "sites")), lss.output()
+    vehicle.until(vehicle.told, DiagnosticStatus.OK, "sites")
 
 
 @pytest.mark.survives(
@@ -141,12 +128,9 @@ def test_a_keep_out_counts_in_the_frame_of_the_map_whenever_it_came(ros, vehicle
     "the map is judged by the map's frame",
 )
 def test_no_site_while_the_last_polygon_cannot_be_used(ros, vehicle):
-    wait = vehicle.listener.wait_for
-    lss = ros.start("lss_node")
+    ros.start("lss_node")
     stamp = vehicle.send_map(0)
-    free = functools.partial(vehicle.sites_of, stamp, anywhere)
-    none = functools.partial(vehicle.none_of, stamp)
-    assert wait(free), lss.output()
+    vehicle.until(vehicle.sites_of, stamp, anywhere)
     bad = (
         ("landing/area", polygon(EVERYWHERE[:2]), "area_polygon"),
         ("landing/keep_out", polygon(EVERYWHERE, "odom"), "keep_out_frame"),
@@ -156,14 +140,12 @@ def test_no_site_while_the_last_polygon_cannot_be_used(ros, vehicle):
     counts = {}
     for topic, message, problem in bad:
         vehicle.send(topic, message)
-        assert wait(none), (problem, lss.output())
+        vehicle.until(vehicle.none_of, stamp)
         counts[problem] = counts.get(problem, 0) + 1
-        key, number = f"problems.{problem}", str(counts[problem])
-        assert wait(lambda key=key, number=number: vehicle.values().get(key) == number), key
-        told = functools.partial(vehicle.told, DiagnosticStatus.ERROR, topic)
-        assert wait(told), vehicle.listener.diagnostics
+        vehicle.until(vehicle.has, f"problems.{problem}", counts[problem])
+        vehicle.until(vehicle.told, DiagnosticStatus.ERROR, topic)
         vehicle.send(topic, polygon([]))
-        assert wait(free), (problem, lss.output())
+        vehicle.until(vehicle.sites_of, stamp, anywhere)
     found = {k: v for k, v in vehicle.values().items() if k.startswith("problems.")}
     assert found == {f"problems.{key}": str(n) for key, n in counts.items()}
 
@@ -175,36 +157,30 @@ def test_no_site_while_the_last_polygon_cannot_be_used(ros, vehicle):
 )
 def test_halves_of_two_maps_are_not_joined(ros, vehicle):
     """Neither those of one stamp that belong to two maps, nor those of two frames."""
-    wait = vehicle.listener.wait_for
-    lss = ros.start("lss_node", "-p", "publish.lss_rate:=50.0")
+    ros.start("lss_node", "-p", "publish.lss_rate:=50.0")
     stamp = vehicle.send_map(0)
-    assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()
+    vehicle.until(vehicle.sites_of, stamp, anywhere)
     received, said = int(vehicle.values().get("map.received", 1)), len(vehicle.said)
-    _, grid = map_messages(
-        dataclasses.replace(
-            vehicle.cells, stamp_ns=stamp, observed=np.zeros_like(vehicle.cells.observed)
-        ),
-        "map",
-    )
-    vehicle.send("map/observed", grid)
+    nothing = np.zeros_like(vehicle.cells.observed)
+    other = dataclasses.replace(vehicle.cells, stamp_ns=stamp, observed=nothing)
+    vehicle.send("map/observed", map_messages(other, "map")[1])
     stamp = vehicle.send_map(0, "odom", observed_frame="map")
-    assert wait(lambda: vehicle.values().get("problems.map.frame") == "1"), lss.output()
+    vehicle.until(vehicle.has, "problems.map.frame", 1)
     values = vehicle.values()
     assert values["map.refused"] == "1" and int(values["map.received"]) == received
     assert all(len(places) for _, _, places in vehicle.said[said:]), "of a map without ground"
     stamp = vehicle.send_map(1)
-    assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()
+    vehicle.until(vehicle.sites_of, stamp, anywhere)
     assert {frame for _, frame, _ in vehicle.said} == {"map"}
 
 
 def test_a_frame_that_was_asked_for_is_insisted_on(ros, vehicle):
-    wait = vehicle.listener.wait_for
     lss = ros.start("lss_node", "-p", "frames.map:=map")
     vehicle.send_map(0, "moon")
-    assert wait(lambda: vehicle.values().get("problems.map.frame") == "1"), lss.output()
+    vehicle.until(vehicle.has, "problems.map.frame", 1)
     assert "frames.map" in lss.output()
     stamp = vehicle.send_map(1)
-    assert wait(functools.partial(vehicle.sites_of, stamp, anywhere)), lss.output()
+    vehicle.until(vehicle.sites_of, stamp, anywhere)
     assert [frame for _, frame, _ in vehicle.said] == ["map"]
 
 
@@ -263,11 +239,11 @@ def test_guidance_says_how_precisely_it_lands(ros, cells):
         says = listener.node.create_publisher(
             PoseWithCovarianceStamped, "landing/dispersion", latched()
         )
-        lss = ros.start("lss_node")
+        ros.start("lss_node")
         vehicle.send_map(0)
-        assert listener.wait_for(lambda: table), lss.output()
+        listener.until(lambda: table)
         by_default = table["least"]
         says.publish(dispersion(36.0, 36.0))
-        assert listener.wait_for(lambda: table["least"] < by_default - 0.02), lss.output()
+        listener.until(lambda: table["least"] < by_default - 0.02)
         says.publish(dispersion(np.nan, np.nan))
-        assert listener.wait_for(lambda: table["least"] == by_default), lss.output()
+        listener.until(lambda: table["least"] == by_default)

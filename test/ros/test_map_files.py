@@ -21,7 +21,11 @@ from quadtree_lss.onboard.nodes import map_files
 from quadtree_lss.onboard.nodes.files import MapFileError, write_atomically
 from quadtree_lss.onboard.nodes.map_files import Checkpoints, WrongContentError, load, save
 
-SMALL = {"domain": {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}}
+
+def small(max_level=6):
+    """A mapper of the domain that the nodes of the tests have."""
+    domain = {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": max_level}
+    return Mapper(load_config(overrides={"domain": domain}))
 
 
 @pytest.mark.survives(
@@ -58,7 +62,7 @@ def test_a_writer_killed_at_any_moment_leaves_a_whole_file(tmp_path):
     "set aside as `….refused`, with a line, and mapping goes on from an empty map",
 )
 def test_map_files_survive_what_disks_do(tmp_path):
-    mapper = Mapper(load_config(overrides=SMALL))
+    mapper = small()
     file = tmp_path / "file"
     file.write_text("x")
     for path in (tmp_path / "none" / "map", file / "map", tmp_path):
@@ -72,8 +76,7 @@ def test_map_files_survive_what_disks_do(tmp_path):
     assert "taken up" in checkpoints.take_up(mapper)
     checkpoints.forget()
     assert "no checkpoint" in checkpoints.take_up(mapper)
-    other = Mapper(load_config(overrides={**SMALL, "domain.max_level": 7}))
-    save(tmp_path / "map", other)
+    save(tmp_path / "map", small(max_level=7))
     with pytest.raises(MapFileError, match="another domain.*starting with an empty map"):
         checkpoints.take_up(mapper)
     assert (tmp_path / "map.refused").exists() and not (tmp_path / "map").exists()
@@ -81,7 +84,7 @@ def test_map_files_survive_what_disks_do(tmp_path):
 
 def test_without_a_path_nothing_is_kept(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    mapper, checkpoints = Mapper(load_config(overrides=SMALL)), Checkpoints("")
+    mapper, checkpoints = small(), Checkpoints("")
     assert checkpoints.take_up(mapper) == ""
     checkpoints.changed()
     checkpoints.forget()
@@ -90,7 +93,7 @@ def test_without_a_path_nothing_is_kept(tmp_path, monkeypatch):
 
 
 def test_a_link_stays_and_what_it_points_to_is_written_and_removed(tmp_path):
-    mapper = Mapper(load_config(overrides=SMALL))
+    mapper = small()
     disk = tmp_path / "disk"
     disk.mkdir()
     link = tmp_path / "map"
@@ -112,7 +115,7 @@ def test_a_link_stays_and_what_it_points_to_is_written_and_removed(tmp_path):
     "a line; never read, moved or replaced. A link stays one: what it points to is replaced",
 )
 def test_what_is_no_file_is_neither_read_nor_replaced_nor_moved(tmp_path):
-    mapper = Mapper(load_config(overrides=SMALL))
+    mapper = small()
     folder, pipe, device = tmp_path / "folder", tmp_path / "pipe", tmp_path / "device"
     folder.mkdir()
     (folder / "precious").touch()
@@ -142,7 +145,7 @@ def test_what_is_no_file_is_neither_read_nor_replaced_nor_moved(tmp_path):
 )
 def test_a_checkpoint_that_cannot_be_read_is_left_alone(tmp_path):
     """``/proc/self/mem`` is a regular file that gives an input/output error, to root as well."""
-    mapper = Mapper(load_config(overrides=SMALL))
+    mapper = small()
     path = tmp_path / "map"
     path.symlink_to("/proc/self/mem")
     checkpoints = Checkpoints(path)
@@ -175,7 +178,7 @@ def test_a_file_larger_than_any_map_is_not_read_into_memory(tmp_path):
     with path.open("wb") as file:
         file.truncate(10**12)
     with pytest.raises(WrongContentError, match="larger than any map"):
-        load(path, Mapper(load_config(overrides=SMALL)))
+        load(path, small())
 
 
 def taken_up(path, mapper):
@@ -189,7 +192,7 @@ def taken_up(path, mapper):
 
 def kept(path, scans):
     """A keeper of checkpoints, after writing one for each of so many scans; and its mapper."""
-    mapper = Mapper(load_config(overrides=SMALL))
+    mapper = small()
     checkpoints = Checkpoints(path)
     for event in events(scans):
         if event.points_lidar is not None:
@@ -207,18 +210,18 @@ def kept(path, scans):
 def test_the_checkpoint_before_is_kept_and_taken_up_when_the_newest_is_damaged(tmp_path):
     path, before = tmp_path / "map", tmp_path / "map.previous"
     kept(path, 3)
-    newest = Mapper(load_config(overrides=SMALL))
+    newest = small()
     load(path, newest)
     assert sorted(os.listdir(tmp_path)) == ["map", "map.previous"]
     path.write_bytes(path.read_bytes()[:-1000])
-    mapper = Mapper(load_config(overrides=SMALL))
+    mapper = small()
     with pytest.raises(MapFileError, match="map: .*set aside as map.refused; .*previous taken up"):
         taken_up(path, mapper)
     assert mapper.stamp_ns == newest.stamp_ns - SCAN_NS and not path.exists()
     assert "map.previous taken up" in taken_up(path, mapper), "nothing wrong: no newer"
     before.write_bytes(b"damaged")
     (tmp_path / "map.refused").unlink()
-    empty = Mapper(load_config(overrides=SMALL))
+    empty = small()
     with pytest.raises(MapFileError, match="previous: is not a checkpoint.*starting with an empty"):
         taken_up(path, empty)
     assert empty.stamp_ns == 0
@@ -261,7 +264,7 @@ def test_a_broken_map_never_replaces_a_good_checkpoint(tmp_path, name, value):
 )
 def test_a_second_keeper_of_one_checkpoint_is_told_and_writes_nothing(tmp_path):
     path = tmp_path / "map"
-    mapper, other = (Mapper(load_config(overrides=SMALL)) for _ in range(2))
+    mapper, other = (small() for _ in range(2))
     first, second = Checkpoints(path), Checkpoints(path)
     assert "no checkpoint" in first.take_up(mapper)
     with pytest.raises(MapFileError, match="another node keeps.*starting with an empty map"):

@@ -2,14 +2,13 @@
 """Markers: what the serialised ones contain, and when they are sent."""
 
 import dataclasses
-import functools
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 from rclpy.serialization import deserialize_message, serialize_message
-from ros_scene import Sensors, mapped
+from ros_scene import mapped
 from visualization_msgs.msg import Marker, MarkerArray
 
 from quadtree_lss.desk.replay.configuration import load_config
@@ -88,20 +87,18 @@ def test_sites_have_circle_normal_and_rank(mapper):
 
 
 def test_markers_come_to_whom_subscribes_late_and_go_with_a_reset(ros):
-    mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
+    ros.start("mapping_node"), ros.start("lss_node")
+    with ros.sensors() as (listener, sensors):
         last = sensors.publish(4)
-        assert listener.wait_for(lambda: listener.stamp("landing/sites") == last), lss.output()
+        listener.until_stamped(last, "landing/sites")
         with ros.listen(MARKERS) as viewer:
-            assert viewer.wait_for(lambda: len(viewer.newest) == 2), mapping.output()
+            viewer.until(lambda: len(viewer.newest) == 2)
             cells = viewer.newest["map/markers"].markers
             assert sum(len(marker.points) for marker in cells) > 0
             assert {m.ns for m in viewer.newest["landing/markers"].markers} >= {"zone", "rank"}
             assert ros.call(listener, "/mapping_node/reset").success
-            deleted = functools.partial(_deleted, viewer)
-            assert viewer.wait_for(lambda: deleted("map/markers")), mapping.output()
-            assert viewer.wait_for(lambda: deleted("landing/markers")), lss.output()
+            viewer.until(_deleted, viewer, "map/markers")
+            viewer.until(_deleted, viewer, "landing/markers")
 
 
 def _deleted(viewer, topic):

@@ -4,15 +4,13 @@
 import struct
 import time
 from operator import attrgetter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import rclpy
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from ros_scene import mapped
 from sensor_msgs.msg import PointCloud2, PointField
@@ -155,12 +153,15 @@ def test_grid_rows_run_along_y():
     assert (grid.header.stamp.sec, grid.header.stamp.nanosec) == (1, 500_000_000)
 
 
-def test_the_last_change_is_always_published(ros):
-    context = Context()
-    rclpy.init(context=context, domain_id=ros.domain)
-    node = Node("node", context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
+@pytest.fixture
+def executor(node):
+    result = SingleThreadedExecutor(context=node.context)
+    result.add_node(node)
+    yield result
+    result.shutdown()
+
+
+def test_the_last_change_is_always_published(node, executor):
     state, sent = [0], []
     publisher = ChangePublisher(node, 20.0, lambda: sent.append(state[0]))
     for _ in range(3):
@@ -173,17 +174,10 @@ def test_the_last_change_is_always_published(ros):
     before = len(sent)
     executor.spin_once(timeout_sec=0.2)
     assert len(sent) == before, "without a change nothing is published"
-    executor.shutdown()
-    context.try_shutdown()
 
 
-def test_what_changes_while_it_is_published_leaves_room_for_others(ros):
+def test_what_changes_while_it_is_published_leaves_room_for_others(node, executor):
     """Each pass takes longer than the interval and asks for another one."""
-    context = Context()
-    rclpy.init(context=context, domain_id=ros.domain)
-    node = Node("node", context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
     begun, ended = [], []
 
     def work():
@@ -198,20 +192,13 @@ def test_what_changes_while_it_is_published_leaves_room_for_others(ros):
     while len(ended) < 5:
         executor.spin_once(timeout_sec=1.0)
     assert all(end < begin for end, begin in zip(ended, begun[1:], strict=False))
-    executor.shutdown()
-    context.try_shutdown()
 
 
 def test_problems_are_all_counted_and_told_once_per_interval():
-    class Log:
-        lines: list[str] = []
-
-        def warning(self, message):
-            self.lines.append(message)
-
-    problems = Problems(Log(), interval=3600.0)
+    lines = []
+    problems = Problems(SimpleNamespace(warning=lines.append), interval=3600.0)
     for _ in range(5):
         problems.report("size", "too short")
     problems.report("frame", "wrong frame")
     assert problems.counts == {"size": 5, "frame": 1}
-    assert Log.lines == ["too short", "wrong frame"]
+    assert lines == ["too short", "wrong frame"]

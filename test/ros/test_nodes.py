@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The nodes as processes over DDS."""
 
-import functools
 import signal
-import subprocess
 
 import numpy as np
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from ros.conftest import status_values
-from ros_scene import BLOCK, Sensors, cloud, events, last_scan_ns, write_bag
+from ros_scene import BLOCK, cloud, events, last_scan_ns, write_bag
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss import build
@@ -19,7 +16,7 @@ from quadtree_lss.lab.live.demo import differing, run_live, site_difference
 from quadtree_lss.lab.live.listener import TOPICS
 from quadtree_lss.lab.live.processes import program
 from quadtree_lss.onboard.messages.maps import SITE_FIELDS
-from quadtree_lss.onboard.messages.outputs import GROUND, cloud_records, map_from_messages
+from quadtree_lss.onboard.messages.outputs import cloud_records, map_from_messages
 from quadtree_lss.onboard.nodes.node_runner import WRONG_CONFIGURATION
 
 pytestmark = pytest.mark.xdist_group("ros")
@@ -38,29 +35,19 @@ def grid_values(grid):
 
 def agree(listener, keys):
     """True if both nodes say the same of what both know."""
-    one, other = (status_values(listener, name) for name in ("mapping_node", "lss_node"))
+    one, other = (listener.values(name) for name in ("mapping_node", "lss_node"))
     return all(one.get(key) == other.get(key, "") for key in keys)
 
 
-def has_stamp(listener, topic, stamp):
-    """True if the newest message of a topic carries this stamp."""
-    return listener.stamp(topic) == stamp
-
-
 def test_scans_and_poses_become_ranked_sites(ros):
-    mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
+    ros.start("mapping_node"), ros.start("lss_node")
+    with ros.sensors() as (listener, sensors):
         last = sensors.publish(SCANS)
-        assert listener.wait_for(lambda: all(listener.stamp(t) == last for t in TOPICS)), (
-            mapping.output() + lss.output()
-        )
+        listener.until_stamped(last, *TOPICS)
         newest = dict(listener.newest)
-        counts = functools.partial(status_values, listener, "mapping_node")
-        assert listener.wait_for(lambda: counts().get("scans") == str(SCANS)), counts()
-        agreed = functools.partial(agree, listener, ("build", "map.stamp_ns", "map.leaves"))
-        assert listener.wait_for(agreed), listener.diagnostics
-        assert counts()["build"] == build.name()
+        listener.until(listener.has, "scans", SCANS)
+        listener.until(agree, listener, ("build", "map.stamp_ns", "map.leaves"))
+        assert listener.values()["build"] == build.name()
 
     cells = map_from_messages(newest["map/cells"], newest["map/observed"])
     assert cells.stamp_ns == last
@@ -78,19 +65,12 @@ def test_scans_and_poses_become_ranked_sites(ros):
     assert max(grid.data) == 99 and min(grid.data) < 10
     for place, record in zip(poses, table, strict=True):
         position = [place.position.x, place.position.y, place.position.z]
-        np.testing.assert_allclose(
-            position, [record["x"], record["y"], record["z"]], rtol=0, atol=1e-4
-        )
+        np.testing.assert_allclose(position, record[["x", "y", "z"]].tolist(), rtol=0, atol=1e-4)
         distance_x = max(BLOCK[0] - position[0], position[0] - BLOCK[1], 0.0)
         distance_y = max(BLOCK[2] - position[1], position[1] - BLOCK[3], 0.0)
         assert np.hypot(distance_x, distance_y) > 1.5, "the zone touches the block"
         q = place.orientation
-        normal = [
-            2 * (q.x * q.z + q.y * q.w),
-            2 * (q.y * q.z - q.x * q.w),
-            1 - 2 * (q.x**2 + q.y**2),
-        ]
-        assert np.degrees(np.arccos(normal[2])) < 5.0
+        assert np.degrees(np.arccos(1 - 2 * (q.x**2 + q.y**2))) < 5.0
         assert abs(2 * (q.x * q.y + q.z * q.w)) < 1e-6, "+x lies in the map's x-z plane"
 
     hazards, x, y = grid_values(newest["landing/hazards"])
@@ -105,10 +85,8 @@ def test_live_equals_offline_cell_for_cell(ros):
     bag = ros.folder / "flight"
     write_bag(bag, SCANS)
     offline = ros.folder / "offline"
-    command = [program("replay_bag"), bag, "--out", offline, "--config", ros.params, "--no-report"]
-    done = subprocess.run(
-        [str(part) for part in command], env=ros.env, capture_output=True, text=True, check=False
-    )
+    how = ["--out", offline, "--config", ros.params, "--no-report"]
+    done = ros.run(program("replay_bag"), bag, *how)
     assert done.returncode == 0, done.stdout + done.stderr
     results = load_results(offline)
     stamps = results.timing["stamp_ns"].tolist()
@@ -121,31 +99,13 @@ def test_live_equals_offline_cell_for_cell(ros):
     assert len(results.positions) and site_difference(live, results.sites) < 1e-6
 
 
-def test_late_and_restarted_subscribers_get_the_map(ros):
-    mapping = ros.start("mapping_node")
-    with ros.listen() as first:
-        sensors = Sensors(first).matched()
-        last = sensors.publish(SCANS)
-        assert first.wait_for(lambda: first.stamp("map/cells") == last), mapping.output()
-    for signal_number in (signal.SIGKILL, signal.SIGINT):
-        lss = ros.start("lss_node")
-        with ros.listen() as late:
-            for topic in ("map/cells", "landing/sites"):
-                done = functools.partial(has_stamp, late, topic, last)
-                assert late.wait_for(done), lss.output()
-        lss.stop(signal_number)
-
-
 def test_what_nobody_subscribed_to_comes_to_whom_does_first_and_to_all_after(ros):
-    ros.start("mapping_node")
-    lss = ros.start("lss_node")
-    with ros.listen({"landing/status": PointCloud2}) as first:
-        last = Sensors(first).matched().publish(SCANS)
-        assert first.wait_for(lambda: first.stamp("landing/status") == last), lss.output()
+    ros.start("mapping_node"), ros.start("lss_node")
+    with ros.sensors({"landing/status": PointCloud2}) as (_, sensors):
+        last = sensors.map(SCANS, "landing/status")
         for _ in range(2):
             with ros.listen() as late:
-                came = [functools.partial(has_stamp, late, topic, last) for topic in GROUND]
-                assert late.wait_for(lambda came=came: all(one() for one in came)), lss.output()
+                late.until_stamped(last, *TOPICS)
 
 
 def test_incompatible_qos_is_told_with_its_remedy(ros):
@@ -153,7 +113,7 @@ def test_incompatible_qos_is_told_with_its_remedy(ros):
     with ros.listen() as listener:
         profile = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
         publisher = listener.node.create_publisher(PointCloud2, "lidar/points", profile)
-        assert listener.wait_for(lambda: "or qos_overrides." in mapping.output()), mapping.output()
+        listener.until(lambda: "or qos_overrides." in mapping.output())
         assert publisher.get_subscription_count() == 0
     assert "'/lidar/points'" in mapping.output()
 
@@ -173,20 +133,16 @@ def test_unknown_parameter_is_an_error_that_names_the_nearest(ros, name):
 
 
 def test_wrong_usage_and_missing_home(ros):
-    env = {key: value for key, value in ros.env.items() if key not in ("HOME", "ROS_LOG_DIR")}
-    wrong = subprocess.run(
-        [program("lss_node"), "--rate", "5"], env=env, capture_output=True, text=True, check=False
-    )
-    assert wrong.returncode == 2 and "--rate" in wrong.stderr
     for arguments in (["--params-file", "none.yaml"], ["-r", "a:b"], ["--wrong"]):
-        command = [program("lss_node"), "--ros-args", *arguments]
-        wrong = subprocess.run(command, env=ros.env, capture_output=True, text=True, check=False)
+        wrong = ros.run(program("lss_node"), "--ros-args", *arguments)
         assert wrong.returncode == 2 and arguments[-1] in wrong.stderr
         assert "Traceback" not in wrong.stderr and wrong.stderr.splitlines()[-1][:6] == "error:"
     del ros.env["HOME"], ros.env["ROS_LOG_DIR"]
+    wrong = ros.run(program("lss_node"), "--rate", "5")
+    assert wrong.returncode == 2 and "--rate" in wrong.stderr
     node = ros.start("lss_node")
     with ros.listen() as listener:
-        assert listener.wait_for(lambda: "lss_node" in listener.diagnostics), node.output()
+        listener.until(lambda: "lss_node" in listener.diagnostics)
     assert node.stop() == 0
 
 
@@ -194,19 +150,18 @@ def test_scans_lost_on_the_way_are_counted(ros):
     """Every scan sent is either lost and counted, or arrives and is dropped for want of a pose."""
     depth = ("-p", "qos_overrides./lidar/points.subscription.depth:=1")
     mapping = ros.start("mapping_node", *depth, "-p", "pose.max_wait:=0.2")
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
+    with ros.sensors() as (listener, sensors):
         scans = [cloud(e.stamp_ns, e.points_lidar) for e in events(9) if e.points_lidar is not None]
 
         def accounted():
-            values = status_values(listener, "mapping_node")
+            values = listener.values()
             reasons = ("scan_lost", "no_pose", "queue_full")
             return sum(int(values.get(f"problems.{reason}", 0)) for reason in reasons)
 
         sensors.scans.publish(scans[0])
-        assert listener.wait_for(lambda: accounted() == 1), mapping.output()
+        listener.until(lambda: accounted() == 1)
         mapping.process.send_signal(signal.SIGSTOP)
         for scan in scans[1:]:
             sensors.scans.publish(scan)
         mapping.process.send_signal(signal.SIGCONT)
-        assert listener.wait_for(lambda: accounted() == len(scans)), mapping.output()
+        listener.until(lambda: accounted() == len(scans))

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scans that come faster than they can be mapped: the map stays young, or it is told."""
 
-import functools
-import sys
+import signal
 import time
 from types import SimpleNamespace
 
 import pytest
-from ros.conftest import ERROR, OK, WARN, process, status_values, told
-from ros_scene import Sensors, cloud, pose
+from ros_scene import ERROR, OK, WARN, cloud, pose
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.desk.replay.configuration import load_config
@@ -23,10 +21,8 @@ pytestmark = pytest.mark.xdist_group("ros_faults")
 EPOCH_NS = 1_700_000_000 * 10**9
 
 SLOW = """
-import sys
 import time
 import quadtree_lss.onboard.core.mapping.mapper as mapper
-from quadtree_lss.onboard.nodes.mapping_node import main
 
 whole = mapper.Mapper.update
 
@@ -35,9 +31,8 @@ def update(self, *scan):
     return whole(self, *scan)
 
 mapper.Mapper.update = update
-sys.exit(main())
 """
-"""A node that takes four times as long for a scan as the next takes to come."""
+"""A scan takes four times as long as the next takes to come."""
 
 
 @pytest.mark.parametrize(("numbers", "lost"), [((1, 2, 5), 2), ((None, None, 7), 0)])
@@ -91,45 +86,29 @@ def test_a_hold_up_costs_nothing_and_an_overload_old_scans(monkeypatch):
 
 @pytest.mark.parametrize("policy", ["newest", "all"])
 def test_maps_of_an_overloaded_node(ros, policy):
-    args = ["--params-file", str(ros.params), "-p", f"qos.overload:={policy}"]
-    command = [sys.executable, "-c", SLOW, "--ros-args", *args]
-    maps = []
-    with ros.listen({}) as listener, process(command, env=ros.env, cwd=ros.folder) as node:
-        listener.node.create_subscription(
-            PointCloud2,
-            "map/cells",
-            lambda message: maps.append(stamp_ns(message.header)),
-            latched(),
-        )
-        sensors = Sensors(listener).matched()
-        for _ in range(2):  # as of now
-            sensors.publish(
-                60,
-                make_cloud=lambda stamp, points: cloud(time.time_ns(), points),
-                make_pose=lambda stamp: pose(time.time_ns()),
-            )
-        values = functools.partial(status_values, listener, "mapping_node")
+    node, maps = ros.start("mapping_node", "-p", f"qos.overload:={policy}", first=SLOW), []
+    with ros.sensors({}) as (listener, sensors):
+        keep = lambda message: maps.append(stamp_ns(message.header))  # noqa: E731
+        listener.node.create_subscription(PointCloud2, "map/cells", keep, latched())
+        now = {"make_cloud": lambda stamp, points: cloud(time.time_ns(), points)}
+        now["make_pose"] = lambda stamp: pose(time.time_ns())
+        for _ in range(2):
+            sensors.publish(60, **now)
+        values = listener.values
         if policy == "all":
-            late = functools.partial(
-                told, listener, "mapping_node", "scans wait to be mapped", "maps are sent after"
-            )
-            assert listener.wait_for(late), values()
+            words = "scans wait to be mapped", "maps are sent after"
+            listener.until(listener.told, "mapping_node", (), *words)
             assert "scans.dropped.overload" not in values()
         else:
-            assert listener.wait_for(functools.partial(all_accounted, values)), values()
+            listener.until(all_accounted, values)
             assert len(maps) > 10 and maps == sorted(maps)
             assert 0 < int(values()["scans.dropped.overload"]) == int(values()["problems.overload"])
-        node.terminate()
-        assert node.wait(60.0) == 0
+        assert node.stop(signal.SIGTERM, 60.0) == 0
 
 
 def all_accounted(values):
     """True if every scan that came was mapped, waits or was dropped for a reason."""
-    found = {
-        key: int(value)
-        for key, value in values().items()
-        if key.startswith("scan") and value.isdigit()
-    }
+    found = {key: int(value) for key, value in values().items() if value.isdigit()}
     dropped = sum(number for key, number in found.items() if key.startswith("scans.dropped."))
     total = found.get("scans", 0) + found.get("scans.waiting", 0) + dropped
     return found.get("scan.received") == total == 120

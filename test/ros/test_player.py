@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Playing a bag into a running node: it can be held up and loses nothing by it."""
 
-import functools
 import os
 import pty
 import subprocess
@@ -10,7 +9,6 @@ import termios
 import pytest
 from geometry_msgs.msg import PoseArray
 from replay.recordings import KEEP_OUT, START, LandingRecorder, flight
-from ros.conftest import status_values
 from ros_scene import last_scan_ns, write_bag
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosgraph_msgs.msg import Clock
@@ -39,19 +37,16 @@ def test_player_says_who_is_missing(ros):
 def test_player_names_what_is_subscribed_and_reaches_it_by_namespace_and_name(ros):
     bag = ros.folder / "flight"
     write_bag(bag, 3)
-    mapping = ros.start("mapping_node", "-r", "__ns:=/lander", "-r", "nav/pose:=/ekf/pose")
+    ros.start("mapping_node", "-r", "__ns:=/lander", "-r", "nav/pose:=/ekf/pose")
     with ros.listen({"/lander/map/cells": PointCloud2}) as listener:
-        ready = lambda: "lander/mapping_node" in listener.diagnostics  # noqa: E731
-        assert listener.wait_for(ready), mapping.output()
+        listener.until(lambda: "lander/mapping_node" in listener.diagnostics)
         with pytest.raises(PlayError, match=r"/lidar/points, /nav/pose .*/ekf/pose, /lander/lidar"):
             play(bag, wait=4.0, domain_id=ros.domain)
         options = ["--namespace", "lander", "--remap", "nav/pose:=/ekf/pose", "--rate", "5"]
-        command = [str(program("replay_bag")), str(bag), "--publish", *options]
-        done = subprocess.run(command, env=ros.env, capture_output=True, text=True, check=False)
+        done = ros.run(program("replay_bag"), bag, "--publish", *options)
         assert done.returncode == 0 and "3 scans" in done.stdout, done.stderr
         assert "deprecated" not in done.stderr + done.stdout
-        last = last_scan_ns(3)
-        assert listener.wait_for(lambda: listener.stamp("/lander/map/cells") == last)
+        listener.until_stamped(last_scan_ns(3), "/lander/map/cells")
 
 
 @pytest.mark.parametrize(
@@ -77,19 +72,18 @@ def test_what_was_asked_of_landing_is_played_latched(ros):
         recorder.polygon("/landing/keep_out", KEEP_OUT, START)
         flight(recorder)
     ros.start("mapping_node", "-p", "mapping.max_cells:=4096")
-    lss = ros.start("lss_node")
+    ros.start("lss_node")
     with ros.listen() as listener:
         told = play(bag, start=0.1, rate=2.0, domain_id=ros.domain)
         assert told.scans == 9
-        held = lambda: status_values(listener, "lss_node").get("landing.keep_out")  # noqa: E731
-        assert listener.wait_for(lambda: held() == "True"), lss.output()
+        listener.until(listener.has, "landing.keep_out", True, "lss_node")
 
 
 @pytest.mark.slow
 def test_pause_by_keyboard_and_by_service_loses_no_scan(ros):
     bag = ros.folder / "flight"
     write_bag(bag, SCANS)
-    mapping = ros.start("mapping_node")
+    ros.start("mapping_node")
     listener, times = ros.listen(), []
     listener.node.create_subscription(Clock, "/clock", lambda told: times.append(told.clock), 100)
 
@@ -106,18 +100,17 @@ def test_pause_by_keyboard_and_by_service_loses_no_scan(ros):
         player = subprocess.Popen(
             command, env=ros.env, stdin=terminal, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
         )
-        assert listener.wait_for(runs), "no time on /clock"
+        listener.until(runs)  # by /clock
         os.write(keys, b"x ")
-        assert listener.wait_for(stands), "the space bar pauses"
+        listener.until(stands)  # the space bar pauses
         for service, follows in (("toggle_paused", runs), ("pause", stands), ("resume", runs)):
             assert ros.call(listener, f"/bag_player/{service}").success
-            assert listener.wait_for(follows), service
+            listener.until(follows)
         output = player.communicate(timeout=60.0)[0].decode()
         assert player.returncode == 0 and f"{SCANS} scans" in output, output
-        mapped = functools.partial(status_values, listener, "mapping_node")
-        assert listener.wait_for(lambda: mapped().get("scans") == str(SCANS)), mapping.output()
-    dropped = {k: n for k, n in mapped().items() if k.startswith("scans.dropped") and n != "0"}
-    assert not dropped
+        listener.until(listener.has, "scans", SCANS)
+    values = listener.values()
+    assert not {k: n for k, n in values.items() if k.startswith("scans.dropped") and n != "0"}
     assert termios.tcgetattr(terminal) == before, "the terminal is as it was"
     os.close(keys)
     os.close(terminal)
@@ -128,18 +121,14 @@ def test_a_bag_of_maps_is_played_into_lss_node_alone(ros):
     config = load_config([ros.params])
     made = replay(ros.folder / "flight", None, config, record=ros.folder / "products")
     assert len(made.assessment.sites.score)
-    lss = ros.start("lss_node")
+    ros.start("lss_node")
     told = []
     with ros.listen({"landing/sites": PoseArray}) as listener:  # maps have one listener: the node
-        report = play(
-            ros.folder / "products",
-            rate=5.0,
-            domain_id=ros.domain,
-            progress=lambda done, total: told.append((done, total)),
-        )
+        how = {"rate": 5.0, "domain_id": ros.domain, "progress": lambda *done: told.append(done)}
+        report = play(ros.folder / "products", **how)
         assert report.maps > 1 and not report.scans and not report.poses
         final = made.cells.stamp_ns
-        assert listener.wait_for(lambda: listener.stamp("landing/sites") == final), lss.output()
+        listener.until_stamped(final, "landing/sites")
         poses = listener.newest["landing/sites"].poses
         sites = [(p.position.x, p.position.y) for p in poses]
     assert sites == [(x, y) for x, y, _ in made.assessment.sites.position]

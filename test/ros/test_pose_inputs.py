@@ -33,45 +33,34 @@ class OdometrySensors(Sensors):
         self.poses = listener.node.create_publisher(Odometry, "odometry/filtered", profile)
 
 
-def test_odometry_is_taken_where_it_is_configured(ros):
-    options = ("-p", "pose.source:=odometry", "-r", "nav/odometry:=odometry/filtered")
-    mapping = ros.start("mapping_node", *options)
-    with ros.listen() as listener:
-        sensors = OdometrySensors(listener)
-        sensors.matched()
-        sensors.map(mapping, 4, make_pose=odometry)
-    assert "/odometry/filtered (reliable, 200)" in mapping.output()
-
-
-def test_poses_that_are_sent_best_effort_are_told_with_what_hears_them(ros):
+def test_odometry_that_is_sent_best_effort_is_told_with_what_hears_it(ros):
     """As MAVROS sends its odometry, since it may lose some."""
     options = ("-p", "pose.source:=odometry", "-r", "nav/odometry:=odometry/filtered")
     override = "qos_overrides./odometry/filtered.subscription.reliability"
     deaf = ros.start("mapping_node", *options)
     with ros.listen() as listener:
         sensors = OdometrySensors(listener, reliable=False)
-        assert listener.wait_for(sensors.scans.get_subscription_count), deaf.output()
+        listener.until(sensors.scans.get_subscription_count)
         sensors.publish(4, make_pose=odometry)
-        assert listener.wait_for(lambda: f"{override}: best_effort" in deaf.output())
-        assert deaf.stop() == 0
-        mapping = ros.start("mapping_node", *options, "-p", f"{override}:=best_effort")
-        sensors.matched().map(mapping, 4, make_pose=odometry)
+        listener.until(lambda: f"{override}: best_effort" in deaf.output())
+        assert "/odometry/filtered (reliable, 200)" in deaf.output() and deaf.stop() == 0
+        ros.start("mapping_node", *options, "-p", f"{override}:=best_effort")
+        sensors.matched().map(4, make_pose=odometry)
 
 
 def test_a_gimbal_moves_the_lidar(ros):
     """Ground that rises by 2 % lies where it does, from a level body 2 m above the lidar."""
-    mapping = ros.start("mapping_node", "-p", "mount.source:=gimbal")
-    with ros.listen() as listener:
+    ros.start("mapping_node", "-p", "mount.source:=gimbal")
+    with ros.sensors() as (listener, sensors):
         profile = stream(100, reliable=True)
         angles = listener.node.create_publisher(TransformStamped, "lidar/gimbal", profile)
-        sensors = Sensors(listener).matched()
-        assert listener.wait_for(angles.get_subscription_count)
+        listener.until(angles.get_subscription_count)
 
         def both(stamp):
             angles.publish(gimbal(stamp, (0.0, 0.0, -2.0)))
             return level_body(stamp, 2.0)
 
-        sensors.map(mapping, 4, make_pose=both)
+        sensors.map(4, make_pose=both)
         newest = listener.newest
         cells = map_from_messages(newest["map/cells"], newest["map/observed"])
     beside = cells.measured & (cells.x + cells.size < BLOCK[0])
@@ -87,8 +76,7 @@ def test_a_node_that_waits_for_the_other_type_says_so(ros):
     with ros.listen() as listener:
         OdometrySensors(listener)
         hint = "'/odometry/filtered' is published: pose.source: odometry takes it"
-        said = lambda: hint in listener.diagnostics["mapping_node"].message  # noqa: E731
-        assert listener.wait_for(lambda: "mapping_node" in listener.diagnostics and said())
+        listener.until(listener.told, "mapping_node", (), hint)
     assert mapping.stop() == 0
 
 
@@ -103,7 +91,7 @@ def test_a_mount_from_tf_without_tf2_msgs_is_an_error_of_configuration(ros):
 def test_a_mount_comes_from_tf_static(ros):
     from tf2_msgs.msg import TFMessage
 
-    mapping = ros.start("mapping_node", "-p", "mount.source:=tf", "-p", "frames.body:=base_link")
+    ros.start("mapping_node", "-p", "mount.source:=tf", "-p", "frames.body:=base_link")
     with ros.listen() as listener:
         link = TransformStamped(child_frame_id="lidar")
         link.header.frame_id = "base_link"
@@ -112,4 +100,4 @@ def test_a_mount_comes_from_tf_static(ros):
         tf = listener.node.create_publisher(TFMessage, "/tf_static", latched())
         tf.publish(TFMessage(transforms=[link]))
         sensors = Sensors(listener).matched()
-        sensors.map(mapping, 4, make_pose=lambda stamp_ns: level_body(stamp_ns, 2.0))
+        sensors.map(4, make_pose=lambda stamp_ns: level_body(stamp_ns, 2.0))

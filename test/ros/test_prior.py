@@ -4,7 +4,6 @@
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
-from ros.conftest import status_values
 from ros_scene import Sensors
 
 from quadtree_lss.lab.live.listener import TOPICS
@@ -21,24 +20,22 @@ def test_the_node_says_where_to_look_and_how_far_the_map_lies(ros):
     z = 0.02 * axis + np.zeros((61, 1)) - 0.7
     np.savez(ros.folder / "prior.npz", x=axis, y=axis, elevation=z)
     given = ["-p", f"prior.file:={ros.folder / 'prior.npz'}", "-p", "prior.offset_sigma:=2.0"]
-    mapping, _ = ros.start("mapping_node", *given), ros.start("lss_node", *given)
+    ros.start("mapping_node", *given), ros.start("lss_node", *given)
     with ros.listen({**TOPICS, **MORE}) as listener:
-        assert listener.wait_for(lambda: "map/look_first" in listener.newest), mapping.output()
+        listener.until(lambda: "map/look_first" in listener.newest)
         assert listener.newest["map/look_first"].poses
-        Sensors(listener).matched().map(mapping, 4)
-        assert listener.wait_for(
-            lambda: int(status_values(listener, "mapping_node").get("prior.cells", 0)) > 30
-        ), mapping.output()
+        Sensors(listener).matched().map(4)
+        listener.until(listener.at_least, "prior.cells", 31)
         found = listener.newest["map/prior"].pose
         assert found.pose.position.z == pytest.approx(0.7, abs=0.15)
         assert 0.0 < found.covariance[14] < 0.2 < found.covariance[0] < 5.0
-        assert status_values(listener, "mapping_node")["prior.refused"] == ""
-        assert listener.wait_for(
-            lambda: (
-                len(getattr(listener.newest.get("landing/status"), "fields", ()))
-                == len(PRIOR_STATUS_FIELDS)
-            )
-        )
+        assert listener.values()["prior.refused"] == ""
+
+        def with_prior():
+            status = listener.newest.get("landing/status")
+            return status is not None and len(status.fields) == len(PRIOR_STATUS_FIELDS)
+
+        listener.until(with_prior)
         status = cloud_records(listener.newest["landing/status"], PRIOR_STATUS_FIELDS)[0]
         assert status["prior_z"] == pytest.approx(0.7, abs=0.15)
         assert 0.0 < status["prior_zz"] < 0.2 < status["prior_xx"] < 5.0
@@ -46,12 +43,8 @@ def test_the_node_says_where_to_look_and_how_far_the_map_lies(ros):
 
 def test_a_prior_that_cannot_be_used_is_told_and_the_node_maps(ros):
     mapping = ros.start("mapping_node", "-p", "prior.file:=/no/such/prior.tif")
-    with ros.listen({**TOPICS, **MORE}) as listener:
-        Sensors(listener).matched().map(mapping, 2)
-
-        def told():
-            return status_values(listener, "mapping_node").get("problems.prior") == "1"
-
-        assert listener.wait_for(told)
-        assert "prior.cells" not in status_values(listener, "mapping_node")
+    with ros.sensors({**TOPICS, **MORE}) as (listener, sensors):
+        sensors.map(2)
+        listener.until(listener.has, "problems.prior", 1)
+        assert "prior.cells" not in listener.values()
         assert "no such file" in mapping.output() and "map/prior" not in listener.newest

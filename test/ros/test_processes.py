@@ -50,12 +50,8 @@ def test_processes_that_ask_at_once_get_domains_of_their_own(tmp_path, monkeypat
     monkeypatch.setattr(processes, "DOMAINS", SPARE)
     command = [sys.executable, "-c", HOLD, str(tmp_path)]
     with ExitStack() as stack:
-        others = [
-            stack.enter_context(
-                subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-            )
-            for _ in SPARE
-        ]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        others = [stack.enter_context(subprocess.Popen(command, **pipes)) for _ in SPARE]
         numbers = [int(other.stdout.readline()) for other in others]
         assert sorted(numbers) == list(SPARE)
         with pytest.raises(ProcessError, match="between 98 and 101"), local_domain(tmp_path):

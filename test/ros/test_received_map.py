@@ -2,17 +2,12 @@
 """A refused map is never received: its age runs, the status says so, sites are withdrawn."""
 
 import dataclasses
-import functools
 import signal
-import subprocess
-import sys
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from ros.conftest import process
-from ros_vehicle import Vehicle, flat_map
+from ros_vehicle import Vehicle
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.nodes import diagnostics, entry, received_map
@@ -23,14 +18,12 @@ from quadtree_lss.onboard.nodes.ros_messages import map_messages
 pytestmark = pytest.mark.xdist_group("ros_landing")
 
 
-class Log:
-    def warning(self, message):
-        """Nobody reads it."""
+LOG = SimpleNamespace(warning=print)
 
 
-@pytest.fixture(scope="module")
-def cells():
-    return flat_map()
+@pytest.fixture
+def received():
+    return ReceivedMap(Problems(LOG), "map", LssConfig, binding=False)
 
 
 def broken(cells):
@@ -47,8 +40,7 @@ def give(received, cells):
 
 
 @pytest.mark.survives("a map that `lss_node` cannot use", "the map before it keeps its age")
-def test_a_refused_map_does_not_make_the_one_before_younger(monkeypatch, cells):
-    received = ReceivedMap(Problems(Log()), "map", LssConfig, binding=False)
+def test_a_refused_map_does_not_make_the_one_before_younger(monkeypatch, received, cells):
     give(received, cells)
     received.take()
     first, age = received.cells, received.arrivals.age()
@@ -66,7 +58,7 @@ def test_a_refused_map_does_not_make_the_one_before_younger(monkeypatch, cells):
 
 def test_a_map_refused_for_how_landing_is_judged_is_used_once_it_is_judged_otherwise(cells):
     lss = LssConfig(grid_spacing=0.001)
-    received = ReceivedMap(Problems(Log()), "map", lambda: lss, binding=False)
+    received = ReceivedMap(Problems(LOG), "map", lambda: lss, binding=False)
     give(received, cells)
     received.take()
     assert received.cells is None and "lss.grid_spacing" in received.refused
@@ -78,10 +70,9 @@ def test_a_map_refused_for_how_landing_is_judged_is_used_once_it_is_judged_other
     assert received.cells is not None and not received.refused
 
 
-def test_age_counts_from_when_a_map_came_not_from_when_it_was_decoded(cells, monkeypatch):
+def test_age_counts_from_when_it_came_not_from_when_it_was_decoded(monkeypatch, received, cells):
     clock = SimpleNamespace(monotonic=lambda: clock.now, now=100.0)
     monkeypatch.setattr(diagnostics, "time", clock)
-    received = ReceivedMap(Problems(Log()), "map", LssConfig, binding=False)
     give(received, cells)
     give(received, cells)
     clock.now += 5.0
@@ -89,15 +80,8 @@ def test_age_counts_from_when_a_map_came_not_from_when_it_was_decoded(cells, mon
     assert received.arrivals.age() == 5.0
 
 
-IMPATIENT = """
-import sys
-from quadtree_lss.onboard.nodes import received_map
-from quadtree_lss.onboard.nodes.lss_node import main
-
-received_map.OLDEST_S = 8.0
-sys.exit(main())
-"""
-"""Withdraws its sites sooner."""
+#: Withdraws its sites sooner.
+IMPATIENT = "from quadtree_lss.onboard.nodes import received_map; received_map.OLDEST_S = 8.0"
 
 
 @pytest.mark.survives(
@@ -106,42 +90,33 @@ sys.exit(main())
     "without a map that can be used",
 )
 def test_sites_are_withdrawn_when_maps_are_refused_for_too_long(ros, cells):
-    command = [sys.executable, "-c", IMPATIENT, "--ros-args", "--params-file", str(ros.params)]
-    command += ["-p", "diagnostics.warn_age:=3.0"]
-    with ros.listen({}) as listener, process(command, env=ros.env, cwd=ros.folder):
-        vehicle, wait = Vehicle(listener, cells), listener.wait_for
+    ros.start("lss_node", "-p", "diagnostics.warn_age:=3.0", first=IMPATIENT)
+    with ros.listen({}) as listener:
+        vehicle = Vehicle(listener, cells)
         stamp = vehicle.send_map(0)
-        anywhere = functools.partial(vehicle.sites_of, stamp, lambda at: np.isfinite(at[:, 0]))
-        assert wait(anywhere)
+        vehicle.until(vehicle.sites_of, stamp, lambda at: at[:, :1] < 1e9)
         stamp = vehicle.send_map(1)
-        assert wait(functools.partial(vehicle.sites_of, stamp, lambda at: at[:, :1] < 1e9))
+        vehicle.until(vehicle.sites_of, stamp, lambda at: at[:, :1] < 1e9)
         said = len(vehicle.said)
         vehicle.cells = broken(cells)
         for k in range(2, 8):
             vehicle.send_map(k)
-            told = functools.partial(at_count, vehicle, "map.refused", k - 1)
-            assert wait(told), k
+            vehicle.until(vehicle.has, "map.refused", k - 1)
             if k == 2:
-                assert wait(lambda: vehicle.told(DiagnosticStatus.ERROR, "cannot be used"))
+                vehicle.until(vehicle.told, DiagnosticStatus.ERROR, "cannot be used")
                 assert len(vehicle.said) == said, "nothing is said again of the map before"
-        assert wait(functools.partial(vehicle.none_of, stamp)), "withdrawn"
-        assert wait(lambda: vehicle.told(DiagnosticStatus.ERROR, "for 8 s", "plane"))
+        vehicle.until(vehicle.none_of, stamp)
+        vehicle.until(vehicle.told, DiagnosticStatus.ERROR, "for 8 s", "plane")
         values = vehicle.values()
         assert values["map.received"] == "2" and float(values["map.age_s"]) > 8.0
         vehicle.cells = cells
         stamp = vehicle.send_map(9)
-        assert wait(functools.partial(vehicle.sites_of, stamp, lambda at: at[:, :1] < 1e9))
-        assert wait(lambda: vehicle.told(DiagnosticStatus.OK, "sites"))
-
-
-def at_count(vehicle, key, number):
-    return vehicle.values().get(key) == str(number)
+        vehicle.until(vehicle.sites_of, stamp, lambda at: at[:, :1] < 1e9)
+        vehicle.until(vehicle.told, DiagnosticStatus.OK, "sites")
 
 
 FAULTY = """
-import sys
 from quadtree_lss.onboard.core.landing import sites
-from quadtree_lss.onboard.nodes.lss_node import main
 
 whole, stamps = sites.LandingSiteSelector.assess, set()
 
@@ -152,7 +127,6 @@ def assess(self, cells, **wanted):
     return whole(self, cells, **wanted)
 
 sites.LandingSiteSelector.assess = assess
-sys.exit(main())
 """
 """A pass over its third map ends in an error."""
 
@@ -163,45 +137,37 @@ sys.exit(main())
     "traceback in the log, `problems.pass_failed`; the next map is assessed",
 )
 def test_a_pass_that_ends_in_an_error_withholds_its_answer_and_the_node_lives(ros, cells):
-    command = [sys.executable, "-c", FAULTY, "--ros-args", "--params-file", str(ros.params)]
-    command += ["-p", "diagnostics.warn_age:=60.0"]
-    with (
-        ros.listen({}) as listener,
-        process(command, env=ros.env, cwd=ros.folder, stderr=subprocess.PIPE) as faulty,
-    ):
-        vehicle, wait = Vehicle(listener, cells), listener.wait_for
+    faulty = ros.start("lss_node", "-p", "diagnostics.warn_age:=60.0", first=FAULTY)
+    with ros.listen({}) as listener:
+        vehicle = Vehicle(listener, cells)
         for k in range(2):
             stamp = vehicle.send_map(k)
-            anywhere = functools.partial(vehicle.sites_of, stamp, lambda at: at[:, :1] < 1e9)
-            assert wait(anywhere)
+            vehicle.until(vehicle.sites_of, stamp, lambda at: at[:, :1] < 1e9)
         stamp = vehicle.send_map(2)
-        assert wait(functools.partial(vehicle.none_of, stamp)), "its sites are withdrawn"
+        vehicle.until(vehicle.none_of, stamp)
         words = ("no site is given out", "OverflowError", "math range error")
-        assert wait(lambda: vehicle.told(DiagnosticStatus.ERROR, *words))
+        vehicle.until(vehicle.told, DiagnosticStatus.ERROR, *words)
         assert vehicle.values()["target.reason"] == "withheld"
         for k in (3, 4):
             stamp = vehicle.send_map(k)
-            assert wait(functools.partial(vehicle.sites_of, stamp, lambda at: at[:, :1] < 1e9))
-        assert wait(lambda: vehicle.told(DiagnosticStatus.OK, "sites"))
+            vehicle.until(vehicle.sites_of, stamp, lambda at: at[:, :1] < 1e9)
+        vehicle.until(vehicle.told, DiagnosticStatus.OK, "sites")
         assert int(vehicle.values()["problems.pass_failed"]) >= 1
-        faulty.send_signal(signal.SIGTERM)
-        _, errors = faulty.communicate(timeout=20.0)
-    assert faulty.returncode == 0 and "OverflowError: math range error" in errors
+    assert faulty.stop(signal.SIGTERM) == 0
+    assert "OverflowError: math range error" in faulty.output()
 
 
 @pytest.mark.survives(
     "nothing to work with comes (a map, one half of it, scans, poses, a required input)",
     "the log says what is waited for, or which half of a map lacks",
 )
-def test_what_a_first_map_lacks(cells):
-    received = ReceivedMap(Problems(Log()), "map", LssConfig, binding=False)
+def test_what_a_first_map_lacks(received, cells):
     cloud, grid = map_messages(cells, "map")
     assert "nothing came" in received.lacks()
     received.complete_with("cells", cloud)
     assert "map/cells came, the other half" in received.lacks()
-    received.complete_with(
-        "observed", map_messages(dataclasses.replace(cells, stamp_ns=1), "map")[1]
-    )
+    later = dataclasses.replace(cells, stamp_ns=1)
+    received.complete_with("observed", map_messages(later, "map")[1])
     assert "both halves of one stamp did not" in received.lacks()
     received.complete_with("observed", grid)
     received.take()
@@ -229,6 +195,6 @@ def test_nodes_that_wait_say_so_in_the_log(ros):
     lss, mapping = ros.start("lss_node"), ros.start("mapping_node")
     with ros.listen({}) as listener:
         told = "waiting for a map: nothing came (publishers known on '/map/cells': "
-        assert listener.wait_for(lambda: told in lss.output()), lss.output()
+        listener.until(lambda: told in lss.output())
         told = "waiting for '/lidar/points' (publishers known: 0) and '/nav/pose'"
-        assert listener.wait_for(lambda: told in mapping.output()), mapping.output()
+        listener.until(lambda: told in mapping.output())

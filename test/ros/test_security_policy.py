@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The SROS 2 policy names what the nodes use, no less and no more."""
 
-import functools
-import subprocess
 import time
 from pathlib import Path
 from xml.etree import ElementTree
@@ -56,9 +54,8 @@ def is_known(node, name):
 
 def test_a_node_without_its_keys_does_not_start_unprotected(ros):
     secure = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
-    env = {**ros.env, **secure, "ROS_SECURITY_KEYSTORE": str(ros.folder)}
-    command = [program("lss_node"), "--ros-args", "--enclave", "/quadtree_lss/lss_node"]
-    ended = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
+    ros.env |= {**secure, "ROS_SECURITY_KEYSTORE": str(ros.folder)}
+    ended = ros.run(program("lss_node"), "--ros-args", "--enclave", "/quadtree_lss/lss_node")
     assert ended.returncode != 0 and "Traceback" not in ended.stderr
     assert ended.stderr.splitlines()[-1].startswith("error: ") and "SECURITY" in ended.stderr
 
@@ -73,9 +70,8 @@ def test_each_node_uses_what_the_policy_allows_it(ros, name):
         args += ["-p", f"prior.file:={prior}"]
         process = ros.start(name, *args)
         with ros.listen({}) as listener:
-            assert listener.wait_for(lambda: name in listener.diagnostics), process.output()
-            known = functools.partial(is_known, listener.node, name)
-            assert listener.wait_for(known), "it speaks, but has not been announced"
+            listener.until(lambda: name in listener.diagnostics)
+            listener.until(is_known, listener.node, name)  # it speaks, but has to be announced
             time.sleep(1.0)  # all of a node is announced at its start, but piece by piece
             seen |= used(listener.node, name)
         process.stop()

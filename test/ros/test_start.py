@@ -1,17 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """What nodes say when they start and first succeed, and of a state that lasts."""
 
-import functools
-import os
-import subprocess
 import sys
 from importlib import metadata
 
 import numpy as np
 import pytest
 from packaging.requirements import Requirement
-from ros.conftest import at_least, has
-from ros_scene import Sensors, cloud, last_scan_ns, pose
+from ros_scene import cloud, last_scan_ns, pose
 from rosgraph_msgs.msg import Clock
 
 import quadtree_lss
@@ -26,7 +22,7 @@ def test_one_line_says_what_runs_and_one_that_it_works(ros):
     mapping = ros.start("mapping_node", "-p", "lidar.max_range:=900", "-r", "nav/pose:=/ekf/pose")
     lss = ros.start("lss_node", "-r", "__ns:=/lander", "-r", "map/cells:=/map/cells")
     with ros.listen() as listener:
-        assert listener.wait_for(lambda: "takes" in lss.output() and "takes" in mapping.output())
+        listener.until(lambda: "takes" in lss.output() and "takes" in mapping.output())
         lines = [line for line in mapping.output().splitlines() if "waiting for" not in line]
         assert len(lines) == 1
         for words in (
@@ -46,22 +42,13 @@ def test_one_line_says_what_runs_and_one_that_it_works(ros):
 
 def test_the_first_scan_and_the_first_sites_are_told_once(ros):
     mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
+    with ros.sensors() as (listener, sensors):
         sensors.publish(4)
-        told = lambda: "first sites: 3, the best at x " in lss.output()  # noqa: E731
-        assert listener.wait_for(told), lss.output()
+        listener.until(lambda: "first sites: 3, the best at x " in lss.output())
         sensors.publish(4, offset_ns=2_000_000_000)
-        assert listener.wait_for(lambda: at_least(listener, "scans", 8)), mapping.output()
+        listener.until(listener.at_least, "scans", 8)
     assert mapping.output().count("first scan mapped: 1700000000.000000 s, ") == 1
     assert lss.output().count("first sites") == 1
-
-
-def run_first(ros, program):
-    """Whatever Python starts in this domain runs a program first."""
-    (ros.folder / "sitecustomize.py").write_text(program)
-    path = [str(ros.folder), *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
-    ros.env["PYTHONPATH"] = os.pathsep.join(path)
 
 
 HELD_UP = """
@@ -89,18 +76,16 @@ sys.meta_path.insert(0, Late())
 def test_a_node_that_starts_says_for_what_it_waits(ros, name, module, what):
     """As on a computer so loaded that its modules take half a minute to load."""
     go = ros.folder / "go"
-    run_first(ros, HELD_UP.format(module=module, go=str(go)))
-    node = ros.start(name)
+    node = ros.start(name, first=HELD_UP.format(module=module, go=str(go)))
     first = {"mapping_node": "'/lidar/points'", "lss_node": "a map", "autopilot_node": "the heart"}
     with ros.listen({}) as listener:
         told = f"[{name}]: starting, waiting for {what}"
-        assert listener.wait_for(lambda: told in node.output()), node.output()
+        listener.until(lambda: told in node.output())
         assert "takes " not in node.output()
         go.touch()
         waits = f"waiting for {first[name]}"
-        assert listener.wait_for(lambda: waits in node.output()), node.output()
-        status = listener.diagnostics
-        assert listener.wait_for(lambda: name in status and waits in status[name].message)
+        listener.until(lambda: waits in node.output())
+        listener.until(listener.told, name, (), waits)
 
 
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node", "autopilot_node"])
@@ -108,15 +93,15 @@ def test_a_node_on_simulated_time_says_that_it_has_none(ros, name):
     """As on a vehicle with the parameter file of its simulation."""
     node = ros.start(name, "-p", "use_sim_time:=true")
     with ros.listen({}) as listener:
-        said = functools.partial(at_least, listener, "problems.no_clock", 1, name)
-        assert listener.wait_for(said) and "'/clock'" in node.output(), node.output()
+        listener.until(listener.at_least, "problems.no_clock", 1, name)
+        assert "'/clock'" in node.output(), node.output()
         sender = listener.node.create_publisher(Clock, "/clock", stream(1, reliable=True))
 
         def quiet():
             sender.publish(Clock(clock=time_message(10**9)))
             return "'/clock'" not in listener.diagnostics[name].message
 
-        assert listener.wait_for(quiet), listener.diagnostics[name]
+        listener.until(quiet)
 
 
 ONBOARD_ALONE = """
@@ -133,26 +118,15 @@ def test_both_nodes_fly_with_what_the_package_itself_requires(ros):
     """Without the other wings, and without what any extra brings but rclpy and its messages."""
     asked = (Requirement(line) for line in metadata.requires("quadtree_lss") or [])
     of_extras = {item.name for item in asked if item.marker and "wheels" not in str(item.marker)}
-    names = {
-        name
-        for name, distributions in metadata.packages_distributions().items()
-        if of_extras & {distribution for distribution in distributions}
-    }
+    brought = metadata.packages_distributions().items()
+    names = {name for name, distributions in brought if of_extras & set(distributions)}
     assert {"matplotlib", "rosbags", "tqdm"} <= names
-    run_first(ros, ONBOARD_ALONE.format(lacking=sorted(names)))
-    mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
+    ros.start("mapping_node", first=ONBOARD_ALONE.format(lacking=sorted(names)))
+    lss = ros.start("lss_node")
+    with ros.sensors() as (listener, sensors):
         sensors.publish(4)
-        ranked = lambda: "first sites: 3" in lss.output()  # noqa: E731
-        assert listener.wait_for(ranked), mapping.output() + lss.output()
-    refused = subprocess.run(
-        [sys.executable, "-c", "import quadtree_lss.desk.replay.replay"],
-        env=ros.env,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+        listener.until(lambda: "first sites: 3" in lss.output())
+    refused = ros.run(sys.executable, "-c", "import quadtree_lss.desk.replay.replay")
     assert "is not on the vehicle" in refused.stderr
 
 
@@ -160,16 +134,14 @@ def test_both_nodes_fly_with_what_the_package_itself_requires(ros):
     "map full (`mapping.max_cells`)", "cells stay whole, counted; a warning in the diagnostics"
 )
 def test_a_full_map_stays_full_whether_a_scan_wants_to_divide_or_not(ros):
-    mapping = ros.start("mapping_node", "-p", "mapping.max_cells:=64")
-    with ros.listen() as listener:
-        sensors = Sensors(listener).matched()
+    ros.start("mapping_node", "-p", "mapping.max_cells:=64")
+    with ros.sensors() as (listener, sensors):
         sensors.publish(2)
-        refused = lambda: at_least(listener, "map.refused_divisions", 1)  # noqa: E731
-        assert listener.wait_for(refused), mapping.output()
+        listener.until(listener.at_least, "map.refused_divisions", 1)
         later = last_scan_ns(2) + 500_000_000
         calm = np.full((4, 4, 3), [0.0, 0.0, 100.0])
         calm[..., 0] += np.linspace(-0.3, 0.3, 4)
         sensors.poses.publish(pose(later))
         sensors.scans.publish(cloud(later, calm))
-        assert listener.wait_for(lambda: has(listener, "scan.stamp_ns", later)), mapping.output()
+        listener.until(listener.has, "scan.stamp_ns", later)
         assert "the map is full" in listener.diagnostics["mapping_node"].message

@@ -2,10 +2,8 @@
 """``landing/selected`` over DDS: held, withdrawn with a reason, released, and missed when dead."""
 
 import dataclasses
-import functools
 import itertools
 import signal
-import sys
 import time
 
 import numpy as np
@@ -13,9 +11,8 @@ import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile
-from ros.conftest import process
 from ros_scene import MAKE
-from ros_vehicle import Vehicle, flat_map, polygon
+from ros_vehicle import Vehicle, polygon
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.core.landing.target import WAIT_S, Reason, State
@@ -30,8 +27,8 @@ pytestmark = pytest.mark.xdist_group("ros_target")
 class Pilot(Vehicle):
     """Hears the target, too, each change of it once: place, and what the status says."""
 
-    def __init__(self, listener):
-        super().__init__(listener, flat_map())
+    def __init__(self, listener, cells):
+        super().__init__(listener, cells)
         self.targets, self.answers, self.tables = [], [], []
         for kind, topic, keep in (
             (PoseWithCovarianceStamped, "landing/selected", self.targets),
@@ -40,6 +37,11 @@ class Pilot(Vehicle):
         ):
             profile = QoSProfile(depth=50, durability=latched().durability)
             listener.node.create_subscription(kind, topic, keep.append, profile)
+
+    def sees_the_east_alone(self):
+        observed = self.cells.observed.copy()
+        observed[:, : 2 * observed.shape[1] // 5] = False
+        self.cells = dataclasses.replace(self.cells, observed=observed)
 
     def status(self):
         """The last record of the status."""
@@ -62,16 +64,15 @@ class Pilot(Vehicle):
 
 
 @pytest.fixture
-def pilot(ros):
+def pilot(ros, cells):
     with ros.listen({}) as listener:
-        yield Pilot(listener)
+        yield Pilot(listener, cells)
 
 
 def test_the_target_is_withdrawn_with_its_reason_and_replaced(ros, pilot):
-    wait = pilot.listener.wait_for
-    lss = ros.start("lss_node")
+    ros.start("lss_node")
     stamp = pilot.send_map(0)
-    assert wait(pilot.has_target), lss.output()
+    pilot.until(pilot.has_target)
     first, before = pilot.place(), pilot.status()
     assert np.hypot(*(first[:2] - pilot.last()[2][0])) < 1e-3, "the first of the list"
     covariance = np.array(pilot.targets[-1].pose.covariance).reshape(6, 6)
@@ -81,7 +82,7 @@ def test_the_target_is_withdrawn_with_its_reason_and_replaced(ros, pilot):
     x, y = first[:2]
     about = [(x - 1, y - 1), (x + 1, y - 1), (x + 1, y + 1), (x - 1, y + 1)]
     pilot.send("landing/keep_out", polygon(about))
-    assert wait(functools.partial(pilot.has_target, before["answer"] + 1)), lss.output()
+    pilot.until(pilot.has_target, before["answer"] + 1)
     assert np.hypot(*(pilot.place() - first)[:2]) > 2.0
     assert pilot.status()["id"] != before["id"]
     # One map, one stamp, and every answer told apart.
@@ -92,29 +93,25 @@ def test_the_target_is_withdrawn_with_its_reason_and_replaced(ros, pilot):
     empty = [np.isnan(message.pose.pose.position.x) for message in pilot.targets]
     assert any(empty) and not empty[-1]
     number = pilot.status()["answer"]
-    assert wait(lambda: (cloud_records(pilot.tables[-1], SITE_FIELDS)["answer"] == number).all())
-    assert wait(lambda: pilot.values().get("target.reason") in ("first", "holds")), lss.output()
+    pilot.until(lambda: (cloud_records(pilot.tables[-1], SITE_FIELDS)["answer"] == number).all())
+    pilot.until(lambda: pilot.values().get("target.reason") in ("first", "holds"))
 
 
 def test_a_vehicle_that_is_low_is_committed_by_its_poses(ros, pilot):
     """A map that stays the same: without the poses the target would only hold."""
-    wait = pilot.listener.wait_for
-    navigation = pilot.listener.node.create_publisher(
-        PoseWithCovarianceStamped, "nav/pose", stream(5, reliable=True)
-    )
-    observed = pilot.cells.observed.copy()
-    observed[:, : 2 * observed.shape[1] // 5] = False
-    pilot.cells = dataclasses.replace(pilot.cells, observed=observed)
-    lss = ros.start("lss_node", "-p", "lss.settle_time:=9.0")
+    profile, make = stream(5, reliable=True), pilot.listener.node.create_publisher
+    navigation = make(PoseWithCovarianceStamped, "nav/pose", profile)
+    pilot.sees_the_east_alone()
+    ros.start("lss_node", "-p", "lss.settle_time:=9.0")
     pilot.send_map(0)
 
     def is_in(state):
         return pilot.status() is not None and pilot.status()["state"] == state
 
-    assert wait(functools.partial(is_in, State.SETTLING)), lss.output()
+    pilot.until(is_in, State.SETTLING)
     status = pilot.status()
     assert 0.5 < status["seen"] < 1.0 and not pilot.targets, "silent before it has decided"
-    assert wait(pilot.has_target), lss.output()
+    pilot.until(pilot.has_target)
     assert pilot.status()["state"] == State.HOLDS and 0.9 < pilot.status()["probability"] <= 1.0
     number = itertools.count(1)
 
@@ -125,93 +122,76 @@ def test_a_vehicle_that_is_low_is_committed_by_its_poses(ros, pilot):
         pilot.send_map(next(number))
         return is_in(State.COMMITTED)
 
-    assert wait(low), lss.output()
+    pilot.until(low)
 
 
 def test_a_released_target_is_chosen_anew(ros, pilot):
-    wait = pilot.listener.wait_for
-    lss = ros.start("lss_node")
-    with_service = functools.partial(ros.call, pilot.listener, "/lss_node/release")
-    assert not with_service().success, "there is none"
+    ros.start("lss_node")
+    assert not ros.call(pilot.listener, "/lss_node/release").success, "there is none"
     pilot.send_map(0)
-    assert wait(pilot.has_target), lss.output()
+    pilot.until(pilot.has_target)
     before = pilot.status()["answer"]
-    answer = with_service()
+    answer = ros.call(pilot.listener, "/lss_node/release")
     assert answer.success and "1 is released: now target " in answer.message
-    assert wait(functools.partial(pilot.has_target, before)), lss.output()
+    pilot.until(pilot.has_target, before)
     assert pilot.reasons()[before + 1] is Reason.RELEASED
 
 
 def test_land_now_gives_a_place_before_anything_is_settled(ros, pilot):
-    wait = pilot.listener.wait_for
-    lss = ros.start("lss_node", "-p", "lss.settle_time:=900.0")
-    land_now = functools.partial(ros.call, pilot.listener, "/lss_node/land_now")
-    observed = pilot.cells.observed.copy()
-    observed[:, : 2 * observed.shape[1] // 5] = False
-    pilot.cells = dataclasses.replace(pilot.cells, observed=observed)
+    ros.start("lss_node", "-p", "lss.settle_time:=900.0")
+    pilot.sees_the_east_alone()
     pilot.send_map(0)
-    assert wait(lambda: pilot.status() is not None), lss.output()
+    pilot.until(lambda: pilot.status() is not None)
     assert pilot.status()["state"] == State.SETTLING
-    answer = land_now()
+    answer = ros.call(pilot.listener, "/lss_node/land_now")
     assert answer.success and "probability" in answer.message, answer.message
-    assert wait(lambda: pilot.status()["state"] == State.NOW), lss.output()
+    pilot.until(lambda: pilot.status()["state"] == State.NOW)
     status = pilot.status()
     assert status["reason"] == Reason.LAND_NOW and status["wait"] == WAIT_S
     assert status["now_probability"] == status["probability"] > 0.9
-    assert wait(lambda: pilot.targets), lss.output()
+    pilot.until(lambda: pilot.targets)
     assert np.hypot(status["now_x"] - pilot.place()[0], status["now_y"] - pilot.place()[1]) < 1e-3
     assert ros.call(pilot.listener, "/lss_node/release").success
-    assert wait(lambda: pilot.status()["state"] == State.HOLDS), lss.output()
+    pilot.until(lambda: pilot.status()["state"] == State.HOLDS)
 
 
 def test_land_now_waits_for_the_first_map(ros, pilot):
-    wait = pilot.listener.wait_for
-    lss = ros.start("lss_node", "-p", "lss.settle_time:=900.0")
-    call = functools.partial(ros.call, pilot.listener)
-    answer = call("/lss_node/land_now")
+    ros.start("lss_node", "-p", "lss.settle_time:=900.0")
+    answer = ros.call(pilot.listener, "/lss_node/land_now")
     assert not answer.success and "nothing is mapped" in answer.message
     pilot.send_map(0)
-    assert wait(pilot.has_target), lss.output()
+    pilot.until(pilot.has_target)
     assert pilot.reasons()[1] is Reason.LAND_NOW and pilot.status()["state"] == State.NOW
 
 
 def test_a_dead_node_is_missed_by_the_middleware_and_a_silent_one_is_not(ros, pilot):
-    wait = pilot.listener.wait_for
-    missed, alive = [], []
+    missed, alive, heard = [], [], []
     callbacks = SubscriptionEventCallbacks(
         deadline=missed.append, liveliness=lambda event: alive.append(event.alive_count)
     )
-    heard = []
-    pilot.listener.node.create_subscription(
-        PoseWithCovarianceStamped,
-        "landing/selected",
-        heard.append,
-        target(),
-        event_callbacks=callbacks,
-    )
+    how = {"qos_profile": target(), "event_callbacks": callbacks}
+    hear = pilot.listener.node.create_subscription
+    hear(PoseWithCovarianceStamped, "landing/selected", heard.append, **how)
     lss = ros.start("lss_node")
     pilot.send_map(0)
-    assert wait(lambda: heard and pilot.has_target()), lss.output()
+    pilot.until(lambda: heard and pilot.has_target())
     missed.clear()
     count = len(heard)
-    assert wait(lambda: len(heard) > count + 7, timeout=10.0), "said again without a new map"
+    pilot.until(lambda: len(heard) > count + 7, timeout=10.0)  # said again without a new map
     assert not missed and alive[-1] == 1
-    lss.process.send_signal(signal.SIGKILL)
-    lss.process.wait(10.0)
-    assert wait(lambda: missed and alive[-1] == 0, timeout=10.0), (missed, alive)
+    lss.stop(signal.SIGKILL)
+    pilot.until(lambda: missed and alive[-1] == 0, timeout=10.0)
 
 
 SLOW = """\
 import time
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-from quadtree_lss.onboard.nodes import lss_node
 assess, passes = LandingSiteSelector.assess, []
 def slow(self, *args, **how):
     passes.append(None)
     time.sleep(3.0 if len(passes) == 3 else 0.0)
     return assess(self, *args, **how)
 LandingSiteSelector.assess = slow
-lss_node.main()
 """
 
 
@@ -221,14 +201,13 @@ def test_the_target_is_said_again_while_a_pass_is_at_work(ros, pilot):
     pilot.listener.node.create_subscription(
         PoseWithCovarianceStamped, "landing/selected", lambda _: heard.append(time.monotonic()), 50
     )
-    command = [sys.executable, "-c", SLOW, "--ros-args", "--params-file", str(ros.params)]
-    with process(command, env=ros.env):
-        pilot.send_map(0)
-        assert pilot.listener.wait_for(pilot.has_target)
-        before = pilot.status()["answer"]
-        pilot.send_map(1)
-        pilot.listener.wait_for(lambda: False, timeout=0.6)
-        pilot.send_map(2)
-        assert pilot.listener.wait_for(lambda: pilot.status()["answer"] > before + 1, timeout=30.0)
+    ros.start("lss_node", first=SLOW)
+    pilot.send_map(0)
+    pilot.until(pilot.has_target)
+    before = pilot.status()["answer"]
+    pilot.send_map(1)
+    pilot.listener.wait_for(lambda: False, timeout=0.6)
+    pilot.send_map(2)
+    pilot.until(lambda: pilot.status()["answer"] > before + 1, timeout=30.0)
     late = np.diff(heard)
     assert late.max() < 1.0, late
