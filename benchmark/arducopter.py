@@ -25,7 +25,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -89,7 +89,7 @@ class Copter:
     ) -> None:
         self.port = _free_port()
         self._node = dialect().mavlink_connection(f"udpout:127.0.0.1:{self.port}")
-        self.mode, self.armed, self.texts = -1, False, []
+        self._system, self.mode, self.armed, self.texts = 1, -1, False, []
         self._values: dict[str, float] = {}
         self.cut, self.lost, self.delay = False, False, 0.0
         self.behind, self.origin = False, np.zeros(3)
@@ -119,7 +119,8 @@ class Copter:
         ground, own = _free_port(), _free_port()
         self._ground = mavutil.mavlink_connection(f"udpin:127.0.0.1:{ground}", source_system=255)
         self._own = mavutil.mavlink_connection(f"udpin:127.0.0.1:{own}")
-        self._radio = ("127.0.0.1", 5501 + 10 * instance)
+        self._radio = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._radio.connect(("127.0.0.1", 5501 + 10 * instance))
         lines = [f"{name} {value}" for name, value in BENCH.items()]
         given = (CONFIG / "ardupilot.parm").read_text("utf-8").splitlines()
         lines += [line for line in given if not line.startswith("#")]
@@ -164,7 +165,7 @@ class Copter:
             TimeoutError: it never does.
         """
         for _ in range(300):
-            self._ground.mav.param_set_send(1, 1, name.encode(), value, 9)
+            self._ground.mav.param_set_send(self._system, 1, name.encode(), value, 9)
             time.sleep(0.1)
             if math.isclose(self._values.get(name, math.nan), value, rel_tol=1e-5, abs_tol=1e-9):
                 return
@@ -172,7 +173,8 @@ class Copter:
 
     def command(self, number: int, *values: float) -> None:
         """A command of the pilot's."""
-        self._ground.mav.command_long_send(1, 1, number, 0, *values, *[0.0] * (7 - len(values)))
+        values = *values, *[0.0] * (7 - len(values))
+        self._ground.mav.command_long_send(self._system, 1, number, 0, *values)
 
     def start(self) -> None:
         """The pilot arms."""
@@ -239,8 +241,12 @@ class Copter:
         elif message.get_type() == "STATUSTEXT":
             self.texts.append(message.text)
 
+    def _steer(self) -> None:
+        """The pilot's sticks, twenty times a second."""
+        self._radio.send(struct.pack("<16H", *self._sticks, *[1500] * 12))
+
     def _pump(self) -> None:
-        radio, due = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), 0.0
+        due = 0.0
         while not self._end.is_set():
             self._look()
             now = self.now
@@ -262,7 +268,8 @@ class Copter:
                 if not self.cut:
                     _send(self._own, bytes(message.get_msgbuf()))
             if time.monotonic() > due:
-                radio.sendto(struct.pack("<16H", *self._sticks, *[1500] * 12), self._radio)
+                with suppress(OSError):  # it has ended
+                    self._steer()
                 due = time.monotonic() + 0.05
             time.sleep(0.002)
 

@@ -37,7 +37,7 @@ HOME, METRES_PER_DEG = (47.397742, 8.545594, 489.4), 111_194.9
 TAKE_OFF, HOLD = 4 << 16 | 2 << 24, 4 << 16 | 3 << 24
 TRUTH, TURN, ORIGIN, REQUEST = 115, 31, 49, 512
 TRUTH_HZ = 100.0
-BENCH = {"MIS_TAKEOFF_ALT": HEIGHT_M, "COM_RC_IN_MODE": 1, "SDLOG_MODE": -1, "NAV_DLL_ACT": 0}
+BENCH = {"MIS_TAKEOFF_ALT": HEIGHT_M, "COM_RC_IN_MODE": 1, "SDLOG_BACKEND": 0, "NAV_DLL_ACT": 0}
 """The pilot has a joystick at the ground station."""
 WITHOUT = ("wind of 8 m/s", "GPS 11 m off for 4 s")
 """Faults that its simulator does not have."""
@@ -66,7 +66,7 @@ class Px4(Copter):
         values |= {name: str(value) for name, value in BENCH.items()}
         env = {**os.environ, "PX4_SIM_MODEL": "sihsim_quadx"}
         env |= {f"PX4_PARAM_{name}": value for name, value in values.items()}
-        self._beat, self._turn = 0.0, np.full(4, np.nan)
+        self._system, self._beat, self._turn = instance + 1, 0.0, np.full(4, np.nan)
         build = Path(binary).resolve()
         return subprocess.Popen(
             [build / "bin" / "px4", "-d", "-i", str(instance), build / "etc"],
@@ -119,16 +119,16 @@ class Px4(Copter):
                 self._turn = np.array(message.attitude_quaternion)
                 place = 1e-7 * message.lat, 1e-7 * message.lon, 1e-3 * message.alt
                 self._place = (self.now, place)
-        if time.monotonic() < self._beat:
-            return
-        self._beat = time.monotonic() + 0.1
-        self._ground.mav.manual_control_send(1, 0, 0, 500, 0, 0)
-        if round(10.0 * self._beat) % 10 == 0:
+
+    def _steer(self) -> None:
+        self._ground.mav.manual_control_send(self._system, 0, 0, 500, 0, 0)
+        if time.monotonic() > self._beat:
+            self._beat = time.monotonic() + 1.0
             self._ground.mav.heartbeat_send(6, 8, 0, 0, 0)
             self.command(REQUEST, ORIGIN)
             for number in (TRUTH, TURN):
                 values = (number, 1e6 / TRUTH_HZ, *[0.0] * 5)
-                self._truth.mav.command_long_send(1, 1, SET_INTERVAL, 0, *values)
+                self._truth.mav.command_long_send(self._system, 1, SET_INTERVAL, 0, *values)
 
     def _hear(self, message: Any) -> None:
         super()._hear(message)
