@@ -157,6 +157,7 @@ def test_cases_win_over_what_holds_for_all(study_of):
         ("flights: 3\nseed: -1", "seed"),
         ("flights: 3\nkind: nothing", "unknown kind"),
         ("flights: 3\nkind: nowhere:KIND", "nowhere"),
+        ("flights: 3\nkind: ..nowhere:KIND", "cannot be imported"),
         ("flights: 3\nscenario: [morpheus, moon]", "moon"),
         ("flights: 3\nconditions: {wind: 3}", "wind"),
         ("flights: 3\nconditions: {rocks: {uniform: [1, 0]}}", "rocks"),
