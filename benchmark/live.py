@@ -73,7 +73,6 @@ class Observed:
 
     received: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
     diagnostics: dict[str, dict[str, str]] = field(default_factory=dict)
-    levels: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass
@@ -115,10 +114,10 @@ class Flight:
     recovery_s: list[tuple[str, float]] = field(default_factory=list)
 
 
-def write_script(seed: int, config_name: str = "morpheus") -> Script:
+def write_script(seed: int) -> Script:
     """Simulate a flight and prepare its messages, poses interpolated to 100 Hz."""
     scans: list[tuple[int, bytearray]] = []
-    intake = Intake(configuration(config_name))
+    intake = Intake(configuration("morpheus"))
     simulation = Simulation("morpheus", seed)
     make = simulation.make = Messages(TYPES, packed)
     for topic, _, message in simulation.messages():
@@ -167,8 +166,6 @@ def observe(
         for status in message.status:
             values = seen.diagnostics.setdefault(status.name, {})
             values |= {item.key: item.value for item in status.values}
-            level = int.from_bytes(status.level, "little")
-            seen.levels[status.name] = max(level, seen.levels.get(status.name, 0))
 
     for topic, kind in topics.items():
         node.create_subscription(kind, topic, note(topic), latched(), raw=True)
@@ -189,7 +186,6 @@ def fly(
     seconds: float,
     folder: Path,
     *,
-    config: str = "morpheus",
     extra: Sequence[str] = (),
     kill_every: float = 0.0,
     topics: Mapping[str, type[Any]] = ALL,
@@ -197,12 +193,11 @@ def fly(
     """Starts the nodes, plays the script for some time, watches.
 
     Args:
-        config: Of both nodes.
         extra: ROS arguments for both nodes.
         kill_every: Kill the nodes in turn and start them again, s; 0 for never.
         topics: What another process listens to.
     """
-    args = ["--params-file", str(find_config(config))]
+    args = ["--params-file", str(find_config("morpheus"))]
     args += ["-p", "qos.scan_reliability:=reliable", *extra]
     spawn = multiprocessing.get_context("spawn")
     ready, stop, out = spawn.Event(), spawn.Event(), spawn.Queue()

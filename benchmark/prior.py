@@ -78,7 +78,7 @@ def level(settings: FlightSettings, generator: np.random.Generator, path: Path) 
 PRIORS: dict[str, Made] = {"right": right, "level": level}
 
 
-def fly(seed: int, values: dict[str, Any], make: Made | None, ground: Ground | None) -> Flown:
+def fly(seed: int, values: dict[str, Any], make: Made | None) -> Flown:
     """One flight."""
     settings = flight_settings(values)
     with tempfile.TemporaryDirectory() as folder:
@@ -89,7 +89,7 @@ def fly(seed: int, values: dict[str, Any], make: Made | None, ground: Ground | N
             prior = {"file": str(path), "sigma": NOISE, "offset_sigma": SHIFT, "height_sigma": HIGH}
             config = {f"prior.{key}": value for key, value in prior.items()}
             settings = flight_settings(values | {"config": config})
-        done = flown(seed, settings, ground=ground)
+        done = flown(seed, settings)
     targets = [
         (d.time, d.x, d.y, true_probability(done.flight.ground, d.x, d.y, settings))
         for d in done.flight.pilot.decisions
@@ -153,10 +153,10 @@ def main() -> None:
     if options.steep:
         seeds = [seed for seed in seeds if steep_start(seed, values)][: options.steep]
     for seed in seeds:
-        without = fly(seed, values, None, None)
+        without = fly(seed, values, None)
         line = [f"none {said(without, without)}"]
         for name in options.priors:
-            rows[name].append((without, fly(seed, values, PRIORS[name], None)))
+            rows[name].append((without, fly(seed, values, PRIORS[name])))
             line.append(f"{name} {said(*rows[name][-1])}")
         print(f"seed {seed}: {'; '.join(line)}", flush=True)
     print_table(rows)

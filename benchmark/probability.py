@@ -15,7 +15,6 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 from common import configuration, machine, table
 from matplotlib import colormaps
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.interpolate import RectBivariateSpline
 
@@ -238,7 +237,6 @@ def curve(title: str, judged: list[Judged], told: list[Array]) -> None:
 def draw(file: Path, judged: dict[str, list[Judged]], told: dict[str, list[Array]]) -> None:
     """Reliability of all, and what is found and kept on whole flights."""
     figure = Figure(figsize=(11.0, 4.6), layout="constrained")
-    FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     left.set_prop_cycle(color=colormaps["tab20"].colors)
     edges = np.geomspace(3e-4, 0.9, 12)

@@ -25,7 +25,6 @@ from common import machine, table
 from common.as_posed import lengths
 from common.claims import Claims, Surface, claims, summary
 from common.rays import EXACT, looking
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.special import erfc
 
@@ -217,7 +216,6 @@ def strip(rng: np.random.Generator, scans: int, over: float | Terrain = 0.0) -> 
 def draw(file: Path, found: list[Draw]) -> None:
     """How many leaves are off by more than so many deviations, by the share of the leaf seen."""
     figure = Figure(figsize=(11.0, 4.4), layout="constrained")
-    FigureCanvasAgg(figure)
     colours = ("#d55e00", "#e69f00", "#009e73", "#56b4e9", "#0072b2")
     at = np.linspace(0.0, 8.0, 401)
     for axes, of in zip(figure.subplots(1, 2), ("height", "slope"), strict=True):

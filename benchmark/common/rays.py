@@ -131,24 +131,19 @@ def rocks(places: Array, height: Array, radius: Array, scene: Scene | None = Non
     return np.column_stack([places, ground + height - ball, ball])
 
 
-def looking(position: Array, target: Array, roll: float = 0.0) -> Array:
+def looking(position: Array, target: Array) -> Array:
     """(3, 3) that takes lidar axes (z boresight, x right, y down) to map axes."""
     z = np.asarray(target, np.float64) - position
     z /= np.linalg.norm(z)
     x = np.cross(z, [0.0, 1.0, 0.0] if abs(z[2]) > 0.999 else [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
-    y = np.cross(z, x)
-    turned = np.cos(roll) * x + np.sin(roll) * y
-    return np.column_stack([turned, np.cross(z, turned), z])
+    return np.column_stack([x, np.cross(z, x), z])
 
 
-def fan(width_deg: float, pixels: int, height_deg: float | None = None) -> Array:
+def fan(width_deg: float, pixels: int) -> Array:
     """Unit rays (pixels, pixels, 3) of a flash lidar, in its axes."""
-    across, down = (
-        np.tan(np.radians(angle) * ((np.arange(pixels) + 0.5) / pixels - 0.5))
-        for angle in (width_deg, height_deg or width_deg)
-    )
-    rays = np.stack([*np.meshgrid(across, down), np.ones((pixels, pixels))], axis=-1)
+    across = np.tan(np.radians(width_deg) * ((np.arange(pixels) + 0.5) / pixels - 0.5))
+    rays = np.stack([*np.meshgrid(across, across), np.ones((pixels, pixels))], axis=-1)
     return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
 
@@ -169,12 +164,11 @@ def view(
     noise: float,
     rng: np.random.Generator,
     stamp: float = 1.0,
-    roll: float = 0.0,
     keep=None,
 ) -> View:
     """Look at a target from a place; ``keep`` (x, y) says which ground the scan covers."""
     position = np.asarray(position, np.float64)
-    turn = looking(position, target, roll)
+    turn = looking(position, target)
     flat = rays.reshape(-1, 3) @ turn.T
     # What stands where the corners of the scan, widened, meet the ground.
     reach, _ = Scene(scene.gradient).cast(position, flat)

@@ -11,6 +11,7 @@ import numpy as np
 import scipy
 
 import quadtree_lss
+from quadtree_lss.desk.replay.results import aligned
 
 
 def machine() -> str:
@@ -34,11 +35,6 @@ def table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -
         texts = ([str(cell).replace("|", "\\|") for cell in line] for line in lines)
         print("\n".join(f"| {' | '.join(text)} |" for text in texts) + "\n")
         return
-    cells = [list(map(str, header)), *[[str(cell) for cell in row] for row in rows]]
-    width = [max(len(row[k]) for row in cells) for k in range(len(header))]
-    print(f"\n{title}")
-    for n, row in enumerate(cells):
-        first, rest = row[0].ljust(width[0]), zip(row[1:], width[1:], strict=True)
-        print("  ".join([first, *[cell.rjust(w) for cell, w in rest]]).rstrip())
-        if n == 0:
-            print("  ".join("-" * w for w in width))
+    cells = [[str(cell) for cell in row] for row in (header, *rows)]
+    cells.insert(1, ["-" * max(map(len, column)) for column in zip(*cells, strict=True)])
+    print("\n".join([f"\n{title}", *aligned(cells)]))

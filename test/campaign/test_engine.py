@@ -18,6 +18,7 @@ import numpy as np
 import psutil
 import pytest
 
+from quadtree_lss.cli import main
 from quadtree_lss.desk.commands.common import INTERRUPTED
 from quadtree_lss.lab.campaign import engine
 from quadtree_lss.lab.campaign.engine import Where, _client, campaign, flagged
@@ -327,6 +328,16 @@ def test_one_folder_has_one_campaign_at_a_time(first, study):
 def test_who_is_not_there_is_named(study, tmp_path, where):
     with pytest.raises(CampaignError):
         campaign(read_study(study), tmp_path, where)
+
+
+def test_what_is_kept_is_told_as_json_too(study, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(engine, "keep", lambda study, out, index: out / f"{index}")
+    command = ["campaign", str(study), "--out", str(tmp_path), "--keep", "3,5"]
+    assert main(command) == 0
+    assert capsys.readouterr().out.splitlines()[1] == f"flight 5 is in {tmp_path / '5'}"
+    assert main([*command, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == {"kept": {"3": str(tmp_path / "3"), "5": str(tmp_path / "5")}}
 
 
 @pytest.mark.slow

@@ -30,6 +30,7 @@ conditions:
 parameters:
   lss.margin: {range: [0.0, 1.0, 3]}
 """
+MANY = "{range: [0.1, 0.2, 2000]}"
 
 
 @pytest.fixture
@@ -156,6 +157,7 @@ def test_cases_win_over_what_holds_for_all(study_of):
         ("flights: 3\nseed: -1", "seed"),
         ("flights: 3\nkind: nothing", "unknown kind"),
         ("flights: 3\nkind: nowhere:KIND", "nowhere"),
+        ("flights: 3\nkind: ..nowhere:KIND", "cannot be imported"),
         ("flights: 3\nscenario: [morpheus, moon]", "moon"),
         ("flights: 3\nconditions: {wind: 3}", "wind"),
         ("flights: 3\nconditions: {rocks: {uniform: [1, 0]}}", "rocks"),
@@ -166,6 +168,7 @@ def test_cases_win_over_what_holds_for_all(study_of):
         ("flights: 3\nconditions: {rocks: {range: [0, 0.1, 2.5]}}", "range"),
         ("flights: 3\ncases: [{name: a}, {name: a}]", "two cases"),
         ("flights: 9000000", "most"),
+        (f"flights: 1\nconditions: {{rocks: {MANY}, duration: {MANY}, outliers: {MANY}}}", "most"),
     ],
 )
 def test_what_makes_no_sense_is_named_in_one_line(study_of, text, word):

@@ -153,13 +153,6 @@ def test_simulate_then_replay_then_evaluate(tmp_path, capsys):
     assert one["out"] == str(out / "evaluation") and one["elevation"]["rms"] > 0.0
 
 
-def test_publishing_without_ros_says_so(bag, capsys, monkeypatch):
-    # What `import` then meets.
-    monkeypatch.setitem(sys.modules, "quadtree_lss.desk.player.player", None)
-    code, _, err = run(capsys, "replay", bag, "--publish")
-    assert code == 1 and "rclpy" in err and err.count("\n") == 1
-
-
 @pytest.mark.parametrize(
     ("given", "kept"),
     [

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 from replay.recordings import GROUND, START, flight, recording, write_ros2
+from replay.test_cli import run
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
@@ -135,6 +136,12 @@ def test_a_bag_of_maps_alone_gives_the_same_sites(recorded, tmp_path):
         assert {topic.name for topic in bag.topics} == LANDING | {"/landing/grid_map"}
     info = inspect_bag(path, CONFIG)
     assert info.works and info.kind == "maps"
+
+
+def test_doctor_says_what_of_a_bag_of_maps_is_sound(recorded, capsys):
+    settings = [f"--set={key}={value}" for key, value in GROUND.items()]
+    code, out, _ = run(capsys, "doctor", recorded[1], *settings)
+    assert code == 0 and out.splitlines()[0] == "nothing is wrong with the maps"
 
 
 def test_scans_without_poses_beside_maps_do_not_work_and_info_says_so(tmp_path, recorded):

@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from replay.recordings import write_ros2
+from replay.recordings import CLOUD, POSE, SECOND, START, recording, write_ros2
 from replay.test_cli import run
 
 from quadtree_lss.desk.replay.configuration import load_config
@@ -81,5 +81,12 @@ def test_nothing_to_suggest_from_says_why(tmp_path, capsys):
     bag = write_ros2(tmp_path / "bag", scans=3)
     code, _, err = run(capsys, "config", "suggest", bag, "--set", "frames.map=moon")
     assert code == 1 and "nothing to suggest from" in err and "moon" in err and "info" in err
+    with recording(tmp_path / "point") as recorder:
+        for stamp in range(START, START + SECOND, SECOND // 10):
+            recorder.write("/nav/pose", recorder.pose(stamp, np.zeros(3)), POSE, stamp)
+            points = np.tile([0.0, 0.0, 50.0], (24, 1))
+            recorder.write("/lidar/points", recorder.cloud(stamp, points), CLOUD, stamp)
+    code, _, err = run(capsys, "config", "suggest", tmp_path / "point")
+    assert code == 1 and "nothing to suggest from: all returns are of one place" in err
     assert run(capsys, "config", "suggest")[0] == 2
     assert run(capsys, "config", "suggest", bag, bag)[0] == 2

@@ -8,7 +8,7 @@ import termios
 
 import pytest
 from geometry_msgs.msg import PoseArray
-from replay.recordings import KEEP_OUT, START, LandingRecorder, flight
+from replay.recordings import KEEP_OUT, START, LandingRecorder, flight, write_ros2
 from ros_scene import last_scan_ns, write_bag
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosgraph_msgs.msg import Clock
@@ -28,9 +28,15 @@ STILL = 10  # that many equal times in a row
 
 
 def test_player_says_who_is_missing(ros):
-    write_bag(ros.folder / "flight", 1)
+    bag = ros.folder / "flight.bag"  # a folder of ROS 2, whatever it is called
+    write_bag(bag, 1)
     with pytest.raises(PlayError, match="/lidar/points"):
-        play(ros.folder / "flight", wait=0.2, domain_id=ros.domain)
+        play(bag, wait=0.2, domain_id=ros.domain)
+
+
+def test_a_ros_1_bag_is_refused(tmp_path):
+    with pytest.raises(PlayError, match="ROS 1 bag: replay it offline"):
+        play(write_ros2(tmp_path / "flight.bag", scans=1))
 
 
 @pytest.mark.slow

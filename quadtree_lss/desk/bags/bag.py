@@ -52,8 +52,8 @@ class Bag:
     """Context manager that opens a bag for reading: a rosbag2 directory (mcap or sqlite3, also
     without its metadata), a single ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file; each also compressed
     with zstd. ``topics`` are by name, ``start_ns`` and ``end_ns`` times of reception of the first
-    and the last message, ``notes`` what to know, a line each. Raises `BagError`: there is nothing
-    to read."""
+    and the last message, ``ros1`` whether it is of ROS 1, ``notes`` what to know, a line each.
+    Raises `BagError`: there is nothing to read."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -115,7 +115,7 @@ class Bag:
 
     def _decoded(self, raw: bytes, msgtype: str) -> Any:
         content = memoryview(plain_message(raw))  # of which slices are no copies
-        if self._ros1:
+        if self.ros1:
             return self._store.deserialize_ros1(content, msgtype)
         return self._store.deserialize_cdr(content, msgtype)
 
@@ -142,8 +142,8 @@ class Bag:
         self.start_ns = min(file.start_ns for file in self._files)
         self.end_ns = max(file.end_ns for file in self._files)
         self.notes = [one_line(note) for file in self._files for note in file.notes]
-        self._ros1 = self._files[0].ros1
-        self._store = typestore(self._ros1)
+        self.ros1 = self._files[0].ros1
+        self._store = typestore(self.ros1)
 
     def _paths(self) -> list[Path]:
         if self.path.is_file():

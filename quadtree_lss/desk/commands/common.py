@@ -165,7 +165,8 @@ def landing_of(options: argparse.Namespace) -> dict[str, Any]:
     """What the options say of landing, by name."""
     found = {name: getattr(options, name) for name in ("area", "target") if name in options}
     if "keep_out" in options:
-        found["keep_out"], *found["keep_outs"] = options.keep_out
+        found["keep_out"], *others = options.keep_out
+        found["keep_outs"] = [corners for corners in others if corners is not None]
     return found
 
 

@@ -68,7 +68,8 @@ def _doctor(options: argparse.Namespace) -> int:
     none = "as above" if wrong and wrong[0].mend else "none known"
     lines = [f"wrong: {finding.text}\nmend:  {finding.mend or none}" for finding in wrong]
     if not wrong:
-        lines.append(f"nothing is wrong with {info.scan_topic or 'the maps'} and {info.pose_topic}")
+        read = f"{info.scan_topic} and {info.pose_topic}" if info.scan_topic else "the maps"
+        lines.append(f"nothing is wrong with {read}")
     lines += [f"note:  {finding.text}" for finding in notes]
     lines += [f"damaged: {text}" for text in info.losses]
     findings = [finding._asdict() for finding in (*wrong, *notes)]

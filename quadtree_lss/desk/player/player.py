@@ -101,12 +101,11 @@ def play(
     """
     if not 0.0 < rate < math.inf:
         raise PlayError(f"rate {rate:g} is not positive and finite")
-    path = Path(bag)
-    if ".bag" in path.suffixes or (path.is_dir() and any(path.glob("*.bag*"))):
-        msg = f"{path} is a ROS 1 bag: replay it offline, or convert it to play it to ROS 2"
-        raise PlayError(msg)
     context = Context()
-    with Bag(path) as source:
+    with Bag(bag) as source:
+        if source.ros1:
+            msg = f"{bag} is a ROS 1 bag: replay it offline, or convert it to play it to ROS 2"
+            raise PlayError(msg)
         names = _names(source, scan_topic, pose_topic)
         part = Part.of(source, start, duration)
         # Not our own options, of which --remap's look like ROS's of old.

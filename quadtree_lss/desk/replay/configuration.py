@@ -65,7 +65,7 @@ def _errors_of(where: str) -> Iterator[None]:
     try:
         yield
     except ConfigError as error:
-        raise ConfigError(f"{where}: {error}" if where else str(error)) from None
+        raise ConfigError(f"{where}: {error}") from None
 
 
 def find_config(path: str | os.PathLike[str]) -> Path:

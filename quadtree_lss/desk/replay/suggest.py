@@ -118,6 +118,8 @@ class _Seen:
         spacing = float(np.median(self._spacing))
         low, high = np.percentile(np.concatenate(self.places)[:, :2], [0.5, 99.5], axis=0)
         middle, side = 0.5 * (low + high), 1.04 * float(np.max(high - low))
+        if side == 0.0:
+            raise ReplayError(f"{bag}: nothing to suggest from: all returns are of one place")
         vehicle, by_data = config.vehicle, max(SPACINGS * spacing, NOISES * noise)
         least, most = vehicle.diameter / MOST_CELLS, vehicle.diameter / LEAST_CELLS
         wanted = min(max(by_data, least), most)

@@ -90,7 +90,7 @@ def kind_of(name: str) -> Kind:
     if colon:
         try:
             kind = getattr(importlib.import_module(module), attribute)
-        except (ImportError, AttributeError, ValueError) as error:
+        except Exception as error:  # whatever it does when it is imported
             raise CampaignError(f"kind {name!r} cannot be imported: {error}") from error
         if isinstance(kind, Kind):
             return kind

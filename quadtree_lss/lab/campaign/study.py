@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
@@ -175,8 +176,7 @@ def _study(content: Mapping[Any, Any], file: Path) -> Study:
         for (_, name), of in values.items()
         if len({*map(repr, of)}) > 1 or any(isinstance(value, Drawn) for value in of)
     }
-    if repeats * len(combinations) > MOST_FLIGHTS:
-        raise CampaignError(f"{repeats * len(combinations)} flights; {MOST_FLIGHTS} is the most")
+    _few_enough(repeats * len(combinations))
     flights = seed, repeats, seeds, tuple(combinations)
     return Study(*name_kind, *flights, files, tuple(sorted(varied)))
 
@@ -202,7 +202,13 @@ def _combinations(
             raise CampaignError(f"unknown {what} {wrong[0]!r}; there are {', '.join(known)}")
         if key in FILES:
             axes[(part, key)] = [_beside(value, file) for value in values]
+    _few_enough(math.prod(map(len, axes.values())))
     return [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
+
+
+def _few_enough(flights: int) -> None:
+    if flights > MOST_FLIGHTS:
+        raise CampaignError(f"{flights} flights; {MOST_FLIGHTS} is the most")
 
 
 def _beside(name: Any, file: Path) -> Any:

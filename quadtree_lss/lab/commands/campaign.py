@@ -54,9 +54,14 @@ def _run(options: argparse.Namespace) -> int:
 
     study = read_study(options.what[0])
     if options.keep is not None:
+        kept: dict[str, str] = {}
         worst = options.keep == "worst"
         for index in flagged(options.out) if worst else parse_seeds(options.keep):
-            print(f"flight {index} is in {keep(study, options.out, index)}", flush=True)
+            kept[f"{index}"] = str(keep(study, options.out, index))
+            if not options.json:
+                print(f"flight {index} is in {kept[f'{index}']}", flush=True)
+        if options.json:
+            common.print_json({"kept": kept})
         return common.DONE
     failed = options.rerun == "failed"
     where = Where(options.workers, options.scheduler_address, options.scheduler_file)
