@@ -14,6 +14,8 @@ from rosbags.typesys import Stores, get_typestore
 from quadtree_lss.desk.bags.bag import Bag, BagError
 from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay import record as products
+from quadtree_lss.desk.replay.differences import compare_results
+from quadtree_lss.desk.replay.export import export_results
 from quadtree_lss.desk.replay.info import inspect_bag
 from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.desk.replay.replay import ReplayError, replay
@@ -135,6 +137,19 @@ def test_a_bag_of_maps_alone_gives_the_same_sites(recorded, tmp_path):
         assert {topic.name for topic in bag.topics} == LANDING | {"/landing/grid_map"}
     info = inspect_bag(path, CONFIG)
     assert info.works and info.kind == "maps"
+
+
+def test_one_leaf_and_one_grid_point_are_a_map_too(tmp_path):
+    values = {**GROUND, "domain.min_level": 0, "domain.max_level": 0, "lss.grid_spacing": 40.0}
+    config, bag = config_from_values(values), write_ros2(tmp_path / "bag", scans=3)
+    out, path = tmp_path / "out", tmp_path / "recorded"
+    first = replay(bag, out, config, record=path)
+    assert len(first.cells.level) == first.assessment.safe.size == 1
+    again = replay(path, tmp_path / "again", config, report=False)
+    assert again.cells.z == first.cells.z
+    found = compare_results(out, tmp_path / "again")
+    assert found.heights.rms == 0.0
+    assert len(export_results(out, formats=["ply", "gltf", "map_server"])) == 6
 
 
 def test_scans_without_poses_beside_maps_do_not_work_and_info_says_so(tmp_path, recorded):
