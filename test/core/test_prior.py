@@ -80,6 +80,8 @@ def test_a_place_without_posts_is_not_covered():
     assert known[:, 0].all() and not known[:, 2:].any()
     assert PriorMatch(prior, domain).found.covered == known.mean()
     assert prior.planes(Domain(900.0, 0.0, 16.0, 2, 4), 4.0) is None
+    prior.elevation[::2] = np.nan  # no window is whole
+    assert prior.planes(domain, 4.0) is None
 
 
 def test_a_leaf_is_the_mean_of_what_points_and_prior_say():

@@ -43,9 +43,9 @@ class Prior:
     config: PriorConfig
 
     def planes(self, domain: Domain, side: float) -> Planes | None:
-        """Planes over a square and as far about it as the offset may lead; None where no post is
-        near. ``side``: of what they are wanted for, m: windows are as wide, and of 3 x 3 posts at
-        least."""
+        """Planes over a square and as far about it as the offset may lead; None where no window of
+        posts is whole. ``side``: of what they are wanted for, m: windows are as wide, and of 3 x 3
+        posts at least."""
         step = float(self.x[-1] - self.x[0]) / (len(self.x) - 1)
         room = FAR * self.config.offset_sigma + side + 2.0 * step
         inside = [
@@ -56,7 +56,8 @@ class Prior:
         if min(z.shape) < 3 or not np.isfinite(z).any():
             return None
         corner = self.x[inside[1][0]], self.y[inside[0][0]]
-        return _planes(z, corner, step, side, self.config)
+        found = _planes(z, corner, step, side, self.config)
+        return found if np.isfinite(found.fields[0]).any() else None
 
 
 @dataclass(frozen=True)
