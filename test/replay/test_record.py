@@ -139,9 +139,11 @@ def test_a_bag_of_maps_alone_gives_the_same_sites(recorded, tmp_path):
     assert info.works and info.kind == "maps"
 
 
-def test_one_leaf_and_one_grid_point_are_a_map_too(tmp_path):
-    values = {**GROUND, "domain.min_level": 0, "domain.max_level": 0, "lss.grid_spacing": 40.0}
-    config = config_from_values({**values, "vehicle.max_slope_deg": 1.0})  # so it is a hazard
+@pytest.mark.parametrize("finest", [0, 6])
+def test_one_leaf_and_one_grid_point_are_a_map_too(tmp_path, finest):
+    values = {**GROUND, "domain.min_level": 0, "domain.max_level": finest}
+    values |= {"domain.xmin": -4.0, "domain.ymin": -4.0, "lss.grid_spacing": 40.0}
+    config = config_from_values({**values, "vehicle.max_slope_deg": 0.2})  # so it is a hazard
     bag = write_ros2(tmp_path / "bag", scans=3)
     out, path = tmp_path / "out", tmp_path / "recorded"
     first = replay(bag, out, config, record=path)

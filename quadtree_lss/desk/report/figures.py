@@ -29,7 +29,7 @@ def figures(content: Results) -> dict[str, Figure]:
     limits = palette.slope_limits(slope, content.config.lss)
     bar = _layer(axes, content, slope, "slope", label, limits=limits)
     bar.ax.axhline(limit, color="white")
-    if np.nanmax(slope, initial=0.0) > limit:
+    if np.nanmin(slope, initial=limit) < limit < np.nanmax(slope, initial=0.0):
         axes.contour(grid["x"], grid["y"], slope, [limit], colors="white", linewidths=0.8)
     found["score"], axes = _map("Landing site score (lower is better)", content)
     _layer(axes, content, grid["score"], "score", "score (grey: excluded)")
