@@ -16,7 +16,14 @@ import numpy as np
 
 from quadtree_lss.desk.report.drawing import extent
 from quadtree_lss.desk.report.drawing import mark_sites as sites
-from quadtree_lss.desk.report.palette import CLEAR_COLOUR, HAZARDS, KINDS, MAPS, colour_limits
+from quadtree_lss.desk.report.palette import (
+    CLEAR_COLOUR,
+    HAZARDS,
+    KINDS,
+    MAPS,
+    colour_limits,
+    gradients,
+)
 from quadtree_lss.onboard.arrays import Array, Bytes
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, Profile
 
@@ -72,7 +79,7 @@ def relief(heights: Array, side: float, *, sun_deg: tuple[float, float] = (315.0
     """Hillshade from 0 (dark) to 1 of heights (ny, nx), level ground 0.5; NaN where unknown.
     ``side``: distance of the heights, m. ``sun_deg``: azimuth clockwise from north (y), and
     elevation."""
-    north, east = np.gradient(heights, side)
+    north, east = gradients(heights, side)
     azimuth, up = np.radians(sun_deg)
     towards = -(east * np.sin(azimuth) + north * np.cos(azimuth)) * np.cos(up)
     light = (towards + np.sin(up)) / np.sqrt(1.0 + east**2 + north**2)

@@ -5,13 +5,14 @@ import numpy as np
 import pytest
 from core.builders import configured, leaf_at, look
 from core.scenes import flat, lattice, make_pose, pose_covariance, scattered
+from scipy.ndimage import gaussian_filter
 
 from quadtree_lss.onboard.config.settings import PriorConfig
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.prior_offset import JUDGED, PriorMatch
 from quadtree_lss.onboard.core.tree.domain import Domain
-from quadtree_lss.onboard.core.tree.prior import Prior
+from quadtree_lss.onboard.core.tree.prior import FAR, Prior, smoothed
 from quadtree_lss.onboard.elevation.look_first import look_first
 
 SURE = {"sigma": 0.1, "offset_sigma": 0.0, "height_sigma": 0.0}
@@ -72,6 +73,13 @@ def test_leaves_begin_from_the_shifted_ground_with_the_offsets_covariance():
     np.testing.assert_allclose(found[1, 2, 3], planes.slope, rtol=0.01)
 
 
+def test_wide_normal_distributions_are_those_of_the_filter():
+    field = np.random.default_rng(4).normal(size=(60, 90))
+    for sigma in ((70.0, 3.0), (0.5, 900.0)):
+        expected = gaussian_filter(field, sigma, mode="constant", truncate=FAR)
+        np.testing.assert_allclose(smoothed(field, np.array(sigma)), expected, atol=1e-14)
+
+
 def test_a_place_without_posts_is_not_covered():
     prior = prior_of(hills, offset_sigma=0.0)
     prior.elevation[:, prior.x > 8.0] = np.nan
@@ -81,6 +89,8 @@ def test_a_place_without_posts_is_not_covered():
     assert known[:, 0].all() and not known[:, 2:].any()
     assert PriorMatch(prior, domain).found.covered == known.mean()
     assert prior.planes(Domain(900.0, 0.0, 16.0, 2, 4), 4.0) is None
+    prior.elevation[::2] = np.nan  # no window is whole
+    assert prior.planes(domain, 4.0) is None
 
 
 def test_a_leaf_is_the_mean_of_what_points_and_prior_say():

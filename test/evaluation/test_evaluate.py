@@ -279,6 +279,8 @@ def test_map_somewhere_else(tmp_path):
     truth = write_truth(tmp_path / "truth.npz", box=(9.0, 11.0, 9.0, 12.0))
     with pytest.raises(EvaluationError, match="overlap"):
         evaluate(folder, truth)
+    with pytest.raises(EvaluationError, match="a single grid point"):
+        evaluate(write_results(tmp_path / "one", spacing=40.0), write_truth(tmp_path / "all.npz"))
 
 
 def test_site_beyond_the_true_terrain_is_unknown_not_unsafe(tmp_path):

@@ -13,7 +13,8 @@ from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.elevation_model import cells_of, rank_sites
 from quadtree_lss.onboard.elevation.dem import ElevationModel
 
-CONFIG = load_config((), {"lss.grid_spacing": 0.5, "lidar.range_noise": 0.02})
+VALUES = {"lss.grid_spacing": 0.5, "lidar.range_noise": 0.02, "domain.follow": "vehicle"}
+CONFIG = load_config((), VALUES)
 
 
 def model(rise=0.0):

@@ -15,6 +15,8 @@ from rosbags.typesys import Stores, get_typestore
 from quadtree_lss.desk.bags.bag import Bag, BagError
 from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay import record as products
+from quadtree_lss.desk.replay.differences import compare_results
+from quadtree_lss.desk.replay.export import export_results
 from quadtree_lss.desk.replay.info import inspect_bag
 from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.desk.replay.replay import ReplayError, replay
@@ -142,6 +144,22 @@ def test_doctor_says_what_of_a_bag_of_maps_is_sound(recorded, capsys):
     settings = [f"--set={key}={value}" for key, value in GROUND.items()]
     code, out, _ = run(capsys, "doctor", recorded[1], *settings)
     assert code == 0 and out.splitlines()[0] == "nothing is wrong with the maps"
+
+
+@pytest.mark.parametrize("finest", [0, 6])
+def test_one_leaf_and_one_grid_point_are_a_map_too(tmp_path, finest):
+    values = {**GROUND, "domain.min_level": 0, "domain.max_level": finest}
+    values |= {"domain.xmin": -4.0, "domain.ymin": -4.0, "lss.grid_spacing": 40.0}
+    config = config_from_values({**values, "vehicle.max_slope_deg": 0.2})  # so it is a hazard
+    bag = write_ros2(tmp_path / "bag", scans=3)
+    out, path = tmp_path / "out", tmp_path / "recorded"
+    first = replay(bag, out, config, record=path)
+    assert len(first.cells.level) == first.assessment.safe.size == 1
+    again = replay(path, tmp_path / "again", config, report=False)
+    assert again.cells.z == first.cells.z
+    found = compare_results(out, tmp_path / "again")
+    assert found.heights.rms == 0.0
+    assert len(export_results(out, formats=["ply", "gltf", "map_server"])) == 6
 
 
 def test_scans_without_poses_beside_maps_do_not_work_and_info_says_so(tmp_path, recorded):

@@ -184,8 +184,10 @@ def _heights(difference: Array, deviation: Array, x: Array, y: Array, second: Ar
     values = difference[known]
     left, heights = values - values.mean(), (second[known] - values, second[known])
     worst = np.unravel_index(np.nanargmax(np.abs(difference)), difference.shape)
-    with np.errstate(all="ignore"):  # of level ground it is none
-        correlation = np.corrcoef(heights)[0, 1]
+    correlation = np.nan
+    if values.size > 1:
+        with np.errstate(all="ignore"):  # of level ground it is none
+            correlation = np.corrcoef(heights)[0, 1]
     return Heights(
         points=int(values.size),
         mean=float(values.mean()),

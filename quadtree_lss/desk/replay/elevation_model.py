@@ -58,6 +58,7 @@ def rank_sites(
     cells, block = cells_of(model, config.lidar.range_noise)
     names = ("xmin", "ymin", "size", "min_level", "max_level")
     own: dict[str, Any] = {f"domain.{name}": getattr(cells.domain, name) for name in names}
+    own["domain.follow"] = "none"
     coarsest = cells.domain.size / MOST_POINTS
     if config.lss.spacing < coarsest:
         own["lss.grid_spacing"] = coarsest

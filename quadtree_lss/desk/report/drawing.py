@@ -24,8 +24,12 @@ Box = tuple[float, float, float, float]
 
 def extent(x: Array, y: Array) -> Box:
     """Of an image whose samples stand at x (nx,), y (ny,): half a step beyond the outer ones."""
-    half = [0.5 * float(axis[1] - axis[0]) if len(axis) > 1 else 0.5 for axis in (x, y)]
+    half = [0.5 * _step(axis) for axis in (x, y)]
     return x[0] - half[0], x[-1] + half[0], y[0] - half[1], y[-1] + half[1]
+
+
+def _step(axis: Array) -> float:
+    return float(axis[1] - axis[0]) if len(axis) > 1 else 1.0
 
 
 def image(axes: Any, x: Array, y: Array, values: Any, **style: Any) -> Any:
@@ -43,7 +47,7 @@ def classes(
     """Numbers (ny, nx) of classes in their colours, shaded where the ``heights`` are given."""
     drawn = ListedColormap(colours)(np.asarray(kind, dtype=np.int64))[..., :3]
     if heights is not None:
-        drawn = shaded(drawn, heights, float(x[1] - x[0]), 0.6)
+        drawn = shaded(drawn, heights, _step(x), 0.6)
     image(axes, x, y, drawn)
 
 
@@ -67,7 +71,7 @@ def layer(
     drawn = colours(norm(np.ma.masked_invalid(values)))[..., :3]
     strength = 0.75 if kind == "elevation" else 0.4
     ground = values if heights is None else heights
-    image(axes, x, y, shaded(drawn, ground, float(x[1] - x[0]), strength))
+    image(axes, x, y, shaded(drawn, ground, _step(x), strength))
     return ScalarMappable(norm, colours)
 
 

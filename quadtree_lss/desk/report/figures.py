@@ -29,7 +29,7 @@ def figures(content: Results) -> dict[str, Figure]:
     limits = palette.slope_limits(slope, content.config.lss)
     bar = _layer(axes, content, slope, "slope", label, limits=limits)
     bar.ax.axhline(limit, color="white")
-    if np.nanmax(slope, initial=0.0) > limit:
+    if np.nanmin(slope, initial=limit) < limit < np.nanmax(slope, initial=0.0):
         axes.contour(grid["x"], grid["y"], slope, [limit], colors="white", linewidths=0.8)
     found["score"], axes = _map("Landing site score (lower is better)", content)
     _layer(axes, content, grid["score"], "score", "score (grey: excluded)")
@@ -69,7 +69,8 @@ def hazard_figure(content: Results) -> Figure:
     for bit, name, colour in palette.HAZARDS:
         shown = ((grid["hazard"] & bit) > 0) & content.grid.seen
         if not (bits | palette.UNKNOWN) & bit and shown.any():
-            left.contour(grid["x"], grid["y"], shown, [0.5], colors=colour, linewidths=0.7)
+            if not shown.all():  # of all there is no outline
+                left.contour(grid["x"], grid["y"], shown, [0.5], colors=colour, linewidths=0.7)
             kinds.append(Patch(facecolor="none", edgecolor=colour, label=f"{name}, not excluding"))
     unseen = np.where(grid.unmapped, 3, 2)
     allowed = np.where(grid["safe"], 1, np.where(grid.seen, 0, unseen))

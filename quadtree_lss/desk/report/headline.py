@@ -58,7 +58,7 @@ class NearestMiss(NamedTuple):
 
 def areas(content: Results) -> Areas:
     """How much is seen, where landing is allowed, and what more is seen but not yet mapped."""
-    x, y = (np.gradient(content.grid[name]) for name in "xy")
+    x, y = (np.full(len(content.grid[name]), content.grid.spacing) for name in "xy")
     x[[0, -1]] *= 0.5  # the outer points stand at the map's edge
     y[[0, -1]] *= 0.5
     each = y[:, None] * x

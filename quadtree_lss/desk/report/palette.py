@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array
@@ -80,13 +82,18 @@ def even_limits(values: Array) -> tuple[float, float]:
     return -top, top
 
 
+def gradients(heights: Array, spacing: float) -> Sequence[Array]:
+    """dz/dy and dz/dx of heights (ny, nx); a single row or column is level."""
+    return np.gradient(heights, spacing) if min(heights.shape) > 1 else [0.0 * heights] * 2
+
+
 def shaded(image: Array, elevation: Array, spacing: float, strength: float = 0.75) -> Array:
     """(ny, nx, 3) colours in 0 … 1 on ground (ny, nx) that is lit from the north-west.
 
     Level ground, unseen ground and what is beside it keeps its colours. Slopes are exaggerated
     until the steeper ones throw shade, as on the page.
     """
-    along_y, along_x = np.gradient(elevation, spacing)
+    along_y, along_x = gradients(elevation, spacing)
     slopes = np.hypot(along_x, along_y)
     steep = np.nanpercentile(slopes, 90) if np.isfinite(slopes).any() else 0.0
     factor = np.clip(0.6 / max(steep, 1e-9), 0.5, 6.0)

@@ -277,8 +277,9 @@ def score(results: Results, truth: Truth) -> EvaluationResult:
     Raises `EvaluationError` when the map and the truth do not overlap.
     """
     safety = metrics.safety_field(results.grid, truth)
-    if not safety.scored.size:
-        msg = f"the map in {results.folder} does not overlap the scanned box of the truth"
+    if min(safety.scored.size, results.grid.x.size - 1) < 1:
+        msg = f"the map in {results.folder} has a single grid point, or does not overlap the"
+        msg += " scanned box of the truth"
         raise EvaluationError(msg)
     heights = metrics.elevation_field(results.map, results.grid, truth)
     verdicts = metrics.site_verdicts(results.positions[:TOP], truth)

@@ -139,7 +139,7 @@ def decode_cells(
             f" {1 << MOST_LEVELS} cells a side are the most"
         )
         raise MessageError("too_large", msg)
-    level = np.ascontiguousarray(records["level"])
+    level = records["level"].copy()  # kernels take nothing that is read-only
     ix, iy = records["ix"].astype(np.uint32), records["iy"].astype(np.uint32)
     beyond = (level > max_level) | (np.maximum(ix, iy) >> np.minimum(level, 31) > 0)
     if beyond.any() or np.sum(0.25 ** level.astype(np.float64)) != 1.0:

@@ -15,7 +15,6 @@ the ground. Slopes alike, with 12 s^2 / W^2 for what the plane leaves out.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,8 @@ from quadtree_lss.onboard.core.tree.domain import Domain
 
 #: As many deviations of the offset are looked at.
 FAR = 3.0
+#: From so many steps between posts on a normal distribution is wide.
+WIDE = 64.0
 
 
 @dataclass(frozen=True)
@@ -43,9 +44,9 @@ class Prior:
     config: PriorConfig
 
     def planes(self, domain: Domain, side: float) -> Planes | None:
-        """Planes over a square and as far about it as the offset may lead; None where no post is
-        near. ``side``: of what they are wanted for, m: windows are as wide, and of 3 x 3 posts at
-        least."""
+        """Planes over a square and as far about it as the offset may lead; None where no window of
+        posts is whole. ``side``: of what they are wanted for, m: windows are as wide, and of 3 x 3
+        posts at least."""
         step = float(self.x[-1] - self.x[0]) / (len(self.x) - 1)
         room = FAR * self.config.offset_sigma + side + 2.0 * step
         inside = [
@@ -56,7 +57,8 @@ class Prior:
         if min(z.shape) < 3 or not np.isfinite(z).any():
             return None
         corner = self.x[inside[1][0]], self.y[inside[0][0]]
-        return _planes(z, corner, step, side, self.config)
+        found = _planes(z, corner, step, side, self.config)
+        return found if np.isfinite(found.fields[0]).any() else None
 
 
 @dataclass(frozen=True)
@@ -87,17 +89,11 @@ class Planes:
     def blurred(self, fields: Array, deviation: Array) -> Array:
         """Means (F, ny, nx) of fields over the places that an offset of deviations (2,) along x and
         y, m, may mean; NaN where most of these are not known."""
-        from scipy.ndimage import gaussian_filter
-
-        how: dict[str, Any] = {
-            "sigma": deviation[::-1] / self.step,
-            "mode": "constant",
-            "truncate": FAR,
-        }
+        sigma = deviation[::-1] / self.step
         known = np.isfinite(fields[0])
-        share: Array = gaussian_filter(known.astype(np.float64), **how)
+        share = smoothed(known.astype(np.float64), sigma)
         with np.errstate(invalid="ignore", divide="ignore"):
-            means = [gaussian_filter(np.where(known, f, 0.0), **how) / share for f in fields]
+            means = [smoothed(np.where(known, f, 0.0), sigma) / share for f in fields]
         return np.where(share > 0.5, means, np.nan)
 
     def beginning(self, domain: Domain, offset: Array, covariance: Array) -> Array:
@@ -125,6 +121,24 @@ class Planes:
         height = self.height + np.maximum(of_h, 0.0) + left + covariance[2, 2]
         columns = h + middle + offset[2], a, b, slope, height
         return np.ascontiguousarray(np.stack(columns, axis=-1).reshape(n * n, 5))
+
+
+def smoothed(field: Array, sigma: Array) -> Array:
+    """(ny, nx) weighed by a normal distribution of deviations (2,) along y and x, steps; 0 beyond
+    the field. A wide one by Fourier transforms: a filter's time goes with its width."""
+    if sigma.max() < WIDE:
+        from scipy.ndimage import gaussian_filter
+
+        return np.asarray(gaussian_filter(field, sigma, mode="constant", truncate=FAR))
+    from scipy.signal import fftconvolve
+
+    for axis, n in enumerate(field.shape):
+        reach = int(FAR * sigma[axis] + 0.5)
+        weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma[axis]) ** 2)
+        weights /= weights.sum()
+        weights = weights[max(reach - n, 0) :][: 2 * n + 1]  # what lies farther meets nothing
+        field = fftconvolve(field, np.expand_dims(weights, 1 - axis), "same", axis)
+    return field
 
 
 def _planes(
