@@ -14,12 +14,13 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from arducopter import CONFIG, FAULTS, HEIGHT_M, Copter, bound, main
+from scipy.spatial.transform import Rotation
 
 from quadtree_lss.onboard.autopilot.frames import SWAP
 from quadtree_lss.onboard.autopilot.link import (
@@ -35,10 +36,16 @@ from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternio
 
 HOME, METRES_PER_DEG = (47.397742, 8.545594, 489.4), 111_194.9
 TAKE_OFF, HOLD = 4 << 16 | 2 << 24, 4 << 16 | 3 << 24
-TRUTH, TURN, ORIGIN, REQUEST = 115, 31, 49, 512
-TRUTH_HZ = 100.0
-BENCH = {"MIS_TAKEOFF_ALT": HEIGHT_M, "COM_RC_IN_MODE": 1, "SDLOG_BACKEND": 0, "NAV_DLL_ACT": 0}
-"""The pilot has a joystick at the ground station."""
+TRUTH, TURN, TRUTH_HZ = 115, 31, 100.0
+FIX_HZ, FIX_M, FIX_RAD = 30.0, 0.02, 0.01
+BENCH = {
+    "MIS_TAKEOFF_ALT": HEIGHT_M, "COM_RC_IN_MODE": 1, "SDLOG_BACKEND": 0,
+    "EKF2_EV_CTRL": 11, "EKF2_GPS_CTRL": 0, "EKF2_HGT_REF": 3, "EKF2_MAG_TYPE": 5,
+    "EKF2_ACC_NOISE": 1.0, "EKF2_GYR_NOISE": 0.1,
+    "EKF2_EVP_NOISE": FIX_M, "EKF2_EVA_NOISE": 0.05, "SENS_EN_GPSSIM": 0, "SYS_HAS_GPS": 0,
+    "SYS_HAS_MAG": 0,
+}  # fmt: skip
+"""The pilot has a joystick at the ground station; place and heading come from without."""
 WITHOUT = ("wind of 8 m/s", "GPS 11 m off for 4 s")
 """Faults that its simulator does not have."""
 
@@ -66,7 +73,9 @@ class Px4(Copter):
         values |= {name: str(value) for name, value in BENCH.items()}
         env = {**os.environ, "PX4_SIM_MODEL": "sihsim_quadx"}
         env |= {f"PX4_PARAM_{name}": value for name, value in values.items()}
-        self._system, self._beat, self._turn = instance + 1, 0.0, np.full(4, np.nan)
+        self._system, self._turn = instance + 1, np.full(4, np.nan)
+        self._beat = self._shown = 0.0
+        self._noise = np.random.default_rng(instance)
         build = Path(binary).resolve()
         return subprocess.Popen(
             [build / "bin" / "px4", "-d", "-i", str(instance), build / "etc"],
@@ -119,22 +128,31 @@ class Px4(Copter):
                 self._turn = np.array(message.attitude_quaternion)
                 place = 1e-7 * message.lat, 1e-7 * message.lon, 1e-3 * message.alt
                 self._place = (self.now, place)
+                if self.now - self._shown >= 1.0 / FIX_HZ:
+                    self._shown = self.now
+                    self._fix()
+
+    def _fix(self) -> None:
+        """What it has instead of GPS and compass, as a camera or two antennas would tell."""
+        _, place, turn = self.truth()
+        north_east_down = SWAP @ place + FIX_M * self._noise.standard_normal(3)
+        angles = Rotation.from_matrix(SWAP @ turn).as_euler("ZYX")[::-1]
+        covariance = np.zeros((6, 6))
+        covariance[np.diag_indices(6)] = np.repeat((FIX_M**2, FIX_RAD**2), 3)
+        sent = *north_east_down, *(angles + FIX_RAD * self._noise.standard_normal(3))
+        upper = covariance[np.triu_indices(6)]
+        self._truth.mav.vision_position_estimate_send(round(1e6 * self.now), *sent, upper)
 
     def _steer(self) -> None:
         self._ground.mav.manual_control_send(self._system, 0, 0, 500, 0, 0)
         if time.monotonic() > self._beat:
             self._beat = time.monotonic() + 1.0
             self._ground.mav.heartbeat_send(6, 8, 0, 0, 0)
-            self.command(REQUEST, ORIGIN)
+            begin = round(1e7 * HOME[0]), round(1e7 * HOME[1]), 0
+            self._ground.mav.set_gps_global_origin_send(self._system, *begin)
             for number in (TRUTH, TURN):
                 values = (number, 1e6 / TRUTH_HZ, *[0.0] * 5)
                 self._truth.mav.command_long_send(self._system, 1, SET_INTERVAL, 0, *values)
-
-    def _hear(self, message: Any) -> None:
-        super()._hear(message)
-        if message.get_type() == "GPS_GLOBAL_ORIGIN":
-            place = 1e-7 * message.latitude, 1e-7 * message.longitude, 1e-3 * message.altitude
-            self.origin = self._metres(*place)
 
 
 if __name__ == "__main__":

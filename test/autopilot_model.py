@@ -11,13 +11,14 @@ import time
 
 import numpy as np
 
-from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PLACE_ALONE, PX4, dialect
+from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PLACE_ALONE, PX4, SINKS, dialect
 
 LOITER, LAND = 5, 9
 PX4_HOLD, PX4_LAND = 4 << 16 | 3 << 24, 4 << 16 | 6 << 24
 STEP_S = 0.01
 PLND_TIMEOUT_S, PLND_BETWEEN_S, PLND_INIT_S = 2.0, 0.5, 2.0
 OFFBOARD_LOSS_S, OFFBOARD_PROOF_S = 0.5, 1.0
+LNDMC_Z_VEL_MAX = 0.25
 LAND_SPEED = 1.0
 
 
@@ -84,7 +85,7 @@ class Autopilot(threading.Thread):
         self.boot = time.time() - 12345.0
         self.goal = self.position.copy()
         self.port = free_port()
-        self._rates = {}
+        self._rates, self._sink = {}, 0.0
         self._end = threading.Event()
         self._lock = threading.Lock()
 
@@ -131,7 +132,10 @@ class Autopilot(threading.Thread):
                     if steps % 2 == 0 and not self.frozen:
                         pending.append((now + self.delay, self._poses(base + steps * STEP_S)))
                     if steps % 20 == 0 and 245 in self._rates:
-                        pending.append((now, [("extended_sys_state", (0, 1 + (not self._down)))]))
+                        # PX4 looks for the ground only while it is to go down.
+                        finds = self.kind == ARDUPILOT or self._sink >= 1.1 * LNDMC_Z_VEL_MAX
+                        state = 1 if self._down and (finds or not self.armed) else 2
+                        pending.append((now, [("extended_sys_state", (0, state))]))
                     if steps % 50 == 0:
                         bits = 1 | 128 * self.armed
                         beat = (2, self.kind, bits, self.mode, 4)
@@ -207,9 +211,11 @@ class Autopilot(threading.Thread):
 
     def _on_point(self, message, now):
         place = np.array([message.x, message.y, message.z])
-        good = message.coordinate_frame == 1 and message.type_mask == PLACE_ALONE
+        sinks = self.kind == PX4 and message.type_mask == SINKS and message.vz > 0.0
+        good = message.coordinate_frame == 1 and (sinks or message.type_mask == PLACE_ALONE)
         assert good and np.isfinite(place).all(), "neither of the two takes this"
         self.points.append((now, place))
+        self._sink = message.vz if sinks else 0.0
         if self.mode == FOLLOWS[self.kind]:
             self.goal = place
 

@@ -375,7 +375,7 @@ class Vehicle:
         order = self.landing.step(seen)
         if order.point is not None:
             assert np.isfinite(order.point).all()
-            link.fly_to(order.point)
+            link.fly_to(order.point, order.sink)
         link.show_target(target.place, nav)
         link.tell(order.text, warn=False)
 

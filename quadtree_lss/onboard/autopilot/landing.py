@@ -111,12 +111,14 @@ class Seen(NamedTuple):
 class Order:
     """What to do, one of `STATES`, and why. ``point``: (3,) set-point in the map, m; None: nothing
     is to be commanded. ``target``: the one that landing goes by; None while landing anywhere is out
-    of the question."""
+    of the question. ``sink``: how fast it comes down to the ground and presses on it, else 0, m/s.
+    """
 
     state: str
     text: str
     point: Array | None
     target: Target | None
+    sink: float = 0.0
 
 
 class Landing:
@@ -162,7 +164,7 @@ class Landing:
         if self.state == TOUCHDOWN and not self._left:  # it goes on pressing on the ground
             if seen.landed:  # where a newer pose may show it
                 self._point = seen.position - (0.0, 0.0, THROUGH_M)
-            return Order(TOUCHDOWN, self._text, self._point, None)
+            return Order(TOUCHDOWN, self._text, self._point, None, self._config.touchdown_speed)
         if self.state in (PILOT, TOUCHDOWN):
             if seen.landed or seen.pose_age > POSE_S:  # to stay where it was once seen is to fly
                 old = f"the pose is {seen.pose_age:.1f} s old"
@@ -176,11 +178,10 @@ class Landing:
         target, why = self._usable(seen)
         self._decide(seen, target, why)
         point = seen.position.copy() if self._point is None else self._point
-        if seen.pose_age <= POSE_S:
-            self._move(point, seen, target, dt)
+        sink = self._move(point, seen, target, dt) if seen.pose_age <= POSE_S else 0.0
         self._point = point
         target = None if self.state == GIVE_UP or seen.pose_age > POSE_S else target
-        return Order(self.state, self._text, point.copy(), target)
+        return Order(self.state, self._text, point.copy(), target, sink)
 
     def _leave(self, seen: Seen) -> None:
         """Somebody else flies, or nobody does any more."""
@@ -281,9 +282,10 @@ class Landing:
             self._begin(GIVE_UP, f"pilot, take over: {why}", seen.now)
             self._point = None if seen.pose_age <= POSE_S else self._point
 
-    def _move(self, point: Array, seen: Seen, target: Target | None, dt: float) -> None:
-        """The set-point moves to the state's goal, at its speed and not too far ahead."""
-        config, position = self._config, seen.position
+    def _move(self, point: Array, seen: Seen, target: Target | None, dt: float) -> float:
+        """The set-point moves to the state's goal, at its speed and not too far ahead; `Order`'s
+        ``sink``."""
+        config, position, sink = self._config, seen.position, 0.0
         goal, across, down = point.copy(), config.transit_speed, config.transit_speed
         if self.state in (WAVE_OFF, CLIMB, GIVE_UP):
             goal[2] = max(point[2], self._gate_z)
@@ -295,6 +297,7 @@ class Landing:
             if self.state == COMMIT:
                 down, floor = config.touchdown_speed, target.place[2] - THROUGH_M
             beside = np.hypot(*(target.place - position)[:2]) > OFFSET_M
+            sink = down if self.state == COMMIT and not beside else 0.0
             goal = np.append(target.place[:2], position[2] if beside else floor)
         way = goal - point
         for part, speed in ((slice(0, 2), across), (slice(2, 3), down)):
@@ -306,3 +309,4 @@ class Landing:
             length = float(np.linalg.norm(ahead))
             if length > most and self.state not in (WAIT, HOLD):
                 point[part] = position[part] + ahead * (most / length)
+        return sink

@@ -42,6 +42,8 @@ STREAMS = {ARDUPILOT: (POSITION, ATTITUDE), PX4: (ODOMETRY,)}
 POSE_HZ, STATE_HZ = 50.0, 5.0
 PLACE_ALONE = 0b0000_1101_1111_1000
 """Type mask of a set-point that is a place: no velocity, acceleration, yaw or rate of it."""
+SINKS = PLACE_ALONE ^ 0b10_0000
+"""The same with a speed down, without which PX4 does not look for the ground."""
 LOCAL_NED, BODY_FRD = 1, 12
 BAUD = 921600
 """Of a serial device, where its connection names no other."""
@@ -152,11 +154,11 @@ class Link:
                 self._command(SET_INTERVAL, EXTENDED, 1e6 / STATE_HZ)
         return navs
 
-    def fly_to(self, point: Array) -> None:
-        """A set-point: a place in the map."""
-        north, east, down = enu(point)
-        to, nothing = (0, self._system, 1, LOCAL_NED, PLACE_ALONE), (0.0,) * 8
-        self._say("set_position_target_local_ned", *to, north, east, down, *nothing)
+    def fly_to(self, point: Array, sink: float = 0.0) -> None:
+        """A set-point: a place in the map; ``sink``: how fast it goes down to the ground, m/s."""
+        mask = SINKS if sink and self.kind == PX4 else PLACE_ALONE
+        to, speed, nothing = (0, self._system, 1, LOCAL_NED, mask), (0.0, 0.0, sink), (0.0,) * 5
+        self._say("set_position_target_local_ned", *to, *enu(point), *speed, *nothing)
 
     def show_target(self, place: Array, nav: Nav) -> None:
         """LANDING_TARGET, for the autopilot's own precision landing if it takes over."""

@@ -176,7 +176,7 @@ class AutopilotNode(BaseNode):
         order = self._landing.step(seen)
         fresh = seen.heartbeat_age <= HEARTBEAT_S and seen.pose_age <= POSE_S
         if order.point is not None:
-            link.fly_to(order.point)
+            link.fly_to(order.point, order.sink)
         elif link.kind == PX4 and fresh and order.state == PILOT:
             link.fly_to(nav.position)  # without a stream it does not go into offboard
         if order.target is not None:
