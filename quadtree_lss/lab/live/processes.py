@@ -232,12 +232,12 @@ class NodeProcess:
             msg = f"{self.name} ended with exit code {code}: {said}"
             raise ProcessError(msg)
 
-    def stop(self, signal_number: int = signal.SIGINT) -> int:
+    def stop(self, signal_number: int = signal.SIGINT, timeout: float = 15.0) -> int:
         """Asks it to end, kills it if it does not, or if we are interrupted; its exit code."""
         try:
             self.process.send_signal(signal_number)
             with suppress(subprocess.TimeoutExpired):
-                self.process.wait(15.0)
+                self.process.wait(timeout)
         finally:
             self.process.kill()
             code = self.process.wait()
