@@ -45,6 +45,8 @@ class Flight:
             *self.seen, self.jump, target, self.why,
         )  # fmt: skip
         self.order = self.landing.step(seen)
+        # Where it is to sink, PX4 may take it for landed and stop its motors.
+        assert not self.order.sink or self.order.state in (COMMIT, TOUCHDOWN)
         if not self.states or self.states[-1] != self.order.state:
             self.states.append(self.order.state)
         if self.order.point is not None:
@@ -91,7 +93,9 @@ def test_the_whole_way_down():
     assert flight.now - began == pytest.approx(took, abs=2.5)
     flight.until(below(1.0)).on(0.5)
     assert flight.velocity[2] == pytest.approx(-CONFIG.touchdown_speed, rel=0.3)
+    assert flight.order.sink == CONFIG.touchdown_speed
     flight.until(in_state(TOUCHDOWN))
+    assert flight.on(0.1).order.sink == CONFIG.touchdown_speed, "until it stops its motors"
     assert flight.states == [TRANSIT, DESCEND, COMMIT, TOUCHDOWN]
     assert np.hypot(*flight.position[:2]) < 0.02
     assert flight.order.point[2] < GROUND, "it goes on pressing on the ground"
