@@ -81,7 +81,6 @@ class Copter:
         texts: What it said.
         now: The simulator's time, s.
         behind: The computer was too busy to hear its places as they came: the last is not of now.
-        origin: (3,) of the map's axes from where the true places count, m.
     """
 
     def __init__(
@@ -92,7 +91,7 @@ class Copter:
         self._system, self.mode, self.armed, self.texts = 1, -1, False, []
         self._values: dict[str, float] = {}
         self.cut, self.lost, self.delay = False, False, 0.0
-        self.behind, self.origin = False, np.zeros(3)
+        self.behind = False
         self.now, self._said, self._steps, self._clocked = 0.0, 0.0, 0, 0.0
         self._tell = tell
         self._late: list[tuple[float, bytes]] = []
@@ -408,7 +407,6 @@ class Flight:
         return self._stack.enter_context(NodeProcess(name, self._args, self._env, log))
 
     def _say_keep_out(self, corners: np.ndarray) -> None:
-        corners = corners - self.copter.origin[:2]
         self._forbid.publish(self._make.polygon(_stamp(self.copter.now), corners))
 
     def _tick(self) -> tuple[np.ndarray, float]:
@@ -432,7 +430,7 @@ class Flight:
         if selected is not None:
             at = selected.pose.pose.position
             if not math.isnan(at.x):
-                self._target = np.array([at.x, at.y, at.z]) + self.copter.origin
+                self._target = np.array([at.x, at.y, at.z])
         return place, float(np.linalg.norm(place - before[1])) / span
 
     @property

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Landings with PX4, software in the loop, by its own simulator SIH: as with ArduCopter.
 
-``PX4`` names the folder of a build of ``px4_sitl``; without it nothing is flown. GPS errs by 0.2 m
-there, anew in each fix, and PX4's local frame begins where its first fixes put the vehicle. The
-pilot takes off, holds and switches to offboard.
+``PX4`` names the folder of a build of ``px4_sitl``; without it nothing is flown. By the simulator's
+GPS and compass PX4 errs by decimetres and ten degrees, so the stand gives it place and heading,
+with errors of ``FIX_M`` and ``FIX_RAD``. The pilot takes off, holds and switches to offboard.
 """
 
 from __future__ import annotations
