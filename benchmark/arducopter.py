@@ -441,7 +441,8 @@ class Flight:
 
     def _take_off(self) -> bool:
         """By the pilot's sticks in loiter, to a hover; then guided."""
-        copter, asked, end = self.copter, 0.0, time.monotonic() + LONGEST_START_S
+        copter, asked, over = self.copter, 0.0, False
+        end = time.monotonic() + LONGEST_START_S
         while copter.now < START_S and time.monotonic() < end:
             place, speed = self._tick()
             if not copter.armed:
@@ -453,14 +454,16 @@ class Flight:
                 copter.pace(self._pace)  # until here, nothing happens
                 self.nodes = {name: self._start(name) for name in NODES}
                 self._say_keep_out(np.zeros((0, 2)))
+            elif over:  # its heartbeat says so when it already moves
+                if copter.hand_over():
+                    return True
             elif place[2] < HEIGHT_M - 1.5:
                 copter.climb()
             else:
                 copter.stay()
                 if self.landing.fault == "wind of 8 m/s":
                     copter.wind(self._heading)
-                if speed < 0.3 and np.isfinite(self._target).all() and copter.hand_over():
-                    return True
+                over = speed < 0.3 and bool(np.isfinite(self._target).all())
         if copter.armed and copter.truth()[1][2] >= HEIGHT_M - 1.5:
             self.landing.outcome = "no target"
         return False

@@ -114,7 +114,7 @@ class Px4(Copter):
         self._switch(HOLD)
 
     def pace(self, seconds: float) -> None:
-        """Its own, as it was started."""
+        """Its own, of ``PX4_SIM_SPEED_FACTOR``."""
 
     def _switch(self, mode: int) -> None:
         self.command(DO_SET_MODE, CUSTOM_MODE, mode >> 16 & 0xFF, mode >> 24)
