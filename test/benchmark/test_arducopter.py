@@ -125,6 +125,26 @@ def test_a_vehicle_that_hovers_in_vain_had_no_target(tmp_path):
         assert flight.landing.outcome == outcome
 
 
+def test_a_pilot_sees_that_he_has_handed_over_wherever_it_flies_then(tmp_path, monkeypatch):
+    """The mode comes with a heartbeat. Who missed it, took off again after the landing."""
+    flight = arducopter.Flight("", 5, "", tmp_path)
+    copter = arducopter.Copter.__new__(arducopter.Copter)
+    copter.now, copter.armed, copter.mode = 0.0, True, arducopter.LOITER
+    monkeypatch.setattr(copter, "_switch", lambda mode: None, raising=False)
+    monkeypatch.setattr(copter, "_sticks", [1500] * 4, raising=False)
+    flight.copter, flight.nodes, flight._target = copter, {"": None}, np.zeros(3)
+
+    def tick():
+        copter.now += 1.0
+        if copter.now == 3.0:
+            copter.mode = arducopter.GUIDED
+        high = np.array([0.0, 0.0, arducopter.HEIGHT_M - 2.0 * max(copter.now - 1.0, 0.0)])
+        return high, max(copter.now - 1.0, 0.0)
+
+    monkeypatch.setattr(flight, "_tick", tick)
+    assert flight._take_off()
+
+
 def test_recorded_flights_are_not_flown_again(tmp_path, monkeypatch, capsys):
     """Nor do flights of other seeds and faults count."""
     monkeypatch.setenv("ARDUCOPTER", str(tmp_path / "none"))
