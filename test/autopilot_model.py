@@ -86,6 +86,7 @@ class Autopilot(threading.Thread):
         self.goal = self.position.copy()
         self.port = free_port()
         self._rates, self._sink = {}, 0.0
+        self._landed = self._down
         self._end = threading.Event()
         self._lock = threading.Lock()
 
@@ -134,8 +135,9 @@ class Autopilot(threading.Thread):
                     if steps % 20 == 0 and 245 in self._rates:
                         # PX4 looks for the ground only while it is to go down.
                         finds = self.kind == ARDUPILOT or self._sink >= 1.1 * LNDMC_Z_VEL_MAX
-                        state = 1 if self._down and (finds or not self.armed) else 2
-                        pending.append((now, [("extended_sys_state", (0, state))]))
+                        self._landed |= finds or not self.armed
+                        self._landed &= self._down
+                        pending.append((now, [("extended_sys_state", (0, 2 - self._landed))]))
                     if steps % 50 == 0:
                         bits = 1 | 128 * self.armed
                         beat = (2, self.kind, bits, self.mode, 4)
@@ -218,6 +220,8 @@ class Autopilot(threading.Thread):
         self._sink = message.vz if sinks else 0.0
         if self.mode == FOLLOWS[self.kind]:
             self.goal = place
+            # PX4 takes off for what is not below it; its noise sees to the rest.
+            self._landed &= self.kind == ARDUPILOT or place[2] > self.position[2]
 
     def _on_target(self, message, now):
         vector = np.array([message.x, message.y, message.z])

@@ -199,6 +199,15 @@ def test_the_pilots_switch_and_a_jump_of_navigation(scene):
     assert model.landed_at is None
 
 
+def test_px4_that_is_armed_on_the_ground_stays_there(scene):
+    """Also while it has not said yet that it is there."""
+    flight = scene(PX4, place=(0.0, 0.0, 0.0))
+    flight.model.deaf = 1
+    flight.handed_over()
+    flight.listener.wait_for(lambda: False, timeout=2.0)
+    assert flight.states == ["pilot"] and flight.model.enu[2] < 0.1, flight.node.output()
+
+
 def test_all_ages_go_by_the_simulators_time_where_that_is_used(scene):
     """A simulator of a quarter of real time: two seconds of silence are half a second."""
     flight = scene(place=(0.0, 0.0, 5.5), pace=0.25)

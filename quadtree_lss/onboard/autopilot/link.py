@@ -76,9 +76,10 @@ class Link:
 
     ``clock`` is this computer's time, ns, which poses are stamped by; ``now`` a steady one, s, of
     what is due, and of ``heard``: when the last heartbeat came. ``kind`` is ``ARDUPILOT``, ``PX4``
-    or None before the first. ``heard_of`` counts messages that told a ``pose``, ``half`` of one,
-    the vehicle's ``state``, or nothing: those that were ``passed_over``, of others or without a
-    meaning here; ``refused`` those that could not be used, by reason. Together these are all.
+    or None before the first, and ``landed`` is None until it says. ``heard_of`` counts messages
+    that told a ``pose``, ``half`` of one, the vehicle's ``state``, or nothing: those that were
+    ``passed_over``, of others or without a meaning here; ``refused`` those that could not be used,
+    by reason. Together these are all.
     Raises `ConfigError`: no pymavlink, or what is no connection; `QuadtreeLssError`: it cannot be
     opened at present.
     """
@@ -105,7 +106,8 @@ class Link:
             raise (QuadtreeLssError if later else ConfigError)(msg) from None
         self._clock, self._now = clock, now
         self.kind: int | None = None
-        self.mode, self.armed, self.landed = -1, False, False
+        self.mode, self.armed = -1, False
+        self.landed: bool | None = None
         self.heard = -np.inf
         self.remote = RemoteClock()
         self.heard_of: Counter[str] = Counter()
@@ -246,7 +248,9 @@ class Link:
             self.remote.add(message.ts1, message.tc1, self._clock())
             return "state"
         if number == EXTENDED:
-            self.landed, self._last_state = message.landed_state == ON_GROUND, self._now()
+            self._last_state = self._now()
+            if message.landed_state:  # 0: it does not know
+                self.landed = message.landed_state == ON_GROUND
             return "state"
         if number == ODOMETRY and message.frame_id == LOCAL_NED:
             return self._on_odometry(message)

@@ -26,6 +26,7 @@ from quadtree_lss.onboard.autopilot.landing import (
     HOLD,
     PILOT,
     POSE_S,
+    THROUGH_M,
     TOUCHDOWN,
     WAVE_OFF,
     Landing,
@@ -160,10 +161,9 @@ class AutopilotNode(BaseNode):
 
     def _step(self) -> None:
         now, link, nav = self._now(), self._link, self._nav
-        waits_for(self._lacks())
-        if nav is None:
-            text = "no heartbeat yet" if link.kind is None else "no pose of the autopilot yet"
-            self._tell(Order(PILOT, text, None, None))
+        waits_for(lack := self._lacks())
+        if nav is None or link.landed is None:
+            self._tell(Order(PILOT, f"waiting for {lack}", None, None))
             return
         pose_age = 1e-9 * (self._clock_ns() - nav.stamp_ns)
         target, why = self._target(now)
@@ -178,7 +178,8 @@ class AutopilotNode(BaseNode):
         if order.point is not None:
             link.fly_to(order.point, order.sink)
         elif link.kind == PX4 and fresh and order.state == PILOT:
-            link.fly_to(nav.position)  # without a stream it does not go into offboard
+            # Without a stream it does not go into offboard; and takes off for what is not below it.
+            link.fly_to(nav.position - (0.0, 0.0, THROUGH_M * link.landed))
         if order.target is not None:
             link.show_target(order.target.place, nav)
         may = self._config.autopilot.may_command
@@ -195,6 +196,8 @@ class AutopilotNode(BaseNode):
             return f"the heartbeat of an autopilot on {connection}"
         if self._nav is None:
             return "a pose of the autopilot"
+        if self._link.landed is None:
+            return "EXTENDED_SYS_STATE of the autopilot: whether it is on the ground"
         if self._selected is None or self._status is None:
             return f"{SELECTED} and {STATUS} (publishers known: {self._sources.number})"
         return ""
