@@ -30,7 +30,7 @@ FAST = {"gate_height": 5.0, "descent_speed": 1.5, "touchdown_speed": 0.5, "trans
 class Scene:
     """A model in the air, the node, and a stand-in for lss_node that speaks when it is stepped."""
 
-    def __init__(self, ros, listener, model, **parameters):
+    def __init__(self, ros, listener, model, remap=(), **parameters):
         self.model, self.listener = model, listener
         self.place, self.map_age, self.silent = (0.0, 0.0, 0.0), 0.2, False
         self.says = State.HOLDS
@@ -44,6 +44,7 @@ class Scene:
         node.create_subscription(Odometry, "nav/odometry", self.odometry.append, every)
         given = {"connection": model.connection, **FAST, **parameters}
         options = [o for k, v in given.items() for o in ("-p", f"autopilot.{k}:={v}")]
+        options += [o for rule in remap for o in ("-r", rule)]
         if model.pace != 1.0:
             clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
             began = time.time()
@@ -206,6 +207,17 @@ def test_px4_that_is_armed_on_the_ground_stays_there(scene):
     flight.handed_over()
     flight.listener.wait_for(lambda: False, timeout=2.0)
     assert flight.states == ["pilot"] and flight.model.enu[2] < 0.1, flight.node.output()
+
+
+def test_guidances_area_is_not_replaced_whatever_its_topic_is_called(scene):
+    flight = scene(place=(0.0, 0.0, 4.5), remap=["landing/area:=gnc/area"])
+    node, heard = flight.listener.node, []
+    guidance = node.create_publisher(PolygonStamped, "gnc/area", latched())
+    node.create_subscription(PolygonStamped, "gnc/area", heard.append, latched())
+    flight.wait(lambda: guidance.get_subscription_count() and node.count_publishers("gnc/area") > 1)
+    flight.listener.wait_for(lambda: False, timeout=1.0)  # the node knows of it, too
+    flight.handed_over().until("descend")
+    assert not heard
 
 
 def test_all_ages_go_by_the_simulators_time_where_that_is_used(scene):

@@ -212,7 +212,7 @@ class AutopilotNode(BaseNode):
         self._link.tell(f"lss {text}", warn=warn)
         if order.point is not None:
             self._send_dispersion(nav)
-            if self._order.state == PILOT and self.count_publishers(AREA) <= 1:
+            if self._order.state == PILOT and self.count_publishers(self._area.topic_name) <= 1:
                 self._send_reach(nav)
 
     def _send_reach(self, nav: Nav) -> None:
