@@ -130,6 +130,16 @@ def test_heartbeats_of_others_are_not_the_autopilots(fly):
     assert link.mode == LOITER and not link.follows
 
 
+def test_a_time_that_begins_anew_as_a_simulators_does_holds_nothing_up():
+    now, said = [1000.0, 1000.0, 1.0, 1.0], []
+    link = Link("udpout:127.0.0.1:9", lambda: 0, lambda: now.pop(0))
+    link._port.write = said.append
+    while now:
+        link.poll()
+    link.close()
+    assert len(said) == 2, "a heartbeat at either time"
+
+
 @BOTH
 def test_nothing_is_said_in_the_name_of_a_ground_station(fly, kind):
     """ArduPilot's failsafe waits for heartbeats of system 255 once it has heard one."""
