@@ -58,6 +58,7 @@ class Autopilot(threading.Thread):
     Attributes:
         position, velocity: NED of its origin, m and m/s.
         mode, armed: As its heartbeat says.
+        takes_off: By a command of the pilot's, which a set-point would break off.
         frozen: Poses are sent no more; heartbeats are.
         cut: Nothing passes in either direction.
         delay: Of poses, s.
@@ -85,6 +86,7 @@ class Autopilot(threading.Thread):
         self.boot = time.time() - 12345.0
         self.goal = self.position.copy()
         self.port = free_port()
+        self.takes_off = False
         self._rates, self._sink = {}, 0.0
         self._landed = self._down
         self._end = threading.Event()
@@ -137,7 +139,8 @@ class Autopilot(threading.Thread):
                         finds = self.kind == ARDUPILOT or self._sink >= 1.1 * LNDMC_Z_VEL_MAX
                         self._landed |= finds or not self.armed
                         self._landed &= self._down
-                        pending.append((now, [("extended_sys_state", (0, 2 - self._landed))]))
+                        state = 3 if self.takes_off else 2 - self._landed
+                        pending.append((now, [("extended_sys_state", (0, state))]))
                     if steps % 50 == 0:
                         bits = 1 | 128 * self.armed
                         beat = (2, self.kind, bits, self.mode, 4)

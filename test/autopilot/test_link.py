@@ -184,6 +184,16 @@ def test_whether_it_is_on_the_ground_is_asked_for_until_it_is_said(fly):
     wait(link, lambda _: 245 in model._rates)
 
 
+def test_who_takes_off_in_guided_follows_no_set_points_yet(fly):
+    """ArduCopter's take-off ends with the first one: seen in its simulator, 0.15 m up."""
+    model, link = fly(ARDUPILOT)
+    model.mode, model.takes_off = FOLLOWS[ARDUPILOT], True
+    wait(link, lambda _: link.mode == model.mode and link.landed is not None)
+    assert not link.follows and not link.landed
+    model.takes_off = False
+    wait(link, lambda _: link.follows)
+
+
 def beat():
     """A heartbeat's bytes: armed, in guided."""
     says = module.dialect().mavlink.MAVLink(None, srcSystem=7, srcComponent=1)

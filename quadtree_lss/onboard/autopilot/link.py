@@ -35,7 +35,7 @@ LAND = {ARDUPILOT: 9}
 """Custom mode in which an autopilot on the ground stops its motors; PX4 needs none."""
 COPTERS = (2, 3, 4, 13, 14, 15, 29, 35)
 """MAV_TYPE of what hovers: the modes of others have other numbers."""
-ARMED, CUSTOM_MODE, ON_GROUND = 128, 1, 1
+ARMED, CUSTOM_MODE, ON_GROUND, TAKING_OFF = 128, 1, 1, 3
 DO_SET_MODE, SET_INTERVAL, ARM_DISARM = 176, 511, 400
 HEARTBEAT, ATTITUDE, POSITION, EXTENDED, ODOMETRY = 0, 31, 32, 245, 331
 STREAMS = {ARDUPILOT: (POSITION, ATTITUDE), PX4: (ODOMETRY,)}
@@ -108,6 +108,7 @@ class Link:
         self.kind: int | None = None
         self.mode, self.armed = -1, False
         self.landed: bool | None = None
+        self._takes_off = False
         self.heard = -np.inf
         self.remote = RemoteClock()
         self.heard_of: Counter[str] = Counter()
@@ -122,8 +123,9 @@ class Link:
 
     @property
     def follows(self) -> bool:
-        """Whether it is in the mode in which it flies to set-points."""
-        return self.kind is not None and self.mode == FOLLOWS[self.kind]
+        """Whether it flies to set-points by its mode, and is not taking off in that: ArduCopter
+        would break off."""
+        return self.kind is not None and self.mode == FOLLOWS[self.kind] and not self._takes_off
 
     def close(self) -> None:
         with suppress(AttributeError):  # there is none to a TCP peer that has gone
@@ -251,6 +253,7 @@ class Link:
             self._last_state = self._now()
             if message.landed_state:  # 0: it does not know
                 self.landed = message.landed_state == ON_GROUND
+                self._takes_off = message.landed_state == TAKING_OFF
             return "state"
         if number == ODOMETRY and message.frame_id == LOCAL_NED:
             return self._on_odometry(message)
