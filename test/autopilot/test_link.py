@@ -178,12 +178,6 @@ def test_a_connection_that_is_none_is_one_line():
     assert not isinstance(raised.value, ConfigError), "the node is to be started again"
 
 
-def test_whether_it_is_on_the_ground_is_asked_for_until_it_is_said(fly):
-    model, link = fly(ARDUPILOT)
-    model.deaf = 1
-    wait(link, lambda _: 245 in model._rates)
-
-
 def test_who_takes_off_in_guided_follows_no_set_points_yet(fly):
     """ArduCopter's take-off ends with the first one: seen in its simulator, 0.15 m up."""
     model, link = fly(ARDUPILOT)

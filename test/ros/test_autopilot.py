@@ -203,9 +203,9 @@ def test_the_pilots_switch_and_a_jump_of_navigation(scene):
 def test_px4_that_is_armed_on_the_ground_stays_there(scene):
     """Also while it has not said yet that it is there."""
     flight = scene(PX4, place=(0.0, 0.0, 0.0))
-    flight.model.deaf = 1
-    flight.handed_over()
-    flight.listener.wait_for(lambda: False, timeout=2.0)
+    flight.model.deaf = 1  # so that it is to be asked again
+    flight.handed_over().wait(lambda: 245 in flight.model._rates)
+    flight.listener.wait_for(lambda: False, timeout=1.0)
     assert flight.states == ["pilot"] and flight.model.enu[2] < 0.1, flight.node.output()
 
 
