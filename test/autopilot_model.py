@@ -61,6 +61,7 @@ class Autopilot(threading.Thread):
         takes_off: By a command of the pilot's, which a set-point would break off.
         frozen: Poses are sent no more; heartbeats are.
         cut: Nothing passes in either direction.
+        hears_nothing: Nothing passes to it.
         delay: Of poses, s.
         landed_at: Where it came to the ground, or None.
         points: Set-points that it took: time and NED.
@@ -86,7 +87,7 @@ class Autopilot(threading.Thread):
         self.boot = time.time() - 12345.0
         self.goal = self.position.copy()
         self.port = free_port()
-        self.takes_off = False
+        self.takes_off = self.hears_nothing = False
         self._rates, self._sink = {}, 0.0
         self._landed = self._down
         self._end = threading.Event()
@@ -127,7 +128,7 @@ class Autopilot(threading.Thread):
             self._now = now
             with self._lock:
                 while (message := self._link.recv_msg()) is not None:
-                    if not self.cut:
+                    if not (self.cut or self.hears_nothing):
                         self._take(message, now)
                 while steps * STEP_S < now:
                     self._step(steps * STEP_S)

@@ -220,6 +220,13 @@ def test_guidances_area_is_not_replaced_whatever_its_topic_is_called(scene):
     assert not heard
 
 
+def test_an_autopilot_that_is_heard_and_hears_nothing_is_a_warning(scene):
+    flight = scene()
+    flight.wait(lambda: flight.odometry).model.hears_nothing = True
+    words = "autopilot_node", (DiagnosticStatus.WARN,), "does not answer"
+    flight.wait(lambda: flight.listener.told(*words))
+
+
 def test_all_ages_go_by_the_simulators_time_where_that_is_used(scene):
     """A simulator of a quarter of real time: two seconds of silence are half a second."""
     flight = scene(place=(0.0, 0.0, 5.5), pace=0.25)

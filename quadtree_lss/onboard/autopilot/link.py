@@ -75,11 +75,11 @@ class Link:
     """One autopilot at the other end; the first that is heard is the one that counts.
 
     ``clock`` is this computer's time, ns, which poses are stamped by; ``now`` a steady one, s, of
-    what is due, and of ``heard``: when the last heartbeat came. ``kind`` is ``ARDUPILOT``, ``PX4``
-    or None before the first, and ``landed`` is None until it says. ``heard_of`` counts messages
-    that told a ``pose``, ``half`` of one, the vehicle's ``state``, or nothing: those that were
-    ``passed_over``, of others or without a meaning here; ``refused`` those that could not be used,
-    by reason. Together these are all.
+    what is due, of ``heard``, when the last heartbeat came, and of ``answered``, when the last
+    answer did. ``kind`` is ``ARDUPILOT``, ``PX4`` or None before the first, and ``landed`` is None
+    until it says. ``heard_of`` counts messages that told a ``pose``, ``half`` of one, the vehicle's
+    ``state``, or nothing: those that were ``passed_over``, of others or without a meaning here;
+    ``refused`` those that could not be used, by reason. Together these are all.
     Raises `ConfigError`: no pymavlink, or what is no connection; `QuadtreeLssError`: it cannot be
     opened at present.
     """
@@ -109,7 +109,7 @@ class Link:
         self.mode, self.armed = -1, False
         self.landed: bool | None = None
         self._takes_off = False
-        self.heard = -np.inf
+        self.heard = self.answered = -np.inf
         self.remote = RemoteClock()
         self.heard_of: Counter[str] = Counter()
         self.refused: Counter[str] = Counter()
@@ -248,6 +248,7 @@ class Link:
             return PASSED
         if message.get_type() == "TIMESYNC" and message.tc1 > 0 and message.ts1 in self._asked:
             self.remote.add(message.ts1, message.tc1, self._clock())
+            self.answered = self._now()
             return "state"
         if number == EXTENDED:
             self._last_state = self._now()

@@ -272,6 +272,8 @@ class AutopilotNode(BaseNode):
         if heard > HEARTBEAT_S:
             connection = self._config.autopilot.connection
             status.note(ERROR, f"no heartbeat of an autopilot on {connection}")
+        elif self._now() - self._link.answered > HEARTBEAT_S:
+            status.note(WARN, "the autopilot does not answer: does it hear anything?")
         if (uncertainty := self._link.remote.uncertainty_ns) is not None:
             status.add({"clock.uncertainty_ms": 1e-6 * uncertainty})
 
