@@ -209,13 +209,17 @@ def test_px4_that_is_armed_on_the_ground_stays_there(scene):
     assert flight.states == ["pilot"] and flight.model.enu[2] < 0.1, flight.node.output()
 
 
-def test_guidances_area_is_not_replaced_whatever_its_topic_is_called(scene):
-    flight = scene(place=(0.0, 0.0, 4.5), remap=["landing/area:=gnc/area"])
-    node, heard = flight.listener.node, []
-    guidance = node.create_publisher(PolygonStamped, "gnc/area", latched())
-    node.create_subscription(PolygonStamped, "gnc/area", heard.append, latched())
-    flight.wait(lambda: guidance.get_subscription_count() and node.count_publishers("gnc/area") > 1)
-    flight.listener.wait_for(lambda: False, timeout=1.0)  # the node knows of it, too
+def test_guidances_area_and_dispersion_are_not_replaced_whatever_they_are_called(scene):
+    kinds = {"gnc/area": PolygonStamped, "gnc/dispersion": PoseWithCovarianceStamped}
+    remap = [f"{name.replace('gnc', 'landing')}:={name}" for name in kinds]
+    flight, heard = scene(place=(0.0, 0.0, 4.5), remap=remap), []
+    node = flight.listener.node
+    for name, kind in kinds.items():
+        guidance = node.create_publisher(kind, name, latched())
+        node.create_subscription(kind, name, heard.append, latched())
+        flight.wait(guidance.get_subscription_count)
+        flight.wait(lambda name=name: node.count_publishers(name) > 1)
+    flight.listener.wait_for(lambda: False, timeout=1.0)  # the node knows of them, too
     flight.handed_over().until("descend")
     assert not heard
 

@@ -16,6 +16,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point32, PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.arrays import Array
@@ -211,9 +212,14 @@ class AutopilotNode(BaseNode):
             self.get_logger().info(text)
         self._link.tell(f"lss {text}", warn=warn)
         if order.point is not None:
-            self._send_dispersion(nav)
-            if self._order.state == PILOT and self.count_publishers(self._area.topic_name) <= 1:
+            if self._alone_on(self._dispersion):
+                self._send_dispersion(nav)
+            if self._order.state == PILOT and self._alone_on(self._area):
                 self._send_reach(nav)
+
+    def _alone_on(self, publisher: Publisher) -> bool:
+        """Whether nobody else sends there, as guidance may."""
+        return bool(self.count_publishers(publisher.topic_name) <= 1)
 
     def _send_reach(self, nav: Nav) -> None:
         message = PolygonStamped(header=header_message(nav.stamp_ns, self._frame))
