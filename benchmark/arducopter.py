@@ -83,6 +83,9 @@ class Copter:
         behind: The computer was too busy to hear its places as they came: the last is not of now.
     """
 
+    FOLLOWS = GUIDED
+    """The mode in which it follows set-points."""
+
     def __init__(
         self, binary: str, folder: Path, heading: float, tell: Callable[[float], None]
     ) -> None:
@@ -188,10 +191,9 @@ class Copter:
         """He hovers."""
         self._sticks[2] = 1500
 
-    def hand_over(self) -> bool:
-        """He switches to the mode that follows set-points: whether it is in it."""
-        self._switch(GUIDED)
-        return self.mode == GUIDED
+    def hand_over(self) -> None:
+        """He switches to the mode that follows set-points."""
+        self._switch(self.FOLLOWS)
 
     def take_back(self) -> None:
         """He flies."""
@@ -441,10 +443,11 @@ class Flight:
 
     def _take_off(self) -> bool:
         """By the pilot's sticks in loiter, to a hover; then guided."""
-        copter, asked, over = self.copter, 0.0, False
-        end = time.monotonic() + LONGEST_START_S
+        copter, asked, end = self.copter, 0.0, time.monotonic() + LONGEST_START_S
         while copter.now < START_S and time.monotonic() < end:
             place, speed = self._tick()
+            if copter.mode == copter.FOLLOWS:  # a heartbeat late: it may fly and sink by now
+                return True
             if not copter.armed:
                 if copter.now - asked > 1.0:
                     asked = copter.now
@@ -454,16 +457,14 @@ class Flight:
                 copter.pace(self._pace)  # until here, nothing happens
                 self.nodes = {name: self._start(name) for name in NODES}
                 self._say_keep_out(np.zeros((0, 2)))
-            elif over:  # its heartbeat says so when it already moves
-                if copter.hand_over():
-                    return True
             elif place[2] < HEIGHT_M - 1.5:
                 copter.climb()
             else:
                 copter.stay()
                 if self.landing.fault == "wind of 8 m/s":
                     copter.wind(self._heading)
-                over = speed < 0.3 and bool(np.isfinite(self._target).all())
+                if speed < 0.3 and np.isfinite(self._target).all():
+                    copter.hand_over()
         if copter.armed and copter.truth()[1][2] >= HEIGHT_M - 1.5:
             self.landing.outcome = "no target"
         return False

@@ -53,6 +53,8 @@ WITHOUT = ("wind of 8 m/s", "GPS 11 m off for 4 s")
 class Px4(Copter):
     """The build, with all that a `Copter` has."""
 
+    FOLLOWS = FOLLOWS[PX4]
+
     def _launch(
         self, binary: str, folder: Path, heading: float, output: BinaryIO
     ) -> subprocess.Popen[bytes]:
@@ -103,11 +105,6 @@ class Px4(Copter):
 
     def stay(self) -> None:
         """It does so by itself."""
-
-    def hand_over(self) -> bool:
-        """To offboard."""
-        self._switch(FOLLOWS[PX4])
-        return self.mode == FOLLOWS[PX4]
 
     def take_back(self) -> None:
         """To hold."""

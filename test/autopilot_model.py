@@ -58,8 +58,10 @@ class Autopilot(threading.Thread):
     Attributes:
         position, velocity: NED of its origin, m and m/s.
         mode, armed: As its heartbeat says.
+        takes_off: By a command of the pilot's, which a set-point would break off.
         frozen: Poses are sent no more; heartbeats are.
         cut: Nothing passes in either direction.
+        hears_nothing: Nothing passes to it.
         delay: Of poses, s.
         landed_at: Where it came to the ground, or None.
         points: Set-points that it took: time and NED.
@@ -85,7 +87,9 @@ class Autopilot(threading.Thread):
         self.boot = time.time() - 12345.0
         self.goal = self.position.copy()
         self.port = free_port()
+        self.takes_off = self.hears_nothing = False
         self._rates, self._sink = {}, 0.0
+        self._landed = self._down
         self._end = threading.Event()
         self._lock = threading.Lock()
 
@@ -124,7 +128,7 @@ class Autopilot(threading.Thread):
             self._now = now
             with self._lock:
                 while (message := self._link.recv_msg()) is not None:
-                    if not self.cut:
+                    if not (self.cut or self.hears_nothing):
                         self._take(message, now)
                 while steps * STEP_S < now:
                     self._step(steps * STEP_S)
@@ -134,7 +138,9 @@ class Autopilot(threading.Thread):
                     if steps % 20 == 0 and 245 in self._rates:
                         # PX4 looks for the ground only while it is to go down.
                         finds = self.kind == ARDUPILOT or self._sink >= 1.1 * LNDMC_Z_VEL_MAX
-                        state = 1 if self._down and (finds or not self.armed) else 2
+                        self._landed |= finds or not self.armed
+                        self._landed &= self._down
+                        state = 3 if self.takes_off else 2 - self._landed
                         pending.append((now, [("extended_sys_state", (0, state))]))
                     if steps % 50 == 0:
                         bits = 1 | 128 * self.armed
@@ -218,6 +224,8 @@ class Autopilot(threading.Thread):
         self._sink = message.vz if sinks else 0.0
         if self.mode == FOLLOWS[self.kind]:
             self.goal = place
+            # PX4 takes off for what is not below it; its noise sees to the rest.
+            self._landed &= self.kind == ARDUPILOT or place[2] > self.position[2]
 
     def _on_target(self, message, now):
         vector = np.array([message.x, message.y, message.z])

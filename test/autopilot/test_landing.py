@@ -196,6 +196,18 @@ def test_whoever_came_down_without_a_link_or_a_pose_stays_down():
     assert flight.order.state == TOUCHDOWN and flight.order.point[2] < GROUND
 
 
+@pytest.mark.parametrize("fault", [{"target": None}, {"jump": landing.JUMP_M + 0.1}])
+def test_whoever_touches_the_ground_as_it_is_waved_off_stays_there(fault):
+    """ArduCopter does not lift off by a set-point; it would stand there with its motors on."""
+    flight = Flight().until(below(0.05))
+    for name, value in fault.items():
+        setattr(flight, name, value)
+    flight.step()
+    assert flight.order.state in (WAVE_OFF, GIVE_UP)
+    flight.position[2], flight.velocity[:], flight.jump = GROUND, 0.0, 0.0
+    assert flight.on(2.0).order.state == TOUCHDOWN and flight.height == 0.0
+
+
 def test_without_heartbeats_nothing_is_commanded_and_then_it_climbs():
     flight = Flight().until(below(4.0))
     flight.heartbeat_age = landing.HEARTBEAT_S + 0.1

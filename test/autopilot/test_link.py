@@ -130,6 +130,16 @@ def test_heartbeats_of_others_are_not_the_autopilots(fly):
     assert link.mode == LOITER and not link.follows
 
 
+def test_a_time_that_begins_anew_as_a_simulators_does_holds_nothing_up():
+    now, said = [1000.0, 1000.0, 1.0, 1.0], []
+    link = Link("udpout:127.0.0.1:9", lambda: 0, lambda: now.pop(0))
+    link._port.write = said.append
+    while now:
+        link.poll()
+    link.close()
+    assert len(said) == 2, "a heartbeat at either time"
+
+
 @BOTH
 def test_nothing_is_said_in_the_name_of_a_ground_station(fly, kind):
     """ArduPilot's failsafe waits for heartbeats of system 255 once it has heard one."""
@@ -168,10 +178,14 @@ def test_a_connection_that_is_none_is_one_line():
     assert not isinstance(raised.value, ConfigError), "the node is to be started again"
 
 
-def test_whether_it_is_on_the_ground_is_asked_for_until_it_is_said(fly):
+def test_who_takes_off_in_guided_follows_no_set_points_yet(fly):
+    """ArduCopter's take-off ends with the first one: seen in its simulator, 0.15 m up."""
     model, link = fly(ARDUPILOT)
-    model.deaf = 1
-    wait(link, lambda _: 245 in model._rates)
+    model.mode, model.takes_off = FOLLOWS[ARDUPILOT], True
+    wait(link, lambda _: link.mode == model.mode and link.landed is not None)
+    assert not link.follows and not link.landed
+    model.takes_off = False
+    wait(link, lambda _: link.follows)
 
 
 def beat():

@@ -10,6 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from installed import PREFIX, SHARE
@@ -20,7 +21,6 @@ from quadtree_lss.onboard.messages.outputs import TOPIC_TYPES
 
 LAUNCH = SHARE / "launch" / "quadtree_lss.launch.py"
 CONTENT = "/**:\n  ros__parameters:\n    lss.margin: 1.0\n"
-INPUTS = ("lidar/points", "lidar/gimbal", "nav/pose", "landing/area", "landing/keep_out")
 
 
 @pytest.fixture
@@ -100,15 +100,15 @@ def test_a_file_that_may_not_be_read_stops_the_launch(make, tmp_path):
 
 
 def test_every_topic_may_be_named(make):
-    topics = {*TOPIC_TYPES, *INPUTS, "landing/target", "landing/autopilot"}
-    given = {topic.replace("/", "_"): f"/vehicle/{topic}" for topic in topics}
+    """Those of the SROS 2 policy, which a test compares with the running nodes."""
+    used = {}
+    for profile in ElementTree.parse(SHARE / "security" / "policy.xml").iter("profile"):
+        topics = {item.text for item in profile.iter("topic") if not item.text.startswith("/")}
+        used[profile.get("node")] = topics
+    given = {topic.replace("/", "_"): f"/vehicle/{topic}" for topic in set().union(*used.values())}
     nodes, _ = make(autopilot="true", **given)
-    renamed = {name: dict(node.remappings) for name, node in nodes.items()}
-    for topic in topics:
-        of = [name for name in renamed if topic in renamed[name]]
-        assert of, topic
-        assert all(renamed[name][topic] == f"/vehicle/{topic}" for name in of)
-    assert "map/cells" in renamed["mapping_node"] and "map/cells" in renamed["lss_node"]
+    for name, topics in used.items():
+        assert dict(nodes[name].remappings) == {topic: f"/vehicle/{topic}" for topic in topics}
 
 
 def test_odometry_is_used_when_its_topic_is_named(make):

@@ -74,9 +74,9 @@ def test_files_may_contradict_until_all_are_read(write):
 
 
 @pytest.mark.parametrize(
-    "node", ["/**", "mapping_node", "/mapping_node", "lss_node", "/uav/lss_node"]
+    "node", ["/**", "mapping_node", "/mapping_node", "/uav/lss_node", "autopilot_node"]
 )
-def test_sections_of_either_node_apply(write, node):
+def test_sections_of_each_node_apply(write, node):
     path = write(section("domain.size: 10.0", node=node))
     assert load_config([path]).domain.size == 10.0
 

@@ -30,7 +30,7 @@ FAST = {"gate_height": 5.0, "descent_speed": 1.5, "touchdown_speed": 0.5, "trans
 class Scene:
     """A model in the air, the node, and a stand-in for lss_node that speaks when it is stepped."""
 
-    def __init__(self, ros, listener, model, **parameters):
+    def __init__(self, ros, listener, model, remap=(), **parameters):
         self.model, self.listener = model, listener
         self.place, self.map_age, self.silent = (0.0, 0.0, 0.0), 0.2, False
         self.says = State.HOLDS
@@ -44,6 +44,7 @@ class Scene:
         node.create_subscription(Odometry, "nav/odometry", self.odometry.append, every)
         given = {"connection": model.connection, **FAST, **parameters}
         options = [o for k, v in given.items() for o in ("-p", f"autopilot.{k}:={v}")]
+        options += [o for rule in remap for o in ("-r", rule)]
         if model.pace != 1.0:
             clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
             began = time.time()
@@ -197,6 +198,37 @@ def test_the_pilots_switch_and_a_jump_of_navigation(scene):
     flight.until("give_up")
     flight.wait(lambda: any("jumped" in text for text in model.texts))
     assert model.landed_at is None
+
+
+def test_px4_that_is_armed_on_the_ground_stays_there(scene):
+    """Also while it has not said yet that it is there."""
+    flight = scene(PX4, place=(0.0, 0.0, 0.0))
+    flight.model.deaf = 1  # so that it is to be asked again
+    flight.handed_over().wait(lambda: 245 in flight.model._rates)
+    flight.listener.wait_for(lambda: False, timeout=1.0)
+    assert flight.states == ["pilot"] and flight.model.enu[2] < 0.1, flight.node.output()
+
+
+def test_guidances_area_and_dispersion_are_not_replaced_whatever_they_are_called(scene):
+    kinds = {"gnc/area": PolygonStamped, "gnc/dispersion": PoseWithCovarianceStamped}
+    remap = [f"{name.replace('gnc', 'landing')}:={name}" for name in kinds]
+    flight, heard = scene(place=(0.0, 0.0, 4.5), remap=remap), []
+    node = flight.listener.node
+    for name, kind in kinds.items():
+        guidance = node.create_publisher(kind, name, latched())
+        node.create_subscription(kind, name, heard.append, latched())
+        flight.wait(guidance.get_subscription_count)
+        flight.wait(lambda name=name: node.count_publishers(name) > 1)
+    flight.listener.wait_for(lambda: False, timeout=1.0)  # the node knows of them, too
+    flight.handed_over().until("descend")
+    assert not heard
+
+
+def test_an_autopilot_that_is_heard_and_hears_nothing_is_a_warning(scene):
+    flight = scene()
+    flight.wait(lambda: flight.odometry).model.hears_nothing = True
+    words = "autopilot_node", (DiagnosticStatus.WARN,), "does not answer"
+    flight.wait(lambda: flight.listener.told(*words))
 
 
 def test_all_ages_go_by_the_simulators_time_where_that_is_used(scene):

@@ -4,12 +4,13 @@
 import subprocess
 
 import pytest
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from ros_scene import cloud, events, pose
 from sensor_msgs.msg import PointCloud2
 
+from quadtree_lss.desk.player import listen
 from quadtree_lss.lab.live.processes import program
-from quadtree_lss.onboard.nodes.qos import stream
+from quadtree_lss.onboard.nodes.qos import latched, stream
 
 pytestmark = pytest.mark.xdist_group("ros")
 
@@ -48,3 +49,17 @@ def test_silence_is_one_line(ros):
     done = ros.run(program("quadtree-lss"), "doctor", "--seconds", "0.5")
     assert done.returncode == 1 and done.stderr.count("\n") == 1
     assert "nothing came in 0.5 s" in done.stderr
+
+
+def test_transforms_of_all_broadcasters_are_heard(ros, monkeypatch):
+    """By messages of another type: no wheel has that of transforms."""
+    monkeypatch.setattr(listen.types, "TRANSFORMS_TYPE", listen.types.GIMBAL_TYPE)
+    for name, value in ros.env.items():
+        monkeypatch.setenv(name, value)
+    frames = {f"mount{n}" for n in range(4)}
+    with ros.listen({}) as listener:
+        for frame in frames:
+            static = listener.node.create_publisher(TransformStamped, "tf_static", latched())
+            static.publish(TransformStamped(child_frame_id=frame))
+        bag = listen.listen(4.0)
+    assert {decode().child_frame_id for _, _, decode in bag.messages(["/tf_static"])} == frames

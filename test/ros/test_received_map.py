@@ -72,7 +72,8 @@ def test_a_map_refused_for_how_landing_is_judged_is_used_once_it_is_judged_other
 
 def test_age_counts_from_when_it_came_not_from_when_it_was_decoded(monkeypatch, received, cells):
     clock = SimpleNamespace(monotonic=lambda: clock.now, now=100.0)
-    monkeypatch.setattr(diagnostics, "time", clock)
+    for module in (diagnostics, received_map):
+        monkeypatch.setattr(module, "time", clock)
     give(received, cells)
     give(received, cells)
     clock.now += 5.0

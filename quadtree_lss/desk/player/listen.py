@@ -70,5 +70,6 @@ def _subscribe(node: Node, name: str, kind: str, heard: list[tuple[str, int, byt
     def hear(raw: Any) -> None:
         heard.append((name, time.time_ns(), bytes(raw)))
 
-    profile = latched() if kind == types.TRANSFORMS_TYPE else stream(100, reliable=False)
+    kept = latched(100)  # every broadcaster keeps its own
+    profile = kept if kind == types.TRANSFORMS_TYPE else stream(100, reliable=False)
     node.create_subscription(TYPES[kind], name, hear, profile, raw=True)

@@ -25,6 +25,9 @@ STATES = (PILOT, WAIT, CLIMB, TRANSIT, DESCEND, COMMIT, TOUCHDOWN, HOLD, WAVE_OF
 LOW = (DESCEND, COMMIT)
 """Below the gate: what is lost here, is answered by a climb."""
 
+MAYBE_DOWN = (*LOW, HOLD, WAVE_OFF, GIVE_UP)
+"""Where "on the ground" ends the landing: it came down without a link or beside its plan."""
+
 LEAD_S, LEAD_M = 2.0, 0.5
 """A set-point goes ahead of the vehicle by what it flies in so long, and this: an autopilot that
 hears no more stays at the last one."""
@@ -148,7 +151,7 @@ class Landing:
 
     def step(self, seen: Seen) -> Order:
         """The order of this moment."""
-        down = seen.landed and self.state in (COMMIT, HOLD)  # maybe while there was no link
+        down = seen.landed and self.state in MAYBE_DOWN
         if seen.jump > JUMP_M and self.state not in (PILOT, TOUCHDOWN) and not down:
             text = f"navigation jumped by {seen.jump:.1f} m: the map lies elsewhere now"
             self._give_up(seen, text)

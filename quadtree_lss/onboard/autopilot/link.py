@@ -35,7 +35,7 @@ LAND = {ARDUPILOT: 9}
 """Custom mode in which an autopilot on the ground stops its motors; PX4 needs none."""
 COPTERS = (2, 3, 4, 13, 14, 15, 29, 35)
 """MAV_TYPE of what hovers: the modes of others have other numbers."""
-ARMED, CUSTOM_MODE, ON_GROUND = 128, 1, 1
+ARMED, CUSTOM_MODE, ON_GROUND, TAKING_OFF = 128, 1, 1, 3
 DO_SET_MODE, SET_INTERVAL, ARM_DISARM = 176, 511, 400
 HEARTBEAT, ATTITUDE, POSITION, EXTENDED, ODOMETRY = 0, 31, 32, 245, 331
 STREAMS = {ARDUPILOT: (POSITION, ATTITUDE), PX4: (ODOMETRY,)}
@@ -75,10 +75,11 @@ class Link:
     """One autopilot at the other end; the first that is heard is the one that counts.
 
     ``clock`` is this computer's time, ns, which poses are stamped by; ``now`` a steady one, s, of
-    what is due, and of ``heard``: when the last heartbeat came. ``kind`` is ``ARDUPILOT``, ``PX4``
-    or None before the first. ``heard_of`` counts messages that told a ``pose``, ``half`` of one,
-    the vehicle's ``state``, or nothing: those that were ``passed_over``, of others or without a
-    meaning here; ``refused`` those that could not be used, by reason. Together these are all.
+    what is due, of ``heard``, when the last heartbeat came, and of ``answered``, when the last
+    answer did. ``kind`` is ``ARDUPILOT``, ``PX4`` or None before the first, and ``landed`` is None
+    until it says. ``heard_of`` counts messages that told a ``pose``, ``half`` of one, the vehicle's
+    ``state``, or nothing: those that were ``passed_over``, of others or without a meaning here;
+    ``refused`` those that could not be used, by reason. Together these are all.
     Raises `ConfigError`: no pymavlink, or what is no connection; `QuadtreeLssError`: it cannot be
     opened at present.
     """
@@ -105,8 +106,10 @@ class Link:
             raise (QuadtreeLssError if later else ConfigError)(msg) from None
         self._clock, self._now = clock, now
         self.kind: int | None = None
-        self.mode, self.armed, self.landed = -1, False, False
-        self.heard = -np.inf
+        self.mode, self.armed = -1, False
+        self.landed: bool | None = None
+        self._takes_off = False
+        self.heard = self.answered = -np.inf
         self.remote = RemoteClock()
         self.heard_of: Counter[str] = Counter()
         self.refused: Counter[str] = Counter()
@@ -120,8 +123,9 @@ class Link:
 
     @property
     def follows(self) -> bool:
-        """Whether it is in the mode in which it flies to set-points."""
-        return self.kind is not None and self.mode == FOLLOWS[self.kind]
+        """Whether it flies to set-points by its mode, and is not taking off in that: ArduCopter
+        would break off."""
+        return self.kind is not None and self.mode == FOLLOWS[self.kind] and not self._takes_off
 
     def close(self) -> None:
         with suppress(AttributeError):  # there is none to a TCP peer that has gone
@@ -223,7 +227,7 @@ class Link:
         return gone and not self._is_due("connect", ASK_S, self._now())
 
     def _is_due(self, what: str, period: float, now: float) -> bool:
-        if now < self._due[what]:
+        if 0.0 < self._due[what] - now <= period:  # more if a simulator began anew
             return False
         self._due[what] = now + period
         return True
@@ -244,9 +248,13 @@ class Link:
             return PASSED
         if message.get_type() == "TIMESYNC" and message.tc1 > 0 and message.ts1 in self._asked:
             self.remote.add(message.ts1, message.tc1, self._clock())
+            self.answered = self._now()
             return "state"
         if number == EXTENDED:
-            self.landed, self._last_state = message.landed_state == ON_GROUND, self._now()
+            self._last_state = self._now()
+            if message.landed_state:  # 0: it does not know
+                self.landed = message.landed_state == ON_GROUND
+                self._takes_off = message.landed_state == TAKING_OFF
             return "state"
         if number == ODOMETRY and message.frame_id == LOCAL_NED:
             return self._on_odometry(message)

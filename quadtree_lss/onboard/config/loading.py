@@ -22,7 +22,7 @@ from typing import Any
 from quadtree_lss.onboard.config.settings import ConfigError, flatten
 from quadtree_lss.onboard.config.yaml_text import YamlError, read_yaml
 
-NODES = ("mapping_node", "lss_node")
+NODES = ("mapping_node", "lss_node", "autopilot_node")
 ROS_OWN = re.compile(r"use_sim_time|start_type_description_service|qos_overrides\..*")
 """Parameters that ROS itself declares; they mean nothing offline."""
 

@@ -255,7 +255,7 @@ def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
             f" cells of domain.min_level = {domain.min_level}"
         )
     if domain.follow != "none":
-        yield from _lame(config)
+        yield from _cannot_follow(config)
     if lidar.min_range >= lidar.max_range:
         yield (
             f"lidar.min_range = {lidar.min_range} is not below lidar.max_range = {lidar.max_range}"
@@ -271,7 +271,7 @@ def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
         yield f"domain.size = {domain.size:g} m, domain.max_level = {domain.max_level}: {reason}"
 
 
-def _lame(config: Config | SimpleNamespace) -> Iterator[str]:
+def _cannot_follow(config: Config | SimpleNamespace) -> Iterator[str]:
     """Why a square cannot follow."""
     domain, step = config.domain, config.domain.step
     spacing = dataclasses.replace(config.lss, vehicle=config.vehicle).spacing

@@ -132,8 +132,7 @@ def decode_cells(
     if not len(records):
         msg = "map/cells has no leaves"
         raise MessageError("no_cells", msg)
-    max_level = n.bit_length() - 1
-    if max_level > MOST_LEVELS or len(records) > MOST_LEAVES:
+    if n > 1 << MOST_LEVELS or len(records) > MOST_LEAVES:
         msg = (
             f"map of {len(records)} leaves on {n} x {n} finest cells: {MOST_LEAVES} leaves and"
             f" {1 << MOST_LEVELS} cells a side are the most"
@@ -141,24 +140,7 @@ def decode_cells(
         raise MessageError("too_large", msg)
     level = records["level"].copy()  # kernels take nothing that is read-only
     ix, iy = records["ix"].astype(np.uint32), records["iy"].astype(np.uint32)
-    beyond = (level > max_level) | (np.maximum(ix, iy) >> np.minimum(level, 31) > 0)
-    if beyond.any() or np.sum(0.25 ** level.astype(np.float64)) != 1.0:
-        msg = f"map/cells does not tile a domain of {n} x {n} finest cells"
-        raise MessageError("tiling", msg)
-    size = float(records["size"][0]) * float(1 << int(level[0]))
-    domain = Domain(float(xmin), float(ymin), size, int(records["min_level"][0]), max_level)
-    try:
-        checked_values({f"domain.{name}": value for name, value in vars(domain).items()})
-    except ConfigError as error:
-        msg = f"map/cells is of a domain that none can be: {error}"
-        raise MessageError("domain", msg) from None
-    reason = None if lss is None else why_too_much(size, n, lss)
-    if reason is not None:
-        msg = f"map of {size:g} m: {reason}"
-        raise MessageError("too_large", msg)
-    if domain.min_level > max_level or not np.array_equal(records["size"], domain.cell_size(level)):
-        msg = "map/cells has leaves whose size does not follow from their level"
-        raise MessageError("domain", msg)
+    domain = _tiled(records, n, xmin, ymin, lss)
     raster = np.full((n, n), -1, dtype=np.int32)
     leaf_raster(level, ix, iy, raster)
     if (raster < 0).any():
@@ -192,6 +174,34 @@ def decode_cells(
     )
     _check(cells)
     return cells
+
+
+def _tiled(
+    records: NDArray[np.void], n: int, xmin: float, ymin: float, lss: LssConfig | None
+) -> Domain:
+    """The domain of n x n finest cells that leaves as large as these may tile; arguments and errors
+    as of `decode_cells`."""
+    level, max_level = records["level"], n.bit_length() - 1
+    far = np.maximum(records["ix"], records["iy"]).astype(np.uint32)
+    beyond = (level > max_level) | (far >> np.minimum(level, 31) > 0)
+    if beyond.any() or np.sum(0.25 ** level.astype(np.float64)) != 1.0:
+        msg = f"map/cells does not tile a domain of {n} x {n} finest cells"
+        raise MessageError("tiling", msg)
+    size = float(records["size"][0]) * float(1 << int(level[0]))
+    domain = Domain(float(xmin), float(ymin), size, int(records["min_level"][0]), max_level)
+    try:
+        checked_values({f"domain.{name}": value for name, value in vars(domain).items()})
+    except ConfigError as error:
+        msg = f"map/cells is of a domain that none can be: {error}"
+        raise MessageError("domain", msg) from None
+    reason = None if lss is None else why_too_much(size, n, lss)
+    if reason is not None:
+        msg = f"map of {size:g} m: {reason}"
+        raise MessageError("too_large", msg)
+    if domain.min_level > max_level or not np.array_equal(records["size"], domain.cell_size(level)):
+        msg = "map/cells has leaves whose size does not follow from their level"
+        raise MessageError("domain", msg)
+    return domain
 
 
 def _check(cells: CellMap) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point32, PolygonStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.arrays import Array
@@ -26,6 +27,7 @@ from quadtree_lss.onboard.autopilot.landing import (
     HOLD,
     PILOT,
     POSE_S,
+    THROUGH_M,
     TOUCHDOWN,
     WAVE_OFF,
     Landing,
@@ -160,10 +162,9 @@ class AutopilotNode(BaseNode):
 
     def _step(self) -> None:
         now, link, nav = self._now(), self._link, self._nav
-        waits_for(self._lacks())
-        if nav is None:
-            text = "no heartbeat yet" if link.kind is None else "no pose of the autopilot yet"
-            self._tell(Order(PILOT, text, None, None))
+        waits_for(lack := self._lacks())
+        if nav is None or link.landed is None:
+            self._tell(Order(PILOT, f"waiting for {lack}", None, None))
             return
         pose_age = 1e-9 * (self._clock_ns() - nav.stamp_ns)
         target, why = self._target(now)
@@ -178,7 +179,8 @@ class AutopilotNode(BaseNode):
         if order.point is not None:
             link.fly_to(order.point, order.sink)
         elif link.kind == PX4 and fresh and order.state == PILOT:
-            link.fly_to(nav.position)  # without a stream it does not go into offboard
+            # Without a stream it does not go into offboard; and takes off for what is not below it.
+            link.fly_to(nav.position - (0.0, 0.0, THROUGH_M * link.landed))
         if order.target is not None:
             link.show_target(order.target.place, nav)
         may = self._config.autopilot.may_command
@@ -195,6 +197,8 @@ class AutopilotNode(BaseNode):
             return f"the heartbeat of an autopilot on {connection}"
         if self._nav is None:
             return "a pose of the autopilot"
+        if self._link.landed is None:
+            return "EXTENDED_SYS_STATE of the autopilot: whether it is on the ground"
         if self._selected is None or self._status is None:
             return f"{SELECTED} and {STATUS} (publishers known: {self._sources.number})"
         return ""
@@ -208,9 +212,14 @@ class AutopilotNode(BaseNode):
             self.get_logger().info(text)
         self._link.tell(f"lss {text}", warn=warn)
         if order.point is not None:
-            self._send_dispersion(nav)
-            if self._order.state == PILOT and self.count_publishers(AREA) <= 1:
+            if self._alone_on(self._dispersion):
+                self._send_dispersion(nav)
+            if self._order.state == PILOT and self._alone_on(self._area):
                 self._send_reach(nav)
+
+    def _alone_on(self, publisher: Publisher) -> bool:
+        """Whether nobody else sends there, as guidance may."""
+        return bool(self.count_publishers(publisher.topic_name) <= 1)
 
     def _send_reach(self, nav: Nav) -> None:
         message = PolygonStamped(header=header_message(nav.stamp_ns, self._frame))
@@ -269,6 +278,8 @@ class AutopilotNode(BaseNode):
         if heard > HEARTBEAT_S:
             connection = self._config.autopilot.connection
             status.note(ERROR, f"no heartbeat of an autopilot on {connection}")
+        elif self._now() - self._link.answered > HEARTBEAT_S:
+            status.note(WARN, "the autopilot does not answer: does it hear anything?")
         if (uncertainty := self._link.remote.uncertainty_ns) is not None:
             status.add({"clock.uncertainty_ms": 1e-6 * uncertainty})
 

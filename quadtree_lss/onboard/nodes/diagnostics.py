@@ -62,13 +62,8 @@ class Arrivals:
         self._last = self._looked = time.monotonic()
         self._counted = 0
 
-    @staticmethod
-    def now() -> float:
-        """Present time, s, as `add` takes it."""
-        return time.monotonic()
-
     def add(self, at: float | None = None) -> None:
-        """One came just now, or at that time."""
+        """One came just now, or at that time of the monotonic clock, s."""
         self.count += 1
         self._last = time.monotonic() if at is None else at
 

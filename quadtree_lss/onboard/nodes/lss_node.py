@@ -61,10 +61,8 @@ class LssNode(BaseNode):
         self._observed = subscribe(
             self, kinds[1], OBSERVED, self._on_observed, latched(), group=other, raw=True
         )
-        self._pose_kind: Any = PoseWithCovarianceStamped
-        poses = "pose"
-        if config.pose.source == "odometry":
-            self._pose_kind, poses = Odometry, "odometry"
+        poses = config.pose.source
+        self._pose_kind: Any = {"pose": PoseWithCovarianceStamped, "odometry": Odometry}[poses]
         self._navigation = self._inputs.wishes.navigation
         # Best effort: it matches any publisher. The newest is enough, and taken when it is needed.
         first = WhenWanted(lambda: not self._navigation.known)

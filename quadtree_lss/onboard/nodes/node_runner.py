@@ -94,7 +94,9 @@ class BaseNode(Node):
         return 1e3 * latency if abs(latency) < MEANINGFUL_LATENCY_S else None
 
     def _announce(self) -> None:
-        """One line: version and build, what is configured and by whom, domain, vehicle, topics."""
+        """At the end of the start: version and build, what is configured and by whom, domain,
+        vehicle, topics in one line; overrides of topics that there are not."""
+        self._settings.tell_unused(self)
         parts = (
             f"quadtree_lss {quadtree_lss.__version__} ({self._build})",
             configuration_text(self._config, sys.argv),

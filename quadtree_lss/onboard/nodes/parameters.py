@@ -30,7 +30,6 @@ from quadtree_lss.onboard.config.settings import (
     unknown_parameter,
     values_from_config,
 )
-from quadtree_lss.onboard.nodes.executor import steady_timer
 
 QOS = "qos_overrides."
 ROS_TOPICS = ("/clock", "/parameter_events", "/rosout")
@@ -126,6 +125,7 @@ class NodeParameters:
         self.given = frozenset(own)
         self.config = _checked(config_from_values(own))
         overridden = checked_qos_overrides({name: item.value for name, item in given.items()})
+        self._overridden = sorted(set(overridden))
         values = values_from_config(self.config)
         for row in parameters():
             node.declare_parameter(
@@ -135,26 +135,19 @@ class NodeParameters:
         node.add_pre_set_parameters_callback(_converted)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
-        if overridden:
-            self._tell_unused_once(node, overridden)
 
-    def _tell_unused_once(self, node: Node, overridden: list[tuple[str, str]]) -> None:
-        """A warning for topics the node has not, once it has all; other nodes may share a file."""
-
-        def tell() -> None:
-            timer.cancel()
-            has = {
-                "subscription": sorted({item.topic_name for item in node.subscriptions}),
-                "publisher": sorted({item.topic_name for item in node.publishers}),
-            }
-            for topic, entity in sorted(set(overridden)):
-                if topic not in has[entity]:
-                    node.get_logger().warning(
-                        f"{QOS}{topic}.{entity}.* has no effect: this node has no {entity} of it,"
-                        f" but of {', '.join(has[entity])}"
-                    )
-
-        timer = steady_timer(node, 0.0, tell)
+    def tell_unused(self, node: Node) -> None:
+        """A warning for topics of overrides that the node has not; other nodes may share a file."""
+        has = {
+            "subscription": sorted({item.topic_name for item in node.subscriptions}),
+            "publisher": sorted({item.topic_name for item in node.publishers}),
+        }
+        for topic, entity in self._overridden:
+            if topic not in has[entity]:
+                node.get_logger().warning(
+                    f"{QOS}{topic}.{entity}.* has no effect: this node has no {entity} of it,"
+                    f" but of {', '.join(has[entity])}"
+                )
 
     def _check(self, changes: Iterable[RosParameter]) -> SetParametersResult:
         try:

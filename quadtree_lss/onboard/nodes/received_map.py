@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 from nav_msgs.msg import OccupancyGrid
@@ -65,7 +66,7 @@ class ReceivedMap:
         if cells is None or observed is None or cells[STAMP] != observed[STAMP]:
             return False
         self._halves = {}
-        self._whole = (cells, observed, self.arrivals.now())
+        self._whole = (cells, observed, time.monotonic())
         return True
 
     def lacks(self) -> str:

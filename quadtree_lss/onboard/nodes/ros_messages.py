@@ -48,7 +48,7 @@ def message_maker(frame: str) -> MessageMaker:
 
 
 @lru_cache(4)
-def _hollow(frame: str, domain: Domain) -> tuple[bytes, bytes]:
+def _without_content(frame: str, domain: Domain) -> tuple[bytes, bytes]:
     """``map/cells`` and ``map/observed`` serialised, without stamps and content."""
     maker = MessageMaker(TYPES, lambda values: array(values.dtype.char), frame)
     cloud = maker.cloud(np.empty(0, CELL_FIELDS), 0)
@@ -60,7 +60,7 @@ def map_messages(cells: CellMap, frame: str) -> tuple[bytes, bytes]:
     """``map/cells`` and ``map/observed``, serialised. Their content, which is nearly all of them,
     is copied once: into what rclpy makes of them without it."""
     records, values = encode_cells(cells), encode_observed(cells.observed, cells.known)
-    cloud, grid = map(bytearray, _hollow(frame, cells.domain))
+    cloud, grid = map(bytearray, _without_content(frame, cells.domain))
     stamp = divmod(cells.stamp_ns, 1_000_000_000)
     for raw in (cloud, grid):
         struct.pack_into("<iI", raw, 4, *stamp)
