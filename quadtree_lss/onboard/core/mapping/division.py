@@ -18,13 +18,8 @@ if not cython.compiled:
     from quadtree_lss.onboard.core.geometry.portable import above
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
     from quadtree_lss.onboard.core.mapping.features import feature_height
-    from quadtree_lss.onboard.core.mapping.measure import (
-        few,
-        partial,
-        pose_variance,
-    )
-
-    MEASURED = 3
+    from quadtree_lss.onboard.core.mapping.measure import few, partial, pose_variance
+    from quadtree_lss.onboard.core.tree.leaves import MEASURED
 
 
 #: Mean and standard deviation of chi_1, E = sqrt(2 / pi), and of chi_3, E = 2 sqrt(2 / pi)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from quadtree_lss.onboard.core.geometry.bounds import MOST, MOST_HEIGHT
 from quadtree_lss.onboard.core.tree.domain import Domain
-from quadtree_lss.onboard.core.tree.leaves import LEAF, leaf_raster
+from quadtree_lss.onboard.core.tree.leaves import LEAF, MEASURED, OUT, leaf_raster
 from quadtree_lss.onboard.core.tree.soundness import sound_planes
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -44,9 +44,6 @@ NEVER_NEGATIVE = frozenset(
     "points distance_sum noise_sum exception_sum exception_noise residuals division_sum"
     " division_weight square_sum greatest strip uneven".split()
 )
-
-OUT = 3
-"""The greatest state of a finest cell (`LeafTable.observed`)."""
 
 State: TypeAlias = dict[str, NDArray[Any]]
 
@@ -168,7 +165,7 @@ def _check_leaves(leaves: NDArray[Any], domain: Domain) -> None:
     known = leaves["known"]
     planes = leaves[known > 0]
     of_plane = (planes[name] for name in ("z", "normal", "range_part", "pose_part", "feature"))
-    whole = np.isin(known, (0, 1, 2, 3)).all()
+    whole = ((known >= 0) & (known <= MEASURED)).all()
     whole &= sound_planes(*of_plane).all()
     for name in LEAF.names or ():
         if LEAF[name].base.kind == "f" and name not in {"low", "high", "feature"}:

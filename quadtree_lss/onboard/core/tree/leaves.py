@@ -76,14 +76,6 @@ LEAF = np.dtype(
 )
 
 
-def leaf_at(rows: NDArray[np.void], row: cython.Py_ssize_t) -> Record:
-    """One record of type `LEAF`, to read and to write."""
-    if cython.compiled:
-        return cython.address(rows[row])
-    else:
-        return rows[row]
-
-
 def clear(leaf: Record) -> None:
     """Forget all that was found in a leaf but for its plane."""
     i: cython.int
@@ -128,14 +120,10 @@ class LeafTable:
         self.sides = [0.0] * 32
         for level in range(domain.max_level + 1):
             self.sides[level] = domain.size / (1 << level)
-        self.leaf_of = np.zeros(4**domain.max_level, dtype=np.int32)
-        self.over = self.leaf_of
-        self.observed = np.zeros(4**domain.max_level, dtype=np.uint8)
-        self.seen = self.observed
-        self.piled = np.zeros((4**domain.max_level, 2), dtype=np.float32)
-        self.pile = self.piled
-        self.count = self.capacity = 0
-        self.rows = np.zeros(0, dtype=LEAF).view(np.recarray)
+        finest = 4**domain.max_level
+        self.over = self.leaf_of = np.zeros(finest, dtype=np.int32)
+        self.seen = self.observed = np.zeros(finest, dtype=np.uint8)
+        self.pile = self.piled = np.zeros((finest, 2), dtype=np.float32)
         self.plant()
 
     def plant(self) -> None:
@@ -150,12 +138,11 @@ class LeafTable:
     def take_up(self, columns: dict[str, NDArray[np.generic]]) -> None:
         """Have the leaves of these columns, which tile the domain (not checked here)."""
         row: cython.Py_ssize_t
-        count = len(columns["level"])
-        self._allocate(count)
+        self.count = self.capacity = count = len(columns["level"])
+        self.leaf = self.rows = np.zeros(count, dtype=LEAF).view(np.recarray)
         self.rows[:] = blank()
         for name, column in columns.items():
             self.rows[name][:count] = column
-        self.count = count
         for row in range(count):
             self._place(row, self.leaf[row].level, self.leaf[row].ix, self.leaf[row].iy)
 
@@ -200,24 +187,21 @@ class LeafTable:
         self.observed[:] = shifted(observed, n, east, north)
         self.piled[:] = shifted(self.piled, n, east, north)
 
-    def _allocate(self, rows: int) -> None:
-        self.capacity = rows
-        self.rows = np.zeros(rows, dtype=LEAF).view(np.recarray)
-        self.leaf = self.rows
-
     def reserve(self, more: cython.Py_ssize_t) -> None:
         """Have room for so many further leaves, as far as ``max_cells`` allows."""
         wanted = min(self.count + more, self.max_cells)
         if wanted > self.capacity:
             grown = np.zeros(max(wanted, min(2 * self.capacity, self.max_cells)), dtype=LEAF)
             grown[: self.count] = self.rows[: self.count]
-            self.rows = grown.view(np.recarray)
-            self.leaf = self.rows
+            self.leaf = self.rows = grown.view(np.recarray)
             self.capacity = len(grown)
 
     def at(self, row: cython.Py_ssize_t) -> Record:
         """A leaf, to read and to write; until the table grows."""
-        return leaf_at(self.leaf, row)
+        if cython.compiled:
+            return cython.address(self.leaf[row])
+        else:
+            return self.leaf[row]
 
     def glance(self, row: cython.Py_ssize_t) -> None:
         """Have what is asked first of a leaf brought near: its place, and whether it is known."""
