@@ -325,26 +325,25 @@ def first_state(
 def update_feature(
     rules: Rules,
     leaf: Record,
+    run: Record,
     points: Array,
     residual: Array,
     begin: cython.Py_ssize_t,
     end: cython.Py_ssize_t,
-    x: float,
-    y: float,
+    origin: Vector,
     side: float,
-    variance: float,
-    greatest: float,
     heights: Heights,
 ) -> None:
-    """Update the feature of a leaf that a scan shows one in, or that had one.
+    """Update the feature of a leaf that a run shows one in, or that had one.
 
     A leaf is a candidate if clearly more points stand out than noise raises on flat ground; a
     feature that later scans do not show fades away.
 
     Args:
-        points, residual: (N, 3) about the lidar, (N,) n.(r - mean), m; of ``begin`` to ``end``.
-        x, y, side: Cell's centre about the lidar, and its side, m.
-        variance, greatest: Of a residual from range noise, m^2; |residual|, m.
+        run: Of the points ``begin`` to ``end``.
+        points, residual: (N, 3) about the lidar, (N,) n.(r - mean), m.
+        origin: (3) of the lidar, map frame, m.
+        side: Of the cell, m.
         heights: Working memory, for a scan's points.
     """
     high = cython.declare(cython.double[72])
@@ -355,13 +354,13 @@ def update_feature(
     inside: cython.Py_ssize_t = 0
     held: cython.Py_ssize_t = 0
     raised: cython.Py_ssize_t = 0
-    count: cython.double = end - begin
-    up = leaf.normal[2]
-    known: cython.bint = isfinite(leaf.feature[1])
+    count = run.points
     if count < rules.feature_points:
         return
-    gate = max(HIGH * sqrt(variance), 0.5 * rules.feature_height * up)
-    if not known and greatest > gate:
+    x, y, up = leaf.x - origin[0], leaf.y - origin[1], leaf.normal[2]
+    known: cython.bint = isfinite(leaf.feature[1])
+    gate = max(HIGH * sqrt(run.variance), 0.5 * rules.feature_height * up)
+    if not known and run.greatest > gate:
         for i in range(begin, end):
             # A number and not a truth, which compilers do not count two at a time.
             one = 1.0 if residual[i] > gate else 0.0
@@ -369,7 +368,7 @@ def update_feature(
     chance = CHANCE * count
     if not known and raised < max(2.0, chance + 2.0 * sqrt(chance)):
         return
-    heights.clear(up * up / variance)
+    heights.clear(up * up / run.variance)
     if known:
         for k in range(5):
             state[k] = leaf.feature[k]

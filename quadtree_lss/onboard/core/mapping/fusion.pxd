@@ -12,7 +12,7 @@ from quadtree_lss.onboard.core.tree.leaves cimport (
 cdef class Fusion:
     cdef Rules rules
     cdef double[:, ::1] beginning
-    cdef bint begins_so, aligned
+    cdef bint aligned
     cdef int coarsest
     cdef double coarse_side, now, common_at, common_is
     cdef double origin[3]

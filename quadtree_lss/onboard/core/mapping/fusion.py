@@ -18,9 +18,7 @@ if not cython.compiled:
     from quadtree_lss.onboard.core.geometry.plane import fuse, fuse_height, offset_variance
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
     from quadtree_lss.onboard.core.mapping.measure import pose_variance
-    from quadtree_lss.onboard.core.tree.leaves import NO_SLOPE
-
-    NOTHING, HINTS, INHERITED, MEASURED = range(4)
+    from quadtree_lss.onboard.core.tree.leaves import HINTS, INHERITED, MEASURED, NO_SLOPE, NOTHING
 
 
 #: Before anything is known, ground is level but for this (rad, one sigma) ...
@@ -60,7 +58,6 @@ class Fusion:
         beginning: Array | None,
     ) -> None:
         self.rules = rules
-        self.begins_so = beginning is not None
         self.beginning = NO_PRIOR if beginning is None else beginning
         self.coarsest = table.domain.min_level
         self.coarse_side = table.side(self.coarsest)
@@ -197,7 +194,7 @@ class Fusion:
                 return
         if leaf.bias[4] == 0.0:
             self._turn(leaf, run)
-        if fresh and self.begins_so:
+        if fresh and self.beginning.shape[0] > 0:
             self._begin(leaf)
         leaf.known = MEASURED
 

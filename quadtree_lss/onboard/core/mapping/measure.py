@@ -29,6 +29,7 @@ if not cython.compiled:
         slope_covariance,
     )
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
+    from quadtree_lss.onboard.core.tree.leaves import NOTHING
 
 #: |n.u| is taken to be at least this (grazing incidence).
 MIN_COSINE = cython.declare(cython.double, 0.05)
@@ -220,18 +221,15 @@ def _bias(
 
 def measure(
     rules: Rules,
+    leaf: Record,
+    run: Record,
     points: Vector,
     number: cython.Py_ssize_t,
-    x: float,
-    y: float,
-    z: float,
-    side: float,
-    prior: Vector,
+    origin: Vector,
     sigma: Vector,
-    uneven: float,
-    run: Record,
+    side: float,
 ) -> None:
-    """Fit a plane to a run of points; it is written to ``run``, without the statistic.
+    """Fit a plane to a run of points in a leaf; it is written to ``run``, without the statistic.
 
     Range noise moves points along the ray, in place as in height, and would turn the fit of a thin
     view towards it. A view of less than half of the cell, so thin that its slope is known no better
@@ -241,18 +239,16 @@ def measure(
     level ground, or a plane turned towards the ray would take its points for exact. Residuals
     beyond what noise makes of them are of ground that is no plane: as scans see it from elsewhere,
     its height is as uncertain, however many points there are, and its slope by as much more noise.
-    Too few points to show it have as much more as ``uneven`` says. What a view leaves out may
-    differ in slope by `UNSEEN_TILT`.
+    Too few points to show it have as much more as the leaf's ``uneven`` says. What a view leaves
+    out may differ in slope by `UNSEEN_TILT`.
 
     Args:
-        points, number: Of the run (3 N), map axes about the lidar, m, and N.
-        x, y: Cell's centre about the lidar, m.
-        z: Height of the plane that is known there, m; NaN for none.
-        side: Of the cell, m.
-        prior: (3) normal to keep to where the points do not tell the slope.
-        sigma: (36) pose covariance.
-        uneven: Mean square that planes of this size leave out there, of `LEAF`, m^2.
+        leaf: Record of type `LEAF`, read: its normal is kept to where points do not tell the slope.
         run: Record of type `RUN`.
+        points, number: Of the run (3 N), map axes about the lidar, m, and N.
+        origin: (3) of the lidar, map frame, m.
+        sigma: (36) pose covariance.
+        side: Of the cell, m.
     """
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])
@@ -260,6 +256,8 @@ def measure(
     scatter = cython.declare(cython.double[6])
     cython.declare(i=cython.int, line=cython.bint)
     moments(points, number, run.centroid, run.scatter)
+    prior = leaf.normal
+    x, y = leaf.x - origin[0], leaf.y - origin[1]
     count: cython.double = number
     run.points = count
     xx = run.scatter[0]
@@ -359,11 +357,11 @@ def measure(
     # A plane that noise has turned towards the ray is not free of it.
     lean = max(cosine / up, -ray_z)
     _bias(run, ray_x, ray_y, deviation, lean, run.alone == 0.0 and not line)
-    if run.sloped == 0.0 and z == z:
+    if run.sloped == 0.0 and leaf.known != NOTHING:
         # Of a strip that is as wide as the noise, place and height err together, along the ray u:
         # a range off by e lifts the plane by e (n.u) / n_z, which is a height of -e cosine / up.
         # Rays are exact: the place, off - e u, is where the ray meets the plane that is known.
-        gap = run.z - z
+        gap = run.z - (leaf.z - origin[2])
         most = 3.0 * sqrt(variance / count) / up
         gap = min(max(gap, -most), most) * up / cosine
         off_x += gap * ray_x
@@ -376,7 +374,7 @@ def measure(
         flat = first * first + second * second
         run.range_part[8] = run.own + UNKNOWN_TILT * UNKNOWN_TILT * flat
     else:
-        slope_covariance(telling, run.normal, variance + max(misfit, uneven), slope)
+        slope_covariance(telling, run.normal, variance + max(misfit, leaf.uneven), slope)
         if not line:
             tilt = run.unseen * UNSEEN_TILT
             slope[0] += tilt * tilt
