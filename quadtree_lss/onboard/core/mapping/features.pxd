@@ -23,4 +23,4 @@ cdef bint _solve(double* system, double damping, double* step) noexcept nogil
 cdef double estimate(Heights heights, double* state, double* information, bint known, double half, double finest) noexcept nogil
 cdef void first_state(Py_ssize_t raised, double* high, double count, double area, double least, double* out) noexcept nogil
 cdef Py_ssize_t insert_high(double* high, Py_ssize_t held, double x, double y, double z) noexcept nogil
-cdef void update_feature(Rules rules, Leaf* leaf, Run* run, double[:, ::1] points, double[::1] residual, Py_ssize_t begin, Py_ssize_t end, double* origin, double side, Heights heights) noexcept nogil
+cdef void update_feature(Rules rules, Leaf* leaf, Run* run, double* points, double* residual, double* origin, double side, Heights heights) noexcept nogil

@@ -49,6 +49,7 @@ cdef class ScanUpdate:
     cdef Run* _run(self, Py_ssize_t at) noexcept nogil
     cdef Leaf* _leaf(self, Py_ssize_t row) noexcept nogil
     cdef double* _from(self, Py_ssize_t begin) noexcept nogil
+    cdef double* _residual_from(self, Py_ssize_t begin) noexcept nogil
     cdef void _level(self, Leaf* leaf) noexcept nogil
     cdef void _measure(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
     cdef void _compare(self, Leaf* leaf, Run* run, Py_ssize_t at) noexcept nogil

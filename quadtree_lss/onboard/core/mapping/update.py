@@ -196,6 +196,14 @@ class ScanUpdate:
             return self.points.reshape(-1)[3 * begin :]
 
     @cython.boundscheck(False)
+    def _residual_from(self, begin: cython.Py_ssize_t) -> Any:
+        """Residuals of the points from one on."""
+        if cython.compiled:
+            return cython.address(self.residual[begin])
+        else:
+            return self.residual[begin:]
+
+    @cython.boundscheck(False)
     def fit(self) -> Array:
         """Fit the touched leaves; the scan beside the map in the M that were measured before.
 
@@ -402,9 +410,7 @@ class ScanUpdate:
             if (
                 partial(run)
                 and leaf.level < self.table.max_level
-                and departs(
-                    self.rules, leaf, run, self.points, begin, end, self.fusion.origin, side
-                )
+                and departs(self.rules, leaf, run, self._from(begin), self.fusion.origin, side)
             ):
                 self._residuals(leaf, begin, end, run)
                 if self._divide(row, run):
@@ -485,7 +491,8 @@ class ScanUpdate:
         """
         cython.declare(i=cython.Py_ssize_t)
         out = count = 0.0
-        rest(self.rules, leaf, run, self.points, self.residual, begin, end, self.fusion.origin)
+        points, residual = self._from(begin), self._residual_from(begin)
+        rest(self.rules, leaf, run, points, residual, self.fusion.origin)
         if run.greatest <= run.raised_by:
             put(self.table.seen, self.key, begin, end, KNOWN)
             return
@@ -537,15 +544,6 @@ class ScanUpdate:
             self.weights[self.rested] = run.points
             self.rested += 1
         self._residuals(leaf, begin, end, run)
-        update_feature(
-            self.rules,
-            leaf,
-            run,
-            self.points,
-            self.residual,
-            begin,
-            end,
-            self.fusion.origin,
-            self.table.sides[leaf.level],
-            self.room.heights,
-        )
+        points, residual = self._from(begin), self._residual_from(begin)
+        origin, side = self.fusion.origin, self.table.sides[leaf.level]
+        update_feature(self.rules, leaf, run, points, residual, origin, side, self.room.heights)
