@@ -81,7 +81,8 @@ def turn(
     """Turn points (N, 3) to map axes, about the lidar at the scan's stamp, m; find their cells.
 
     Args:
-        offsets, times, motion: Of a `sweep.Sweep`; without offsets, the first row is for all.
+        offsets, times, motion: Of a `sweep.Sweep`; without offsets, or if all times are one, the
+            first row is for all.
         least, most: Shorter or longer ranges are no returns, m.
         west, south: Place of the points' origin in the domain, from its corner, m.
         per_metre, count: Finest cells to a metre, and along a side.
@@ -98,7 +99,7 @@ def turn(
     cython.declare(code=cython.longlong)
     nowhere: cython.longlong = count * count
     side: cython.double = count
-    moving: cython.bint = offsets.shape[0] > 0
+    moving: cython.bint = offsets.shape[0] > 0 and times[0] < times[times.shape[0] - 1]
     nearest: cython.double = max(least, 5e-324)  # more than nothing
     r = cython.declare(cython.double[12])
     points = cython.declare(cython.double[:, ::1], work.points)
