@@ -362,7 +362,7 @@ class Mapper:
         height, variance = state["offset"].tolist()
         self._offset = (height, variance)
         self._owed = float(state["owed"])
-        self._lifted, self._steps = 0.0, Steps()
+        self._lifted, self._missed, self._steps = 0.0, 0, Steps()
         if self._prior is not None:  # it is compared anew with all of the map
             self._prior.beginning(domain)
             self._prior.reset()
