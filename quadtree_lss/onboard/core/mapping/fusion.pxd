@@ -5,7 +5,7 @@ from quadtree_lss.onboard.core.geometry.plane cimport fuse, fuse_height, offset_
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
 from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, pose_variance
 from quadtree_lss.onboard.core.tree.leaves cimport (
-    HINTS, INHERITED, MEASURED, NOTHING, NO_SLOPE, Leaf, LeafTable
+    HINTS, INHERITED, LIFT, MEASURED, NOTHING, NO_SLOPE, WEIGHT, Leaf, LeafTable
 )
 
 @cython.final

@@ -149,11 +149,11 @@ class Mapper:
         self._noise_ratio = float("nan")
         self._offset = (float("nan"), float("nan"))
         self._against = Contradiction()
-        # By how much the map ought to be lifted, m: too little to be done.
+        # Lift of the map that is due and too small to be done yet, m.
         self._owed = 0.0
-        # By how much it was, or ought to be.
+        # Lifts since the first scan, done or due, m.
         self._lifted = 0.0
-        # Scans in a row that no point entered of.
+        # Scans in a row of which no point entered the map.
         self._missed = 0
         self._steps = Steps()
         if self._prior is not None:

@@ -5,7 +5,7 @@ from quadtree_lss.onboard.core.geometry.plane cimport (
 )
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
 
-from quadtree_lss.onboard.core.tree.leaves cimport NOTHING, Leaf, LeafTable
+from quadtree_lss.onboard.core.tree.leaves cimport LIFT, NOTHING, WEIGHT, Leaf, LeafTable
 from quadtree_lss.onboard.core.geometry.morton cimport encode, squeeze
 
 cdef struct Run:

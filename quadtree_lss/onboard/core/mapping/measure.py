@@ -29,7 +29,7 @@ if not cython.compiled:
         slope_covariance,
     )
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
-    from quadtree_lss.onboard.core.tree.leaves import NOTHING
+    from quadtree_lss.onboard.core.tree.leaves import LIFT, NOTHING, WEIGHT
 
 #: |n.u| is taken to be at least this (grazing incidence).
 MIN_COSINE = cython.declare(cython.double, 0.05)
@@ -88,8 +88,8 @@ FEATURE_POINTS = 12.0
 #:   what its points have in common by pose and plane, and not by noise, 0 .. 1;
 #: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z); of points that tell
 #:   their height alone, range_part has the variance of dd and no other;
-#: - bias: what noise along the ray may turn the fit by, t t^T as xx, xy, yy, rad^2, and lift it by,
-#:   m, and how much the slope of the fit counts, m^2 (`_bias`).
+#: - bias: what noise along the ray may turn the fit by, t t^T as xx, xy, yy, rad^2, and lift it by
+#:   (`LIFT`), m, and how much the slope of the fit counts (`WEIGHT`), m^2 (`_bias`).
 RUN = np.dtype(
     [("points", "f8"), ("centroid", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
     + [(name, "f8") for name in ("z", "cosine", "variance", "square", "statistic", "unseen")]
@@ -131,7 +131,8 @@ class Rules:
         self.rock_sigma = lengths.rock_sigma
 
     def look(self, boresight: Array) -> None:
-        """The scan to come looks along this unit vector (3,) of the map's axes."""
+        """Take over the boresight of the next scan, a unit vector (3,) in map axes: the noise of a
+        depth camera depends on it."""
         self.ahead_x, self.ahead_y, self.ahead_z = boresight.tolist()
 
 
@@ -203,8 +204,8 @@ def _bias(
     along = ray_x * ray_x * xx + 2.0 * ray_x * ray_y * xy + ray_y * ray_y * yy
     # Of a vertical ray, or nearly, it is 0.
     thin = deviation * flat / sqrt(max(12.0 * along + least * flat, 1e-300))
-    run.bias[0] = run.bias[1] = run.bias[2] = run.bias[4] = 0.0
-    run.bias[3] = share * lean * deviation * min(thin + TAIL * thin * thin, 4.0)
+    run.bias[0] = run.bias[1] = run.bias[2] = run.bias[WEIGHT] = 0.0
+    run.bias[LIFT] = share * lean * deviation * min(thin + TAIL * thin * thin, 4.0)
     if sloped:
         xx += least
         yy += least
@@ -216,7 +217,7 @@ def _bias(
         run.bias[2] = turn_y * turn_y + ACROSS * turn_x * turn_x
         # A fit counts by the lesser spread of its points:
         # lambda_1 lambda_2 / (lambda_1 + lambda_2).
-        run.bias[4] = run.points * max(xx * yy - xy * xy, 0.0) / (xx + yy)
+        run.bias[WEIGHT] = run.points * max(xx * yy - xy * xy, 0.0) / (xx + yy)
 
 
 def measure(
@@ -412,7 +413,7 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
             slope[0] = leaf.bias[0]
             slope[1] = slope[2] = leaf.bias[1]
             slope[3] = leaf.bias[2]
-            lift = leaf.bias[3] * leaf.bias[3]
+            lift = leaf.bias[LIFT] * leaf.bias[LIFT]
             j = 2 * (table.max_level - leaf.level)
             number = 1 << j
             first = encode(leaf.ix, leaf.iy) << j

@@ -67,7 +67,7 @@ HIGHEST = cython.declare(cython.double, HEIGHTS)
 def put(
     seen: Bytes, key: Keys, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, state: cython.uchar
 ) -> None:
-    """The finest cells under the points ``begin`` to ``end``, of these keys (N,), are that."""
+    """Set the state of the finest cells under the points ``begin`` to ``end`` of keys (N,)."""
     i: cython.Py_ssize_t
     for i in range(begin, end):
         seen[key[i]] = state
@@ -144,8 +144,8 @@ class ScanUpdate:
 
     @cython.boundscheck(False)
     def _gather(self) -> None:
-        """The runs of points that share a leaf: in steps that double until one leads out of it, and
-        then halve."""
+        """Find the runs of points that share a leaf: in steps that double until one leads out of
+        it, and then halve."""
         i: cython.Py_ssize_t = 0
         step: cython.Py_ssize_t
         cells: cython.Py_ssize_t = 0

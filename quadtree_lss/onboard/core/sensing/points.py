@@ -58,7 +58,8 @@ class Workspace:
         self._holders = sys.getrefcount(self._arranged), sys.getrefcount(self._key)
 
     def answer(self) -> tuple[Array, Keys]:
-        """For points (N + 3, 3) and keys (N + 3,): the last scan's, unless somebody has them."""
+        """Arrays for points (N + 3, 3) and keys (N + 3,): those of the scan before, or new ones if
+        somebody still has these."""
         if (sys.getrefcount(self._arranged), sys.getrefcount(self._key)) != self._holders:
             self._fresh()
         return self._arranged, self._key
@@ -170,8 +171,8 @@ def reach_beyond(points: Points, limit: float) -> cython.bint:
 
 @cython.boundscheck(False)
 def arrange(work: Workspace, isolated: cython.bint, nowhere: cython.longlong) -> cython.Py_ssize_t:
-    """Sort the runs, copy points run by run to the `Workspace.answer` and the key of each; how
-    many.
+    """Sort the runs; copy the points and their keys, run by run, to the `Workspace.answer`. Returns
+    how many points these are.
 
     How long a run is, nobody could foretell: four points of each are copied, the next run replaces
     what is too much, and the last three of the points are anything. Those in no cell, ``nowhere``,

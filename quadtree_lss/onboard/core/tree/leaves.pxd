@@ -11,6 +11,10 @@ cpdef enum:
 cpdef enum:
     SEEN = 1, KNOWN, OUT
 
+#: Of ``bias``: behind t t^T.
+cpdef enum:
+    LIFT = 3, WEIGHT
+
 cdef struct Leaf:
     int level
     int ix

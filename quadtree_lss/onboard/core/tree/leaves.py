@@ -29,6 +29,7 @@ if not cython.compiled:
     INFINITE = float("inf")
     NOTHING, HINTS, INHERITED, MEASURED = range(4)
     SEEN, KNOWN, OUT = 1, 2, 3
+    LIFT, WEIGHT = 3, 4
 
     def prefetch(at: object) -> None:
         """Only a compiled program knows where its numbers lie."""
@@ -61,7 +62,7 @@ Record: TypeAlias = Any
 #: - uneven: mean square, m^2, that a plane of its size would leave out by what those leave out that
 #:   it was divided from;
 #: - bias: means of what noise along the rays may turn its fits by, t t^T as xx, xy, yy, rad^2, and
-#:   lift them by, m, and the weight of the first, m^2;
+#:   lift them by (`LIFT`), m, and the weight of the first (`WEIGHT`), m^2;
 #: - feature: A, k, mu_x, mu_y about the centre, sigma (Eq. 51), NaN for none, and its inverse
 #:   covariance (25), feature_information.
 LEAF = np.dtype(
@@ -204,12 +205,12 @@ class LeafTable:
             return self.leaf[row]
 
     def glance(self, row: cython.Py_ssize_t) -> None:
-        """Have what is asked first of a leaf brought near: its place, and whether it is known."""
+        """Prefetch the first line of a leaf: its place, and whether it is known."""
         if cython.compiled:
             prefetch(cython.address(self.leaf[row]))
 
     def expect(self, row: cython.Py_ssize_t) -> None:
-        """Have a leaf brought near that will be wanted soon; not what is known of its feature."""
+        """Prefetch a leaf that will be wanted soon, but for its feature."""
         i: cython.int
         if cython.compiled:
             byte: cython.p_char = cython.cast(cython.p_char, cython.address(self.leaf[row]))
