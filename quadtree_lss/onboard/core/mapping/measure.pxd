@@ -46,6 +46,7 @@ cdef class Rules:
 cdef bint partial(Run* run) noexcept nogil
 cdef bint few(Run* run) noexcept nogil
 cdef double pose_variance(double* normal, double* arm, double* sigma) noexcept nogil
+cdef double range_noise(Rules rules, double* centroid, double distance) noexcept nogil
 cdef double _unseen(double square, double correlation, double side) noexcept nogil
 cdef void _bias(Run* run, double ray_x, double ray_y, double deviation, double lean, bint sloped) noexcept nogil
 cdef void measure(Rules rules, Leaf* leaf, Run* run, double* points, Py_ssize_t number, double* origin, double* sigma, double side) noexcept nogil

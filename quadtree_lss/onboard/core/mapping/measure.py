@@ -163,6 +163,17 @@ def pose_variance(normal: Vector, arm: Vector, sigma: Vector) -> cython.double:
     return min(max(total, 0.0), MAX_VARIANCE)
 
 
+def range_noise(rules: Rules, centroid: Vector, distance: float) -> cython.double:
+    """Deviation of ranges at a place (3) about the lidar, so many m away, but for what grows with
+    range, m. The depth z of a stereo camera errs by c z^2, its range r by as much times r / z."""
+    noise = rules.range_noise
+    if rules.stereo > 0.0:
+        depth = rules.ahead_x * centroid[0] + rules.ahead_y * centroid[1]
+        depth = rules.stereo * distance * (depth + rules.ahead_z * centroid[2])
+        noise = sqrt(noise * noise + depth * depth)
+    return noise
+
+
 def _unseen(square: float, correlation: float, side: float) -> cython.double:
     """Width of a cell, along one of its axes, that points leave out, m.
 
@@ -289,12 +300,7 @@ def measure(
     ray_z = run.centroid[2] / distance
     run.sloped = 1.0
     run.alone = 0.0
-    noise = rules.range_noise
-    if rules.stereo > 0.0:
-        # The depth z errs by c z^2, the range r by as much times r / z.
-        depth = rules.ahead_x * run.centroid[0] + rules.ahead_y * run.centroid[1]
-        depth = rules.stereo * distance * (depth + rules.ahead_z * run.centroid[2])
-        noise = sqrt(noise * noise + depth * depth)
+    noise = range_noise(rules, run.centroid, distance)
     least = max(half - root, 1e-12)
     square = noise * noise
     line = False
