@@ -72,8 +72,7 @@ class Fusion:
         x, y, z = scan.origin.tolist()
         self.origin = [x, y, z]
         covariance = scan.pose.covariance.ravel().tolist()
-        if not cython.compiled:
-            self.sigma = covariance
+        self.sigma = [0.0] * 36
         for i in range(36):
             self.sigma[i] = covariance[i]
         self.aligned = False

@@ -13,6 +13,7 @@ import numpy as np
 from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.sphere import Vector
+from quadtree_lss.onboard.core.sensing import lidar
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
 
 if not cython.compiled:
@@ -33,8 +34,7 @@ if not cython.compiled:
 
 #: |n.u| is taken to be at least this (grazing incidence).
 MIN_COSINE = cython.declare(cython.double, 0.05)
-#: Pose variances above this (m^2) say no more than this: nothing is known.
-MAX_VARIANCE = cython.declare(cython.double, 1e6)
+MAX_VARIANCE = cython.declare(cython.double, lidar.MAX_VARIANCE)
 #: An orthogonal fit that stands so much steeper than the regression of height (n_z over n_z) is of
 #: points that are as far apart in height as in place: no plane.
 OVERTURNED = cython.declare(cython.double, 0.5)
@@ -103,10 +103,10 @@ class Rules:
     """The numbers of a configuration that the kernels of mapping go by."""
 
     def __init__(self, config: Config) -> None:
-        lidar, mapping, lengths = config.lidar, config.mapping, config.vehicle.lengths
-        self.range_noise = lidar.range_noise
-        self.noise_per_metre = lidar.range_noise_per_metre
-        self.stereo = lidar.stereo_noise
+        mapping, lengths = config.mapping, config.vehicle.lengths
+        self.range_noise = config.lidar.range_noise
+        self.noise_per_metre = config.lidar.range_noise_per_metre
+        self.stereo = config.lidar.stereo_noise
         self.look(np.zeros(3))
         self.ml = mapping.by_paper("fit")
         self.independent = mapping.by_paper("covariance")
@@ -127,7 +127,7 @@ class Rules:
         self.feature_volume = lengths.feature_volume
         self.feature_width = FEATURE_WIDTH
         self.feature_points = FEATURE_POINTS
-        self.rock_height = max(lengths.rock_height, 3.0 * lidar.range_noise)
+        self.rock_height = max(lengths.rock_height, 3.0 * self.range_noise)
         self.rock_sigma = lengths.rock_sigma
 
     def look(self, boresight: Array) -> None:

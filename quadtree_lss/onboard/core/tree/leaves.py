@@ -114,10 +114,9 @@ class LeafTable:
     """
 
     def __init__(self, domain: Domain, max_cells: int) -> None:
-        self.domain = domain
+        self.lie_on(domain)
         self.max_cells = max_cells
         self.max_level = domain.max_level
-        self.xmin, self.ymin = domain.xmin, domain.ymin
         self.sides = [0.0] * 32
         for level in range(domain.max_level + 1):
             self.sides[level] = domain.size / (1 << level)
