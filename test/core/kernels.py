@@ -33,9 +33,9 @@ def sources(*names: str) -> list[ModuleType]:
     return found
 
 
-sphere, plane, measure, division, features = sources(
+sphere, plane, measure, division, features, leaves = sources(
     *("geometry.sphere", "geometry.plane"),
-    *("mapping.measure", "mapping.division", "mapping.features"),
+    *("mapping.measure", "mapping.division", "mapping.features", "tree.leaves"),
 )
 
 
@@ -90,7 +90,9 @@ def fit(
 ):
     """All points (N, 3) fitted in one cell: a record of type `measure.RUN`."""
     runs = np.zeros(1, dtype=measure.RUN).view(np.recarray)
-    normal = np.asarray(prior).tolist()
+    leaf = leaves.blank().view(np.recarray)[0]
+    leaf.x, leaf.y, leaf.z, leaf.normal, leaf.uneven = x, y, z, prior, uneven
+    leaf.known = leaves.NOTHING if np.isnan(z) else leaves.MEASURED
     flat, sigma = points.ravel().tolist(), sigma.ravel().tolist()
-    measure.measure(rules, flat, len(points), x, y, z, side, normal, sigma, uneven, runs[0])
+    measure.measure(rules, leaf, runs[0], flat, len(points), np.zeros(3), sigma, side)
     return runs

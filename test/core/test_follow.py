@@ -126,8 +126,10 @@ def test_a_wrong_pose_does_not_drop_the_map():
     (mapper,) = fly((Mapper(FOLLOWING),), 6)
     before, domain = mapper.snapshot(), mapper.domain
     away = make_pose((9e3, 8.0, 30.0), pose_covariance(0.03, 1e-3), stamp_ns=7 * 10**8)
-    for k in range(AGREEING):
+    for k in range(2 * AGREEING - 1):
         assert mapper.domain == domain
+        if k == AGREEING - 1:  # those before a state is taken up do not count
+            mapper.import_state(mapper.export_state())
         places = scattered(np.random.default_rng(k), 8995.0, 3.0, 10.0, 500)
         look(mapper, flat(), *places, pose=away)
         if k == 0:

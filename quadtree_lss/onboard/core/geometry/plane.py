@@ -154,7 +154,7 @@ def shift_origins(pair: Vector, first: float, second: float) -> None:
 
 
 def keep_possible(c: Vector) -> None:
-    """Covariance (9) in place: what rounding made impossible has nothing in common any more.
+    """Make a covariance (9) diagonal, in place, if rounding made it impossible.
 
     Planes that lie 1e5 m and more apart are fused about a place so far away that little is left,
     and exact positions of a lidar leave nothing of the height right below it.

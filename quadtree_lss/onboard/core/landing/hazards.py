@@ -49,5 +49,5 @@ def avoided_features(cells: CellMap, config: LssConfig) -> Bytes:
 def elevation_deviation(cells: CellMap, level: int) -> Array:
     """Greatest distance (M,), m, of each leaf's plane from the fused plane of a higher level (see
     `Ancestors.off`): 0 for leaves of the level or above, and NaN for leaves without a plane."""
-    off = np.where(cells.level > level, fuse_to_level(cells, level, poses=False).off, 0.0)
+    off = np.where(cells.level > level, fuse_to_level(cells, level).off, 0.0)
     return np.where(cells.estimated, off, np.nan)

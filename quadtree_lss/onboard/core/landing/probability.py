@@ -23,7 +23,7 @@ import cython
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask, Single
+from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask, Single
 from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, RiskModel, Row
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.lattice import GroundPlanes
@@ -103,6 +103,14 @@ class RiskTable:
         model: The fit.
         lss: The lander.
         noise: Configured range noise of the mapping, one deviation, m.
+
+    Attributes:
+        low, per, last: (F,) of what is asked of a place, in the order of `LOCAL`: where its tables
+            begin, entries per unit, and the last one.
+        terms: (T, 4) cause, which of these, where its table begins, and entries to the next row of
+            it, one row for each entry of how well ground is seen; or 0.
+        tables: Log odds of all.
+        exps: (EXPS,) exp between ``LEAST`` and ``MOST``.
     """
 
     def __init__(self, model: RiskModel, lss: LssConfig, noise: float) -> None:
@@ -112,9 +120,9 @@ class RiskTable:
             name: np.linspace(*span, COARSE if name == "seen" else FINE)
             for name, span in spans.items()
         }
-        self._low = np.array([at[0] for at in steps.values()])
-        self._last = np.array([len(at) - 1.0 for at in steps.values()])
-        self._per = self._last / [at[-1] - at[0] for at in steps.values()]
+        self.low = np.array([at[0] for at in steps.values()])
+        self.last = np.array([len(at) - 1.0 for at in steps.values()])
+        self.per = self.last / [at[-1] - at[0] for at in steps.values()]
         tables, terms, first = [], [], 0
         for number, name in enumerate(CAUSES):
             for curve in model.causes[name].curves:
@@ -127,9 +135,9 @@ class RiskTable:
                     terms.append((number, LOCAL.index(curve.of), first, FINE * wide))
                     tables.append(odds.ravel())
                     first += odds.size
-        self._tables = np.concatenate(tables, dtype=np.float32, casting="same_kind")
-        self._terms = np.array(terms, dtype=np.int32)
-        self._exps = np.exp(np.linspace(LEAST, MOST, EXPS))
+        self.tables = np.concatenate(tables, dtype=np.float32, casting="same_kind")
+        self.terms = np.array(terms, dtype=np.int32)
+        self.exps = np.exp(np.linspace(LEAST, MOST, EXPS))
         # Of finest cells of one side, as of the map before.
         self._constant: tuple[float, Array] | None = None
 
@@ -163,7 +171,7 @@ class RiskTable:
         clearance, steep = vehicle.clearance, tan(radians(vehicle.max_slope_deg))
         out = np.empty((len(LOCAL), *worst.rise.shape), dtype=np.float32)
         for k, contact, limit in ((0, worst.rise, clearance), (2, worst.slope, steep)):
-            set_contacts(contact, limit, self._low[k], out[k : k + 2])
+            set_contacts(contact, limit, self.low[k], out[k : k + 2])
         known = ~raster.bridged
         # Returns on a square as wide as the least hazard, of those that their leaf has there.
         returns = raster.returns * (vehicle.least_hazard / side) ** 2
@@ -199,8 +207,7 @@ class RiskTable:
             of = self.overall(side)
             self._constant = side, np.array([self._model.causes[name].at(of) for name in CAUSES])
         out, cause = np.ones(judged.shape), np.zeros(judged.shape, dtype=np.uint8)
-        layout = self._low, self._per, self._last, self._terms, self._tables, self._exps
-        look_up(places, judged.view(np.uint8), self._constant[1], *layout, out, cause)
+        look_up(self, places, judged.view(np.uint8), self._constant[1], out, cause)
         return out, cause
 
 
@@ -459,34 +466,25 @@ def set_means(values: Single, reach: cython.Py_ssize_t, out: Single) -> None:
 
 @cython.boundscheck(False)
 @cython.locals(places=cython.float[:, :, ::1], judged=cython.uchar[:, ::1])
-@cython.locals(constant=cython.double[::1], low=cython.double[::1], per=cython.double[::1])
-@cython.locals(last=cython.double[::1])
-@cython.locals(terms=cython.int[:, ::1], tables=cython.float[::1], exps=cython.double[::1])
+@cython.locals(constant=cython.double[::1])
 @cython.locals(out=cython.double[:, ::1], cause=cython.uchar[:, ::1])
 def look_up(
-    places: Single,
-    judged: Bytes,
-    constant: Array,
-    low: Array,
-    per: Array,
-    last: Array,
-    terms: Ints,
-    tables: Single,
-    exps: Array,
-    out: Array,
-    cause: Bytes,
+    table: RiskTable, places: Single, judged: Bytes, constant: Array, out: Array, cause: Bytes
 ) -> None:
     """Set P(unsafe) at the ``judged`` grid points (ny, nx), and which cause is the likeliest.
 
     Args:
+        table: Of the model.
         places: (F, ny, nx) what is asked of each.
         constant: (C,) log odds of each cause.
-        low, per, last: (F,) where its tables begin, entries per unit, and the last one.
-        terms: (T, 4) cause, which of ``places``, where its table begins, and entries to the
-            next row of it, one row for each entry of what is seen; or 0.
-        tables: Log odds of all.
-        exps: (EXPS,) exp between ``LEAST`` and ``MOST``.
+        out, cause: (ny, nx), set where it is judged.
     """
+    low = cython.declare(cython.double[::1], table.low)
+    per = cython.declare(cython.double[::1], table.per)
+    last = cython.declare(cython.double[::1], table.last)
+    terms = cython.declare(cython.int[:, ::1], table.terms)
+    tables = cython.declare(cython.float[::1], table.tables)
+    exps = cython.declare(cython.double[::1], table.exps)
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, t=cython.Py_ssize_t)
     cython.declare(c=cython.Py_ssize_t, f=cython.Py_ssize_t, k=cython.Py_ssize_t)
     cython.declare(first=cython.Py_ssize_t, after=cython.Py_ssize_t)

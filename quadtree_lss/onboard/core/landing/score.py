@@ -170,8 +170,7 @@ def assess_points(
     of_leaves += WEIGHT_ROUGHNESS / vehicle.height * rough
     weights = of_slope, WEIGHT_DISTANCE / vehicle.size, WEIGHT_SUBSCALE / vehicle.height
     density = np.empty(raster.leaf.shape)
-    lay = around.planes.gradient, near, around.room, raster.leaf, raster.subscale
-    set_densities(*lay, of_leaves, cap, *weights, density)
+    set_densities(raster, around, near, of_leaves, cap, weights, density)
     # Eq. 56's integral as Eq. 59's mean over the disc of each point. No zone fits a domain smaller
     # than itself: none needs sums over more than that.
     over = disc(min(zone, 0.5 * cells.domain.size), side)
@@ -182,37 +181,35 @@ def assess_points(
 
 
 @cython.boundscheck(False)
-@cython.locals(gradient=cython.double[:, ::1], near=cython.double[:, ::1])
-@cython.locals(room=cython.double[:, ::1], leaf=cython.Py_ssize_t[:, ::1])
-@cython.locals(subscale=cython.double[:, ::1])
-@cython.locals(of_leaves=cython.double[::1], cap=cython.double, per_slope=cython.double)
-@cython.locals(per_metre=cython.double, per_height=cython.double, out=cython.double[:, ::1])
+@cython.locals(near=cython.double[:, ::1], of_leaves=cython.double[::1], cap=cython.double)
+@cython.locals(out=cython.double[:, ::1], per_slope=cython.double, per_metre=cython.double)
+@cython.locals(per_height=cython.double)
 def set_densities(
-    gradient: Array,
+    raster: TerrainRaster,
+    around: Surroundings,
     near: Array,
-    room: Array,
-    leaf: Index,
-    subscale: Array,
     of_leaves: Array,
     cap: float,
-    per_slope: float,
-    per_metre: float,
-    per_height: float,
+    weights: tuple[float, float, float],
     out: Array,
 ) -> None:
     """Eq. 58, of the four grid points of each finest cell and of its leaf.
 
     Args:
-        gradient: (n + 1, n + 1) rise over run.
-        near, room: (n + 1, n + 1) distances to hazards and to unseen ground, m.
-        leaf, subscale: (n, n) of `TerrainRaster`.
+        raster, around: The map, and what lies about its grid points.
+        near: (n + 1, n + 1) distances to hazards, m.
         of_leaves: (M,) what is the same all over a leaf.
         cap: Farther hazards do not matter, m.
-        per_slope, per_metre, per_height: Weights of slope, distance and features.
+        weights: Of slope, distance and features.
         out: (n, n), set.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     n: cython.Py_ssize_t = out.shape[0]
+    per_slope, per_metre, per_height = weights
+    gradient = cython.declare(cython.double[:, ::1], around.planes.gradient)
+    room = cython.declare(cython.double[:, ::1], around.room)
+    leaf = cython.declare(cython.Py_ssize_t[:, ::1], raster.leaf)
+    subscale = cython.declare(cython.double[:, ::1], raster.subscale)
     before = cython.declare(cython.double[::1], np.zeros(n + 1))
     both = cython.declare(cython.double[::1], np.empty(n + 1))
     with cython.nogil:

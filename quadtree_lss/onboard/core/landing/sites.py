@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from math import inf, isnan
 from typing import Any
 
@@ -205,20 +206,7 @@ class LandingSiteSelector:
         doubts: tuple[str, ...] = ()
         if self._doubts is not None:
             doubts = self._doubts.of(points.raster, points.risk, points.around.judged)
-        cost = aims.candidates.cost
         landable = bool(aims.candidates.permitted.any())
-
-        def why_not(row: int, column: int) -> Reason:
-            if aims.withheld or above[row, column]:
-                return Reason.WITHHELD
-            if unwanted := wanted.fault(at.x[column], at.y[row], lss):
-                return unwanted
-            if at.everywhere(points.around.room >= (1.0 - SLACK) * lss.zone)[row, column]:
-                return Reason.HAZARD
-            reach = (1.0 - SLACK) * (lss.zone + lss.vehicle.pad_radius)
-            mapped = at.everywhere(points.around.to_unmapped >= reach)[row, column]
-            return Reason.UNSEEN if mapped else Reason.UNMAPPED
-
         seen = wanted.share(aims.hazard & hazards.UNSEEN == 0, at.x, at.y)
         settled = seen >= SETTLE_SHARE or waited >= lss.settle_time
         below = descent = None
@@ -228,13 +216,13 @@ class LandingSiteSelector:
         here = within_reach(aims, wanted, lss, motion, below)
         choice = self._choose(
             aims.candidates,
-            why_not=why_not,
+            why_not=partial(_why_not, points, aims, above, wanted, lss),
             why_none=Reason.WITHHELD if aims.withheld else Reason.NO_SITE,
             descent=descent,
             settled=settled,
             now=here,
         )
-        ranked = self._rank(cost, at.x, at.y)
+        ranked = self._rank(aims.candidates.cost, at.x, at.y)
         places = ranked if choice.place is None else [*ranked, choice.place]
         found = self._describe(points, aims, spread, places)
         best = np.full(4, np.nan)
@@ -351,6 +339,28 @@ class LandingSiteSelector:
             id=self._target.places.numbers(place, self._reach()),
             reasons=tuple(reasons),
         )
+
+
+def _why_not(
+    points: PointAssessment,
+    aims: Aims,
+    above: Mask,
+    wanted: Restrictions,
+    lss: LssConfig,
+    row: int,
+    column: int,
+) -> Reason:
+    """Why landing is not permitted at a grid point; ``above``: (ny, nx) those over the vehicle."""
+    at, around = aims.at, points.around
+    if aims.withheld or above[row, column]:
+        return Reason.WITHHELD
+    if unwanted := wanted.fault(at.x[column], at.y[row], lss):
+        return unwanted
+    if at.everywhere(around.room >= (1.0 - SLACK) * lss.zone)[row, column]:
+        return Reason.HAZARD
+    reach = (1.0 - SLACK) * (lss.zone + lss.vehicle.pad_radius)
+    mapped = at.everywhere(around.to_unmapped >= reach)[row, column]
+    return Reason.UNSEEN if mapped else Reason.UNMAPPED
 
 
 def _descent(

@@ -88,13 +88,16 @@ class Reason(IntEnum):
 
 
 class State(IntEnum):
-    """No target; none before enough is seen; one that may give way to a better one; one that only a
-    hazard, or who asks for it, takes away; the best within reach, whatever its risk."""
+    """What goes on with the target."""
 
     NONE = 0
+    #: There is none before enough is seen.
     SETTLING = 1
+    #: It may give way to a better one.
     HOLDS = 2
+    #: Only a hazard takes it away, or who asks for it.
     COMMITTED = 3
+    #: The best within reach, whatever its risk.
     NOW = 4
 
 

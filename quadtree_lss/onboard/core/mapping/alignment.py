@@ -15,18 +15,18 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.geometry.bounds import HEIGHTS
-from quadtree_lss.onboard.core.mapping.departure import BEYOND, FLOOR, Departure
+from quadtree_lss.onboard.core.mapping.departure import BEYOND, FLOOR, MIN_CELLS, Departure
 
 if cython.compiled:
     from cython.cimports.libc.math import INFINITY, exp, fabs, sqrt
+    from cython.cimports.quadtree_lss.onboard.core.mapping import update as row
     from cython.cimports.quadtree_lss.onboard.core.tree.leaves import HINTS, LeafTable
 else:
     from math import exp, fabs, sqrt
     from math import inf as INFINITY
 
-    from quadtree_lss.onboard.core.tree.leaves import LeafTable
-
-    HINTS = 1
+    from quadtree_lss.onboard.core.mapping import update as row
+    from quadtree_lss.onboard.core.tree.leaves import HINTS, LeafTable
 
 #: A cell that departs from the others by more than this many deviations counts less.
 HUBER = cython.declare(cython.double, 2.0)
@@ -42,8 +42,6 @@ LEAST_LIFT = 5e-4
 INSTANT = cython.declare(cython.double, 1e-3)
 #: A plane is higher or lower at no cell's centre, m.
 HIGHEST = cython.declare(cython.double, HEIGHTS)
-#: Cells seen before that a scan needs to be moved.
-MIN_CELLS = 3
 
 
 class Offset(NamedTuple):
@@ -83,7 +81,7 @@ def offset_of(
     all error is news. If n^2 = b^2 / max(S, M, R) is more than `JUMP`^2, too, and the map is of
     several scans, this one's pose is worse than it claims: S counts (n / `JUMP`)^6 times, but
     `BEYOND`^2 times at most. So the map follows five deviations by less than a tenth, and an exact
-    pose stays where it is. ``cells``: (6, M) of `ScanUpdate.fit`. ``now``: time of the scan, s.
+    pose stays where it is. ``cells``: of `ScanUpdate.fit`. ``now``: time of the scan, s.
     ``correlation_time``: s; 0 if the error is another one in each scan. ``metre``:
     what the constants above have for one (``VehicleConfig.height``).
     """
@@ -100,20 +98,20 @@ def offset_of(
     weights = np.empty(count)
     weight = cython.declare(cython.double[::1], weights)
     for i in range(count):
-        weight[i] = 1.0 / (column[1, i] + model)
-    middle: cython.double = weighted_median(cells[0], weights)
+        weight[i] = 1.0 / (column[row.OWN, i] + model)
+    middle: cython.double = weighted_median(cells[row.RISE], weights)
     total = height = of_scan = since = until = 0.0
     least = INFINITY
     for i in range(count):
-        away = fabs(column[0, i] - middle) * sqrt(weight[i])
+        away = fabs(column[row.RISE, i] - middle) * sqrt(weight[i])
         w = weight[i] * min(1.0, HUBER / max(away, HUBER))
         total += w
-        height += w * column[0, i]
-        of_scan += w * column[2, i]
-        since += w * column[4, i]
-        until += w * column[5, i]
+        height += w * column[row.RISE, i]
+        of_scan += w * column[row.OF_SCAN, i]
+        since += w * column[row.FIRST_TIME, i]
+        until += w * column[row.LAST_TIME, i]
         # On slopes either error is another one: the cell best known for what the scan knows of it.
-        least = min(least, column[3, i] / (column[2, i] + exact))
+        least = min(least, column[row.OF_MAP, i] / (column[row.OF_SCAN, i] + exact))
     height /= total
     of_scan /= total
     since /= total

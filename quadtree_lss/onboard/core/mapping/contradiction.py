@@ -10,6 +10,7 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.mapping.departure import FLOOR, MIN_CELLS, Departure
+from quadtree_lss.onboard.core.mapping.update import OF_SCAN, OWN, RISE
 
 #: A scan contradicts the map if less than this share of its cells stands where they may, ...
 SHARE = 1.0 / 3.0
@@ -46,12 +47,13 @@ class Contradiction:
         Rocks, shadows and edges are in few cells, and wrong ground in the map is in some: only
         where a height or an attitude is beyond what is claimed do most cells, or all in common,
         depart. `AGREEING` refused scans whose heights are the same but for what their own poses
-        claim win. ``cells``: (4, M) or more rows of `ScanUpdate.fit`, or of `ScanUpdate.parts`.
+        claim win. ``cells``: of `ScanUpdate.fit` or `ScanUpdate.parts`.
         """
         if not contradicts:
             self.count = 0
             return Verdict.SOUND
-        height, variance = float(np.median(cells[0])), float(np.median(cells[1] + cells[2]))
+        height = float(np.median(cells[RISE]))
+        variance = float(np.median(cells[OWN] + cells[OF_SCAN]))
         allowed = DEVIATIONS**2 * (variance + self.variance)
         agrees = self.count > 0 and (height - self.height) ** 2 <= allowed
         self.count = self.count + 1 if agrees else 1

@@ -17,11 +17,13 @@ from quadtree_lss.onboard.arrays import Array
 if cython.compiled:
     from cython.cimports.libc.math import INFINITY, exp, fabs, sqrt
     from cython.cimports.quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
+    from cython.cimports.quadtree_lss.onboard.core.mapping import update as row
 else:
     from math import exp, fabs, sqrt
     from math import inf as INFINITY
 
     from quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
+    from quadtree_lss.onboard.core.mapping import update as row
 
 #: A cell that departs from the others by more than this many of its deviations counts less: of
 #: Gaussian cells one in 22 does.
@@ -80,9 +82,9 @@ class Departure(NamedTuple):
 @cython.locals(cells=cython.double[:, :], out=cython.p_double)
 def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> cython.void:
     """J_i (6): by how much a scan's pose error lifts its ground in a cell."""
-    x, y, z = cells[6, i], cells[7, i], cells[8, i]
-    out[0] = -cells[9, i]
-    out[1] = -cells[10, i]
+    x, y, z = cells[row.PLACE_X, i], cells[row.PLACE_Y, i], cells[row.PLACE_Z, i]
+    out[0] = -cells[row.SLOPE_X, i]
+    out[1] = -cells[row.SLOPE_Y, i]
     out[2] = 1.0
     out[3] = y - z * out[1]
     out[4] = z * out[0] - x
@@ -91,6 +93,7 @@ def _motion(cells: Array, i: cython.Py_ssize_t, out: Array) -> cython.void:
 
 @cython.boundscheck(False)
 @cython.locals(cells=cython.double[:, :], sigma=cython.double[:, ::1])
+@cython.locals(deviation=cython.double[::1], full=cython.double[::1], weight=cython.double[::1])
 def departure(
     cells: Array,
     sigma: Array,
@@ -128,14 +131,13 @@ def departure(
     than claimed, its error would be k^2 Sigma T^T (k^2 P + V)^-1 theta.
 
     Args:
-        cells: (12, M) of `ScanUpdate.fit`.
+        cells: (ROWS, M) of `ScanUpdate.fit`.
         sigma: (6, 6) pose covariance of the scan.
         now: Time of the scan, s.
         correlation_time: s; 0 if the error is another one in each scan.
         limit: Deviations.
         metre: What the constants above have for one (``VehicleConfig.height``).
     """
-    row = cython.declare(cython.double[3])
     right = cython.declare(cython.double[3])
     theta = cython.declare(cython.double[3])
     normal = cython.declare(cython.double[9])
@@ -151,87 +153,86 @@ def departure(
     floor: cython.double = FLOOR * metre * metre
     smoothed: cython.double = SMOOTHED * metre * metre
     beyond: cython.double = BEYOND * BEYOND
-    weight = x0 = y0 = 0.0
-    square = weights = mapped = tilted = began = last = 0.0
     if count < MIN_CELLS:
         return None
-    early, late = INFINITY, -INFINITY
-    for j in range(18):
-        moved[j] = 0.0
     kept = cython.declare(cython.Py_ssize_t[::1], np.empty(count, dtype=np.intp))
-    spread = cython.declare(cython.double[:, ::1], np.empty((2, count)))
+    # Of the kept cells: deviation, its weight, and Huber's weight.
+    deviation, full, weight = np.empty((3, count))
+    x0 = y0 = whole = 0.0
     for i in range(count):
-        may = cells[1, i] + cells[2, i] + cells[3, i] + floor
-        if cells[0, i] * cells[0, i] <= limit * limit * may:
-            variance = cells[1, i] + smoothed
+        may = cells[row.OWN, i] + cells[row.OF_SCAN, i] + cells[row.OF_MAP, i] + floor
+        if cells[row.RISE, i] * cells[row.RISE, i] <= limit * limit * may:
+            variance = cells[row.OWN, i] + smoothed
             w = 1.0 / variance
-            weight += w
-            x0 += w * cells[6, i]
-            y0 += w * cells[7, i]
-            spread[0, agreeing] = sqrt(variance)
-            spread[1, agreeing] = w
-            kept[agreeing] = i
+            whole += w
+            x0 += w * cells[row.PLACE_X, i]
+            y0 += w * cells[row.PLACE_Y, i]
+            deviation[agreeing], full[agreeing], kept[agreeing] = sqrt(variance), w, i
             agreeing += 1
     share: cython.double = agreeing
     share /= count
     if agreeing < MIN_CELLS:
         return Departure(share, 0.0, (0.0, 0.0), (0.0, 0.0), 0.0, 0.0, 0.0, now, 0.0)
-    x0 /= weight
-    y0 /= weight
-    for j in range(3):
-        theta[j] = 0.0
-    # The last round only sums up.
+    x0 /= whole
+    y0 /= whole
+    theta[0] = theta[1] = theta[2] = 0.0
     for step in range(ROUNDS + 1):
         for j in range(9):
             normal[j] = 0.0
-        for j in range(3):
-            right[j] = 0.0
+        right[0] = right[1] = right[2] = 0.0
         for k in range(agreeing):
             i = kept[k]
-            x = cells[6, i] - x0
-            y = cells[7, i] - y0
-            off = fabs(cells[0, i] - theta[0] - theta[1] * x - theta[2] * y)
-            w = spread[1, k]
-            if off > HUBER * spread[0, k]:
-                w *= HUBER * spread[0, k] / off
+            x, y = cells[row.PLACE_X, i] - x0, cells[row.PLACE_Y, i] - y0
+            off = fabs(cells[row.RISE, i] - theta[0] - theta[1] * x - theta[2] * y)
+            w = full[k]
+            if off > HUBER * deviation[k]:
+                w *= HUBER * deviation[k] / off
+            weight[k] = w
             normal[0] += w
             normal[1] += w * x
             normal[2] += w * y
             normal[4] += w * x * x
             normal[5] += w * x * y
             normal[8] += w * y * y
-            right[0] += w * cells[0, i]
-            right[1] += w * x * cells[0, i]
-            right[2] += w * y * cells[0, i]
-            if step == ROUNDS:
-                row[0], row[1], row[2] = 1.0, x, y
-                _motion(cells, i, lift)
-                for j in range(3):
-                    for m in range(6):
-                        moved[6 * j + m] += w * row[j] * lift[m]
-                square += w * off * off
-                weights += w * w
-                mapped += w * cells[3, i]
-                tilted += w * cells[11, i]
-                began += w * cells[4, i]
-                last += w * (cells[5, i] - now)
-                early = min(early, 0.5 * (cells[4, i] + cells[5, i]))
-                late = max(late, 0.5 * (cells[4, i] + cells[5, i]))
+            right[0] += w * cells[row.RISE, i]
+            right[1] += w * x * cells[row.RISE, i]
+            right[2] += w * y * cells[row.RISE, i]
         inverse_symmetric(normal, inverse)
-        if step < ROUNDS:
+        if step < ROUNDS:  # the last round only weighs
             for j in range(3):
                 theta[j] = 0.0
                 for k in range(3):
                     theta[j] += inverse[3 * j + k] * right[k]
-    weight = normal[0]
-    mapped /= weight
-    tilted /= weight
+    square = weights = mapped = tilted = began = last = 0.0
+    early, late = INFINITY, -INFINITY
+    for j in range(18):
+        moved[j] = 0.0
+    for k in range(agreeing):
+        i, w = kept[k], weight[k]
+        x, y = cells[row.PLACE_X, i] - x0, cells[row.PLACE_Y, i] - y0
+        off = cells[row.RISE, i] - theta[0] - theta[1] * x - theta[2] * y
+        _motion(cells, i, lift)
+        for m in range(6):  # X^T W J
+            moved[m] += w * lift[m]
+            moved[6 + m] += w * x * lift[m]
+            moved[12 + m] += w * y * lift[m]
+        square += w * off * off
+        weights += w * w
+        mapped += w * cells[row.OF_MAP, i]
+        tilted += w * cells[row.OF_SLOPE, i]
+        began += w * cells[row.FIRST_TIME, i]
+        last += w * (cells[row.LAST_TIME, i] - now)
+        early = min(early, 0.5 * (cells[row.FIRST_TIME, i] + cells[row.LAST_TIME, i]))
+        late = max(late, 0.5 * (cells[row.FIRST_TIME, i] + cells[row.LAST_TIME, i]))
+    whole = normal[0]
+    mapped /= whole
+    tilted /= whole
     other = mapped if late - early > INSTANT else 0.0
     common = 0.0
     if correlation_time > 0.0:
-        common = exp(-fabs(last / weight) / correlation_time)
+        common = exp(-fabs(last / whole) / correlation_time)
     # As many cells as tell something: one that is hardly known confirms nothing.
-    telling = weight * weight / weights
+    telling = whole * whole / weights
     square = (square + 3.0) / max(telling, 3.0)
     noise = square + max(square - 1.0, 0.0) * TOGETHER * telling
     for j in range(3):
@@ -248,7 +249,7 @@ def departure(
     for j in range(9):
         total[j] = scan[j] + noise * inverse[j]
     for j in range(3):
-        of_map = mapped if j == 0 else tilted + other * weight * inverse[4 * j]
+        of_map = mapped if j == 0 else tilted + other * whole * inverse[4 * j]
         apart = scan[4 * j] + of_map - 2.0 * common * sqrt(max(scan[4 * j] * of_map, 0.0))
         total[4 * j] += max(scan[4 * j], max(of_map, apart)) - scan[4 * j]
     total[0] += floor
@@ -279,6 +280,6 @@ def departure(
         claimed=scan[0],
         mapped=mapped,
         noise=unsure,
-        since=began / weight,
+        since=began / whole,
         deviations=sqrt(max(square, 0.0)),
     )

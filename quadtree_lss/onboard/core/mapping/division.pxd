@@ -16,6 +16,6 @@ cdef bint rough(Rules rules, Leaf* leaf) noexcept nogil
 cdef double left_out(Leaf* leaf, double variance) noexcept nogil
 cdef double raised_from(Rules rules, Leaf* leaf, double variance) noexcept nogil
 cdef double standing_out(Rules rules, Leaf* leaf, double variance) noexcept nogil
-cdef bint departs(Rules rules, Leaf* leaf, Run* run, double[:, ::1] points, Py_ssize_t begin, Py_ssize_t end, double* origin, double side) noexcept nogil
-cdef void rest(Rules rules, Leaf* leaf, Run* run, double[:, ::1] points, double[::1] residual, Py_ssize_t begin, Py_ssize_t end, double* origin) noexcept nogil
-cdef double exceptions(double[::1] residual, Py_ssize_t begin, Py_ssize_t end, Py_ssize_t every, double tolerance, double deviation) noexcept nogil
+cdef bint departs(Rules rules, Leaf* leaf, Run* run, double* points, double* origin, double side) noexcept nogil
+cdef void rest(Rules rules, Leaf* leaf, Run* run, double* points, double* residual, double* origin) noexcept nogil
+cdef double exceptions(double* residual, Py_ssize_t count, Py_ssize_t every, double tolerance, double deviation) noexcept nogil

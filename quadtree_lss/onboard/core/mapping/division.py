@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import cython
 
-from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.geometry.sphere import Vector
 from quadtree_lss.onboard.core.mapping.measure import Rules
 from quadtree_lss.onboard.core.tree.leaves import Record
@@ -18,13 +17,8 @@ if not cython.compiled:
     from quadtree_lss.onboard.core.geometry.portable import above
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
     from quadtree_lss.onboard.core.mapping.features import feature_height
-    from quadtree_lss.onboard.core.mapping.measure import (
-        few,
-        partial,
-        pose_variance,
-    )
-
-    MEASURED = 3
+    from quadtree_lss.onboard.core.mapping.measure import few, partial, pose_variance
+    from quadtree_lss.onboard.core.tree.leaves import MEASURED
 
 
 #: Mean and standard deviation of chi_1, E = sqrt(2 / pi), and of chi_3, E = 2 sqrt(2 / pi)
@@ -249,21 +243,14 @@ def raised_from(rules: Rules, leaf: Record, variance: float) -> cython.double:
     return min(curved, standing_out(rules, leaf, variance))
 
 
-@cython.boundscheck(False)
 def departs(
-    rules: Rules,
-    leaf: Record,
-    run: Record,
-    points: Array,
-    begin: cython.Py_ssize_t,
-    end: cython.Py_ssize_t,
-    origin: Vector,
-    side: float,
+    rules: Rules, leaf: Record, run: Record, points: Vector, origin: Vector, side: float
 ) -> cython.bint:
     """Whether a view of a part of a leaf shows what the leaf's plane does not describe.
 
     It is held against the plane as it was before: a rock that fills the view would bend it. What
-    the offset of the view may be, ``run.doubt``, is no rock.
+    the offset of the view may be, ``run.doubt``, is no rock. ``points``, ``origin``: as of `judge`.
+    ``side``: of the leaf, m.
     """
     i: cython.Py_ssize_t
     n_x, n_y, n_z = leaf.normal[0], leaf.normal[1], leaf.normal[2]
@@ -272,8 +259,8 @@ def departs(
     d += min(max(off, -run.doubt), run.doubt)
     high = standing_out(rules, leaf, run.variance)
     out = greatest = 0.0
-    for i in range(begin, end):
-        e = fabs(n_x * points[i, 0] + n_y * points[i, 1] + n_z * points[i, 2] - d)
+    for i in range(cython.cast(cython.Py_ssize_t, run.points)):
+        e = fabs(n_x * points[3 * i] + n_y * points[3 * i + 1] + n_z * points[3 * i + 2] - d)
         out += 1.0 if e > high else 0.0
         greatest = greatest if greatest > e else e
     if out < max(2.0, rules.rock_area / (side * side) * run.points):
@@ -282,27 +269,21 @@ def departs(
     return True
 
 
-@cython.boundscheck(False)
 def rest(
-    rules: Rules,
-    leaf: Record,
-    run: Record,
-    points: Array,
-    residual: Array,
-    begin: cython.Py_ssize_t,
-    end: cython.Py_ssize_t,
-    origin: Vector,
+    rules: Rules, leaf: Record, run: Record, points: Vector, residual: Vector, origin: Vector
 ) -> None:
     """Add a run to the running statistics of the leaf it came to rest in.
 
-    Residuals (N,), written from ``begin`` to ``end``, m, are n.(r - mean): without the scan's
-    common offset in the cell, which pose error and not the ground explains; it takes one degree of
-    freedom. Of so few points that no fit of their own tells, only the likeliest offset is taken
-    out: b p / (p + v / N) for a mean b off the plane, p the variance of what they have in common
-    and v that of noise. What is left of a residual has the variance v (1 - p / (N p + v)).
+    Residuals (N), which are written, m, are n.(r - mean): without the scan's common offset in the
+    cell, which pose error and not the ground explains; it takes one degree of freedom. Of so few
+    points that no fit of their own tells, only the likeliest offset is taken out: b p / (p + v / N)
+    for a mean b off the plane, p the variance of what they have in common and v that of noise. What
+    is left of a residual has the variance v (1 - p / (N p + v)). ``points``, ``origin``: as of
+    `judge`.
     """
     i: cython.Py_ssize_t
     count = run.points
+    number: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, count)
     variance = run.variance
     n_x, n_y, n_z = leaf.normal[0], leaf.normal[1], leaf.normal[2]
     d = n_x * run.centroid[0] + n_y * run.centroid[1] + n_z * run.centroid[2]
@@ -315,12 +296,12 @@ def rest(
     high = raised_from(rules, leaf, variance)
     clip = rules.clip
     total = greatest = 0.0
-    low = high_z = points[begin, 2]
-    for i in range(begin, end):
-        z = points[i, 2]
+    low = high_z = points[2]
+    for i in range(number):
+        z = points[3 * i + 2]
         low = low if low < z else z
         high_z = high_z if high_z > z else z
-        e = n_x * points[i, 0] + n_y * points[i, 1] + n_z * z - d
+        e = n_x * points[3 * i] + n_y * points[3 * i + 1] + n_z * z - d
         residual[i] = e
         e = fabs(e)
         greatest = greatest if greatest > e else e
@@ -337,32 +318,30 @@ def rest(
     leaf.exception_noise += 2.0 * count * above(rules.tolerance / sqrt(2.0 * variance))
     if greatest > rules.tolerance - 3.0 * sqrt(noise):
         every: cython.Py_ssize_t = ALIKE if rules.stereo > 0.0 else 1
-        leaf.exception_sum += exceptions(residual, begin, end, every, rules.tolerance, sqrt(noise))
+        leaf.exception_sum += exceptions(residual, number, every, rules.tolerance, sqrt(noise))
     leaf.residuals += count
 
 
-@cython.boundscheck(False)
 def exceptions(
-    residual: Array,
-    begin: cython.Py_ssize_t,
-    end: cython.Py_ssize_t,
+    residual: Vector,
+    count: cython.Py_ssize_t,
     every: cython.Py_ssize_t,
     tolerance: float,
     deviation: float,
 ) -> cython.double:
     """Eq. 48's sum of xi: probability mass beyond the roughness tolerance t.
 
-    xi = P(|e + s N(0, 1)| > t) with e the residual (N,), m, of the run ``begin`` to ``end``, of
-    which one of ``every`` so many stands for all, and s the ``deviation`` that range noise leaves
-    in it, m. How uncertain the plane's slope is does not count: of a leaf that was seen in part
-    that is the other part's.
+    xi = P(|e + s N(0, 1)| > t) with e the ``count`` residuals of a run, m, of which one of
+    ``every`` so many stands for all, and s the ``deviation`` that range noise leaves in it, m. How
+    uncertain the plane's slope is does not count: of a leaf that was seen in part that is the other
+    part's.
     """
-    i: cython.Py_ssize_t = begin
+    i: cython.Py_ssize_t = 0
     asked = mass = 0.0
-    while i < end:
+    while i < count:
         e = fabs(residual[i])
         if e > tolerance - 3.0 * deviation:
             mass += above((tolerance - e) / deviation) + above((tolerance + e) / deviation)
         asked += 1.0
         i += every
-    return mass * ((end - begin) / asked)
+    return mass * (count / asked)

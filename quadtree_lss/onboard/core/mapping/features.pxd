@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 cimport cython
 from libc.math cimport NAN, fabs, isfinite, sqrt
-from quadtree_lss.onboard.core.mapping.measure cimport Rules
+from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run
 from quadtree_lss.onboard.core.tree.leaves cimport Leaf
 
 @cython.final
@@ -23,4 +23,4 @@ cdef bint _solve(double* system, double damping, double* step) noexcept nogil
 cdef double estimate(Heights heights, double* state, double* information, bint known, double half, double finest) noexcept nogil
 cdef void first_state(Py_ssize_t raised, double* high, double count, double area, double least, double* out) noexcept nogil
 cdef Py_ssize_t insert_high(double* high, Py_ssize_t held, double x, double y, double z) noexcept nogil
-cdef void update_feature(Rules rules, Leaf* leaf, double[:, ::1] points, double[::1] residual, Py_ssize_t begin, Py_ssize_t end, double x, double y, double side, double variance, double greatest, Heights heights) noexcept nogil
+cdef void update_feature(Rules rules, Leaf* leaf, Run* run, double* points, double* residual, double* origin, double side, Heights heights) noexcept nogil

@@ -12,7 +12,6 @@ from __future__ import annotations
 import cython
 import numpy as np
 
-from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.geometry.sphere import Vector
 from quadtree_lss.onboard.core.mapping.measure import Rules
 from quadtree_lss.onboard.core.tree import cell_map
@@ -325,26 +324,22 @@ def first_state(
 def update_feature(
     rules: Rules,
     leaf: Record,
-    points: Array,
-    residual: Array,
-    begin: cython.Py_ssize_t,
-    end: cython.Py_ssize_t,
-    x: float,
-    y: float,
+    run: Record,
+    points: Vector,
+    residual: Vector,
+    origin: Vector,
     side: float,
-    variance: float,
-    greatest: float,
     heights: Heights,
 ) -> None:
-    """Update the feature of a leaf that a scan shows one in, or that had one.
+    """Update the feature of a leaf that a run shows one in, or that had one.
 
     A leaf is a candidate if clearly more points stand out than noise raises on flat ground; a
     feature that later scans do not show fades away.
 
     Args:
-        points, residual: (N, 3) about the lidar, (N,) n.(r - mean), m; of ``begin`` to ``end``.
-        x, y, side: Cell's centre about the lidar, and its side, m.
-        variance, greatest: Of a residual from range noise, m^2; |residual|, m.
+        points, residual: Of the run, (3 N) about the lidar and (N) n.(r - mean), m.
+        origin: (3) of the lidar, map frame, m.
+        side: Of the cell, m.
         heights: Working memory, for a scan's points.
     """
     high = cython.declare(cython.double[72])
@@ -355,30 +350,32 @@ def update_feature(
     inside: cython.Py_ssize_t = 0
     held: cython.Py_ssize_t = 0
     raised: cython.Py_ssize_t = 0
-    count: cython.double = end - begin
-    up = leaf.normal[2]
-    known: cython.bint = isfinite(leaf.feature[1])
+    count = run.points
     if count < rules.feature_points:
         return
-    gate = max(HIGH * sqrt(variance), 0.5 * rules.feature_height * up)
-    if not known and greatest > gate:
-        for i in range(begin, end):
+    number: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, count)
+    x, y, up = leaf.x - origin[0], leaf.y - origin[1], leaf.normal[2]
+    known: cython.bint = isfinite(leaf.feature[1])
+    gate = max(HIGH * sqrt(run.variance), 0.5 * rules.feature_height * up)
+    if not known and run.greatest > gate:
+        for i in range(number):
             # A number and not a truth, which compilers do not count two at a time.
             one = 1.0 if residual[i] > gate else 0.0
             raised += cython.cast(cython.int, one)
     chance = CHANCE * count
     if not known and raised < max(2.0, chance + 2.0 * sqrt(chance)):
         return
-    heights.clear(up * up / variance)
+    heights.clear(up * up / run.variance)
     if known:
         for k in range(5):
             state[k] = leaf.feature[k]
         for k in range(25):
             information[k] = leaf.feature_information[k]
     else:
-        for i in range(begin, end):
+        for i in range(number):
             if residual[i] > gate:
-                held = insert_high(high, held, points[i, 0] - x, points[i, 1] - y, residual[i] / up)
+                east, north = points[3 * i] - x, points[3 * i + 1] - y
+                held = insert_high(high, held, east, north, residual[i] / up)
         first_state(held, high, count, side * side, rules.feature_height, state)
         # Eq. 52's unit covariance, of a unit that is 1 m for the vehicle of the defaults; k^2 is a
         # volume.
@@ -388,16 +385,16 @@ def update_feature(
         information[6] /= unit
     reach = min(max(WINDOW * state[4], 5.0 * rules.feature_height), side)
     middle_x, middle_y = x + state[2], y + state[3]
-    for i in range(begin, end):
+    for i in range(number):
         # Without a branch, which nobody could foretell.
         heights.near[inside] = i
-        off = max(fabs(points[i, 0] - middle_x), fabs(points[i, 1] - middle_y))
+        off = max(fabs(points[3 * i] - middle_x), fabs(points[3 * i + 1] - middle_y))
         inside += off <= reach
     stride = (inside + MAX_SAMPLES - 1) // MAX_SAMPLES
     at = 0
     while at < inside:
         i = heights.near[at]
-        heights.add(points[i, 0] - x, points[i, 1] - y, residual[i] / up)
+        heights.add(points[3 * i] - x, points[3 * i + 1] - y, residual[i] / up)
         at += stride
     if not known and promise(heights, state) < 0.5 * SIGNIFICANCE:
         return

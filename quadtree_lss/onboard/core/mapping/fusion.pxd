@@ -5,14 +5,14 @@ from quadtree_lss.onboard.core.geometry.plane cimport fuse, fuse_height, offset_
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
 from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, pose_variance
 from quadtree_lss.onboard.core.tree.leaves cimport (
-    HINTS, INHERITED, MEASURED, NOTHING, NO_SLOPE, Leaf, LeafTable
+    HINTS, INHERITED, LIFT, MEASURED, NOTHING, NO_SLOPE, WEIGHT, Leaf, LeafTable
 )
 
 @cython.final
 cdef class Fusion:
     cdef Rules rules
     cdef double[:, ::1] beginning
-    cdef bint begins_so, aligned
+    cdef bint aligned
     cdef int coarsest
     cdef double coarse_side, now, common_at, common_is
     cdef double origin[3]

@@ -18,9 +18,15 @@ if not cython.compiled:
     from quadtree_lss.onboard.core.geometry.plane import fuse, fuse_height, offset_variance
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
     from quadtree_lss.onboard.core.mapping.measure import pose_variance
-    from quadtree_lss.onboard.core.tree.leaves import NO_SLOPE
-
-    NOTHING, HINTS, INHERITED, MEASURED = range(4)
+    from quadtree_lss.onboard.core.tree.leaves import (
+        HINTS,
+        INHERITED,
+        LIFT,
+        MEASURED,
+        NO_SLOPE,
+        NOTHING,
+        WEIGHT,
+    )
 
 
 #: Before anything is known, ground is level but for this (rad, one sigma) ...
@@ -60,15 +66,13 @@ class Fusion:
         beginning: Array | None,
     ) -> None:
         self.rules = rules
-        self.begins_so = beginning is not None
         self.beginning = NO_PRIOR if beginning is None else beginning
         self.coarsest = table.domain.min_level
         self.coarse_side = table.side(self.coarsest)
         x, y, z = scan.origin.tolist()
         self.origin = [x, y, z]
         covariance = scan.pose.covariance.ravel().tolist()
-        if not cython.compiled:
-            self.sigma = covariance
+        self.sigma = [0.0] * 36
         for i in range(36):
             self.sigma[i] = covariance[i]
         self.aligned = False
@@ -128,6 +132,7 @@ class Fusion:
         own = run.variance * (1.0 / run.points + factor * factor - 1.0)
         news = 1.0 - self.common(leaf.last_time)
         known = offset_variance(leaf.pose_part, first, second)
+        # That of the pose's height, z.
         high = leaf.normal[2] * leaf.normal[2] * self.sigma[14] if self.aligned else 0.0
         plane = offset_variance(leaf.range_part, first, second)
         run.doubt = 2.0 * sqrt(own + plane + news * max(known + run.pose_part[8] - 2.0 * high, 0.0))
@@ -168,26 +173,26 @@ class Fusion:
             common = self.common(leaf.last_time)
         if leaf.known == INHERITED:
             # An inherited slope counts as a fit as certain as it.
-            leaf.bias[4] = run.variance / (leaf.range_part[0] + leaf.range_part[4])
-        known, told = leaf.range_part, leaf.pose_part
+            leaf.bias[WEIGHT] = run.variance / (leaf.range_part[0] + leaf.range_part[4])
+        ranges, poses = leaf.range_part, leaf.pose_part
         off = leaf.z - self.origin[2] - run.z
         if run.alone:
             place, pose = run.lever, run.pose_part
             sloped: cython.bint = run.sloped > 0.0
-            fuse_height(leaf.normal, off, known, told, place, run.own, pose, common, sloped, rise)
+            fuse_height(leaf.normal, off, ranges, poses, place, run.own, pose, common, sloped, rise)
         else:
             of_range, of_pose = run.range_part, run.pose_part
-            fuse(leaf.normal, off, known, told, run.normal, of_range, of_pose, common, rise)
+            fuse(leaf.normal, off, ranges, poses, run.normal, of_range, of_pose, common, rise)
             for i in range(3):
                 leaf.normal[i] = run.normal[i]
         leaf.z = run.z + self.origin[2] + rise[0]
         leaf.points += run.points
-        leaf.bias[4] += run.bias[4]
-        if run.bias[4] > 0.0:
-            share = run.bias[4] / max(leaf.bias[4], 1e-300)
+        leaf.bias[WEIGHT] += run.bias[WEIGHT]
+        if run.bias[WEIGHT] > 0.0:
+            share = run.bias[WEIGHT] / max(leaf.bias[WEIGHT], 1e-300)
             for i in range(3):
                 leaf.bias[i] += share * (run.bias[i] - leaf.bias[i])
-        leaf.bias[3] += run.points / leaf.points * (run.bias[3] - leaf.bias[3])
+        leaf.bias[LIFT] += run.points / leaf.points * (run.bias[LIFT] - leaf.bias[LIFT])
         leaf.last_time = self.now
         if fresh:
             steep = leaf.range_part[0] + leaf.range_part[4]
@@ -195,9 +200,9 @@ class Fusion:
             if few or steep > NO_SLOPE or not self._apart(leaf, run):
                 leaf.known = HINTS
                 return
-        if leaf.bias[4] == 0.0:
+        if leaf.bias[WEIGHT] == 0.0:
             self._turn(leaf, run)
-        if fresh and self.begins_so:
+        if fresh and self.beginning.shape[0] > 0:
             self._begin(leaf)
         leaf.known = MEASURED
 
@@ -297,7 +302,7 @@ class Fusion:
         flat = ray[0] * ray[0] + ray[1] * ray[1]
         slope = ray[0] * ray[0] * known[0] + 2.0 * ray[0] * ray[1] * known[1]
         slope += ray[1] * ray[1] * known[4]
-        told = flat / max(slope, 1e-300) - 1.0 / (LEVEL_SIGMA * LEVEL_SIGMA)
+        sure = flat / max(slope, 1e-300) - 1.0 / (LEVEL_SIGMA * LEVEL_SIGMA)
         height = self._height(known)
         noise = run.variance / (run.cosine * run.cosine * run.points)
-        return height * told >= APART * noise * flat
+        return height * sure >= APART * noise * flat

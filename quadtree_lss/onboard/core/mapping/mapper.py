@@ -34,7 +34,15 @@ from quadtree_lss.onboard.core.mapping.departure import Departure, departure
 from quadtree_lss.onboard.core.mapping.measure import Rules, unseen_parts
 from quadtree_lss.onboard.core.mapping.pose_errors import PoseErrors, Steps
 from quadtree_lss.onboard.core.mapping.prior_offset import PriorMatch, PriorOffset
-from quadtree_lss.onboard.core.mapping.update import Room, ScanUpdate
+from quadtree_lss.onboard.core.mapping.update import (
+    FIRST_TIME,
+    OF_MAP,
+    OF_SCAN,
+    OWN,
+    RISE,
+    Room,
+    ScanUpdate,
+)
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.pose_buffer import SECOND_NS
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan, register
@@ -141,11 +149,11 @@ class Mapper:
         self._noise_ratio = float("nan")
         self._offset = (float("nan"), float("nan"))
         self._against = Contradiction()
-        # By how much the map ought to be lifted, m: too little to be done.
+        # Lift of the map that is due and too small to be done yet, m.
         self._owed = 0.0
-        # By how much it was, or ought to be.
+        # Lifts since the first scan, done or due, m.
         self._lifted = 0.0
-        # Scans in a row that no point entered of.
+        # Scans in a row of which no point entered the map.
         self._missed = 0
         self._steps = Steps()
         if self._prior is not None:
@@ -224,9 +232,9 @@ class Mapper:
             contradicts = stands_apart(compared, self.config.vehicle.height)
         verdict = self._against.judge(compared, contradicts)
         if verdict is Verdict.OVERRULES:
-            height = float(np.median(compared[0]))
+            height = float(np.median(compared[RISE]))
             self._owed = 0.0
-            cells[0] -= height
+            cells[RISE] -= height
             if departs(self._departure(scan, cells, now)):
                 self.leaves.plant()
             else:
@@ -251,12 +259,13 @@ class Mapper:
 
     def _note_step(self, cells: Array, found: Departure, now: float) -> None:
         """Remember where a scan lay, refused or not, by the ground as it was before any lift."""
-        height, known = found.height, (found.claimed, found.mapped, found.noise, found.since)
+        values = [found.height, found.claimed, found.mapped, found.noise, found.since]
         if found.share < SHARE:
-            rise, noise, of_scan, of_map, since = np.median(cells[:5], axis=1).tolist()
-            height, known = rise, (of_scan, of_map, noise, since)
+            rows = [RISE, OF_SCAN, OF_MAP, OWN, FIRST_TIME]
+            values = np.median(cells[rows], axis=1).tolist()
+        height, claimed, mapped, noise, since = values
         time = self.config.pose.correlation_time
-        self._steps.add(now, height + self._lifted, *known, time)
+        self._steps.add(now, height + self._lifted, claimed, mapped, noise, since, time)
 
     def _departure(self, scan: RegisteredScan, cells: Array, now: float) -> Departure | None:
         time = self.config.pose.correlation_time
@@ -267,9 +276,8 @@ class Mapper:
 
     def _align(self, change: ScanUpdate, cells: Array, now: float) -> float:
         """Let the scan and the map meet at one height; by how much it lay over the map, m.
-        ``change``: the scan. ``cells``: (6, M) of `ScanUpdate.fit`. ``now``: time of the scan,
-        s."""
-        cells[0] -= self._owed
+        ``change``: the scan. ``cells``: of `ScanUpdate.fit`. ``now``: time of the scan, s."""
+        cells[RISE] -= self._owed
         time, metre = self.config.pose.correlation_time, self.config.vehicle.height
         offset: Offset | None = offset_of(cells, now, time, metre)
         if offset is None:
@@ -354,7 +362,7 @@ class Mapper:
         height, variance = state["offset"].tolist()
         self._offset = (height, variance)
         self._owed = float(state["owed"])
-        self._lifted, self._steps = 0.0, Steps()
+        self._lifted, self._missed, self._steps = 0.0, 0, Steps()
         if self._prior is not None:  # it is compared anew with all of the map
             self._prior.beginning(domain)
             self._prior.reset()

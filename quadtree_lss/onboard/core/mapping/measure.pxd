@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-from libc.math cimport NAN as nan, fabs, sqrt
+from libc.math cimport fabs, sqrt
 from quadtree_lss.onboard.core.geometry.plane cimport (
     covariance_about, height_normal, line_normal, moments, orthogonal_normal, pose_part, slope_covariance
 )
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
 
-from quadtree_lss.onboard.core.tree.leaves cimport Leaf, LeafTable
+from quadtree_lss.onboard.core.tree.leaves cimport LIFT, NOTHING, WEIGHT, Leaf, LeafTable
 from quadtree_lss.onboard.core.geometry.morton cimport encode, squeeze
 
 cdef struct Run:
@@ -46,7 +46,8 @@ cdef class Rules:
 cdef bint partial(Run* run) noexcept nogil
 cdef bint few(Run* run) noexcept nogil
 cdef double pose_variance(double* normal, double* arm, double* sigma) noexcept nogil
+cdef double range_noise(Rules rules, double* centroid, double distance) noexcept nogil
 cdef double _unseen(double square, double correlation, double side) noexcept nogil
 cdef void _bias(Run* run, double ray_x, double ray_y, double deviation, double lean, bint sloped) noexcept nogil
-cdef void measure(Rules rules, double* points, Py_ssize_t number, double x, double y, double z, double side, double* prior, double* sigma, double uneven, Run* run) noexcept nogil
+cdef void measure(Rules rules, Leaf* leaf, Run* run, double* points, Py_ssize_t number, double* origin, double* sigma, double side) noexcept nogil
 cpdef unseen_parts(LeafTable table, Py_ssize_t[::1] rows, double[:, ::1] out)

@@ -13,6 +13,7 @@ import numpy as np
 from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.sphere import Vector
+from quadtree_lss.onboard.core.sensing import lidar
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
 
 if not cython.compiled:
@@ -29,11 +30,11 @@ if not cython.compiled:
         slope_covariance,
     )
     from quadtree_lss.onboard.core.geometry.sphere import basis_at
+    from quadtree_lss.onboard.core.tree.leaves import LIFT, NOTHING, WEIGHT
 
 #: |n.u| is taken to be at least this (grazing incidence).
 MIN_COSINE = cython.declare(cython.double, 0.05)
-#: Pose variances above this (m^2) say no more than this: nothing is known.
-MAX_VARIANCE = cython.declare(cython.double, 1e6)
+MAX_VARIANCE = cython.declare(cython.double, lidar.MAX_VARIANCE)
 #: An orthogonal fit that stands so much steeper than the regression of height (n_z over n_z) is of
 #: points that are as far apart in height as in place: no plane.
 OVERTURNED = cython.declare(cython.double, 0.5)
@@ -87,8 +88,8 @@ FEATURE_POINTS = 12.0
 #:   what its points have in common by pose and plane, and not by noise, 0 .. 1;
 #: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z); of points that tell
 #:   their height alone, range_part has the variance of dd and no other;
-#: - bias: what noise along the ray may turn the fit by, t t^T as xx, xy, yy, rad^2, and lift it by,
-#:   m, and how much the slope of the fit counts, m^2 (`_bias`).
+#: - bias: what noise along the ray may turn the fit by, t t^T as xx, xy, yy, rad^2, and lift it by
+#:   (`LIFT`), m, and how much the slope of the fit counts (`WEIGHT`), m^2 (`_bias`).
 RUN = np.dtype(
     [("points", "f8"), ("centroid", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
     + [(name, "f8") for name in ("z", "cosine", "variance", "square", "statistic", "unseen")]
@@ -102,10 +103,10 @@ class Rules:
     """The numbers of a configuration that the kernels of mapping go by."""
 
     def __init__(self, config: Config) -> None:
-        lidar, mapping, lengths = config.lidar, config.mapping, config.vehicle.lengths
-        self.range_noise = lidar.range_noise
-        self.noise_per_metre = lidar.range_noise_per_metre
-        self.stereo = lidar.stereo_noise
+        mapping, lengths = config.mapping, config.vehicle.lengths
+        self.range_noise = config.lidar.range_noise
+        self.noise_per_metre = config.lidar.range_noise_per_metre
+        self.stereo = config.lidar.stereo_noise
         self.look(np.zeros(3))
         self.ml = mapping.by_paper("fit")
         self.independent = mapping.by_paper("covariance")
@@ -126,11 +127,12 @@ class Rules:
         self.feature_volume = lengths.feature_volume
         self.feature_width = FEATURE_WIDTH
         self.feature_points = FEATURE_POINTS
-        self.rock_height = max(lengths.rock_height, 3.0 * lidar.range_noise)
+        self.rock_height = max(lengths.rock_height, 3.0 * self.range_noise)
         self.rock_sigma = lengths.rock_sigma
 
     def look(self, boresight: Array) -> None:
-        """The scan to come looks along this unit vector (3,) of the map's axes."""
+        """Take over the boresight of the next scan, a unit vector (3,) in map axes: the noise of a
+        depth camera depends on it."""
         self.ahead_x, self.ahead_y, self.ahead_z = boresight.tolist()
 
 
@@ -159,6 +161,17 @@ def pose_variance(normal: Vector, arm: Vector, sigma: Vector) -> cython.double:
         for j in range(6):
             total += row[i] * sigma[6 * i + j] * row[j]
     return min(max(total, 0.0), MAX_VARIANCE)
+
+
+def range_noise(rules: Rules, centroid: Vector, distance: float) -> cython.double:
+    """Deviation of ranges at a place (3) about the lidar, so many m away, but for what grows with
+    range, m. The depth z of a stereo camera errs by c z^2, its range r by as much times r / z."""
+    noise = rules.range_noise
+    if rules.stereo > 0.0:
+        depth = rules.ahead_x * centroid[0] + rules.ahead_y * centroid[1]
+        depth = rules.stereo * distance * (depth + rules.ahead_z * centroid[2])
+        noise = sqrt(noise * noise + depth * depth)
+    return noise
 
 
 def _unseen(square: float, correlation: float, side: float) -> cython.double:
@@ -202,8 +215,8 @@ def _bias(
     along = ray_x * ray_x * xx + 2.0 * ray_x * ray_y * xy + ray_y * ray_y * yy
     # Of a vertical ray, or nearly, it is 0.
     thin = deviation * flat / sqrt(max(12.0 * along + least * flat, 1e-300))
-    run.bias[0] = run.bias[1] = run.bias[2] = run.bias[4] = 0.0
-    run.bias[3] = share * lean * deviation * min(thin + TAIL * thin * thin, 4.0)
+    run.bias[0] = run.bias[1] = run.bias[2] = run.bias[WEIGHT] = 0.0
+    run.bias[LIFT] = share * lean * deviation * min(thin + TAIL * thin * thin, 4.0)
     if sloped:
         xx += least
         yy += least
@@ -215,23 +228,20 @@ def _bias(
         run.bias[2] = turn_y * turn_y + ACROSS * turn_x * turn_x
         # A fit counts by the lesser spread of its points:
         # lambda_1 lambda_2 / (lambda_1 + lambda_2).
-        run.bias[4] = run.points * max(xx * yy - xy * xy, 0.0) / (xx + yy)
+        run.bias[WEIGHT] = run.points * max(xx * yy - xy * xy, 0.0) / (xx + yy)
 
 
 def measure(
     rules: Rules,
+    leaf: Record,
+    run: Record,
     points: Vector,
     number: cython.Py_ssize_t,
-    x: float,
-    y: float,
-    z: float,
-    side: float,
-    prior: Vector,
+    origin: Vector,
     sigma: Vector,
-    uneven: float,
-    run: Record,
+    side: float,
 ) -> None:
-    """Fit a plane to a run of points; it is written to ``run``, without the statistic.
+    """Fit a plane to a run of points in a leaf; it is written to ``run``, without the statistic.
 
     Range noise moves points along the ray, in place as in height, and would turn the fit of a thin
     view towards it. A view of less than half of the cell, so thin that its slope is known no better
@@ -241,18 +251,16 @@ def measure(
     level ground, or a plane turned towards the ray would take its points for exact. Residuals
     beyond what noise makes of them are of ground that is no plane: as scans see it from elsewhere,
     its height is as uncertain, however many points there are, and its slope by as much more noise.
-    Too few points to show it have as much more as ``uneven`` says. What a view leaves out may
-    differ in slope by `UNSEEN_TILT`.
+    Too few points to show it have as much more as the leaf's ``uneven`` says. What a view leaves
+    out may differ in slope by `UNSEEN_TILT`.
 
     Args:
-        points, number: Of the run (3 N), map axes about the lidar, m, and N.
-        x, y: Cell's centre about the lidar, m.
-        z: Height of the plane that is known there, m; NaN for none.
-        side: Of the cell, m.
-        prior: (3) normal to keep to where the points do not tell the slope.
-        sigma: (36) pose covariance.
-        uneven: Mean square that planes of this size leave out there, of `LEAF`, m^2.
+        leaf: Record of type `LEAF`, read: its normal is kept to where points do not tell the slope.
         run: Record of type `RUN`.
+        points, number: Of the run (3 N), map axes about the lidar, m, and N.
+        origin: (3) of the lidar, map frame, m.
+        sigma: (36) pose covariance.
+        side: Of the cell, m.
     """
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])
@@ -260,6 +268,8 @@ def measure(
     scatter = cython.declare(cython.double[6])
     cython.declare(i=cython.int, line=cython.bint)
     moments(points, number, run.centroid, run.scatter)
+    prior = leaf.normal
+    x, y = leaf.x - origin[0], leaf.y - origin[1]
     count: cython.double = number
     run.points = count
     xx = run.scatter[0]
@@ -290,12 +300,7 @@ def measure(
     ray_z = run.centroid[2] / distance
     run.sloped = 1.0
     run.alone = 0.0
-    noise = rules.range_noise
-    if rules.stereo > 0.0:
-        # The depth z errs by c z^2, the range r by as much times r / z.
-        depth = rules.ahead_x * run.centroid[0] + rules.ahead_y * run.centroid[1]
-        depth = rules.stereo * distance * (depth + rules.ahead_z * run.centroid[2])
-        noise = sqrt(noise * noise + depth * depth)
+    noise = range_noise(rules, run.centroid, distance)
     least = max(half - root, 1e-12)
     square = noise * noise
     line = False
@@ -359,11 +364,11 @@ def measure(
     # A plane that noise has turned towards the ray is not free of it.
     lean = max(cosine / up, -ray_z)
     _bias(run, ray_x, ray_y, deviation, lean, run.alone == 0.0 and not line)
-    if run.sloped == 0.0 and z == z:
+    if run.sloped == 0.0 and leaf.known != NOTHING:
         # Of a strip that is as wide as the noise, place and height err together, along the ray u:
         # a range off by e lifts the plane by e (n.u) / n_z, which is a height of -e cosine / up.
         # Rays are exact: the place, off - e u, is where the ray meets the plane that is known.
-        gap = run.z - z
+        gap = run.z - (leaf.z - origin[2])
         most = 3.0 * sqrt(variance / count) / up
         gap = min(max(gap, -most), most) * up / cosine
         off_x += gap * ray_x
@@ -376,7 +381,7 @@ def measure(
         flat = first * first + second * second
         run.range_part[8] = run.own + UNKNOWN_TILT * UNKNOWN_TILT * flat
     else:
-        slope_covariance(telling, run.normal, variance + max(misfit, uneven), slope)
+        slope_covariance(telling, run.normal, variance + max(misfit, leaf.uneven), slope)
         if not line:
             tilt = run.unseen * UNSEEN_TILT
             slope[0] += tilt * tilt
@@ -414,7 +419,7 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
             slope[0] = leaf.bias[0]
             slope[1] = slope[2] = leaf.bias[1]
             slope[3] = leaf.bias[2]
-            lift = leaf.bias[3] * leaf.bias[3]
+            lift = leaf.bias[LIFT] * leaf.bias[LIFT]
             j = 2 * (table.max_level - leaf.level)
             number = 1 << j
             first = encode(leaf.ix, leaf.iy) << j

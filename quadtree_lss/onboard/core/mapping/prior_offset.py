@@ -22,7 +22,7 @@ import numpy as np
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.core.geometry.morton import squeezed
 from quadtree_lss.onboard.core.tree.domain import Domain, carried
-from quadtree_lss.onboard.core.tree.leaves import LeafTable
+from quadtree_lss.onboard.core.tree.leaves import MEASURED, SEEN, LeafTable
 from quadtree_lss.onboard.core.tree.prior import FAR, Planes, Prior
 
 #: Shifts along x and along y, from -3 to 3 deviations.
@@ -33,7 +33,6 @@ SHARE = 0.5
 JUDGED, MOST = 8, 4.753
 #: Leaves to come begin from the offset anew, once it is known so much better.
 BETTER = 0.8
-SEEN, MEASURED = 1, 3
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 cimport cython
-from libc.math cimport INFINITY as INFINITE, NAN, fabs, sqrt
+from libc.math cimport INFINITY as INFINITE, fabs, sqrt
 from quadtree_lss.onboard.core.geometry.plane cimport offset_variance
 from quadtree_lss.onboard.core.mapping.division cimport (
     asks, departs, hides_rock, judge, left_out, rest, rough, standing_out
@@ -9,6 +9,10 @@ from quadtree_lss.onboard.core.mapping.features cimport Heights, update_feature
 from quadtree_lss.onboard.core.mapping.fusion cimport Fusion
 from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, few, measure, partial, pose_variance
 from quadtree_lss.onboard.core.tree.leaves cimport HINTS, INHERITED, KNOWN, MEASURED, NOTHING, OUT, SEEN, Leaf, LeafTable
+
+cpdef enum:  # rows of `ScanUpdate.fit`
+    RISE, OWN, OF_SCAN, OF_MAP, FIRST_TIME, LAST_TIME,
+    PLACE_X, PLACE_Y, PLACE_Z, SLOPE_X, SLOPE_Y, OF_SLOPE, ROWS
 
 cdef void put(unsigned char[::1] seen, long long[::1] key, Py_ssize_t begin, Py_ssize_t end, unsigned char state) noexcept nogil
 
@@ -45,6 +49,7 @@ cdef class ScanUpdate:
     cdef Run* _run(self, Py_ssize_t at) noexcept nogil
     cdef Leaf* _leaf(self, Py_ssize_t row) noexcept nogil
     cdef double* _from(self, Py_ssize_t begin) noexcept nogil
+    cdef double* _residual_from(self, Py_ssize_t begin) noexcept nogil
     cdef void _level(self, Leaf* leaf) noexcept nogil
     cdef void _measure(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
     cdef void _compare(self, Leaf* leaf, Run* run, Py_ssize_t at) noexcept nogil

@@ -17,7 +17,7 @@ from quadtree_lss.onboard.core.sensing.register import KEPT_POINTS, RegisteredSc
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
 
 if not cython.compiled:
-    from math import fabs, inf, nan, sqrt
+    from math import fabs, inf, sqrt
 
     from quadtree_lss.onboard.core.geometry.plane import offset_variance
     from quadtree_lss.onboard.core.mapping.division import (
@@ -31,17 +31,20 @@ if not cython.compiled:
         standing_out,
     )
     from quadtree_lss.onboard.core.mapping.features import update_feature
-    from quadtree_lss.onboard.core.mapping.measure import (
-        few,
-        measure,
-        partial,
-        pose_variance,
+    from quadtree_lss.onboard.core.mapping.measure import few, measure, partial, pose_variance
+    from quadtree_lss.onboard.core.tree.leaves import (
+        HINTS,
+        INHERITED,
+        KNOWN,
+        MEASURED,
+        NOTHING,
+        OUT,
+        SEEN,
     )
 
-    NOTHING, HINTS, INHERITED, MEASURED = range(4)
-    SEEN, KNOWN, OUT = 1, 2, 3
+    RISE, OWN, OF_SCAN, OF_MAP, FIRST_TIME, LAST_TIME = range(6)
+    PLACE_X, PLACE_Y, PLACE_Z, SLOPE_X, SLOPE_Y, OF_SLOPE, ROWS = range(6, 13)
     INFINITE = inf
-    NAN = nan
 
 
 #: Share of a finest cell, of 6 cm in 25, on which nothing stands out that matters.
@@ -64,7 +67,7 @@ HIGHEST = cython.declare(cython.double, HEIGHTS)
 def put(
     seen: Bytes, key: Keys, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, state: cython.uchar
 ) -> None:
-    """The finest cells under the points ``begin`` to ``end``, of these keys (N,), are that."""
+    """Set the state of the finest cells under the points ``begin`` to ``end`` of keys (N,)."""
     i: cython.Py_ssize_t
     for i in range(begin, end):
         seen[key[i]] = state
@@ -141,8 +144,8 @@ class ScanUpdate:
 
     @cython.boundscheck(False)
     def _gather(self) -> None:
-        """The runs of points that share a leaf: in steps that double until one leads out of it, and
-        then halve."""
+        """Find the runs of points that share a leaf: in steps that double until one leads out of
+        it, and then halve."""
         i: cython.Py_ssize_t = 0
         step: cython.Py_ssize_t
         cells: cython.Py_ssize_t = 0
@@ -193,18 +196,29 @@ class ScanUpdate:
             return self.points.reshape(-1)[3 * begin :]
 
     @cython.boundscheck(False)
+    def _residual_from(self, begin: cython.Py_ssize_t) -> Any:
+        """Residuals of the points from one on."""
+        if cython.compiled:
+            return cython.address(self.residual[begin])
+        else:
+            return self.residual[begin:]
+
+    @cython.boundscheck(False)
     def fit(self) -> Array:
-        """Fit the touched leaves; the scan and the map in the M that were measured before, (12, M).
+        """Fit the touched leaves; the scan beside the map in the M that were measured before.
 
         Where there is no plane to compare with, `settle` fits, while the leaf is near for more.
-        The scan's height over the map, m, variance of that but for pose error, variance of the
-        scan's height and of the map's from pose error, m^2, first and last time in the map, s;
-        the cell's place about the lidar, x, y, z, m, the map's slope along x and along y, and the
-        variance of that from pose error.
+
+        Returns:
+            (ROWS, M), by row. `RISE`: scan's height over the map, m; `OWN`: variance of that but
+            for pose error, m^2. `OF_SCAN`, `OF_MAP`: variance of the height of either from pose
+            error, m^2. `FIRST_TIME`, `LAST_TIME`: of the scans in the map's plane, s. `PLACE_X`,
+            `PLACE_Y`, `PLACE_Z`: of the cell about the lidar, m. `SLOPE_X`, `SLOPE_Y`: the map's,
+            and `OF_SLOPE`: variance of either from pose error.
         """
         i: cython.Py_ssize_t
         found: cython.Py_ssize_t = 0
-        out = np.empty((12, self.cells))
+        out = np.empty((ROWS, self.cells))
         self.columns = out
         with cython.nogil:
             for i in range(self.cells):
@@ -223,7 +237,7 @@ class ScanUpdate:
 
     @cython.boundscheck(False)
     def parts(self) -> Array:
-        """Rows 0 to 3 of `fit`, (4, M), for the finest cells that were known, each by its mean."""
+        """`RISE` to `OF_MAP`, (4, M), of the finest cells that were known, each by its mean."""
         cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t)
         found: cython.Py_ssize_t = 0
         out = np.empty((4, len(self.key)))
@@ -248,10 +262,10 @@ class ScanUpdate:
                 if k + 1 == self.begins[i + 1] or self.key[k + 1] != self.key[k]:
                     if self.table.seen[self.key[k]] == KNOWN:
                         own = run.variance / count + leaf.range_part[8]
-                        self.columns[0, found] = total / count
-                        self.columns[1, found] = own / (up * up) + max(misfit, 0.0)
-                        self.columns[2, found] = run.pose_part[8] / (up * up)
-                        self.columns[3, found] = leaf.pose_part[8] / (up * up)
+                        self.columns[RISE, found] = total / count
+                        self.columns[OWN, found] = own / (up * up) + max(misfit, 0.0)
+                        self.columns[OF_SCAN, found] = run.pose_part[8] / (up * up)
+                        self.columns[OF_MAP, found] = leaf.pose_part[8] / (up * up)
                         found += 1
                     total = count = 0.0
         return out[:, :found]
@@ -263,28 +277,28 @@ class ScanUpdate:
         square = leaf.normal[2] * leaf.normal[2]
         own = run.range_part[8] + leaf.range_part[8]
         misfit = leaf.square_sum / max(leaf.division_weight, 1.0) - run.variance
-        self.columns[0, at] = run.z + self.fusion.origin[2] - leaf.z
+        self.columns[RISE, at] = run.z + self.fusion.origin[2] - leaf.z
         if few(run):
             self.fusion.place(leaf, run, place)
             own = run.variance / run.points + offset_variance(leaf.range_part, place[0], place[1])
-            self.columns[0, at] = place[2]
+            self.columns[RISE, at] = place[2]
         seen = max(1.0 - run.unseen, 0.1)
         own += self.rules.uneven * (1.0 / (seen * seen) - 1.0)
-        self.columns[1, at] = own / square + max(misfit, 0.0)
+        self.columns[OWN, at] = own / square + max(misfit, 0.0)
         pose = run.pose_part[8]
         if self.rules.independent:  # no part of a plane, but of the scan
             pose = pose_variance(leaf.normal, run.centroid, self.fusion.sigma)
-        self.columns[2, at] = pose / square
-        self.columns[3, at] = leaf.pose_part[8] / square
-        self.columns[4, at] = leaf.first_time
-        self.columns[5, at] = leaf.last_time
-        self.columns[6, at] = leaf.x - self.fusion.origin[0]
-        self.columns[7, at] = leaf.y - self.fusion.origin[1]
-        self.columns[8, at] = run.z
-        self.columns[9, at] = -leaf.normal[0] / leaf.normal[2]
-        self.columns[10, at] = -leaf.normal[1] / leaf.normal[2]
+        self.columns[OF_SCAN, at] = pose / square
+        self.columns[OF_MAP, at] = leaf.pose_part[8] / square
+        self.columns[FIRST_TIME, at] = leaf.first_time
+        self.columns[LAST_TIME, at] = leaf.last_time
+        self.columns[PLACE_X, at] = leaf.x - self.fusion.origin[0]
+        self.columns[PLACE_Y, at] = leaf.y - self.fusion.origin[1]
+        self.columns[PLACE_Z, at] = run.z
+        self.columns[SLOPE_X, at] = -leaf.normal[0] / leaf.normal[2]
+        self.columns[SLOPE_Y, at] = -leaf.normal[1] / leaf.normal[2]
         tilt = 0.5 * (leaf.pose_part[0] + leaf.pose_part[4])
-        self.columns[11, at] = tilt / (square * square)
+        self.columns[OF_SLOPE, at] = tilt / (square * square)
 
     def align(self, down: float) -> None:
         """Lower the scan to where the map lies, by so many m."""
@@ -323,13 +337,9 @@ class ScanUpdate:
         self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record
     ) -> None:
         """Fit a run of points in a leaf."""
-        x = leaf.x - self.fusion.origin[0]
-        y = leaf.y - self.fusion.origin[1]
-        side = self.table.sides[leaf.level]
-        z = leaf.z - self.fusion.origin[2] if leaf.known != NOTHING else NAN
-        points = self._from(begin)
-        sigma, uneven = self.fusion.sigma, leaf.uneven
-        measure(self.rules, points, end - begin, x, y, z, side, leaf.normal, sigma, uneven, run)
+        points, side = self._from(begin), self.table.sides[leaf.level]
+        origin, sigma = self.fusion.origin, self.fusion.sigma
+        measure(self.rules, leaf, run, points, end - begin, origin, sigma, side)
 
     def _divide(self, row: cython.Py_ssize_t, run: Record) -> cython.bint:
         """Divide a leaf above the finest level, if there is room.
@@ -400,9 +410,7 @@ class ScanUpdate:
             if (
                 partial(run)
                 and leaf.level < self.table.max_level
-                and departs(
-                    self.rules, leaf, run, self.points, begin, end, self.fusion.origin, side
-                )
+                and departs(self.rules, leaf, run, self._from(begin), self.fusion.origin, side)
             ):
                 self._residuals(leaf, begin, end, run)
                 if self._divide(row, run):
@@ -483,7 +491,8 @@ class ScanUpdate:
         """
         cython.declare(i=cython.Py_ssize_t)
         out = count = 0.0
-        rest(self.rules, leaf, run, self.points, self.residual, begin, end, self.fusion.origin)
+        points, residual = self._from(begin), self._residual_from(begin)
+        rest(self.rules, leaf, run, points, residual, self.fusion.origin)
         if run.greatest <= run.raised_by:
             put(self.table.seen, self.key, begin, end, KNOWN)
             return
@@ -535,17 +544,6 @@ class ScanUpdate:
             self.weights[self.rested] = run.points
             self.rested += 1
         self._residuals(leaf, begin, end, run)
-        update_feature(
-            self.rules,
-            leaf,
-            self.points,
-            self.residual,
-            begin,
-            end,
-            leaf.x - self.fusion.origin[0],
-            leaf.y - self.fusion.origin[1],
-            self.table.side(leaf.level),
-            run.variance,
-            run.greatest,
-            self.room.heights,
-        )
+        points, residual = self._from(begin), self._residual_from(begin)
+        origin, side = self.fusion.origin, self.table.sides[leaf.level]
+        update_feature(self.rules, leaf, run, points, residual, origin, side, self.room.heights)

@@ -38,8 +38,9 @@ LEAST_GATE = 1e-6
 #: Steps of the golden section take a sample from all over a scan, whatever raster that is in.
 GOLDEN = 0.6180339887498949
 _STEPS = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3), axis=-1).reshape(-1, 3)
+_STEPS = np.ascontiguousarray(_STEPS[np.argsort((_STEPS**2).sum(axis=1), kind="stable")])
 #: (125, 3) the cubes that may hold a point within sqrt(3) sides of one, the nearest first.
-AROUND = np.ascontiguousarray(_STEPS[np.argsort((_STEPS**2).sum(axis=1), kind="stable")])
+AROUND = cython.declare(cython.longlong[:, ::1], _STEPS)
 
 
 def isolated_in_image(ranges: Array, gate: float) -> int:
@@ -213,7 +214,7 @@ def isolated_in_space(points: Array, ranges: Array, gate: float) -> int:
     cubes, last = np.zeros(slots, dtype=np.int64), np.zeros(slots, dtype=np.int32)
     before, slot = np.empty((2, len(points)), dtype=np.int32)
     fill(points, ranges, per_metre, cubes, last, before, slot)
-    return int(drop(points, ranges, limit, per_metre, cubes, last, before, slot, AROUND, sure))
+    return int(drop(points, ranges, limit, per_metre, cubes, last, before, slot, sure))
 
 
 def usual_distance(points: Array, ranges: Array, returns: int) -> float:
@@ -351,7 +352,7 @@ def fill(
 @cython.boundscheck(False)
 @cython.locals(points=cython.double[:, ::1], ranges=cython.double[::1], cubes=cython.longlong[::1])
 @cython.locals(last=cython.int[::1], before=cython.int[::1], slots=cython.int[::1])
-@cython.locals(around=cython.longlong[:, ::1], sure=cython.uchar[::1])
+@cython.locals(sure=cython.uchar[::1])
 def drop(
     points: Array,
     ranges: Array,
@@ -361,12 +362,11 @@ def drop(
     last: Ints,
     before: Ints,
     slots: Ints,
-    around: Keys,
     sure: Bytes,
 ) -> cython.Py_ssize_t:
     """Make the ranges of isolated points NaN; how many. The table is that of `fill`. ``sure``: (N,)
     of `linked_in_order`."""
-    cython.declare(i=cython.Py_ssize_t, links=cython.Py_ssize_t)
+    cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, links=cython.Py_ssize_t)
     dropped: cython.Py_ssize_t = 0
     linked = cython.declare(cython.Py_ssize_t[1])
     other = cython.declare(cython.Py_ssize_t[1])
@@ -374,11 +374,10 @@ def drop(
         for i in range(points.shape[0]):
             if sure[i] or not ranges[i] > 0.0 or cubes[slots[i]] & 3 == 3:
                 continue
-            links = point_links(points, i, limit, per_metre, cubes, last, before, around, linked)
+            links = point_links(points, i, limit, per_metre, cubes, last, before, linked)
             if links == 1:
-                links = point_links(
-                    points, linked[0], limit, per_metre, cubes, last, before, around, other
-                )
+                k = linked[0]
+                links = point_links(points, k, limit, per_metre, cubes, last, before, other)
             if links < 2:
                 ranges[i] = NAN
                 dropped += 1
@@ -390,8 +389,7 @@ def drop(
 @cython.nogil
 @cython.exceptval(check=False)
 @cython.locals(points=cython.double[:, ::1], cubes=cython.longlong[::1], last=cython.int[::1])
-@cython.locals(before=cython.int[::1], around=cython.longlong[:, ::1])
-@cython.locals(linked=cython.p_Py_ssize_t)
+@cython.locals(before=cython.int[::1], linked=cython.p_Py_ssize_t)
 def point_links(
     points: Array,
     point: cython.Py_ssize_t,
@@ -400,14 +398,13 @@ def point_links(
     cubes: Keys,
     last: Ints,
     before: Ints,
-    around: Keys,
     linked: Ints,
 ) -> cython.Py_ssize_t:
-    """With how many others a point is linked, counted to two; ``linked`` (1,) is the first.
-    ``around``: `AROUND`."""
+    """With how many others a point is linked, counted to two; ``linked`` (1,) is the first."""
     cython.declare(k=cython.Py_ssize_t, slot=cython.Py_ssize_t, other=cython.Py_ssize_t)
     links: cython.Py_ssize_t = 0
     cython.declare(axis=cython.Py_ssize_t, step=cython.Py_ssize_t)
+    cython.declare(x_step=cython.longlong, y_step=cython.longlong, z_step=cython.longlong)
     cube = cython.declare(cython.longlong[3])
     gap = cython.declare(cython.double[15])
     x = points[point, 0]
@@ -420,12 +417,11 @@ def point_links(
             # How far the cube two or one before, here, one or two behind is away, in sides.
             apart = max(cube[axis] + step - 2 - place, place - cube[axis] - step + 1, 0.0)
             gap[5 * axis + step] = apart * apart
-    for k in range(around.shape[0]):
-        if gap[2 + around[k, 0]] + gap[7 + around[k, 1]] + gap[12 + around[k, 2]] > 3.000001:
+    for k in range(AROUND.shape[0]):
+        x_step, y_step, z_step = AROUND[k, 0], AROUND[k, 1], AROUND[k, 2]
+        if gap[2 + x_step] + gap[7 + y_step] + gap[12 + z_step] > 3.000001:
             continue
-        slot = slot_of(
-            cubes, cube_of(cube[0] + around[k, 0], cube[1] + around[k, 1], cube[2] + around[k, 2])
-        )
+        slot = slot_of(cubes, cube_of(cube[0] + x_step, cube[1] + y_step, cube[2] + z_step))
         other = last[slot] - 1
         while other >= 0:
             dx = points[other, 0] - x

@@ -58,7 +58,8 @@ class Workspace:
         self._holders = sys.getrefcount(self._arranged), sys.getrefcount(self._key)
 
     def answer(self) -> tuple[Array, Keys]:
-        """For points (N + 3, 3) and keys (N + 3,): the last scan's, unless somebody has them."""
+        """Arrays for points (N + 3, 3) and keys (N + 3,): those of the scan before, or new ones if
+        somebody still has these."""
         if (sys.getrefcount(self._arranged), sys.getrefcount(self._key)) != self._holders:
             self._fresh()
         return self._arranged, self._key
@@ -81,7 +82,8 @@ def turn(
     """Turn points (N, 3) to map axes, about the lidar at the scan's stamp, m; find their cells.
 
     Args:
-        offsets, times, motion: Of a `sweep.Sweep`; without offsets, the first row is for all.
+        offsets, times, motion: Of a `sweep.Sweep`; without offsets, or if all times are one, the
+            first row is for all.
         least, most: Shorter or longer ranges are no returns, m.
         west, south: Place of the points' origin in the domain, from its corner, m.
         per_metre, count: Finest cells to a metre, and along a side.
@@ -98,7 +100,7 @@ def turn(
     cython.declare(code=cython.longlong)
     nowhere: cython.longlong = count * count
     side: cython.double = count
-    moving: cython.bint = offsets.shape[0] > 0
+    moving: cython.bint = offsets.shape[0] > 0 and times[0] < times[times.shape[0] - 1]
     nearest: cython.double = max(least, 5e-324)  # more than nothing
     r = cython.declare(cython.double[12])
     points = cython.declare(cython.double[:, ::1], work.points)
@@ -169,8 +171,8 @@ def reach_beyond(points: Points, limit: float) -> cython.bint:
 
 @cython.boundscheck(False)
 def arrange(work: Workspace, isolated: cython.bint, nowhere: cython.longlong) -> cython.Py_ssize_t:
-    """Sort the runs, copy points run by run to the `Workspace.answer` and the key of each; how
-    many.
+    """Sort the runs; copy the points and their keys, run by run, to the `Workspace.answer`. Returns
+    how many points these are.
 
     How long a run is, nobody could foretell: four points of each are copied, the next run replaces
     what is too much, and the last three of the points are anything. Those in no cell, ``nowhere``,

@@ -39,39 +39,36 @@ class Ancestors:
     """Fused planes of the cells of one level that have a measured leaf below them.
 
     Attributes:
-        level: Their level.
         cell: (A,) iy * 2^level + ix.
         x, y, z: (A,) plane's elevation z above the cell's centre, m.
         normal: (A, 3).
-        range_part, pose_part: (A, 3, 3) covariance of (dphi_1, dphi_2, dd), d about (x, y, z).
+        range_part: (A, 3, 3) covariance of (dphi_1, dphi_2, dd), d about (x, y, z), from range
+            noise.
         of_leaf: (M,) place of each leaf's ancestor, -1 where there is none (the leaf is of a
             higher level, or nothing below the ancestor was measured).
         off: (M,) greatest distance of each leaf's plane from its ancestor's, along the normal of
             that, over the leaf's square, m; 0 where there is none.
     """
 
-    level: int
     cell: Index
     x: Array
     y: Array
     z: Array
     normal: Array
     range_part: Array
-    pose_part: Array
     of_leaf: Index
     off: Array
 
 
-def fuse_to_level(cells: CellMap, level: int, *, poses: bool = True) -> Ancestors:
+def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
     """Fuse leaves to their ancestors of ``level`` by Eq. 39-45.
 
     Each leaf's plane is moved to the ancestor's centre (exactly, value and covariance) and
     observes it. Range noise is independent between leaves, so the range parts weigh and average:
-    E = (sum R_i^-1)^-1 sum R_i^-1 E_i. Pose error is shared, so it enters once: the mean of the
-    leaves' pose parts, weighted by their measurements. Inherited planes are no information.
+    E = (sum R_i^-1)^-1 sum R_i^-1 E_i. Pose error is shared and decides nothing between them.
+    Inherited planes are no information.
 
     Fusing children of children at once is the same as level by level, information being additive.
-    Without ``poses`` nobody asks for the pose parts, which stay 0.
     """
     n = 1 << level
     of_leaf, place = np.empty(len(cells.level), dtype=np.intp), np.full(n * n, -1, dtype=np.intp)
@@ -79,12 +76,12 @@ def fuse_to_level(cells: CellMap, level: int, *, poses: bool = True) -> Ancestor
     cell = np.flatnonzero(place >= 0)
     size = float(cells.domain.cell_size(level))
     planes, off = np.zeros((len(cell), 6)), np.zeros(len(of_leaf))
-    parts = np.zeros((2, len(cell), 3, 3))
+    range_part = np.zeros((len(cell), 3, 3))
     planes[:, 0] = cells.domain.xmin + (cell % n + 0.5) * size
     planes[:, 1] = cells.domain.ymin + (cell // n + 0.5) * size
-    fuse_leaves(cells, of_leaf, poses, planes, parts, off)
+    fuse_leaves(cells, of_leaf, planes, range_part, off)
     x, y, z = planes[:, :3].T
-    return Ancestors(level, cell, x, y, z, planes[:, 3:], parts[0], parts[1], of_leaf, off)
+    return Ancestors(cell, x, y, z, planes[:, 3:], range_part, of_leaf, off)
 
 
 @cython.boundscheck(False)
@@ -117,18 +114,17 @@ def find_ancestors(cells: CellMap, at: int, place: Index, of_leaf: Index) -> Non
 
 @cython.boundscheck(False)
 @cython.locals(ancestor=cython.Py_ssize_t[::1], planes=cython.double[:, ::1])
-@cython.locals(parts=cython.double[:, :, :, ::1], off=cython.double[::1])
+@cython.locals(range_part=cython.double[:, :, ::1], off=cython.double[::1])
 def fuse_leaves(
-    cells: CellMap, ancestor: Index, posed: cython.bint, planes: Array, parts: Array, off: Array
+    cells: CellMap, ancestor: Index, planes: Array, range_part: Array, off: Array
 ) -> None:
     """Fuse the measured leaves (M) into their ancestors (A).
 
     Args:
         cells: The map.
         ancestor: (M,) of each leaf, 0 .. A - 1, or less where it has none.
-        posed: The parts from poses are asked for.
         planes: (A, 6) x and y of the ancestors' centres, m; what is 0 is set: z and the normal.
-        parts: (2, A, 3, 3) parts of their covariances, from range noise and poses; 0 before.
+        range_part: (A, 3, 3) their covariances; 0 before.
         off: (M,) as of `Ancestors`; 0 before.
     """
     measured = cython.declare(cython.uchar[::1], cells.measured.view(np.uint8))
@@ -138,8 +134,7 @@ def fuse_leaves(
     z = cython.declare(cython.double[::1], cells.z)
     normal = cython.declare(cython.double[:, ::1], cells.normal)
     count = cython.declare(cython.uint[::1], cells.count)
-    range_part = cython.declare(cython.double[:, :, ::1], cells.covariance_range)
-    pose_part = cython.declare(cython.double[:, :, ::1], cells.covariance_pose)
+    of_leaves = cython.declare(cython.double[:, :, ::1], cells.covariance_range)
     cython.declare(k=cython.Py_ssize_t, a=cython.Py_ssize_t, i=cython.Py_ssize_t)
     cython.declare(j=cython.Py_ssize_t)
     number: cython.Py_ssize_t = planes.shape[0]
@@ -152,7 +147,6 @@ def fuse_leaves(
     basis = cython.declare(cython.double[6])
     turn = cython.declare(cython.double[4])
     ranges = cython.declare(cython.double[9])
-    poses = cython.declare(cython.double[9])
     information = cython.declare(cython.double[9])
     with cython.nogil:
         for k in range(ancestor.shape[0]):
@@ -179,7 +173,7 @@ def fuse_leaves(
             for i in range(3):
                 own[i], mean[i] = normal[k, i], planes[a, 3 + i]
                 for j in range(3):
-                    ranges[3 * i + j] = range_part[k, i, j]
+                    ranges[3 * i + j] = of_leaves[k, i, j]
             basis_at(own, basis)
             minus_at(own, mean, error, turn)
             first = basis[0] * arm[0] + basis[1] * arm[1] + basis[2] * arm[2]
@@ -190,23 +184,12 @@ def fuse_leaves(
             inverse_symmetric(ranges, information)
             for i in range(3):
                 for j in range(3):
-                    parts[0, a, i, j] += information[3 * i + j]
+                    range_part[a, i, j] += information[3 * i + j]
                     pulled[a, i] += information[3 * i + j] * error[j]
-            if not posed:
-                continue
-            for i in range(3):
-                for j in range(3):
-                    poses[3 * i + j] = pose_part[k, i, j]
-            shift_origin(poses, first, second)
-            turn_tangent(poses, turn)
-            for i in range(3):
-                for j in range(3):
-                    parts[1, a, i, j] += max(count[k], 1.0) / total[a] * poses[3 * i + j]
         for a in range(number):
             for i in range(3):
                 for j in range(3):
-                    information[3 * i + j] = parts[0, a, i, j]
-                    poses[3 * i + j] = parts[1, a, i, j]
+                    information[3 * i + j] = range_part[a, i, j]
             inverse_symmetric(information, ranges)
             for i in range(3):
                 mean[i], error[i] = planes[a, 3 + i], 0.0
@@ -219,11 +202,10 @@ def fuse_leaves(
             rise = error[2] / own[2]
             planes[a, 2] += rise
             shift_origin(ranges, -rise * own[0], -rise * own[1])
-            shift_origin(poses, -rise * own[0], -rise * own[1])
             for i in range(3):
                 planes[a, 3 + i] = own[i]
                 for j in range(3):
-                    parts[0, a, i, j], parts[1, a, i, j] = ranges[3 * i + j], poses[3 * i + j]
+                    range_part[a, i, j] = ranges[3 * i + j]
         # Both are planes, so their distance varies linearly and is greatest at a corner.
         for k in range(ancestor.shape[0]):
             a = ancestor[k]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from quadtree_lss.onboard.core.geometry.bounds import MOST, MOST_HEIGHT
 from quadtree_lss.onboard.core.tree.domain import Domain
-from quadtree_lss.onboard.core.tree.leaves import LEAF, leaf_raster
+from quadtree_lss.onboard.core.tree.leaves import LEAF, MEASURED, OUT, leaf_raster
 from quadtree_lss.onboard.core.tree.soundness import sound_planes
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -44,9 +44,6 @@ NEVER_NEGATIVE = frozenset(
     "points distance_sum noise_sum exception_sum exception_noise residuals division_sum"
     " division_weight square_sum greatest strip uneven".split()
 )
-
-OUT = 3
-"""The greatest state of a finest cell (`LeafTable.observed`)."""
 
 State: TypeAlias = dict[str, NDArray[Any]]
 
@@ -76,14 +73,19 @@ def from_bytes(content: bytes) -> State:
         raise CheckpointError(msg) from None
 
 
+def _see(sound: bool | np.bool_, otherwise: str) -> None:
+    """Raises `CheckpointError`, with this line, unless something is sound."""
+    if not sound:
+        raise CheckpointError(otherwise)
+
+
 def _check_sizes(archive: zipfile.ZipFile, size: int) -> None:
     """See that an archive of ``size`` bytes unpacks to no more than these. Raises
     `CheckpointError`: something in it is compressed, or it claims more than there is."""
     parts = archive.infolist()
-    packed = any(part.compress_type != zipfile.ZIP_STORED for part in parts)
-    if packed or sum(part.file_size for part in parts) > size:
-        msg = "is not a checkpoint: its content is compressed or larger than itself"
-        raise CheckpointError(msg)
+    stored = all(part.compress_type == zipfile.ZIP_STORED for part in parts)
+    stored &= sum(part.file_size for part in parts) <= size
+    _see(stored, "is not a checkpoint: its content is compressed or larger than itself")
 
 
 def identified(state: State, domain: Domain) -> State:
@@ -100,57 +102,42 @@ def check(
     `CheckpointError`: another format or domain, too many leaves, arrays missing or inconsistent."""
     wanted, found = like["domain"], state.get("domain", np.empty(0))
     alike = found.dtype == wanted.dtype and found.shape == wanted.shape
-    if not alike or not np.array_equal(state.get("format", ""), FORMAT):
-        msg = "is not a checkpoint of this version"
-        raise CheckpointError(msg)
+    alike &= np.array_equal(state.get("format", ""), FORMAT)
+    _see(alike, "is not a checkpoint of this version")
     xmin, ymin, *_ = found.tolist()
     there = replace(domain, xmin=xmin, ymin=ymin)
     off = domain.cells_to(there) if follows and np.isfinite(found).all() else None
     whole = 1 << (domain.max_level - domain.min_level)
     moved = off is not None and not any(cells % whole for cells in off)
-    if not np.array_equal(found, wanted) and not (moved and np.array_equal(found[2:], wanted[2:])):
-        msg = (
-            f"is of another domain: xmin, ymin, size, min_level, max_level are"
-            f" {_listed(found)}, here {_listed(wanted)}"
-        )
-        raise CheckpointError(msg)
+    same = np.array_equal(found, wanted) or (moved and np.array_equal(found[2:], wanted[2:]))
+    listed = f"{_listed(found)}, here {_listed(wanted)}"
+    _see(same, f"is of another domain: xmin, ymin, size, min_level, max_level are {listed}")
     for name, example in like.items():
-        if name not in state:
-            msg = f"lacks {name}"
-            raise CheckpointError(msg)
-        array = state[name]
-        shape = array.shape[1:] if name == "leaves" else array.shape
-        if array.dtype != example.dtype or array.ndim != example.ndim:
-            msg = f"holds {name} as {array.dtype} of {array.ndim} dimensions"
-            raise CheckpointError(msg)
-        if shape != (example.shape[1:] if name == "leaves" else example.shape):
-            msg = f"holds {name} of shape {array.shape}"
-            raise CheckpointError(msg)
-    if len(state["leaves"]) > max_cells:
-        msg = f"has {len(state['leaves'])} leaves, mapping.max_cells is {max_cells}"
-        raise CheckpointError(msg)
+        _see(name in state, f"lacks {name}")
+        array, any_number = state[name], 1 if name == "leaves" else 0
+        alike = array.dtype == example.dtype and array.ndim == example.ndim
+        _see(alike, f"holds {name} as {array.dtype} of {array.ndim} dimensions")
+        alike = array.shape[any_number:] == example.shape[any_number:]
+        _see(alike, f"holds {name} of shape {array.shape}")
+    count = len(state["leaves"])
+    _see(count <= max_cells, f"has {count} leaves, mapping.max_cells is {max_cells}")
     _check_leaves(state["leaves"], domain)
-    if (state["observed"] > OUT).any():
-        msg = "has an impossible mask of observed cells"
-        raise CheckpointError(msg)
+    _see((state["observed"] <= OUT).all(), "has an impossible mask of observed cells")
     rises, returns = state["piled"].T
-    if not ((np.abs(rises) < MOST) & (returns >= 0.0) & (returns < MOST)).all():
-        msg = "has finest cells with impossible returns"
-        raise CheckpointError(msg)
+    possible = (np.abs(rises) < MOST) & (returns >= 0.0) & (returns < MOST)
+    _see(possible.all(), "has finest cells with impossible returns")
     height, variance = state["offset"].tolist()
     none = math.isnan(height) and math.isnan(variance)
-    if not none and not (abs(height) < MOST_HEIGHT and 0.0 <= variance < MOST):
-        msg = "has an impossible offset from navigation"
-        raise CheckpointError(msg)
+    known = abs(height) < MOST_HEIGHT and 0.0 <= variance < MOST
+    _see(none or known, "has an impossible offset from navigation")
     refused, height, variance = state["against"].tolist()
     sound = abs(height) < 2.0 * MOST_HEIGHT  # of one place over another
     sound &= 0.0 <= variance < MOST and 0.0 <= refused < MOST
     sound &= abs(float(state["owed"])) < MOST_OWED
     sound &= all(0 <= int(state[name]) < MOST_NS for name in ("stamp_ns", "start_ns"))
     ratio = float(state["noise_ratio"])
-    if not sound or not (math.isnan(ratio) or 0.0 <= ratio < MOST):
-        msg = "has impossible times, heights or ratios"
-        raise CheckpointError(msg)
+    sound &= math.isnan(ratio) or 0.0 <= ratio < MOST
+    _see(sound, "has impossible times, heights or ratios")
     return there
 
 
@@ -162,13 +149,11 @@ def _check_leaves(leaves: NDArray[Any], domain: Domain) -> None:
     if sound.all():
         leaf_raster(level.astype(np.uint8), ix.astype(np.uint32), iy.astype(np.uint32), raster)
     tiled = sound.all() and np.sum(0.25 ** level.astype(np.float64)) == 1.0
-    if not tiled or (raster < 0).any():
-        msg = "has leaves that do not tile the domain"
-        raise CheckpointError(msg)
+    _see(tiled and (raster >= 0).all(), "has leaves that do not tile the domain")
     known = leaves["known"]
     planes = leaves[known > 0]
     of_plane = (planes[name] for name in ("z", "normal", "range_part", "pose_part", "feature"))
-    whole = np.isin(known, (0, 1, 2, 3)).all()
+    whole = ((known >= 0) & (known <= MEASURED)).all()
     whole &= sound_planes(*of_plane).all()
     for name in LEAF.names or ():
         if LEAF[name].base.kind == "f" and name not in {"low", "high", "feature"}:
@@ -186,9 +171,8 @@ def _check_leaves(leaves: NDArray[Any], domain: Domain) -> None:
     # Where nothing came to rest yet they are infinity and minus infinity.
     within = (low > -MOST_HEIGHT) & (high < MOST_HEIGHT)
     whole &= (within & ((low > high) | (low < MOST_HEIGHT) & (high > -MOST_HEIGHT))).all()
-    if not whole or (planes["range_part"][:, ::4] <= 0.0).any() or not _covariances(planes):
-        msg = "has a leaf with an impossible plane"
-        raise CheckpointError(msg)
+    whole &= not (planes["range_part"][:, ::4] <= 0.0).any()
+    _see(whole and _covariances(planes), "has a leaf with an impossible plane")
 
 
 def _covariances(planes: NDArray[Any]) -> bool:

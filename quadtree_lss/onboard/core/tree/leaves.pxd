@@ -5,16 +5,15 @@ from quadtree_lss.onboard.core.geometry.morton cimport encode
 from quadtree_lss.onboard.core.geometry.plane cimport shift_origin
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
 
-cdef enum:
-    NOTHING
-    HINTS
-    INHERITED
-    MEASURED
+cpdef enum:
+    NOTHING, HINTS, INHERITED, MEASURED
 
-cdef enum:
-    SEEN = 1
-    KNOWN = 2
-    OUT = 3
+cpdef enum:
+    SEEN = 1, KNOWN, OUT
+
+#: Of ``bias``: behind t t^T.
+cpdef enum:
+    LIFT = 3, WEIGHT
 
 cdef struct Leaf:
     int level
@@ -48,8 +47,6 @@ cdef struct Leaf:
     double feature_information[25]
 
 cdef double NO_SLOPE
-
-cdef Leaf* leaf_at(Leaf[::1] rows, Py_ssize_t row) noexcept nogil
 
 cdef void clear(Leaf* leaf) noexcept nogil
 

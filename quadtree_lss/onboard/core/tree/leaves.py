@@ -29,6 +29,7 @@ if not cython.compiled:
     INFINITE = float("inf")
     NOTHING, HINTS, INHERITED, MEASURED = range(4)
     SEEN, KNOWN, OUT = 1, 2, 3
+    LIFT, WEIGHT = 3, 4
 
     def prefetch(at: object) -> None:
         """Only a compiled program knows where its numbers lie."""
@@ -61,7 +62,7 @@ Record: TypeAlias = Any
 #: - uneven: mean square, m^2, that a plane of its size would leave out by what those leave out that
 #:   it was divided from;
 #: - bias: means of what noise along the rays may turn its fits by, t t^T as xx, xy, yy, rad^2, and
-#:   lift them by, m, and the weight of the first, m^2;
+#:   lift them by (`LIFT`), m, and the weight of the first (`WEIGHT`), m^2;
 #: - feature: A, k, mu_x, mu_y about the centre, sigma (Eq. 51), NaN for none, and its inverse
 #:   covariance (25), feature_information.
 LEAF = np.dtype(
@@ -74,14 +75,6 @@ LEAF = np.dtype(
     + [("low", "f8"), ("high", "f8"), ("greatest", "f8"), ("strip", "f8"), ("uneven", "f8")]
     + [("bias", "f8", 5), ("feature", "f8", 5), ("feature_information", "f8", 25)]
 )
-
-
-def leaf_at(rows: NDArray[np.void], row: cython.Py_ssize_t) -> Record:
-    """One record of type `LEAF`, to read and to write."""
-    if cython.compiled:
-        return cython.address(rows[row])
-    else:
-        return rows[row]
 
 
 def clear(leaf: Record) -> None:
@@ -121,21 +114,16 @@ class LeafTable:
     """
 
     def __init__(self, domain: Domain, max_cells: int) -> None:
-        self.domain = domain
+        self.lie_on(domain)
         self.max_cells = max_cells
         self.max_level = domain.max_level
-        self.xmin, self.ymin = domain.xmin, domain.ymin
         self.sides = [0.0] * 32
         for level in range(domain.max_level + 1):
             self.sides[level] = domain.size / (1 << level)
-        self.leaf_of = np.zeros(4**domain.max_level, dtype=np.int32)
-        self.over = self.leaf_of
-        self.observed = np.zeros(4**domain.max_level, dtype=np.uint8)
-        self.seen = self.observed
-        self.piled = np.zeros((4**domain.max_level, 2), dtype=np.float32)
-        self.pile = self.piled
-        self.count = self.capacity = 0
-        self.rows = np.zeros(0, dtype=LEAF).view(np.recarray)
+        finest = 4**domain.max_level
+        self.over = self.leaf_of = np.zeros(finest, dtype=np.int32)
+        self.seen = self.observed = np.zeros(finest, dtype=np.uint8)
+        self.pile = self.piled = np.zeros((finest, 2), dtype=np.float32)
         self.plant()
 
     def plant(self) -> None:
@@ -150,12 +138,11 @@ class LeafTable:
     def take_up(self, columns: dict[str, NDArray[np.generic]]) -> None:
         """Have the leaves of these columns, which tile the domain (not checked here)."""
         row: cython.Py_ssize_t
-        count = len(columns["level"])
-        self._allocate(count)
+        self.count = self.capacity = count = len(columns["level"])
+        self.leaf = self.rows = np.zeros(count, dtype=LEAF).view(np.recarray)
         self.rows[:] = blank()
         for name, column in columns.items():
             self.rows[name][:count] = column
-        self.count = count
         for row in range(count):
             self._place(row, self.leaf[row].level, self.leaf[row].ix, self.leaf[row].iy)
 
@@ -200,32 +187,29 @@ class LeafTable:
         self.observed[:] = shifted(observed, n, east, north)
         self.piled[:] = shifted(self.piled, n, east, north)
 
-    def _allocate(self, rows: int) -> None:
-        self.capacity = rows
-        self.rows = np.zeros(rows, dtype=LEAF).view(np.recarray)
-        self.leaf = self.rows
-
     def reserve(self, more: cython.Py_ssize_t) -> None:
         """Have room for so many further leaves, as far as ``max_cells`` allows."""
         wanted = min(self.count + more, self.max_cells)
         if wanted > self.capacity:
             grown = np.zeros(max(wanted, min(2 * self.capacity, self.max_cells)), dtype=LEAF)
             grown[: self.count] = self.rows[: self.count]
-            self.rows = grown.view(np.recarray)
-            self.leaf = self.rows
+            self.leaf = self.rows = grown.view(np.recarray)
             self.capacity = len(grown)
 
     def at(self, row: cython.Py_ssize_t) -> Record:
         """A leaf, to read and to write; until the table grows."""
-        return leaf_at(self.leaf, row)
+        if cython.compiled:
+            return cython.address(self.leaf[row])
+        else:
+            return self.leaf[row]
 
     def glance(self, row: cython.Py_ssize_t) -> None:
-        """Have what is asked first of a leaf brought near: its place, and whether it is known."""
+        """Prefetch the first line of a leaf: its place, and whether it is known."""
         if cython.compiled:
             prefetch(cython.address(self.leaf[row]))
 
     def expect(self, row: cython.Py_ssize_t) -> None:
-        """Have a leaf brought near that will be wanted soon; not what is known of its feature."""
+        """Prefetch a leaf that will be wanted soon, but for its feature."""
         i: cython.int
         if cython.compiled:
             byte: cython.p_char = cython.cast(cython.p_char, cython.address(self.leaf[row]))

@@ -5,14 +5,10 @@ from __future__ import annotations
 
 import cython
 import numpy as np
+from cython.cimports.libc.math import fabs, sqrt
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask
 from quadtree_lss.onboard.core.geometry import bounds
-
-if cython.compiled:
-    from cython.cimports.libc.math import fabs, sqrt
-else:
-    from math import fabs, sqrt
 
 #: The least sigma of a feature, m, and the least n_z of a normal (`geometry.plane.keep_up`).
 LEAST_SIGMA = cython.declare(cython.double, 1e-6)
