@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """For all tests. The package that is installed is tested, not the checkout, in which colcon starts
 them, unless PYTHONPATH names it. One thread each for numerical libraries, since tests run side by
-side. Signals as in a terminal, for whatever started the tests may ignore some (``nohup``, a job in
-the background) and programs inherit that."""
+side. Hypothesis draws the same examples in every run, and others with
+``--hypothesis-profile default``. Signals as in a terminal, for whatever started the tests may
+ignore some (``nohup``, a job in the background) and programs inherit that."""
 
 import os
 import signal
 import sys
 from pathlib import Path
+
+from hypothesis import HealthCheck, settings
 
 _ROOT = Path(__file__).resolve().parents[1]
 if str(_ROOT) not in os.environ.get("PYTHONPATH", "").split(os.pathsep):
@@ -15,6 +18,12 @@ if str(_ROOT) not in os.environ.get("PYTHONPATH", "").split(os.pathsep):
 
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+
+_SLOW = [HealthCheck.too_slow]
+settings.register_profile(
+    "same", derandomize=True, database=None, deadline=None, suppress_health_check=_SLOW
+)
+settings.load_profile("same")
 
 for _number, _usual in (
     (signal.SIGINT, signal.default_int_handler),
