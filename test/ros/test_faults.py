@@ -129,7 +129,7 @@ def test_messages_that_cannot_be_used_are_counted_on_every_topic_and_good_ones_t
                 return listener.at_least(f"problems.{reason}", 1, node)
 
             listener.until(counted)
-            listener.node.destroy_publisher(sender)
+            listener.forget(sender)
         assert ros.call(listener, "/lss_node/land_now").message
         sensors.map(SCANS, offset_ns=TEN_SECONDS_NS)
     for process in (mapping, lss):
