@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What ArduPilot and PX4 accept, as a small model with a vehicle below it, over MAVLink's bytes.
 
-Written from their documentation and sources (AC_PrecLand, modes guided and land; precland,
-offboard). The vehicle follows its set-points as a point of first order in speed.
+Written from their documentation and sources (modes guided and land; precland, offboard). The
+vehicle follows its set-points as a point of first order in speed.
 """
 
 import socket
@@ -16,7 +16,6 @@ from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PLACE_ALONE,
 LOITER, LAND = 5, 9
 PX4_HOLD, PX4_LAND = 4 << 16 | 3 << 24, 4 << 16 | 6 << 24
 STEP_S = 0.01
-PLND_TIMEOUT_S, PLND_BETWEEN_S, PLND_INIT_S = 2.0, 0.5, 2.0
 OFFBOARD_LOSS_S, OFFBOARD_PROOF_S = 0.5, 1.0
 LNDMC_Z_VEL_MAX = 0.25
 LAND_SPEED = 1.0
@@ -26,30 +25,6 @@ def free_port():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
-
-
-class PrecLand:
-    """AC_PrecLand's default estimator: when a target counts."""
-
-    def __init__(self):
-        self.last = self.began = -np.inf
-        self.initialised = self.acquired = False
-        self.place = None
-        self.failed = 0
-
-    def take(self, now, place):
-        if not self.initialised:
-            self.initialised, self.began = True, now
-        self.last, self.place = now, place
-
-    def step(self, now):
-        if now - self.last > PLND_TIMEOUT_S:
-            self.initialised = self.acquired = False
-        if self.initialised and not self.acquired:
-            if now - self.last > PLND_BETWEEN_S:
-                self.initialised, self.failed = False, self.failed + 1
-            elif now - self.began > PLND_INIT_S:
-                self.acquired = True
 
 
 class Autopilot(threading.Thread):
@@ -80,7 +55,6 @@ class Autopilot(threading.Thread):
         self.frozen = self.cut = False
         self.delay, self.yaw, self.shift = 0.0, 0.7, np.zeros(3)
         self.deaf, self.body_velocity, self.heard = 0, False, set()
-        self.precland = PrecLand()
         self.points, self.texts, self.targets, self.left_offboard = [], [], [], 0
         self.boot = time.time() - 12345.0
         self.goal = self.position.copy()
@@ -220,10 +194,14 @@ class Autopilot(threading.Thread):
             self.goal = place
 
     def _on_target(self, message, now):
+        """Of the frame and with the distance that its precision landing asks for."""
         vector = np.array([message.x, message.y, message.z])
-        self.targets.append((now, message.frame, vector))
-        if self.kind == ARDUPILOT and message.frame == 12 and message.distance > 0.0:
-            self.precland.take(now, self.position + self._north_of_body() @ vector)
+        if self.kind == ARDUPILOT:
+            assert message.frame == 12 and message.distance > 0.0
+            vector = self.position + self._north_of_body() @ vector
+        else:
+            assert message.frame == 1
+        self.targets.append((now, vector))
 
     def _switch(self, mode):
         if mode == FOLLOWS[PX4] and self.kind == PX4:
@@ -235,7 +213,6 @@ class Autopilot(threading.Thread):
         return True
 
     def _step(self, now):
-        self.precland.step(now)
         if not self.armed:
             self.velocity[:] = 0.0
             return
@@ -244,8 +221,6 @@ class Autopilot(threading.Thread):
             self.left_offboard += 1
             self._switch(PX4_LAND)
         if self.mode in (LAND, PX4_LAND):
-            if self.kind == ARDUPILOT and self.precland.acquired:
-                self.goal[:2] = self.precland.place[:2]
             self.goal[2] = self.position[2] + LAND_SPEED
         wanted = np.clip(1.5 * (self.goal - self.position), -self.speed, self.speed)
         self.velocity += (wanted - self.velocity) * STEP_S / 0.15
