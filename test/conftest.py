@@ -8,8 +8,10 @@ ignore some (``nohup``, a job in the background) and programs inherit that."""
 import os
 import signal
 import sys
+from functools import partial
 from pathlib import Path
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 _ROOT = Path(__file__).resolve().parents[1]
@@ -32,3 +34,20 @@ for _number, _usual in (
 ):
     if signal.getsignal(_number) is signal.SIG_IGN:
         signal.signal(_number, _usual)
+
+
+@pytest.fixture(scope="session")
+def _browser(tmp_path_factory):
+    from report.pages import Browser
+
+    browser = Browser(tmp_path_factory.mktemp("browser"))
+    yield browser
+    browser.close()
+
+
+@pytest.fixture
+def in_browser(_browser, tmp_path):
+    """Of a page and some steps on it, what a browser tells: see `report.pages.in_browser`."""
+    from report.pages import in_browser
+
+    return partial(in_browser, _browser, tmp_path)
