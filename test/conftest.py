@@ -36,6 +36,23 @@ for _number, _usual in (
         signal.signal(_number, _usual)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Groups, the largest first, among the others: most wait for processes while those compute."""
+    groups = {}
+    for item in items:
+        if "_browser" in item.fixturenames:  # one for all
+            item.add_marker(pytest.mark.xdist_group("browser"))
+        mark = item.get_closest_marker("xdist_group")
+        groups.setdefault(mark and mark.args[0], []).append(item)
+    alone, items[:] = groups.pop(None, []), []
+    step = 2 * len(alone) // (3 * len(groups) + 1)
+    for group in sorted(groups.values(), key=len, reverse=True):
+        items += [*group, *alone[:step]]
+        del alone[:step]
+    items += alone
+
+
 @pytest.fixture(scope="session")
 def _browser(tmp_path_factory):
     from report.pages import Browser
