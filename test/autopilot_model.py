@@ -194,14 +194,12 @@ class Autopilot(threading.Thread):
             self.goal = place
 
     def _on_target(self, message, now):
-        """Of the frame and with the distance that its precision landing asks for."""
+        """In the frame, and with the distance, that its precision landing takes."""
         vector = np.array([message.x, message.y, message.z])
         if self.kind == ARDUPILOT:
-            assert message.frame == 12 and message.distance > 0.0
             vector = self.position + self._north_of_body() @ vector
-        else:
-            assert message.frame == 1
-        self.targets.append((now, vector))
+        if message.frame == (12, 1)[self.kind == PX4] and (self.kind == PX4 or message.distance):
+            self.targets.append((now, vector))
 
     def _switch(self, mode):
         if mode == FOLLOWS[PX4] and self.kind == PX4:

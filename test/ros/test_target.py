@@ -66,7 +66,10 @@ class Pilot(Vehicle):
 @pytest.fixture
 def pilot(ros, cells):
     with ros.listen({}) as listener:
-        yield Pilot(listener, cells)
+        pilot = Pilot(listener, cells)
+        for topic in ("landing/area", "landing/keep_out"):  # else sites would wait for them
+            pilot.send(topic, polygon([]))
+        yield pilot
 
 
 def test_the_target_is_withdrawn_with_its_reason_and_replaced(ros, pilot):
