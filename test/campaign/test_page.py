@@ -111,5 +111,5 @@ def test_a_click_on_a_flight_opens_it_or_shows_its_command(result, in_browser):
 
 @in_a_browser
 @pytest.mark.slow
-def test_it_can_be_used_by_all_and_prints_on_two_sheets(result, tmp_path, in_browser):
-    assert accessible(in_browser, page(result)) and 1 <= sheets(page(result), tmp_path) <= 2
+def test_it_can_be_used_by_all_and_prints_on_two_sheets(result, in_browser):
+    assert accessible(in_browser, page(result)) and 1 <= sheets(in_browser, page(result)) <= 2

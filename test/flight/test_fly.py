@@ -286,5 +286,5 @@ def test_a_moment_has_its_view_reach_and_target_on_the_map_and_in_space(text, in
 
 @in_a_browser
 @pytest.mark.slow
-def test_its_page_can_be_used_by_all_and_prints_on_two_sheets(text, tmp_path, in_browser):
-    assert accessible(in_browser, text) and 1 <= sheets(text, tmp_path) <= 2
+def test_its_page_can_be_used_by_all_and_prints_on_two_sheets(text, in_browser):
+    assert accessible(in_browser, text) and 1 <= sheets(in_browser, text) <= 2

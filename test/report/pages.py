@@ -196,23 +196,9 @@ def accessible(in_browser, text):
     return len(told) == 2
 
 
-def sheets(text, folder):
+def sheets(in_browser, text):
     """How many sheets of paper a page prints on."""
-    page, paper = folder / "page.html", folder / "page.pdf"
-    page.write_text(text)
-    run_browser(folder, f"--print-to-pdf={paper}", page.as_uri())
-    return len(re.findall(rb"/Type\s*/Page\b", paper.read_bytes()))
-
-
-def run_browser(folder, *arguments):
-    """What it prints."""
-    command = [
-        BROWSER,
-        *FLAGS,
-        "--virtual-time-budget=10000",
-        f"--user-data-dir={folder / 'profile'}",
-        *map(str, arguments),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=180)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    in_browser(text)
+    (browser, *_) = in_browser.args
+    paper = base64.b64decode(browser.ask("Page.printToPDF")["data"])
+    return len(re.findall(rb"/Type\s*/Page\b", paper))

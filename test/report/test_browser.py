@@ -4,12 +4,11 @@
 import html
 import itertools
 import json
-import re
 
 import numpy as np
 import pytest
 from replay.recordings import GROUND, write_ros2
-from report.pages import accessible, changed, in_a_browser, run_browser, sheets
+from report.pages import accessible, changed, in_a_browser, sheets
 
 from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.replay.replay import replay
@@ -467,19 +466,20 @@ def test_it_can_be_used_by_all(text, in_browser):
     assert accessible(in_browser, text)
 
 
-def test_print_fits_two_pages(text, tmp_path):
-    assert 1 <= sheets(text, tmp_path) <= 2
+def test_print_fits_two_pages(text, in_browser):
+    assert 1 <= sheets(in_browser, text) <= 2
 
 
-def test_without_javascript_there_are_table_and_picture(text, tmp_path):
+def test_without_javascript_there_are_table_and_picture(text, tmp_path, _browser):
     host = f"""<html><body><iframe id="off" sandbox="allow-same-origin" width="1200" height="900"
     srcdoc="{html.escape(text)}"></iframe><script>const off = document.getElementById("off");
     off.onload = () => {{ const wide = what => off.contentDocument.querySelector(what).offsetWidth;
-      document.body.dataset.wide = ["#sites", ".picture", "#frame", ".choice"].map(wide); }};
+      document.documentElement.dataset.told = JSON.stringify(
+        ["#sites", ".picture", "#frame", ".choice"].map(wide)); }};
     </script></body></html>"""
     (tmp_path / "host.html").write_text(host)
-    dom = run_browser(tmp_path, "--dump-dom", (tmp_path / "host.html").as_uri())
-    table, picture, frame, choice = map(int, re.search(r'data-wide="([^"]*)"', dom)[1].split(","))
+    told = _browser.show((tmp_path / "host.html").as_uri(), (1400, 900))["told"]
+    table, picture, frame, choice = json.loads(told)
     assert table > 300 and picture > 300 and frame == choice == 0
 
 

@@ -74,5 +74,5 @@ def test_a_link_goes_to_the_place_and_a_section_shows_the_truth(evaluated, in_br
 
 @in_a_browser
 @pytest.mark.slow
-def test_it_can_be_used_by_all_and_prints_on_two_sheets(evaluated, tmp_path, in_browser):
-    assert accessible(in_browser, evaluated[2]) and 1 <= sheets(evaluated[2], tmp_path) <= 2
+def test_it_can_be_used_by_all_and_prints_on_two_sheets(evaluated, in_browser):
+    assert accessible(in_browser, evaluated[2]) and 1 <= sheets(in_browser, evaluated[2]) <= 2
