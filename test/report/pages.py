@@ -12,6 +12,7 @@ import time
 import zlib
 from html.parser import HTMLParser
 from importlib.resources import files
+from select import select
 
 import numpy as np
 import pytest
@@ -133,6 +134,7 @@ class Browser:
         os.write(self._out, json.dumps(said).encode() + b"\0")
         while True:
             while b"\0" not in self._content:
+                assert select([self._in], [], [], 180.0)[0], "the browser does not answer"
                 assert (more := os.read(self._in, 1 << 16)), "the browser has ended"
                 self._content += more
             told, _, self._content = self._content.partition(b"\0")
