@@ -109,11 +109,13 @@ $(TOOLS)/bin/python:
 demo: setup
 	@$(BIN)/python -m quadtree_lss.lab.live.demo --out demo_output
 
+# Three, for many tests wait; in the order of test/conftest.py.
+WORKERS := -n 3 --dist loadgroup --no-loadscope-reorder
 test: setup
-	$(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS)
+	$(BIN)/pytest $(WORKERS) $(PYTEST_ARGS)
 
 test-all: setup
-	$(BIN)/pytest -n 2 --dist loadgroup -m 'slow or not slow' $(PYTEST_ARGS)
+	$(BIN)/pytest $(WORKERS) -m 'slow or not slow' $(PYTEST_ARGS)
 	$(MAKE) --no-print-directory test-checked
 
 # Hours in real time: FLIGHTS='--landings 20 --faults 13' flies fewer.
@@ -135,7 +137,7 @@ test-vehicle:
 	    echo 'no Python 3.12 here: not tested with the versions of a vehicle'; \
 	else \
 	    $(MAKE) --no-print-directory $(VEHICLE)/.package && \
-	    $(VEHICLE)/bin/pytest -n 2 --dist loadgroup $(PYTEST_ARGS) $(VEHICLE_TESTS); \
+	    $(VEHICLE)/bin/pytest $(WORKERS) $(PYTEST_ARGS) $(VEHICLE_TESTS); \
 	fi
 
 $(VEHICLE)/.dependencies: constraints.txt Makefile
@@ -159,7 +161,7 @@ CHECKED := $(VENV)/checked
 CHECKED_TESTS ?= test/core
 test-checked: setup $(CHECKED)/.package
 	PYTHONPATH=$(CHECKED) $(BIN)/python -c 'from quadtree_lss import build; print(build.name())' | grep checked
-	PYTHONPATH=$(CHECKED) $(BIN)/pytest -n 2 --dist loadgroup $(PYTEST_ARGS) $(CHECKED_TESTS)
+	PYTHONPATH=$(CHECKED) $(BIN)/pytest $(WORKERS) $(PYTEST_ARGS) $(CHECKED_TESTS)
 
 $(CHECKED)/.package: $(PACKAGE)
 	@echo 'compiling the core with every index checked into .venv/checked'

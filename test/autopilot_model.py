@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """What ArduPilot and PX4 accept, as a small model with a vehicle below it, over MAVLink's bytes.
 
-Written from their documentation and sources (AC_PrecLand, modes guided and land; precland,
-offboard). The vehicle follows its set-points as a point of first order in speed.
+Written from their documentation and sources (modes guided and land; precland, offboard). The
+vehicle follows its set-points as a point of first order in speed.
 """
 
 import socket
 import threading
 import time
+from contextlib import suppress
 
 import numpy as np
 
@@ -16,40 +17,19 @@ from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PLACE_ALONE,
 LOITER, LAND = 5, 9
 PX4_HOLD, PX4_LAND = 4 << 16 | 3 << 24, 4 << 16 | 6 << 24
 STEP_S = 0.01
-PLND_TIMEOUT_S, PLND_BETWEEN_S, PLND_INIT_S = 2.0, 0.5, 2.0
 OFFBOARD_LOSS_S, OFFBOARD_PROOF_S = 0.5, 1.0
 LNDMC_Z_VEL_MAX = 0.25
 LAND_SPEED = 1.0
 
 
 def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-class PrecLand:
-    """AC_PrecLand's default estimator: when a target counts."""
-
-    def __init__(self):
-        self.last = self.began = -np.inf
-        self.initialised = self.acquired = False
-        self.place = None
-        self.failed = 0
-
-    def take(self, now, place):
-        if not self.initialised:
-            self.initialised, self.began = True, now
-        self.last, self.place = now, place
-
-    def step(self, now):
-        if now - self.last > PLND_TIMEOUT_S:
-            self.initialised = self.acquired = False
-        if self.initialised and not self.acquired:
-            if now - self.last > PLND_BETWEEN_S:
-                self.initialised, self.failed = False, self.failed + 1
-            elif now - self.began > PLND_INIT_S:
-                self.acquired = True
+    """Between those of ROS domains, for the system gives away its own until a node has come."""
+    ports = 7400 + 250 * np.arange(1, 98)[:, None] + np.arange(80, 240)
+    for port in np.random.default_rng().permutation(ports.ravel()).tolist():
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
+    raise OSError("no free port")
 
 
 class Autopilot(threading.Thread):
@@ -82,7 +62,6 @@ class Autopilot(threading.Thread):
         self.frozen = self.cut = False
         self.delay, self.yaw, self.shift = 0.0, 0.7, np.zeros(3)
         self.deaf, self.body_velocity, self.heard = 0, False, set()
-        self.precland = PrecLand()
         self.points, self.texts, self.targets, self.left_offboard = [], [], [], 0
         self.boot = time.time() - 12345.0
         self.goal = self.position.copy()
@@ -228,10 +207,12 @@ class Autopilot(threading.Thread):
             self._landed &= self.kind == ARDUPILOT or place[2] > self.position[2]
 
     def _on_target(self, message, now):
+        """In the frame, and with the distance, that its precision landing takes."""
         vector = np.array([message.x, message.y, message.z])
-        self.targets.append((now, message.frame, vector))
-        if self.kind == ARDUPILOT and message.frame == 12 and message.distance > 0.0:
-            self.precland.take(now, self.position + self._north_of_body() @ vector)
+        if self.kind == ARDUPILOT:
+            vector = self.position + self._north_of_body() @ vector
+        if message.frame == (12, 1)[self.kind == PX4] and (self.kind == PX4 or message.distance):
+            self.targets.append((now, vector))
 
     def _switch(self, mode):
         if mode == FOLLOWS[PX4] and self.kind == PX4:
@@ -243,7 +224,6 @@ class Autopilot(threading.Thread):
         return True
 
     def _step(self, now):
-        self.precland.step(now)
         if not self.armed:
             self.velocity[:] = 0.0
             return
@@ -252,8 +232,6 @@ class Autopilot(threading.Thread):
             self.left_offboard += 1
             self._switch(PX4_LAND)
         if self.mode in (LAND, PX4_LAND):
-            if self.kind == ARDUPILOT and self.precland.acquired:
-                self.goal[:2] = self.precland.place[:2]
             self.goal[2] = self.position[2] + LAND_SPEED
         wanted = np.clip(1.5 * (self.goal - self.position), -self.speed, self.speed)
         self.velocity += (wanted - self.velocity) * STEP_S / 0.15

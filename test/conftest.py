@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """For all tests. The package that is installed is tested, not the checkout, in which colcon starts
 them, unless PYTHONPATH names it. One thread each for numerical libraries, since tests run side by
-side. Signals as in a terminal, for whatever started the tests may ignore some (``nohup``, a job in
-the background) and programs inherit that."""
+side. Hypothesis draws the same examples in every run, and others with
+``--hypothesis-profile default``. Signals as in a terminal, for whatever started the tests may
+ignore some (``nohup``, a job in the background) and programs inherit that."""
 
 import os
 import signal
 import sys
+from functools import partial
 from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
 
 _ROOT = Path(__file__).resolve().parents[1]
 if str(_ROOT) not in os.environ.get("PYTHONPATH", "").split(os.pathsep):
@@ -16,6 +21,12 @@ if str(_ROOT) not in os.environ.get("PYTHONPATH", "").split(os.pathsep):
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
+_SLOW = [HealthCheck.too_slow]
+settings.register_profile(
+    "same", derandomize=True, database=None, deadline=None, suppress_health_check=_SLOW
+)
+settings.load_profile("same")
+
 for _number, _usual in (
     (signal.SIGINT, signal.default_int_handler),
     (signal.SIGHUP, signal.SIG_DFL),
@@ -23,3 +34,37 @@ for _number, _usual in (
 ):
     if signal.getsignal(_number) is signal.SIG_IGN:
         signal.signal(_number, _usual)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Groups, the largest first, among the others: most wait for processes while those compute."""
+    groups = {}
+    for item in items:
+        if "_browser" in item.fixturenames:  # one for all
+            item.add_marker(pytest.mark.xdist_group("browser"))
+        mark = item.get_closest_marker("xdist_group")
+        groups.setdefault(mark and mark.args[0], []).append(item)
+    alone, items[:] = groups.pop(None, []), []
+    step = 2 * len(alone) // (3 * len(groups) + 1)
+    for group in sorted(groups.values(), key=len, reverse=True):
+        items += [*group, *alone[:step]]
+        del alone[:step]
+    items += alone
+
+
+@pytest.fixture(scope="session")
+def _browser(tmp_path_factory):
+    from report.pages import Browser
+
+    browser = Browser(tmp_path_factory.mktemp("browser"))
+    yield browser
+    browser.close()
+
+
+@pytest.fixture
+def in_browser(_browser, tmp_path):
+    """Of a page and some steps on it, what a browser tells: see `report.pages.in_browser`."""
+    from report.pages import in_browser
+
+    return partial(in_browser, _browser, tmp_path)

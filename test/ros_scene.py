@@ -120,10 +120,14 @@ class Ears(Listener):
         super().__init__(ros.domain, topics)
         self._ros = ros
 
-    def until(self, condition: Callable[..., object], *args: Any, timeout: float = 20.0) -> None:
+    def until(self, condition: Callable[..., object], *args: Any, timeout: float = 60.0) -> None:
         """Until ``condition(*args)`` is true."""
         came = self.wait_for(partial(condition, *args), timeout)
         assert came, f"{self.diagnostics}\n{self._ros.output()}"
+
+    def forget(self, publisher: Any) -> None:
+        """Destroys a publisher, in the thread that waits for its events: others must not."""
+        self._executor.create_task(self.node.destroy_publisher, publisher)
 
     def until_stamped(self, stamp_ns: int, *topics: str) -> None:
         """Until the newest message of each topic has this stamp."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from report.pages import Page, accessible, in_a_browser, in_browser, sheets
+from report.pages import Page, accessible, in_a_browser, sheets
 
 from quadtree_lss.lab.campaign.campaign_page import note_kept, page
 from quadtree_lss.lab.campaign.store import Record
@@ -78,12 +78,11 @@ def test_only_what_is_kept_is_linked(result):
 
 
 @in_a_browser
-def test_a_click_on_a_flight_opens_it_or_shows_its_command(result, tmp_path):
+def test_a_click_on_a_flight_opens_it_or_shows_its_command(result, in_browser):
     (result.out / "kept" / "000003").mkdir(parents=True)
     (result.out / "kept" / "000003" / "flight.html").write_text("")
     told = in_browser(
         page(result),
-        tmp_path,
         """
         const axis = (name, value) => { const s = byId(`axis-${name}`); s.value = value;
           s.dispatchEvent(new Event("change")); };
@@ -112,5 +111,5 @@ def test_a_click_on_a_flight_opens_it_or_shows_its_command(result, tmp_path):
 
 @in_a_browser
 @pytest.mark.slow
-def test_it_can_be_used_by_all_and_prints_on_two_sheets(result, tmp_path):
-    assert accessible(page(result), tmp_path) and 1 <= sheets(page(result), tmp_path) <= 2
+def test_it_can_be_used_by_all_and_prints_on_two_sheets(result, in_browser):
+    assert accessible(in_browser, page(result)) and 1 <= sheets(in_browser, page(result)) <= 2

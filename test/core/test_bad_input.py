@@ -110,7 +110,7 @@ def scan_of(kinds: list[str], rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(
     st.integers(0, 2**32 - 1),
     st.sampled_from(METHODS),

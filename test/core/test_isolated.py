@@ -87,7 +87,7 @@ def clusters_of_less_than_three(points: np.ndarray, gate: float) -> np.ndarray:
     return np.bincount(label)[label] < 3
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.integers(3, 400), st.floats(0.3, 30.0))
 def test_in_space_it_is_those_in_clusters_of_less_than_three(seed, count, size):
     rng = np.random.default_rng(seed)

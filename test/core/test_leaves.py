@@ -53,7 +53,7 @@ def assert_tiles(domain: Domain, level: np.ndarray, ix: np.ndarray, iy: np.ndarr
     assert (covered == 1).all()
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.integers(0, 10_000), st.integers(0, 3), st.integers(0, 3), st.integers(0, 8))
 def test_leaves_tile_the_domain_and_lookup_agrees_with_descent(seed, low, more, rounds):
     domain = Domain(-3.0, 5.0, 16.0, low, low + more)
@@ -91,7 +91,7 @@ def test_the_number_of_cells_is_bounded(max_cells):
     assert_tiles(DOMAIN, *places(tree))
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.integers(0, 10_000))
 def test_morton_order_is_that_in_which_finest_cells_meet_them(seed):
     tree = grown(DOMAIN, seed)

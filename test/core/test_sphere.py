@@ -20,7 +20,7 @@ def tangent(angle: float, heading: float) -> np.ndarray:
     return angle * np.array([np.cos(heading), np.sin(heading)])
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(angles, headings)
 def test_log_undoes_exp(angle, heading):
     phi = tangent(angle, heading)
@@ -63,7 +63,7 @@ def test_the_tangents_axes_are_those_of_the_shortest_rotation_from_up():
             np.testing.assert_allclose(kernels.tangent_basis(n), expected[:, :2], atol=1e-12)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(st.floats(0.0, 1.57), headings, st.floats(0.0, 1.5), headings)
 def test_minus_undoes_plus(lean, lean_heading, angle, heading):
     """Within a quarter turn; beyond, -n is the nearer name of the same plane."""

@@ -34,7 +34,7 @@ def buffer_of(poses: list[Pose], gap_ms: float = 200.0) -> PoseBuffer:
     return buffer
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 9), st.booleans())
 def test_each_point_is_turned_and_moved_by_the_pose_at_its_time(seed, count, shuffled):
     rng = np.random.default_rng(seed)

@@ -208,7 +208,7 @@ def test_an_unlikely_aim_is_no_target():
     assert choose(keeper, few).reason is Reason.UNLIKELY
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.lists(st.lists(st.sampled_from([NAN, 0.0, 0.3, 0.6, 0.9, 2.0]), min_size=4, max_size=4)))
 def test_no_change_without_cause(merits):
     """Held while permitted, changed for the margin, withdrawn when lost, on any ground."""

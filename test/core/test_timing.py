@@ -38,7 +38,7 @@ def queue_of(buffer, scans=5, wait_ms=1000):
     return ScanQueue(buffer, scans, wait_ms * MS)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.0, 1.0))
 def test_interpolation_is_linear_and_slerp_as_scipy_has_it(seed, share):
     rng = np.random.default_rng(seed)
@@ -75,7 +75,7 @@ def test_a_gap_is_not_bridged_and_an_exact_stamp_needs_no_bracket():
     assert buffer.at(301 * MS).stamp_ns == 301 * MS
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     stamps=st.lists(st.integers(0, 900), min_size=1, max_size=30),
     asked=st.lists(st.integers(-10, 910), max_size=10),
@@ -182,7 +182,7 @@ def test_a_looping_bag_is_taken_up_again_within_a_pose(poses_first):
     assert buffer.jumps + queue.jumps >= 1
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(data=st.data(), latency=st.integers(0, 250), period=st.integers(20, 90))
 def test_when_it_is_asked_for_does_not_change_what_comes_out(data, latency, period):
     """Live nodes ask after each message, others may ask seldom: the same scans and poses."""
@@ -216,7 +216,7 @@ def test_when_it_is_asked_for_does_not_change_what_comes_out(data, latency, peri
         np.testing.assert_array_equal(one.rotation_map_lidar, other.rotation_map_lidar)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(events=st.lists(st.tuples(st.booleans(), st.integers(0, 5000)), max_size=60))
 def test_every_scan_is_mapped_dropped_or_waiting(events):
     buffer = PoseBuffer(2 * SECOND, 300 * MS)

@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from report.pages import Page, accessible, in_a_browser, in_browser, sheets
+from report.pages import Page, accessible, in_a_browser, sheets
 
 from quadtree_lss.cli import main
 from quadtree_lss.lab.flight.flight import Flight
@@ -189,11 +189,10 @@ def test_the_page_is_that_of_the_map_with_the_flight(short, text):
 
 
 @in_a_browser
-def test_a_flight_is_gone_over(text, tmp_path):
+def test_a_flight_is_gone_over(text, in_browser):
     """Map, lander, headline and decisions are of the moment; a click on a decision goes there."""
     told = in_browser(
         text,
-        tmp_path,
         """
         const f = data.flight, seen = () => [...Array(grid.nx * grid.ny).keys()].filter(
           i => !(view.answer < 0 ? grid.hazard[i] & 128 : laterThan(i, view.answer))).length;
@@ -235,11 +234,10 @@ def test_a_flight_is_gone_over(text, tmp_path):
 
 
 @in_a_browser
-def test_a_moment_has_its_view_reach_and_target_on_the_map_and_in_space(text, tmp_path):
+def test_a_moment_has_its_view_reach_and_target_on_the_map_and_in_space(text, in_browser):
     """A click on a target's row or on a curve shows its moment."""
     told = in_browser(
         text,
-        tmp_path,
         """
         const f = data.flight, h = data.history;
         const rows = document.querySelectorAll("#targets tbody tr");
@@ -288,5 +286,5 @@ def test_a_moment_has_its_view_reach_and_target_on_the_map_and_in_space(text, tm
 
 @in_a_browser
 @pytest.mark.slow
-def test_its_page_can_be_used_by_all_and_prints_on_two_sheets(text, tmp_path):
-    assert accessible(text, tmp_path) and 1 <= sheets(text, tmp_path) <= 2
+def test_its_page_can_be_used_by_all_and_prints_on_two_sheets(text, in_browser):
+    assert accessible(in_browser, text) and 1 <= sheets(in_browser, text) <= 2

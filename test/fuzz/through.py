@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
+from select import select
 from types import SimpleNamespace
 from typing import Any
 
@@ -349,6 +350,7 @@ class Vehicle:
         refused, heard = self.link.refused.copy(), self.link.heard_of.copy()
         if content:
             self.octets += self.socket.sendto(content, self.there)
+            select([self.link._port.port], [], [], 60.0)  # the system may take its time
         with np.errstate(all="raise", under="ignore"):
             navs = self.link.poll()
             for nav in navs:

@@ -30,7 +30,7 @@ def reason_of(msg):
     return caught.value.reason
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(
     seed=st.integers(0, 2**32 - 1),
     height=st.integers(1, 5),

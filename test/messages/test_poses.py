@@ -25,7 +25,7 @@ def reason_of(msg, frame="map"):
     return caught.value.reason
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=st.integers(0, 2**32 - 1), length=st.floats(0.991, 1.009))
 def test_a_pose_comes_out_as_it_went_in(seed, length):
     rng = np.random.default_rng(seed)

@@ -160,7 +160,7 @@ def test_exponents_without_a_point_are_numbers_as_in_ros(write):
     assert (config.lidar.range_noise, config.lidar.max_range) == (0.05, 1000.0)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.data())
 def test_what_is_dumped_loads_again(tmp_path_factory, data):
     values = {}

@@ -5,7 +5,6 @@ from functools import partial
 
 import pytest
 from replay.recordings import GROUND, write_ros2
-from report.pages import in_browser
 
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
@@ -23,6 +22,6 @@ def text(result):
 
 
 @pytest.fixture
-def browse(text, tmp_path):
-    """Of some steps on the page, what a browser tells: see `in_browser`."""
-    return partial(in_browser, text, tmp_path)
+def browse(text, in_browser):
+    """Of some steps on the page, what a browser tells."""
+    return partial(in_browser, text)

@@ -2,14 +2,17 @@
 """Pages as tests look at them: their markup, their columns, and a browser that shows them."""
 
 import base64
-import html
+import itertools
 import json
+import os
 import re
 import shutil
 import subprocess
+import time
 import zlib
 from html.parser import HTMLParser
 from importlib.resources import files
+from select import select
 
 import numpy as np
 import pytest
@@ -23,7 +26,7 @@ in_a_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this c
 FLAGS = (
     "--headless --no-sandbox --disable-quic --no-first-run --disable-background-networking"
     " --disable-component-update --disable-sync --use-gl=angle --use-angle=swiftshader"
-    " --enable-unsafe-swiftshader --virtual-time-budget=10000"
+    " --enable-unsafe-swiftshader"
 ).split()
 
 HELPERS = """
@@ -40,14 +43,7 @@ const move = (id, value) => { byId(id).value = value;
   for (const type of ["input", "change"]) byId(id).dispatchEvent(new Event(type)); };
 const colourAt = (x, y) => { drawNow(); const r = window.devicePixelRatio || 1;
   return [...map.getContext("2d").getImageData(x * r, y * r, 1, 1).data].slice(0, 3).join(); };
-// Timers let virtual time run out, which waits for no thread that unpacks; messages do not.
-const turn = () => new Promise(r => {
-  const channel = new MessageChannel();
-  channel.port1.onmessage = r; channel.port2.postMessage(0);
-});
-const until = async done => {
-  for (let k = 1; !done(); k++) await (k % 500 ? turn() : new Promise(r => setTimeout(r, 20)));
-};
+const until = async done => { while (!done()) await new Promise(r => setTimeout(r, 5)); };
 """
 
 
@@ -101,38 +97,81 @@ def column(content, about):
     return np.where(raw == none, np.nan, about["low"] + about["step"] * raw)
 
 
-PHONE = """<!DOCTYPE html><html><body style="margin:0">
-<iframe style="border:0;width:%dpx;height:%dpx"></iframe><script>
-const frame = document.querySelector("iframe"), own = document.documentElement.dataset;
-frame.src = "page.html";
-window.addEventListener("message", e => { Object.assign(own, e.data); });
-</script></body></html>"""
+class Browser:
+    """A Chromium that shows one page after the other, led by its DevTools protocol over pipes."""
+
+    def __init__(self, folder):
+        (theirs, self._out), (self._in, answers) = os.pipe(), os.pipe()
+
+        def take():
+            for given, number in ((theirs, 3), (answers, 4)):
+                os.dup2(given, number)
+                os.set_inheritable(number, True)
+
+        flags = (*FLAGS, f"--user-data-dir={folder}", "--remote-debugging-pipe")
+        options = {"close_fds": False, "preexec_fn": take, "stderr": subprocess.DEVNULL}
+        self._process = subprocess.Popen((BROWSER, *flags, "about:blank"), **options)
+        os.close(theirs), os.close(answers)
+        self._content, self._session, self._asked = b"", None, itertools.count(1)
+        (target,) = [
+            info["targetId"]
+            for info in self.ask("Target.getTargets")["targetInfos"]
+            if info["type"] == "page"
+        ]
+        told = self.ask("Target.attachToTarget", targetId=target, flatten=True)
+        self._session = told["sessionId"]
+        self.ask("Emulation.setFocusEmulationEnabled", enabled=True)
+
+    def close(self):
+        self.ask("Browser.close")
+        self._process.wait()
+        os.close(self._in), os.close(self._out)
+
+    def ask(self, method, **params):
+        """The answer to one command."""
+        said = {"id": next(self._asked), "method": method, "params": params}
+        said |= {"sessionId": self._session} if self._session else {}
+        os.write(self._out, json.dumps(said).encode() + b"\0")
+        while True:
+            while b"\0" not in self._content:
+                assert select([self._in], [], [], 180.0)[0], "the browser does not answer"
+                assert (more := os.read(self._in, 1 << 16)), "the browser has ended"
+                self._content += more
+            told, _, self._content = self._content.partition(b"\0")
+            if (told := json.loads(told)).get("id") == said["id"]:
+                assert "error" not in told, told
+                return told["result"]
+
+    def show(self, address, size):
+        """What the root element's data has once there is an answer or an error."""
+        width, height = size
+        how = {"deviceScaleFactor": 1, "mobile": False}
+        self.ask("Emulation.setDeviceMetricsOverride", width=width, height=height, **how)
+        for url in ("about:blank", address):  # else another # is no new page
+            self.ask("Page.navigate", url=url)
+        look = {"expression": "({...document.documentElement.dataset})", "returnByValue": True}
+        end = time.monotonic() + 180.0
+        while time.monotonic() < end:
+            told = self.ask("Runtime.evaluate", **look)["result"].get("value", {})
+            if told.keys() & {"told", "error"}:
+                return told
+            time.sleep(0.02)
+        raise TimeoutError(f"the page did not get ready: {told}")
 
 
-def in_browser(text, folder, steps="", size=(1400, 900), address="", flags=()):
-    """What ``steps`` told by `tellTest` after acting on the page as a person would.
-
-    Narrower than 500 px the page is in a frame: no window of a Chromium without a screen is.
-    """
+def in_browser(browser, folder, text, steps="", size=(1400, 900), address=""):
+    """What ``steps`` told by `tellTest` after acting on the page as a person would."""
     program = f"""{HELPERS}
     (async () => {{
       await until(() => root.dataset.ready || root.dataset.error);
       {steps}
       root.dataset.told = JSON.stringify(answers);
-      if (parent !== window) parent.postMessage({{ ...root.dataset }}, "*");
-    }})();"""
+    }})().catch(error => {{ root.dataset.error = error.stack; }});"""
     path = folder / "page.html"
     path.write_text(text.replace("</body>", f"<script>{program}</script></body>"))
-    if size[0] < 500:
-        path = folder / "phone.html"
-        path.write_text(PHONE % size)
-    size_flag = f"--window-size={size[0]},{size[1]}"
-    dom = run_browser(folder, *flags, size_flag, "--dump-dom", path.as_uri() + address)
-    (tag,) = re.findall(r"<html[^>]*>", dom)
-    assert "data-error" not in tag, tag
-    found = re.search(r'data-told="([^"]*)"', tag)
-    assert found, f"the page did not get ready: {tag}"
-    return json.loads(html.unescape(found[1]))
+    told = browser.show(path.as_uri() + address, size)
+    assert "error" not in told, told["error"]
+    return json.loads(told["told"])
 
 
 AXE = """
@@ -149,27 +188,19 @@ for (const theme of ["light", "dark"]) {
 """
 
 
-def accessible(text, folder):
+def accessible(in_browser, text):
     """Whether axe-core finds no serious and no critical fault of a page, light and dark."""
     pytest.importorskip("axe_core_python")
     program = files("axe_core_python").joinpath("axe.min.js").read_bytes()
-    told = in_browser(text, folder, AXE % base64.b64encode(program).decode())
+    told = in_browser(text, AXE % base64.b64encode(program).decode())
     for passed, faults in told.values():
         assert passed > 15 and not faults, "\n".join(faults)
     return len(told) == 2
 
 
-def sheets(text, folder):
+def sheets(in_browser, text):
     """How many sheets of paper a page prints on."""
-    page, paper = folder / "page.html", folder / "page.pdf"
-    page.write_text(text)
-    run_browser(folder, f"--print-to-pdf={paper}", page.as_uri())
-    return len(re.findall(rb"/Type\s*/Page\b", paper.read_bytes()))
-
-
-def run_browser(folder, *arguments):
-    """What it prints."""
-    command = [BROWSER, *FLAGS, f"--user-data-dir={folder / 'profile'}", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=180)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    in_browser(text)
+    (browser, *_) = in_browser.args
+    paper = base64.b64decode(browser.ask("Page.printToPDF")["data"])
+    return len(re.findall(rb"/Type\s*/Page\b", paper))

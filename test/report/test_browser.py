@@ -4,12 +4,11 @@
 import html
 import itertools
 import json
-import re
 
 import numpy as np
 import pytest
 from replay.recordings import GROUND, write_ros2
-from report.pages import accessible, changed, in_a_browser, in_browser, run_browser, sheets
+from report.pages import accessible, changed, in_a_browser, sheets
 
 from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.replay.replay import replay
@@ -329,11 +328,11 @@ def test_space_shows_the_ground_and_the_lander(browse):
 
 
 @pytest.mark.slow
-def test_a_map_without_sites(tmp_path):
+def test_a_map_without_sites(tmp_path, in_browser):
     config = config_from_values({"lss.max_gap": 0.0}, CONFIG)
     result = replay(write_ros2(tmp_path / "bag", scans=3), tmp_path / "out", config)
     text = (result.out / "report.html").read_text()
-    told = in_browser(text, tmp_path, 'drawNow(); tellTest("answer", document.body.textContent);')
+    told = in_browser(text, 'drawNow(); tellTest("answer", document.body.textContent);')
     assert (
         "No landing site" in told["answer"]
         and told["answer"].count("is both seen and allowed") == 1
@@ -463,34 +462,34 @@ def test_values_are_at_the_foot_of_a_phone(browse):
 
 
 @pytest.mark.slow
-def test_it_can_be_used_by_all(text, tmp_path):
-    assert accessible(text, tmp_path)
+def test_it_can_be_used_by_all(text, in_browser):
+    assert accessible(in_browser, text)
 
 
-def test_print_fits_two_pages(text, tmp_path):
-    assert 1 <= sheets(text, tmp_path) <= 2
+def test_print_fits_two_pages(text, in_browser):
+    assert 1 <= sheets(in_browser, text) <= 2
 
 
-def test_without_javascript_there_are_table_and_picture(text, tmp_path):
+def test_without_javascript_there_are_table_and_picture(text, tmp_path, _browser):
     host = f"""<html><body><iframe id="off" sandbox="allow-same-origin" width="1200" height="900"
     srcdoc="{html.escape(text)}"></iframe><script>const off = document.getElementById("off");
     off.onload = () => {{ const wide = what => off.contentDocument.querySelector(what).offsetWidth;
-      document.body.dataset.wide = ["#sites", ".picture", "#frame", ".choice"].map(wide); }};
+      document.documentElement.dataset.told = JSON.stringify(
+        ["#sites", ".picture", "#frame", ".choice"].map(wide)); }};
     </script></body></html>"""
     (tmp_path / "host.html").write_text(host)
-    dom = run_browser(tmp_path, "--dump-dom", (tmp_path / "host.html").as_uri())
-    table, picture, frame, choice = map(int, re.search(r'data-wide="([^"]*)"', dom)[1].split(","))
+    told = _browser.show((tmp_path / "host.html").as_uri(), (1400, 900))["told"]
+    table, picture, frame, choice = json.loads(told)
     assert table > 300 and picture > 300 and frame == choice == 0
 
 
 @pytest.mark.slow
-def test_shadow_and_reach_are_layers(tmp_path):
+def test_shadow_and_reach_are_layers(tmp_path, in_browser):
     """With the sun's direction: in list, legend and at the pointer."""
     config = config_from_values({"light.azimuth": 120.0, "light.elevation": 10.0}, CONFIG)
     result = replay(write_ros2(tmp_path / "bag", scans=6), tmp_path / "out", config)
     told = in_browser(
         (result.out / "report.html").read_text(),
-        tmp_path,
         """
         for (const name of ["shadow", "reach"]) {
           setLayer(name); const { nx, ny, spacing: s } = grid, found = {};
@@ -603,12 +602,11 @@ def test_sliders_try_other_vehicles(result, browse):
     assert told["back"] == [0.5 * base.diameter + CONFIG.lss.margin, 0.5 * base.diameter]
 
 
-def test_sliders_say_where_they_do_not_go(result, tmp_path):
+def test_sliders_say_where_they_do_not_go(result, in_browser):
     content = load_results(result.out)
     config = config_from_values({"lss.ranking": "score"}, content.config)
     told = in_browser(
         page(changed(content, config=config)),
-        tmp_path,
         """tellTest("note", [byId("what-if-note").textContent,
           document.querySelectorAll(".tries input").length]);""",
     )

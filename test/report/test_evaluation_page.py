@@ -6,7 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 from evaluation.scores import write_truth
-from report.pages import Page, accessible, in_a_browser, in_browser, sheets
+from report.pages import Page, accessible, in_a_browser, sheets
 
 from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.lab.evaluation.evaluate import evaluate
@@ -53,11 +53,10 @@ def test_its_layers_are_the_truth_and_what_became_of_it(result, evaluated):
 
 
 @in_a_browser
-def test_a_link_goes_to_the_place_and_a_section_shows_the_truth(evaluated, tmp_path):
+def test_a_link_goes_to_the_place_and_a_section_shows_the_truth(evaluated, in_browser):
     found, _, text = evaluated
     told = in_browser(
         text,
-        tmp_path,
         """
         tellTest("layer", view.layer);
         const links = document.querySelectorAll("a[href*=verdict]");
@@ -75,5 +74,5 @@ def test_a_link_goes_to_the_place_and_a_section_shows_the_truth(evaluated, tmp_p
 
 @in_a_browser
 @pytest.mark.slow
-def test_it_can_be_used_by_all_and_prints_on_two_sheets(evaluated, tmp_path):
-    assert accessible(evaluated[2], tmp_path) and 1 <= sheets(evaluated[2], tmp_path) <= 2
+def test_it_can_be_used_by_all_and_prints_on_two_sheets(evaluated, in_browser):
+    assert accessible(in_browser, evaluated[2]) and 1 <= sheets(in_browser, evaluated[2]) <= 2

@@ -36,7 +36,7 @@ PARAMETERS = """\
     domain: {xmin: -16.0, ymin: -16.0, size: 32.0, min_level: 3, max_level: 6}
     lidar: {range_noise: 0.03}
     lss: {grid_spacing: 0.5, sites: 3}
-    qos: {scan_reliability: reliable}
+    qos: {scan_reliability: reliable, overload: all}
     publish.rate: 11.0
 """
 
@@ -99,7 +99,6 @@ class Ros:
         assert listener.wait_for(client.service_is_ready), f"no service {service}"
         future = client.call_async(request)
         assert listener.wait_for(future.done), f"{service} does not answer"
-        listener.node.destroy_client(client)
         return future.result()
 
 

@@ -19,7 +19,7 @@ class CameraSensors(Sensors):
     def __init__(self, listener) -> None:
         super().__init__(listener)
         node, profile = listener.node, stream(100, reliable=True)
-        node.destroy_publisher(self.scans)
+        listener.forget(self.scans)
         self.scans = node.create_publisher(Image, "depth/image", profile)
         self.camera = node.create_publisher(CameraInfo, "depth/camera_info", profile)
 

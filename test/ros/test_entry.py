@@ -33,7 +33,7 @@ def hears(pid: int, number: int) -> bool:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_while_a_node_starts_ends_it_cleanly(ros, name, number):
     node = ros.start(name)
-    while not hears(node.process.pid, signal.SIGTERM):
+    while not hears(node.process.pid, signal.SIGHUP):  # the last that it comes to hear
         node.check()
     assert node.stop(number) == 0
     lines = [line for line in node.output().splitlines() if "starting, waiting" not in line]

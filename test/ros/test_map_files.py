@@ -285,10 +285,8 @@ def write_once(checkpoints, mapper):
     checkpoints.changed()
     with mock.patch.object(map_files, "CHECKPOINT_S", 0.0):
         errors = [checkpoints.work(mapper)]
-    for _ in range(500):
-        if checkpoints._thread is None or not checkpoints._thread.is_alive():
-            break
-        time.sleep(0.01)
+    if checkpoints._thread is not None:
+        checkpoints._thread.join()
     errors.append(checkpoints.work(mapper))
     return next((error for error in errors if error), None)
 

@@ -28,7 +28,7 @@ class OdometrySensors(Sensors):
 
     def __init__(self, listener, *, reliable=True) -> None:
         super().__init__(listener)
-        listener.node.destroy_publisher(self.poses)
+        listener.forget(self.poses)
         profile = stream(100, reliable=reliable)
         self.poses = listener.node.create_publisher(Odometry, "odometry/filtered", profile)
 

@@ -72,8 +72,11 @@ def test_each_node_uses_what_the_policy_allows_it(ros, name):
         with ros.listen({}) as listener:
             listener.until(lambda: name in listener.diagnostics)
             listener.until(is_known, listener.node, name)  # it speaks, but has to be announced
-            time.sleep(1.0)  # all of a node is announced at its start, but piece by piece
-            seen |= used(listener.node, name)
+            found = None
+            while found != used(listener.node, name):  # it is announced piece by piece
+                found = used(listener.node, name)
+                time.sleep(1.0)
+            seen |= found
         process.stop()
     wanted = allowed(name)
     assert seen - wanted == set(), "missing in security/policy.xml"

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from report.pages import Page, in_a_browser, in_browser
+from report.pages import Page, in_a_browser
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.cli import main
@@ -83,11 +83,10 @@ def test_the_page_goes_on_until_it_rests(landed):
 
 
 @in_a_browser
-def test_the_page_shows_it_as_it_leans(landed, tmp_path):
+def test_the_page_shows_it_as_it_leans(landed, in_browser):
     """Pads where a vehicle that is turned by 20 degrees about x has them; the player goes on."""
     told = in_browser(
         landed[1],
-        tmp_path,
         """
         const f = data.flight, k = f.film.first + 1, half = Math.PI / 18;
         f.film.turns[1] = [Math.cos(half), Math.sin(half), 0, 0];
