@@ -26,6 +26,9 @@ WRONG_FLIGHTS += [("--flights", "1.5"), ("--seed", "-1"), ("--seed", "one")]
 NOT_PUBLISHED = [["--out", "x"], ["--config", "morpheus"], ["--set", "lss.margin=1"]]
 NOT_PUBLISHED += [["--no-report"], ["--record", "x"]]
 NOT_PUBLISHED += [["--rate", value] for value in ("0", "-1", "inf", "nan")]
+UNUSED = [["campaign", "compare", "a", "b", "--out", "x"], ["config", "--node", "/lss_node"]]
+UNUSED += [["config", "check", "morpheus", "--set", "lss.margin=1"], ["doctor", "x", "--seconds=3"]]
+UNUSED += [["config", "explain", "lss", "--poses", "x"]]
 FAST = [*COARSE, "--set", "lss.max_gap=3.0", "--set", "lss.max_risk=0.9", "--no-report"]
 
 
@@ -90,6 +93,7 @@ def test_errors_are_one_line_and_exit_code_1(bag, tmp_path, capsys, arguments, w
         ["replay", "bag", "--rate", "2"],
         *(["replay", "bag", "--publish", *more] for more in NOT_PUBLISHED),
         *(["simulate", "descent", "--out", "x", option, value] for option, value in WRONG_FLIGHTS),
+        *UNUSED,
         ["simulate", "moon", "--out", "x"],
         ["simulate", "morpheus"],
         ["evaluate", "x"],
@@ -336,6 +340,7 @@ def test_config_checks_files_and_explains_keys(tmp_path, capsys):
     assert run(capsys, "config", "explain", "lss")[1].count("default") > 10
     assert "0.162 x vehicle.diameter" in run(capsys, "config", "explain", "lss.max_gap")[1]
     out = run(capsys, "config", "explain", "vehicle", "--set", "vehicle.clearance=0.08")[1]
+    assert out == run(capsys, "config", "explain", "vehicle", "--vehicle", "3.7,0.08")[1]
     (line,) = (line for line in out.splitlines() if line.startswith("  rock_height "))
     assert "0.04 m " in line and "= 0.5 x least_hazard" in line
     assert "did you mean" not in run(capsys, "config", "explain", "")[2]

@@ -72,6 +72,15 @@ def given(options: argparse.Namespace, *names: str) -> dict[str, Any]:
     return {name: getattr(options, name) for name in names}
 
 
+def refuse(options: argparse.Namespace, what: str, *names: str) -> None:
+    """Ends in a line where some of these options are given, which ``what`` would not use."""
+    default = options.parser.get_default
+    unused = [n for n in names if n in options and getattr(options, n) != default(n)]
+    told = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
+    if told:
+        options.parser.error(f"{told} {'do' if ',' in told else 'does'} not go with {what}")
+
+
 @contextlib.contextmanager
 def of_ros(what: str) -> Iterator[None]:
     """Within it, ROS is imported, which ``what`` needs."""

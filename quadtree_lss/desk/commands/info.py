@@ -60,6 +60,8 @@ def _doctor(options: argparse.Namespace) -> int:
         with common.of_ros("doctor without a bag"):
             from quadtree_lss.desk.player.listen import listen
         bag = listen(options.seconds)
+    else:
+        common.refuse(options, "a bag", "seconds")
     with ProgressBar("doctor", "s", options.verbose) as bar:
         info = inspect_bag(bag, config, **how, progress=bar.update)
     wrong = [finding for finding in info.findings if finding.mend or finding.fatal]

@@ -139,14 +139,8 @@ def _sites(options: argparse.Namespace) -> int:
 
 
 def _publish(options: argparse.Namespace) -> int:
-    names = ("out", "config", "set", "poses", "no_report", "record")
-    offline = [name for name in names if getattr(options, name)]
-    offline += [name for name in ("area", "keep_out", "target") if name in options]
-    given = ", ".join(f"--{name.replace('_', '-')}" for name in offline)
-    if given:
-        text = "does" if "," not in given else "do"
-        text = f"{given} {text} not go with --publish: the nodes map and rank the sites"
-        options.parser.error(text)
+    offline = ("out", "config", "set", "poses", "no_report", "record", "area", "keep_out", "target")
+    common.refuse(options, "--publish: the nodes map and rank the sites", *offline)
     with common.of_ros("--publish"):
         from quadtree_lss.desk.player.player import play
     how = common.given(options, *common.TOPICS[:2], "start", "duration", "remap")
