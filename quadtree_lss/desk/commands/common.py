@@ -120,12 +120,11 @@ def whole(least: int) -> Callable[[str], int]:
     return _number(int, lambda value: value >= least, f"a whole number of {least} or more")
 
 
-def add_topics(parser: argparse.ArgumentParser, *, poses: bool = True) -> None:
+def add_topics(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
     add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
-    if poses:
-        add("--poses", type=named, metavar="FILE", help=POSES)
+    add("--poses", type=named, metavar="FILE", help=POSES)
 
 
 def add_config_options(parser: argparse._ActionsContainer) -> None:

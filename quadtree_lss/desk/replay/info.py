@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.desk.bags.bag import Bag, BagError
-from quadtree_lss.desk.bags.cloud_files import open_recording
+from quadtree_lss.desk.bags.cloud_files import NO_POSES, open_recording
 from quadtree_lss.desk.bags.message_types import POSE_TYPES, SCAN_TYPES
 from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.replay.doctor import Finding, Heard
@@ -242,7 +242,7 @@ def _read(
             topic.tell(headers[topic.name])
     heard.mount = intake.mount
     info.findings += _judge(info, texts, config)
-    wrong = heard.findings(config)
+    wrong = [] if NO_POSES in bag.notes else heard.findings(config)
     warning = points_warning(info.points, dropped, domain, missed_at, why)
     if warning is not None:
         elsewhere = not wrong and max(dropped, key=dropped.__getitem__) == "outside"
