@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command line: exit codes, one-line errors, what stands on stdout and stderr."""
 
+import errno
 import json
 import re
 import signal
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from installed import PREFIX, error_without
 from replay.recordings import write_ros2
+from rosbags.rosbag2 import Writer
 
 from quadtree_lss.cli import main, main_replay_bag, without_ros_arguments
 from quadtree_lss.desk.replay.files import new_folder
@@ -281,12 +283,16 @@ def test_a_folder_in_the_place_of_the_link_is_told(bag, tmp_path, capsys, monkey
     assert code == 0 and "results/latest does not point at these results" in told
 
 
-def test_a_record_that_cannot_be_written_says_so_plainly(bag, tmp_path, capsys):
+def test_a_record_that_cannot_be_written_says_so_plainly(bag, tmp_path, capsys, monkeypatch):
     (tmp_path / "file").write_text("")
     wanted = tmp_path / "file" / "products"
     code, _, err = run(capsys, "replay", bag, "--out", tmp_path / "o", *FAST, "--record", wanted)
-    assert code == 1 and "cannot be written: " in err and "Errno" not in err
-    assert f"{tmp_path / 'file'}: File exists" in err
+    assert code == 1 and f"{tmp_path / 'file'}: cannot be written: File exists" in err
+    full = OSError(errno.ENOSPC, "No space left on device")
+    monkeypatch.setattr(Writer, "write", lambda *_: (_ for _ in ()).throw(full))
+    wanted = tmp_path / "full"
+    code, _, err = run(capsys, "replay", bag, "--out", tmp_path / "o", *FAST, "--record", wanted)
+    assert code == 1 and f"{wanted}: cannot be written: No space left" in err
 
 
 def test_an_error_leaves_no_empty_results_folder(bag, tmp_path, capsys, monkeypatch):
