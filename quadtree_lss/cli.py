@@ -11,6 +11,7 @@ import io
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import quadtree_lss
 from quadtree_lss import build
@@ -40,6 +41,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; the answer is the exit code."""
     arguments = without_ros_arguments(sys.argv[1:] if argv is None else argv)
     options = argparse.Namespace()
+    for name in ("stdout", "stderr"):  # closed, as by `>&-`
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))
     if isinstance(sys.stdout, io.TextIOWrapper):  # names of files may be no text of the terminal's
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
@@ -63,7 +67,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         say(text)
         if "--json" in arguments:
-            print_json({"error": text.partition(": ")[2], "exit_code": code})
+            with suppress(OSError):  # which the error may be
+                print_json({"error": text.partition(": ")[2], "exit_code": code})
         return code
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -98,8 +99,9 @@ def _run(options: argparse.Namespace) -> int:
     if result.interrupted:
         console.say(f"interrupted: results are of the first {result.summary['duration']:.1f} s")
         return common.INTERRUPTED
+    bag = shlex.quote(str(options.bag))
     if result.summary.get("points") and not result.summary["points_used"]:
-        console.say(f"no point entered the map: quadtree-lss doctor {options.bag} looks for why")
+        console.say(f"no point entered the map: quadtree-lss doctor {bag} looks for why")
         return common.ERROR
     if result.losses:
         console.warn("the bag is damaged: everything readable was processed")

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -82,7 +83,7 @@ def suggest_config(
         causes = [notice.text for notice in stream.intake.notices()]
     if not seen.places:
         why = causes[0] if causes else "no scan has a pose and a return"
-        mend = f"quadtree-lss info {bag} says what to --set"
+        mend = f"quadtree-lss info {shlex.quote(str(bag))} says what to --set"
         raise ReplayError(f"{bag}: nothing to suggest from: {why}; {mend}")
     heard.mount = stream.intake.mount
     wrong = [f"Wrong: {found.line}" for found in heard.findings(config) if found.mend]
