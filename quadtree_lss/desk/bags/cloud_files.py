@@ -71,7 +71,7 @@ def _bag_of(path: Path, poses_path: Path | None, frame: str) -> MessageBag:
     if path.is_dir():
         there = (p for p in path.iterdir() if p.name not in OURS and p != poses_path)
         files = [p for p in there if p.suffix.lower() in READERS]
-        files.sort(key=lambda p: [int(n) for n in re.findall(r"\d+", p.stem)] + [0])
+        files.sort(key=lambda p: ([*map(int, re.findall(r"\d+", p.stem)), 0], p.name))
     table = None if poses_path is None else read_poses(poses_path)
     read = lru_cache(maxsize=1)(read_clouds)
     found: list[tuple[Path, int, Any]] = []  # file, which of its clouds, its stamp if it has one
