@@ -12,6 +12,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 
 import quadtree_lss
 from quadtree_lss import build
@@ -85,19 +86,9 @@ def _told(error: Exception) -> tuple[int, str]:
     return ERROR, f"internal error: {name}: {first_line(error)} (-v shows where)"
 
 
-def main_replay_bag() -> int:
-    """``ros2 run quadtree_lss replay_bag``."""
-    return main(["replay", *sys.argv[1:]])
-
-
-def main_simulate() -> int:
-    """``ros2 run quadtree_lss simulate``."""
-    return main(["simulate", *sys.argv[1:]])
-
-
-def main_evaluate() -> int:
-    """``ros2 run quadtree_lss evaluate``."""
-    return main(["evaluate", *sys.argv[1:]])
+def main_of_ros() -> int:
+    """``ros2 run quadtree_lss replay_bag``, ``simulate`` and ``evaluate``, each by its name."""
+    return main([Path(sys.argv[0]).stem.removesuffix("_bag"), *sys.argv[1:]])
 
 
 def without_ros_arguments(arguments: Sequence[str]) -> list[str]:

@@ -15,7 +15,7 @@ from installed import PREFIX, error_without
 from replay.recordings import write_ros2
 from rosbags.rosbag2 import Writer
 
-from quadtree_lss.cli import main, main_replay_bag, without_ros_arguments
+from quadtree_lss.cli import main, main_of_ros, without_ros_arguments
 from quadtree_lss.desk.replay.files import new_folder
 
 AREA = ["--set", "domain.xmin=-16.0", "--set", "domain.ymin=-16.0", "--set", "domain.size=32.0"]
@@ -173,9 +173,10 @@ def test_arguments_of_ros_are_left_out(given, kept):
 
 
 def test_the_executable_of_ros2_run(bag, tmp_path, capsys, monkeypatch):
-    arguments = ["replay_bag", str(bag), "--out", str(tmp_path), *FAST, "--ros-args", "-r", "a:=b"]
+    arguments = ["lib/replay_bag", str(bag), "--out", str(tmp_path), *FAST]
+    arguments += ["--ros-args", "-r", "a:=b"]
     monkeypatch.setattr(sys, "argv", arguments)
-    assert main_replay_bag() == 0
+    assert main_of_ros() == 0
     assert "scans mapped" in capsys.readouterr().out
 
 

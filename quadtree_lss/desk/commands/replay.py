@@ -75,11 +75,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 def _run(options: argparse.Namespace) -> int:
     if options.publish:
         return _publish(options)
-    if options.rate is not None:
-        options.parser.error("--rate is for --publish: without it a replay runs as fast as it can")
-    if options.namespace is not None or options.remap:
-        text = "--namespace and --remap are for --publish: without it nothing is sent"
-        options.parser.error(text)
+    common.refuse(options, "a replay without --publish", "rate", "namespace", "remap")
     from quadtree_lss.desk.replay.files import made
     from quadtree_lss.desk.replay.replay import replay
 
