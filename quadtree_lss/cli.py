@@ -11,6 +11,8 @@ import io
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
 
 import quadtree_lss
 from quadtree_lss import build
@@ -40,6 +42,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; the answer is the exit code."""
     arguments = without_ros_arguments(sys.argv[1:] if argv is None else argv)
     options = argparse.Namespace()
+    for name in ("stdout", "stderr"):  # closed, as by `>&-`
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))
     if isinstance(sys.stdout, io.TextIOWrapper):  # names of files may be no text of the terminal's
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
@@ -63,7 +68,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         say(text)
         if "--json" in arguments:
-            print_json({"error": text.partition(": ")[2], "exit_code": code})
+            with suppress(OSError):  # which the error may be
+                print_json({"error": text.partition(": ")[2], "exit_code": code})
         return code
 
 
@@ -80,19 +86,9 @@ def _told(error: Exception) -> tuple[int, str]:
     return ERROR, f"internal error: {name}: {first_line(error)} (-v shows where)"
 
 
-def main_replay_bag() -> int:
-    """``ros2 run quadtree_lss replay_bag``."""
-    return main(["replay", *sys.argv[1:]])
-
-
-def main_simulate() -> int:
-    """``ros2 run quadtree_lss simulate``."""
-    return main(["simulate", *sys.argv[1:]])
-
-
-def main_evaluate() -> int:
-    """``ros2 run quadtree_lss evaluate``."""
-    return main(["evaluate", *sys.argv[1:]])
+def main_of_ros() -> int:
+    """``ros2 run quadtree_lss replay_bag``, ``simulate`` and ``evaluate``, each by its name."""
+    return main([Path(sys.argv[0]).stem.removesuffix("_bag"), *sys.argv[1:]])
 
 
 def without_ros_arguments(arguments: Sequence[str]) -> list[str]:

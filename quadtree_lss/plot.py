@@ -10,11 +10,11 @@ Each function returns what it drew, so that a colour bar can be made of it.
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.report.drawing import extent
+from quadtree_lss.desk.report.drawing import extent, outline
 from quadtree_lss.desk.report.drawing import mark_sites as sites
 from quadtree_lss.desk.report.palette import (
     CLEAR_COLOUR,
@@ -29,13 +29,6 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap, Profile
 
 __all__ = ["elevation", "layer", "profile", "relief", "sites"]
 UNITS = {"elevation": "m", "plane_elevation": "m", "slope_deg": "deg"}
-
-
-class GridLike(Protocol):
-    """What has grid points: ``results.grid``, or ``assessment`` of a replay."""
-
-    x: Array
-    y: Array
 
 
 def elevation(
@@ -68,9 +61,7 @@ def elevation(
         dark[..., 3] = strength * np.nan_to_num(np.abs(2.0 * shade - 1.0))
         axes.imshow(dark, origin="lower", extent=box)
     if edges:
-        from matplotlib.collections import LineCollection
-
-        axes.add_collection(LineCollection(list(_edges(cells)), colors="black", linewidths=0.2))
+        outline(axes, cells, linewidths=0.2)
     _label(axes)
     return drawn
 
@@ -86,12 +77,12 @@ def relief(heights: Array, side: float, *, sun_deg: tuple[float, float] = (315.0
     return np.asarray(np.clip(0.5 + 0.9 * (light - np.sin(up)), 0.0, 1.0))
 
 
-def layer(axes: Any, grid: GridLike, name: str, **image: Any) -> Any:
+def layer(axes: Any, grid: Any, name: str, **image: Any) -> Any:
     """One layer of a landing grid, such as ``slope_deg`` or ``score``.
 
     Args:
         axes: Axes of matplotlib.
-        grid: ``results.grid`` or an assessment.
+        grid: ``results.grid``, or ``assessment`` of a replay.
         name: Of the layer.
         image: For ``imshow``.
 
@@ -130,7 +121,7 @@ def profile(axes: Any, along: Profile, *, sigmas: float = 3.0, **line: Any) -> A
     return drawn
 
 
-def _hazards(axes: Any, grid: GridLike, bits: Bytes) -> Any:
+def _hazards(axes: Any, grid: Any, bits: Bytes) -> Any:
     from matplotlib.colors import BoundaryNorm, ListedColormap
 
     kind = np.zeros(bits.shape, dtype=np.int64)
@@ -140,16 +131,6 @@ def _hazards(axes: Any, grid: GridLike, bits: Bytes) -> Any:
     norm = BoundaryNorm(np.arange(-0.5, len(colours)), len(colours))
     shown = {"cmap": ListedColormap(colours), "norm": norm, "interpolation": "nearest"}
     return axes.imshow(kind, origin="lower", extent=extent(grid.x, grid.y), **shown)
-
-
-def _edges(cells: CellMap) -> Array:
-    """(2 M, 2, 2): the southern and western edge of each leaf."""
-    half = 0.5 * cells.size
-    corner = np.column_stack([cells.x - half, cells.y - half])
-    east, north = corner.copy(), corner.copy()
-    east[:, 0] += cells.size
-    north[:, 1] += cells.size
-    return np.concatenate([np.stack([corner, east], axis=1), np.stack([corner, north], axis=1)])
 
 
 def _label(axes: Any) -> None:

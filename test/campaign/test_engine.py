@@ -338,6 +338,9 @@ def test_what_is_kept_is_told_as_json_too(study, tmp_path, monkeypatch, capsys):
     assert main([*command, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told == {"kept": {"3": str(tmp_path / "3"), "5": str(tmp_path / "5")}}
+    assert main([*command, "--rerun", "3", "--workers=2"]) == 2
+    told = capsys.readouterr().err
+    assert "--rerun, --workers do not go with --keep" in told and told.count("\n") == 1
 
 
 @pytest.mark.slow

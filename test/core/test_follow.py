@@ -277,8 +277,9 @@ def test_what_cannot_follow_is_refused_in_one_line():
         ({"domain.min_level": 2}, "domain.min_level is to be 3 or more"),
         ({"lss.grid_spacing": 0.3}, "set that to 0.333333"),
     ):
-        with pytest.raises(ConfigError, match=why):
+        with pytest.raises(ConfigError, match=why) as told:
             config_from_values(values, FOLLOWING)
         config_from_values({**values, "domain.follow": "none"}, FOLLOWING)
+    config_from_values({"lss.grid_spacing": float(str(told.value).split()[-1])}, FOLLOWING)
     # In YAML `off` is no text.
     assert config_from_values({"domain.follow": False}, FOLLOWING).domain.follow == "none"

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command line: exit codes, one-line errors, what stands on stdout and stderr."""
 
+import errno
 import json
 import re
 import signal
@@ -12,8 +13,9 @@ import numpy as np
 import pytest
 from installed import PREFIX, error_without
 from replay.recordings import write_ros2
+from rosbags.rosbag2 import Writer
 
-from quadtree_lss.cli import main, main_replay_bag, without_ros_arguments
+from quadtree_lss.cli import main, main_of_ros, without_ros_arguments
 from quadtree_lss.desk.replay.files import new_folder
 
 AREA = ["--set", "domain.xmin=-16.0", "--set", "domain.ymin=-16.0", "--set", "domain.size=32.0"]
@@ -26,6 +28,9 @@ WRONG_FLIGHTS += [("--flights", "1.5"), ("--seed", "-1"), ("--seed", "one")]
 NOT_PUBLISHED = [["--out", "x"], ["--config", "morpheus"], ["--set", "lss.margin=1"]]
 NOT_PUBLISHED += [["--no-report"], ["--record", "x"]]
 NOT_PUBLISHED += [["--rate", value] for value in ("0", "-1", "inf", "nan")]
+UNUSED = [["campaign", "compare", "a", "b", "--out", "x"], ["config", "--node", "/lss_node"]]
+UNUSED += [["config", "check", "morpheus", "--set", "lss.margin=1"], ["doctor", "x", "--seconds=3"]]
+UNUSED += [["config", "explain", "lss", "--poses", "x"]]
 FAST = [*COARSE, "--set", "lss.max_gap=3.0", "--set", "lss.max_risk=0.9", "--no-report"]
 
 
@@ -90,6 +95,7 @@ def test_errors_are_one_line_and_exit_code_1(bag, tmp_path, capsys, arguments, w
         ["replay", "bag", "--rate", "2"],
         *(["replay", "bag", "--publish", *more] for more in NOT_PUBLISHED),
         *(["simulate", "descent", "--out", "x", option, value] for option, value in WRONG_FLIGHTS),
+        *UNUSED,
         ["simulate", "moon", "--out", "x"],
         ["simulate", "morpheus"],
         ["evaluate", "x"],
@@ -167,9 +173,10 @@ def test_arguments_of_ros_are_left_out(given, kept):
 
 
 def test_the_executable_of_ros2_run(bag, tmp_path, capsys, monkeypatch):
-    arguments = ["replay_bag", str(bag), "--out", str(tmp_path), *FAST, "--ros-args", "-r", "a:=b"]
+    arguments = ["lib/replay_bag", str(bag), "--out", str(tmp_path), *FAST]
+    arguments += ["--ros-args", "-r", "a:=b"]
     monkeypatch.setattr(sys, "argv", arguments)
-    assert main_replay_bag() == 0
+    assert main_of_ros() == 0
     assert "scans mapped" in capsys.readouterr().out
 
 
@@ -277,12 +284,16 @@ def test_a_folder_in_the_place_of_the_link_is_told(bag, tmp_path, capsys, monkey
     assert code == 0 and "results/latest does not point at these results" in told
 
 
-def test_a_record_that_cannot_be_written_says_so_plainly(bag, tmp_path, capsys):
+def test_a_record_that_cannot_be_written_says_so_plainly(bag, tmp_path, capsys, monkeypatch):
     (tmp_path / "file").write_text("")
     wanted = tmp_path / "file" / "products"
     code, _, err = run(capsys, "replay", bag, "--out", tmp_path / "o", *FAST, "--record", wanted)
-    assert code == 1 and "cannot be written: " in err and "Errno" not in err
-    assert f"{tmp_path / 'file'}: File exists" in err
+    assert code == 1 and f"{tmp_path / 'file'}: cannot be written: File exists" in err
+    full = OSError(errno.ENOSPC, "No space left on device")
+    monkeypatch.setattr(Writer, "write", lambda *_: (_ for _ in ()).throw(full))
+    wanted = tmp_path / "full"
+    code, _, err = run(capsys, "replay", bag, "--out", tmp_path / "o", *FAST, "--record", wanted)
+    assert code == 1 and f"{wanted}: cannot be written: No space left" in err
 
 
 def test_an_error_leaves_no_empty_results_folder(bag, tmp_path, capsys, monkeypatch):
@@ -336,6 +347,7 @@ def test_config_checks_files_and_explains_keys(tmp_path, capsys):
     assert run(capsys, "config", "explain", "lss")[1].count("default") > 10
     assert "0.162 x vehicle.diameter" in run(capsys, "config", "explain", "lss.max_gap")[1]
     out = run(capsys, "config", "explain", "vehicle", "--set", "vehicle.clearance=0.08")[1]
+    assert out == run(capsys, "config", "explain", "vehicle", "--vehicle", "3.7,0.08")[1]
     (line,) = (line for line in out.splitlines() if line.startswith("  rock_height "))
     assert "0.04 m " in line and "= 0.5 x least_hazard" in line
     assert "did you mean" not in run(capsys, "config", "explain", "")[2]

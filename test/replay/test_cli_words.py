@@ -4,8 +4,10 @@
 import io
 import json
 import shutil
+import subprocess
 import sys
 
+import pytest
 from replay.test_cli import FAST, run
 
 from quadtree_lss.cli import main
@@ -63,6 +65,16 @@ def test_what_a_terminal_cannot_show_is_no_error(bag, tmp_path, monkeypatch):
     assert main(["view", str(odd / "out"), "--no-open"]) == 0 and main(["info", str(odd)]) == 0
     assert rb"caf\udce9/out/report.html" in shown.buffer.getvalue()
     assert "caf?" in (odd / "out" / "report.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize("closed", ["{} >&-", "{} 2>&-", "{} --json >/dev/full"])
+def test_output_that_is_closed_or_full_is_no_traceback(tmp_path, closed):
+    program = f"{sys.executable} -m quadtree_lss.cli config explain lss"
+    done = subprocess.run(
+        closed.format(program), shell=True, cwd=tmp_path, capture_output=True, text=True
+    )
+    full = "full" in closed
+    assert done.returncode == full and done.stderr.count("\n") == full
 
 
 def test_an_angle_in_radians_is_doubted(tmp_path, capsys):

@@ -56,12 +56,14 @@ def same(one, other, most=1e-6):
     [
         lambda k, s: f"scan_{s.stamp_ns}.npy",
         lambda k, s: f"{seconds(s.stamp_ns)}.npy",
+        lambda k, s: f"{s.stamp_ns + (-1) ** k * 400}.npy",  # of poses in whole microseconds
         lambda k, s: f"cloud{k}.npy",
     ],
 )
 def test_clouds_with_poses_give_the_map_of_the_bag(flight, tmp_path, name):
     bag, seen = flight
     clouds, poses = clouds_and_poses(tmp_path, seen, name)
+    np.savez(clouds / "truth.npz", elevation=np.zeros(3))  # no cloud: of a simulation
     # Poses of text say nothing of their covariance.
     unknown = {"pose.unknown_position_sigma": 0.01, "pose.unknown_attitude_sigma_deg": 0.00573}
     config = load_config((), KEYS | unknown)
@@ -131,8 +133,28 @@ def test_info_and_suggest_read_clouds_too(flight, tmp_path, capsys):
     clouds, poses = clouds_and_poses(tmp_path, seen)
     code, out, _ = run(capsys, "info", clouds, "--poses", poses)
     assert code == 0 and "6 scans have a pose" in out and "ready to replay" in out
+    code, out, _ = run(capsys, "doctor", clouds, "--poses", poses)
+    assert code == 1 and out.startswith("wrong: the poses' covariances are zero")  # of TUM
+    code, out, _ = run(capsys, "doctor", clouds)  # whose poses are made up
+    assert code == 0 and "wrong:" not in out and "note:  no --poses: " in out
     code, out, _ = run(capsys, "config", "suggest", clouds, "--poses", poses, "--json")
     assert code == 0 and json.loads(out)["values"]["lidar.range_noise"] > 0.01
+
+
+def test_names_without_numbers_go_by_the_alphabet(flight, tmp_path, monkeypatch):
+    seen = flight[1]
+    clouds, poses = clouds_and_poses(tmp_path, seen, lambda k, s: f"{'abcdef'[k]}.npy")
+    listed = type(clouds).iterdir
+    monkeypatch.setattr(type(clouds), "iterdir", lambda p: sorted(listed(p), reverse=True))
+    found = [scan.points_lidar for scan in scans(clouds, CONFIG, poses=poses)]
+    np.testing.assert_array_equal(found[1], seen[1].points_lidar)
+
+
+def test_a_folder_beside_a_bag_or_of_results_is_none_of_clouds(flight, tmp_path, capsys):
+    np.savez(tmp_path / "truth.npz", x=np.zeros(3))
+    (tmp_path / "bag").symlink_to(flight[0])
+    code, _, err = run(capsys, "replay", tmp_path)
+    assert code == 1 and "no bag: there is no .mcap, .db3 or .bag in it, but in bag" in err
 
 
 def test_poses_do_not_go_with_a_bag(flight, tmp_path, capsys):

@@ -154,6 +154,10 @@ MISTAKES = {
     "clouds stamped since boot": ({"scan_clock": -1.7e9}, MOUNTED, "clocks", "lidar/points"),
     "poses stamped since boot": ({"pose_clock": -1.7e9}, MOUNTED, "clocks", "nav/pose"),
     "clouds of a clock 37 s ahead": ({"scan_clock": 37.0}, MOUNTED, "clocks", "37.0"),
+    "poses that end before the first scan": (
+        {"pose_times": np.array([0.98]), "scan_times": np.array([1.0])}, MOUNTED,
+        "clocks", "until after the last",
+    ),
     "clouds 0.2 s late": ({"scan_clock": 0.2}, MOUNTED, "lag", "-0.20 s"),
     "poses 0.12 s late": ({"pose_clock": 0.12}, MOUNTED, "lag", "+0.12 s"),
     "poses 0.12 s late, points with times": (

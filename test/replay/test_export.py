@@ -156,12 +156,14 @@ def test_geojson_has_a_place_on_the_earth(written, tmp_path):
         ("EPSG:4978", "is no plane"),
         ("EPSG:32611", "which is for"),  # the origin of UTM is in no zone
         ("EPSG:2056", "which is for"),
+        ("EPSG:99999", "is not a coordinate reference system"),
     ],
 )
-def test_a_system_that_cannot_be_the_maps_is_refused(written, tmp_path, crs, word):
+def test_a_system_that_cannot_be_the_maps_is_refused(written, tmp_path, capfd, crs, word):
     pytest.importorskip("rasterio")
     with pytest.raises(ExchangeError, match=word):
         export_results(written.out, tmp_path, ["geotiff"], crs=crs)
+    assert not capfd.readouterr().err  # PROJ has a line of its own for some
 
 
 @pytest.mark.parametrize(

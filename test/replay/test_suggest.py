@@ -77,6 +77,13 @@ def test_it_keeps_what_is_given_and_asks_for_no_cells_that_no_risk_was_fitted_to
     assert "qos.overload" not in found.values
 
 
+@pytest.mark.parametrize("diameter", [0.6, 3.7, 100.0])
+def test_a_domain_that_follows_can(flight, diameter):
+    given = {"vehicle.diameter": diameter, "vehicle.clearance": 0.1, "domain.follow": "vehicle"}
+    found = suggest_config(flight, load_config((), given | {"lss.grid_spacing": 0.5}))
+    assert load_config((), found.values).domain.min_level >= 3
+
+
 def test_nothing_to_suggest_from_says_why(tmp_path, capsys):
     bag = write_ros2(tmp_path / "bag", scans=3)
     code, _, err = run(capsys, "config", "suggest", bag, "--set", "frames.map=moon")

@@ -188,6 +188,7 @@ def test_truth_of_another_flight_is_kept_unless_told_otherwise(tmp_path, hill):
         {"flights": 0},
         {"seed": -1},
         {"terrain": "nowhere.npz"},
+        {"scenario": "depth", "range_noise": 0.1},
     ],
 )
 def test_options_that_make_no_sense(tmp_path, options):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_left
 from decimal import Decimal
 from functools import lru_cache, partial
 from pathlib import Path
@@ -27,6 +28,11 @@ ABOVE, ATTITUDE_SIGMA = 2000.0, 1e-6
 LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
 SECOND_NS = 10**9
 _UNITS_NS = (1, 10**3, 10**6, 10**9)
+ROUNDED_NS = 1000
+"""Of a stamp in seconds: as text, or as one number."""
+OURS = ("truth.npz", "cells.npz", "grid.npz", "history.npz")
+"""Names of no clouds: of a simulation, and of results."""
+NO_POSES = "no --poses: the clouds are taken to be in the map's frame, seen from above"
 
 
 def open_recording(
@@ -53,7 +59,7 @@ def open_recording(
 def is_clouds(path: Path) -> bool:
     """Whether it is a cloud, or a folder of clouds without a bag."""
     if path.is_dir():
-        names = {p.suffix.lower() for p in path.iterdir()}
+        names = {p.suffix.lower() for p in path.iterdir() if p.name not in OURS}
         return not names & {*FORMATS, *PACKED} and bool(names & {*READERS})
     return path.is_file() and path.suffix.lower() in READERS
 
@@ -63,8 +69,9 @@ def _bag_of(path: Path, poses_path: Path | None, frame: str) -> MessageBag:
     message is made when it is read."""
     files = [path]
     if path.is_dir():
-        files = [p for p in path.iterdir() if p.suffix.lower() in READERS and p != poses_path]
-        files.sort(key=lambda p: [int(n) for n in re.findall(r"\d+", p.stem)] + [0])
+        there = (p for p in path.iterdir() if p.name not in OURS and p != poses_path)
+        files = [p for p in there if p.suffix.lower() in READERS]
+        files.sort(key=lambda p: ([*map(int, re.findall(r"\d+", p.stem)), 0], p.name))
     table = None if poses_path is None else read_poses(poses_path)
     read = lru_cache(maxsize=1)(read_clouds)
     found: list[tuple[Path, int, Any]] = []  # file, which of its clouds, its stamp if it has one
@@ -93,7 +100,7 @@ def _bag_of(path: Path, poses_path: Path | None, frame: str) -> MessageBag:
         rows = (eye, (1.0, 0.0, 0.0, 0.0), covariance)
         times = np.array([stamp for stamp, *_ in scans], np.int64)
         table = PoseTable(times, *(np.tile(row, (len(scans), 1)) for row in rows))
-        note = "no --poses: the clouds are taken to be in the map's frame, seen from above"
+        note = NO_POSES
     types = typestore(ros1=False).types
     of_lidar, of_map = (MessageMaker(types, np.asarray, name) for name in ("lidar", frame))
 
@@ -132,7 +139,7 @@ def _stamps(path: Path, files: list[Path], table: PoseTable | None) -> list[int]
         fit = [t for t, n in zip(tries, inside, strict=True) if n == max(inside) > 0.5 * len(files)]
         # From 0 s on, small numbers are within the poses in any unit, and may be no times at all.
         if len(fit) == 1 or fit and len(files) != len(known):
-            return fit[-1]
+            return [_near(known.tolist(), t) for t in fit[-1]]
     if len(files) == len(known):
         return known.tolist()
     span = " ... ".join(f"{1e-9 * t:.3f}" for t in (known[0], known[-1]))
@@ -140,6 +147,12 @@ def _stamps(path: Path, files: list[Path], table: PoseTable | None) -> list[int]
         f"{path}: which pose belongs to which cloud? The names hold no times between those"
         f" of the poses ({span} s), and {len(files)} clouds are not {len(known)} poses"
     )
+
+
+def _near(known: list[int], stamp: int) -> int:
+    """The stamp of a pose that is the same but for rounding, else the stamp itself."""
+    at = bisect_left(known, stamp - ROUNDED_NS)
+    return known[at] if at < len(known) and known[at] <= stamp + ROUNDED_NS else stamp
 
 
 def _corners(points: NDArray[Any]) -> Array:

@@ -72,6 +72,15 @@ def given(options: argparse.Namespace, *names: str) -> dict[str, Any]:
     return {name: getattr(options, name) for name in names}
 
 
+def refuse(options: argparse.Namespace, what: str, *names: str) -> None:
+    """Ends in a line where some of these options are given, which ``what`` would not use."""
+    default = options.parser.get_default
+    unused = [n for n in names if n in options and getattr(options, n) != default(n)]
+    told = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
+    if told:
+        options.parser.error(f"{told} {'do' if ',' in told else 'does'} not go with {what}")
+
+
 @contextlib.contextmanager
 def of_ros(what: str) -> Iterator[None]:
     """Within it, ROS is imported, which ``what`` needs."""
@@ -111,12 +120,11 @@ def whole(least: int) -> Callable[[str], int]:
     return _number(int, lambda value: value >= least, f"a whole number of {least} or more")
 
 
-def add_topics(parser: argparse.ArgumentParser, *, poses: bool = True) -> None:
+def add_topics(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
     add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
-    if poses:
-        add("--poses", type=named, metavar="FILE", help=POSES)
+    add("--poses", type=named, metavar="FILE", help=POSES)
 
 
 def add_config_options(parser: argparse._ActionsContainer) -> None:

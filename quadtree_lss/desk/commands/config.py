@@ -54,7 +54,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--poses", type=common.named, metavar="FILE", help=common.POSES)
     text = "check: the files are for this node, /uav1/lss_node"
     add("--node", default="", metavar="NAME", help=text)
-    text = "suggest for a vehicle of this diameter and clearance, m, with pads in proportion"
+    text = "for a vehicle of this diameter and clearance, m, with pads in proportion"
     add("--vehicle", type=vehicle, metavar="D,C", help=text)
 
 
@@ -74,14 +74,21 @@ def vehicle(text: str) -> dict[str, float]:
 def _run(options: argparse.Namespace) -> int:
     if options.action != "print" and not options.names:
         options.parser.error(f"config {options.action}: name at least one")
+    unused = ["config", "set", "vehicle"] if options.action == "check" else ["node"]
+    unused += ["poses"] * (options.action != "suggest")
+    common.refuse(options, f"config {options.action}", *unused)
     return ACTIONS[options.action](options)
+
+
+def _chosen(options: argparse.Namespace) -> Config:
+    return settings.config_from_values(options.vehicle or {}, common.chosen_config(options))
 
 
 def _explain(options: argparse.Namespace) -> int:
     rows = [row for name in options.names for row in explain(name)]
     texts = [explain_text(row) for row in rows]
     if any(row.name.startswith("vehicle.") for row in rows):
-        texts.append(lengths_text(common.chosen_config(options).vehicle))
+        texts.append(lengths_text(_chosen(options).vehicle))
     told = {row.name: parameter_as_dict(row) for row in rows}
     common.show(options, told, "\n\n".join(texts))
     return common.DONE
@@ -90,7 +97,7 @@ def _explain(options: argparse.Namespace) -> int:
 def _print(options: argparse.Namespace) -> int:
     if options.names:
         options.parser.error(f"config print takes no names, got {' '.join(options.names)}")
-    config = common.chosen_config(options)
+    config = _chosen(options)
     text = dump_config(config, comments=True)
     common.show(options, settings.values_from_config(config), text.removesuffix("\n"))
     return common.DONE
@@ -122,7 +129,7 @@ def _suggest(options: argparse.Namespace) -> int:
 
     if len(options.names) != 1:
         options.parser.error("config suggest takes one bag")
-    config = settings.config_from_values(options.vehicle or {}, common.chosen_config(options))
+    config = _chosen(options)
     with ProgressBar("suggest", "s", options.verbose) as bar:
         found = suggest_config(options.names[0], config, poses=options.poses, progress=bar.update)
     common.show(options, found.as_dict(), found.text().removesuffix("\n"))

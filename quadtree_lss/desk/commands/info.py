@@ -32,9 +32,10 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     common.add_topics(parser)
     parser = common.add_command(commands, "doctor", _doctor, DOCTOR, DOCTOR_EXAMPLES)
     add = parser.add_argument
-    add("bag", nargs="?", type=common.named, metavar="BAG", help="a bag; without, what is live")
+    text = f"{common.CLOUDS}; without it, what is live"
+    add("bag", nargs="?", type=common.named, metavar="BAG", help=text)
     common.add_config_options(parser)
-    common.add_topics(parser, poses=False)
+    common.add_topics(parser)
     text = "to listen (default 10)"
     add("--seconds", type=common.positive, default=10.0, metavar="S", help=text)
 
@@ -54,12 +55,15 @@ def _info(options: argparse.Namespace) -> int:
 def _doctor(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.info import inspect_bag
 
-    config, how = common.chosen_config(options), common.given(options, *common.TOPICS[:2])
+    config, how = common.chosen_config(options), common.given(options, *common.TOPICS)
     bag = options.bag
     if bag is None:
+        common.refuse(options, "doctor without a bag", "poses")
         with common.of_ros("doctor without a bag"):
             from quadtree_lss.desk.player.listen import listen
         bag = listen(options.seconds)
+    else:
+        common.refuse(options, "a bag", "seconds")
     with ProgressBar("doctor", "s", options.verbose) as bar:
         info = inspect_bag(bag, config, **how, progress=bar.update)
     wrong = [finding for finding in info.findings if finding.mend or finding.fatal]

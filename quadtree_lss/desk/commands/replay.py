@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -74,11 +75,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 def _run(options: argparse.Namespace) -> int:
     if options.publish:
         return _publish(options)
-    if options.rate is not None:
-        options.parser.error("--rate is for --publish: without it a replay runs as fast as it can")
-    if options.namespace is not None or options.remap:
-        text = "--namespace and --remap are for --publish: without it nothing is sent"
-        options.parser.error(text)
+    common.refuse(options, "a replay without --publish", "rate", "namespace", "remap")
     from quadtree_lss.desk.replay.files import made
     from quadtree_lss.desk.replay.replay import replay
 
@@ -98,8 +95,9 @@ def _run(options: argparse.Namespace) -> int:
     if result.interrupted:
         console.say(f"interrupted: results are of the first {result.summary['duration']:.1f} s")
         return common.INTERRUPTED
+    bag = shlex.quote(str(options.bag))
     if result.summary.get("points") and not result.summary["points_used"]:
-        console.say(f"no point entered the map: quadtree-lss doctor {options.bag} looks for why")
+        console.say(f"no point entered the map: quadtree-lss doctor {bag} looks for why")
         return common.ERROR
     if result.losses:
         console.warn("the bag is damaged: everything readable was processed")
@@ -139,14 +137,8 @@ def _sites(options: argparse.Namespace) -> int:
 
 
 def _publish(options: argparse.Namespace) -> int:
-    names = ("out", "config", "set", "poses", "no_report", "record")
-    offline = [name for name in names if getattr(options, name)]
-    offline += [name for name in ("area", "keep_out", "target") if name in options]
-    given = ", ".join(f"--{name.replace('_', '-')}" for name in offline)
-    if given:
-        text = "does" if "," not in given else "do"
-        text = f"{given} {text} not go with --publish: the nodes map and rank the sites"
-        options.parser.error(text)
+    offline = ("out", "config", "set", "poses", "no_report", "record", "area", "keep_out", "target")
+    common.refuse(options, "--publish: the nodes map and rank the sites", *offline)
     with common.of_ros("--publish"):
         from quadtree_lss.desk.player.player import play
     how = common.given(options, *common.TOPICS[:2], "start", "duration", "remap")

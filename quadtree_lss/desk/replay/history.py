@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,18 +19,16 @@ _EVERY = 16
 _ANGLES = np.arange(12) * (2.0 * np.pi / 12)
 _DIRECTIONS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 
-T = TypeVar("T")
 
-
-class Thinned(Generic[T]):
+class Thinned:
     """At most ``limit`` of many, evenly spread, and the last."""
 
     def __init__(self, limit: int) -> None:
         self._limit, self._step, self._count = limit, 1, 0
-        self._kept: list[T] = []
-        self._last: list[T] = []
+        self._kept: list[Any] = []
+        self._last: list[Any] = []
 
-    def add(self, item: T) -> None:
+    def add(self, item: Any) -> None:
         self._last = [item]
         if self._count % self._step == 0:
             if len(self._kept) == self._limit:
@@ -40,7 +38,7 @@ class Thinned(Generic[T]):
                 self._last = []
         self._count += 1
 
-    def all(self) -> list[T]:
+    def all(self) -> list[Any]:
         return [*self._kept, *self._last]
 
 
@@ -48,8 +46,7 @@ class History:
     """Notes answers of `Passes`, and where the lidar was and looked."""
 
     def __init__(self) -> None:
-        self._answers: Thinned[dict[str, Any]] = Thinned(ANSWERS)
-        self._scans: Thinned[tuple[int, NDArray[Any], NDArray[Any]]] = Thinned(SCANS)
+        self._answers, self._scans = Thinned(ANSWERS), Thinned(SCANS)
 
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
         sites = found.sites

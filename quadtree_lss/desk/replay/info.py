@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.desk.bags.bag import Bag, BagError
-from quadtree_lss.desk.bags.cloud_files import open_recording
+from quadtree_lss.desk.bags.cloud_files import NO_POSES, open_recording
 from quadtree_lss.desk.bags.message_types import POSE_TYPES, SCAN_TYPES
 from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.replay.doctor import Finding, Heard
@@ -242,7 +242,7 @@ def _read(
             topic.tell(headers[topic.name])
     heard.mount = intake.mount
     info.findings += _judge(info, texts, config)
-    wrong = heard.findings(config)
+    wrong = [] if NO_POSES in bag.notes else heard.findings(config)
     warning = points_warning(info.points, dropped, domain, missed_at, why)
     if warning is not None:
         elsewhere = not wrong and max(dropped, key=dropped.__getitem__) == "outside"
@@ -298,13 +298,16 @@ def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> list[Finding
         first, last, begin, end = (value or 0 for value in both)
         between = max(first - end, begin - last) / SECOND_NS
         if between > 0.0:
-            text = f"stamps of scans and poses do not overlap, {between:.3f} s lie between them:"
+            text = f"stamps of scans and poses do not overlap, {between:.3f} s lie between them"
+            mend = "record poses from before the first scan until after the last"
             # Wrong is the clock that is not that of reception.
             off = max(scans, poses, key=lambda topic: abs(topic.delay))
-            late = f"{abs(off.delay):.1f} s {'before' if off.delay > 0.0 else 'after'}"
-            mend = f"stamp {off.name} by the clock of the other:"
-            mend += f" its stamps are {late} their reception"
-            found.append(Finding("clocks", f"{text} different clocks?", mend, fatal=True))
+            if 2.0 * abs(off.delay) > between:
+                text += ": different clocks?"
+                late = f"{abs(off.delay):.1f} s {'before' if off.delay > 0.0 else 'after'}"
+                mend = f"stamp {off.name} by the clock of the other:"
+                mend += f" its stamps are {late} their reception"
+            found.append(Finding("clocks", text, mend, fatal=True))
     wrong_frame = lacks and "pose_frame" in texts and len(poses.frames) == 1
     for key, text in texts.items():
         mend = MENDS.get(key, "")

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from rosbags import interfaces as ros
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.rosbag2.errors import WriterError
 
 from quadtree_lss.desk.bags.message_types import typestore
+from quadtree_lss.desk.replay.files import writing
 from quadtree_lss.desk.replay.stream import ReplayError
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
@@ -59,7 +59,8 @@ class Recorder:
     def __exit__(self, *_: object) -> None:
         if self._unseen is not None:
             self._view(*self._unseen)
-        self._writer.close()
+        with writing(self._path, ReplayError):
+            self._writer.close()
         if not self._connections:  # an empty bag is of no use
             shutil.rmtree(self._path, ignore_errors=True)
 
@@ -92,19 +93,14 @@ class Recorder:
         self._write(outputs.GRID_MAP, self._messages.grid_map(found), now_ns)
 
     def _open(self) -> Writer:
-        try:
+        if self._path.exists():
+            raise ReplayError(f"--record {self._path}: cannot be written: it exists already")
+        with writing(self._path, ReplayError):
             self._path.parent.mkdir(parents=True, exist_ok=True)
             writer = Writer(self._path, version=9, storage_plugin=StoragePlugin.MCAP)
             writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             writer.open()
             return writer
-        except (WriterError, OSError) as error:
-            text = str(error)
-            if isinstance(error, OSError) and error.strerror:
-                text = f"{error.filename}: {error.strerror}"
-            if self._path.exists():
-                text = "it exists already"
-            raise ReplayError(f"--record {self._path}: cannot be written: {text}") from None
 
     def _write(self, topic: str, message: Any, now_ns: int) -> None:
         kind = outputs.RECORDED_TYPES[topic]
@@ -113,4 +109,5 @@ class Recorder:
                 f"/{topic}", kind, typestore=self._store, offered_qos_profiles=[LATCHED]
             )
         raw = self._store.serialize_cdr(message, kind)
-        self._writer.write(self._connections[topic], now_ns, raw)
+        with writing(self._path, ReplayError):
+            self._writer.write(self._connections[topic], now_ns, raw)

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import shlex
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,12 @@ from quadtree_lss.desk.replay.doctor import Heard
 from quadtree_lss.desk.replay.stream import Part, Progress, ReplayError, Stream
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.risk import doubt
-from quadtree_lss.onboard.config.settings import Config, config_from_values, values_from_config
+from quadtree_lss.onboard.config.settings import (
+    LEAST_STEPS,
+    Config,
+    config_from_values,
+    values_from_config,
+)
 from quadtree_lss.onboard.messages.intake import ReadyScan
 
 #: Of a bag so many scans are looked at, and so many points of each.
@@ -77,7 +83,7 @@ def suggest_config(
         causes = [notice.text for notice in stream.intake.notices()]
     if not seen.places:
         why = causes[0] if causes else "no scan has a pose and a return"
-        mend = f"quadtree-lss info {bag} says what to --set"
+        mend = f"quadtree-lss info {shlex.quote(str(bag))} says what to --set"
         raise ReplayError(f"{bag}: nothing to suggest from: {why}; {mend}")
     heard.mount = stream.intake.mount
     wrong = [f"Wrong: {found.line}" for found in heard.findings(config) if found.mend]
@@ -124,21 +130,24 @@ class _Seen:
         least, most = vehicle.diameter / MOST_CELLS, vehicle.diameter / LEAST_CELLS
         wanted = min(max(by_data, least), most)
         level = math.floor(min(math.log2(side / wanted) + FINER + 0.5, math.log2(side / least)))
-        level = min(max(level, 0), 10)
+        lowest = 0 if config.domain.follow == "none" else LEAST_STEPS
+        level = min(max(level, lowest), 10)
         finest = math.ceil(1000.0 * side / 2**level) / 1000.0
         size = finest * 2**level
         corner = np.round(2.0 * (middle - 0.5 * size)) / 2.0
-        grid = min(max(finest, size / 2000.0), 2.0 * vehicle.lengths.grid_spacing)
+        domain = replace(config.domain, size=size, min_level=max(level - LEVELS, lowest))
+        grid = min(finest, 2.0 * vehicle.lengths.grid_spacing)
+        grid = round(grid, 3) if not lowest else domain.step / math.ceil(domain.step / grid - 1e-9)
         values: dict[str, Any] = {
             "domain.xmin": float(corner[0]),
             "domain.ymin": float(corner[1]),
             "domain.size": round(size, 6),
-            "domain.min_level": max(level - LEVELS, 0),
+            "domain.min_level": domain.min_level,
             "domain.max_level": level,
             "lidar.range_noise": noise,
-            "lss.grid_spacing": round(grid, 3),
+            "lss.grid_spacing": grid,
         }
-        coarse = size / 2 ** max(level - LEVELS, 0)
+        coarse = size / 2**domain.min_level
         x, y = (f"{a:.1f} ... {b:.1f}" for a, b in zip(low, high, strict=True))
         apart = f"returns of a scan are {spacing:.2g} m apart on the ground, and the vehicle"
         sizes = f"cells of {coarse:g} ... {finest:g} m: {apart} measures {vehicle.diameter:g} m"

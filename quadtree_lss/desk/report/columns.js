@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What is embedded: element "data" is JSON (page_data.py), element "columns" the arrays it refers
-// to (packing.py). Classic scripts share their names; start.js runs when the arrays are unpacked.
+// to (pages.py). Classic scripts share their names; start.js runs when the arrays are unpacked.
 "use strict";
 const root = document.documentElement;
 window.addEventListener("error", e => { root.dataset.error = e.message; });

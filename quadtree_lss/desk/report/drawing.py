@@ -9,6 +9,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.desk.report.palette import MAPS, SITE_COLOUR, colour_limits, shaded
 from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 Box = tuple[float, float, float, float]
 """xmin, xmax, ymin, ymax; m."""
@@ -105,6 +107,16 @@ def mark_sites(
         text = {"color": "white", "size": 8, "ha": "center", "va": "center", "bbox": box}
         drawn.append(axes.annotate(str(rank), (x, y), annotation_clip=True, **text))
     return drawn
+
+
+def outline(axes: Any, cells: CellMap, which: Any = slice(None), **style: Any) -> None:
+    """Boundaries of some leaves; the more there are, the thinner."""
+    corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]], float)
+    centre = np.stack([cells.x, cells.y], axis=-1)
+    edges = (centre[:, None, :] + 0.5 * cells.size[:, None, None] * corner)[which]
+    width = float(np.clip(30.0 / np.sqrt(max(cells.level.size, 1)), 0.15, 0.6))
+    style = {"colors": "black", "linewidths": width, **style}
+    axes.add_collection(LineCollection(list(edges), **style))
 
 
 def png(figure: Figure, dpi: int = 130) -> bytes:

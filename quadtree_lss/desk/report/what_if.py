@@ -8,6 +8,7 @@ made with the page. Noise and map need a new run, and so does all else of the ve
 
 from __future__ import annotations
 
+import shlex
 from itertools import product
 from typing import Any
 
@@ -71,7 +72,7 @@ def what_if(content: Results, columns: Columns, stride: int) -> dict[str, Any]:
     bound = bool(keep_outs) or wishes["area"] is not None
     return {
         "run": "sites" if content.summary.get("posts") else "replay",
-        "bag": content.summary["bag"],
+        "bag": shlex.quote(content.summary["bag"]),
         "n": cells.domain.finest_count + 1,
         "side": cells.domain.finest_size,
         "vehicles": vehicles,

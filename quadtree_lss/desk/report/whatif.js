@@ -129,7 +129,7 @@ function sliders() {
     const given = Object.entries(set).filter(([k, w]) => first[k] !== w).map(([k, w]) =>
       `--set ${k in first ? "vehicle" : "lss"}.${k}=${parseFloat((k === "dispersion" ? w[0] : w).toPrecision(3))}`);
     byId("what-if-run").textContent =
-      `quadtree-lss ${whatIf.run} '${whatIf.bag}' --config config.yaml ${given.join(" ")}`;
+      `quadtree-lss ${whatIf.run} ${whatIf.bag} --config config.yaml ${given.join(" ")}`;
     const { doubt } = vehicleOf(set);
     byId("what-if-doubt").textContent = doubt && `With care: ${doubt}.`;
   };

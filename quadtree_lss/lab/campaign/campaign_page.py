@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -30,7 +31,7 @@ def page(result: CampaignResult) -> str:
     kind, study = result.study.what, result.study
     note = f"{len(result.records)} of {study.count} flights"
     note += f", {len(result.failed)} failed" if result.failed else ""
-    keep = f"quadtree-lss campaign STUDY.yaml --out {result.out} --keep"
+    keep = f"quadtree-lss campaign STUDY.yaml --out {shlex.quote(str(result.out))} --keep"
     flights, columns = flown(result.records.values()), Columns()
     parts = groups(study, flights)
     part_of = {record.index: k for k, (_, records) in enumerate(parts) for record in records}

@@ -22,6 +22,8 @@ Exit code 3 if some flights failed. Ctrl-C ends it there; what was flown is kept
 second one stops at once.
 """
 
+FLYING = ("rerun", "workers", "scheduler_address", "scheduler_file")
+
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = common.add_command(commands, "campaign", _run, TEXT, EXAMPLES)
@@ -45,10 +47,13 @@ def _run(options: argparse.Namespace) -> int:
 
         if len(options.what) != 3:
             options.parser.error("compare needs two folders of campaigns")
+        common.refuse(options, "compare, which flies and writes nothing", "out", *FLYING, "keep")
         common.tell(options, compare_campaigns(*options.what[1:]))
         return common.DONE
     if len(options.what) != 1 or options.out is None:
         options.parser.error("one STUDY.yaml and --out are required")
+    if options.keep is not None:
+        common.refuse(options, "--keep, which flies one after the other here", *FLYING)
     from quadtree_lss.lab.campaign.engine import Where, campaign, flagged, keep
     from quadtree_lss.lab.campaign.study import parse_seeds, read_study
 

@@ -54,8 +54,8 @@ def _evaluate(options: argparse.Namespace) -> int:
     from quadtree_lss.lab.evaluation.evaluate import compare, evaluate
 
     first, *others = options.results
-    if others and options.bag is not None:
-        options.parser.error("--bag goes with one DIR only")
+    if others:
+        common.refuse(options, "several DIR", "bag")
     with ProgressBar("consistency", "scans", options.verbose) as bar:
         how = {"out": options.out, "progress": bar.update}
         if others:

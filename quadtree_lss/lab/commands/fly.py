@@ -111,8 +111,8 @@ def _fly(options: argparse.Namespace) -> int:
     }
     settings = flight_settings(given)
     alone = options.lockstep or options.avoidance in ("none", "perfect")
-    if alone and options.rate is not None:
-        options.parser.error("--rate: only over ROS, not with --lockstep")
+    if alone:
+        common.refuse(options, "--lockstep, nor with --avoidance none or perfect", "rate")
     figures = {"seed": options.seed, "avoidance": options.avoidance, "outcome": "none"}
     with (
         made(options.out, QuadtreeLssError),

@@ -23,6 +23,7 @@ from quadtree_lss.onboard.core.geometry.rotations import skew
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan, register
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.elevation.prior_file import read_prior
 
 #: Share of residuals inside the acceptance interval (1 - alpha), half of the others on either side.
 INSIDE = 0.95
@@ -184,12 +185,14 @@ def consistency(
         rows = {stamp: row for stamp, *row in zip(*columns, strict=True)}
     made_by = {} if results is None else results.summary.get("versions") or {}
     exact = made_by.get("quadtree_lss") == quadtree_lss.__version__
-    counts, number, mapper = Counts(), 0, Mapper(config)
+    landing = {} if results is None else results.summary.get("landing") or {}
+    counts, number, mapper = Counts(), 0, Mapper(config, read_prior(config))
     for scan in scans(bag, config, scan_topic=scan_topic, pose_topic=pose_topic):
         if rows and scan.stamp_ns not in rows:
             continue
         registered, _ = register(*scan[1:3], config.lidar, mapper.domain, scan.sweep)
         counts += prefit_statistics(mapper.snapshot(), registered, config.lidar).counts()
+        mapper.look_at(landing.get("area"))
         report = mapper.update(scan.points_lidar, scan.pose, scan.sweep)
         if rows:
             _check(report, rows[report.stamp_ns], exact, bag)

@@ -140,8 +140,8 @@ def _cells_and_scans(results: Results, truth: Truth) -> Figure:
     kind = "Fixed-resolution cells" if _fixed(cells) else "Quadtree cells"
     scans = f"outlines of every {EVERY}th of {total} scans" if total else "no scan outlines known"
     figure, axes = _map(f"{kind}, {_count(cells)}; {scans}", box)
-    _outline(axes, cells, ~cells.estimated, colors="#bbbbbb", linewidths=0.4)
-    _outline(axes, cells, cells.estimated)
+    drawing.outline(axes, cells, ~cells.estimated, colors="#bbbbbb", linewidths=0.4)
+    drawing.outline(axes, cells, cells.estimated)
     if total:
         lines = LineCollection(list(shown), linewidths=0.9, cmap="viridis")
         lines.set_array(1 + EVERY * np.arange(len(shown)))
@@ -164,24 +164,13 @@ def _count(cells: CellMap) -> str:
     return f"{int(cells.estimated.sum())} with an estimate of {cells.level.size}"
 
 
-def _outline(axes: Axes, cells: CellMap, which: Any = slice(None), **style: Any) -> None:
-    """Boundaries of some leaves; the more there are, the thinner."""
-    corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]], float)
-    centre = np.stack([cells.x, cells.y], axis=-1)
-    edges = (centre[:, None, :] + 0.5 * cells.size[:, None, None] * corner)[which]
-    width = float(np.clip(30.0 / np.sqrt(max(cells.level.size, 1)), 0.15, 0.6))
-    axes.add_collection(
-        LineCollection(list(edges), **{"colors": "black", "linewidths": width, **style})
-    )
-
-
 def _quadtree_over_truth(cells: CellMap, truth: Truth) -> Figure:
     """Leaf boundaries over the true elevation (Fig. 18)."""
     box = _domain(cells)
     figure, axes = _map(f"Quadtree over the true elevation: leaves, {_count(cells)}", box)
     x, y, z = _window(truth, box)
     _relief(figure, axes, x, y, z, z, "true elevation [m]")
-    _outline(axes, cells, alpha=0.4)
+    drawing.outline(axes, cells, alpha=0.4)
     return figure
 
 

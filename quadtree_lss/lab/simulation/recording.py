@@ -130,6 +130,4 @@ def recorded(path: Path) -> Iterator[Callable[[str, int, Any], None]]:
             raw = store.serialize_cdr(message, kinds[topic])
             writer.write(connection(topic), received_ns, raw)
 
-        for topic in TYPES:
-            connection(topic)
         yield write

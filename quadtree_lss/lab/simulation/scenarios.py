@@ -195,6 +195,8 @@ def _looking_down(
     """A descent between two heights over any terrain, m; faster if shorter. ``lidar``: its field of
     view, deg, and noise, m; None for a stereo camera."""
     assert terrain is not None
+    if lidar is None and (given.range_noise is not None or given.outliers):
+        raise SimulationError("a stereo camera has neither range_noise nor outliers")
     box = _box(terrain, half)
     trajectory = descent_trajectory(_centre(terrain, box), duration, *heights)
     count = max(int(np.floor(duration * rate + 1e-9)), 1)

@@ -284,5 +284,5 @@ def _cannot_follow(config: Config | SimpleNamespace) -> Iterator[str]:
     elif abs(step - parts * spacing) > 1e-6 * spacing:
         yield (
             f"domain.follow moves the domain by {step:g} m, which is no multiple of"
-            f" lss.grid_spacing = {spacing:g} m: set that to {step / parts:g}"
+            f" lss.grid_spacing = {spacing:g} m: set that to {step / parts:.12g}"
         )

@@ -24,7 +24,8 @@ def reference(crs: str = "", origin: tuple[float, float] | None = None) -> str:
         return ""
     rasterio = library("rasterio", WHAT)
     try:
-        system = rasterio.crs.CRS.from_user_input(crs)
+        with rasterio.Env():  # without it, PROJ prints what is wrong as well
+            system = rasterio.crs.CRS.from_user_input(crs)
     except (rasterio.errors.CRSError, ValueError) as error:
         msg = f"'{crs}' is not a coordinate reference system: {str(error).splitlines()[0]}"
         raise ExchangeError(msg) from None
