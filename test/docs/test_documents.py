@@ -25,20 +25,22 @@ from quadtree_lss.onboard.config.settings import RENAMED, parameters
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = (".", "docs", "docs/tutorials", "docs/reference", "msg_docs")
 PAGES = sorted(path for folder in FOLDERS for path in (ROOT / folder).glob("*.md"))
-MARKED = re.compile(r"<!-- test: (shell|python)([^>]*)-->\n```\w+\n(.*?)```", re.DOTALL)
+MARKED = re.compile(
+    r"<!-- test: (shell|python)([^>]*)-->\n```\w+\n(.*?)```(?:\n\n```text\n(.*?)```)?", re.DOTALL
+)
 
 
 def blocks(kind):
-    """(needs a flight, code) of each page's marked blocks; once more with its slow ones."""
+    """(needs a flight, code, what it prints) of each page's marked blocks; again with slow ones."""
     cases = []
     for page in PAGES:
         found = [m.groups() for m in MARKED.finditer(page.read_text()) if m[1] == kind]
-        needs = any("flight/bag" in note for _, note, _ in found)
-        code = [text for _, note, text in found if "slow" not in note]
-        if code:
-            cases.append(pytest.param(needs, code, id=page.name))
-        if len(code) < len(found):
-            every = [text for _, _, text in found]
+        needs = any("flight/bag" in note for _, note, _, _ in found)
+        quick = [(text, shown) for _, note, text, shown in found if "slow" not in note]
+        if quick:
+            cases.append(pytest.param(needs, quick, id=page.name))
+        if len(quick) < len(found):
+            every = [(text, shown) for _, _, text, shown in found]
             marks = pytest.mark.slow
             cases.append(pytest.param(needs, every, id=f"{page.name} all", marks=marks))
     return cases
@@ -60,15 +62,23 @@ def ran(folder, *command):
     return done.stdout
 
 
+def printed(shown, said):
+    """Lines that a page shows of what its commands say, in their order; … is left out."""
+    for line in (shown or "").splitlines():
+        found = re.search(f"^{re.escape(line).replace('…', '.*')}$", said, re.MULTILINE)
+        assert found, line
+        said = said[found.end() :]
+
+
 @pytest.mark.parametrize(("needs_flight", "code"), blocks("shell"))
 def test_commands_run_as_written(needs_flight, code, flight, tmp_path):
     if needs_flight:
         shutil.copytree(flight, tmp_path / "flight")
     shutil.copytree(ROOT / "config", tmp_path / "config")
     command = f"{sys.executable} -m quadtree_lss.cli"
-    script = "set -e\n" + "".join(code)
-    script = re.sub(r"^quadtree-lss ", f"{command} ", script, flags=re.MULTILINE)
-    ran(tmp_path, "bash", "-c", script)
+    for text, shown in code:
+        script = re.sub(r"^quadtree-lss ", f"{command} ", text, flags=re.MULTILINE)
+        printed(shown, ran(tmp_path, "bash", "-ec", script))
 
 
 class LevelBody(OdometryRecorder):
@@ -108,7 +118,7 @@ def test_the_drone_of_the_tutorial_is_checked_and_its_hover_is_replayed(tmp_path
 def test_python_runs_as_written(needs_flight, code, flight, tmp_path):
     if needs_flight:
         shutil.copytree(flight, tmp_path / "flight")
-    for text in code:
+    for text, _ in code:
         assert ran(tmp_path, sys.executable, "-c", text)
 
 
