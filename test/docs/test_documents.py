@@ -95,6 +95,7 @@ def test_the_drone_of_the_tutorial_is_checked_and_its_hover_is_replayed(tmp_path
     page = (ROOT / "docs/tutorials/drone.md").read_text()
     copied, check, _, look = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
     (added,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    good, _, _ = re.findall(r"```text\n(.*?)```", page, re.DOTALL)
     with recording(tmp_path / "hover", LevelBody) as recorder:
         hovering(recorder, pose_topics=LevelBody.odometry)
 
@@ -110,7 +111,7 @@ def test_the_drone_of_the_tutorial_is_checked_and_its_hover_is_replayed(tmp_path
     for name, section in yaml.safe_load(added)["/**"]["ros__parameters"].items():
         values["/**"]["ros__parameters"].setdefault(name, {}).update(section)
     file.write_text(yaml.safe_dump(values))
-    run(check)
+    printed(good, run(check))
     assert "10 scans mapped, 0 dropped" in run(look)
 
 
