@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The documents say what is true: marked blocks run as written, links lead somewhere."""
 
+import importlib
 import json
 import os
 import re
@@ -151,6 +152,16 @@ def test_parameters_that_are_named_exist(page):
     for word in re.findall(r"`([a-z_]+\.[a-z_0-9]+)(?::[^`]*)?`", page.read_text()):
         if word.partition(".")[0] in sections - {"map", "lidar", "diagnostics"}:
             assert word in names, word
+
+
+def test_functions_that_are_named_exist():
+    """`lab.simulation.simulate.simulate(…)`, and what begins with the package."""
+    text = "".join(page.read_text() for page in PAGES)
+    named = re.findall(r"`(?:quadtree_lss\.)?([a-z_]+(?:\.\w+)+)\(", text)
+    named += re.findall(r"`quadtree_lss\.([\w.]+\.\w+)`", text)
+    assert len(named) > 15
+    for module, _, name in [function.rpartition(".") for function in named]:
+        assert hasattr(importlib.import_module(f"quadtree_lss.{module}"), name), (module, name)
 
 
 def test_pages_that_code_and_configurations_name_exist():
