@@ -206,6 +206,14 @@ def test_every_name_in_the_files_is_documented(flight, tmp_path):
         assert set(written) <= set(documented), (title, set(written) - set(documented))
 
 
+def test_keys_of_the_diagnostics_are_documented():
+    nodes = (ROOT / "quadtree_lss" / "onboard" / "nodes").glob("*.py")
+    keys = {k for p in nodes for k in re.findall(r'"([a-z_]+\.[a-z_]+)"', p.read_text())}
+    page = (ROOT / "msg_docs" / "diagnostics.md").read_text()
+    missing = {k for k in keys if f"`{k}`" not in page} - {row.name for row in parameters()}
+    assert len(keys) > 15 and not missing, missing
+
+
 def test_the_rule_of_nan_is_as_documented(flight, tmp_path):
     """docs/topics_and_files.md: measured, inherited and unestimated leaves; unseen nodes."""
     replay(flight / "bag", tmp_path, load_config(["morpheus"]), report=False)
