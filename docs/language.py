@@ -2,7 +2,8 @@
 """Plain English in the documents: `python docs/language.py` prints what is not, and fails.
 
 Sentences of at most 36 words, lines of at most 120 characters, no word of REFUSED; no run numbers
-outside of the evidence. `make lint` runs it, and codespell for spelling.
+outside of the evidence; as many cells in each row of a table. `make lint` runs it, and codespell
+for spelling.
 """
 
 import re
@@ -64,6 +65,12 @@ def faults(path):
                 yield number, f"'{match[0]}': {better}"
         if path.name != "evidence.md" and (match := re.search(HISTORY, line, re.IGNORECASE)):
             yield number, f"'{match[0]}' belongs to the evidence"
+    width = 0
+    for number, line in enumerate(text.replace(r"\|", "").splitlines(), 1):
+        cells = line.count("|") if line.startswith("|") else 0
+        if cells and width and cells != width:
+            yield number, f"a row of {cells - 1} cells under one of {width - 1}"
+        width = cells
     for number, words in sentences(text):
         if len(words) > WORDS:
             yield number, f"a sentence of {len(words)} words: {' '.join(words[:6])} …"

@@ -15,11 +15,15 @@ INTRODUCTION = """\
 
 <!-- From onboard/config/sections.py by: python docs/parameters.py > docs/parameters.md -->
 
-To look up a parameter. One file serves all nodes and `quadtree-lss replay`. *Live* ones can be set
-while a node runs (`ros2 param set`); the others are read-only after the start. Lengths are m, and a
-name that ends in `_deg` is in degrees. Old names (`lss.vehicle_diameter`, `lss.max_roughness`,
-`lss.max_slope_deg`, `lss.pad_radius`) are still read, with a line. Most lengths need not be set:
-they [follow from `vehicle`](#what-follows-from-the-vehicle).
+To begin, a file needs [`vehicle`](#vehicle), [`domain`](#domain) and [`lidar`](#lidar), which
+`quadtree-lss config suggest` writes from a bag. The other defaults hold for most, and most lengths
+[follow from the vehicle](#what-follows-from-the-vehicle). `config explain` says what this page
+says.
+
+One file serves all nodes and `quadtree-lss replay`. *Live* ones can be set while a node runs
+(`ros2 param set`); the others are read-only after the start. Lengths are m, and a name that ends in
+`_deg` is in degrees. Old names (`lss.vehicle_diameter`, `lss.max_roughness`, `lss.max_slope_deg`,
+`lss.pad_radius`) are still read, with a line.
 """
 
 

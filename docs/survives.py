@@ -2,7 +2,8 @@
 """Writes the table "What survives what" of docs/onboard.md: `python docs/survives.py`.
 
 Its rows are the arguments of `@pytest.mark.survives(EVENT, EFFECT)` on the tests that show them;
-what several tests show of one event stands in one row. The test's file says under which heading.
+what several tests show of one event stands in one row, a line each. The test's file says under
+which heading.
 """
 
 import ast
@@ -34,7 +35,7 @@ def table():
                     rows.setdefault(event, []).append(effect)
     return "".join(
         f"\n### {theme}\n\n"
-        + "".join(f"| {event} | {'; '.join(effects)} |\n" for event, effects in rows.items())
+        + "".join(f"| {event} | {'<br>'.join(effects)} |\n" for event, effects in rows.items())
         for theme, rows in themes.items()
     )
 

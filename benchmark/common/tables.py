@@ -15,7 +15,9 @@ from quadtree_lss.desk.replay.results import aligned
 
 
 def machine() -> str:
-    """Cores and versions, in one line."""
+    """Cores and versions, in one line; nothing in documents, whose figures name build and date."""
+    if os.environ.get("TABLES") == "markdown":
+        return ""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return (
         f"{platform.machine()}, {cores} cores, Python {platform.python_version()},"

@@ -188,8 +188,8 @@ def test_planes_of_a_wrong_pose_over_new_ground_go_with_the_next_scan(height):
 
 @pytest.mark.survives(
     "planes of a wrong pose over ground that no other scan had seen",
-    "later scans that are 30 deviations off such a plane outvote it point by point; what they show "
-    "is seen, not yet mapped, until they have",
+    "scans that are 30 deviations off such a plane outvote it point by point; until then what they "
+    "show is seen, not yet mapped",
 )
 def test_points_are_votes_where_a_plane_is_of_another_place_altogether():
     """One cell, which no others judge: the wrong plane goes when as many points are against it."""
@@ -219,9 +219,9 @@ def test_a_point_that_outvotes_a_plane_is_measured_as_by_a_fresh_leaf():
 
 @pytest.mark.survives(
     "something 30 deviations high comes onto mapped ground (a drone's: 0.75 m)",
-    "not safe from the first scan that shows it by two returns or more in a leaf: seen, not yet "
-    "mapped, until more returns speak for it than for the ground before. Once it has gone, the "
-    "next scan makes the ground known again",
+    "not safe from the first scan that shows it by two returns in a leaf: seen, not yet mapped, "
+    "until more returns speak for it than for the ground<br>once it has gone, the next scan makes "
+    "the ground known again",
 )
 def test_what_comes_onto_mapped_ground_is_not_known():
     """A block of 3 m by 3 m, of which a tenth of the scan's returns tell."""
@@ -321,8 +321,8 @@ def test_a_height_far_beyond_its_claim_moves_the_map_by_less_than_a_tenth(positi
 
 @pytest.mark.survives(
     "a scan that is off by three deviations or more and does not contradict the map",
-    "put down to the scan as far as its pose, five times worse than it claims, explains it: "
-    "lowered and tilted to the map before it is mapped",
+    "lowered and tilted to the map before it is mapped, as far as its pose, five times worse than "
+    "it claims, explains",
 )
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("deviations", [5.0, 8.0, 20.0])

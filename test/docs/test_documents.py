@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The documents say what is true: marked blocks run as written, links lead somewhere."""
 
+import importlib
 import json
 import os
 import re
@@ -25,20 +26,22 @@ from quadtree_lss.onboard.config.settings import RENAMED, parameters
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = (".", "docs", "docs/tutorials", "docs/reference", "msg_docs")
 PAGES = sorted(path for folder in FOLDERS for path in (ROOT / folder).glob("*.md"))
-MARKED = re.compile(r"<!-- test: (shell|python)([^>]*)-->\n```\w+\n(.*?)```", re.DOTALL)
+MARKED = re.compile(
+    r"<!-- test: (shell|python)([^>]*)-->\n```\w+\n(.*?)```(?:\n\n```text\n(.*?)```)?", re.DOTALL
+)
 
 
 def blocks(kind):
-    """(needs a flight, code) of each page's marked blocks; once more with its slow ones."""
+    """(needs a flight, code, what it prints) of each page's marked blocks; again with slow ones."""
     cases = []
     for page in PAGES:
         found = [m.groups() for m in MARKED.finditer(page.read_text()) if m[1] == kind]
-        needs = any("flight/bag" in note for _, note, _ in found)
-        code = [text for _, note, text in found if "slow" not in note]
-        if code:
-            cases.append(pytest.param(needs, code, id=page.name))
-        if len(code) < len(found):
-            every = [text for _, _, text in found]
+        needs = any("flight/bag" in note for _, note, _, _ in found)
+        quick = [(text, shown) for _, note, text, shown in found if "slow" not in note]
+        if quick:
+            cases.append(pytest.param(needs, quick, id=page.name))
+        if len(quick) < len(found):
+            every = [(text, shown) for _, _, text, shown in found]
             marks = pytest.mark.slow
             cases.append(pytest.param(needs, every, id=f"{page.name} all", marks=marks))
     return cases
@@ -60,15 +63,23 @@ def ran(folder, *command):
     return done.stdout
 
 
+def printed(shown, said):
+    """Lines that a page shows of what its commands say, in their order; … is left out."""
+    for line in (shown or "").splitlines():
+        found = re.search(f"^{re.escape(line).replace('…', '.*')}$", said, re.MULTILINE)
+        assert found, line
+        said = said[found.end() :]
+
+
 @pytest.mark.parametrize(("needs_flight", "code"), blocks("shell"))
 def test_commands_run_as_written(needs_flight, code, flight, tmp_path):
     if needs_flight:
         shutil.copytree(flight, tmp_path / "flight")
     shutil.copytree(ROOT / "config", tmp_path / "config")
     command = f"{sys.executable} -m quadtree_lss.cli"
-    script = "set -e\n" + "".join(code)
-    script = re.sub(r"^quadtree-lss ", f"{command} ", script, flags=re.MULTILINE)
-    ran(tmp_path, "bash", "-c", script)
+    for text, shown in code:
+        script = re.sub(r"^quadtree-lss ", f"{command} ", text, flags=re.MULTILINE)
+        printed(shown, ran(tmp_path, "bash", "-ec", script))
 
 
 class LevelBody(OdometryRecorder):
@@ -85,6 +96,7 @@ def test_the_drone_of_the_tutorial_is_checked_and_its_hover_is_replayed(tmp_path
     page = (ROOT / "docs/tutorials/drone.md").read_text()
     copied, check, _, look = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
     (added,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    good, _, _ = re.findall(r"```text\n(.*?)```", page, re.DOTALL)
     with recording(tmp_path / "hover", LevelBody) as recorder:
         hovering(recorder, pose_topics=LevelBody.odometry)
 
@@ -100,7 +112,7 @@ def test_the_drone_of_the_tutorial_is_checked_and_its_hover_is_replayed(tmp_path
     for name, section in yaml.safe_load(added)["/**"]["ros__parameters"].items():
         values["/**"]["ros__parameters"].setdefault(name, {}).update(section)
     file.write_text(yaml.safe_dump(values))
-    run(check)
+    printed(good, run(check))
     assert "10 scans mapped, 0 dropped" in run(look)
 
 
@@ -108,7 +120,7 @@ def test_the_drone_of_the_tutorial_is_checked_and_its_hover_is_replayed(tmp_path
 def test_python_runs_as_written(needs_flight, code, flight, tmp_path):
     if needs_flight:
         shutil.copytree(flight, tmp_path / "flight")
-    for text in code:
+    for text, _ in code:
         assert ran(tmp_path, sys.executable, "-c", text)
 
 
@@ -140,6 +152,16 @@ def test_parameters_that_are_named_exist(page):
     for word in re.findall(r"`([a-z_]+\.[a-z_0-9]+)(?::[^`]*)?`", page.read_text()):
         if word.partition(".")[0] in sections - {"map", "lidar", "diagnostics"}:
             assert word in names, word
+
+
+def test_functions_that_are_named_exist():
+    """`lab.simulation.simulate.simulate(…)`, and what begins with the package."""
+    text = "".join(page.read_text() for page in PAGES)
+    named = re.findall(r"`(?:quadtree_lss\.)?([a-z_]+(?:\.\w+)+)\(", text)
+    named += re.findall(r"`quadtree_lss\.([\w.]+\.\w+)`", text)
+    assert len(named) > 15
+    for module, _, name in [function.rpartition(".") for function in named]:
+        assert hasattr(importlib.import_module(f"quadtree_lss.{module}"), name), (module, name)
 
 
 def test_pages_that_code_and_configurations_name_exist():
@@ -182,6 +204,14 @@ def test_every_name_in_the_files_is_documented(flight, tmp_path):
         section = re.search(rf"^##+ {re.escape(title)}\n(.*?)^##", page, re.DOTALL | re.MULTILINE)
         documented = re.findall(r"`(\w+)`", section[1])
         assert set(written) <= set(documented), (title, set(written) - set(documented))
+
+
+def test_keys_of_the_diagnostics_are_documented():
+    nodes = (ROOT / "quadtree_lss" / "onboard" / "nodes").glob("*.py")
+    keys = {k for p in nodes for k in re.findall(r'"([a-z_]+\.[a-z_]+)"', p.read_text())}
+    page = (ROOT / "msg_docs" / "diagnostics.md").read_text()
+    missing = {k for k in keys if f"`{k}`" not in page} - {row.name for row in parameters()}
+    assert len(keys) > 15 and not missing, missing
 
 
 def test_the_rule_of_nan_is_as_documented(flight, tmp_path):

@@ -39,6 +39,11 @@ def test_long_sentences_and_lines_are_found(check):
     assert check("Word. " * 25 + "\n") == [(1, "a line of 150 characters")]
 
 
+def test_a_table_that_runs_into_another_is_found(check):
+    ((line, fault),) = check("| a | b |\n| --- | --- |\n| `x|y` | 1 \\| 2 |\n| c |\n")
+    assert line == 4 and "1 cells under one of 2" in fault
+
+
 def test_run_numbers_belong_to_the_evidence(check):
     assert check("Seeds 101–120 chose.\n") and check("Seeds from 7 on.\n")
     assert not check("Seeds 101–120 chose.\n", "evidence.md")

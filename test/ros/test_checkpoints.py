@@ -150,9 +150,9 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
 @pytest.mark.survives(
     "a scan ends in an error of the program",
     "left out: ERROR in the diagnostics with the reason, the traceback in the log, "
-    "`problems.scan_failed`. It may have changed half of the map, so that of the checkpoint is "
-    "taken; without one the map goes on if all its figures are sound, or begins anew. The next "
-    "scan is mapped",
+    "`problems.scan_failed`; the next one is mapped<br>it may have changed half of the map, so "
+    "that of the checkpoint is taken; without one the map goes on if its figures are sound, or "
+    "begins anew",
 )
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):

@@ -55,9 +55,9 @@ def east(places):
 
 @pytest.mark.survives(
     "`lss_node` killed",
-    "started again, it gets the last map and what is latched: area, keep-out, target. Sites come "
-    "at once if both an area and a keep-out are among them (without vertices = no restriction), "
-    "else after 3 s, since a publisher may be found late",
+    "started again, it gets the last map and what is latched: area, keep-out, target<br>sites come "
+    "at once if an area and a keep-out are among them (without vertices: no restriction), else "
+    "after 3 s, since a publisher may be found late",
 )
 def test_a_restarted_node_waits_for_the_latched_keep_out(ros, vehicle):
     vehicle.send("landing/keep_out", polygon(WEST))

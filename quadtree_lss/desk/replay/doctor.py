@@ -340,7 +340,7 @@ def _state(cost: float, above: float, mended: float) -> str:
     words = [f"{100 * above:.0f} % of the ground lies above the lidar"] * (above > MOST_ABOVE)
     if np.isfinite(mended):
         far = f"{cost:.2g} m" if np.isfinite(cost) else "not at all"
-        words.append(f"scans agree to {mended:.2g} m with it, without {far}")
+        words.append(f"mended, scans agree to {mended:.2g} m, and as it is {far}")
     return ", ".join(words)
 
 
