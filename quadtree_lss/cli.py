@@ -11,7 +11,6 @@ import io
 import os
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from pathlib import Path
 
 import quadtree_lss
@@ -57,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # argparse: help, version
         return stop.code if isinstance(stop.code, int) else USAGE
     except BrokenPipeError:  # the reader of our output has gone, as with `| head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _print_no_more()
         return DONE
     except KeyboardInterrupt:
         say("interrupted")
@@ -67,10 +66,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         if text.startswith("internal") and getattr(options, "verbose", False):
             raise
         say(text)
-        if "--json" in arguments:
-            with suppress(OSError):  # which the error may be
+        try:
+            if "--json" in arguments:
                 print_json({"error": text.partition(": ")[2], "exit_code": code})
+            sys.stdout.flush()
+        except OSError:  # which the error may be
+            _print_no_more()
         return code
+
+
+def _print_no_more() -> None:
+    """What is not written yet is lost; else Python would try again at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _told(error: Exception) -> tuple[int, str]:

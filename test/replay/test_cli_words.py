@@ -67,8 +67,9 @@ def test_what_a_terminal_cannot_show_is_no_error(bag, tmp_path, monkeypatch):
     assert "caf?" in (odd / "out" / "report.html").read_text("utf-8")
 
 
-@pytest.mark.parametrize("closed", ["{} >&-", "{} 2>&-", "{} --json >/dev/full"])
-def test_output_that_is_closed_or_full_is_no_traceback(tmp_path, closed):
+@pytest.mark.parametrize("closed", ["{} >&-", "{} 2>&-", "{} >/dev/full", "{} --json >/dev/full"])
+def test_output_that_is_closed_or_full_is_no_traceback(tmp_path, closed, monkeypatch):
+    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)  # it would leave nothing for the end
     program = f"{sys.executable} -m quadtree_lss.cli config explain lss"
     done = subprocess.run(
         closed.format(program), shell=True, cwd=tmp_path, capture_output=True, text=True
