@@ -45,7 +45,6 @@ from quadtree_lss.onboard.nodes.losses import Overload, Publishers, ScanGaps
 from quadtree_lss.onboard.nodes.map_files import Checkpoints, load, save
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, cell_markers
 from quadtree_lss.onboard.nodes.node_runner import BaseNode, run
-from quadtree_lss.onboard.nodes.prior_output import PriorOutput, node_prior
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher, MapStamps
 from quadtree_lss.onboard.nodes.qos import (
     advertise,
@@ -79,11 +78,7 @@ class MappingNode(BaseNode):
         super().__init__("mapping_node")
         config = self._config
         self._frame = config.frames.map
-        if config.prior.file:
-            waits_for(f"prior.file {config.prior.file}")
-        prior = node_prior(config, self._problems)
-        self._mapper = Mapper(config, prior)
-        self._prior = PriorOutput(self, config, prior, self._mapper)
+        self._mapper = Mapper(config)
         odometry = config.pose.source == "odometry"
         self._pose_kind = Odometry if odometry else PoseWithCovarianceStamped
         self._scan_kind = Image if config.lidar.source == "depth" else PointCloud2
@@ -348,7 +343,6 @@ class MappingNode(BaseNode):
         cells, observed = map_messages(snapshot, self._frame)
         self._observed.publish(observed)
         self._cells.publish(cells)
-        self._prior.publish(snapshot.stamp_ns)
         self._publish_ms.add(1e3 * (time.perf_counter() - start))
         latency = self._latency_ms(self._mapper.stamp_ns)
         if self._report is not None and latency is not None:  # else of a file, however old
@@ -385,7 +379,6 @@ class MappingNode(BaseNode):
                 "latency_ms": latency,
             }
         )
-        self._prior.collect(status)
         if config.checkpoint.path:
             status.add({"checkpoints": self._checkpoints.written})
         if self._checkpoints.foreign:

@@ -33,7 +33,6 @@ from quadtree_lss.onboard.core.mapping.contradiction import (
 from quadtree_lss.onboard.core.mapping.departure import Departure, departure
 from quadtree_lss.onboard.core.mapping.measure import Rules, unseen_parts
 from quadtree_lss.onboard.core.mapping.pose_errors import PoseErrors, Steps
-from quadtree_lss.onboard.core.mapping.prior_offset import PriorMatch, PriorOffset
 from quadtree_lss.onboard.core.mapping.update import (
     FIRST_TIME,
     OF_MAP,
@@ -53,7 +52,6 @@ from quadtree_lss.onboard.core.tree.checkpoint import State
 from quadtree_lss.onboard.core.tree.columns import leaf_columns
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, unfold
-from quadtree_lss.onboard.core.tree.prior import Prior
 
 #: A scan older than the map by more than this is no late one: time jumped back (`ScanQueue`).
 JUMP_NS = SECOND_NS
@@ -107,13 +105,12 @@ class Mapper:
     no longer near its middle (`Domain.steps_to`); scans that no point entered of move it only as
     the tenth in a row, so that a wrong pose does not drop the map. ``stamp_ns`` is that of the
     newest scan since time last jumped back (a looping bag, a clock set right; leaves may then be of
-    later stamps), 0 if nothing is mapped. Leaves begin from ``prior``, if there is one.
+    later stamps), 0 if nothing is mapped.
     """
 
-    def __init__(self, config: Config, prior: Prior | None = None) -> None:
+    def __init__(self, config: Config) -> None:
         self.config = config
         self.leaves = LeafTable(Domain.of(config.domain), config.mapping.max_cells)
-        self._prior = None if prior is None else PriorMatch(prior, self.domain)
         self._area: tuple[float, float] | None = None
         self._rules = Rules(config)
         self._room = Room()
@@ -156,13 +153,6 @@ class Mapper:
         # Scans in a row of which no point entered the map.
         self._missed = 0
         self._steps = Steps()
-        if self._prior is not None:
-            self._prior.reset()
-
-    @property
-    def prior_offset(self) -> PriorOffset | None:
-        """How far the map lies from its prior; None without one. It is not fed back to poses."""
-        return None if self._prior is None else self._prior.found
 
     def update(self, points_lidar: Points, pose: Pose, sweep: Sweep | None = None) -> ScanReport:
         """Map one scan of points (H, W, 3) organised or (N, 3), lidar axes (z boresight), m, of
@@ -187,8 +177,6 @@ class Mapper:
                 if not self.config.mapping.by_paper("covariance"):
                     offset = self._align(change, cells, now)
                 change.settle()
-                if self._prior is not None:
-                    self._prior.learn(self.leaves)
                 self._check_noise(change.ratio)
                 divisions, refused = change.divisions, change.refused
         self._missed = 0 if used else self._missed + 1
@@ -239,8 +227,6 @@ class Mapper:
                 self.leaves.plant()
             else:
                 lift(self.leaves, height, -np.inf)
-            if self._prior is not None:  # the map lies elsewhere than was compared
-                self._prior.reset()
             change, cells, found = self._compare(scan, now)
             self._steps = Steps()
         elif found is not None and found.deviations > JUMP and verdict is Verdict.SOUND:
@@ -252,8 +238,7 @@ class Mapper:
         self, scan: RegisteredScan, now: float
     ) -> tuple[ScanUpdate, Array, Departure | None]:
         """A scan fitted to the leaves, its cells beside the map's, and what they have in common."""
-        beginning = None if self._prior is None else self._prior.beginning(self.domain)
-        change = ScanUpdate(self.leaves, self._rules, scan, now, beginning, self._room)
+        change = ScanUpdate(self.leaves, self._rules, scan, now, self._room)
         cells = change.fit()
         return change, cells, self._departure(scan, cells, now)
 
@@ -363,8 +348,5 @@ class Mapper:
         self._offset = (height, variance)
         self._owed = float(state["owed"])
         self._lifted, self._missed, self._steps = 0.0, 0, Steps()
-        if self._prior is not None:  # it is compared anew with all of the map
-            self._prior.beginning(domain)
-            self._prior.reset()
         count, height, variance = state["against"].tolist()
         self._against = Contradiction(int(count), height, variance)
