@@ -22,14 +22,13 @@ from quadtree_lss.desk.replay.stream import (
     Stream,
 )
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.mapping.pose_errors import LEAST
+from quadtree_lss.onboard.core.mapping.mapper import GAP_SCANS, Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages import lost_points
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.intake import Notice, ReadyScan, noise_notice, pose_notices
+from quadtree_lss.onboard.messages.intake import Notice, ReadyScan, noise_notice, pose_notice
 from quadtree_lss.onboard.messages.landing_inputs import AREA
 
 
@@ -63,7 +62,7 @@ class Run:
         self._refused_divisions, self._noise_ratio = 0, float("nan")
         self._notices: Counter[str] = Counter()
         self._texts: dict[str, str] = {}
-        self._pose_texts: dict[str, str] = {}
+        self._pose_text = ""
         self._decode_ms: dict[int, float] = {}
         self._missed_at: tuple[float, float] | None = None
         self._missed_why = ""
@@ -150,7 +149,7 @@ class Run:
             points_warning(self.points, lost, domain, self._missed_at, self._missed_why),
             *(f"{n} x {key}: {self._texts[key]}" for key, n in self._notices.most_common()),
             f"{refused} divisions refused (mapping.max_cells)" if refused else "",
-            *self._pose_texts.values(),
+            self._pose_text,
             "" if noise is None else noise.text,
         ]
         return list(filter(None, lines))
@@ -178,7 +177,7 @@ class Run:
             self._tell(lost_points.MAP_OVERRULED, overruled)
         self._refused_divisions += report.refused_divisions
         self._noise_ratio = report.noise_ratio
-        if len(self.timings) % LEAST == 0:
+        if len(self.timings) % GAP_SCANS == 0:
             self._judge_poses(mapper)
         counts = report.points, report.points_used, report.leaves, report.divisions
         self.timings.append(ScanTiming(report.stamp_ns, *counts, map_ms))
@@ -188,8 +187,8 @@ class Run:
             self._landing.wishes.navigation.take(msg)
 
     def _judge_poses(self, mapper: Mapper) -> None:
-        notices = pose_notices(mapper.pose_errors(), self.config)
-        self._pose_texts.update({notice.reason: notice.text for notice in notices})
+        notice = pose_notice(mapper.pose_gap())
+        self._pose_text = self._pose_text if notice is None else notice.text
 
     @property
     def losses(self) -> list[str]:

@@ -19,7 +19,7 @@ from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.pose_buffer import seconds
 from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.intake import Intake, ReadyScan, noise_notice, pose_notices
+from quadtree_lss.onboard.messages.intake import Intake, ReadyScan, noise_notice, pose_notice
 from quadtree_lss.onboard.messages.landing_inputs import AREA, polygon_from_message
 from quadtree_lss.onboard.messages.lost_points import (
     MAP_OVERRULED,
@@ -407,15 +407,11 @@ class MappingNode(BaseNode):
         noise = noise_notice(report.noise_ratio, config)
         if noise is not None:
             status.note(WARN, noise.text)
-        errors = self._mapper.pose_errors()
-        if errors is not None:
-            status.add(
-                {"pose.step": f"{errors.seen:.2g}", "pose.step_claimed": f"{errors.claimed:.2g}"}
-            )
-        for notice in pose_notices(errors, config):
-            status.note(WARN, notice.text)
-            if notice.reason not in self._problems.counts:
-                self._problems.report(notice.reason, notice.text)
+        gap = pose_notice(self._mapper.pose_gap())
+        if gap is not None:
+            status.note(WARN, gap.text)
+            if gap.reason not in self._problems.counts:
+                self._problems.report(gap.reason, gap.text)
 
 
 def main(args: Sequence[str] | None = None) -> int:
