@@ -24,7 +24,6 @@ SMALL = {
         ["--parabola", "201", "--morpheus", "202", "--duration", "2"],
         ["by the paper", "covariance"],
     ),
-    "prior": ([], ["nothing flown: --terrain names no ground"]),
     "arducopter": ([], ["nothing flown: ARDUCOPTER names no"]),
     "px4": ([], ["nothing flown: PX4 names no"]),
     "depth": (["--seeds", "9421", "--duration", "2"], ["unsafe called safe", "scan update"]),

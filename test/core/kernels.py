@@ -81,7 +81,7 @@ def tangent_change(of: ArrayLike, to: ArrayLike) -> Array:
 def shifted(covariance: Array, normal: ArrayLike, delta: ArrayLike) -> Array:
     """Covariance (3, 3) of a plane after its origin moved by delta (3,), m."""
     c = covariance.ravel().tolist()
-    plane.shift_origin(c, *(np.asarray(delta) @ tangent_basis(normal)).tolist())
+    plane.shift_origin(c, *(np.asarray(delta) @ tangent_basis(normal)).tolist(), 1)
     return np.array(c).reshape(3, 3)
 
 

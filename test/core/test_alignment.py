@@ -153,7 +153,7 @@ def test_without_overlap_there_is_no_offset(count):
 def test_a_scan_is_tilted_about_the_middle_of_what_was_compared():
     points = np.random.default_rng(4).standard_normal((50, 3))
     x, y, z = points.T.copy()
-    lower(points, Departure(1.0, 0.0, (0.1, -0.2), (3.0, 5.0), 0.0, 0.0, 0.0, 0.0, 4.0))
+    lower(points, Departure(1.0, 0.0, (0.1, -0.2), (3.0, 5.0), 0.0, 0.0, 0.0, 4.0))
     np.testing.assert_allclose(points.T, [x, y, z - 0.1 * (x - 3.0) + 0.2 * (y - 5.0)])
 
 

@@ -9,13 +9,10 @@ import numpy as np
 import pytest
 
 from quadtree_lss.onboard.config.limits import pass_seconds, why_too_much
-from quadtree_lss.onboard.config.settings import Config, PriorConfig, config_from_values
+from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.mapping.prior_offset import PriorMatch
 from quadtree_lss.onboard.core.sensing.lidar import Pose
-from quadtree_lss.onboard.core.tree.domain import Domain
-from quadtree_lss.onboard.core.tree.prior import Prior
 from quadtree_lss.onboard.messages.maps import round_trip
 
 LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
@@ -70,6 +67,3 @@ def test_the_reason_names_what_is_too_much(size, finest, word):
 if __name__ == "__main__":
     for values in SLOW_ONCE:
         flown(config_from_values(values), np.random.default_rng(3))
-    posts = 0.002 * np.arange(80.0)  # and an offset that leads far beyond them did
-    prior = Prior(posts, posts, np.zeros((80, 80)), PriorConfig(offset_sigma=1000.0))
-    PriorMatch(prior, Domain(0.0, 0.0, 0.16, 3, 5))

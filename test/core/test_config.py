@@ -87,10 +87,16 @@ def test_whole_numbers_serve_where_a_float_is_wanted():
 @pytest.mark.parametrize("key", REMOVED)
 def test_a_name_of_before_is_an_error_that_says_what_holds_now(key):
     assert key not in {row.name for row in ROWS}
-    text = re.escape(f"{key} is no parameter any more: {REMOVED[key]}")
+    text = re.escape(f"{key} was removed: {REMOVED[key]}")
     for wrong in (lambda: config_from_values({key: 1.0}), lambda: load_config([], {key: 1.0})):
         with pytest.raises(ConfigError, match=text):
             wrong()
+
+
+def test_a_parameter_of_a_removed_section_is_an_error_that_says_so():
+    with pytest.raises(ConfigError) as caught:
+        config_from_values({"prior": {"file": "dem.tif"}})
+    assert str(caught.value) == "prior.file was removed: prior maps are gone; delete the line"
 
 
 def test_what_follows_from_other_parameters():

@@ -15,10 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from core.builders import assert_sound
-from core.scenes import make_pose, scan, scattered
 from fuzz.cases import NUMBERS, damaged, one_of
-from fuzz.through import MAKER, judge, sent_and_read
 from replay.recordings import GROUND
 
 from quadtree_lss.desk.replay.elevation_model import rank_sites
@@ -26,19 +23,13 @@ from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.campaign.kinds import Case
 from quadtree_lss.lab.campaign.store import Store
 from quadtree_lss.lab.campaign.study import read_study
-from quadtree_lss.onboard.config.settings import config_from_values, parameters
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.tree.domain import Domain
-from quadtree_lss.onboard.elevation.look_first import look_first
-from quadtree_lss.onboard.elevation.prior_file import read_prior
+from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.errors import QuadtreeLssError
-from quadtree_lss.onboard.messages.landing_inputs import prior_from_message
 
 #: Of each kind of file; make test-all sends 20,000 in all, other ones with another FUZZ_SEED.
 #: Damaged bags are those of replay/test_damaged_bags.py.
 COUNTS = {"dem_npz": 100, "dem_tiff": 100, "study": 100, "record": 100}
-COUNTS |= {"prior": 100, "cloud": 20, "poses": 20}
+COUNTS |= {"cloud": 20, "poses": 20}
 SEED, MANY = int(os.environ.get("FUZZ_SEED", "7110")), 45
 TYPES = ["f2", "f4", "f8", ">f8", "i1", "u2", "i8", "u8", "c16", "?", "S3", "U2", "M8[ns]"]
 WORDS = ["", "null", "[]", "{}", "-1", "1e999", ".nan", "'a'", "{uniform: [1, 0]}", "!!python/x y"]
@@ -117,33 +108,6 @@ def dem_tiff(rng, folder):
         return  # what GDAL does not write
     path.write_bytes(spoilt_bytes(rng, path.read_bytes()))
     sound(rank_sites(path, None, CONFIG))
-
-
-def prior(rng, folder):
-    """On to the map that begins from it, what is said of it, and where to look first."""
-    path, values = folder / "prior.npz", {"prior.file": "prior.npz"}
-    path.write_bytes(archive(rng, {"x": AXIS, "y": AXIS, "elevation": HEIGHTS}))
-    for row in parameters():
-        if row.name.startswith("prior.") and row.type is float and rng.random() < 0.3:
-            share = one_of(rng, [0.0, 1.0, 10.0 ** rng.uniform(-6, 0)])
-            values[row.name] = row.low + (row.high - row.low) * share
-    config = config_from_values(values, CONFIG)
-    found = read_prior(config, path)
-    mapper, domain = Mapper(config, found), Domain.of(config.domain)
-    look = np.random.default_rng(1)
-    for k in range(3):
-        place = (domain.xmin + 0.5 * domain.size, domain.ymin + 0.5 * domain.size, 30.0)
-        pose = make_pose(place, 1e-6 * np.eye(6), 10**9 + 10**8 * k)
-        x, y = scattered(look, domain.xmin, domain.ymin, domain.size, 300)
-        mapper.update(scan(lambda x, y: 0.1 * x, x, y, pose, 0.03, look), pose)
-    cells, off = mapper.snapshot(), mapper.prior_offset
-    assert_sound(cells)
-    MAKER.looks(look_first(found, domain, config))
-    assert all(np.isfinite(place).all() for place in look_first(found, domain, config))
-    if off is not None:
-        said = prior_from_message(MAKER.prior(off, 0), "map")
-        assert np.isfinite(said).all() or off.refused
-    judge(sent_and_read(cells, config), LandingSiteSelector(config))
 
 
 def text_of(points):
@@ -232,7 +196,7 @@ def record(rng, folder):
     assert store.read(case) == written
 
 
-KINDS = {f.__name__: f for f in (dem_npz, dem_tiff, prior, cloud, poses, study, record)}
+KINDS = {f.__name__: f for f in (dem_npz, dem_tiff, cloud, poses, study, record)}
 
 
 def through(kind: str, folder: Path, seed: int, count: int) -> Counter[str]:

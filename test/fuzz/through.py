@@ -47,9 +47,8 @@ from quadtree_lss.onboard.messages.landing_inputs import (
     LandingWishes,
     name_of,
     polygon_from_message,
-    prior_from_message,
 )
-from quadtree_lss.onboard.messages.maps import CELL_FIELDS, PRIOR_STATUS_FIELDS, STATUS_FIELDS
+from quadtree_lss.onboard.messages.maps import CELL_FIELDS, STATUS_FIELDS
 from quadtree_lss.onboard.messages.outputs import (
     MessageMaker,
     map_from_messages,
@@ -212,7 +211,7 @@ class Landing:
 
     def __init__(self, rng: np.random.Generator, kind: str) -> None:
         self.rng, self.kind = rng, kind
-        by_risk = kind in ("dispersion", "map_prior", "status")
+        by_risk = kind in ("dispersion", "status")
         self.config = CONFIGS[0] if by_risk else one_of(rng, CONFIGS)
         self.selector = LandingSiteSelector(self.config)
         self.cells = mapped_scene(self.config).snapshot()
@@ -647,33 +646,6 @@ class LandNow(Landing):
         assert told[TAKEN] and told["passed over"]
 
 
-class OfPrior(Landing):
-    """lss_node's part: what is said of the prior, on to what an autopilot's node reads of it."""
-
-    def __init__(self, rng: np.random.Generator, kind: str) -> None:
-        super().__init__(rng, kind)
-        self.found = self.selector.assess(self.cells)
-
-    def send(self) -> str:
-        rng = self.rng
-        message = cases.random_pose(rng, samples.pose(0, rng.normal(size=3)))
-        if rng.random() < 0.2:
-            message.pose.pose.position = SimpleNamespace(**dict.fromkeys("xyz", np.nan))
-        try:
-            with np.errstate(all="raise", under="ignore"):
-                values = prior_from_message(message, "map")
-                (_, _), (_, status) = MAKER.of_target(self.found, 0.0, values)
-        except MessageError as error:
-            assert str(error).isprintable()
-            return error.reason
-        told = status_from_message(status)
-        assert np.array_equal(told["prior_x"], np.float32(values[0]), equal_nan=True)
-        return TAKEN
-
-    def close(self, told: Counter[str]) -> None:
-        assert told[TAKEN] and told["frame"] and told["prior"]
-
-
 class Told(Landing):
     """autopilot_node's part: ``landing/status`` spoilt, on to set-points."""
 
@@ -684,14 +656,12 @@ class Told(Landing):
 
     def send(self) -> str:
         rng = self.rng
-        prior = np.zeros(9) if rng.random() < 0.5 else None
-        (_, _), (_, cloud) = MAKER.of_target(self.found, 0.0, prior)
+        (_, _), (_, cloud) = MAKER.of_target(self.found, 0.0)
         cloud.fields = [SimpleNamespace(**vars(field)) for field in cloud.fields]
         if rng.random() < 0.5:
-            kinds = PRIOR_STATUS_FIELDS if prior is not None else STATUS_FIELDS
-            record = np.frombuffer(bytes(cloud.data), kinds).copy()
+            record = np.frombuffer(bytes(cloud.data), STATUS_FIELDS).copy()
             for _ in range(rng.integers(1, 4)):
-                cases.spoil_values(record[one_of(rng, kinds.names)], rng)
+                cases.spoil_values(record[one_of(rng, STATUS_FIELDS.names)], rng)
             cloud.data = array("B", record.tobytes())
         elif rng.random() < 0.3:  # none, or more than one
             count = int(one_of(rng, [0, 2]))
@@ -728,7 +698,6 @@ INPUTS: dict[str, Callable[[np.random.Generator, str], Any]] = {
     "checkpoint": Checkpoints,
     "saved": Saved,
     "land_now": LandNow,
-    "map_prior": OfPrior,
     "status": Told,
 }
 STRETCH = 200

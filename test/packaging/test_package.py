@@ -20,7 +20,7 @@ from quadtree_lss.desk.bags.topics import SCAN_TOPIC
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.messages import outputs
 from quadtree_lss.onboard.messages.landing_inputs import POINT_TYPE, TYPES
-from quadtree_lss.onboard.messages.maps import CELL_FIELDS, PRIOR_STATUS_FIELDS, SITE_FIELDS
+from quadtree_lss.onboard.messages.maps import CELL_FIELDS, SITE_FIELDS, STATUS_FIELDS
 
 ROOT = Path(__file__).parents[2]
 NODES = ("mapping_node", "lss_node", "autopilot_node")
@@ -153,7 +153,7 @@ def test_shipped_configurations_are_valid(path):
     [
         ("map_cells.md", CELL_FIELDS),
         ("landing_site_table.md", SITE_FIELDS),
-        ("landing_status.md", PRIOR_STATUS_FIELDS),
+        ("landing_status.md", STATUS_FIELDS),
     ],
 )
 def test_every_field_is_documented_with_its_type(document, fields):

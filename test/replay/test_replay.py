@@ -16,6 +16,7 @@ from quadtree_lss.desk.replay.files import write_npz
 from quadtree_lss.desk.replay.replay import ReplayError, replay
 from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
 CONFIG = config_from_values(GROUND)
 FILES = set("history.npz sites.csv selected.csv cells.npz".split())
@@ -243,15 +244,18 @@ def test_a_map_without_a_safe_site_is_a_result(bag, tmp_path):
     assert "No landing site" in (tmp_path / "report.html").read_text()
 
 
-def test_poses_that_err_otherwise_than_they_claim_are_told(tmp_path):
-    """White errors of half a metre: with both numbers, unless they are said to be white."""
+def test_a_warning_says_when_poses_err_by_ten_times_what_they_claim(tmp_path, monkeypatch):
+    """Half a metre, another error in each scan: claimed as they are, and as a tenth of that."""
     simulate("parabola", tmp_path / "bag", seed=5, duration=30.0, truth=False)
-    told = {}
-    for time in (0.0, 300.0):
-        config = load_config(["parabola"], {"pose.correlation_time": time})
-        replay(tmp_path / "bag", tmp_path / f"{time:g}", config, report=False)
-        summary = json.loads((tmp_path / f"{time:g}" / "summary.json").read_text())
-        told[time] = [line for line in summary["warnings"] if "poses look white" in line]
-    assert not told[0.0]
-    (line,) = told[300.0]
-    assert "correlation_time 0 would say" in line
+    update, told = Mapper.update, {}
+    for share in (1.0, 0.1):
+
+        def claiming(self, points, pose, sweep=None, share=share):
+            claim = share**2 * pose.covariance
+            return update(self, points, dataclasses.replace(pose, covariance=claim), sweep)
+
+        monkeypatch.setattr(Mapper, "update", claiming)
+        found = replay(tmp_path / "bag", None, load_config(["parabola"]), report=False)
+        lines = found.summary["warnings"]
+        told[share] = [line for line in lines if "scans and map differ by" in line]
+    assert not told[1.0] and len(told[0.1]) == 1

@@ -108,15 +108,13 @@ UNUSABLE = (
     ("landing/keep_outs", msg.PolygonInstanceStamped, "lss_node", "keep_outs_frame"),
     ("landing/target", msg.PointStamped, "lss_node", "target_frame"),
     ("landing/dispersion", msg.PoseWithCovarianceStamped, "lss_node", "dispersion_frame"),
-    ("map/prior", msg.PoseWithCovarianceStamped, "lss_node", "prior_frame"),
     ("map/cells", PointCloud2, "lss_node", "map.frame"),
 )
 
 
 def test_messages_that_cannot_be_used_are_counted_on_every_topic_and_good_ones_taken(ros):
     mapping = ros.start("mapping_node", "-p", "domain.follow:=area")
-    prior = ("-p", "prior.file:=by_mapping_node_alone.npz", "-p", "frames.map:=map")
-    lss = ros.start("lss_node", *prior)
+    lss = ros.start("lss_node", "-p", "frames.map:=map")
     with ros.sensors({"map/cells": PointCloud2}) as (listener, sensors):  # it would hear its own
         sensors.map(SCANS)
         observed = listener.node.create_publisher(OccupancyGrid, "map/observed", latched())

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.xdist_group("ros")
 
 POSE_QOS = "qos_overrides__/nav/pose__subscription__"
 #: Whoever might set these could overwrite, or have read, any file that the node may.
-WRITTEN = ("map_file.path", "checkpoint.path", "prior.file")
+WRITTEN = ("map_file.path", "checkpoint.path")
 TOLD_QOS = POSE_QOS.replace("__", ".")
 
 

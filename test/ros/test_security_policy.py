@@ -5,7 +5,6 @@ import time
 from pathlib import Path
 from xml.etree import ElementTree
 
-import numpy as np
 import pytest
 
 from quadtree_lss.lab.live.processes import program
@@ -63,11 +62,8 @@ def test_a_node_without_its_keys_does_not_start_unprotected(ros):
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node", "autopilot_node"])
 def test_each_node_uses_what_the_policy_allows_it(ros, name):
     seen = set()
-    prior, axis = ros.folder / "prior.npz", np.arange(-50.0, 51.0)
-    np.savez(prior, x=axis, y=axis, elevation=np.zeros((101, 101)))
     for way in WAYS:
         args = [text for key, value in way.items() for text in ("-p", f"{key}:={value}")]
-        args += ["-p", f"prior.file:={prior}"]
         process = ros.start(name, *args)
         with ros.listen({}) as listener:
             listener.until(lambda: name in listener.diagnostics)

@@ -15,13 +15,9 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay.files import writing
 from quadtree_lss.desk.replay.stream import ReplayError
-from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
-from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.elevation.look_first import Look
 from quadtree_lss.onboard.messages import outputs
-from quadtree_lss.onboard.messages.landing_inputs import prior_from_message
 
 VIEWER_NS = 10**9
 """Between two messages of ``landing/grid_map``, which is large; the last is always written."""
@@ -35,23 +31,18 @@ class Recorder:
     """Context manager that writes the output topics, of `Passes`, into a new mcap bag.
 
     ``path``: folder to write, which must not exist. ``frame``: of the map. ``maps``: write maps
-    too; not for a bag that holds them already. ``looks``: where to look first. ``offset`` may be
-    set to what tells how far the map lies from its prior. Raises `ReplayError`: ``path`` exists or
-    cannot be written.
+    too; not for a bag that holds them already. Raises `ReplayError`: ``path`` exists or cannot be
+    written.
     """
 
-    def __init__(
-        self, path: Path, frame: str, *, maps: bool = True, looks: tuple[Look, ...] = ()
-    ) -> None:
-        self._path, self._maps, self._looks = path, maps, looks
-        self.offset: Callable[[], PriorOffset | None] = lambda: None
+    def __init__(self, path: Path, frame: str, *, maps: bool = True) -> None:
+        self._path, self._maps = path, maps
         self._writer = self._open()
         self._store = typestore(ros1=False)
         self._messages = outputs.MessageMaker(self._store.types, np.asarray, frame)
         self._connections: dict[str, Any] = {}
         self._viewed_ns: int | None = None
         self._unseen: tuple[int, LandingAssessment] | None = None
-        self._prior: Array | None = None
 
     def __enter__(self) -> Recorder:
         return self
@@ -67,21 +58,13 @@ class Recorder:
     def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
         if not self._maps:
             return
-        cells, offset = take(), self.offset()
-        for topic, message in self._messages.of_map(cells):
+        for topic, message in self._messages.of_map(take()):
             self._write(topic, message, now_ns)
-        if offset is None:
-            return
-        if self._prior is None:
-            self._write(outputs.LOOK_FIRST, self._messages.looks(self._looks), now_ns)
-        prior = self._messages.prior(offset, cells.stamp_ns)
-        self._prior = prior_from_message(prior, prior.header.frame_id)  # as lss_node hears it
-        self._write(outputs.PRIOR, prior, now_ns)
 
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
         """Writes an answer, with the age of its map in the bag's time."""
         age = 1e-9 * (now_ns - found.stamp_ns) if found.stamp_ns else float("nan")
-        target = self._messages.of_target(found, age, self._prior)
+        target = self._messages.of_target(found, age)
         for topic, message in (*target, *self._messages.of_ground(found)):
             self._write(topic, message, now_ns)
         self._unseen = (now_ns, found)

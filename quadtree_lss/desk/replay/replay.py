@@ -29,9 +29,6 @@ from quadtree_lss.desk.replay.stream import (
 )
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
-from quadtree_lss.onboard.core.tree.domain import Domain
-from quadtree_lss.onboard.elevation.look_first import look_first
-from quadtree_lss.onboard.elevation.prior_file import read_prior
 from quadtree_lss.onboard.messages.intake import ReadyScan
 from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
 
@@ -78,13 +75,11 @@ def replay(
 
     Raises:
         BagError: the bag cannot be read or its topics are ambiguous.
-        ExchangeError: ``prior.file`` cannot be used.
         ReplayError: no scan could be mapped, or ``out`` or ``record`` cannot be written.
         KeyboardInterrupt: stopped before there was a map.
     """
     folder = None if out is None else Path(out)
     began = time.perf_counter()
-    prior = read_prior(config)
     with ExitStack() as stack:
         opened = stack.enter_context(open_recording(bag, poses, config.frames.map))
         part = Part.of(opened, start, duration)
@@ -94,7 +89,6 @@ def replay(
         topics = LandingTopics(wishes, opened, part.start_ns)
         if folder is not None:
             stack.enter_context(made(folder, ReplayError))
-        looks = () if prior is None else look_first(prior, Domain.of(config.domain), config)
         history = History()
         passes = Passes(config, wishes.arguments)
         passes.on_answer.append(history.landing)
@@ -102,15 +96,14 @@ def replay(
         if record is not None:
             from quadtree_lss.desk.replay.record import Recorder  # rosbags' writer takes long
 
-            recorder = Recorder(Path(record), config.frames.map, maps=maps is None, looks=looks)
-            recorder.offset = lambda: run.prior_offset
+            recorder = Recorder(Path(record), config.frames.map, maps=maps is None)
             stack.enter_context(recorder)
             passes.on_map.append(recorder.map)
             passes.on_answer.append(recorder.landing)
         if isinstance(source, MapPairs):
             cells = run.read_maps(source)
         else:
-            cells = run.map_scans(source, prior)
+            cells = run.map_scans(source)
         passes.finish(run.done_ns, lambda: cells)
         losses, counts = [*opened.losses, *run.losses], run.counts()
         if isinstance(source, Stream):
@@ -126,9 +119,6 @@ def replay(
     seconds = part.seconds
     if run.interrupted:
         seconds = min(seconds, max(run.done_ns - part.start_ns, 0) / 1e9)
-    if prior is not None:
-        found = {} if run.prior_offset is None else run.prior_offset.values
-        counts["prior"] = {**found, "look_first": [place._asdict() for place in looks]}
     summary = run_summary(
         decoded,
         assessment,
@@ -185,6 +175,6 @@ def steps(bag: str | Path | Bag, config: Config, **options: Any) -> Iterator[Ste
 
     Arguments, options and errors are those of `scans`.
     """
-    mapper = Mapper(config, read_prior(config))
+    mapper = Mapper(config)
     for scan in scans(bag, config, **options):
         yield Step(scan, mapper.update(scan.points_lidar, scan.pose, scan.sweep), mapper)

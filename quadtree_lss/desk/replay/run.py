@@ -22,16 +22,13 @@ from quadtree_lss.desk.replay.stream import (
     Stream,
 )
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.mapping.pose_errors import LEAST
-from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
+from quadtree_lss.onboard.core.mapping.mapper import GAP_SCANS, Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
-from quadtree_lss.onboard.core.tree.prior import Prior
 from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages import lost_points
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.intake import Notice, ReadyScan, noise_notice, pose_notices
+from quadtree_lss.onboard.messages.intake import Notice, ReadyScan, noise_notice, pose_notice
 from quadtree_lss.onboard.messages.landing_inputs import AREA
 
 
@@ -62,19 +59,18 @@ class Run:
         self.interrupted, self.done_ns, self.maps = False, 0, 0
         self.timings: list[ScanTiming] = []
         self.points_dropped: Counter[str] = Counter()
-        self._mapper: Mapper | None = None
         self._refused_divisions, self._noise_ratio = 0, float("nan")
         self._notices: Counter[str] = Counter()
         self._texts: dict[str, str] = {}
-        self._pose_texts: dict[str, str] = {}
+        self._pose_text = ""
         self._decode_ms: dict[int, float] = {}
         self._missed_at: tuple[float, float] | None = None
         self._missed_why = ""
 
-    def map_scans(self, stream: Stream, prior: Prior | None = None) -> CellMap:
-        """Maps every scan of the stream. ``prior``: what leaves begin from. Raises `ReplayError`:
-        there was none that could be mapped; or KeyboardInterrupt: stopped before there was one."""
-        mapper = self._mapper = Mapper(self.config, prior)
+    def map_scans(self, stream: Stream) -> CellMap:
+        """Maps every scan of the stream. Raises `ReplayError`: there was none that could be mapped;
+        or KeyboardInterrupt: stopped before there was one."""
+        mapper = Mapper(self.config)
         intake = stream.intake
         stream.hear = self._navigate
         for message in self._messages(stream.topics):
@@ -129,11 +125,6 @@ class Run:
                 return
 
     @property
-    def prior_offset(self) -> PriorOffset | None:
-        """As of `Mapper`."""
-        return None if self._mapper is None else self._mapper.prior_offset
-
-    @property
     def points(self) -> int:
         """Points of the mapped scans."""
         return sum(row.points for row in self.timings)
@@ -152,14 +143,13 @@ class Run:
     def warnings(self) -> list[str]:
         """One line per kind of trouble, most frequent first."""
         lost, domain = self.points_dropped, Domain.of(self.config.domain)
-        refused, offset = self._refused_divisions, self.prior_offset
+        refused = self._refused_divisions
         noise = noise_notice(self._noise_ratio, self.config)
         lines = [
             points_warning(self.points, lost, domain, self._missed_at, self._missed_why),
             *(f"{n} x {key}: {self._texts[key]}" for key, n in self._notices.most_common()),
             f"{refused} divisions refused (mapping.max_cells)" if refused else "",
-            *self._pose_texts.values(),
-            "" if offset is None else offset.doubt,
+            self._pose_text,
             "" if noise is None else noise.text,
         ]
         return list(filter(None, lines))
@@ -187,7 +177,7 @@ class Run:
             self._tell(lost_points.MAP_OVERRULED, overruled)
         self._refused_divisions += report.refused_divisions
         self._noise_ratio = report.noise_ratio
-        if len(self.timings) % LEAST == 0:
+        if len(self.timings) % GAP_SCANS == 0:
             self._judge_poses(mapper)
         counts = report.points, report.points_used, report.leaves, report.divisions
         self.timings.append(ScanTiming(report.stamp_ns, *counts, map_ms))
@@ -197,8 +187,8 @@ class Run:
             self._landing.wishes.navigation.take(msg)
 
     def _judge_poses(self, mapper: Mapper) -> None:
-        notices = pose_notices(mapper.pose_errors(), self.config)
-        self._pose_texts.update({notice.reason: notice.text for notice in notices})
+        notice = pose_notice(mapper.pose_gap())
+        self._pose_text = self._pose_text if notice is None else notice.text
 
     @property
     def losses(self) -> list[str]:

@@ -154,11 +154,6 @@ def trust(content: Results) -> tuple[str, list[Fact]]:
     ]
     if lss.assessment == "probability":
         facts.append(Fact("risk allowed at a place", f"{100.0 * lss.max_risk:.3g} %"))
-    if "east" in (prior := summary.get("prior") or {}):
-        axes = ("east", "north", "up")
-        off = ", ".join(f"{prior[k]:+.2f} ± {prior[k + '_sigma']:.2f} m" for k in axes)
-        off = "refused: it is of another place" if prior["refused"] else off
-        facts.append(Fact("map from its prior, e, n, up", off, "care" if prior["refused"] else ""))
     return "care" if level == "good" and not fits else level, facts
 
 

@@ -21,7 +21,7 @@ from quadtree_lss.desk.replay.files import plain, write_bytes, writing
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Value
 
 MOST_FLIGHTS = 1_000_000
-FILES = ("terrain", "lss.risk_model", "prior.file")
+FILES = ("terrain", "lss.risk_model")
 """Conditions and parameters that name a file, whose content decides a flight."""
 
 

@@ -23,7 +23,6 @@ from quadtree_lss.onboard.core.geometry.rotations import skew
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan, register
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.elevation.prior_file import read_prior
 
 #: Share of residuals inside the acceptance interval (1 - alpha), half of the others on either side.
 INSIDE = 0.95
@@ -186,7 +185,7 @@ def consistency(
     made_by = {} if results is None else results.summary.get("versions") or {}
     exact = made_by.get("quadtree_lss") == quadtree_lss.__version__
     landing = {} if results is None else results.summary.get("landing") or {}
-    counts, number, mapper = Counts(), 0, Mapper(config, read_prior(config))
+    counts, number, mapper = Counts(), 0, Mapper(config)
     for scan in scans(bag, config, scan_topic=scan_topic, pose_topic=pose_topic):
         if rows and scan.stamp_ns not in rows:
             continue

@@ -29,9 +29,6 @@ from quadtree_lss.lab.touchdown.legs import LANDER
 from quadtree_lss.lab.touchdown.touchdown import Arrival, Landed, touch
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config, config_from_values
-from quadtree_lss.onboard.core.tree.domain import Domain
-from quadtree_lss.onboard.elevation.look_first import look_first
-from quadtree_lss.onboard.elevation.prior_file import read_prior
 
 TICK = 0.01
 """s; a pose each, and ..."""
@@ -114,9 +111,7 @@ class Flight:
         flown, commit = (settings.vehicle, settings.rules, planned), config.lss.commit_height
         self.pilot = Pilot(*flown, avoid=avoid, commit_height=commit)
         self.looks = avoid
-        self.prior = read_prior(config) if avoid else None
-        first = self._look_first(config, planned)
-        self.gimbal = Gimbal(settings.plan, FIELD_OF_VIEW_DEG, planned, self.ground.half, first)
+        self.gimbal = Gimbal(settings.plan, FIELD_OF_VIEW_DEG, planned, self.ground.half)
         wrong = settings.range_noise, settings.outliers, settings.dropouts
         self._lidar = FlashLidar(FIELD_OF_VIEW_DEG, 128, *wrong)
         self._noise = lidar
@@ -128,7 +123,6 @@ class Flight:
         self.samples: list[Sample] = []
         self.outlines: list[Array] = []
         self._asked: dict[str, bytes] = {}
-        self._looked: int | None = None
         self._seen_from = (np.zeros(3), np.eye(3))
 
     @property
@@ -139,17 +133,6 @@ class Flight:
     def stamp_ns(self) -> int:
         """Of the present tick."""
         return START_NS + self._ticks * round(TICK * 1e9)
-
-    def _look_first(self, config: Config, planned: Array) -> Array | None:
-        """(3,) where the first look goes by the prior, within the candidate area; None without."""
-        if self.prior is None:
-            return None
-        places = look_first(self.prior, Domain.of(config.domain), config, planned)
-        if not places:
-            return None
-        most = max(self.ground.half - self.settings.plan.first, 0.0)
-        place = np.array([places[0].x, places[0].y]) - planned[:2]
-        return planned + np.append(np.clip(place, -most, most), 0.0)
 
     def step(self) -> list[Sent]:
         """One tick: what was sent during it, in order."""
@@ -249,14 +232,8 @@ class Flight:
         looking = not pilot.committed and pilot.mode not in ("terminal", "abort")
         if self._ticks % SCAN_EVERY == 1 and looking and "lidar_gap" not in self.active:
             yield self._scan(before)
-        if self._looked is None and self.gimbal.looked:
-            self._looked = self._ticks
-        if self._ticks % ASK_EVERY == 0 or self._ticks == self._looked:
-            just = self._looked is not None and self._ticks - self._looked < ASK_EVERY
+        if self._ticks % ASK_EVERY == 0:
             area = pilot.area()
-            if just and (first := self.gimbal.first) is not None:
-                # Of what is seen by then a target may be chosen at once.
-                area = first[:2] + (self.settings.plan.first + self.settings.rules.zone) * SQUARE
             if area is not None:
                 self.areas.append((self.time, area))
                 yield from self._ask("landing/area", area)

@@ -24,9 +24,7 @@ from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 from quadtree_lss.onboard.core.landing.hazards import TOUCHDOWN, UNMAPPED, UNSEEN
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.core.tree.prior import Prior
 from quadtree_lss.onboard.messages.intake import Intake
 from quadtree_lss.onboard.messages.landing_inputs import AREA, LandingWishes
 
@@ -41,9 +39,9 @@ class Flown:
     """A flight that has ended. ``flight``: its state at the end, with its record. ``figures``: see
     ``docs/topics_and_files.md``. ``last``: what the nodes said last, None without them. Where it
     was recorded: ``cells``, the map at the end; ``history``, what became of it; ``targets``, the
-    changes of the target; ``told``, more for its summary. ``prior``: how far the map lay from its
-    prior, None without. ``heard``: of a live flight at which ticks guidance heard which answers
-    (None for no target), with which it can be flown again without ROS."""
+    changes of the target; ``told``, more for its summary. ``heard``: of a live flight at which
+    ticks guidance heard which answers (None for no target), with which it can be flown again
+    without ROS."""
 
     flight: Flight
     figures: dict[str, Any]
@@ -52,7 +50,6 @@ class Flown:
     history: History | None = None
     targets: tuple[TargetChange, ...] = ()
     told: dict[str, Any] = field(default_factory=dict)
-    prior: PriorOffset | None = None
     heard: Sequence[tuple[int, Array | None]] = ()
 
 
@@ -71,10 +68,9 @@ def flown(
         fly(flight, None, progress)
         return Flown(flight, figures_of(seed, flight, None), None)
     config, history = flight_config(settings, flight.ground), History() if record else None
-    nodes = LockstepNodes(config, settings.answer_delay, history, flight.prior)
+    nodes = LockstepNodes(config, settings.answer_delay, history)
     fly(flight, nodes, progress)
-    figures, prior = figures_of(seed, flight, nodes.last), nodes.mapper.prior_offset
-    found = Flown(flight, figures, nodes.last, prior=prior)
+    found = Flown(flight, figures_of(seed, flight, nodes.last), nodes.last)
     return nodes.recorded(found) if record else found
 
 
@@ -123,16 +119,10 @@ class LockstepNodes:
     """mapping_node and lss_node of one configuration without transport. One that is killed loses
     what it held in memory; what is latched comes back to it. ``answer_delay`` is from a pass to its
     answer at the guidance, s; ``last`` the last answer that reached it; ``history``
-    notes all, ``targets`` are the changes of the target; ``prior`` is `Mapper`'s."""
+    notes all, ``targets`` are the changes of the target."""
 
-    def __init__(
-        self,
-        config: Config,
-        answer_delay: float,
-        history: History | None = None,
-        prior: Prior | None = None,
-    ) -> None:
-        self._config, self._prior = config, prior
+    def __init__(self, config: Config, answer_delay: float, history: History | None = None) -> None:
+        self._config = config
         self._make = Messages(typestore(ros1=False).types, frame=config.frames.map)
         self._delay_ns = round(1e9 * answer_delay)
         self._wishes = LandingWishes(config.frames.map)
@@ -197,10 +187,9 @@ class LockstepNodes:
 
     def recorded(self, found: Flown) -> Flown:
         """With the map at the end, what is found on it by the last of the landing wishes, and for a
-        summary what guidance said last, how the returns scatter, and of the prior."""
+        summary what guidance said last and how the returns scatter."""
         self._passes.finish(found.flight.stamp_ns, self.mapper.snapshot)
         told = {"landing": self._wishes.as_lists(), "range_noise_ratio": self._noise_ratio}
-        told |= {} if found.prior is None else {"prior": found.prior.values}
         last, cells, targets = self._passes.last, self._passes.cells, tuple(self.targets)
         record = {"history": self.history, "targets": targets, "told": told}
         return replace(found, last=last, cells=cells, **record)
@@ -222,7 +211,7 @@ class LockstepNodes:
             self._passes.changed()
 
     def _start_mapping(self) -> None:
-        self._intake, self.mapper = Intake(self._config), Mapper(self._config, self._prior)
+        self._intake, self.mapper = Intake(self._config), Mapper(self._config)
 
     def _start_lss(self) -> None:
         self._waiting: list[tuple[int, LandingAssessment]] = []

@@ -41,11 +41,9 @@ def quaternion(rotation: Array) -> Array:
 class ScanPlan:
     """How the lidar is led: duration of a pass over all of the area (``survey``) and about the
     target (``closer``), s; ``half`` side of what the latter covers, at most and at least, m;
-    ``overlap`` of neighbouring strips; greatest turn per second; scans per second. With a prior
-    ``first`` is half the side of what is looked at before all of the area, m."""
+    ``overlap`` of neighbouring strips; greatest turn per second; scans per second."""
 
     survey: float = 8.0
-    first: float = 12.5
     closer: float = 1.5
     half: tuple[float, float] = (9.0, 3.0)
     overlap: float = 0.2
@@ -55,19 +53,12 @@ class ScanPlan:
 
 class Gimbal:
     """Aims the boresight, (3,) in the map frame; knows navigation's position, the area (``centre``
-    (3,), ``half`` its side, m), the target, and the place (3,) to look at ``first``, if there is
-    one, and no more."""
+    (3,), ``half`` its side, m), the target, and no more."""
 
     def __init__(
-        self,
-        plan: ScanPlan,
-        field_of_view_deg: float,
-        centre: Array,
-        half: float,
-        first: Array | None = None,
+        self, plan: ScanPlan, field_of_view_deg: float, centre: Array, half: float
     ) -> None:
         self.plan, self.centre, self.half = plan, np.asarray(centre, dtype=np.float64), half
-        self.first = first
         self._angle = float(np.radians(field_of_view_deg))
         self.boresight = np.array([0.0, 0.0, -1.0])
         self.passes = 0
@@ -88,7 +79,7 @@ class Gimbal:
         ``target`` (3,) more closely; without one over the area, or, too low for that, about ``aim``
         (3,), where it is going. Position and velocity (3,) are navigation's."""
         if now >= self._ends:
-            known = (target, aim) if self.passes > (self.first is not None) else (None, None)
+            known = (target, aim) if self.passes else (None, None)
             self._begin(now, position, velocity, *known)
             self.passes += 1
         way = (now - self._began) / (self._ends - self._began) * self._arc[-1]
@@ -100,11 +91,6 @@ class Gimbal:
         if self.passes == 1 and now == self._began:
             self.boresight = wanted
         self.boresight = turned(self.boresight, wanted, radians(self.plan.rate_deg) * dt)
-
-    @property
-    def looked(self) -> bool:
-        """The first look has ended, at the place that was to be first."""
-        return self.first is not None and self.passes > 1
 
     def rotation(self) -> Array:
         return axes(self.boresight)
@@ -121,9 +107,6 @@ class Gimbal:
         centre = self.centre if target is None else target
         seconds = self.plan.survey if target is None else self.plan.closer
         half = self.half
-        if self.first is not None and not self.passes:
-            centre, half = self.first, min(self.plan.first, half)
-            seconds *= (half / self.half) ** 2
         if target is None and aim is not None:
             across = self._angle * float(np.linalg.norm(aim - position - 0.9 * seconds * velocity))
             sees = 0.45 * (1.0 - self.plan.overlap) * across * sqrt(seconds * self.plan.scan_rate)

@@ -276,32 +276,6 @@ class LightConfig:
 
 
 @dataclass(frozen=True)
-class PriorConfig:
-    """Ground that is known before the first scan."""
-
-    file: str = _p(
-        "",
-        "elevation model of the ground, GeoTIFF or .npz with x, y, elevation: leaves begin from it;"
-        " empty is off",
-    )
-    origin: str = _p(
-        "",
-        "LAT,LON of the map frame's origin, x east and y north, by which the model is placed; empty"
-        " where its x and y are the map's",
-    )
-    sigma: float = _p(0.5, "standard deviation of its heights", (1e-3, 1e3), "m")
-    offset_sigma: float = _p(
-        10.0,
-        "standard deviation of how far it lies too far east, and too far north",
-        (0.0, 1e3),
-        "m",
-    )
-    height_sigma: float = _p(
-        10.0, "standard deviation of how much it lies too high", (0.0, 1e4), "m"
-    )
-
-
-@dataclass(frozen=True)
 class QosConfig:
     """Quality of service of the inputs."""
 

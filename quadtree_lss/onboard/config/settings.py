@@ -22,7 +22,6 @@ from quadtree_lss.onboard.config.sections import DomainConfig as DomainConfig
 from quadtree_lss.onboard.config.sections import LidarConfig as LidarConfig
 from quadtree_lss.onboard.config.sections import LssConfig as LssConfig
 from quadtree_lss.onboard.config.sections import MountConfig as MountConfig
-from quadtree_lss.onboard.config.sections import PriorConfig as PriorConfig
 from quadtree_lss.onboard.config.vehicle import VehicleConfig as VehicleConfig
 
 #: What parameters were called once.
@@ -40,7 +39,7 @@ LEAST_STEPS = 3
 #: What replaced three of a stereo camera.
 STEREO = "lidar.stereo_noise is disparity_sigma / (focal_length baseline)"
 
-#: What were parameters once, and what holds now.
+#: Removed parameters and sections, and what applies instead.
 REMOVED = {
     "pose.buffer": "poses are kept for 30 s",
     "pose.max_gap": "between poses more than 1.5 s apart nothing is interpolated",
@@ -94,9 +93,9 @@ REMOVED = {
     "lss.hazard_growth": "it follows from vehicle.diameter",
     "lss.min_separation": "it is vehicle.diameter",
     "lss.weight_shadow": "light at the aim is worth a metre of way to landing/target",
-    "light.azimuth_rate": "set light.azimuth while the node runs",
-    "light.elevation_rate": "set light.elevation while the node runs",
-    "prior.correlation_length": "each post of the elevation model has its own error",
+    "lss.hysteresis": "the rule by which the target changes is fixed; delete the line",
+    "light": "light and shadow are not computed; delete the line",
+    "prior": "prior maps are gone; delete the line",
     "publish.diagnostics_rate": "it is fixed at 1 Hz",
     "checkpoint.interval": "it is fixed at 2 s",
     "qos.scan_depth": "it is 50; qos_overrides.TOPIC.subscription.depth sets another",
@@ -131,7 +130,6 @@ class Config:
     mapping: sections.MappingConfig = field(default_factory=sections.MappingConfig)
     lss: LssConfig = field(default_factory=LssConfig)
     light: sections.LightConfig = field(default_factory=sections.LightConfig)
-    prior: PriorConfig = field(default_factory=PriorConfig)
     qos: sections.QosConfig = field(default_factory=sections.QosConfig)
     publish: sections.PublishConfig = field(default_factory=sections.PublishConfig)
     diagnostics: DiagnosticsConfig = field(default_factory=DiagnosticsConfig)
@@ -169,12 +167,17 @@ def parameters() -> tuple[Parameter, ...]:
     )
 
 
+def removed(key: str) -> str:
+    """What applies instead of a removed parameter; empty if it was not removed."""
+    return REMOVED.get(key) or REMOVED.get(key.partition(".")[0], "")
+
+
 def unknown_parameter(key: str) -> str:
     """What to say of a name that no parameter has: what replaced it, or the nearest one."""
     if key in RENAMED:
         return f"{key} is {RENAMED[key]} now"
-    if key in REMOVED:
-        return f"{key} is no parameter any more: {REMOVED[key]}"
+    if reason := removed(key):
+        return f"{key} was removed: {reason}"
     names = [row.name for row in parameters()]
     near = difflib.get_close_matches(key, names, n=1, cutoff=0.0) if key.strip(" .") else []
     return f"unknown parameter '{key}'" + "".join(f"; did you mean '{name}'?" for name in near)
@@ -182,7 +185,7 @@ def unknown_parameter(key: str) -> str:
 
 def still_parameters(values: Mapping[str, object]) -> dict[str, object]:
     """Dotted values of an earlier run, without what are parameters no more."""
-    return {key: value for key, value in values.items() if key not in REMOVED}
+    return {key: value for key, value in values.items() if not removed(key)}
 
 
 @functools.lru_cache

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Points
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.mapping.pose_errors import PoseErrors
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.mount import MountedPoses
 from quadtree_lss.onboard.core.sensing.pose_buffer import SECOND_NS, PoseBuffer
@@ -298,29 +297,13 @@ def noise_notice(ratio: float, config: Config) -> Notice | None:
     return Notice("range_noise", text)
 
 
-def pose_notices(errors: PoseErrors | None, config: Config) -> list[Notice]:
-    """Warnings where poses err otherwise than they claim; the map's covariance hangs on it.
-    ``errors``: of ``Mapper.pose_errors``. ``config``: of which ``pose.correlation_time``
-    matters."""
-    if errors is None:
-        return []
-    time, seen, size = config.pose.correlation_time, errors.seen, errors.size
-    jumps = f"heights jump from scan to scan by errors of {seen:.2g} m"
-    white = (
-        f"poses look white: {jumps}, where pose.correlation_time {time:g} s allows"
-        f" {errors.claimed:.2g} m; correlation_time 0 would say {errors.white_says:.2g} m of the"
-        f" map's height instead of {errors.map_says:.2g}"
+def pose_notice(gap: tuple[float, float] | None) -> Notice | None:
+    """Warning if scans contradict the covariances of their poses, on which those of the map depend.
+    ``gap``: of `Mapper.pose_gap`."""
+    if gap is None:
+        return None
+    text = (
+        f"scans and map differ by {gap[0]:.2g} m, poses claim {gap[1]:.2g} m:"
+        " the poses' covariances are too small, or the lidar's mount or the stamps are wrong"
     )
-    persist = (
-        f"pose errors persist, or are smaller than claimed: heights jump from scan to scan by"
-        f" {seen:.2g} m, where white errors (pose.correlation_time {time:g} s) of {size:.2g} m"
-        f" are claimed; if they persist, the map's height may be off by {size:.2g} m, not"
-        f" {errors.map_says:.2g}"
-    )
-    small = f"poses err by more than they claim: {jumps}, where their covariance says {size:.2g} m"
-    found = (
-        (errors.white, Notice("pose_white", white)),
-        (errors.persist, Notice("pose_persist", persist)),
-        (errors.too_small, Notice("pose_covariance", small)),
-    )
-    return [notice for holds, notice in found if holds]
+    return Notice("pose_gap", text)

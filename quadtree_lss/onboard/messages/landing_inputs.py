@@ -12,7 +12,7 @@ from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.geometry.polygons import FARTHEST
 from quadtree_lss.onboard.core.landing.target import Motion
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.poses import MAX_COVARIANCE, check_frame
+from quadtree_lss.onboard.messages.poses import check_frame
 
 AREA, KEEP_OUT, TARGET, DISPERSION = "area", "keep_out", "target", "dispersion"
 KEEP_OUTS = "keep_outs"
@@ -94,20 +94,6 @@ def dispersion_from_message(msg: Any, map_frame: str) -> Array | None:
     along, across = w * w + x * x - y * y - z * z, 2.0 * (w * z + x * y)  # whatever its length
     known &= 0.0 < np.hypot(along, across) < np.inf
     return np.append(np.sqrt(variance), np.arctan2(across, along) if known else [])
-
-
-def prior_from_message(msg: Any, map_frame: str) -> Array:
-    """(9,) of ``map/prior``: x, y, z, m, NaN where the prior is not used any more, and the upper
-    triangle of their covariance, m^2. Raises `MessageError`: with reason ``frame`` or ``prior``."""
-    check_frame(msg.header.frame_id, map_frame, "map/prior")
-    at, covariance = msg.pose.pose.position, np.asarray(msg.pose.covariance, dtype=np.float64)
-    place = np.array([at.x, at.y, at.z], dtype=np.float64)
-    upper = covariance[[0, 1, 2, 7, 8, 14]] if covariance.size == 36 else np.full(6, np.nan)
-    sound = np.isnan(place).all() or (np.abs(place) <= FARTHEST).all()
-    if not (sound and (np.abs(upper) <= MAX_COVARIANCE).all() and (upper[[0, 3, 5]] >= 0.0).all()):
-        text = f"map/prior ({at.x:g}, {at.y:g}, {at.z:g}) or its covariance is not of this world"
-        raise MessageError("prior", text)
-    return np.concatenate([place, upper])
 
 
 DECODE = {

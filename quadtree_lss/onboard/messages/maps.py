@@ -86,9 +86,6 @@ STATUS_FIELDS = record_dtype(
     ("u1", ["doubts"]),
     ("f4", (*_NOW, "gain", "wait")),
 )
-#: ... and with a prior: how far the map lies from it, and the covariance of that.
-_OF_PRIOR = tuple(f"prior_{of}" for of in "x y z xx xy xz yy yz zz".split())
-PRIOR_STATUS_FIELDS = np.dtype([*STATUS_FIELDS.descr, *record_dtype(("f4", _OF_PRIOR)).descr])
 
 
 def encode_cells(cells: CellMap) -> NDArray[np.void]:
@@ -261,15 +258,11 @@ def encode_sites(assessment: LandingAssessment) -> NDArray[np.void]:
     return out
 
 
-def encode_status(
-    assessment: LandingAssessment, age: float, prior: Array | None = None
-) -> NDArray[np.void]:
+def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]:
     """The one record (1,). ``assessment``: the answer. ``age``: of its map when it is sent, s; NaN
-    if unknown. ``prior``: (9,) of `prior_from_message`, None without."""
+    if unknown."""
     selected = assessment.selected
-    out = np.zeros(1, dtype=STATUS_FIELDS if prior is None else PRIOR_STATUS_FIELDS)
-    if prior is not None:
-        _put(out, _OF_PRIOR, prior)
+    out = np.zeros(1, dtype=STATUS_FIELDS)
     _put(out, "xyz", selected.position)
     _put(out, _NOW, np.asarray(assessment.now))
     for name in ("offset_z", "offset_variance", "seen", "gain"):

@@ -6,7 +6,7 @@ Nothing here knows where the classes come from; they are given by name and calle
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +22,6 @@ from quadtree_lss.onboard.messages.maps import (
     CELL_FIELDS,
     CELL_FIELDS_BEFORE,
     POINT_FIELD_TYPES,
-    PRIOR_STATUS_FIELDS,
     STATUS_FIELDS,
     decode_cells,
     decode_observed,
@@ -39,8 +38,6 @@ from quadtree_lss.onboard.messages.maps import (
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
     from quadtree_lss.onboard.core.landing.sites import LandingAssessment
-    from quadtree_lss.onboard.core.mapping.prior_offset import PriorOffset
-    from quadtree_lss.onboard.elevation.look_first import Look
 
 CELLS, OBSERVED = "map/cells", "map/observed"
 SITES, SITE_TABLE = "landing/sites", "landing/site_table"
@@ -48,7 +45,6 @@ HAZARDS, SCORE = "landing/hazards", "landing/score"
 PROBABILITY = "landing/probability"
 GROUND = SITES, SITE_TABLE, HAZARDS, SCORE, PROBABILITY
 SELECTED, STATUS = "landing/selected", "landing/status"
-PRIOR, LOOK_FIRST = "map/prior", "map/look_first"
 
 CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 GRID_TYPE = "nav_msgs/msg/OccupancyGrid"
@@ -69,12 +65,7 @@ TOPIC_TYPES = {
 
 GRID_MAP, GRID_MAP_TYPE = "landing/grid_map", "grid_map_msgs/msg/GridMap"
 """Sent live where ``grid_map_msgs`` is installed, and always recorded."""
-RECORDED_TYPES = {
-    **TOPIC_TYPES,
-    GRID_MAP: GRID_MAP_TYPE,
-    PRIOR: SELECTED_TYPE,
-    LOOK_FIRST: POSES_TYPE,
-}
+RECORDED_TYPES = {**TOPIC_TYPES, GRID_MAP: GRID_MAP_TYPE}
 GRID_MAP_LAYERS = (
     "elevation plane_elevation slope_deg hazard safe score probability shadow reach".split()
 )
@@ -113,10 +104,9 @@ def cloud_records(cloud: Any, fields: Fields) -> NDArray[np.void]:
 
 
 def status_from_message(cloud: Any) -> np.void:
-    """The one record of ``landing/status``, with a prior or without. Raises `MessageError`: it has
-    another layout, or is not one (``layout``)."""
-    plain = cloud.point_step == STATUS_FIELDS.itemsize
-    records = cloud_records(cloud, STATUS_FIELDS if plain else PRIOR_STATUS_FIELDS)
+    """The one record of ``landing/status``. Raises `MessageError`: it has another layout, or is not
+    one (``layout``)."""
+    records = cloud_records(cloud, STATUS_FIELDS)
     if len(records) != 1:
         raise MessageError("layout", f"{STATUS} has {len(records)} points; it is of one")
     record: np.void = records[0]
@@ -228,13 +218,10 @@ class MessageMaker:
         turned = np.ascontiguousarray(values[::-1, ::-1], np.float32).ravel()
         return self._make("std_msgs/msg/Float32MultiArray", layout=layout, data=self._pack(turned))
 
-    def of_target(
-        self, assessment: LandingAssessment, age: float, prior: Array | None = None
-    ) -> Iterator[Named]:
-        """``landing/selected`` and ``landing/status``; ``age`` of the map in s, NaN if unknown;
-        ``prior``: (9,) as of `prior_from_message`, None without."""
+    def of_target(self, assessment: LandingAssessment, age: float) -> Iterator[Named]:
+        """``landing/selected`` and ``landing/status``; ``age`` of the map in s, NaN if unknown."""
         yield SELECTED, self.selected(assessment)
-        yield STATUS, self.cloud(encode_status(assessment, age, prior), assessment.stamp_ns)
+        yield STATUS, self.cloud(encode_status(assessment, age), assessment.stamp_ns)
 
     def cloud(self, records: NDArray[np.void], stamp: int) -> Any:
         """PointCloud2 of records (M,) or (H, W), packed."""
@@ -282,19 +269,6 @@ class MessageMaker:
         target = assessment.selected
         turn = site_orientations(target.site.normal)[0] if target.id else (0.0, 0.0, 0.0, 1.0)
         return self.pose(assessment.stamp_ns, target.position, turn, target.covariance.ravel())
-
-    def prior(self, found: PriorOffset, stamp: int) -> Any:
-        """How far the map lies from its prior, as a place with covariance; NaN if that is not used
-        any more."""
-        covariance = np.zeros((6, 6))
-        covariance[:3, :3] = found.covariance
-        offset = np.full(3, np.nan) if found.refused else found.offset
-        return self.pose(stamp, offset, (0.0, 0.0, 0.0, 1.0), covariance.ravel())
-
-    def looks(self, places: Sequence[Look]) -> Any:
-        """PoseArray of the places to look at first, most promising first."""
-        poses = [self._pose((p.x, p.y, p.z), (0.0, 0.0, 0.0, 1.0)) for p in places]
-        return self._make(POSES_TYPE, header=self._header(0), poses=poses)
 
     def pose(self, stamp: int, position: Any, xyzw: Any, covariance: Array) -> Any:
         """PoseWithCovarianceStamped of a place (3,), a quaternion and a covariance (36,)."""

@@ -83,14 +83,11 @@ class LssNode(BaseNode):
             topic: advertise(self, TYPES[TOPIC_TYPES[topic]], topic, latched(), self._on_listener)
             for topic in GROUND
         }
-        prior = bool(config.prior.file)
         self._target = TargetOutput(
             self,
-            self._problems,
             self._age,
             lambda: self._at_once(self._selector.release),
             lambda: self._at_once(self._selector.land_now),
-            prior=prior,
         )
         self._markers = MarkerPublisher(
             self, advertise(self, MarkerArray, "landing/markers", latched()), self._site_markers

@@ -19,7 +19,7 @@ from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.pose_buffer import seconds
 from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.intake import Intake, ReadyScan, noise_notice, pose_notices
+from quadtree_lss.onboard.messages.intake import Intake, ReadyScan, noise_notice, pose_notice
 from quadtree_lss.onboard.messages.landing_inputs import AREA, polygon_from_message
 from quadtree_lss.onboard.messages.lost_points import (
     MAP_OVERRULED,
@@ -45,7 +45,6 @@ from quadtree_lss.onboard.nodes.losses import Overload, Publishers, ScanGaps
 from quadtree_lss.onboard.nodes.map_files import Checkpoints, load, save
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, cell_markers
 from quadtree_lss.onboard.nodes.node_runner import BaseNode, run
-from quadtree_lss.onboard.nodes.prior_output import PriorOutput, node_prior
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher, MapStamps
 from quadtree_lss.onboard.nodes.qos import (
     advertise,
@@ -79,11 +78,7 @@ class MappingNode(BaseNode):
         super().__init__("mapping_node")
         config = self._config
         self._frame = config.frames.map
-        if config.prior.file:
-            waits_for(f"prior.file {config.prior.file}")
-        prior = node_prior(config, self._problems)
-        self._mapper = Mapper(config, prior)
-        self._prior = PriorOutput(self, config, prior, self._mapper)
+        self._mapper = Mapper(config)
         odometry = config.pose.source == "odometry"
         self._pose_kind = Odometry if odometry else PoseWithCovarianceStamped
         self._scan_kind = Image if config.lidar.source == "depth" else PointCloud2
@@ -348,7 +343,6 @@ class MappingNode(BaseNode):
         cells, observed = map_messages(snapshot, self._frame)
         self._observed.publish(observed)
         self._cells.publish(cells)
-        self._prior.publish(snapshot.stamp_ns)
         self._publish_ms.add(1e3 * (time.perf_counter() - start))
         latency = self._latency_ms(self._mapper.stamp_ns)
         if self._report is not None and latency is not None:  # else of a file, however old
@@ -385,7 +379,6 @@ class MappingNode(BaseNode):
                 "latency_ms": latency,
             }
         )
-        self._prior.collect(status)
         if config.checkpoint.path:
             status.add({"checkpoints": self._checkpoints.written})
         if self._checkpoints.foreign:
@@ -414,15 +407,11 @@ class MappingNode(BaseNode):
         noise = noise_notice(report.noise_ratio, config)
         if noise is not None:
             status.note(WARN, noise.text)
-        errors = self._mapper.pose_errors()
-        if errors is not None:
-            status.add(
-                {"pose.step": f"{errors.seen:.2g}", "pose.step_claimed": f"{errors.claimed:.2g}"}
-            )
-        for notice in pose_notices(errors, config):
-            status.note(WARN, notice.text)
-            if notice.reason not in self._problems.counts:
-                self._problems.report(notice.reason, notice.text)
+        gap = pose_notice(self._mapper.pose_gap())
+        if gap is not None:
+            status.note(WARN, gap.text)
+            if gap.reason not in self._problems.counts:
+                self._problems.report(gap.reason, gap.text)
 
 
 def main(args: Sequence[str] | None = None) -> int:

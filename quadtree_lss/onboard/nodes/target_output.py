@@ -12,16 +12,12 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.limits import LONGEST
 from quadtree_lss.onboard.core.landing.target import WAIT_S
 from quadtree_lss.onboard.errors import QuadtreeLssError
-from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.landing_inputs import prior_from_message
-from quadtree_lss.onboard.messages.outputs import PRIOR, SELECTED, STATUS
-from quadtree_lss.onboard.nodes.diagnostics import Problems
+from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS
 from quadtree_lss.onboard.nodes.executor import steady_timer
-from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, serve, subscribe, target
+from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, serve, target
 from quadtree_lss.onboard.nodes.ros_messages import message_maker
 
 if TYPE_CHECKING:
@@ -30,33 +26,24 @@ if TYPE_CHECKING:
 
 class TargetOutput:
     """Publishes the target with every assessment, and between them while there is no new one.
-    ``node``: owner; a change of the target goes to its log, what cannot be used to ``problems``.
-    ``age``: age of a map by its stamp, s;
+    ``node``: owner; a change of the target goes to its log. ``age``: age of a map by its stamp, s;
     NaN if unknown. ``release``, ``land_now``: called when somebody asks for another target, or for
-    the best within reach, which is then assessed and sent before the call returns. ``prior``:
-    there is one, of which ``map/prior`` tells."""
+    the best within reach, which is then assessed and sent before the call returns."""
 
     def __init__(
         self,
         node: Node,
-        problems: Problems,
         age: Callable[[int], float],
         release: Callable[[], None],
         land_now: Callable[[], None],
-        *,
-        prior: bool,
     ) -> None:
         self._logger, self._age, self._release = node.get_logger(), age, release
-        self._problems = problems
         self._land_now, self._urgent = land_now, False
         self._publishers = {
             SELECTED: advertise(node, PoseWithCovarianceStamped, SELECTED, target()),
             STATUS: advertise(node, PointCloud2, STATUS, latched()),
         }
         self._result: LandingAssessment | None = None
-        self._prior: Array | None = None
-        if prior:
-            subscribe(node, PoseWithCovarianceStamped, PRIOR, self._on_prior, latched())
         self._chosen = False
         self._frame = ""
         self._again = steady_timer(node, 0.4 * TARGET_S, self._say)
@@ -102,17 +89,9 @@ class TargetOutput:
         if result is None:
             return
         maker, age = message_maker(self._frame), self._age(result.stamp_ns)
-        for topic, message in maker.of_target(result, age, self._prior):
+        for topic, message in maker.of_target(result, age):
             if topic == STATUS or self._chosen:
                 self._publishers[topic].publish(message)
-
-    def _on_prior(self, message: PoseWithCovarianceStamped) -> None:
-        """By the map's frame, where that is known: the two nodes' may be given apart."""
-        try:
-            frame = self._frame or message.header.frame_id
-            self._prior = prior_from_message(message, frame)
-        except MessageError as error:
-            self._problems.report(f"prior_{error.reason}", str(error))
 
     def _log_change(self, result: LandingAssessment) -> None:
         """A line of the log where the target is another one than before."""

@@ -8,12 +8,10 @@ cdef void multiply(double* a, double* b, double* out) noexcept nogil
 cdef void beside(double* c, double* d, double* out) noexcept nogil
 cdef void congruent(double* a, double* pair, double* out) noexcept nogil
 cdef void inverse_symmetric(double* c, double* out) noexcept nogil
-cdef void turn_tangent(double* c, double* change) noexcept nogil
-cdef void turn_tangents(double* pair, double* change) noexcept nogil
+cdef void turn_tangent(double* c, double* change, int count) noexcept nogil
 cdef double offset_variance(double* c, double first, double second) noexcept nogil
 cdef void keep_possible(double* c) noexcept nogil
-cdef void shift_origin(double* c, double first, double second) noexcept nogil
-cdef void shift_origins(double* pair, double first, double second) noexcept nogil
+cdef void shift_origin(double* c, double first, double second, int count) noexcept nogil
 cdef void moments(double* points, Py_ssize_t count, double* mean, double* scatter) noexcept nogil
 cdef void height_normal(double* scatter, double slope_x, double slope_y, double spread, double* normal) noexcept nogil
 cdef void orthogonal_normal(double* scatter, double* normal) noexcept nogil

@@ -97,60 +97,39 @@ def inverse_symmetric(c: Vector, out: Vector) -> None:
     out[8] = share * z * z * (1.0 - xy * xy)
 
 
-def turn_tangent(c: Vector, change: Vector) -> None:
-    """Covariance (9) in place, its dphi mapped by the ``change`` (4) of `minus_at`."""
-    x = change[0] * c[0] + change[1] * c[3]
-    y = change[0] * c[1] + change[1] * c[4]
-    z = change[2] * c[1] + change[3] * c[4]
-    w = change[2] * c[0] + change[3] * c[3]
-    c[0] = x * change[0] + y * change[1]
-    c[1] = c[3] = x * change[2] + y * change[3]
-    c[4] = w * change[2] + z * change[3]
-    x = change[0] * c[2] + change[1] * c[5]
-    y = change[2] * c[2] + change[3] * c[5]
-    c[2] = c[6] = x
-    c[5] = c[7] = y
-
-
-def turn_tangents(pair: Vector, change: Vector) -> None:
-    """`turn_tangent` of two covariances side by side (18)."""
+def turn_tangent(c: Vector, change: Vector, count: cython.int) -> None:
+    """Map dphi of ``count`` covariances side by side (9 count) by the ``change`` (4) of `minus_at`,
+    in place."""
     k: cython.int
-    for k in range(2):
-        x = change[0] * pair[k] + change[1] * pair[6 + k]
-        y = change[0] * pair[2 + k] + change[1] * pair[8 + k]
-        z = change[2] * pair[2 + k] + change[3] * pair[8 + k]
-        w = change[2] * pair[k] + change[3] * pair[6 + k]
-        pair[k] = x * change[0] + y * change[1]
-        pair[2 + k] = pair[6 + k] = x * change[2] + y * change[3]
-        pair[8 + k] = w * change[2] + z * change[3]
-        x = change[0] * pair[4 + k] + change[1] * pair[10 + k]
-        y = change[2] * pair[4 + k] + change[3] * pair[10 + k]
-        pair[4 + k] = pair[12 + k] = x
-        pair[10 + k] = pair[14 + k] = y
+    for k in range(count):
+        x = change[0] * c[k] + change[1] * c[3 * count + k]
+        y = change[0] * c[count + k] + change[1] * c[4 * count + k]
+        z = change[2] * c[count + k] + change[3] * c[4 * count + k]
+        w = change[2] * c[k] + change[3] * c[3 * count + k]
+        c[k] = x * change[0] + y * change[1]
+        c[count + k] = c[3 * count + k] = x * change[2] + y * change[3]
+        c[4 * count + k] = w * change[2] + z * change[3]
+        x = change[0] * c[2 * count + k] + change[1] * c[5 * count + k]
+        y = change[2] * c[2 * count + k] + change[3] * c[5 * count + k]
+        c[2 * count + k] = c[6 * count + k] = x
+        c[5 * count + k] = c[7 * count + k] = y
 
 
-def shift_origin(c: Vector, first: float, second: float) -> None:
-    """Covariance (9) in place after the origin moved by delta, B^T delta = (first, second), m.
+def shift_origin(c: Vector, first: float, second: float, count: cython.int) -> None:
+    """Move the origin of ``count`` covariances side by side (9 count) by delta, in place;
+    B^T delta = (first, second), m.
 
     d' = d - n.delta, and as dn = B dphi, dd' = dd - (B^T delta).dphi. For a move straight up by h,
     B^T delta = -h (n_x, n_y).
     """
-    x = first * c[0] + second * c[1]
-    y = first * c[3] + second * c[4]
-    c[8] += first * (x - 2.0 * c[2]) + second * (y - 2.0 * c[5])
-    c[2] = c[6] = c[2] - x
-    c[5] = c[7] = c[5] - y
-
-
-def shift_origins(pair: Vector, first: float, second: float) -> None:
-    """`shift_origin` of two covariances side by side (18)."""
     k: cython.int
-    for k in range(2):
-        x = first * pair[k] + second * pair[2 + k]
-        y = first * pair[6 + k] + second * pair[8 + k]
-        pair[16 + k] += first * (x - 2.0 * pair[4 + k]) + second * (y - 2.0 * pair[10 + k])
-        pair[4 + k] = pair[12 + k] = pair[4 + k] - x
-        pair[10 + k] = pair[14 + k] = pair[10 + k] - y
+    for k in range(count):
+        x = first * c[k] + second * c[count + k]
+        y = first * c[3 * count + k] + second * c[4 * count + k]
+        away = first * (x - 2.0 * c[2 * count + k])
+        c[8 * count + k] += away + second * (y - 2.0 * c[5 * count + k])
+        c[2 * count + k] = c[6 * count + k] = c[2 * count + k] - x
+        c[5 * count + k] = c[7 * count + k] = c[5 * count + k] - y
 
 
 def keep_possible(c: Vector) -> None:
@@ -482,16 +461,16 @@ def fuse(
     basis_at(prior_normal, basis)
     _pivot(prior_range, prior_rise, basis, error, pivot)
     beside(prior_range, prior_pose, prior)
-    shift_origins(prior, error[0], error[1])
+    shift_origin(prior, error[0], error[1], 2)
     error[0] = error[1] = 0.0
     if prior_normal[0] != normal[0] or prior_normal[1] != normal[1]:
         minus_at(prior_normal, normal, error, change)
-        turn_tangents(prior, change)
+        turn_tangent(prior, change, 2)
         basis_at(normal, basis)
     first = basis[0] * pivot[0] + basis[1] * pivot[1] + basis[2] * pivot[2]
     second = basis[3] * pivot[0] + basis[4] * pivot[1] + basis[5] * pivot[2]
     beside(range_part, pose_part, measured)
-    shift_origins(measured, first, second)
+    shift_origin(measured, first, second, 2)
     error[2] = normal[0] * pivot[0] + normal[1] * pivot[1] + normal[2] * pivot[2]
     for i in range(9):
         one[i] = prior[2 * i] + (1.0 - common) * prior[2 * i + 1]
@@ -558,9 +537,9 @@ def fuse_height(
     basis_at(normal, basis)
     _pivot(range_part, rise, basis, step, pivot)
     beside(range_part, pose_part, prior)
-    shift_origins(prior, step[0], step[1])
+    shift_origin(prior, step[0], step[1], 2)
     first, second = step[0] + rise * basis[2], step[1] + rise * basis[5]
-    shift_origin(other_pose, first, second)
+    shift_origin(other_pose, first, second, 1)
     x, y = first - lever[0], second - lever[1]
     for i in range(3):
         for k in range(2):
@@ -629,7 +608,7 @@ def _from_pivot(
     pivot[2] -= rise
     first = -(basis[0] * pivot[0] + basis[1] * pivot[1] + basis[2] * pivot[2])
     second = -(basis[3] * pivot[0] + basis[4] * pivot[1] + basis[5] * pivot[2])
-    shift_origins(pair, first, second)
+    shift_origin(pair, first, second, 2)
     for i in range(9):
         range_part[i] = pair[2 * i]
         pose_part[i] = pair[2 * i + 1]

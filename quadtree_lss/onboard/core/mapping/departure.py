@@ -60,7 +60,6 @@ class Departure(NamedTuple):
         claimed, mapped: Variance of ``height`` from the scan's pose error and from the map's, as
             either claims, m^2.
         noise: The same from the cells' own noise, m^2.
-        since: When the ground that was compared was first seen, on average, s.
         deviations: Height and tilt over what they may be, sqrt(chi^2); 0 if too few cells tell it.
     """
 
@@ -71,7 +70,6 @@ class Departure(NamedTuple):
     claimed: float
     mapped: float
     noise: float
-    since: float
     deviations: float
 
 
@@ -172,7 +170,7 @@ def departure(
     share: cython.double = agreeing
     share /= count
     if agreeing < MIN_CELLS:
-        return Departure(share, 0.0, (0.0, 0.0), (0.0, 0.0), 0.0, 0.0, 0.0, now, 0.0)
+        return Departure(share, 0.0, (0.0, 0.0), (0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
     x0 /= whole
     y0 /= whole
     theta[0] = theta[1] = theta[2] = 0.0
@@ -203,7 +201,7 @@ def departure(
                 theta[j] = 0.0
                 for k in range(3):
                     theta[j] += inverse[3 * j + k] * right[k]
-    square = weights = mapped = tilted = began = last = 0.0
+    square = weights = mapped = tilted = last = 0.0
     early, late = INFINITY, -INFINITY
     for j in range(18):
         moved[j] = 0.0
@@ -220,7 +218,6 @@ def departure(
         weights += w * w
         mapped += w * cells[row.OF_MAP, i]
         tilted += w * cells[row.OF_SLOPE, i]
-        began += w * cells[row.FIRST_TIME, i]
         last += w * (cells[row.LAST_TIME, i] - now)
         early = min(early, 0.5 * (cells[row.FIRST_TIME, i] + cells[row.LAST_TIME, i]))
         late = max(late, 0.5 * (cells[row.FIRST_TIME, i] + cells[row.LAST_TIME, i]))
@@ -280,6 +277,5 @@ def departure(
         claimed=scan[0],
         mapped=mapped,
         noise=unsure,
-        since=began / whole,
         deviations=sqrt(max(square, 0.0)),
     )

@@ -11,10 +11,8 @@ from quadtree_lss.onboard.core.tree.leaves cimport (
 @cython.final
 cdef class Fusion:
     cdef Rules rules
-    cdef double[:, ::1] beginning
     cdef bint aligned
-    cdef int coarsest
-    cdef double coarse_side, now, common_at, common_is
+    cdef double now, common_at, common_is
     cdef double origin[3]
     cdef double sigma[36]
     cpdef align(self, double down)
@@ -26,5 +24,4 @@ cdef class Fusion:
     cdef double _height(self, double* known) noexcept nogil
     cdef void _turn(self, Leaf* leaf, Run* run) noexcept nogil
     cdef bint _apart(self, Leaf* leaf, Run* run) noexcept nogil
-    cdef void _begin(self, Leaf* leaf) noexcept nogil
     cdef double common(self, double time) noexcept nogil

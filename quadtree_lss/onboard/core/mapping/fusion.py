@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 import cython
-import numpy as np
 
-from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.geometry.sphere import Vector
 from quadtree_lss.onboard.core.mapping.measure import Rules
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan
@@ -39,10 +37,6 @@ APART = cython.declare(cython.double, 4.0)
 TURNED = cython.declare(cython.double, 1.5)
 #: A run contradicts a plane that is so many deviations off.
 CONTRADICTING = cython.declare(cython.double, 30.0)
-#: A first plane so many deviations from that of a prior does not begin from it.
-BEGINNING = cython.declare(cython.double, 3.0)
-#: A leaf begins from nothing.
-NO_PRIOR = np.empty((0, 5))
 
 
 class Fusion:
@@ -53,22 +47,10 @@ class Fusion:
         sigma: (36) covariance of the scan's pose.
         aligned: Whether the scan was brought to the height of the map.
         now: Time of the scan, s.
-
-    Of a prior, ``beginning`` holds what `prior.Planes.beginning` says of the coarsest cells.
     """
 
-    def __init__(
-        self,
-        table: LeafTable,
-        rules: Rules,
-        scan: RegisteredScan,
-        now: float,
-        beginning: Array | None,
-    ) -> None:
+    def __init__(self, table: LeafTable, rules: Rules, scan: RegisteredScan, now: float) -> None:
         self.rules = rules
-        self.beginning = NO_PRIOR if beginning is None else beginning
-        self.coarsest = table.domain.min_level
-        self.coarse_side = table.side(self.coarsest)
         x, y, z = scan.origin.tolist()
         self.origin = [x, y, z]
         covariance = scan.pose.covariance.ravel().tolist()
@@ -202,54 +184,7 @@ class Fusion:
                 return
         if leaf.bias[WEIGHT] == 0.0:
             self._turn(leaf, run)
-        if fresh and self.beginning.shape[0] > 0:
-            self._begin(leaf)
         leaf.known = MEASURED
-
-    def _begin(self, leaf: Record) -> None:
-        """What a prior says of a leaf, fused with the first plane that points alone told of it.
-
-        That is the same as to begin from the prior, whatever comes first, but that a leaf is
-        measured no sooner for it, and that a prior of other ground is left out: one that is more
-        than `BEGINNING` deviations off in height or slope.
-        """
-        normal = cython.declare(cython.double[3])
-        known = cython.declare(cython.double[9])
-        pose = cython.declare(cython.double[9])
-        rise = cython.declare(cython.double[1])
-        i: cython.int
-        down: cython.int = leaf.level - self.coarsest
-        ix: cython.int = leaf.ix >> down
-        iy: cython.int = leaf.iy >> down
-        at: cython.Py_ssize_t = (cython.cast(cython.Py_ssize_t, iy) << self.coarsest) + ix
-        side = self.coarse_side
-        x = ((leaf.ix + 0.5) / (1 << down) - ix - 0.5) * side
-        y = ((leaf.iy + 0.5) / (1 << down) - iy - 0.5) * side
-        a, b = self.beginning[at, 1], self.beginning[at, 2]
-        square = 1.0 / (a * a + b * b + 1.0)
-        tilt = self.beginning[at, 3] * square
-        for i in range(9):
-            known[i] = pose[i] = 0.0
-        known[0] = known[4] = tilt
-        known[8] = self.beginning[at, 4] * square + tilt * (x * x + y * y)
-        off = self.beginning[at, 0] + a * x + b * y - leaf.z
-        normal[2] = sqrt(square)
-        normal[0], normal[1] = -a * normal[2], -b * normal[2]
-        x, y = leaf.normal[0] - normal[0], leaf.normal[1] - normal[1]
-        own = leaf.range_part[8] + leaf.pose_part[8]
-        turn = leaf.range_part[0] + leaf.range_part[4] + leaf.pose_part[0] + leaf.pose_part[4]
-        most = BEGINNING * BEGINNING
-        # A place that the prior does not cover is not a number, and not near.
-        if not (off * off * square <= most * (known[8] + own)):
-            return
-        if not (x * x + y * y <= most * (2.0 * tilt + turn)):
-            return
-        of_range = leaf.range_part
-        of_pose = leaf.pose_part
-        fuse(normal, off, known, pose, leaf.normal, of_range, of_pose, 0.0, rise)
-        for i in range(9):
-            of_range[i], of_pose[i] = known[i], pose[i]
-        leaf.z += rise[0]
 
     def _along(self, leaf: Record, run: Record, out: Vector) -> None:
         """The ray to a run, of length one, along the tangent axes of a leaf's plane (2)."""

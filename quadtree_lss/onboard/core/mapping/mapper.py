@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import astuple, dataclass
 
 import numpy as np
@@ -30,12 +31,9 @@ from quadtree_lss.onboard.core.mapping.contradiction import (
     departs,
     stands_apart,
 )
-from quadtree_lss.onboard.core.mapping.departure import Departure, departure
+from quadtree_lss.onboard.core.mapping.departure import FLOOR, Departure, departure
 from quadtree_lss.onboard.core.mapping.measure import Rules, unseen_parts
-from quadtree_lss.onboard.core.mapping.pose_errors import PoseErrors, Steps
-from quadtree_lss.onboard.core.mapping.prior_offset import PriorMatch, PriorOffset
 from quadtree_lss.onboard.core.mapping.update import (
-    FIRST_TIME,
     OF_MAP,
     OF_SCAN,
     OWN,
@@ -53,7 +51,6 @@ from quadtree_lss.onboard.core.tree.checkpoint import State
 from quadtree_lss.onboard.core.tree.columns import leaf_columns
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, unfold
-from quadtree_lss.onboard.core.tree.prior import Prior
 
 #: A scan older than the map by more than this is no late one: time jumped back (`ScanQueue`).
 JUMP_NS = SECOND_NS
@@ -61,6 +58,11 @@ JUMP_NS = SECOND_NS
 NOISE_CELLS = 3
 #: Share of a new scan in the running mean of the observed range noise.
 NOISE_SHARE = 0.1
+#: Last scans of which `Mapper.pose_gap` takes the median.
+GAP_SCANS = 20
+#: Standard deviations from which on heights contradict the poses' covariances. Of Gaussian errors 3
+#: in 1,000 exceed them; half of `GAP_SCANS` scans do so only if the errors are 4.5 times the claim.
+GAP_SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
@@ -107,13 +109,12 @@ class Mapper:
     no longer near its middle (`Domain.steps_to`); scans that no point entered of move it only as
     the tenth in a row, so that a wrong pose does not drop the map. ``stamp_ns`` is that of the
     newest scan since time last jumped back (a looping bag, a clock set right; leaves may then be of
-    later stamps), 0 if nothing is mapped. Leaves begin from ``prior``, if there is one.
+    later stamps), 0 if nothing is mapped.
     """
 
-    def __init__(self, config: Config, prior: Prior | None = None) -> None:
+    def __init__(self, config: Config) -> None:
         self.config = config
         self.leaves = LeafTable(Domain.of(config.domain), config.mapping.max_cells)
-        self._prior = None if prior is None else PriorMatch(prior, self.domain)
         self._area: tuple[float, float] | None = None
         self._rules = Rules(config)
         self._room = Room()
@@ -151,18 +152,11 @@ class Mapper:
         self._against = Contradiction()
         # Lift of the map that is due and too small to be done yet, m.
         self._owed = 0.0
-        # Lifts since the first scan, done or due, m.
-        self._lifted = 0.0
         # Scans in a row of which no point entered the map.
         self._missed = 0
-        self._steps = Steps()
-        if self._prior is not None:
-            self._prior.reset()
-
-    @property
-    def prior_offset(self) -> PriorOffset | None:
-        """How far the map lies from its prior; None without one. It is not fed back to poses."""
-        return None if self._prior is None else self._prior.found
+        # Of the last scans compared with the map: squared height over it, and its variance from the
+        # claimed pose errors and from anything else, m^2.
+        self._gaps: deque[tuple[float, float, float]] = deque(maxlen=GAP_SCANS)
 
     def update(self, points_lidar: Points, pose: Pose, sweep: Sweep | None = None) -> ScanReport:
         """Map one scan of points (H, W, 3) organised or (N, 3), lidar axes (z boresight), m, of
@@ -187,8 +181,6 @@ class Mapper:
                 if not self.config.mapping.by_paper("covariance"):
                     offset = self._align(change, cells, now)
                 change.settle()
-                if self._prior is not None:
-                    self._prior.learn(self.leaves)
                 self._check_noise(change.ratio)
                 divisions, refused = change.divisions, change.refused
         self._missed = 0 if used else self._missed + 1
@@ -226,7 +218,7 @@ class Mapper:
         change, cells, found = self._compare(scan, now)
         compared, contradicts = cells, departs(found)
         if found is not None:
-            self._note_step(cells, found, now)
+            self._note_gap(cells, found)
         if not contradicts and 0 < cells.shape[1] <= NARROW:
             compared = change.parts()
             contradicts = stands_apart(compared, self.config.vehicle.height)
@@ -239,10 +231,8 @@ class Mapper:
                 self.leaves.plant()
             else:
                 lift(self.leaves, height, -np.inf)
-            if self._prior is not None:  # the map lies elsewhere than was compared
-                self._prior.reset()
             change, cells, found = self._compare(scan, now)
-            self._steps = Steps()
+            self._gaps.clear()
         elif found is not None and found.deviations > JUMP and verdict is Verdict.SOUND:
             lower(scan.points, found)
             change, cells, found = self._compare(scan, now)
@@ -252,20 +242,18 @@ class Mapper:
         self, scan: RegisteredScan, now: float
     ) -> tuple[ScanUpdate, Array, Departure | None]:
         """A scan fitted to the leaves, its cells beside the map's, and what they have in common."""
-        beginning = None if self._prior is None else self._prior.beginning(self.domain)
-        change = ScanUpdate(self.leaves, self._rules, scan, now, beginning, self._room)
+        change = ScanUpdate(self.leaves, self._rules, scan, now, self._room)
         cells = change.fit()
         return change, cells, self._departure(scan, cells, now)
 
-    def _note_step(self, cells: Array, found: Departure, now: float) -> None:
-        """Remember where a scan lay, refused or not, by the ground as it was before any lift."""
-        values = [found.height, found.claimed, found.mapped, found.noise, found.since]
-        if found.share < SHARE:
-            rows = [RISE, OF_SCAN, OF_MAP, OWN, FIRST_TIME]
-            values = np.median(cells[rows], axis=1).tolist()
-        height, claimed, mapped, noise, since = values
-        time = self.config.pose.correlation_time
-        self._steps.add(now, height + self._lifted, claimed, mapped, noise, since, time)
+    def _note_gap(self, cells: Array, found: Departure) -> None:
+        """Remember how far a scan, rejected or not, lay from the map, for `pose_gap`."""
+        values = [found.height, found.claimed, found.mapped, found.noise]
+        if found.share < SHARE:  # too few cells agree to give a common height
+            values = np.median(cells[[RISE, OF_SCAN, OF_MAP, OWN]], axis=1).tolist()
+        height, claimed, mapped, noise = values
+        floor = FLOOR * self.config.vehicle.height**2
+        self._gaps.append((height**2, claimed + mapped, noise + floor))
 
     def _departure(self, scan: RegisteredScan, cells: Array, now: float) -> Departure | None:
         time = self.config.pose.correlation_time
@@ -286,7 +274,6 @@ class Mapper:
         # no bit.
         of_scan, of_map = round(offset.scan, 9), round(offset.map, 9)
         self._owed += of_map
-        self._lifted += of_map
         if abs(self._owed) >= LEAST_LIFT * metre:
             lift(self.leaves, self._owed, round(offset.since, 9))
             self._owed = 0.0
@@ -294,9 +281,15 @@ class Mapper:
         change.align(of_scan + self._owed)
         return offset.height
 
-    def pose_errors(self) -> PoseErrors | None:
-        """Whether the last scans' poses err as they claim; None if that is not known yet."""
-        return self._steps.judge()
+    def pose_gap(self) -> tuple[float, float] | None:
+        """By how much the last scans and the map differ in height and the standard deviation that
+        their poses claim of that, m; None if the claim explains it or it is not known yet."""
+        if len(self._gaps) < GAP_SCANS:
+            return None
+        square, claimed, other = np.median(np.array(self._gaps), axis=0).tolist()
+        if square <= GAP_SIGMAS**2 * (claimed + other):
+            return None
+        return math.sqrt(square), math.sqrt(claimed)
 
     def _check_noise(self, ratio: Array) -> None:
         """Running mean of observed over configured range noise.
@@ -362,9 +355,7 @@ class Mapper:
         height, variance = state["offset"].tolist()
         self._offset = (height, variance)
         self._owed = float(state["owed"])
-        self._lifted, self._missed, self._steps = 0.0, 0, Steps()
-        if self._prior is not None:  # it is compared anew with all of the map
-            self._prior.beginning(domain)
-            self._prior.reset()
+        self._missed = 0
+        self._gaps.clear()
         count, height, variance = state["against"].tolist()
         self._against = Contradiction(int(count), height, variance)

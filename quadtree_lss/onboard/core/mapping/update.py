@@ -126,12 +126,11 @@ class ScanUpdate:
         rules: Rules,
         scan: RegisteredScan,
         now: float,
-        beginning: Array | None = None,
         room: Room | None = None,
     ) -> None:
         count = len(scan.key)
         self.table = table
-        self.fusion = Fusion(table, rules, scan, now, beginning)
+        self.fusion = Fusion(table, rules, scan, now)
         self.rules = rules
         rules.look(scan.pose.rotation_map_lidar[:, 2])
         self.points = scan.points

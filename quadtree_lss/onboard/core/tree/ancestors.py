@@ -178,8 +178,8 @@ def fuse_leaves(
             minus_at(own, mean, error, turn)
             first = basis[0] * arm[0] + basis[1] * arm[1] + basis[2] * arm[2]
             second = basis[3] * arm[0] + basis[4] * arm[1] + basis[5] * arm[2]
-            shift_origin(ranges, first, second)
-            turn_tangent(ranges, turn)
+            shift_origin(ranges, first, second, 1)
+            turn_tangent(ranges, turn, 1)
             error[2] = -(own[0] * arm[0] + own[1] * arm[1] + own[2] * arm[2])
             inverse_symmetric(ranges, information)
             for i in range(3):
@@ -201,7 +201,7 @@ def fuse_leaves(
             # d / n_z is how far the plane passes above the origin; the origin moves up to it.
             rise = error[2] / own[2]
             planes[a, 2] += rise
-            shift_origin(ranges, -rise * own[0], -rise * own[1])
+            shift_origin(ranges, -rise * own[0], -rise * own[1], 1)
             for i in range(3):
                 planes[a, 3 + i] = own[i]
                 for j in range(3):

@@ -292,8 +292,8 @@ class LeafTable:
                 z = quarter * (fabs(leaf.normal[0]) + fabs(leaf.normal[1])) + spread
                 leaf.low = max(leaf.low, leaf.z - z / leaf.normal[2])
                 leaf.high = min(leaf.high, leaf.z + z / leaf.normal[2])
-                shift_origin(leaf.range_part, first, second)
-                shift_origin(leaf.pose_part, first, second)
+                shift_origin(leaf.range_part, first, second, 1)
+                shift_origin(leaf.pose_part, first, second, 1)
                 leaf.range_part[0] += max(min(tilt, NO_SLOPE - leaf.range_part[0]), 0.0)
                 leaf.range_part[4] += max(min(tilt, NO_SLOPE - leaf.range_part[4]), 0.0)
                 leaf.range_part[8] += square
