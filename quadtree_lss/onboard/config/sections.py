@@ -261,21 +261,6 @@ class LssConfig:
 
 
 @dataclass(frozen=True)
-class LightConfig:
-    """Where the sun stands at touchdown."""
-
-    azimuth: float = _live(
-        0.0, "of the sun at touchdown, clockwise from north (the map's y)", (-360.0, 360.0), "deg"
-    )
-    elevation: float = _live(
-        0.0,
-        "of the sun at touchdown, over the map's level; 0 is off: no layers of shadow and reach",
-        (0.0, 90.0),
-        "deg",
-    )
-
-
-@dataclass(frozen=True)
 class PriorConfig:
     """Ground that is known before the first scan."""
 

@@ -129,8 +129,6 @@ class LandingAssessment:
         risk: (ny, nx) that landing right there fails, with the ground as it is known; both NaN if
             nobody asked for them.
         explanation: Why there are no sites, or how many grid points are safe.
-        shadow: (ny, nx) in shadow at touchdown; None without ``light.elevation``.
-        reach: (ny, nx) within reach (see `grid.reachable`); None without light, or if nobody knows.
         doubts: Why its risks may be wrong, a line each (see `Doubts`).
         offset_z, offset_variance: Of the map from navigation, as of ``CellMap``, m, m^2.
         ground: What the layers below are made of when they are asked for.
@@ -156,8 +154,6 @@ class LandingAssessment:
     offset_variance: float
     ground: tuple[GridSampler, PointAssessment] | None = None
     doubts: tuple[str, ...] = ()
-    shadow: Mask | None = None
-    reach: Mask | None = None
 
     @property
     def undecided(self) -> bool:

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.geometry.polygons import signed_distance
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 from quadtree_lss.onboard.core.landing.lattice import find_best
 from quadtree_lss.onboard.core.landing.probability import Dispersion, aimed
@@ -171,7 +170,6 @@ class Aims:
         hazard: Bits of ``hazards``.
         candidates: What sites are chosen from.
         withheld: Why no site may be given out and all is excluded; empty if that is not so.
-        shadow: In shadow; None if nobody asked for it.
     """
 
     at: GridSampler
@@ -181,7 +179,6 @@ class Aims:
     hazard: Bytes
     candidates: Candidates
     withheld: str
-    shadow: Mask | None = None
 
     def without(self, places: Mask) -> Aims:
         """None of these, (ny, nx), is permitted."""
@@ -200,12 +197,8 @@ def aim(
     spread: Dispersion,
     wanted: Restrictions,
     lss: LssConfig,
-    dark: Mask | None = None,
 ) -> Aims:
-    """The points of the user's grid as aims: the risk over where the lander comes down.
-
-    ``dark``: (ny, nx) those in shadow, each of which costs `NEARER`.
-    """
+    """Evaluate the points of the user's grid as aims: the risk over where the lander comes down."""
     at_aim, ranks = points.risk, lss.ranking == "probability"
     if ranks or lss.assessment == "probability":
         at_aim = aimed(at_aim, points.raster.domain.finest_size, spread)
@@ -213,13 +206,11 @@ def aim(
     score = np.where(safe, at.nearest(points.score), np.nan)
     cost = probable_first(unsafe, score) if ranks else score
     hazard, risk = at.any(points.hazard), at.linear(points.risk)
-    if dark is not None:
-        cost += NEARER[lss.ranking] * dark
     withheld = wanted.apply(cost, at.x, at.y, lss)
     if ranks and (withheld or wanted.area is not None or len(wanted.keep_outs)):
         np.copyto(score, np.nan, where=np.isnan(cost))
     candidates = Candidates(at.x, at.y, safe, cost, unsafe if ranks else None)
-    return Aims(at, score, 1.0 - unsafe, risk, hazard, candidates, withheld, dark)
+    return Aims(at, score, 1.0 - unsafe, risk, hazard, candidates, withheld)
 
 
 def probable_first(unsafe: Array, score: Array) -> Array:
@@ -287,29 +278,6 @@ def reached(
     at_x, at_y = motion.x + stop * motion.along_x, motion.y + stop * motion.along_y
     square = (x - at_x) ** 2 + (y[:, None] - at_y) ** 2
     return np.asarray(square <= left.reach**2)
-
-
-def reachable(
-    x: Array,
-    y: Array,
-    wanted: Restrictions,
-    lss: LssConfig,
-    motion: Motion | None,
-    descent: Descent | None,
-) -> Mask | None:
-    """(ny, nx) grid points within reach, None if nobody knows.
-
-    As guidance gives it as the landing area, which holds the zone about each; without an area, by
-    the vehicle's place and speed.
-    """
-    if wanted.area is not None:
-        try:
-            return np.asarray(signed_distance(wanted.area, *np.meshgrid(x, y)) >= lss.zone)
-        except (TypeError, ValueError):
-            return None
-    if motion is None or not isfinite(motion.x):
-        return None
-    return reached(x, y, motion, descent, 0.0)
 
 
 @lru_cache(maxsize=4)

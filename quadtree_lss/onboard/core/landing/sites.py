@@ -29,7 +29,6 @@ from quadtree_lss.onboard.core.landing.grid import (
     GridSampler,
     aim,
     best_points,
-    reachable,
     users_grid,
     within_reach,
 )
@@ -40,7 +39,7 @@ from quadtree_lss.onboard.core.landing.probability import (
     limits,
     remaining_risks,
 )
-from quadtree_lss.onboard.core.landing.raster import TerrainRaster, in_shadow, rasterise
+from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.onboard.core.landing.score import (
     SLACK,
     PointAssessment,
@@ -160,10 +159,7 @@ class LandingSiteSelector:
             heading = spread.heading if self._table is None else None
             worst = self._check.worst(raster, around.met, heading)
         points = assess_points(raster, around, worst, self._check, self._table, lss)
-        dark = None
-        if self.config.light.elevation:
-            dark = at.any(touching(in_shadow(raster, self.config.light).view(np.uint8))) > 0
-        aims = aim(points, at, spread, wanted, lss, dark)
+        aims = aim(points, at, spread, wanted, lss)
         motion = None if vehicle is None else Motion(*vehicle)
         return self._choose_sites(points, aims, spread, wanted, (motion, waited))
 
@@ -251,10 +247,6 @@ class LandingSiteSelector:
             offset_variance=cells.offset_variance,
             ground=(at, points),
             doubts=doubts,
-            shadow=aims.shadow,
-            reach=None
-            if aims.shadow is None
-            else reachable(at.x, at.y, wanted, lss, motion, below),
         )
 
     def _choose(self, ground: Candidates, **situation: Any) -> Choice:

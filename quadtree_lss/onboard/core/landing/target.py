@@ -48,8 +48,8 @@ SETTLE_SHARE = 0.63
 #: cent more probably safe; in the score 4 m more room to the nearest hazard, or 4.6 degrees less
 #: slope.
 SWITCH = {"probability": 0.01, "score": 0.08}
-#: What a metre nearer to the place that is asked for is worth, and light at the aim: 0.1 % more
-#: probably safe, so that among equals the near and the lit ones win; in the score 0.2 m of room.
+#: Cost of a metre of distance from the wanted place: 0.1 % of probability, so that the nearer of two
+#: equal sites ranks first; in the score 0.2 m of room.
 NEARER = {"probability": 0.001, "score": 0.004}
 #: How a vehicle gets aside on its way down: acceleration, m/s^2, and the least speed downwards that
 #: its time is reckoned with, m/s.
