@@ -139,11 +139,11 @@ def run_summary(
         "target": found.selected.id,
         "target_changes": int(found.selected.id > 0),
         "explanation": found.explanation,
-        "doubts": found.doubts,
+        "doubts": found.warnings,
         "reasons": found.sites.reasons,
         "interrupted": False,
         "losses": (),
-        "warnings": found.doubts,
+        "warnings": found.warnings,
         **known,
     }
 

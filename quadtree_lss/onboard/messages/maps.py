@@ -278,7 +278,7 @@ def encode_status(
         out[name] = getattr(selected, name)
     out["hazard_distance"] = selected.site.hazard_distance if selected.id else np.nan
     out["age"], out["wait"] = age, WAIT_S
-    out["answer"], out["doubts"] = assessment.number, len(assessment.doubts)
+    out["answer"], out["doubts"] = assessment.number, len(assessment.warnings)
     return out
 
 

@@ -17,12 +17,12 @@ from quadtree_lss.onboard.config.risk import risk_model
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.assessment import (
-    Doubts,
     LandingAssessment,
     Selected,
     Sites,
     no_target,
     nothing_mapped,
+    risk_warnings,
 )
 from quadtree_lss.onboard.core.landing.grid import (
     Aims,
@@ -94,12 +94,10 @@ class LandingSiteSelector:
         self._table: RiskTable | None
         self._check: TouchdownCheck | None
         self._table, self._check, within = None, None, None
-        self._doubts: Doubts | None = None
         if "probability" in (lss.assessment, lss.ranking):
             model = risk_model(lss.risk_model)
             self._table = RiskTable(model, lss, config.lidar.range_noise)
             within = limits(model, lss)
-            self._doubts = Doubts(config)
         if within is not None or lss.assessment != "paper":
             self._check = TouchdownCheck(lss, within)
 
@@ -178,7 +176,6 @@ class LandingSiteSelector:
         nowhere = np.full((len(at.y), len(at.x)), np.nan)
         ground = Candidates(at.x, at.y, np.isfinite(nowhere), nowhere)
         self._choose(ground, why_not=lambda *_: reason, why_none=reason)
-        self._doubts = None if self._doubts is None else Doubts(self.config)  # of the next map
         return nothing_mapped(cells, self._number, reason, at.x, at.y, at.any(touching(bits)))
 
     def _choose_sites(
@@ -199,9 +196,9 @@ class LandingSiteSelector:
             above = ground > motion.z + ABOVE + lss.vehicle.diameter
             above &= aims.hazard & hazards.UNSEEN == 0
             aims = aims.without(above)
-        doubts: tuple[str, ...] = ()
-        if self._doubts is not None:
-            doubts = self._doubts.of(points.raster, points.risk, points.around.judged)
+        warnings: tuple[str, ...] = ()
+        if self._table is not None:
+            warnings = risk_warnings(self.config, points.raster, points.around.judged)
         landable = bool(aims.candidates.permitted.any())
         seen = wanted.share(aims.hazard & hazards.UNSEEN == 0, at.x, at.y)
         settled = seen >= SETTLE_SHARE or waited >= lss.settle_time
@@ -246,7 +243,7 @@ class LandingSiteSelector:
             offset_z=cells.offset_z,
             offset_variance=cells.offset_variance,
             ground=(at, points),
-            doubts=doubts,
+            warnings=warnings,
         )
 
     def _choose(self, ground: Candidates, **situation: Any) -> Choice:
