@@ -235,12 +235,6 @@ class LssConfig:
         (0.0, 1e5),
         "m",
     )
-    hysteresis: float = _live(
-        0.0,
-        "each ranked site keeps its rank unless another scores better by this; 0 is off: the list "
-        "follows from the map alone",
-        (0.0, 1e6),
-    )
     #: No parameter: what lands, of the section ``vehicle``.
     vehicle: VehicleConfig = VehicleConfig()
 

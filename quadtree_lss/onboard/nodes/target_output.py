@@ -14,7 +14,6 @@ from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.limits import LONGEST
-from quadtree_lss.onboard.core.landing.target import WAIT_S
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.landing_inputs import prior_from_message
@@ -151,10 +150,7 @@ class TargetOutput:
             why = "nothing is mapped yet" if result is None else result.explanation
             msg = f"no place within reach ({why}); the first that there is will be it"
             raise QuadtreeLssError(msg)
-        return (
-            f"{_text(result.selected)}, safe with probability {result.selected.probability:.3f};"
-            f" {WAIT_S:g} s of waiting would gain {result.gain:+.3f}"
-        )
+        return f"{_text(result.selected)}, safe with probability {result.selected.probability:.3f}"
 
 
 def _text(chosen: Selected) -> str:

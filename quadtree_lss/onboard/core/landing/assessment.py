@@ -112,7 +112,6 @@ class LandingAssessment:
         sites: Ranked sites, none if no ground is safe.
         now: (4,) x, y, z, m, and probability of a safe touchdown, as of ``probability``: the best
             place within reach at this moment (see `grid.within_reach`), NaN if there is none.
-        gain: What waiting ``target.WAIT_S`` more is worth, as a probability; NaN if unknown.
         x, y: (nx,), (ny,) of the grid points, m.
         hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown, 16 uncertain (there
             the lander stands on the map, yet is too likely not to), 64 seen but not yet mapped (128
@@ -135,7 +134,6 @@ class LandingAssessment:
     pending: bool
     sites: Sites
     now: Array
-    gain: float
     x: Array
     y: Array
     hazard: Bytes
@@ -209,7 +207,6 @@ def nothing_mapped(
         pending=False,
         sites=no_sites(),
         now=np.full(4, np.nan),
-        gain=float("nan"),
         x=x,
         y=y,
         hazard=hazard,
