@@ -279,8 +279,12 @@ class Candidates:
         return lowest(np.fmin(self.cost, inf)) if self.permitted.any() else None
 
     def at(self, x: float, y: float) -> tuple[int, int] | None:
-        """Row and column of the grid point at a place, None if there is none."""
-        return grid_point(self.x, self.y, x, y)
+        """Row and column of the grid point at a place, but for rounding; None if there is none."""
+        slack = SAME * float(self.x[1] - self.x[0]) if len(self.x) > 1 else 0.0
+        row, column = bisect_left(self.y, y - slack), bisect_left(self.x, x - slack)
+        found = row < len(self.y) and column < len(self.x)
+        found = found and self.y[row] <= y + slack and self.x[column] <= x + slack
+        return (row, column) if found else None
 
     def safe_on(self, other: Candidates) -> Mask:
         """`safe` at the grid points of another, whose grid may be this one moved by whole steps;
@@ -551,12 +555,3 @@ def lowest(values: Array) -> tuple[int, int]:
     """Return row and column of the lowest value, of equal ones the first."""
     row, column = divmod(int(np.argmin(values)), values.shape[1])
     return row, column
-
-
-def grid_point(x: Array, y: Array, place_x: float, place_y: float) -> tuple[int, int] | None:
-    """Row and column of the grid point at a place, but for rounding; None if there is none."""
-    slack = SAME * float(x[1] - x[0]) if len(x) > 1 else 0.0
-    row, column = bisect_left(y, place_y - slack), bisect_left(x, place_x - slack)
-    found = row < len(y) and column < len(x)
-    found = found and y[row] <= place_y + slack and x[column] <= place_x + slack
-    return (row, column) if found else None
