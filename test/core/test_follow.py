@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from quadtree_lss.onboard.config.settings import ConfigError, config_from_values
 from quadtree_lss.onboard.core.geometry import morton
-from quadtree_lss.onboard.core.landing.assessment import Hindsight
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.core.mapping.contradiction import AGREEING
@@ -240,25 +239,6 @@ def test_ground_at_a_rim_that_came_nearer_is_judged_as_a_new_pass_would():
         followed, anew = follower.assess(cells), LandingSiteSelector(config).assess(cells)
         np.testing.assert_array_equal(followed.risk, anew.risk)
         np.testing.assert_array_equal(followed.probability, anew.probability)
-
-
-def test_risks_told_before_a_move_are_held_against_the_same_places():
-    square, every = Domain(0.0, 0.0, 64.0, 2, 8), np.ones((257, 257), dtype=bool)
-    x, y = np.meshgrid(*[0.25 * np.arange(257)] * 2)
-    told = np.where((x > 30.0) & (y < 20.0), 0.01, 0.2)
-
-    def later(moved):
-        """As told, where that is another place by what lies in it."""
-        hindsight = Hindsight(3.0)
-        hindsight.take(square, 1, told, every)
-        hindsight.take(moved, 2, carried(told, *square.cells_to(moved), 0.2), every)
-        return hindsight
-
-    for moved in (square.moved(1, 0), square.moved(0, -1), square.moved(-1, 1)):
-        found = later(moved)
-        both = np.isfinite(found._first) & np.isfinite(found._last)
-        assert both.sum() > 900
-        np.testing.assert_array_equal(found._first[both], found._last[both])
 
 
 @given(st.integers(-5, 5), st.integers(-7, 7))

@@ -376,18 +376,6 @@ def test_near_the_target_is_better(monkeypatch, level_ground):
     np.testing.assert_allclose(aimed.score, plain.score + added, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("hysteresis", "stays"), [(0.0, False), (0.005, False), (1.0, True)])
-def test_hysteresis_keeps_the_first_site_while_it_is_good_enough(
-    level_ground, hysteresis, stays, monkeypatch
-):
-    monkeypatch.setitem(NEARER, "score", 0.1)
-    selector = LandingSiteSelector(small(hysteresis=hysteresis, sites=2))
-    first = selector.assess(level_ground, target=(5.0, 5.0)).sites.position[0]
-    second = selector.assess(level_ground, target=(6.0, 5.0)).sites
-    assert np.array_equal(second.position[0], first) == stays
-    assert len(second.score) == 2
-
-
 @pytest.mark.parametrize(
     "limit", [{"max_slope_deg": 0.5}, {"clearance": 0.024}], ids=lambda limit: next(iter(limit))
 )

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.landing import grid, sites
+from quadtree_lss.onboard.core.landing import sites
 from quadtree_lss.onboard.core.landing.lattice import ground_planes
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector, ground_covariance
@@ -501,19 +501,6 @@ def test_land_now_heeds_keep_outs_and_takes_what_is_least_unsafe(with_block):
     assert np.abs(second.position[:2] - first.position[:2]).max() > 2.0
     none = selector.assess(with_block, vehicle=here, withheld="unreadable").selected
     assert none.reason is Reason.WITHHELD and not none.id
-
-
-def test_waiting_gains_by_the_choice_and_loses_by_the_reach(level_ground):
-    """Against drawn risks; and down at 2 m/s in 5 s there is nothing left to choose from."""
-    risks = np.array([0.02, 0.03, 0.05])
-    normal = np.random.default_rng(1).normal(size=(200_000, 3))
-    drawn = risks * np.exp(grid.SPREAD * normal - 0.5 * grid.SPREAD**2)
-    assert drawn.std(axis=0) / risks == pytest.approx(0.5, rel=0.02)
-    assert grid.least_later(risks) == pytest.approx(drawn.min(axis=1).mean(), rel=0.01)
-    assert grid.least_later(risks[:1]) == pytest.approx(0.02, rel=1e-3)
-    selector = LandingSiteSelector(by_risk())
-    gains = [selector.assess(level_ground, vehicle=(z, 2.0, 8.1, 8.1)).gain for z in (40.0, 9.0)]
-    assert 0.0 < gains[0] < 0.01 and gains[1] < -0.9
 
 
 def test_covariance_is_that_of_drawn_maps():

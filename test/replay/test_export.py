@@ -28,8 +28,7 @@ MADE_FOR = "+proj=tmerc +lat_0=38 +lon_0=-116 +datum=WGS84 +units=m"
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("export")
     bag = write_ros2(folder / "bag", scans=10)
-    values = {**GROUND, "light.azimuth": 120.0, "light.elevation": 10.0}
-    return replay(bag, folder / "out", config_from_values(values), report=False)
+    return replay(bag, folder / "out", config_from_values(GROUND), report=False)
 
 
 def test_every_layer_is_a_cloud_optimised_geotiff(written, tmp_path):
@@ -38,7 +37,6 @@ def test_every_layer_is_a_cloud_optimised_geotiff(written, tmp_path):
     grid = load_results(written.out).grid
     names = {*grid.layers, "map_height", "map_deviation"}
     assert {path.name for path in paths} == {f"{name}.tif" for name in names}
-    assert {"shadow", "reach"} < {*grid.layers}
     for name, values in grid.layers.items():
         with rasterio.open(tmp_path / f"{name}.tif") as file:
             assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG" and file.crs.is_projected
@@ -47,10 +45,9 @@ def test_every_layer_is_a_cloud_optimised_geotiff(written, tmp_path):
             x, y = grid.x[5], grid.y[40]
             (pixel,) = file.sample([(x, y)])
             if values.dtype == np.bool_:
-                good = 0 if name == "shadow" else 1
-                assert file.nodata == 255 and file.colormap(1)[good][:3] == (0x00, 0x9E, 0x73)
+                assert file.nodata == 255 and file.colormap(1)[1][:3] == (0x00, 0x9E, 0x73)
                 values = np.where(grid["hazard"] & 128, 255, values)
-                assert {0, 1, 255} == set(values.flat) or name == "reach"
+                assert {0, 1, 255} == set(values.flat)
             elif name == "hazard":
                 assert file.colormap(1)[128 | 8] != file.colormap(1)[8] != file.colormap(1)[0]
             np.testing.assert_allclose(pixel[0], np.float32(values[40, 5]))

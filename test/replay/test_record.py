@@ -192,7 +192,7 @@ def test_the_target_is_told_in_the_bag_as_in_the_results(recorded):
     records = [np.frombuffer(message.data.tobytes(), STATUS_FIELDS)[0] for message in told]
     assert [record["answer"] for record in records] == list(range(1, len(records) + 1))
     assert (np.array([record["age"] for record in records]) >= 0.0).all()
-    assert records[-1]["doubts"] == len(result.assessment.doubts)
+    assert records[-1]["doubts"] == len(result.assessment.warnings)
     with (result.out / "selected.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [int(row["id"]) for row in rows] == [change.id for change in result.targets]

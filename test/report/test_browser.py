@@ -483,45 +483,6 @@ def test_without_javascript_there_are_table_and_picture(text, tmp_path, _browser
     assert table > 300 and picture > 300 and frame == choice == 0
 
 
-@pytest.mark.slow
-def test_shadow_and_reach_are_layers(tmp_path, in_browser):
-    """With the sun's direction: in list, legend and at the pointer."""
-    config = config_from_values({"light.azimuth": 120.0, "light.elevation": 10.0}, CONFIG)
-    result = replay(write_ros2(tmp_path / "bag", scans=6), tmp_path / "out", config)
-    told = in_browser(
-        (result.out / "report.html").read_text(),
-        """
-        for (const name of ["shadow", "reach"]) {
-          setLayer(name); const { nx, ny, spacing: s } = grid, found = {};
-          for (const is of [0, 1]) {
-            const k = [...grid[name].keys()].find(i => grid[name][i] === is &&
-              !(grid.hazard[i] & UNSEEN.bit));
-            if (k === undefined) continue;
-            at("pointermove", px(grid.xmin + (k % nx) * s), py(grid.ymin + Math.floor(k / nx) * s));
-            found[is] = shown()[name];
-          }
-          const title = byId("layer").selectedOptions[0].text;
-          tellTest(name, [found, byId("legend").textContent, title]);
-        }
-        """,
-    )
-    with np.load(result.out / "grid.npz") as grid:
-        seen = (grid["hazard"] & 128) == 0
-        for name, words in (
-            ("shadow", ("lit", "in shadow")),
-            ("reach", ("beyond reach", "within reach")),
-        ):
-            found, legend, title = told[name]
-            there = np.unique(grid[name][seen].astype(int))
-            assert found == {str(k): words[k] for k in there}
-            assert all(words[k] in legend for k in there)
-            assert title == {"shadow": "Shadow", "reach": "Within reach"}[name]
-            if name == "shadow":
-                share = 100.0 * np.mean(grid[name][seen])
-                assert len(there) == 2 and 0.0 < share < 50.0
-                assert "At touchdown." in legend
-
-
 def test_sliders_recompute_what_a_landing_pass_would_find(result, browse):
     """Marked as no result of the run, which comes back."""
     tries = [

@@ -118,13 +118,10 @@ def test_ground_not_yet_mapped_has_a_word_and_a_colour_of_its_own(content):
 def test_layers_are_those_that_the_run_had(content):
     bare = {name: v for name, v in content.grid.items() if name not in ("probability", "risk")}
     there = unpacked(changed(content, grid=bare))[0]["grid"].keys()
-    assert not {"shadow", "reach", "probability"} & there
+    assert "probability" not in there
     likely = np.where(content.grid.seen, 0.25, np.nan)
-    layers = {"shadow": content.grid["safe"], "reach": ~content.grid["safe"], "probability": likely}
-    data, get = unpacked(changed(content, grid=bare | layers))
-    for name, values in layers.items():
-        scale = 100.0 if name == "probability" else 1.0
-        np.testing.assert_allclose(get(data["grid"][name]), scale * values.ravel())
+    data, get = unpacked(changed(content, grid=bare | {"probability": likely}))
+    np.testing.assert_allclose(get(data["grid"]["probability"]), 100.0 * likely.ravel())
 
 
 def test_roughness_is_shown_by_area_whatever_the_size_of_the_leaf(content):

@@ -81,7 +81,7 @@ def rank_sites(
         median_slope_deg=float(np.degrees(np.arccos(upward))),
         crs=model.crs,
         duration=time.perf_counter() - began,
-        warnings=[*found.doubts, *_notes(model, block)],
+        warnings=[*found.warnings, *_notes(model, block)],
     )
     result = ReplayResult(None if out is None else Path(out), cells, found, (), summary)
     if result.out is not None:

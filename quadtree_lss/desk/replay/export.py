@@ -21,7 +21,7 @@ from quadtree_lss.onboard.elevation.libraries import ExchangeError, library
 from quadtree_lss.onboard.elevation.reference import WHAT, reference
 
 NO_DATA = 255
-"""Where a layer of `MASKS` is of unseen ground."""
+"""Value of unseen ground in the layer ``safe``."""
 LAYERS = {
     "elevation": ("m", "the map's own height"),
     "plane_elevation": ("m", "height of the plane at the lander's scale"),
@@ -32,8 +32,6 @@ LAYERS = {
         " 64 seen but not yet mapped, 128 unseen",
     ),
     "safe": ("", f"1 landing centred here is allowed, 0 it is not, {NO_DATA} unseen"),
-    "shadow": ("", f"1 in shadow at touchdown, 0 lit, {NO_DATA} unseen"),
-    "reach": ("", f"1 within reach, 0 beyond, {NO_DATA} unseen"),
     "score": ("1", "Eq. 59, lower is better"),
     "risk": ("1", "that landing right there fails"),
     "probability": ("1", "of a safe touchdown if the lander aims there"),
@@ -48,8 +46,6 @@ FARTHEST_DEG = 1.0
 CIRCLE_POINTS = 48
 FREE, OCCUPIED, UNKNOWN = 254, 0, 205
 """Grey of nav2's map_server."""
-MASKS = ("safe", "shadow", "reach")
-"""Layers that are true or false."""
 
 
 def export_results(
@@ -148,13 +144,13 @@ def _write_geotiff(
     folder: Path, name: str, values: NDArray[Any], x: Array, y: Array, seen: Mask, crs: str
 ) -> Path:
     """One layer (ny, nx) as cloud-optimised GeoTIFF; pixels are about the places x (nx,), y (ny,),
-    ascending, evenly spaced, m; NaN is no data, of `MASKS` that is unseen ground."""
+    ascending, evenly spaced, m; NaN is no data, in ``safe`` unseen ground."""
     rasterio = library("rasterio", WHAT)
     unit, words = LAYERS.get(name, ("", ""))
     exact, path = values.dtype in (np.bool_, np.uint8), folder / f"{name}.tif"
     options: dict[str, Any] = {"driver": "COG", "compress": "deflate", "crs": crs or None}
     options["nodata"] = None if exact else float("nan")
-    if name in MASKS:
+    if name == "safe":
         values, options["nodata"] = np.where(seen, values, NO_DATA), NO_DATA
     if exact:  # a mean of bits is none of them
         options["overview_resampling"] = "nearest"
@@ -184,8 +180,7 @@ def _colour_tables() -> dict[str, dict[int, str]]:
     for bits in range(256):
         kinds = (colour for bit, _, colour in palette.HAZARDS if bits & bit)
         hazard[bits] = next(kinds, palette.CLEAR_COLOUR)
-    tables = {"safe": {0: no, 1: yes}, "shadow": {0: yes, 1: no}, "reach": {0: no, 1: yes}}
-    return {"hazard": hazard} | {name: table | none for name, table in tables.items()}
+    return {"hazard": hazard, "safe": {0: no, 1: yes} | none}
 
 
 def _mesh(end: str, results: Results, folder: Path, crs: str) -> list[Path]:

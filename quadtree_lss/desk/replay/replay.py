@@ -133,7 +133,7 @@ def replay(
         target=passes.changes[-1].id if passes.changes else 0,
         target_changes=len(passes.changes),
         losses=losses,
-        warnings=[*assessment.doubts, *opened.notes, *run.warnings()],
+        warnings=[*assessment.warnings, *opened.notes, *run.warnings()],
     )
     timings, targets = tuple(run.timings), tuple(passes.changes)
     result = ReplayResult(folder, decoded, assessment, timings, summary, targets)

@@ -139,11 +139,11 @@ def run_summary(
         "target": found.selected.id,
         "target_changes": int(found.selected.id > 0),
         "explanation": found.explanation,
-        "doubts": found.doubts,
+        "doubts": found.warnings,
         "reasons": found.sites.reasons,
         "interrupted": False,
         "losses": (),
-        "warnings": found.doubts,
+        "warnings": found.warnings,
         **known,
     }
 
@@ -214,8 +214,6 @@ def grid_of(assessment: LandingAssessment) -> Grid:
     names = ("x", "y", "elevation", "plane_elevation", "slope_deg", "hazard", "safe", "score")
     found = Grid({name: getattr(assessment, name) for name in (*names, "risk")})
     found["probability"] = known_probability(assessment)
-    layers = {name: getattr(assessment, name) for name in ("shadow", "reach")}
-    found |= {name: values for name, values in layers.items() if values is not None}
     return found
 
 

@@ -49,17 +49,6 @@ function makeLayers() {
   onGrid("slope", "Slope at the lander's scale", "deg", grid.slope, "slope", notKnown,
          { mark: grid.slope.mark });
   onGrid("score", "Score, lower is better", "", grid.score, "score", "excluded");
-  for (const [name, title, no, yes, note] of [
-    ["shadow", "Shadow", "lit", "in shadow", "At touchdown. "],
-    ["reach", "Within reach", "beyond reach", "within reach", ""],
-  ]) {
-    if (!grid[name]) continue;
-    const good = data.colours.safe, bad = data.colours.excluded, lit = name === "shadow";
-    LAYERS[name] = { title, of: "grid", values: grid[name], note,
-      value: i => (grid.hazard[i] & UNMAPPED.bit ? 3 : grid.hazard[i] & UNSEEN.bit ? 2 : grid[name][i]),
-      classes: [{ name: no, colour: lit ? good : bad }, { name: yes, colour: lit ? bad : good },
-                { ...UNSEEN }, { ...UNMAPPED }] };
-  }
   const sizes = [leaves.max_level, leaves.min_level].map(l => Math.log2(leafSize(l)));
   if (leaves.deviation) {
     onLeaves("deviation", "Deviation of the height, 1 σ", "m", leaves.deviation,

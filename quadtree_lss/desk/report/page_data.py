@@ -107,9 +107,8 @@ def _grid(content: Results, columns: Columns) -> dict[str, Any]:
         "slope": columns.quantised(part("slope_deg"), least=5e-3, **slope),
         "score": columns.quantised(part("score"), least=2e-4, limits=limits(grid["score"])),
     }
-    for name in ("hazard", "safe", "shadow", "reach"):
-        if name in grid:
-            found[name] = columns.whole(part(name), "u1")
+    for name in ("hazard", "safe"):
+        found[name] = columns.whole(part(name), "u1")
     if content.probability is not None:
         percent = 100.0 * part("probability")
         found["probability"] = columns.quantised(percent, least=5e-3, limits=(0.0, 100.0))

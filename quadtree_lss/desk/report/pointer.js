@@ -20,9 +20,6 @@ function values(x, y) {
     rows.push(["slope", `${withUnit(grid.slope[i], 1, "°")}, lander's scale`]);
     rows.push(["hazard", hazardNames(grid.hazard[i])]);
     rows.push(["score", Number.isNaN(grid.score[i]) ? "excluded" : grid.score[i].toFixed(4)]);
-    for (const name of ["shadow", "reach"]) {
-      if (grid[name]) rows.push([name, LAYERS[name].classes[grid[name][i]].name]);
-    }
     for (const layer of data.layers) {
       rows.push([layer.title, layer.classes ? layer.classes[layer.values[i]].name :
         withUnit(layer.values[i], 3, layer.unit)]);

@@ -22,7 +22,7 @@ from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 from quadtree_lss.onboard.core.landing.hazards import EXCEPTION
 from quadtree_lss.onboard.core.landing.lattice import grown
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-from quadtree_lss.onboard.core.landing.target import NEARER, Restrictions
+from quadtree_lss.onboard.core.landing.target import Restrictions
 
 MOST_POINTS = 100_000
 """Of the finest lattice, for which the page takes a second at most."""
@@ -95,8 +95,6 @@ def _vehicle(
     judged = points.around.judged
     extra = np.zeros(found.safe.shape)
     Restrictions(**wishes).apply(extra, found.x, found.y, lss)
-    if found.shadow is not None:
-        extra += NEARER["probability"] * found.shadow
     side = points.raster.domain.finest_size
     excepted = grown(points.hazard & EXCEPTION > 0, 0.5 * lss.vehicle.diameter, side)
     return {

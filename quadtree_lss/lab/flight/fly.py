@@ -101,7 +101,7 @@ def fly(flight: Flight, nodes: Any, progress: Callable[[float], None] | None) ->
 def figures_of(seed: int, flight: Flight, last: LandingAssessment | None) -> dict[str, Any]:
     """What became of a flight, ready for JSON."""
     figures = {"seed": seed, "avoidance": flight.settings.avoidance, **flight.result()}
-    warnings = "; ".join(() if last is None else last.doubts)
+    warnings = "; ".join(() if last is None else last.warnings)
     said = "nothing" if last is None else map_said(last, figures["x"], figures["y"])
     return figures | {"map_said": said, "warnings": warnings}
 

@@ -235,12 +235,6 @@ class LssConfig:
         (0.0, 1e5),
         "m",
     )
-    hysteresis: float = _live(
-        0.0,
-        "each ranked site keeps its rank unless another scores better by this; 0 is off: the list "
-        "follows from the map alone",
-        (0.0, 1e6),
-    )
     #: No parameter: what lands, of the section ``vehicle``.
     vehicle: VehicleConfig = VehicleConfig()
 
@@ -258,21 +252,6 @@ class LssConfig:
     def gap(self) -> float:
         """Ground farther from any that is mapped is unseen, m."""
         return self.vehicle.lengths.max_gap if self.max_gap < 0.0 else self.max_gap
-
-
-@dataclass(frozen=True)
-class LightConfig:
-    """Where the sun stands at touchdown."""
-
-    azimuth: float = _live(
-        0.0, "of the sun at touchdown, clockwise from north (the map's y)", (-360.0, 360.0), "deg"
-    )
-    elevation: float = _live(
-        0.0,
-        "of the sun at touchdown, over the map's level; 0 is off: no layers of shadow and reach",
-        (0.0, 90.0),
-        "deg",
-    )
 
 
 @dataclass(frozen=True)

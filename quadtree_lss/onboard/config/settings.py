@@ -129,7 +129,6 @@ class Config:
     mount: MountConfig = field(default_factory=MountConfig)
     mapping: sections.MappingConfig = field(default_factory=sections.MappingConfig)
     lss: LssConfig = field(default_factory=LssConfig)
-    light: sections.LightConfig = field(default_factory=sections.LightConfig)
     qos: sections.QosConfig = field(default_factory=sections.QosConfig)
     publish: sections.PublishConfig = field(default_factory=sections.PublishConfig)
     diagnostics: DiagnosticsConfig = field(default_factory=DiagnosticsConfig)

@@ -18,7 +18,6 @@ from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.limits import MOST_LEAVES, MOST_LEVELS, why_too_much
 from quadtree_lss.onboard.config.settings import ConfigError, LssConfig, checked_values
 from quadtree_lss.onboard.core.geometry.bounds import MOST, MOST_HEIGHT, bounded
-from quadtree_lss.onboard.core.landing.target import WAIT_S
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.columns import pack
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -84,7 +83,7 @@ STATUS_FIELDS = record_dtype(
     ("u1", ("reason", "state")),
     ("f4", ("seen", "probability")),
     ("u1", ["doubts"]),
-    ("f4", (*_NOW, "gain", "wait")),
+    ("f4", _NOW),
 )
 
 
@@ -265,13 +264,12 @@ def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]
     out = np.zeros(1, dtype=STATUS_FIELDS)
     _put(out, "xyz", selected.position)
     _put(out, _NOW, np.asarray(assessment.now))
-    for name in ("offset_z", "offset_variance", "seen", "gain"):
+    for name in ("offset_z", "offset_variance", "seen"):
         out[name] = getattr(assessment, name)
     for name in ("id", "reason", "state", "probability"):
         out[name] = getattr(selected, name)
     out["hazard_distance"] = selected.site.hazard_distance if selected.id else np.nan
-    out["age"], out["wait"] = age, WAIT_S
-    out["answer"], out["doubts"] = assessment.number, len(assessment.doubts)
+    out["age"], out["answer"], out["doubts"] = age, assessment.number, len(assessment.warnings)
     return out
 
 

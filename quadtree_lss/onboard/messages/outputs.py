@@ -66,10 +66,8 @@ TOPIC_TYPES = {
 GRID_MAP, GRID_MAP_TYPE = "landing/grid_map", "grid_map_msgs/msg/GridMap"
 """Sent live where ``grid_map_msgs`` is installed, and always recorded."""
 RECORDED_TYPES = {**TOPIC_TYPES, GRID_MAP: GRID_MAP_TYPE}
-GRID_MAP_LAYERS = (
-    "elevation plane_elevation slope_deg hazard safe score probability shadow reach".split()
-)
-"""Layers of it, as far as the assessment has them."""
+GRID_MAP_LAYERS = "elevation plane_elevation slope_deg hazard safe score probability".split()
+"""Its layers."""
 
 Fields = np.dtype[np.void]
 Named = tuple[str, Any]
@@ -182,9 +180,8 @@ class MessageMaker:
         """``landing/grid_map``: all layers of the landing grid, NaN where unknown."""
         x, y = assessment.x, assessment.y
         spacing = float(x[1] - x[0]) if len(x) > 1 else 1.0
-        found = {name: getattr(assessment, name, None) for name in GRID_MAP_LAYERS}
-        found["probability"] = known_probability(assessment)
-        layers = {name: values for name, values in found.items() if values is not None}
+        layers = {name: getattr(assessment, name) for name in GRID_MAP_LAYERS}
+        layers["probability"] = known_probability(assessment)
         middle = (0.5 * float(x[0] + x[-1]), 0.5 * float(y[0] + y[-1]), 0.0)
         info = self._make(
             "grid_map_msgs/msg/GridMapInfo",

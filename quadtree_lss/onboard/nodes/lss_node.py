@@ -305,7 +305,7 @@ class LssNode(BaseNode):
         )
         if withheld or self._failed:
             return
-        for line in result.doubts:
+        for line in result.warnings:
             status.note(WARN, line)
         if count:
             status.note(OK, f"{count} sites; {result.explanation}")

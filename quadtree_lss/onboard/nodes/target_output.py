@@ -13,7 +13,6 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.config.limits import LONGEST
-from quadtree_lss.onboard.core.landing.target import WAIT_S
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS
 from quadtree_lss.onboard.nodes.executor import steady_timer
@@ -130,10 +129,7 @@ class TargetOutput:
             why = "nothing is mapped yet" if result is None else result.explanation
             msg = f"no place within reach ({why}); the first that there is will be it"
             raise QuadtreeLssError(msg)
-        return (
-            f"{_text(result.selected)}, safe with probability {result.selected.probability:.3f};"
-            f" {WAIT_S:g} s of waiting would gain {result.gain:+.3f}"
-        )
+        return f"{_text(result.selected)}, safe with probability {result.selected.probability:.3f}"
 
 
 def _text(chosen: Selected) -> str:

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an assessment of a map finds: sites, the target, their grid, and what may be doubted."""
+"""The result of an assessment: sites, the target, the grid and warnings about the risks."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
-from math import ceil, sqrt
 
 import numpy as np
 
@@ -19,14 +18,9 @@ from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.landing.score import PointAssessment
 from quadtree_lss.onboard.core.landing.target import Reason, State
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.core.tree.domain import Domain, carried
 
 #: Greatest share of the judged ground without a return: flights that were fitted have up to 0.02.
 MOST_BRIDGED = 0.05
-#: Risks are looked at in hindsight between these.
-BINS = (0.0, 0.003, 0.03, 0.3)
-#: They may come true so many times, and by so many deviations more than that.
-TIMES, DEVIATIONS = 2.0, 3.0
 
 
 @dataclass(frozen=True, repr=False)
@@ -118,7 +112,6 @@ class LandingAssessment:
         sites: Ranked sites, none if no ground is safe.
         now: (4,) x, y, z, m, and probability of a safe touchdown, as of ``probability``: the best
             place within reach at this moment (see `grid.within_reach`), NaN if there is none.
-        gain: What waiting ``target.WAIT_S`` more is worth, as a probability; NaN if unknown.
         x, y: (nx,), (ny,) of the grid points, m.
         hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown, 16 uncertain (there
             the lander stands on the map, yet is too likely not to), 64 seen but not yet mapped (128
@@ -129,9 +122,7 @@ class LandingAssessment:
         risk: (ny, nx) that landing right there fails, with the ground as it is known; both NaN if
             nobody asked for them.
         explanation: Why there are no sites, or how many grid points are safe.
-        shadow: (ny, nx) in shadow at touchdown; None without ``light.elevation``.
-        reach: (ny, nx) within reach (see `grid.reachable`); None without light, or if nobody knows.
-        doubts: Why its risks may be wrong, a line each (see `Doubts`).
+        warnings: Reasons why the risks may be wrong, one line each (see `risk_warnings`).
         offset_z, offset_variance: Of the map from navigation, as of ``CellMap``, m, m^2.
         ground: What the layers below are made of when they are asked for.
     """
@@ -143,7 +134,6 @@ class LandingAssessment:
     pending: bool
     sites: Sites
     now: Array
-    gain: float
     x: Array
     y: Array
     hazard: Bytes
@@ -155,9 +145,7 @@ class LandingAssessment:
     offset_z: float
     offset_variance: float
     ground: tuple[GridSampler, PointAssessment] | None = None
-    doubts: tuple[str, ...] = ()
-    shadow: Mask | None = None
-    reach: Mask | None = None
+    warnings: tuple[str, ...] = ()
 
     @property
     def undecided(self) -> bool:
@@ -219,7 +207,6 @@ def nothing_mapped(
         pending=False,
         sites=no_sites(),
         now=np.full(4, np.nan),
-        gain=float("nan"),
         x=x,
         y=y,
         hazard=hazard,
@@ -233,28 +220,16 @@ def nothing_mapped(
     )
 
 
-class Doubts:
-    """Doubts of the assessments of one map as it grows; arguments as of `LandingSiteSelector`."""
+def risk_warnings(config: Config, raster: TerrainRaster, judged: Mask) -> tuple[str, ...]:
+    """List why the predicted risks may be wrong, one line per reason.
 
-    def __init__(self, config: Config) -> None:
-        self._outside = doubt(config)
-        self._hindsight = Hindsight(config.vehicle.diameter)
-
-    def of(self, raster: TerrainRaster, risk: Array, judged: Mask) -> tuple[str, ...]:
-        """A line each, none where there is none.
-
-        Args:
-            raster: The map.
-            risk: (n + 1, n + 1) P(unsafe) of landing at each grid point.
-            judged: (n + 1, n + 1) grid points where that is known.
-        """
-        self._hindsight.take(raster.domain, raster.cells.stamp_ns, risk, judged)
-        lines = (self._outside, coverage(raster, judged), self._hindsight.words())
-        return tuple(line for line in lines if line)
+    ``judged``: (n + 1, n + 1) grid points at which the risk is known.
+    """
+    return tuple(filter(None, (doubt(config), coverage(raster, judged))))
 
 
 def coverage(raster: TerrainRaster, judged: Mask) -> str:
-    """Whether the ground that is judged is seen more thinly than that of the fit; or nothing."""
+    """Return a warning if the judged ground has fewer returns than that of the fit, or ""."""
     judged = judged[1:, 1:]
     share = np.count_nonzero(raster.bridged & judged) / (np.count_nonzero(judged) or 1)
     if share <= MOST_BRIDGED:
@@ -263,63 +238,3 @@ def coverage(raster: TerrainRaster, judged: Mask) -> str:
         f"{100.0 * share:.0f} % of the judged ground has no return and is bridged: the risk was"
         f" fitted where at most {100.0 * MOST_BRIDGED:.0f} % is"
     )
-
-
-class Hindsight:
-    """Risks that were told early against what the grown map says of the same places.
-
-    A risk that is right is on average what it will be when more is known:
-    E[later risk | first risk] = first risk. Places are half a diameter apart; four of them are one
-    lander's ground and count as one, for the risks of neighbours are alike.
-
-    Args:
-        diameter: Of the vehicle, m.
-    """
-
-    def __init__(self, diameter: float) -> None:
-        self._step = 0.5 * diameter
-        self._of: Domain | None = None
-        self._stamp_ns = 0
-        self._first = self._last = np.zeros((0, 0))
-        # By how many finest cells the square was moved since the first assessment.
-        self._at = (0, 0)
-
-    def take(self, domain: Domain, stamp_ns: int, risk: Array, judged: Mask) -> None:
-        """Take one more assessment; one of another map, or of one begun anew, begins anew.
-        A domain that was moved is the same map."""
-        step = ceil(self._step / domain.finest_size)
-        count = (domain.finest_count + 1) // step
-        moved = None if self._of is None else self._of.cells_to(domain)
-        if moved is None or stamp_ns < self._stamp_ns:
-            moved, self._at = (0, 0), (0, 0)
-            self._first = np.full((count, count), np.nan)
-        self._of, self._stamp_ns = domain, stamp_ns
-        # The same places, wherever the square lies: multiples of the step from where it lay first.
-        before = [ceil(at / step) for at in self._at]
-        self._at = self._at[0] + moved[0], self._at[1] + moved[1]
-        now = [ceil(at / step) for at in self._at]
-        if now != before:
-            self._first = carried(self._first, now[0] - before[0], now[1] - before[1], np.nan)
-        columns, rows = (
-            slice(step * first - at, step * (first + count) - at, step)
-            for first, at in zip(now, self._at, strict=True)
-        )
-        every = rows, columns
-        risks = np.where(judged[every], risk[every], np.nan)
-        self._first = np.where(np.isnan(self._first), risks, self._first)
-        self._last = risks
-
-    def words(self) -> str:
-        """As in "of the ground told 1 % of risk, 4 % is unsafe by the grown map"; or nothing."""
-        known = np.isfinite(self._first) & np.isfinite(self._last)
-        first, last = self._first[known], self._last[known]
-        bins = np.digitize(first, BINS)
-        of_bins = (np.bincount(bins, of, len(BINS)) for of in (np.ones_like(first), first, last))
-        for landers, told, later in 0.25 * np.stack(list(of_bins), axis=1)[1 : len(BINS)]:
-            if later > TIMES * told + DEVIATIONS * sqrt(told) + 1.0:
-                return (
-                    f"of the ground told {100.0 * told / landers:.2g} % of risk at first,"
-                    f" {100.0 * later / landers:.2g} % is unsafe by the map as it is now:"
-                    " risks told early do not come true"
-                )
-        return ""

@@ -1,24 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The user's grid: its points as aims, the best of them, and the best within reach.
 
-Within reach is what lies no farther than `Descent.reach` from where the vehicle comes to rest. The
-best is the most probably safe one of the ground that is safe and permitted there; where there is
-none, of all that is seen and permitted, whatever its risk.
-
-What is computed of a place, u = 1 - p, is right on average, and after another look it is another by
-`DOUBT` u. So no single place gains by waiting, but the choice among K of them does:
-
-    gain = u(best) - E[min over k of L_k],    L_k lognormal of mean u_k and deviation DOUBT u_k,
-
-with those K that are still within reach `WAIT_S` later, if the vehicle goes on as it flies.
+A grid point is within reach if it lies no farther than `Descent.reach` from where the vehicle
+stops. The best is the permitted and safe grid point with the highest probability of success; if
+there is none, the best of all observed and permitted ground.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import erfc, isfinite, log, sqrt
+from math import isfinite
 from typing import TypeVar
 
 import numpy as np
@@ -26,63 +18,52 @@ from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.geometry.polygons import signed_distance
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
-from quadtree_lss.onboard.core.landing.lattice import find_best
 from quadtree_lss.onboard.core.landing.probability import Dispersion, aimed
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.landing.score import PointAssessment
 from quadtree_lss.onboard.core.landing.target import (
     ASIDE,
-    DOUBT,
     NEARER,
-    WAIT_S,
     Candidates,
     Descent,
     Motion,
-    Now,
     Restrictions,
+    lowest,
 )
 from quadtree_lss.onboard.core.tree.domain import Domain
 
 #: The most that the score weighs against a probability: it decides where these are the same.
 TIE = 1e-5
-#: Places that waiting is reckoned with; most grid points a side that are looked at where no ground
-#: is safe.
-CHOICES, COARSE = 8, 128
-#: Deviation of the logarithm of a risk, whose own deviation is `DOUBT` of it.
-SPREAD = sqrt(log(1.0 + DOUBT**2))
-#: A normal distribution's deviations, and what lies beyond.
-DEVIATIONS = np.linspace(-9.0, 9.0, 4097)
-TAILS = np.array([0.5 * erfc(z / sqrt(2.0)) for z in DEVIATIONS])
+#: Most grid points per side that are evaluated where no ground is safe.
+COARSE = 128
 Kind = TypeVar("Kind", bound=np.generic)
 
 
 def best_points(
-    score: Array,
-    x: Array,
-    y: Array,
-    count: int,
-    separation: float,
-    last: Sequence[tuple[int, int]] = (),
-    hysteresis: float = 0.0,
+    score: Array, x: Array, y: Array, count: int, separation: float
 ) -> tuple[Index, Index]:
-    """Rows and columns of the ``count`` lowest scores, each ``separation`` from those before.
+    """Return rows and columns of the lowest scores, each ``separation`` from those before.
 
     Args:
         score: (ny, nx), NaN where excluded; of equal ones the south-western comes first.
         x, y: (nx,), (ny,) of the grid points, evenly spaced, alike in x and y, m.
         count: Most points wanted.
         separation: Least distance of any two, m.
-        last: The last ranking: each keeps its rank ...
-        hysteresis: ... unless another scores better by more than this.
     """
-    kept = np.array(last, dtype=np.intp).reshape(-1, 2)
-    best = np.empty((count, 2), dtype=np.intp)
     left = np.fmin(score, np.inf)
     steps = separation / (x[1] - x[0]) if len(x) > 1 else 0.0
-    found = find_best(left, left.argmin(axis=1), steps, kept, hysteresis, best)
-    return best[:found, 0], best[:found, 1]
+    best: list[tuple[int, int]] = []
+    while len(best) < count and np.isfinite(left[place := lowest(left)]):
+        south, west = (max(index - int(steps), 0) for index in place)
+        around = left[south : place[0] + int(steps) + 1, west : place[1] + int(steps) + 1]
+        row, column = np.ogrid[: around.shape[0], : around.shape[1]]
+        apart = (row + south - place[0]) ** 2 + (column + west - place[1]) ** 2
+        around[apart < steps**2] = np.inf
+        left[place] = np.inf
+        best.append(place)
+    found = np.array(best, dtype=np.intp).reshape(-1, 2)
+    return found[:, 0], found[:, 1]
 
 
 class GridSampler:
@@ -171,7 +152,6 @@ class Aims:
         hazard: Bits of ``hazards``.
         candidates: What sites are chosen from.
         withheld: Why no site may be given out and all is excluded; empty if that is not so.
-        shadow: In shadow; None if nobody asked for it.
     """
 
     at: GridSampler
@@ -181,7 +161,6 @@ class Aims:
     hazard: Bytes
     candidates: Candidates
     withheld: str
-    shadow: Mask | None = None
 
     def without(self, places: Mask) -> Aims:
         """None of these, (ny, nx), is permitted."""
@@ -200,12 +179,8 @@ def aim(
     spread: Dispersion,
     wanted: Restrictions,
     lss: LssConfig,
-    dark: Mask | None = None,
 ) -> Aims:
-    """The points of the user's grid as aims: the risk over where the lander comes down.
-
-    ``dark``: (ny, nx) those in shadow, each of which costs `NEARER`.
-    """
+    """Evaluate the points of the user's grid as aims: the risk over where the lander comes down."""
     at_aim, ranks = points.risk, lss.ranking == "probability"
     if ranks or lss.assessment == "probability":
         at_aim = aimed(at_aim, points.raster.domain.finest_size, spread)
@@ -213,13 +188,11 @@ def aim(
     score = np.where(safe, at.nearest(points.score), np.nan)
     cost = probable_first(unsafe, score) if ranks else score
     hazard, risk = at.any(points.hazard), at.linear(points.risk)
-    if dark is not None:
-        cost += NEARER[lss.ranking] * dark
     withheld = wanted.apply(cost, at.x, at.y, lss)
     if ranks and (withheld or wanted.area is not None or len(wanted.keep_outs)):
         np.copyto(score, np.nan, where=np.isnan(cost))
     candidates = Candidates(at.x, at.y, safe, cost, unsafe if ranks else None)
-    return Aims(at, score, 1.0 - unsafe, risk, hazard, candidates, withheld, dark)
+    return Aims(at, score, 1.0 - unsafe, risk, hazard, candidates, withheld)
 
 
 def probable_first(unsafe: Array, score: Array) -> Array:
@@ -229,27 +202,18 @@ def probable_first(unsafe: Array, score: Array) -> Array:
 
 def within_reach(
     aims: Aims, wanted: Restrictions, lss: LssConfig, motion: Motion | None, descent: Descent | None
-) -> Now:
-    """The best that there is now. ``motion``, ``descent``: of the vehicle; without its place all of
-    the map is within reach."""
+) -> Candidates:
+    """Return the candidates within reach; without the vehicle's position all grid points are.
+
+    If none of them is both permitted and safe, observed and permitted grid points take part.
+    """
     ground, x, y = aims.candidates, aims.at.x, aims.at.y
-    bad = ground.cost if ground.unsafe is None else ground.unsafe
-    cost = after = _choices(aims, wanted, lss, reached(x, y, motion, descent, 0.0))
-    choice = np.isfinite(cost)
-    if not choice.any():
-        return Now(cost)
+    cost = _choices(aims, wanted, lss, reached(x, y, motion, descent))
     if motion is not None and ground.unsafe is not None and isfinite(motion.x + motion.y):
-        after = _choices(aims, wanted, lss, reached(x, y, motion, descent, WAIT_S))
         away = np.zeros_like(cost)
-        np.hypot(x - motion.x, y[:, None] - motion.y, out=away, where=choice)
+        np.hypot(x - motion.x, y[:, None] - motion.y, out=away, where=np.isfinite(cost))
         cost += NEARER["probability"] * away
-    places = best_points(cost, x, y, CHOICES, lss.vehicle.lengths.min_separation)
-    row, column = int(places[0][0]), int(places[1][0])
-    if ground.unsafe is None:
-        return Now(cost, (row, column))
-    if after is not cost:
-        places = best_points(after, x, y, CHOICES, lss.vehicle.lengths.min_separation)
-    return Now(cost, (row, column), float(bad[row, column]) - least_later(bad[places]))
+    return replace(ground, cost=cost)
 
 
 def _choices(aims: Aims, wanted: Restrictions, lss: LssConfig, reached: Mask) -> Array:
@@ -265,51 +229,14 @@ def _choices(aims: Aims, wanted: Restrictions, lss: LssConfig, reached: Mask) ->
     return np.where(reached, cost, np.nan)
 
 
-def least_later(risks: Array) -> float:
-    """Expected least of risks (K,) after another look; 1 of none."""
-    if not len(risks):
-        return 1.0
-    middle = np.log(np.maximum(risks, 1e-9)) - 0.5 * SPREAD**2
-    at = np.linspace(-8.0 * SPREAD, 8.0 * SPREAD, 65) + float(middle.min())
-    normal = np.interp((at - middle[:, None]) / SPREAD, DEVIATIONS, TAILS)
-    greater = np.prod(normal, axis=0) * np.exp(at)
-    return float(np.exp(at[0]) + np.sum(0.5 * (greater[1:] + greater[:-1])) * (at[1] - at[0]))
-
-
-def reached(
-    x: Array, y: Array, motion: Motion | None, descent: Descent | None, wait: float
-) -> Mask:
-    """(ny, nx) whether the vehicle gets there, after going on for ``wait`` seconds."""
+def reached(x: Array, y: Array, motion: Motion | None, descent: Descent | None) -> Mask:
+    """Return (ny, nx) whether the vehicle can land at each grid point."""
     if motion is None or descent is None or not np.isfinite(motion.x):
         return np.ones((len(y), len(x)), dtype=np.bool_)
-    left = Descent(descent.height - wait * descent.speed, descent.speed)
-    stop = wait + min(0.5 * np.hypot(motion.along_x, motion.along_y) / ASIDE, 0.5 * left.seconds)
+    stop = min(0.5 * np.hypot(motion.along_x, motion.along_y) / ASIDE, 0.5 * descent.seconds)
     at_x, at_y = motion.x + stop * motion.along_x, motion.y + stop * motion.along_y
     square = (x - at_x) ** 2 + (y[:, None] - at_y) ** 2
-    return np.asarray(square <= left.reach**2)
-
-
-def reachable(
-    x: Array,
-    y: Array,
-    wanted: Restrictions,
-    lss: LssConfig,
-    motion: Motion | None,
-    descent: Descent | None,
-) -> Mask | None:
-    """(ny, nx) grid points within reach, None if nobody knows.
-
-    As guidance gives it as the landing area, which holds the zone about each; without an area, by
-    the vehicle's place and speed.
-    """
-    if wanted.area is not None:
-        try:
-            return np.asarray(signed_distance(wanted.area, *np.meshgrid(x, y)) >= lss.zone)
-        except (TypeError, ValueError):
-            return None
-    if motion is None or not isfinite(motion.x):
-        return None
-    return reached(x, y, motion, descent, 0.0)
+    return np.asarray(square <= descent.reach**2)
 
 
 @lru_cache(maxsize=4)

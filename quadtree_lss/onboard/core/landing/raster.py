@@ -1,30 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The map laid out on its finest cells, what hazard detection and scoring read; and its shadows."""
+"""The map on its finest cells, the input of hazard detection and scoring."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, inf, radians, sin
 
 import cython
 import numpy as np
 from cython.cimports.libc.math import erf, exp, fabs, sqrt
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask
-from quadtree_lss.onboard.config.sections import LightConfig
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.lattice import grown, nearest_marked
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 
 TWO_PI = cython.declare(cython.double, 2.0 * np.pi)
-#: m. Ground higher than a ray by less does not stop it.
-GRAZING = cython.declare(cython.double, 1e-9)
 #: Returns in each known finest cell of a leaf, in the mean, among which a cell without any is no
 #: chance (e^-6 is one in 400): it lies in a shadow, of a rock or of a drop.
 CHANCE = cython.declare(cython.double, 6.0)
-#: Of a cell: so near to a middle a ray goes through it.
-STRAIGHT = cython.declare(cython.double, 1e-9)
 
 
 @dataclass(frozen=True)
@@ -212,91 +206,3 @@ def bell_share(x: cython.double, half: cython.double, sigma: cython.double) -> c
     """Of a normal density about 0 between x - half and x + half."""
     scale = 1.0 / (sqrt(2.0) * sigma)
     return 0.5 * (erf((x + half) * scale) - erf((x - half) * scale))
-
-
-def shadow(heights: Array, known: Mask, spacing: float, azimuth: float, elevation: float) -> Mask:
-    """(ny, nx) known ground that the sun does not reach.
-
-    A ray from the middle of a cell, at height z, towards the sun is stopped where the ground is
-    higher than z + s tan(elevation) at the distance s. It is looked at where the ray crosses a row
-    of middles, or a column if it runs rather along x; between two middles the ground is straight.
-    Unknown ground stops no ray, nor does what lies between it and its neighbour.
-
-    Args:
-        heights: (ny, nx) at the middles of cells, m; rows along y, columns along x.
-        known: (ny, nx) where they are.
-        spacing: Of the middles, m.
-        azimuth: Of the sun, clockwise from north (y), deg.
-        elevation: Of the sun, deg; all is in shadow from 0 down, and beyond 90 it stands behind.
-    """
-    up, level = sin(radians(elevation)), cos(radians(elevation))
-    if up <= 0.0 or not known.any():
-        return known.copy()
-    x, y = level * sin(radians(azimuth)), level * cos(radians(azimuth))
-    swap, dark = abs(x) > abs(y), np.zeros_like(known)
-    first, second = (x, y) if swap else (y, x)  # along rows that the ray crosses, and across
-    flips = (
-        slice(None, None, -1 if first < 0.0 else 1),
-        slice(None, None, -1 if second < 0.0 else 1),
-    )
-    ground, out = ((of.T if swap else of)[flips] for of in (np.where(known, heights, -inf), dark))
-    if abs(first) > 0.0:
-        rise, turn = spacing * up / abs(first), abs(second / first)
-        out[...] = sweep(np.ascontiguousarray(ground), turn, rise, float(np.max(heights[known])))
-    return dark & known
-
-
-@cython.boundscheck(False)
-@cython.locals(ground=cython.double[:, ::1], dark=cython.uchar[:, ::1])
-@cython.locals(turn=cython.double, rise=cython.double, top=cython.double)
-def sweep(ground: Array, turn: float, rise: float, top: float) -> Mask:
-    """(ny, nx) whether something stops a ray that goes from row to row, the last ones first.
-
-    Args:
-        ground: (ny, nx) heights, m, -inf where unknown.
-        turn: Columns by which the ray goes aside in a row, 0 to 1.
-        rise: By which it rises in a row, m.
-        top: Greatest height, m.
-    """
-    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
-    found = np.zeros((ground.shape[0], ground.shape[1]), dtype=np.uint8)
-    dark = found
-    with cython.nogil:
-        for i in range(ground.shape[0]):
-            for j in range(ground.shape[1]):
-                dark[i, j] = stopped(ground, i, j, turn, rise, top)
-    return found.view(np.bool_)
-
-
-@cython.cfunc
-@cython.nogil
-@cython.exceptval(check=False)
-@cython.boundscheck(False)
-def stopped(
-    ground: cython.double[:, ::1],
-    i: cython.Py_ssize_t,
-    j: cython.Py_ssize_t,
-    turn: cython.double,
-    rise: cython.double,
-    top: cython.double,
-) -> cython.bint:
-    """Of the ray from one place."""
-    cython.declare(k=cython.Py_ssize_t, to=cython.Py_ssize_t)
-    for k in range(1, ground.shape[0] - i):
-        ray = ground[i, j] + k * rise + GRAZING
-        to = j + cython.cast(cython.Py_ssize_t, k * turn + STRAIGHT)
-        part = j + k * turn - to
-        if ray > top or to + (part > STRAIGHT) >= ground.shape[1]:
-            return False
-        higher = ground[i + k, to]
-        if part > STRAIGHT:
-            higher = (1.0 - part) * higher + part * ground[i + k, to + 1]
-        if higher > ray:
-            return True
-    return False
-
-
-def in_shadow(raster: TerrainRaster, light: LightConfig) -> Mask:
-    """(n, n) finest cells in shadow at touchdown, subscale features included."""
-    heights, side = raster.elevation + raster.subscale_peak, raster.domain.finest_size
-    return shadow(heights, raster.seen, side, light.azimuth, light.elevation)

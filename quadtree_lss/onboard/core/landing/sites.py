@@ -17,19 +17,18 @@ from quadtree_lss.onboard.config.risk import risk_model
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.assessment import (
-    Doubts,
     LandingAssessment,
     Selected,
     Sites,
     no_target,
     nothing_mapped,
+    risk_warnings,
 )
 from quadtree_lss.onboard.core.landing.grid import (
     Aims,
     GridSampler,
     aim,
     best_points,
-    reachable,
     users_grid,
     within_reach,
 )
@@ -40,7 +39,7 @@ from quadtree_lss.onboard.core.landing.probability import (
     limits,
     remaining_risks,
 )
-from quadtree_lss.onboard.core.landing.raster import TerrainRaster, in_shadow, rasterise
+from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.onboard.core.landing.score import (
     SLACK,
     PointAssessment,
@@ -59,7 +58,6 @@ from quadtree_lss.onboard.core.landing.target import (
     Reason,
     Restrictions,
     TargetKeeper,
-    grid_point,
 )
 from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, height_by_error
@@ -78,14 +76,13 @@ __all__ = ["LandingAssessment", "LandingSiteSelector", "Selected", "Sites"]
 class LandingSiteSelector:
     """Assesses maps.
 
-    Keeps the target (see ``target.TargetKeeper``), the last ranking, for ``lss.hysteresis``, and
-    the lander's contacts with the ground, to find only those anew where it changed.
+    Keeps the target (see ``target.TargetKeeper``) and the contacts of the lander, which it computes
+    again only where the ground changed.
     """
 
     def __init__(self, config: Config) -> None:
         self._target = TargetKeeper()
         self._number = 0
-        self._last_ranked: list[tuple[float, float]] = []
         keep_memory()
         self.configure(config)
 
@@ -95,12 +92,10 @@ class LandingSiteSelector:
         self._table: RiskTable | None
         self._check: TouchdownCheck | None
         self._table, self._check, within = None, None, None
-        self._doubts: Doubts | None = None
         if "probability" in (lss.assessment, lss.ranking):
             model = risk_model(lss.risk_model)
             self._table = RiskTable(model, lss, config.lidar.range_noise)
             within = limits(model, lss)
-            self._doubts = Doubts(config)
         if within is not None or lss.assessment != "paper":
             self._check = TouchdownCheck(lss, within)
 
@@ -160,12 +155,9 @@ class LandingSiteSelector:
             heading = spread.heading if self._table is None else None
             worst = self._check.worst(raster, around.met, heading)
         points = assess_points(raster, around, worst, self._check, self._table, lss)
-        dark = None
-        if self.config.light.elevation:
-            dark = at.any(touching(in_shadow(raster, self.config.light).view(np.uint8))) > 0
-        aims = aim(points, at, spread, wanted, lss, dark)
+        aims = aim(points, at, spread, wanted, lss)
         motion = None if vehicle is None else Motion(*vehicle)
-        return self._choose_sites(points, aims, spread, wanted, (motion, waited))
+        return self._choose_sites(points, aims, spread, wanted, motion, waited)
 
     def withhold(self, cells: CellMap, why: str) -> LandingAssessment:
         """Neither site nor target, because a map could not be assessed."""
@@ -182,7 +174,6 @@ class LandingSiteSelector:
         nowhere = np.full((len(at.y), len(at.x)), np.nan)
         ground = Candidates(at.x, at.y, np.isfinite(nowhere), nowhere)
         self._choose(ground, why_not=lambda *_: reason, why_none=reason)
-        self._doubts = None if self._doubts is None else Doubts(self.config)  # of the next map
         return nothing_mapped(cells, self._number, reason, at.x, at.y, at.any(touching(bits)))
 
     def _choose_sites(
@@ -191,11 +182,12 @@ class LandingSiteSelector:
         aims: Aims,
         spread: Dispersion,
         wanted: Restrictions,
-        now: tuple[Motion | None, float],
+        motion: Motion | None,
+        waited: float,
     ) -> LandingAssessment:
-        """The best aims, and the target; ``now`` is ``vehicle`` and ``waited`` of `assess`."""
+        """Choose the best aims and the target; ``waited`` as of `assess`."""
         lss, cells, at = self.config.lss, points.raster.cells, aims.at
-        (motion, waited), above = now, np.zeros_like(aims.candidates.safe)
+        above = np.zeros_like(aims.candidates.safe)
         if motion is not None:
             # Its height is navigation's; that of the map is another.
             motion = motion._replace(z=motion.z - np.nan_to_num(cells.offset_z))
@@ -203,9 +195,9 @@ class LandingSiteSelector:
             above = ground > motion.z + ABOVE + lss.vehicle.diameter
             above &= aims.hazard & hazards.UNSEEN == 0
             aims = aims.without(above)
-        doubts: tuple[str, ...] = ()
-        if self._doubts is not None:
-            doubts = self._doubts.of(points.raster, points.risk, points.around.judged)
+        warnings: tuple[str, ...] = ()
+        if self._table is not None:
+            warnings = risk_warnings(self.config, points.raster, points.around.judged)
         landable = bool(aims.candidates.permitted.any())
         seen = wanted.share(aims.hazard & hazards.UNSEEN == 0, at.x, at.y)
         settled = seen >= SETTLE_SHARE or waited >= lss.settle_time
@@ -222,14 +214,16 @@ class LandingSiteSelector:
             settled=settled,
             now=here,
         )
-        ranked = self._rank(aims.candidates.cost, at.x, at.y)
+        apart = lss.vehicle.lengths.min_separation
+        best = best_points(aims.candidates.cost, at.x, at.y, lss.sites, apart)
+        ranked = [*zip(*best, strict=True)]
         places = ranked if choice.place is None else [*ranked, choice.place]
         found = self._describe(points, aims, spread, places)
-        best = np.full(4, np.nan)
+        now = np.full(4, np.nan)
         if here.best is not None:
             row, column = here.best
             height = at.linear(points.around.planes.elevation)[here.best]
-            best[:] = at.x[column], at.y[row], height, aims.probability[here.best]
+            now[:] = at.x[column], at.y[row], height, aims.probability[here.best]
         return LandingAssessment(
             stamp_ns=cells.stamp_ns,
             number=self._number,
@@ -237,8 +231,7 @@ class LandingSiteSelector:
             seen=seen,
             pending=landable and choice.place is None and choice.reason not in WAITING,
             sites=found.of(slice(len(ranked))),
-            now=best,
-            gain=here.gain,
+            now=now,
             x=at.x,
             y=at.y,
             hazard=aims.hazard,
@@ -250,11 +243,7 @@ class LandingSiteSelector:
             offset_z=cells.offset_z,
             offset_variance=cells.offset_variance,
             ground=(at, points),
-            doubts=doubts,
-            shadow=aims.shadow,
-            reach=None
-            if aims.shadow is None
-            else reachable(at.x, at.y, wanted, lss, motion, below),
+            warnings=warnings,
         )
 
     def _choose(self, ground: Candidates, **situation: Any) -> Choice:
@@ -276,19 +265,6 @@ class LandingSiteSelector:
         place_x, place_y, _ = site.position[0]
         covariance = ground_covariance(raster, place_x, place_y, ground_radius(self.config.lss))
         return Selected(choice.reason, choice.state, float(site.probability[0]), site, covariance)
-
-    def _rank(self, cost: Array, x: Array, y: Array) -> list[tuple[int, int]]:
-        """The best grid points, one after the other, each ``min_separation`` from those before."""
-        lss = self.config.lss
-        last = []
-        if lss.hysteresis > 0.0:
-            last = [grid_point(x, y, *place) for place in self._last_ranked]
-        kept = [place for place in last if place is not None and np.isfinite(cost[place])]
-        apart = lss.vehicle.lengths.min_separation
-        best = best_points(cost, x, y, lss.sites, apart, kept, lss.hysteresis)
-        ranked = [(int(row), int(column)) for row, column in zip(*best, strict=True)]
-        self._last_ranked = [(float(x[column]), float(y[row])) for row, column in ranked]
-        return ranked
 
     def _describe(
         self, points: PointAssessment, aims: Aims, spread: Dispersion, places: list[tuple[int, int]]

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
 from math import dist, inf, nan
@@ -48,16 +48,14 @@ SETTLE_SHARE = 0.63
 #: cent more probably safe; in the score 4 m more room to the nearest hazard, or 4.6 degrees less
 #: slope.
 SWITCH = {"probability": 0.01, "score": 0.08}
-#: What a metre nearer to the place that is asked for is worth, and light at the aim: 0.1 % more
-#: probably safe, so that among equals the near and the lit ones win; in the score 0.2 m of room.
+#: Cost of a metre of distance from the wanted place: 0.1 % of probability, so that of two equal
+#: sites the nearer ranks first; in the score 0.2 m of room.
 NEARER = {"probability": 0.001, "score": 0.004}
 #: How a vehicle gets aside on its way down: acceleration, m/s^2, and the least speed downwards that
 #: its time is reckoned with, m/s.
 ASIDE, SLOWEST = 1.0, 0.5
 #: Places are the same to so much of the grid's spacing: one that follows is not moved to the bit.
 SAME = 1e-6
-#: Waiting is reckoned with so long, s.
-WAIT_S = 5.0
 
 
 class Reason(IntEnum):
@@ -275,9 +273,18 @@ class Candidates:
         """(ny, nx) where landing is permitted."""
         return np.isfinite(self.cost)
 
+    @cached_property
+    def best(self) -> tuple[int, int] | None:
+        """Row and column of the permitted grid point with the lowest cost, None without one."""
+        return lowest(np.fmin(self.cost, inf)) if self.permitted.any() else None
+
     def at(self, x: float, y: float) -> tuple[int, int] | None:
-        """Row and column of the grid point at a place, None if there is none."""
-        return grid_point(self.x, self.y, x, y)
+        """Row and column of the grid point at a place, but for rounding; None if there is none."""
+        slack = SAME * float(self.x[1] - self.x[0]) if len(self.x) > 1 else 0.0
+        row, column = bisect_left(self.y, y - slack), bisect_left(self.x, x - slack)
+        found = row < len(self.y) and column < len(self.x)
+        found = found and self.y[row] <= y + slack and self.x[column] <= x + slack
+        return (row, column) if found else None
 
     def safe_on(self, other: Candidates) -> Mask:
         """`safe` at the grid points of another, whose grid may be this one moved by whole steps;
@@ -293,21 +300,6 @@ class Candidates:
             if np.abs(to[0] - of[0] - steps[-1] * (of[1] - of[0])) > SAME * (of[1] - of[0]):
                 return nowhere
         return carried(self.safe, steps[0], steps[1], False)
-
-
-@dataclass(frozen=True)
-class Now:
-    """What there is within reach at a moment (see `grid.within_reach`).
-
-    Attributes:
-        cost: (ny, nx) how bad a grid point is, NaN where it is no choice.
-        best: Row and column of the best, None if there is none.
-        gain: What `WAIT_S` more are worth, as a probability; NaN if nobody asked for one.
-    """
-
-    cost: Array
-    best: tuple[int, int] | None = None
-    gain: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -421,7 +413,7 @@ class TargetKeeper:
         why_none: Reason,
         descent: Descent | None = None,
         settled: bool = True,
-        now: Now | None = None,
+        now: Candidates | None = None,
     ) -> Choice:
         """The target after one more assessment.
 
@@ -437,7 +429,7 @@ class TargetKeeper:
             why_none: Reason to be given if landing is permitted nowhere.
             descent: Of the vehicle, None if nobody knows.
             settled: Enough is seen to choose from, or the time for it is up.
-            now: What there is within reach.
+            now: The candidates within reach.
         """
         self.places.forget(ground)
         permitted = likely = ground.permitted
@@ -451,8 +443,7 @@ class TargetKeeper:
         committed = descent is not None and descent.height <= lss.commit_height
 
         def none(reason: Reason, state: State = State.NONE) -> Choice:
-            best = _least(np.fmin(ground.cost, inf)) if permitted.any() else None
-            return Choice(None, 0, reason, state, best)
+            return Choice(None, 0, reason, state, ground.best)
 
         if self._now:
             place, reason = self._at_once(ground, held, lss, why_not, descent, committed, now)
@@ -482,7 +473,7 @@ class TargetKeeper:
         elif not seen_again.any():
             return none(Reason.UNCONFIRMED)
         else:
-            place = _least(np.where(seen_again, ground.cost, inf))
+            place = lowest(np.where(seen_again, ground.cost, inf))
         state = State.COMMITTED if committed else State.HOLDS
         return self._keep(ground, place, reason, reach, state, why_none)
 
@@ -512,7 +503,7 @@ class TargetKeeper:
         why_not: Callable[[int, int], Reason],
         descent: Descent | None,
         committed: bool,
-        now: Now | None,
+        now: Candidates | None,
     ) -> tuple[tuple[int, int] | None, Reason]:
         """After `land_now`: the grid point, and why. The one held stays while it is seen and
         permitted, whatever its risk; low over it, nothing moves it that is not a hazard."""
@@ -524,8 +515,7 @@ class TargetKeeper:
             return best, Reason.LAND_NOW
         unsafe = 0.0 if ground.unsafe is None else float(ground.unsafe[place])
         if now is not None and (not committed or unsafe > 1.0 - lss.min_probability):
-            within = replace(ground, cost=now.cost)
-            if better := self._better(within, within.permitted, place, descent, lss):
+            if better := self._better(now, now.permitted, place, descent, lss):
                 return better, Reason.BETTER
         return place, Reason.HOLDS
 
@@ -561,16 +551,7 @@ class TargetKeeper:
         return (int(row[best]), int(column[best])) if gain[best] > margin[best] else None
 
 
-def _least(values: Array) -> tuple[int, int]:
-    """Row and column of the least."""
+def lowest(values: Array) -> tuple[int, int]:
+    """Return row and column of the lowest value, of equal ones the first."""
     row, column = divmod(int(np.argmin(values)), values.shape[1])
     return row, column
-
-
-def grid_point(x: Array, y: Array, place_x: float, place_y: float) -> tuple[int, int] | None:
-    """Row and column of the grid point at a place, but for rounding; None if there is none."""
-    slack = SAME * float(x[1] - x[0]) if len(x) > 1 else 0.0
-    row, column = bisect_left(y, place_y - slack), bisect_left(x, place_x - slack)
-    found = row < len(y) and column < len(x)
-    found = found and y[row] <= place_y + slack and x[column] <= place_x + slack
-    return (row, column) if found else None
