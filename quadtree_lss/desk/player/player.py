@@ -184,9 +184,14 @@ def player_node(
             msg = f"--remap {rule}: of the form FROM:=TO, where FROM is one of {', '.join(known)}"
             raise PlayError(msg)
         arguments += ["-r", f"{name}:={to}"]
-    how = {"context": context, "namespace": namespace, "cli_args": arguments}
     try:
-        return Node("bag_player", start_parameter_services=False, **how)  # it is never spun
+        return Node(
+            "bag_player",
+            context=context,
+            namespace=namespace,
+            cli_args=arguments,
+            start_parameter_services=False,  # the node is never spun
+        )
     except (NameValidationException, rclpy_implementation.RCLError) as error:
         msg = f"--namespace or --remap: {str(error).splitlines()[0].split(', at /')[0]}"
         raise PlayError(msg) from None
