@@ -31,10 +31,8 @@ SMALL = {
         ["--seeds", "9481", "--length", "80", "--moments", "3"],
         ["moves of the square", "and to the bit"],
     ),
-    "touchdown": (["--touchdowns", "100"], ["100 touchdowns, energy gained", "static unsafe"]),
     "hover": (["--flights", "1", "--scans", "20", "50"], ["white", "Gauss-Markov", "constant"]),
     "section_vi": (["--seeds", "201", "--duration", "3"], ["187", "220", "one degree"]),
-    "baselines": (["--duration", "1", "--scans", "2"], ["lstsq", "SVD"]),
     "features": (["--seeds", "201"], ["0.15 - 0.4 m", "in 10 cm", "slope of 10 degrees"]),
     "probability": (
         ["--shipped", "--seeds", "90000-90001", "--figure", "p.png"],
@@ -75,8 +73,6 @@ def test_every_script_is_tried():
 def test_script_prints_its_tables(script, tmp_path):
     if script in NEED_ROS:
         pytest.importorskip("rclpy")
-    if script == "touchdown":
-        pytest.importorskip("mujoco")
     arguments, expected = SMALL[script]
     done = subprocess.run(
         [sys.executable, str(FOLDER / f"{script}.py"), *arguments],

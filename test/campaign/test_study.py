@@ -208,8 +208,6 @@ def test_every_study_can_be_flown(path):
     last = study.case(study.count - 1)
     assert last.index == study.count - 1 and last.parameters
     assert (study.what is FLY) == path.stem.startswith("flight")
-    if path.stem == "flight_physics":
-        pytest.importorskip("mujoco")
     if study.what is FLY:
         for index in range(len(study.combinations)):
             settings_of(study.case(index))

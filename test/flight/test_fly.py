@@ -116,7 +116,6 @@ WRONG_TIMES = ("nan", "inf", "-1", "60+-3", "60+1e99", "60+nan", "60+0")
             {"avoidance": "luck"},
             "unknown avoidance 'luck'; there are package, paper, none, perfect",
         ),
-        ({"judge": "luck"}, "unknown judge 'luck'; there are contact, physics"),
         ({"speeed": 3.0}, "speeed"),
         ({"faults": ("meteor@50",)}, "meteor"),
         ({"faults": ("pose_gap",)}, "KIND@HEIGHT"),

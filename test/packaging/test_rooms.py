@@ -39,8 +39,7 @@ desk.commands: onboard.config onboard.core desk.exchange desk.replay desk.report
 lab.simulation: build onboard.elevation onboard.messages
 lab.flight: onboard.config onboard.core onboard.messages desk.report desk.bags desk.replay
 lab.flight: desk.exchange
-lab.flight: onboard.elevation lab.simulation lab.touchdown
-lab.touchdown: lab.simulation
+lab.flight: onboard.elevation lab.simulation
 lab.live: onboard.config onboard.core onboard.messages onboard.nodes desk.replay desk.player
 lab.live: desk.exchange lab.flight lab.simulation
 lab.evaluation: build onboard.config onboard.core onboard.messages desk.bags desk.replay

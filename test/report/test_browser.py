@@ -2,21 +2,17 @@
 """The page in a real browser: what is seen, told, reached by keys, fingers and address."""
 
 import html
-import itertools
 import json
 
 import numpy as np
 import pytest
 from replay.recordings import GROUND, write_ros2
-from report.pages import accessible, changed, in_a_browser, sheets
+from report.pages import accessible, in_a_browser, sheets
 
 from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.report.headline import trust
-from quadtree_lss.desk.report.report import page
-from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import config_from_values
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 
 pytestmark = in_a_browser
 CONFIG = config_from_values(GROUND)
@@ -481,94 +477,3 @@ def test_without_javascript_there_are_table_and_picture(text, tmp_path, _browser
     told = _browser.show((tmp_path / "host.html").as_uri(), (1400, 900))["told"]
     table, picture, frame, choice = json.loads(told)
     assert table > 300 and picture > 300 and frame == choice == 0
-
-
-def test_sliders_recompute_what_a_landing_pass_would_find(result, browse):
-    """Marked as no result of the run, which comes back."""
-    tries = [
-        {"dispersion": 0.7, "max_risk": CONFIG.lss.max_risk, "margin": 0.0},
-        {"dispersion": 2.0, "max_risk": 0.15, "margin": 1.1},
-    ]
-    told = browse(f"""
-        const before = [byId("verdict").textContent, byId("sites").textContent, grid.safe.join("")];
-        const {{ diameter, clearance }} = whatIf.vehicles[0], whole = {{ diameter, clearance }};
-        const found = {json.dumps(tries)}.map(t => {{
-          const now = recompute({{ ...whole, ...t, dispersion: [t.dispersion, t.dispersion] }});
-          return [[...now.allowed], [...now.probability], now.found.map(s => [s.x, s.y])]; }});
-        tellTest("found", found);
-        move("try-max_risk", Math.log10(0.15)); move("try-margin", 1.1);
-        tellTest("shown", [grid.safe.reduce((a, b) => a + b), sites.length,
-          byId("sites").tBodies[0].rows.length, byId("verdict").textContent,
-          root.classList.contains("what-if"), byId("what-if-run").textContent]);
-        setInstant(0); tellTest("past", byId("verdict").textContent);
-        setInstant(data.history.seconds.length - 1); move("try-margin", 2);
-        byId("what-if-reset").click();
-        tellTest("same", JSON.stringify(before) === JSON.stringify(
-          [byId("verdict").textContent, byId("sites").textContent, grid.safe.join("")]));
-    """)
-    for values, (allowed, probability, places) in zip(tries, told["found"], strict=True):
-        config = config_from_values({f"lss.{name}": v for name, v in values.items()}, CONFIG)
-        expected = LandingSiteSelector(config).assess(result.cells)
-        np.testing.assert_array_equal(np.array(allowed) > 0, expected.safe.ravel())
-        np.testing.assert_allclose(probability, expected.probability.ravel(), atol=1e-6)
-        np.testing.assert_allclose(places, expected.sites.position[:, :2])
-        assert 0 < sum(allowed) != np.count_nonzero(result.assessment.safe) or values is tries[0]
-    number, sites, rows, verdict, marked, command = told["shown"]
-    assert number == sum(told["found"][1][0]) and sites == rows == len(told["found"][1][2])
-    assert verdict.startswith("What if, not the run's own result. ") and marked
-    assert "--set lss.max_risk=0.15 --set lss.margin=1.1" in command
-    assert told["past"].startswith("At ") and told["same"]
-
-
-def test_sliders_try_other_vehicles(result, browse):
-    """What a landing pass on the run's map finds, to the rounding of their risks."""
-    told = browse("""
-        const { clearance } = whatIf.vehicles[0];
-        const own = { dispersion: [...whatIf.dispersion], max_risk: whatIf.max_risk, margin: 0 };
-        tellTest("found", whatIf.vehicles.map(({ diameter, clearance, doubt }) => {
-          const now = recompute({ ...own, diameter, clearance });
-          return [diameter, clearance, doubt, [...now.allowed], [...now.probability],
-                  now.found.map(s => s.probability)]; }));
-        vehicleOf({ diameter: whatIf.vehicles.at(-1).diameter, clearance }).doubt = "no fit";
-        move("try-diameter", 2); tellTest("care", byId("what-if-doubt").textContent);
-        move("try-clearance", 0);
-        tellTest("shown", [grid.safe.reduce((a, b) => a + b), data.zone, data.lander.radius,
-          byId("try-diameter").nextSibling.textContent, byId("what-if-run").textContent]);
-        byId("what-if-reset").click(); tellTest("back", [data.zone, data.lander.radius]);
-    """)
-    base, spacing = CONFIG.vehicle, CONFIG.lss.spacing
-    allowed_of = {}
-    for diameter, clearance, why, allowed, probability, best in told["found"]:
-        values = {"vehicle.diameter": diameter, "vehicle.clearance": clearance}
-        config = config_from_values({**values, "lss.grid_spacing": spacing}, CONFIG)
-        expected = LandingSiteSelector(config).assess(result.cells)
-        _, points = expected.ground
-        rounded = 0.012 * (points.risk + 0.01)
-        doubtful = expected.ground[0].any(
-            (np.abs(points.risk - config.lss.max_risk) <= rounded).astype(np.uint8)
-        )
-        same = (np.array(allowed) > 0).reshape(expected.safe.shape) == expected.safe
-        assert same[doubtful == 0].all() and np.mean(doubtful) < 0.02
-        np.testing.assert_allclose(probability, expected.probability.ravel(), atol=0.012)
-        assert best[0] == pytest.approx(expected.sites.probability[0], abs=0.012)
-        assert why == doubt(config)
-        ratios = diameter / base.diameter, clearance / base.clearance
-        allowed_of[tuple(round(ratio, 3) for ratio in ratios)] = sum(allowed)
-    assert set(allowed_of) == set(itertools.product((0.75, 1.0, 1.5), repeat=2))
-    assert allowed_of[0.75, 1.5] > allowed_of[1.0, 1.0] > allowed_of[1.5, 0.75]
-    number, zone, radius, word, command = told["shown"]
-    assert number == allowed_of[1.5, 0.75] and zone == radius == pytest.approx(0.75 * base.diameter)
-    assert word == "5.55 m" and told["care"] == "With care: no fit."
-    assert "--set vehicle.diameter=5.55 --set vehicle.clearance=0.225" in command
-    assert told["back"] == [0.5 * base.diameter + CONFIG.lss.margin, 0.5 * base.diameter]
-
-
-def test_sliders_say_where_they_do_not_go(result, in_browser):
-    content = load_results(result.out)
-    config = config_from_values({"lss.ranking": "score"}, content.config)
-    told = in_browser(
-        page(changed(content, config=config)),
-        """tellTest("note", [byId("what-if-note").textContent,
-          document.querySelectorAll(".tries input").length]);""",
-    )
-    assert "ranked by probability" in told["note"][0] and told["note"][1] == 0

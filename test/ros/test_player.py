@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Playing a bag into a running node: it can be held up and loses nothing by it."""
-
-import os
-import pty
-import subprocess
-import termios
+"""Playing a bag into running nodes: the node receives all of it, with the bag's time."""
 
 import pytest
 from geometry_msgs.msg import PoseArray
@@ -24,7 +19,6 @@ from quadtree_lss.lab.live.processes import program
 pytestmark = pytest.mark.xdist_group("ros_faults")
 
 SCANS = 12
-STILL = 10  # that many equal times in a row
 
 
 def test_player_says_who_is_missing(ros):
@@ -85,41 +79,22 @@ def test_what_was_asked_of_landing_is_played_latched(ros):
         listener.until(listener.has, "landing.keep_out", True, "lss_node")
 
 
-@pytest.mark.slow
-def test_pause_by_keyboard_and_by_service_loses_no_scan(ros):
-    bag = ros.folder / "flight"
+def test_the_clock_runs_at_the_rate_from_the_first_message_to_the_last(ros):
+    bag, times = ros.folder / "flight", []
     write_bag(bag, SCANS)
     ros.start("mapping_node")
-    listener, times = ros.listen(), []
-    listener.node.create_subscription(Clock, "/clock", lambda told: times.append(told.clock), 100)
-
-    def stands():
-        return len(times) > STILL and all(told == times[-1] for told in times[-STILL:])
-
-    def runs():
-        return len(times) > STILL and times[-1] != times[-STILL]
-
-    keys, terminal = pty.openpty()
-    before = termios.tcgetattr(terminal)
-    command = [str(program("replay_bag")), str(bag), "--publish", "--rate", "0.2"]
-    with listener:
-        player = subprocess.Popen(
-            command, env=ros.env, stdin=terminal, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-        )
-        listener.until(runs)  # by /clock
-        os.write(keys, b"x ")
-        listener.until(stands)  # the space bar pauses
-        for service, follows in (("toggle_paused", runs), ("pause", stands), ("resume", runs)):
-            assert ros.call(listener, f"/bag_player/{service}").success
-            listener.until(follows)
-        output = player.communicate(timeout=60.0)[0].decode()
-        assert player.returncode == 0 and f"{SCANS} scans" in output, output
+    with ros.listen() as listener:
+        hear = lambda told: times.append(told.clock.sec * 10**9 + told.clock.nanosec)  # noqa: E731
+        listener.node.create_subscription(Clock, "/clock", hear, 1000)
+        report = play(bag, rate=0.5, domain_id=ros.domain)
         listener.until(listener.has, "scans", SCANS)
-    values = listener.values()
+        with Bag(bag) as source:
+            listener.until(lambda: times and times[-1] == source.end_ns)
+            seconds = (source.end_ns - source.start_ns) / 1e9
+        values = listener.values()
+    assert times == sorted(times) and len(times) > 10 and report.scans == SCANS
+    assert report.duration >= 2.0 * seconds
     assert not {k: n for k, n in values.items() if k.startswith("scans.dropped") and n != "0"}
-    assert termios.tcgetattr(terminal) == before, "the terminal is as it was"
-    os.close(keys)
-    os.close(terminal)
 
 
 def test_a_bag_of_maps_is_played_into_lss_node_alone(ros):

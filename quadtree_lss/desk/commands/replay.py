@@ -24,7 +24,7 @@ EXAMPLES = """examples:
   quadtree-lss replay products --set lss.margin=1.0     (a bag of maps: ranks sites on its last)
   quadtree-lss replay clouds --poses poses.tum          (PLY, PCD, LAS, LAZ, NPY, NPZ)
   quadtree-lss replay survey.laz --config survey.yaml   (a cloud in the map frame, without poses)
-  quadtree-lss replay flight_bag --publish --rate 0.5   (into running nodes; space bar pauses)
+  quadtree-lss replay flight_bag --publish --rate 0.5   (into running nodes)
   quadtree-lss replay products --publish                (a bag of maps, for lss_node alone)
   quadtree-lss replay flight_bag --publish --namespace lander --remap lidar/points:=/flash/points
   quadtree-lss replay flight_bag --area='-9,-9 9,-9 9,9 -9,9' --keep-out=none --target=3,-4

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plays scans and poses, or maps, of a bag to running nodes, their bytes as recorded.
+"""Play scans and poses, or maps, of a bag into running nodes, their bytes as recorded.
 
-`ros2 bag play` is in no wheel, knows neither ROS 1's names nor damaged bags, does not wait for who
-listens, and pauses between a scan and the pose that it needs.
+`ros2 bag play` is not available as a wheel, does not read damaged bags, and does not wait for
+subscribers.
 """
 
 from __future__ import annotations
@@ -28,8 +28,7 @@ from quadtree_lss.desk.bags import message_types as types
 from quadtree_lss.desk.bags import topics
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.compression import DamagedError, plain_message
-from quadtree_lss.desk.bags.recorded_file import RawMessage, stamp_of
-from quadtree_lss.desk.player.clock import PlayTime, keys_pressed
+from quadtree_lss.desk.player.clock import PlayTime
 from quadtree_lss.desk.replay.stream import MapPairs, Part, Progress
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages import landing_inputs
@@ -77,15 +76,13 @@ def play(
     domain_id: int | None = None,
     progress: Progress | None = None,
 ) -> PlayReport:
-    """Plays a ROS 2 bag on ``lidar/points`` and ``nav/pose``, as fast as it was recorded.
+    """Play a ROS 2 bag on ``lidar/points`` and ``nav/pose``, with the bag's time on ``/clock``.
 
-    Odometry goes out on ``nav/odometry`` instead. ``lidar/gimbal`` and latched ``landing/area``,
-    keep-outs and ``landing/target`` are played if they were recorded, the last three with what was
-    said before the part that is played; ``/clock`` tells the bag's time. A bag that holds maps and
-    no scans is played on ``map/cells`` and ``map/observed``, latched. Waits until scans and poses,
-    or maps, have a subscriber, and at the end until all was acknowledged. The services
-    ``/bag_player/pause``, ``…/resume`` and ``…/toggle_paused`` hold it up, as does the space bar of
-    its terminal.
+    Odometry is published on ``nav/odometry`` instead. ``lidar/gimbal`` and latched
+    ``landing/area``, keep-outs and ``landing/target`` are played if they were recorded, the last
+    three including what was sent before the part that is played. A bag that holds maps and no scans
+    is played on ``map/cells`` and ``map/observed``, latched. The player waits until scans and
+    poses, or maps, have a subscriber, and at the end until all messages are acknowledged.
 
     Args:
         rate: Bag seconds per second.
@@ -119,22 +116,20 @@ def play(
             wishes = [recorded for recorded, name in names.items() if name in LANDING]
             for message in source.messages(wishes, 0, part.start_ns):
                 publishers[message.topic].publish(_serialised(message.raw))
-            messages = part.messages(source, list(names), progress)
-            with keys_pressed() as pressed:
-                times = PlayTime(node, rate, pressed)
-                began = time.monotonic()
-                sent = _send(messages, names, publishers, times)
-                seconds = time.monotonic() - began
-                times.shutdown()
+            times, began, sent = PlayTime(node, rate), time.monotonic(), Counter[str]()
+            for topic, received_ns, raw in part.messages(source, list(names), progress):
+                times.wait_until(received_ns)
+                publishers[topic].publish(_serialised(raw))
+                sent[names[topic]] += 1
+            seconds = time.monotonic() - began
             for publisher in publishers.values():
                 publisher.wait_for_all_acked(Duration(seconds=5))
-            counts = Counter({name: sent[recorded] for recorded, name in names.items()})
             return PlayReport(
-                scans=counts[topics.SCAN_TOPIC] + counts[topics.DEPTH_TOPIC],
-                poses=counts[topics.POSE_TOPIC] + counts[topics.ODOMETRY_TOPIC],
+                scans=sent[topics.SCAN_TOPIC] + sent[topics.DEPTH_TOPIC],
+                poses=sent[topics.POSE_TOPIC] + sent[topics.ODOMETRY_TOPIC],
                 duration=seconds,
                 losses=tuple(source.losses),
-                maps=counts[f"/{CELLS}"],
+                maps=sent[f"/{CELLS}"],
             )
         finally:
             context.try_shutdown()
@@ -156,27 +151,6 @@ def _names(bag: Bag, scan_topic: str | None, pose_topic: str | None) -> dict[str
     if any((t.name, t.type) == (topics.GIMBAL_TOPIC, types.GIMBAL_TYPE) for t in bag.topics):
         names[topics.GIMBAL_TOPIC] = topics.GIMBAL_TOPIC
     return names
-
-
-def _send(
-    messages: Iterable[RawMessage],
-    names: Mapping[str, str],
-    publishers: Mapping[str, Publisher],
-    times: PlayTime,
-) -> dict[str, int]:
-    counts = dict.fromkeys(publishers, 0)
-    newest = {name: 0 for name in names.values() if name not in (topics.CAMERA_TOPIC, *LANDING)}
-    scans = next((name for name in (topics.SCAN_TOPIC, topics.DEPTH_TOPIC) if name in newest), "")
-    for topic, received_ns, raw in messages:
-        # A scan that waits for the pose after it during a pause would be dropped by the node.
-        served = not scans or min(newest.values()) == newest[scans]
-        times.wait_until(received_ns, may_pause=served)
-        raw = _serialised(raw)
-        publishers[topic].publish(raw)
-        counts[topic] += 1
-        if names[topic] in newest:
-            newest[names[topic]] = max(newest[names[topic]], stamp_of(raw, ros1=False))
-    return counts
 
 
 def _serialised(raw: bytes) -> bytes:
@@ -211,7 +185,13 @@ def player_node(
             raise PlayError(msg)
         arguments += ["-r", f"{name}:={to}"]
     try:
-        return Node("bag_player", context=context, namespace=namespace, cli_args=arguments)
+        return Node(
+            "bag_player",
+            context=context,
+            namespace=namespace,
+            cli_args=arguments,
+            start_parameter_services=False,  # the node is never spun
+        )
     except (NameValidationException, rclpy_implementation.RCLError) as error:
         msg = f"--namespace or --remap: {str(error).splitlines()[0].split(', at /')[0]}"
         raise PlayError(msg) from None

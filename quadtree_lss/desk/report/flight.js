@@ -33,9 +33,7 @@ function startFlight() {
     const a = Math.max(k - 1, 0), b = Math.min(k + 1, f.time.length - 1);
     return Math.hypot(f.x[b] - f.x[a], f.y[b] - f.y[a], f.z[b] - f.z[a]) / (f.time[b] - f.time[a] || 1);
   });
-  const filmed = () => f.film && view.moment >= f.film.first; // thirty a second
-  Object.assign(frames, { last: f.time.length - 1, step: () => (filmed() ? 1 : 2),
-                          pause: () => (filmed() ? 33 : 250), at: () => view.moment, go: moment,
+  Object.assign(frames, { last: f.time.length - 1, step: 2, at: () => view.moment, go: moment,
                           ofAnswer: k => sampleAt(data.history.seconds[k] + f.before) });
   view.moment = frames.last;
   const marks = u => { // faults as bars, decisions as lines, the shown moment
@@ -104,8 +102,7 @@ function flightInSpace(scene) {
   for (const [, t] of f.faults) if (t <= momentTime()) ball(at(sampleAt(t)), 0xd55e00);
   const truth = data.layers.find(l => l.name === "truth"), landed = f.down && k === frames.last;
   const ground = (x, y) => truth.values[gridPointAt(x, y)]; // each pad on the true ground
-  const turn = f.film && f.film.turns[k - f.film.first]; // on its legs: as it stands, leans, falls
-  scene.drawLander({ x: f.x[k], y: f.y[k], z: f.z[k] }, landed ? ground : () => f.z[k], turn);
+  scene.drawLander({ x: f.x[k], y: f.y[k], z: f.z[k] }, landed ? ground : () => f.z[k]);
   const area = f.areas.filter(([t]) => t <= momentTime()).pop();
-  if (area && !landed && !turn) scene.line(area[1].map(([x, y]) => scene.on(x, y, 0.15)), 0x0072b2, true);
+  if (area && !landed) scene.line(area[1].map(([x, y]) => scene.on(x, y, 0.15)), 0x0072b2, true);
 }

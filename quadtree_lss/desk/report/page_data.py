@@ -15,7 +15,6 @@ from quadtree_lss.desk.exchange.saved import Results
 from quadtree_lss.desk.report import palette
 from quadtree_lss.desk.report.headline import GOOD, LEVELS, largest_circle, nearest_miss
 from quadtree_lss.desk.report.pages import Columns
-from quadtree_lss.desk.report.what_if import what_if
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, peak
 
 MAX_GRID_POINTS = 250_000
@@ -66,7 +65,6 @@ def page_data(content: Results, layers: Sequence[Layer] = ()) -> tuple[dict[str,
             "doubted": bool(content.summary.get("doubts")),
         },
         "history": _history(content, columns, stride),
-        "what_if": what_if(content, columns, stride),
         "timing": _timing(content),
         "hazards": [{"bit": b, "name": name, "colour": c} for b, name, c in palette.HAZARDS],
         "excluding": palette.excluding(config.lss.assessment),

@@ -164,17 +164,14 @@ class Space {
     map.colorSpace = THREE.SRGBColorSpace;
     return map;
   }
-  // Four pads on the ground below, on the circle that they stand on, or turned: a quaternion w, x, y, z.
-  drawLander(site, ground = heightAt, turned = null) {
-    const T = THREE, { radius, pad } = data.lander, [w, ...xyz] = turned || [1, 0, 0, 0];
-    const lean = new T.Group().quaternion.set(...xyz, w), up = new T.Vector3(0, 0, 1).applyQuaternion(lean);
+  // Four pads on the ground below, on the circle that they stand on.
+  drawLander(site, ground = heightAt) {
+    const T = THREE, { radius, pad } = data.lander, up = new T.Vector3(0, 0, 1);
     const metal = new T.MeshLambertMaterial({ color: 0xd8b030 });
     const body = new T.MeshLambertMaterial({ color: 0xe8e8e8 });
     const feet = [0, 1, 2, 3].map(k => {
       const turn = Math.PI * (0.25 + 0.5 * k);
-      const out = new T.Vector3(radius * Math.cos(turn), radius * Math.sin(turn), 0).applyQuaternion(lean);
-      const x = site.x + out.x, y = site.y + out.y;
-      if (turned) return this.at(x, y, site.z + out.z);
+      const x = site.x + radius * Math.cos(turn), y = site.y + radius * Math.sin(turn);
       let z = -Infinity; // the highest ground under the pad carries it
       for (let a = 0; a < 12; a++) for (const r of [0, 0.5, 1]) {
         const h = ground(x + r * pad * Math.cos(a * Math.PI / 6), y + r * pad * Math.sin(a * Math.PI / 6));
@@ -193,7 +190,7 @@ class Space {
     };
     for (const foot of feet) {
       const plate = new T.Mesh(new T.CylinderGeometry(pad, pad, 0.06, 20), metal);
-      plate.rotation.x = Math.PI / 2; plate.quaternion.premultiply(lean);
+      plate.rotation.x = Math.PI / 2;
       plate.position.copy(foot).addScaledVector(up, 0.03);
       this.marks.add(plate);
       const off = foot.clone().sub(middle), out = off.addScaledVector(up, -off.dot(up)).normalize();
@@ -202,7 +199,7 @@ class Space {
       beam(foot, hip.addScaledVector(up, 0.45 * radius), 0.02 * radius);
     }
     const hull = new T.Mesh(new T.CylinderGeometry(0.42 * radius, 0.5 * radius, 0.5 * radius, 8), body);
-    hull.rotation.x = Math.PI / 2; hull.quaternion.premultiply(lean);
+    hull.rotation.x = Math.PI / 2;
     hull.position.copy(middle).addScaledVector(up, 0.22 * radius);
     this.marks.add(hull);
   }

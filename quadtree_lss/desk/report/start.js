@@ -19,7 +19,7 @@ async function start() {
   watch(map); watch(second);
   byId("layer").value = view.layer;
   fit(); legend();
-  sliders(); timeline(); startFlight(); processing();
+  timeline(); startFlight(); processing();
   choose(sites.length ? 0 : -1, false);
   recall();
   new ResizeObserver(again).observe(byId("frame"));

@@ -32,11 +32,11 @@ function setInstant(k) { // of the answers; the last one is the map as it lies
 const tellThen = chart => setTimeout(() => // when the chart has forgotten the pointer
   chart.setLegend({ idx: view.answer < 0 ? data.history.seconds.length - 1 : view.answer }));
 const own = {}; // the run's own headline and rows of the table
-function headlineOf(level, words, ground, note = "") { // as `headline` of headline.py has it
+function headlineOf(level, words, ground) { // as `headline` of headline.py has it; without a level, the run's own
   const box = byId("verdict"), [answer, text] = box.children;
   own.verdict = own.verdict || [box.className, answer.textContent, text.textContent];
   [box.className, answer.textContent, text.textContent] = level ?
-    [`verdict ${level}`, `${note}${words}.`, ground] : own.verdict;
+    [`verdict ${level}`, `At ${data.history.seconds[view.answer].toFixed(1)} s. ${words}.`, ground] : own.verdict;
 }
 function answerOf(number, share) { // level and words for so many sites, the best of that probability
   const { words, good, least, doubted } = data.trust;
@@ -46,14 +46,14 @@ function answerOf(number, share) { // level and words for so many sites, the bes
   return [level, `${words[level]}: ${shareText(100 * share)} % at ` +
     (number > 1 ? `the best of ${number} sites` : "the one site")];
 }
-function allowedGround(is) { // of each grid point: allowed 0, excluded 1, else unknown
-  const found = [0, 0, 0, 0];
-  for (let i = 0; i < grid.nx * grid.ny; i++) found[is(i)]++;
+function allowedGround(k) { // of the k-th answer
+  const found = [0, 0, 0]; // allowed, excluded, unknown
+  for (let i = 0; i < grid.nx * grid.ny; i++) found[allowedClass(i, k)]++;
   const seen = found[0] + found[1], each = grid.spacing ** 2;
   return `Landing is allowed on ${few(100 * found[0] / (seen || 1))} % of the ` +
     `${few(seen * each)} m² seen: ${few(found[0] * each)} m².`;
 }
-function tableOf(found, target, chosen = false) { // [id, x, y, z, score, probability] of each; null: the run's own
+function tableOf(found, target) { // [id, x, y, z, score, probability] of each; null: the run's own
   const table = byId("sites");
   if (!table) return;
   const body = table.tBodies[0];
@@ -65,8 +65,7 @@ function tableOf(found, target, chosen = false) { // [id, x, y, z, score, probab
     if (grid.probability) cells.push(share === null ? "–" : shareText(100 * share));
     cells.push(score === null ? "–" : score.toFixed(3));
     while (cells.length < wide - 1) cells.push("");
-    const site = chosen ? ` data-site="${row}" tabindex="0"` : "";
-    return `<tr${id === target ? ' class="chosen"' : ""}${site}><th>${row + 1}</th>` +
+    return `<tr${id === target ? ' class="chosen"' : ""}><th>${row + 1}</th>` +
       cells.map(c => `<td>${c}</td>`).join("") + "</tr>";
   }).join("");
 }
@@ -78,20 +77,18 @@ function tableOfTheTime() { // what is kept of the shown answer; at the end, all
     headlineOf(""); tableOf(null); rows(); tellSite(view.site);
     return;
   }
-  if (own.tried) tried(null);
   own.past = true;
   const [target] = h.targets[k], place = h.sites[k].findIndex(([id]) => id === target) + 1;
   const best = h.sites[k][0];
-  headlineOf(...answerOf(h.sites[k].length, best ? best[5] : null),
-             allowedGround(i => allowedClass(i, k)), `At ${h.seconds[k].toFixed(1)} s. `);
+  headlineOf(...answerOf(h.sites[k].length, best ? best[5] : null), allowedGround(k));
   if (!table) return;
   tableOf(h.sites[k], target);
   byId("why").innerHTML = `<b>At ${h.seconds[k].toFixed(1)} s</b>: ` + (!target ? "no target" :
     `the target, dashed on the map, is ${place ? `site ${place}` : "none of the ranked sites"}`);
 }
-const charts_sites = [];
+const charts_sites = [], FRAME_MS = 250; // between two frames that play
 // What the slider goes over: the answers, or the samples of a flight.
-const frames = { last: 0, step: () => 1, pause: () => 250, go: k => setInstant(k), ofAnswer: k => k,
+const frames = { last: 0, step: 1, go: k => setInstant(k), ofAnswer: k => k,
                  at: () => (view.answer < 0 ? frames.last : view.answer) };
 function player() {
   const slider = byId("instant");
@@ -102,11 +99,11 @@ function player() {
     else {
       if (frames.at() >= frames.last) frames.go(0);
       const next = () => {
-        frames.go(Math.min(frames.at() + frames.step(), frames.last));
+        frames.go(Math.min(frames.at() + frames.step, frames.last));
         if (frames.at() >= frames.last) byId("play").onclick();
-        else playing = setTimeout(next, frames.pause());
+        else playing = setTimeout(next, FRAME_MS);
       };
-      playing = setTimeout(next, frames.pause());
+      playing = setTimeout(next, FRAME_MS);
     }
     byId("play").textContent = playing ? "❚❚" : "▶";
   };

@@ -11,7 +11,7 @@ from quadtree_lss.lab.flight import fly as lockstep
 from quadtree_lss.lab.flight.settings import AVOIDANCE, FlightSettings, flight_settings
 
 CONDITIONS = "terrain rocks range_noise outliers dropouts half".split()
-CONDITIONS += "slant_range speed glide_slope_deg scatter survey fault judge".split()
+CONDITIONS += "slant_range speed glide_slope_deg scatter survey fault".split()
 """As of ``flight.settings``; ``survey`` is the first pass of the lidar, s."""
 
 
@@ -32,7 +32,7 @@ def settings_of(case: Case) -> FlightSettings:
 def fly(case: Case) -> Figures:
     found = lockstep.flown(case.seed, settings_of(case)).figures
     down = found["outcome"] == "touchdown"
-    figures = {
+    return {
         **{k: int(v) if isinstance(v, bool) else v for k, v in found.items() if k != "seed"},
         "one": 1,
         "doubted": int(bool(found["warnings"])),
@@ -41,11 +41,6 @@ def fly(case: Case) -> Figures:
         "from_planned": found["from_planned"] if down else None,
         "unsafe_known": int(down and not found["ground_safe"] and found["map_said"] == "unsafe"),
     }
-    if "physics" in found:
-        stands = found["physics"] == "stands"
-        figures |= {"physics_fails": int(not stands), "judged": 1}
-        figures |= {"safe_but_fails": int(found["safe"] and not stands)}
-    return figures
 
 
 def keep(case: Case, folder: Path) -> None:
@@ -66,8 +61,6 @@ FLY = Kind(
         Quantity("aborted", "Flights without touchdown", of="one"),
         Quantity("doubted", "Flights with doubts of their risks", of="one"),
         Quantity("unsafe_known", "Unsafe where the map had said so", of="one"),
-        Quantity("physics_fails", "Do not stand on their legs", of="judged"),
-        Quantity("safe_but_fails", "Safe by contact, do not stand", of="judged"),
         Quantity("error", "Touchdown from the aim", "m", 3),
         Quantity("from_planned", "Touchdown from the planned point", "m", 1),
         Quantity("propellant", "Propellant", "kg", 1),

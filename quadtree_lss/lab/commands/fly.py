@@ -91,7 +91,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--fault", action="append", default=[], metavar="FAULT", help=text)
     text = "set one parameter of the nodes, for instance lss.margin=1.0"
     add("--set", action="append", default=[], metavar="KEY=VALUE", help=text)
-    add("--physics", action="store_true", help="touch down on legs as well (extra 'physics')")
     add("--no-page", action="store_true", help="no picture and no page")
 
 
@@ -107,7 +106,6 @@ def _fly(options: argparse.Namespace) -> int:
         "rock_abundance": options.rocks,
         "faults": tuple(options.fault),
         "config": common.overrides(options),
-        "judge": "physics" if options.physics else "contact",
     }
     settings = flight_settings(given)
     alone = options.lockstep or options.avoidance in ("none", "perfect")

@@ -8,8 +8,6 @@ come by `hear`. So the same flight runs in lock-step and over DDS.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,8 +23,6 @@ from quadtree_lss.lab.simulation.lidar import FlashLidar
 from quadtree_lss.lab.simulation.navigation import DriftingNavigation
 from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.lab.simulation.safety import contact_safe
-from quadtree_lss.lab.touchdown.legs import LANDER
-from quadtree_lss.lab.touchdown.touchdown import Arrival, Landed, touch
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config, config_from_values
 
@@ -158,10 +154,6 @@ class Flight:
         firm = down and contact_safe(self.ground.terrain, place[:2])[0]
         whats = [d.what for d in self.pilot.decisions]
         diverts = [d for d in self.pilot.decisions if d.what in ("divert", "target") and d.time > 0]
-        found, legs = self.landed, {}
-        if found is not None:
-            legs = {"physics": found.outcome, "physics_tilt_deg": found.tilt_deg}
-            legs |= {"physics_slid": found.slid, "physics_stroke": found.stroke}
         return {
             "outcome": self.outcome,
             "safe": bool(firm and soft),
@@ -181,20 +173,7 @@ class Flight:
             "last_divert_height": diverts[-1].height if diverts else None,
             "hovered": "hover" in whats,
             "from_planned": float(np.hypot(*(place - self.ground.planned)[:2])),
-            **legs,
         }
-
-    @cached_property
-    def landed(self) -> Landed | None:
-        """The touchdown on legs, where ``physics`` judges and there was one; the pads at 45 degrees
-        to the axes."""
-        if self.outcome != "touchdown" or self.settings.judge != "physics":
-            return None
-        lander = self.lander
-        legs = replace(LANDER, mass=lander.mass, gravity=self.settings.vehicle.gravity)
-        x, y, _ = lander.position.tolist()
-        arrival = Arrival(x, y, lander.velocity, lander.direction, 0.0, lander.turn)
-        return touch(legs, self.ground.terrain, arrival)
 
     def _errors(self, generator: np.random.Generator) -> None:
         times = TICK * np.arange(round(self.settings.longest / TICK) + 2)

@@ -157,7 +157,6 @@ def headline(flown: Flown) -> str:
         f"seed {f['seed']}: {ground} touchdown after {f['time']:.1f} s,"
         f" {f['from_planned']:.1f} m from the planned point, {f['error']:.2f} m from the aim,"
         f" {f['propellant']:.1f} kg of propellant"
-        + (f"; on its legs: {f['physics']}" if "physics" in f else "")
     )
 
 
@@ -166,7 +165,6 @@ def _page(out: Path, flown: Flown, picture: bytes) -> str:
     flight, figures = flown.flight, flown.figures
     content = _content(out, flown)
     down = figures["outcome"] == "touchdown"
-    stands = figures.get("physics", "stands") == "stands"
     note = "" if flown.cells is not None else " The map is the true ground: the flight made none."
     words, _, ground = headline(flown).partition(": ")[2].partition(" after ")
     return page(
@@ -177,7 +175,7 @@ def _page(out: Path, flown: Flown, picture: bytes) -> str:
         title=f"Flight, seed {figures['seed']}",
         answer=f"{words[:1].upper()}{words[1:]}.",
         ground=f"After {ground}.{note}",
-        level="good" if down and figures["safe"] and stands else "none",
+        level="good" if down and figures["safe"] else "none",
         picture_of_map=drawing.small(picture),
         decisions=[
             (f"{d.time:.1f}", f"{d.height:.1f}", d.what, f"{d.x:.2f}", f"{d.y:.2f}")
@@ -238,22 +236,12 @@ def _truth(content: Results, ground: Ground) -> tuple[Layer, Layer]:
 
 def _flight_data(data: dict[str, Any], columns: Columns, flown: Flown) -> dict[str, Any]:
     """The flight for the page's script; times in s of flight."""
-    flight, names = flown.flight, ("time", "x", "y", "z", "mass", "tilt_deg")
+    flight, names = flown.flight, ("time", "x", "y", "z")
     rows = np.array([[getattr(s, name) for name in names] for s in flight.samples])
     first = (data["history"] or {}).get("first_ns", START_NS)
-    film = None
-    if flight.landed is not None:  # on its legs, from the touchdown on
-        poses = flight.landed.film
-        turns = poses[:, 4:]
-        tilt = np.arccos(np.clip(1.0 - 2.0 * (turns[:, 1] ** 2 + turns[:, 2] ** 2), -1.0, 1.0))
-        mass = np.full(len(poses), flight.lander.mass)
-        more = [flight.time + poses[:, 0], poses[:, 1:4], mass, np.degrees(tilt)]
-        film = {"first": len(rows), "turns": turns.round(4).tolist()}
-        rows = np.vstack([rows, np.column_stack(more)])
     return {
         "before": 1e-9 * (first - START_NS),
         **{name: columns.floats(column) for name, column in zip(names, rows.T, strict=True)},
-        "film": film,
         "decisions": [list(d) for d in flight.pilot.decisions],
         "faults": flight.failed,
         "areas": [[time, area.round(2).tolist()] for time, area in flight.areas],

@@ -12,13 +12,11 @@ from quadtree_lss.lab.flight.pilot import Rules
 from quadtree_lss.lab.flight.vehicle import Vehicle
 from quadtree_lss.lab.simulation.scenarios import LIMITS as SIMULATED
 from quadtree_lss.lab.simulation.terrain import check
-from quadtree_lss.lab.touchdown.touchdown import engine
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 AVOIDANCE = ("package", "paper", "none", "perfect")
 """By the nodes; by them with the paper's rules; straight to the planned point; by the truth."""
 
-JUDGES = ("contact", "physics")
 FAULTS = tuple(
     "kill_lss kill_mapping forget_mapping pose_gap pose_jump lidar_gap keep_out land_now".split()
 )
@@ -90,8 +88,6 @@ class FlightSettings:
         config: Parameters by dotted key, over ``config/flight.yaml``.
         answer_delay: From a pass's begin to its answer at the guidance in lock-step, s.
         longest: Flights are ended after so many seconds.
-        judge: ``contact``, four rigid pads set down, or ``physics`` beside it: legs that come down
-            as the flight does (extra ``physics``).
     """
 
     avoidance: str = "package"
@@ -112,16 +108,13 @@ class FlightSettings:
     faults: tuple[Fault, ...] = ()
     answer_delay: float = 0.06
     longest: float = 150.0
-    judge: str = "contact"
 
     def __post_init__(self) -> None:
-        for name, known in (("avoidance", AVOIDANCE), ("judge", JUDGES)):
-            if (value := getattr(self, name)) not in known:
-                raise FlightError(f"unknown {name} {value!r}; there are {', '.join(known)}")
+        if self.avoidance not in AVOIDANCE:
+            known = ", ".join(AVOIDANCE)
+            raise FlightError(f"unknown avoidance {self.avoidance!r}; there are {known}")
         check(self, LIMITS, FlightError)
         check(self.plan, {"survey": (0.1, 1e3)}, FlightError)
-        if self.judge == "physics":
-            engine()
 
 
 def flight_settings(values: Mapping[str, Any]) -> FlightSettings:

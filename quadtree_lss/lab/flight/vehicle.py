@@ -53,7 +53,7 @@ class Vehicle:
 class VehicleState:
     """The true state of a vehicle, and what its actuators make of commands: position and velocity
     (3,) in the map frame, m, m/s; mass, kg; thrust, N; its direction (3,), up along the vehicle's
-    axis, and how that turns, (3,) rad/s."""
+    axis."""
 
     def __init__(self, vehicle: Vehicle, position: Array, velocity: Array) -> None:
         self.vehicle = vehicle
@@ -62,7 +62,6 @@ class VehicleState:
         self.mass = vehicle.mass
         self.thrust = vehicle.mass * vehicle.gravity
         self.direction = np.array([0.0, 0.0, 1.0])
-        self.turn = np.zeros(3)
         self._commands: deque[tuple[float, Array]] = deque()
         self._command = self.thrust * self.direction
         self._now = 0.0
@@ -85,9 +84,7 @@ class VehicleState:
         """``dt`` s on: actuators first, then the motion under constant thrust."""
         while self._commands and self._commands[0][0] <= self._now:
             self._command = self._commands.popleft()[1]
-        before = self.direction
         self._actuate(dt)
-        self.turn = np.cross(before, self.direction) / dt
         v = self.vehicle
         if self.burnt >= v.propellant:
             self.thrust = 0.0
