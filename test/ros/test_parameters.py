@@ -84,10 +84,8 @@ def test_qos_overrides_of_topics_that_the_node_lacks_are_told(ros):
     ("overrides", "words"),
     [
         ({"lss__marign": 1.0}, ["lss.marign", "lss.margin"]),
-        (
-            {"mapping__divide_area": 0.1},
-            ["mapping.divide_area is no parameter any more", "the vehicle"],
-        ),
+        ({"mapping__divide_area": 0.1}, ["mapping.divide_area was removed", "the vehicle"]),
+        ({"prior__file": "dem.tif"}, ["prior.file was removed", "delete the line"]),
         ({"domain__min_level": 9, "domain__max_level": 8}, ["min_level", "max_level"]),
         ({"checkpoint__path": "/"}, ["checkpoint.path", "'/'"]),
         ({"map_file__path": "maps/."}, ["map_file.path", "not the name of a file"]),
