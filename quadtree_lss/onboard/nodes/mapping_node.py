@@ -388,8 +388,6 @@ class MappingNode(BaseNode):
         self._prior.collect(status)
         if config.checkpoint.path:
             status.add({"checkpoints": self._checkpoints.written})
-        if self._checkpoints.foreign:
-            status.note(WARN, self._checkpoints.foreign)
         if self._failed:
             status.note(ERROR, self._failed)
         if report is None:
