@@ -125,7 +125,7 @@ def test_a_checkpoint_that_cannot_be_removed_does_not_hold_up_a_reset(ros):
         assert answer.success, answer.message
         listener.until_stamped(0, "map/cells")
         listener.until(listener.at_least, "problems.checkpoint", 1)
-        assert "cannot be removed" in mapping.output()
+        assert "is a folder" in mapping.output()
 
 
 @pytest.mark.survives(
