@@ -7,7 +7,6 @@ import re
 from pathlib import Path
 
 os.environ["COLUMNS"] = "100"  # of the commands' help
-os.environ.setdefault("QUADTREE_LSS_INTERPRETED", "1")  # nothing has to be compiled for docstrings
 
 project = "quadtree_lss"
 copyright = "quadtree_lss contributors, Apache-2.0"

@@ -1,49 +1,79 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of one vector, one plane, one cell, run from their sources and called with arrays.
+"""Compiled functions of one vector, one plane or one cell, called with arrays.
 
-Compiled, they take C arrays: only other kernels call them. `test_interpreted` sees to it that their
-sources give the same bits.
+Only other kernels call these functions. Cython exports those that a ``.pxd`` declares, with their
+C types, in ``__pyx_capi__`` of the module.
 """
 
+import ctypes
 import importlib
-import sys
+import re
 from collections.abc import Callable
-from types import ModuleType
-from unittest import mock
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-import quadtree_lss.onboard
-from quadtree_lss import build
+from quadtree_lss.onboard.core.mapping.measure import RUN
+from quadtree_lss.onboard.core.tree.leaves import MEASURED, NOTHING, blank
 
 Array = np.ndarray
-CORE = "quadtree_lss.onboard.core"
 
 
-def sources(*names: str) -> list[ModuleType]:
-    """Modules of the core as if nothing were compiled, beside those that all others use."""
-    compiled = importlib.import_module(CORE)
-    finders = [build._Sources(), *sys.meta_path]
-    with mock.patch.dict(sys.modules), mock.patch.object(sys, "meta_path", finders):
-        for name in [name for name in sys.modules if f"{name}.".startswith(f"{CORE}.")]:
-            del sys.modules[name]
-        found = [importlib.import_module(f"{CORE}.{name}") for name in names]
-    quadtree_lss.onboard.core = compiled
-    return found
+class Pointer:
+    """C argument: the first element of a contiguous array of doubles or of records."""
+
+    @staticmethod
+    def from_param(array: Array) -> ctypes.c_void_p:
+        assert array.flags.c_contiguous and (array.dtype == np.float64 or array.dtype.names)
+        return ctypes.c_void_p(array.ctypes.data)
 
 
-sphere, plane, measure, division, features, leaves = sources(
-    *("geometry.sphere", "geometry.plane"),
-    *("mapping.measure", "mapping.division", "mapping.features", "tree.leaves"),
-)
+capsule_name = ctypes.pythonapi.PyCapsule_GetName
+capsule_name.restype, capsule_name.argtypes = ctypes.c_char_p, [ctypes.py_object]
+capsule_pointer = ctypes.pythonapi.PyCapsule_GetPointer
+capsule_pointer.restype = ctypes.c_void_p
+capsule_pointer.argtypes = [ctypes.py_object, ctypes.c_char_p]
+
+C_TYPES = {
+    "void": None,
+    "double": ctypes.c_double,
+    "int": ctypes.c_int,
+    "Py_ssize_t": ctypes.c_ssize_t,
+}
+
+
+def c_type(text: str) -> object:
+    """Type of a result or argument as Cython writes it."""
+    if text.startswith("struct __pyx_obj_"):
+        return ctypes.py_object
+    return Pointer if text.endswith("*") else C_TYPES[text]
+
+
+class Exported:
+    """Compiled functions that a kernel of ``core`` declares for others, as attributes."""
+
+    def __init__(self, name: str) -> None:
+        self._capsules = importlib.import_module(f"quadtree_lss.onboard.core.{name}").__pyx_capi__
+
+    def __getattr__(self, name: str) -> Callable[..., object]:
+        capsule = self._capsules[name]
+        signature = capsule_name(capsule)
+        result, arguments = re.fullmatch(r"(\S+) \((.*)\)", signature.decode()).groups()
+        function = ctypes.PYFUNCTYPE(c_type(result))(capsule_pointer(capsule, signature))
+        function.argtypes = [c_type(argument) for argument in arguments.split(", ")]
+        return function
+
+
+sphere, plane = Exported("geometry.sphere"), Exported("geometry.plane")
+measure, division = Exported("mapping.measure"), Exported("mapping.division")
+features = Exported("mapping.features")
 
 
 def filled(kernel: Callable[..., object], sizes: tuple[int, ...], *given: object) -> list[Array]:
     """Arrays of these sizes, the last arguments of a kernel, as it leaves them."""
-    out = [[0.0] * size for size in sizes]
-    kernel(*(np.asarray(a).tolist() if np.ndim(a) == 1 else a for a in given), *out)
-    return [np.array(values) for values in out]
+    out = [np.zeros(size) for size in sizes]
+    kernel(*(np.array(a, dtype=np.float64) if np.ndim(a) else a for a in given), *out)
+    return out
 
 
 def tangent_basis(normal: ArrayLike) -> Array:
@@ -80,19 +110,19 @@ def tangent_change(of: ArrayLike, to: ArrayLike) -> Array:
 
 def shifted(covariance: Array, normal: ArrayLike, delta: ArrayLike) -> Array:
     """Covariance (3, 3) of a plane after its origin moved by delta (3,), m."""
-    c = covariance.ravel().tolist()
-    plane.shift_origin(c, *(np.asarray(delta) @ tangent_basis(normal)).tolist(), 1)
-    return np.array(c).reshape(3, 3)
+    moved = covariance.copy()
+    plane.shift_origin(moved, *(np.asarray(delta) @ tangent_basis(normal)), 1)
+    return moved
 
 
 def fit(
     rules, points: Array, x: float, y: float, side: float, prior, sigma: Array, z=np.nan, uneven=0.0
 ):
     """All points (N, 3) fitted in one cell: a record of type `measure.RUN`."""
-    runs = np.zeros(1, dtype=measure.RUN).view(np.recarray)
-    leaf = leaves.blank().view(np.recarray)[0]
+    run = np.zeros(1, dtype=RUN).view(np.recarray)
+    leaf = blank().view(np.recarray)
     leaf.x, leaf.y, leaf.z, leaf.normal, leaf.uneven = x, y, z, prior, uneven
-    leaf.known = leaves.NOTHING if np.isnan(z) else leaves.MEASURED
-    flat, sigma = points.ravel().tolist(), sigma.ravel().tolist()
-    measure.measure(rules, leaf, runs[0], flat, len(points), np.zeros(3), sigma, side)
-    return runs
+    leaf.known = NOTHING if np.isnan(z) else MEASURED
+    points = np.ascontiguousarray(points)
+    measure.measure(rules, leaf, run, points, len(points), np.zeros(3), sigma, side)
+    return run

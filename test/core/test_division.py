@@ -23,12 +23,12 @@ def test_a_scan_weighs_by_the_residuals_its_fit_left_free():
     """Its points less three; from eight of them on the leaf asks."""
     rules = Rules(configured())
     leaf = four_leaves().rows
-    division.asks(rules, leaf[1], run_of(4.0, 9.0)[0])
-    division.asks(rules, leaf[1], run_of(12.0, 0.5)[0])
+    division.asks(rules, leaf[1:2], run_of(4.0, 9.0))
+    division.asks(rules, leaf[1:2], run_of(12.0, 0.5))
     assert leaf[1].division_weight == 1.0 + 9.0
     assert leaf[1].division_sum == 9.0 + 4.5
     # Four free residuals, then eight.
-    assert [division.asks(rules, leaf[2], run_of(7.0, 9.0)[0]) for _ in range(2)] == [False, True]
+    assert [division.asks(rules, leaf[2:3], run_of(7.0, 9.0)) for _ in range(2)] == [False, True]
     assert not leaf[0].division_weight
 
 
@@ -46,15 +46,15 @@ def test_a_leaf_asks_above_its_threshold_and_the_doubt_of_few(criterion, mean, s
         bound = 1.2 * mean + 0.5 * spread / np.sqrt(free)
         for factor, asked in ((0.999, False), (1.001, True)):
             leaf = four_leaves().rows
-            assert division.asks(rules, leaf[0], run_of(free + 3.0, factor * bound)[0]) == asked
+            assert division.asks(rules, leaf[0:1], run_of(free + 3.0, factor * bound)) == asked
 
 
 def test_a_view_of_less_than_half_of_a_leaf_does_not_judge_it():
     rules, leaf = Rules(configured()), four_leaves().rows
-    assert not division.asks(rules, leaf[0], run_of(5000.0, 50.0, 0.5, 1.0)[0])
+    assert not division.asks(rules, leaf[0:1], run_of(5000.0, 50.0, 0.5, 1.0))
     for name in ("division_sum", "division_weight", "square_sum"):
         assert leaf[0][name] == 0.0
-    assert division.asks(rules, leaf[0], run_of(5000.0, 50.0, 0.49, 1.0)[0])
+    assert division.asks(rules, leaf[0:1], run_of(5000.0, 50.0, 0.49, 1.0))
 
 
 @pytest.mark.parametrize("per_cell", [12, 40])

@@ -28,12 +28,11 @@ class Plane(NamedTuple):
 
 def fused(prior: Plane, other: Plane, common: float = 0.0) -> Plane:
     """Both over one place."""
-    normal, rise = other.normal.tolist(), [0.0]
-    parts = prior.range_part, prior.pose_part, other.range_part, other.pose_part
-    *known, p, q = (part.ravel().tolist() for part in parts)
-    plane.fuse(prior.normal.tolist(), prior.z - other.z, *known, normal, p, q, common, rise)
-    fused = (np.array(part).reshape(3, 3) for part in known)
-    return Plane(np.array(normal), other.z + rise[0], *fused)
+    normal, rise = other.normal.copy(), np.zeros(1)
+    known = prior.range_part.copy(), prior.pose_part.copy()
+    parts = other.range_part, other.pose_part
+    plane.fuse(prior.normal, prior.z - other.z, *known, normal, *parts, common, rise)
+    return Plane(normal, other.z + rise[0], *known)
 
 
 def estimate(rng: np.random.Generator, truth: np.ndarray, parts: np.ndarray) -> Plane:
@@ -62,12 +61,11 @@ def with_height(
     prior: Plane, lever: np.ndarray, variance: float, other: Plane, common: float, sloped: bool
 ) -> Plane:
     """A height over one place of a plane parallel to the prior, ``lever`` (2,) from its origin."""
-    normal, rise = prior.normal.tolist(), [0.0]
-    *known, q = (v.ravel().tolist() for v in (prior.range_part, prior.pose_part, other.pose_part))
-    given = lever.tolist(), variance, q, common, sloped
+    normal, rise = prior.normal.copy(), np.zeros(1)
+    known = prior.range_part.copy(), prior.pose_part.copy()
+    given = lever, variance, other.pose_part, common, sloped
     plane.fuse_height(normal, prior.z - other.z, *known, *given, rise)
-    fused = (np.array(part).reshape(3, 3) for part in known)
-    return Plane(np.array(normal), other.z + rise[0], *fused)
+    return Plane(normal, other.z + rise[0], *known)
 
 
 @pytest.mark.parametrize("common", [0.0, 0.6, 1.0])

@@ -25,7 +25,7 @@ def hides(leaves: LeafTable, noise: float = 0.02, **constants: float) -> list[bo
     """Which of `four_leaves` hold a rock, by the default limits but for those given."""
     with by(**constants):
         rules = Rules(configured(noise=noise))
-    return [division.hides_rock(rules, leaves.rows[row]) for row in range(4)]
+    return [division.hides_rock(rules, leaves.rows[row : row + 1]) for row in range(4)]
 
 
 def test_exceptions_beyond_their_noise_divide():

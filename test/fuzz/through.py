@@ -455,64 +455,27 @@ class Settings:
 
 
 class Checkpoints:
-    """A file with right checksums and wrong numbers, taken up; then a good scan."""
+    """A damaged checkpoint: rejected, or read with the content that was written."""
 
     def __init__(self, rng: np.random.Generator, kind: str) -> None:
         self.rng = rng
         self.config = one_of(rng, CONFIGS)
-        self.selector = LandingSiteSelector(self.config)
-        self.state = mapped_scene(self.config).export_state()
-        self.content = to_bytes(self.state)
+        self.content = to_bytes(mapped_scene(self.config).export_state())
         self.empty = to_bytes(Mapper(self.config).export_state())
-        self.sent = 0
 
     def send(self) -> str:
-        self.sent += 1
-        state = {name: array.copy() for name, array in self.state.items()}
-        touched = set()
-        for _ in range(self.rng.integers(1, 3)):
-            name = one_of(self.rng, ["leaves"] * 9 + [name for name in state if name != "leaves"])
-            column = one_of(self.rng, state[name].dtype.names or [""])
-            touched.add(column or name)
-            values = state[name][column] if column else np.atleast_1d(state[name])
-            cases.spoil_values(values, self.rng)
-            if not column:
-                state[name] = values.reshape(state[name].shape)
         mapper = Mapper(self.config)
         try:
-            if self.sent % 4 == 0:
-                mapper.import_state(from_bytes(cases.damaged(self.content, self.rng)))
-                assert to_bytes(mapper.export_state()) == self.content, "of the same meaning"
-                touched = set()
-            else:
-                mapper.import_state(from_bytes(to_bytes(state)))
+            mapper.import_state(from_bytes(cases.damaged(self.content, self.rng)))
         except CheckpointError as error:
             assert str(error).isprintable()
             assert to_bytes(mapper.export_state()) == self.empty
-            return str(error).partition(":")[0]
-        before = mapper.snapshot()
-        assert_sound(before)
-        cells = sent_and_read(before, self.config)
-        rng = np.random.default_rng(5)
-        for k in range(2):
-            stamp = 2 * 10**9 + 10**8 * k
-            pose = make_pose((8.0, 8.0, HEIGHT), 1e-6 * np.eye(6), stamp)
-            mapper.update(good_points(rng, 300), pose)
-        cells = sent_and_read(mapper.snapshot(), self.config)
-        assert_sound(cells)
-        again = Mapper(self.config)
-        again.import_state(from_bytes(to_bytes(mapper.export_state())))
-        if self.sent % 5 == 0:
-            judge(cells, self.selector)
-        if not touched & {"z", "normal", "low", "high"}:
-            x, y = scattered(rng, 0.0, 0.0, 16.0, 50)
-            known = cells.known[(2 * y).astype(int), (2 * x).astype(int)]
-            off = cells.at(x, y).height - ground(x, y)
-            assert (np.abs(off[known & np.isfinite(off)]) < 2.0).all(), touched
+            return str(error)
+        assert to_bytes(mapper.export_state()) == self.content
         return TAKEN
 
     def close(self, told: Counter[str]) -> None:
-        assert told[TAKEN] and len(told) > 3
+        assert len(told) > 1
 
 
 class Depth(Mapping):

@@ -80,11 +80,3 @@ def test_without_binaries_nothing_is_imported(copy):
     done = run(IMPORT, copy)
     assert done.returncode == 1
     assert "not compiled for Python" in done.stderr.splitlines()[-1]
-
-
-def test_the_sources_are_run_when_asked_for():
-    names = [module_of(path) for path in build.kernels()]
-    code = f"import importlib; print(*(importlib.import_module(n).__file__ for n in {names}))"
-    done = run(code, ROOT / "test", QUADTREE_LSS_INTERPRETED="1")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == [str(path) for path in build.kernels()]

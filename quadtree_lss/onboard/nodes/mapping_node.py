@@ -39,7 +39,7 @@ from quadtree_lss.onboard.nodes.diagnostics import (
     failure,
 )
 from quadtree_lss.onboard.nodes.entry import waits_for
-from quadtree_lss.onboard.nodes.executor import WhenWanted, arrived, steady_timer, transforms_type
+from quadtree_lss.onboard.nodes.executor import WhenWanted, arrived, steady_timer
 from quadtree_lss.onboard.nodes.files import MapFileError
 from quadtree_lss.onboard.nodes.losses import Overload, Publishers, ScanGaps
 from quadtree_lss.onboard.nodes.map_files import Checkpoints, load, save
@@ -59,6 +59,7 @@ from quadtree_lss.onboard.nodes.ros_messages import (
     header_message,
     map_messages,
     pose_message,
+    transforms_type,
 )
 
 SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
@@ -119,7 +120,7 @@ class MappingNode(BaseNode):
         serve(self, "save_map", self._save_map)
         serve(self, "load_map", self._load_map)
         self._subscribe()
-        self._look = steady_timer(self, LOOK_PERIOD_S, self._look_around)
+        steady_timer(self, LOOK_PERIOD_S, self._look_around)
         self._announce()
 
     def finish(self) -> None:
@@ -173,7 +174,6 @@ class MappingNode(BaseNode):
         work_ms = self._map_ms.last + self._publish_ms.last
         if self._overload.takes(info["received_timestamp"], self._config, work_ms):
             self._take_scan(message, arrival_ns)
-        self._look.reset()
         self._look_around()
 
     def _take_scan(self, message: Any, arrival_ns: int) -> None:
@@ -381,8 +381,6 @@ class MappingNode(BaseNode):
         )
         if config.checkpoint.path:
             status.add({"checkpoints": self._checkpoints.written})
-        if self._checkpoints.foreign:
-            status.note(WARN, self._checkpoints.foreign)
         if self._failed:
             status.note(ERROR, self._failed)
         if report is None:

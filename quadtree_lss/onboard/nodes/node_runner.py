@@ -15,7 +15,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.exceptions import NameValidationException, ParameterException
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -29,7 +29,7 @@ from quadtree_lss.onboard.config.settings import Config, ConfigError, parameters
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.nodes.diagnostics import WARN, Problems, Status
 from quadtree_lss.onboard.nodes.entry import stop_on_signal, waits_for
-from quadtree_lss.onboard.nodes.executor import OneNodeExecutor, steady_timer
+from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.parameters import ROS_TOPICS, NodeParameters
 
 ARGUMENT_ERRORS = (
@@ -160,7 +160,7 @@ def run(
 
 
 def _spin(make_node: Callable[[], BaseNode], argv: list[str]) -> int:
-    executor: OneNodeExecutor | None = None
+    executor: SingleThreadedExecutor | None = None
     node: BaseNode | None = None
     stop = stop_on_signal()
     if stop.asked:
@@ -173,7 +173,7 @@ def _spin(make_node: Callable[[], BaseNode], argv: list[str]) -> int:
     waits_for("its parameters and topics")
     try:
         node = _made(make_node)
-        executor = OneNodeExecutor()
+        executor = SingleThreadedExecutor()
         executor.add_node(node)
         with contextlib.suppress(ExternalShutdownException), stop.breaking():
             while not stop.asked:

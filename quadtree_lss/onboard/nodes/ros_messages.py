@@ -18,6 +18,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
+from quadtree_lss.onboard.config.settings import ConfigError
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.messages.clouds import MessageError
@@ -39,6 +40,15 @@ try:  # no part of a bare ROS
     GridMap = TYPES["grid_map_msgs/msg/GridMap"]
 except ImportError:
     GridMap = None
+
+
+def transforms_type() -> Any:
+    """Import ``tf2_msgs/TFMessage``, which the ROS wheels lack. Raises `ConfigError` without it."""
+    try:
+        return TYPES["tf2_msgs/msg/TFMessage"]
+    except ImportError:
+        msg = "mount.source tf needs tf2_msgs (apt install ros-jazzy-tf2-msgs): or set mount.x ..."
+        raise ConfigError(msg) from None
 
 
 @lru_cache(4)
