@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading ROS 2 and ROS 1 bags as a stream of raw messages, whatever their state (docs/onboard.md).
+"""Reading ROS 2 and ROS 1 bags as a stream of raw messages.
 
-rosbags decodes the messages, but does not read the files: it ends at the first damage, unpacks
-without bounds, asks what an sqlite file would compute, and sorts by time what a recorder's clock
-put out of order.
+rosbags decodes the messages. It does not read the files because it opens no truncated file, expands
+without a limit, and sorts messages by time even if the recorder's clock stepped back.
 """
 
 from __future__ import annotations
 
 import heapq
-import itertools
 import re
 import tempfile
 from collections import Counter
@@ -91,16 +89,11 @@ class Bag:
         """
         chains: list[list[RecordedFile]] = []
         for file in self._files:
-            for chain in chains:
-                if any(file.counts.keys() & other.counts.keys() for other in chain):
-                    chain.append(file)
-                    break
-            else:
-                chains.append([file])
-        streams = (
-            itertools.chain.from_iterable(f.messages(topics, start_ns, stop_ns) for f in chain)
-            for chain in chains
-        )
+            alike = (c for c in chains if any(file.counts.keys() & f.counts.keys() for f in c))
+            if (chain := next(alike, None)) is None:
+                chains.append(chain := [])
+            chain.append(file)
+        streams = ((m for f in c for m in f.messages(topics, start_ns, stop_ns)) for c in chains)
         return heapq.merge(*streams, key=lambda message: message.received_ns)
 
     def decode(self, raw: bytes, msgtype: str) -> Any:
@@ -175,9 +168,7 @@ class Bag:
             return file
         folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="quadtree_lss_"))
         plain = Path(folder) / file.stem
-        with open(file, "rb") as source, open(plain, "wb") as target:
-            fault = unpack_file(source, target)
-        if fault is not None:
+        if fault := unpack_file(file, plain):
             self._losses.append(f"{file.name}: {fault}")
         return plain
 

@@ -175,7 +175,7 @@ def _send(
         publishers[topic].publish(raw)
         counts[topic] += 1
         if names[topic] in newest:
-            newest[names[topic]] = max(newest[names[topic]], stamp_of(raw, ros1=False))
+            newest[names[topic]] = max(newest[names[topic]], stamp_of(raw))
     return counts
 
 
