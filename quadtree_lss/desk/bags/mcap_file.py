@@ -9,9 +9,12 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from quadtree_lss.desk.bags.compression import DamagedError, unpack
+from quadtree_lss.desk.bags.message_types import type_name
 from quadtree_lss.desk.bags.recorded_file import ChunkedFile, Record
 
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS = 2, 3, 4, 5, 6, 8, 11
+DECODED = ("cdr", "ros1", "")
+"""Encodings of messages that are decoded."""
 END_BYTES = 37
 """Size of the footer and the magic bytes after it."""
 
@@ -63,7 +66,11 @@ class McapFile(ChunkedFile):
             self._schemas[struct.unpack_from("<H", content)[0]] = _text(content, 2)
         elif record.kind == CHANNEL:
             number, schema = struct.unpack_from("<HH", content)
-            self.topics[number] = (_text(content, 4), self._schemas.get(schema, ""))
+            topic = _text(content, 4)
+            encoding = _text(content, 8 + len(topic.encode()))
+            self.ros1 = encoding == "ros1"
+            kind = type_name(self._schemas.get(schema, "")) or "unknown type"
+            self.topics[number] = (topic, kind if encoding in DECODED else f"{kind} as {encoding}")
         elif record.kind == STATISTICS:
             self.expected = struct.unpack_from("<Q", content)[0]
         return None

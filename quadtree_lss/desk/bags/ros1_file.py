@@ -8,9 +8,9 @@ from io import BytesIO
 from typing import Any, BinaryIO
 
 from rosbags.rosbag1.reader import Header, RecordType, normalize, read_uint32
-from rosbags.typesys.msg import normalize_msgtype
 
 from quadtree_lss.desk.bags.compression import DamagedError, unpack
+from quadtree_lss.desk.bags.message_types import type_name
 from quadtree_lss.desk.bags.recorded_file import ChunkedFile, Record
 
 MOST_HEADER = 1 << 16
@@ -54,7 +54,7 @@ class Ros1File(ChunkedFile):
             return unpack(header.get_string("compression"), content, size), size
         if record.kind == RecordType.CONNECTION:
             described = Header.read(BytesIO(struct.pack("<I", len(content)) + content))
-            kind = normalize_msgtype(described.get_string("type"))
+            kind = type_name(described.get_string("type"))
             topic = normalize(header.get_string("topic"))
             self.topics[header.get_uint32("conn")] = (topic, kind)
         return None
