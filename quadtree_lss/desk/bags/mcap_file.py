@@ -12,7 +12,8 @@ from quadtree_lss.desk.bags.compression import DamagedError, unpack
 from quadtree_lss.desk.bags.message_types import type_name
 from quadtree_lss.desk.bags.recorded_file import ChunkedFile, Record
 
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS = 2, 3, 4, 5, 6, 8, 11
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(2, 9)
+STATISTICS = 11
 DECODED = ("cdr", "ros1", "")
 """Encodings of messages that are decoded."""
 END_BYTES = 37
@@ -23,7 +24,7 @@ class McapFile(ChunkedFile):
     """An mcap file."""
 
     MAGIC = b"\x89MCAP0\r\n"
-    CHUNK, MESSAGE, END = CHUNK, MESSAGE, FOOTER
+    CHUNK, MESSAGE, MESSAGE_INDEX, END = CHUNK, MESSAGE, MESSAGE_INDEX, FOOTER
     NO_END = "ends before its end mark (truncated)"
 
     def __init__(self, path: Path) -> None:
@@ -62,6 +63,10 @@ class McapFile(ChunkedFile):
             if checksum and len(data) == size and zlib.crc32(data) != checksum:
                 raise DamagedError("wrong checksum of a chunk")
             return data, size
+        if record.kind == MESSAGE_INDEX:
+            channel, size = struct.unpack_from("<HI", content)
+            pairs = struct.iter_unpack("<QQ", content[6 : 6 + size])
+            return [(offset, channel, time_ns) for time_ns, offset in pairs]
         if record.kind == SCHEMA:
             self._schemas[struct.unpack_from("<H", content)[0]] = _text(content, 2)
         elif record.kind == CHANNEL:

@@ -116,11 +116,11 @@ class RecordedFile(ABC):
         inside = (times >= start_ns) & (times < stop_ns)
         chosen = self.index[inside & np.isin(self.index["channel"], wanted)]
         left = Counter(chosen["place"].tolist())
-        held: dict[int, dict[int, bytes]] = {}
+        held: dict[int, dict[tuple[int, int], bytes]] = {}
         for time_ns, channel, place, offset in chosen.tolist():
             if place not in held:
-                held[place] = {message.offset: message.raw for message in self._messages(place)}
-            raw = held[place].get(offset)
+                held[place] = {(m.offset, m.channel): m.raw for m in self._messages(place)}
+            raw = held[place].get((offset, channel))
             left[place] -= 1
             if not left[place]:
                 del held[place]
@@ -154,6 +154,7 @@ class ChunkedFile(RecordedFile):
     MAGIC: bytes
     CHUNK: int
     MESSAGE: int
+    MESSAGE_INDEX: int
     END = -1
     """Kind of the record that ends a complete file."""
     NO_END: str
@@ -169,8 +170,9 @@ class ChunkedFile(RecordedFile):
 
     @abstractmethod
     def _take(self, record: Record) -> Any:
-        """Take a record: time of reception, channel and serialised bytes of a message;
-        decompressed content and declared size of a chunk; None for others, such as of topics."""
+        """Take a record: time of reception, channel and serialised bytes of a message; offset,
+        channel and time of each message in a `MESSAGE_INDEX`; decompressed content and declared
+        size of a chunk; None for others, such as of topics."""
 
     def _rows(self) -> Iterable[tuple[int, int, int, int]]:
         if self._file.read(len(self.MAGIC)) != self.MAGIC:
@@ -180,16 +182,36 @@ class ChunkedFile(RecordedFile):
             places = self._indexed()
         except DAMAGE:
             places = self._walk()
-        return [message[:4] for place in places for message in self._messages(place)]
+        rows: list[tuple[int, int, int, int]] = []
+        for place in places:
+            listed = self._listed(place)
+            known = listed and {row[1] for row in listed} <= self.topics.keys()
+            rows += listed if known else [message[:4] for message in self._messages(place)]
+        return rows
 
-    def _records(self, source: BinaryIO, place: int, end: int) -> Iterator[Record]:
-        """Records from a place on; a chunk may be cut off. Raises one of `DAMAGE`."""
+    def _listed(self, place: int) -> list[tuple[int, int, int, int]]:
+        """Rows by the index behind a chunk, which is not opened; empty if it is damaged."""
+        entries: list[tuple[int, int, int]] = []
+        try:
+            for record in self._records(self._file, place, self._size, skip=self.CHUNK):
+                if record.kind == self.MESSAGE_INDEX:
+                    entries += self._take(record)
+                elif record.place != place:
+                    break
+        except DAMAGE:
+            return []
+        return [(min(time, LAST_NS), channel, place, at) for at, channel, time in sorted(entries)]
+
+    def _records(self, source: BinaryIO, place: int, end: int, skip: int = -1) -> Iterator[Record]:
+        """Records from a place on, without content of the kind ``skip``; a chunk may be cut off.
+        Raises one of `DAMAGE`."""
         while place < end:
             source.seek(place)
             kind, header, length = self._head(source)
             after = source.tell() + length
             if after <= end or kind == self.CHUNK:
-                yield Record(kind, header, place, source.read(min(length, MOST_BYTES)))
+                size = 0 if kind == skip else min(length, MOST_BYTES)
+                yield Record(kind, header, place, source.read(size))
             place = after
         if place > end:
             raise DamagedError("a record is cut off (truncated)")
@@ -199,7 +221,8 @@ class ChunkedFile(RecordedFile):
         self.fault, self.expected = self.NO_END, None
         places: list[int] = []
         try:
-            for record in self._records(self._file, len(self.MAGIC), self._size):
+            begin = len(self.MAGIC)
+            for record in self._records(self._file, begin, self._size, skip=self.CHUNK):
                 if record.kind in (self.CHUNK, self.MESSAGE):
                     places.append(record.place)
                 elif record.kind == self.END:

@@ -22,7 +22,7 @@ class Ros1File(ChunkedFile):
 
     ros1 = True
     MAGIC = b"#ROSBAG V2.0\n"
-    CHUNK, MESSAGE = RecordType.CHUNK, RecordType.MSGDATA
+    CHUNK, MESSAGE, MESSAGE_INDEX = RecordType.CHUNK, RecordType.MSGDATA, RecordType.IDXDATA
     NO_END = "has no usable index (truncated)"
 
     def _head(self, source: BinaryIO) -> tuple[int, Header, int]:
@@ -52,6 +52,9 @@ class Ros1File(ChunkedFile):
         if record.kind == RecordType.CHUNK:
             size = header.get_uint32("size")
             return unpack(header.get_string("compression"), content, size), size
+        if record.kind == RecordType.IDXDATA:
+            channel, rows = header.get_uint32("conn"), struct.iter_unpack("<III", content)
+            return [(offset, channel, sec * 10**9 + nanosec) for sec, nanosec, offset in rows]
         if record.kind == RecordType.CONNECTION:
             described = Header.read(BytesIO(struct.pack("<I", len(content)) + content))
             kind = type_name(described.get_string("type"))

@@ -60,7 +60,7 @@ class SqliteFile(RecordedFile):
                     self._unread.add((number, 0))
 
     def _load(self, place: int) -> Iterator[Message]:
-        query = "SELECT data FROM messages WHERE id = ? AND typeof(data) = 'blob'"
+        query = "SELECT topic_id, data FROM messages WHERE id = ? AND typeof(data) = 'blob'"
         query += f" AND length(data) <= {MOST_BYTES}"
         try:
             row = self._database.execute(query, (place,)).fetchone()
@@ -68,7 +68,7 @@ class SqliteFile(RecordedFile):
             raise DamagedError(str(error)) from None
         if row is None:
             raise DamagedError("no data")
-        yield Message(0, 0, place, 0, row[0])
+        yield Message(0, row[0], place, 0, row[1])
 
     def close(self) -> None:
         self._database.close()
