@@ -83,4 +83,5 @@ class McapFile(ChunkedFile):
 
 def _text(content: bytes, place: int) -> str:
     (length,) = struct.unpack_from("<I", content, place)
-    return struct.unpack_from(f"{length}s", content, place + 4)[0].decode()
+    text: bytes = struct.unpack_from(f"{length}s", content, place + 4)[0]
+    return text.decode()

@@ -36,10 +36,10 @@ class SqliteFile(RecordedFile):
                 raise sqlite3.DatabaseError("topics and messages are not plain tables")
             for number, *topic in self._database.execute("SELECT id, name, type FROM topics"):
                 self.topics[number] = (str(topic[0]), str(topic[1]))
-            for time, *row in self._sound_rows():
-                yield time if isinstance(time, int) else -1, *row
-                if row[0] not in self.topics:
-                    self._damage[row[1]] = "no topic"
+            for time, channel, row, _ in self._sound_rows():
+                yield time if isinstance(time, int) else -1, channel, row, 0
+                if channel not in self.topics:
+                    self._damage[row] = "no topic"
         except sqlite3.Error as error:
             self.fault = str(error)
 
