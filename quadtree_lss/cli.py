@@ -31,10 +31,10 @@ from quadtree_lss.lab.commands import campaign, evaluate, fly
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 # No part of ROS, and not in every Ubuntu: the nodes do without.
-OF_BAGS = ("rosbags", "zstandard", "lz4", "apsw", "ruamel")
+OF_BAGS = ("rosbags", "backports", "lz4", "apsw", "ruamel")
 DESK = (replay, results, info, config)
 LAB = (fly, evaluate, campaign)
-REMEDY = "pip install --user --break-system-packages 'rosbags>=0.11' zstandard"
+REMEDY = "pip install --user --break-system-packages 'rosbags>=0.11.9'"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -88,7 +88,7 @@ def _told(error: Exception) -> tuple[int, str]:
         return ERROR, f"error: {first_line(error)}"
     lacks = str(getattr(error, "name", "")).partition(".")[0]
     if isinstance(error, ModuleNotFoundError) and lacks in OF_BAGS:
-        return ERROR, f"error: '{lacks}' is not installed, which bags need: {REMEDY}"
+        return ERROR, f"error: '{error.name}' is not installed, which bags need: {REMEDY}"
     name = type(error).__name__
     return ERROR, f"internal error: {name}: {first_line(error)} (-v shows where)"
 

@@ -183,7 +183,7 @@ def test_the_executable_of_ros2_run(bag, tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("module", "arguments"),
     [
-        *((module, ["replay", "none.mcap"]) for module in ("rosbags", "zstandard", "lz4")),
+        *((module, ["replay", "none.mcap"]) for module in ("rosbags", "backports", "lz4")),
         ("trimesh", ["replay", "file.ply"]),
         ("pypcd4", ["replay", "file.pcd"]),
         ("laspy", ["replay", "file.las"]),

@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading ROS 2 and ROS 1 bags as a stream of raw messages, whatever their state (docs/onboard.md).
+"""Reading ROS 2 and ROS 1 bags as a stream of raw messages.
 
-rosbags decodes the messages, but does not read the files: it ends at the first damage, unpacks
-without bounds, asks what an sqlite file would compute, and sorts by time what a recorder's clock
-put out of order.
+rosbags decodes the messages. It does not read the files because it opens no truncated file, expands
+without a limit, and sorts messages by time even if the recorder's clock stepped back.
 """
 
 from __future__ import annotations
 
 import heapq
-import itertools
 import re
 import tempfile
 from collections import Counter
@@ -91,16 +89,11 @@ class Bag:
         """
         chains: list[list[RecordedFile]] = []
         for file in self._files:
-            for chain in chains:
-                if any(file.counts.keys() & other.counts.keys() for other in chain):
-                    chain.append(file)
-                    break
-            else:
-                chains.append([file])
-        streams = (
-            itertools.chain.from_iterable(f.messages(topics, start_ns, stop_ns) for f in chain)
-            for chain in chains
-        )
+            alike = (c for c in chains if any(file.counts.keys() & f.counts.keys() for f in c))
+            if (chain := next(alike, None)) is None:
+                chains.append(chain := [])
+            chain.append(file)
+        streams = ((m for f in c for m in f.messages(topics, start_ns, stop_ns)) for c in chains)
         return heapq.merge(*streams, key=lambda message: message.received_ns)
 
     def decode(self, raw: bytes, msgtype: str) -> Any:
@@ -141,7 +134,8 @@ class Bag:
         self.topics = [Topic(name, types[name], counts[name]) for name in sorted(types)]
         self.start_ns = min(file.start_ns for file in self._files)
         self.end_ns = max(file.end_ns for file in self._files)
-        self.notes = [one_line(note) for file in self._files for note in file.notes]
+        notes = self.notes + [note for file in self._files for note in file.notes]
+        self.notes = [one_line(note) for note in notes]
         self.ros1 = self._files[0].ros1
         self._store = typestore(self.ros1)
 
@@ -150,24 +144,38 @@ class Bag:
             if not _is_stored(self.path):
                 raise BagError(f"{self.path}: not a bag (.mcap, .db3, .bag, or a folder of these)")
             return [self.path]
-        listed = sorted(filter(_is_stored, self.path.iterdir()), key=_by_number)
+        there = _stored(self.path)
+        files = list(there.values())
         try:
             with open(self.path / "metadata.yaml", encoding="utf-8") as file:
                 content: Any = parse_yaml(file.read(yaml_text.MOST_BYTES + 1), aliases=True)
             names = content["rosbag2_bagfile_information"]["relative_file_paths"]
-            listed = [self.path / Path(name).name for name in names]
+            files = self._named([Path(name).name for name in names], there)
         except FileNotFoundError:
-            self._losses.append("metadata.yaml is missing: was the recording cut off?")
+            self.notes.append("metadata.yaml is missing: all bag files of the folder are read")
         except (OSError, ValueError, KeyError, TypeError, YamlError):
             self._losses.append("metadata.yaml cannot be read")
-        self._losses += [f"{p.name} is missing" for p in listed if not p.exists()]
-        files = [p for p in listed if p.exists() and _is_stored(p)]
         if not files:
-            inner = (p for p in sorted(self.path.iterdir()) if p.is_dir())
-            there = ", ".join(p.name for p in inner if any(map(_is_stored, p.iterdir())))
-            text = f"there is no .mcap, .db3 or .bag in it{f', but in {there}' * bool(there)}"
+            folders = (p for p in sorted(self.path.iterdir()) if p.is_dir() and _stored(p))
+            inner = ", ".join(path.name for path in folders)
+            text = f"there is no .mcap, .db3 or .bag in it{f', but in {inner}' * bool(inner)}"
             raise BagError(f"{self.path}: no bag: {text}")
         return files
+
+    def _named(self, names: list[str], there: dict[str, Path]) -> list[Path]:
+        """Files that metadata.yaml lists, or that replace these after renaming or unpacking.
+        ``there``: as `_stored` returns them."""
+        found = {name: there[_plain(name)] for name in names if _plain(name) in there}
+        missing = [name for name in names if name not in found]
+        others = [path for path in there.values() if path not in found.values()]
+        if len(missing) == len(others):
+            found |= dict(zip(missing, others, strict=True))
+            self.notes += [f"{found[name].name} is read in place of {name}" for name in missing]
+            missing = []
+        if names and not found:
+            raise BagError(f"{self.path}: no bag: {', '.join(names)} of metadata.yaml is missing")
+        self._losses += [f"{name} is missing" for name in missing]
+        return [found[name] for name in names if name in found]
 
     def _unpacked(self, file: Path) -> Path:
         """The file itself, or what is in it if it is compressed as a whole."""
@@ -175,9 +183,7 @@ class Bag:
             return file
         folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="quadtree_lss_"))
         plain = Path(folder) / file.stem
-        with open(file, "rb") as source, open(plain, "wb") as target:
-            fault = unpack_file(source, target)
-        if fault is not None:
+        if fault := unpack_file(file, plain):
             self._losses.append(f"{file.name}: {fault}")
         return plain
 
@@ -216,11 +222,22 @@ class MessageBag(Bag):
         return raw() if callable(raw) else raw
 
 
-def _by_number(path: Path) -> list[str | int]:
-    """Of the files of a recording ``…_10`` comes after ``…_9``."""
-    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.name)]
+def _stored(folder: Path) -> dict[str, Path]:
+    """Bag files of a folder by their name without compression, in the order of their numbers; a
+    plain file rather than its compressed copy."""
+    packed_first = sorted(folder.iterdir(), key=lambda path: path.suffix not in PACKED)
+    found = {_plain(path.name): path for path in packed_first if _is_stored(path)}
+    return dict(sorted(found.items(), key=lambda item: _by_number(item[0])))
+
+
+def _by_number(name: str) -> list[str | int]:
+    """Sorting key by which ``…_10`` comes after ``…_9``."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)]
+
+
+def _plain(name: str) -> str:
+    return name.removesuffix(".zstd").removesuffix(".zst")
 
 
 def _is_stored(path: Path) -> bool:
-    suffixes = [suffix for suffix in path.suffixes if suffix not in PACKED]
-    return bool(suffixes) and suffixes[-1] in FORMATS
+    return path.is_file() and Path(_plain(path.name)).suffix in FORMATS

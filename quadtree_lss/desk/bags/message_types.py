@@ -31,6 +31,12 @@ uint16 inner_start_index"""
 """Of ROS 2, which rosbags does not know."""
 
 
+def type_name(name: str) -> str:
+    """Type as in ``sensor_msgs/msg/PointCloud2``, of a name as ROS 1 or DDS writes it."""
+    parts = [part for part in name.replace("::", "/").split("/") if part not in ("msg", "dds_", "")]
+    return f"{parts[0]}/msg/{parts[1].rstrip('_')}" if len(parts) == 2 else name
+
+
 def typestore(ros1: bool) -> Typestore:
     """Decoder of messages as ROS 1 or ROS 2 serialises them."""
     store = get_typestore(Stores.ROS2_JAZZY)

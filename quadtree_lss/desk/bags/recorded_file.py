@@ -1,40 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A file of recorded messages in whatever state: an index of them, their order, what was lost.
+"""A file of recorded messages: their index, their order, and what is lost.
 
-Whole files are indexed by what they say of themselves; of a damaged one each chunk is opened for
-that. A damaged chunk costs no more than itself.
+A damaged file is read up to the first damage, and after it where the file's own index leads.
 """
 
 from __future__ import annotations
 
-import re
 import struct
-import zlib
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Iterator
+from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.rosbag1 import ReaderError
 
-from quadtree_lss.desk.bags.compression import MOST_BYTES, DamagedError, plain_message, unpack
-from quadtree_lss.desk.bags.message_types import GIMBAL_TYPE, POSE_TYPES, SCAN_TYPES
+from quadtree_lss.desk.bags.compression import MOST_BYTES, DamagedError, plain_message
 
-HOUR_NS = 3600 * 10**9
-YEAR_NS = 365 * 24 * HOUR_NS
+YEAR_S = 365 * 24 * 3600.0
 JITTER_NS = 10**8
-"""By so much messages of a topic overtake each other though the clock does not step."""
+"""Messages of one topic may overtake each other by this time although the clock is steady."""
 LAST_NS = 2**63 - 1
-"""Times of reception beyond are none."""
-INDEX = np.dtype([("time_ns", "i8"), ("offset", "i8"), ("channel", "i8"), ("chunk", "i4")])
-"""A message: time of reception, and its place in a chunk (or number of its row)."""
-_BLOCK = 1 << 20
-
-Read = Callable[[int, int], bytes]
-"""Bytes of a file or of a chunk, from a place on, so many if they are there."""
+"""Latest possible time of reception."""
+INDEX = np.dtype([("time_ns", "i8"), ("channel", "i8"), ("place", "i8"), ("offset", "i8")])
+"""A message: time of reception, channel, place of its chunk or row, offset in the chunk."""
+DAMAGE = (DamagedError, ReaderError, KeyError, ValueError, struct.error)
+"""Errors when damaged bytes are parsed."""
 
 
 class RawMessage(NamedTuple):
@@ -45,15 +39,20 @@ class RawMessage(NamedTuple):
     raw: bytes
 
 
-class RecordedFile(ABC):
-    """A file of messages: topic and type by number of the channel; (M,) `INDEX` of the messages in
-    the order of the file, and the ``order`` in which they are read; ``counts`` by topic; ``notes``
-    to know, a line each.
+class Message(NamedTuple):
+    """A message as stored: time of reception, channel, place, offset, serialised bytes."""
 
-    What was lost: the ``fault`` of the file as a whole and the ``disorder`` of its chunks, or
-    empty; what is wrong (``damage``) and how many messages are ``lost``, by the byte or row; how
-    many are ``expected`` by what the file's end says, None if that cannot be read.
-    """
+    time_ns: int
+    channel: int
+    place: int
+    offset: int
+    raw: bytes
+
+
+class RecordedFile(ABC):
+    """A file of messages. ``topics``: topic and type by channel; ``index``: (M,) `INDEX` in the
+    order of reading; ``counts``: messages by topic; ``notes``: remarks; ``fault``: damage of the
+    whole file; ``expected``: the number of messages that the file declares, or None."""
 
     ros1 = False
     unit = "byte"
@@ -61,313 +60,210 @@ class RecordedFile(ABC):
     def __init__(self, path: Path) -> None:
         self.path = path
         self.topics: dict[int, tuple[str, str]] = {}
-        self.index = np.zeros(0, INDEX)
         self.notes: list[str] = []
-        self.fault = self.disorder = ""
-        self.damage: dict[int, str] = {}
-        self.lost: dict[int, int] = {}
+        self.fault = ""
         self.expected: int | None = None
+        self._damage: dict[int, str] = {}
+        self._unread: set[tuple[int, int]] = set()
         self._size = path.stat().st_size
         self._file = path.open("rb")
-        self._open()
+        rows = [row for row in self._rows() if row[1] in self.topics]
+        self.index = np.array(rows, INDEX)
         times = self.index["time_ns"]
-        self.impossible_times = mend_times(times)
-        self.start_ns = int(times.min(initial=LAST_NS))
-        self.end_ns = int(times.max(initial=0))
-        self.counts = Counter(self.topics[c][0] for c in self.index["channel"].tolist())
-        self.order = self._order()
+        self._replaced = replace_impossible(times)
+        self.start_ns, self.end_ns = int(times.min(initial=LAST_NS)), int(times.max(initial=0))
+        self.counts = Counter(self.topics[row[1]][0] for row in rows)
+        series = (times[self.index["channel"] == channel] for channel in self.topics)
+        if any((np.diff(one) < -JITTER_NS).any() for one in series):
+            self.notes.append(f"{path.name}: the recorder's clock stepped back")
+        else:
+            self.index = self.index[np.argsort(times, kind="stable")]
 
     @abstractmethod
-    def _open(self) -> None:
-        """Finds topics and messages; the file stays open."""
+    def _rows(self) -> Iterable[tuple[int, int, int, int]]:
+        """Find topics and messages: rows of an `INDEX` in the order of the file."""
 
     @abstractmethod
-    def _contents(self, places: NDArray[np.intp]) -> Iterator[tuple[int, bytes]]:
-        """Place in the index and serialised bytes of those messages that can be read."""
+    def _load(self, place: int) -> Iterator[Message]:
+        """Read the messages of a chunk or row. Raises one of `DAMAGE`."""
 
     def close(self) -> None:
-        """Ends reading."""
+        """Close the file."""
         self._file.close()
 
     @property
     def losses(self) -> list[str]:
-        """One line if something could not be read, up to now."""
-        faults = [f"{why} at {self.unit} {place}" for place, why in sorted(self.damage.items())]
-        if len(faults) > 1:
-            faults = [f"{len(faults)} places damaged, the first: {faults[0]}"]
-        if self.impossible_times:
-            faults.append(f"{self.impossible_times} impossible times of reception, mended")
-        parts = [part for part in (self.fault, *faults, self.disorder) if part]
-        lost = sum(self.lost.values())
-        if self.expected is not None:
-            lost += max(self.expected - len(self.index), 0)
-        if lost or self.damage or self.fault:
-            unknown = f"at least {lost} messages lost: " if lost else ""
-            unknown += "how many there were is not known"
-            known = f"{lost} of {self.expected} messages lost"
-            parts.append(unknown if self.expected is None else known)
+        """One line if a part could not be read so far."""
+        parts = [self.fault] if self.fault else []
+        if self._damage:
+            place, more = min(self._damage), len(self._damage) - 1
+            parts.append(f"{self._damage[place]} at {self.unit} {place}")
+            parts[-1] += f" and {more} places more" if more else ""
+        if self._replaced:
+            parts.append(f"{self._replaced} impossible times of reception replaced")
+        lost = len(self._unread) + max((self.expected or 0) - len(self.index), 0)
+        if lost or parts and self.expected:
+            parts.append(f"{lost} of {self.expected or 'an unknown number of'} messages lost")
         return [f"{self.path.name}: {', '.join(parts)}"] if parts else []
 
     def messages(
         self, topics: Collection[str], start_ns: int, stop_ns: int
     ) -> Iterator[RawMessage]:
-        """Messages with start_ns <= time of reception < stop_ns, in the order of their times or,
-        if a clock stepped back, in that of the file."""
+        """Messages with start_ns <= time of reception < stop_ns in the order of their times, or in
+        the order of the file if the recorder's clock stepped back."""
         wanted = [channel for channel, (name, _) in self.topics.items() if name in topics]
         times = self.index["time_ns"]
-        chosen = np.isin(self.index["channel"], wanted) & (times >= start_ns) & (times < stop_ns)
-        for place, raw in self._contents(self.order[chosen[self.order]]):
-            entry = self.index[place]
-            yield RawMessage(self.topics[int(entry["channel"])][0], int(entry["time_ns"]), raw)
+        inside = (times >= start_ns) & (times < stop_ns)
+        chosen = self.index[inside & np.isin(self.index["channel"], wanted)]
+        left = Counter(chosen["place"].tolist())
+        held: dict[int, dict[tuple[int, int], bytes]] = {}
+        for time_ns, channel, place, offset in chosen.tolist():
+            if place not in held:
+                held[place] = {(m.offset, m.channel): m.raw for m in self._messages(place)}
+            raw = held[place].get((offset, channel))
+            left[place] -= 1
+            if not left[place]:
+                del held[place]
+            if raw is None:
+                self._unread.add((place, offset))
+            else:
+                yield RawMessage(self.topics[channel][0], time_ns, raw)
 
-    def _order(self) -> NDArray[np.intp]:
-        """By the times, unless topics' times step back and their messages' stamps do so less in
-        the order of the file: then the recorder's clock stepped."""
-        by_time = np.argsort(self.index["time_ns"], kind="stable")
-        in_file = np.arange(len(by_time))
-        if self._steps_back(self.index["time_ns"], in_file):
-            stamps = self._stamps()
-            if self._steps_back(stamps, by_time) > self._steps_back(stamps, in_file):
-                self.notes.append(f"{self.path.name}: the recorder's clock stepped back")
-                return in_file
-            _, first = np.unique(self.index["chunk"], return_index=True)
-            if (np.diff(np.minimum.reduceat(self.index["time_ns"], first)) < 0).any():
-                self.disorder = "chunks out of order, put in that of their times"
-        return by_time
-
-    def _steps_back(self, times: NDArray[np.int64], order: NDArray[np.intp]) -> int:
-        """How often known times of a topic go back by more than messages overtake each other."""
-        times, channels = times[order], self.index["channel"][order]
-        series = (times[(channels == channel) & (times >= 0)] for channel in self.topics)
-        return sum(int(np.count_nonzero(np.diff(one) < -JITTER_NS)) for one in series)
-
-    def _stamps(self) -> NDArray[np.int64]:
-        """(M,) stamps in the messages' headers, -1 where there is none that we know."""
-        stamped = (*SCAN_TYPES, *POSE_TYPES, GIMBAL_TYPE)
-        known = [channel for channel, (_, kind) in self.topics.items() if kind in stamped]
-        out = np.full(len(self.index), -1)
-        places = np.flatnonzero(np.isin(self.index["channel"], known))
-        for place, raw in self._contents(places):
-            out[place] = stamp_of(raw, self.ros1)
-        return out
+    def _messages(self, place: int) -> list[Message]:
+        """Messages of a chunk or row up to the first damage, which is noted."""
+        found: list[Message] = []
+        try:
+            found.extend(self._load(place))
+        except DAMAGE as error:
+            self._damage.setdefault(place, str(error))
+        return found
 
 
-class Piece(NamedTuple):
-    """A record of a file or a chunk: its kind, what its head says, and where in the file or chunk
-    its content begins and it ends."""
+class Record(NamedTuple):
+    """A part of a file or chunk: kind, header, place, content."""
 
     kind: int
-    fields: dict[str, Any]
-    begin: int
-    end: int
-
-
-class Message(NamedTuple):
-    """Of a chunk: number of its channel, time of reception, serialised bytes."""
-
-    channel: int
-    time_ns: int
-    raw: bytes
-
-
-@dataclass
-class Chunk:
-    """Messages packed together: ``place`` of their record in the file, where they ``begin`` and
-    ``end``, their compression, size unpacked and checksum or 0; ``entries`` are their `INDEX`, at
-    first as far as the file tells. A message outside chunks is one that begins at its place."""
-
+    header: Any
     place: int
-    begin: int
-    end: int
-    compression: str
-    size: int
-    checksum: int = 0
-    entries: NDArray[Any] = field(default_factory=lambda: np.zeros(0, INDEX))
+    content: bytes
 
 
 class ChunkedFile(RecordedFile):
-    """A file of chunks, such as mcap and ROS 1 bags: a chain of records. Where it breaks, it is
-    taken up again at the next chunk that can be told."""
+    """A file of records, some of which are chunks of messages: mcap and ROS 1 bags."""
 
     MAGIC: bytes
     CHUNK: int
     MESSAGE: int
-    DECLARATIONS: tuple[int, ...]
-    """Kinds of records of a chunk that tell of channels."""
-    MARK: re.Pattern[bytes]
-    """What the record of a chunk holds, in its first bytes (of a number in ``BEFORE``)."""
-    BEFORE = range(1)
+    MESSAGE_INDEX: int
+    END = -1
+    """Kind of the record that ends a complete file."""
+    NO_END: str
+    """Fault of a file that is read without its index and has no such record."""
 
     @abstractmethod
-    def _piece(self, read: Read, place: int, size: int) -> Piece | None:
-        """The record that begins at a place; None if none does. Only a chunk, which may be the
-        last and cut, may lead beyond the ``size`` of what is read."""
+    def _head(self, source: BinaryIO) -> tuple[int, Any, int]:
+        """Read the head of a record: kind, header, length of the content."""
 
     @abstractmethod
-    def _declare(self, piece: Piece, read: Read) -> None:
-        """Notes what a record that is neither chunk nor message tells: a channel, the index of the
-        last chunk, what is expected; that the file is whole. Raises ValueError, KeyError or
-        struct.error: it is damaged."""
+    def _indexed(self) -> list[int]:
+        """Places of the chunks by the file's index. Raises one of `DAMAGE`."""
 
     @abstractmethod
-    def _message(self, piece: Piece, read: Read) -> tuple[int, int, int]:
-        """Channel and time of a message, and where its serialised bytes begin."""
+    def _take(self, record: Record) -> Any:
+        """Take a record: time of reception, channel and serialised bytes of a message; offset,
+        channel and time of each message in a `MESSAGE_INDEX`; decompressed content and declared
+        size of a chunk; None for others, such as of topics."""
 
-    def _is_sure(self, piece: Piece) -> bool:
-        """Whether what was found in the middle of damaged bytes is a record."""
-        return piece.kind == self.CHUNK
-
-    def _open(self) -> None:
-        self.chunks: list[Chunk] = []
-        self._walk()
-        # What a damaged file says of itself may be damaged too.
-        sound = not self.damage and not self.fault
-        for number, chunk in enumerate(self.chunks):
-            told = chunk.entries[np.argsort(chunk.entries["offset"], kind="stable")]
-            if not (sound and len(told) and set(told["channel"].tolist()) <= self.topics.keys()):
-                messages = self._messages(chunk).items()
-                found = [(m.time_ns, place, m.channel, number) for place, m in messages]
-                if self.expected is None:  # otherwise what is missing counts already
-                    self.lost[chunk.place] = max(len(told) - len(found), 0)
-                told = np.array(found, INDEX)
-            told["chunk"] = number
-            chunk.entries = told[np.isin(told["channel"], list(self.topics))]
-        self.index = np.concatenate([self.index, *(chunk.entries for chunk in self.chunks)])
-
-    def _read(self, place: int, length: int) -> bytes:
-        self._file.seek(place)
-        return self._file.read(length)
-
-    def _walk(self) -> None:
-        """Finds chunks, channels and what is expected, without opening a chunk."""
-        place = after = len(self.MAGIC)
-        if self._read(0, place) != self.MAGIC:
+    def _rows(self) -> Iterable[tuple[int, int, int, int]]:
+        if self._file.read(len(self.MAGIC)) != self.MAGIC:
             self.fault = f"wrong first bytes of a {self.path.suffix} file"
-            return
-        while place < self._size:
-            piece = self._piece(self._read, place, self._size)
-            if piece is None:
-                after = self._next(after)
-                if after < self._size:  # otherwise the file ends here
-                    self.damage.setdefault(place, "records damaged or cut out")
-                place = after
-                continue
-            if piece.kind == self.CHUNK:
-                self.chunks.append(Chunk(place, piece.begin, piece.end, **piece.fields))
-            elif piece.kind == self.MESSAGE:
-                self.chunks.append(Chunk(place, place, piece.end, "", piece.end - place))
-            else:
-                try:
-                    self._declare(piece, self._read)
-                except (KeyError, ValueError, struct.error):
-                    self.damage.setdefault(place, "damaged record")
-            # A chunk's length is sure; what leads out of another record may be damaged itself.
-            after = piece.end if piece.kind == self.CHUNK else place + 1
-            place = piece.end
-
-    def _next(self, after: int) -> int:
-        """Where the next record begins that is sure, else the file's end."""
-        while after < self._size:
-            block = self._read(after, _BLOCK)
-            for found in self.MARK.finditer(block):
-                for before in self.BEFORE:
-                    place = max(after + found.start() - before, 0)
-                    piece = self._piece(self._read, place, self._size)
-                    if piece is not None and self._is_sure(piece):
-                        return place
-            after += max(len(block) - 16, 1)  # so that no mark is cut
-        return self._size
-
-    def _content(self, chunk: Chunk) -> bytes:
-        """Unpacked; of a cut chunk what is there. Raises `DamagedError`: not what it says."""
-        length, cut = chunk.end - chunk.begin, chunk.end > self._size
-        if length > MOST_BYTES:
-            raise DamagedError(f"chunk of {length} bytes, {MOST_BYTES} is the most,")
-        data = unpack(chunk.compression, self._read(chunk.begin, length), chunk.size)
-        if not cut and len(data) != chunk.size:
-            raise DamagedError(f"chunk of {len(data)} bytes instead of {chunk.size}")
-        if not cut and chunk.checksum and zlib.crc32(data) != chunk.checksum:
-            raise DamagedError("wrong checksum of a chunk")
-        return data
-
-    def _messages(self, chunk: Chunk) -> dict[int, Message]:
-        """Messages of a chunk by their place in it, up to the first record that is damaged, which
-        is noted, as are the channels that it declares."""
-        found: dict[int, Message] = {}
+            return []
         try:
-            data, place = self._content(chunk), 0
+            places = self._indexed()
+        except DAMAGE:
+            places = self._walk()
+        rows: list[tuple[int, int, int, int]] = []
+        for place in places:
+            listed = self._listed(place)
+            known = listed and {row[1] for row in listed} <= self.topics.keys()
+            rows += listed if known else [message[:4] for message in self._messages(place)]
+        return rows
 
-            def read(begin: int, length: int) -> bytes:
-                return data[begin : begin + length]
+    def _listed(self, place: int) -> list[tuple[int, int, int, int]]:
+        """Rows by the index behind a chunk, which is not opened; empty if it is damaged."""
+        entries: list[tuple[int, int, int]] = []
+        try:
+            for record in self._records(self._file, place, self._size, skip=self.CHUNK):
+                if record.kind == self.MESSAGE_INDEX:
+                    entries += self._take(record)
+                elif record.place != place:
+                    break
+        except DAMAGE:
+            return []
+        return [(min(time, LAST_NS), channel, place, at) for at, channel, time in sorted(entries)]
 
-            while place < len(data):
-                piece = self._piece(read, place, len(data))
-                if piece is None or piece.end > len(data):
-                    if chunk.end > self._size:
-                        break
-                    raise DamagedError("a record leads out of its chunk")
-                if piece.kind == self.MESSAGE:
-                    channel, time_ns, begin = self._message(piece, read)
-                    found[place] = Message(channel, time_ns, data[begin : piece.end])
-                elif piece.kind in self.DECLARATIONS:
-                    self._declare(piece, read)
-                place = piece.end
-        except DamagedError as error:
-            self.damage.setdefault(chunk.place, str(error))
-        except (KeyError, ValueError, struct.error):
-            self.damage.setdefault(chunk.place, "damaged record in a chunk")
-        return found
+    def _records(self, source: BinaryIO, place: int, end: int, skip: int = -1) -> Iterator[Record]:
+        """Records from a place on, without content of the kind ``skip``; a chunk may be cut off.
+        Raises one of `DAMAGE`."""
+        while place < end:
+            source.seek(place)
+            kind, header, length = self._head(source)
+            after = source.tell() + length
+            if after <= end or kind == self.CHUNK:
+                size = 0 if kind == skip else min(length, MOST_BYTES)
+                yield Record(kind, header, place, source.read(size))
+            place = after
+        if place > end:
+            raise DamagedError("a record is cut off (truncated)")
 
-    def _checked(self, chunk: Chunk) -> dict[int, Message]:
-        """Messages of a chunk; those of its index that are not there are lost."""
-        found = self._messages(chunk)
-        told = zip(chunk.entries["offset"].tolist(), chunk.entries["channel"].tolist(), strict=True)
-        lost = sum(at not in found or found[at].channel != channel for at, channel in told)
-        if lost:
-            self.lost[chunk.place] = lost
-            self.damage.setdefault(chunk.place, "messages missing in a chunk")
-        return found
+    def _walk(self) -> list[int]:
+        """Places of chunks, and of messages outside chunks, up to the first damage."""
+        self.fault, self.expected = self.NO_END, None
+        places: list[int] = []
+        try:
+            begin = len(self.MAGIC)
+            for record in self._records(self._file, begin, self._size, skip=self.CHUNK):
+                if record.kind in (self.CHUNK, self.MESSAGE):
+                    places.append(record.place)
+                elif record.kind == self.END:
+                    self.fault = ""
+                    break
+                else:
+                    self._take(record)
+        except DAMAGE:
+            self.fault = f"damaged or truncated after byte {max(places, default=0)}"
+        return places
 
-    def _contents(self, places: NDArray[np.intp]) -> Iterator[tuple[int, bytes]]:
-        left = Counter(self.index["chunk"][places].tolist())
-        held: dict[int, dict[int, Message]] = {}
-        for place in map(int, places):
-            entry = self.index[place]
-            number, offset, channel = int(entry["chunk"]), int(entry["offset"]), entry["channel"]
-            if number not in held:
-                held[number] = self._checked(self.chunks[number])
-            record = held[number].get(offset)
-            left[number] -= 1
-            if not left[number]:
-                del held[number]
-            if record is not None and record.channel == channel:
-                yield place, record.raw
+    def _load(self, place: int) -> Iterator[Message]:
+        chunk = next(self._records(self._file, place, self._size), None)
+        if chunk is None or chunk.kind not in (self.CHUNK, self.MESSAGE):
+            raise DamagedError("no chunk")
+        records, data, size = iter([chunk]), b"", 0
+        if chunk.kind == self.CHUNK:
+            data, size = self._take(chunk)
+            records = self._records(BytesIO(data), 0, len(data))
+        for record in records:
+            taken = self._take(record)
+            if record.kind == self.MESSAGE:
+                yield Message(min(taken[0], LAST_NS), taken[1], place, record.place, taken[2])
+        if len(data) != size:
+            raise DamagedError(f"chunk of {len(data)} bytes instead of {size}")
 
 
-def mend_times(times: NDArray[np.int64]) -> int:
-    """Takes impossible times of messages one after the other to be their neighbours', in place.
-
-    A time is impossible if it is negative, or lies more than an hour from its neighbours, which
-    agree with each other; the first and the last if it lies a year away. Returns how many were.
-    """
-    bad = times < 0
-    if len(times) >= 3:
-        exact = times.astype(np.float64)
-        step, over = np.abs(np.diff(exact)), np.abs(exact[2:] - exact[:-2])
-        bad[1:-1] |= (step[:-1] > HOUR_NS) & (step[1:] > HOUR_NS) & (over < HOUR_NS)
-        bad[0] |= step[0] > YEAR_NS and step[1] < HOUR_NS
-        bad[-1] |= step[-1] > YEAR_NS and step[-2] < HOUR_NS
-    for k in np.flatnonzero(bad):
-        times[k] = times[k - 1] if k else max(int(times[np.argmin(bad)]), 0)
+def replace_impossible(times: NDArray[np.int64]) -> int:
+    """Replace times more than a year from the median by those before them, in place. Returns the
+    number."""
+    bad = np.abs(times / 1e9 - np.median(times) / 1e9) > YEAR_S if len(times) else np.zeros(0, bool)
+    good = np.flatnonzero(~bad)
+    times[bad] = times[good[np.maximum(np.searchsorted(good, np.flatnonzero(bad)) - 1, 0)]]
     return int(np.count_nonzero(bad))
 
 
-def stamp_of(raw: bytes, ros1: bool) -> int:
-    """Stamp of a serialised message that begins with its header, ns; -1 if it is cut short."""
+def stamp_of(raw: bytes) -> int:
+    """Stamp of a CDR message that begins with its header, ns; -1 if it is cut short."""
     try:
         raw = plain_message(raw)
-        big = not ros1 and raw[1] == 0
-        seconds, nanoseconds = struct.unpack_from(">II" if big else "<II", raw, 4)
+        seconds, nanoseconds = struct.unpack_from("<II" if raw[1] else ">II", raw, 4)
     except (DamagedError, struct.error, IndexError):
         return -1
     return int(seconds) * 10**9 + int(nanoseconds)

@@ -24,6 +24,14 @@ KINDS = {
 OUTPUTS = (*(f"/{name}" for name in TOPIC_TYPES), "/landing/dispersion")
 """How topics end that are clouds or poses by type, but our own output or what guidance says."""
 
+CONVERSIONS = {
+    "/PoseStamped": "convert to PoseWithCovarianceStamped; zeros are an unknown covariance",
+    "/CompressedPointCloud2": "decompress with `ros2 run point_cloud_transport republish`",
+    "/CustomMsg": "convert with livox_to_pointcloud2, or record with xfer_format: 0",
+    " as ": "only ROS messages are decoded; convert to ROS 2 messages (cdr)",
+}
+"""Remedies by a part of a type that is not read."""
+
 
 def candidates(bag: Bag, kind: str, *, ours: bool = True) -> list[str]:
     """Topics of an open bag with messages of a type; ``ours``: our own `OUTPUTS`, too."""
@@ -54,6 +62,9 @@ def choose_topic(bag: Bag, asked: str | None, default: str, option: str, msgtype
         alike = (kinds for kinds in (types.SCAN_TYPES, types.POSE_TYPES) if msgtype in kinds)
         kinds = " or ".join(next(alike, (msgtype,)))
         msg = f"no messages of type {kinds}; topics: {there}"
+        for part, remedy in CONVERSIONS.items():
+            names = ", ".join(topic.name for topic in bag.topics if part in topic.type)
+            msg += f"; {names}: {remedy}" if names else ""
     raise BagError(f"{bag.path}: {msg}")
 
 
