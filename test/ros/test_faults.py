@@ -117,6 +117,7 @@ def test_messages_that_cannot_be_used_are_counted_on_every_topic_and_good_ones_t
     lss = ros.start("lss_node", "-p", "frames.map:=map")
     with ros.sensors({"map/cells": PointCloud2}) as (listener, sensors):  # it would hear its own
         sensors.map(SCANS)
+        listener.until(listener.at_least, "map.received", 1, "lss_node")
         observed = listener.node.create_publisher(OccupancyGrid, "map/observed", latched())
         for topic, kind, node, reason in UNUSABLE:
             sender = listener.node.create_publisher(kind, topic, latched())
