@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from quadtree_lss.onboard.core.sensing import lidar
 from quadtree_lss.onboard.core.sensing.isolated import (
+    find_isolated,
     isolated_in_image,
     isolated_in_space,
     usual_distance,
@@ -80,31 +81,48 @@ def test_too_few_returns_are_not_judged(returns):
     assert not isolated(points.reshape(-1, 3)).any()
 
 
-def clusters_of_less_than_three(points: np.ndarray, gate: float) -> np.ndarray:
-    pairs = cKDTree(points).query_pairs(gate, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points),) * 2)
+def in_groups_of_fewer_than_three(count: int, pairs: np.ndarray) -> np.ndarray:
+    """Mask (count,) by brute force: connected components of the links ``pairs`` (M, 2)."""
+    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(count, count))
     _, label = connected_components(links, directed=False)
     return np.bincount(label)[label] < 3
 
 
 @settings(max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 20), st.integers(1, 20), st.floats(0.0, 0.9))
+def test_in_an_image_groups_of_fewer_than_three_are_isolated(seed, height, width, missing):
+    rng = np.random.default_rng(seed)
+    ranges = 400.0 + 10.0 * rng.integers(0, 3, (height, width))
+    ranges[rng.random(ranges.shape) < missing] = np.nan
+    pixel = np.arange(ranges.size).reshape(ranges.shape)
+    sides = [(np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])]
+    pairs = [np.stack([pixel[a], pixel[b]])[:, ranges[a] == ranges[b]] for a, b in sides]
+    expected = in_groups_of_fewer_than_three(ranges.size, np.concatenate(pairs, axis=1).T)
+    pixels = np.empty(ranges.size, dtype=np.int32)
+    found = np.zeros(ranges.size, dtype=bool)
+    found[pixels[: find_isolated(ranges, 1.0, pixels)]] = True
+    np.testing.assert_array_equal(found, expected & np.isfinite(ranges.ravel()))
+
+
+@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.integers(3, 400), st.floats(0.3, 30.0))
-def test_in_space_it_is_those_in_clusters_of_less_than_three(seed, count, size):
+def test_in_space_groups_of_fewer_than_three_are_isolated(seed, count, size):
     rng = np.random.default_rng(seed)
     points = rng.uniform(-0.5 * size, 0.5 * size, (count, 3))
     points[: count // 2] = 0.2 * rng.normal(size=(count // 2, 3))
-    gate = max(1.0, 5.0 * usual_distance(points, np.ones(count), count))
-    np.testing.assert_array_equal(isolated(points, 1.0), clusters_of_less_than_three(points, gate))
+    gate = max(1.0, 5.0 * usual_distance(points))
+    pairs = cKDTree(points).query_pairs(gate, output_type="ndarray")
+    expected = in_groups_of_fewer_than_three(count, pairs)
+    np.testing.assert_array_equal(isolated(points, 1.0), expected)
 
 
 @pytest.mark.parametrize("count", [200, 3000, 40_000])
-def test_usual_distance_of_a_plane_of_points_whatever_their_number(count):
+def test_usual_distance_of_a_sample_is_that_of_all_points(count):
     rng = np.random.default_rng(1)
     points = np.zeros((count, 3))
     points[:, :2] = rng.uniform(0.0, 10.0, (count, 2))
-    exact = np.median(cKDTree(points).query(points, k=3)[0][:, 2])
-    found = usual_distance(points, np.ones(count), count)
-    assert found == pytest.approx(exact, rel=0.2)
+    exact = np.median(cKDTree(points).query(points, k=[3])[0])
+    assert usual_distance(points) == pytest.approx(exact, rel=0.2)
 
 
 def test_two_percent_of_strays_leave_hardly_one_behind():
