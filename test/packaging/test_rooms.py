@@ -84,8 +84,9 @@ def imported(path: Path) -> Iterator[str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom):
             assert not node.level, f"{path}: imports are absolute"
-            if str(node.module).split(".")[0] == "quadtree_lss":
-                yield from (f"{node.module}.{alias.name}" for alias in node.names)
+            module = str(node.module).removeprefix("cython.cimports.")
+            if module.split(".")[0] == "quadtree_lss":
+                yield from (f"{module}.{alias.name}" for alias in node.names)
         elif isinstance(node, ast.Import):
             for alias in node.names:
                 if alias.name.split(".")[0] == "quadtree_lss":
