@@ -9,7 +9,7 @@ import pytest
 
 from quadtree_lss.desk.exchange import clouds
 from quadtree_lss.desk.exchange.clouds import READERS, read_clouds, read_poses
-from quadtree_lss.onboard.elevation.libraries import ExchangeError
+from quadtree_lss.desk.exchange.libraries import ExchangeError
 
 POINTS = np.random.default_rng(5).uniform(-50.0, 50.0, (6, 4, 3)).round(3)
 

@@ -25,25 +25,22 @@ onboard.core.landing: onboard.config onboard.core.geometry onboard.core.sensing
 onboard.core.landing: onboard.core.tree
 onboard.messages: onboard.config onboard.core
 onboard.autopilot: onboard.config onboard.core onboard.messages
-onboard.elevation: onboard.config onboard.core
 onboard.nodes: build onboard.config onboard.core onboard.messages onboard.autopilot
-onboard.nodes: onboard.elevation
-desk.exchange: onboard.config onboard.core onboard.elevation
-desk.report: onboard.config onboard.core onboard.messages onboard.elevation desk.exchange
+desk.exchange: onboard.config onboard.core
+desk.report: onboard.config onboard.core onboard.messages desk.exchange
 plot: onboard.core desk.report
-desk.bags: onboard.config onboard.messages onboard.elevation desk.exchange
+desk.bags: onboard.config onboard.messages desk.exchange
 desk.replay: build onboard.config onboard.core onboard.messages desk.report desk.exchange
-desk.replay: plot desk.bags onboard.elevation
+desk.replay: plot desk.bags
 desk.player: onboard.messages onboard.nodes desk.bags desk.replay
 desk.commands: onboard.config onboard.core desk.exchange desk.replay desk.report desk.player
-lab.simulation: build onboard.elevation onboard.messages
+lab.simulation: build desk.exchange onboard.messages
 lab.flight: onboard.config onboard.core onboard.messages desk.report desk.bags desk.replay
-lab.flight: desk.exchange
-lab.flight: onboard.elevation lab.simulation
+lab.flight: desk.exchange lab.simulation
 lab.live: onboard.config onboard.core onboard.messages onboard.nodes desk.replay desk.player
 lab.live: desk.exchange lab.flight lab.simulation
 lab.evaluation: build onboard.config onboard.core onboard.messages desk.bags desk.replay
-lab.evaluation: onboard.elevation desk.exchange desk.report lab.simulation
+lab.evaluation: desk.exchange desk.report lab.simulation
 lab.campaign: build onboard.config desk.bags desk.replay desk.report lab.evaluation lab.flight
 lab.campaign: lab.simulation
 lab.commands: onboard.config desk.commands desk.replay lab.simulation lab.flight lab.live
@@ -84,8 +81,9 @@ def imported(path: Path) -> Iterator[str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom):
             assert not node.level, f"{path}: imports are absolute"
-            if str(node.module).split(".")[0] == "quadtree_lss":
-                yield from (f"{node.module}.{alias.name}" for alias in node.names)
+            module = str(node.module).removeprefix("cython.cimports.")
+            if module.split(".")[0] == "quadtree_lss":
+                yield from (f"{module}.{alias.name}" for alias in node.names)
         elif isinstance(node, ast.Import):
             for alias in node.names:
                 if alias.name.split(".")[0] == "quadtree_lss":

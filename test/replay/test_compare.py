@@ -8,11 +8,11 @@ import pytest
 from replay.test_cli import run
 from scipy.ndimage import gaussian_filter
 
+from quadtree_lss.desk.exchange.dem import ElevationModel
 from quadtree_lss.desk.exchange.saved import ResultsError, load_results
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.differences import compare_results
 from quadtree_lss.desk.replay.elevation_model import rank_sites
-from quadtree_lss.onboard.elevation.dem import ElevationModel
 
 VALUES = {"lss.grid_spacing": 0.5, "lidar.range_noise": 0.02, "lss.sites": 3}
 VALUES |= {"lss.assessment": "touchdown", "lss.ranking": "score"}

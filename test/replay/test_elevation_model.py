@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from replay.test_cli import run
 
+from quadtree_lss.desk.exchange.dem import ElevationModel
 from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.replay import elevation_model
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.elevation_model import cells_of, rank_sites
-from quadtree_lss.onboard.elevation.dem import ElevationModel
 
 VALUES = {"lss.grid_spacing": 0.5, "lidar.range_noise": 0.02, "domain.follow": "vehicle"}
 CONFIG = load_config((), VALUES)

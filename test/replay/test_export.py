@@ -13,11 +13,11 @@ from replay.recordings import GROUND, write_ros2
 from replay.test_cli import run
 
 from quadtree_lss.desk.commands import results as commands
+from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.exchange.saved import Grid, load_results
 from quadtree_lss.desk.replay.export import FORMATS, LAYERS, check_place, export_results
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
-from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.messages.maps import encode_hazards
 
 #: Of a map about its origin.
@@ -76,7 +76,7 @@ def test_a_new_layer_of_the_grid_comes_by_itself(written, tmp_path):
 
 def test_a_geotiff_is_an_elevation_model_again(written, tmp_path):
     pytest.importorskip("rasterio")
-    from quadtree_lss.onboard.elevation.dem import read_dem
+    from quadtree_lss.desk.exchange.dem import read_dem
 
     export_results(written.out, tmp_path, ["geotiff"])
     model, grid = read_dem(tmp_path / "elevation.tif"), load_results(written.out).grid
@@ -176,7 +176,7 @@ def test_a_system_that_cannot_be_the_maps_is_refused(written, tmp_path, capfd, c
 )
 def test_areas_of_systems(crs, x, y, good):
     pytest.importorskip("rasterio")
-    from quadtree_lss.onboard.elevation.reference import reference
+    from quadtree_lss.desk.exchange.reference import reference
 
     with contextlib.nullcontext() if good else pytest.raises(ExchangeError, match="which is for"):
         check_place(np.array([x, x + 64.0]), np.array([y, y + 64.0]), reference(crs))

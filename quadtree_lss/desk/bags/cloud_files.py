@@ -17,8 +17,8 @@ from quadtree_lss.desk.bags.bag import FORMATS, PACKED, Bag, BagError, MessageBa
 from quadtree_lss.desk.bags.message_types import POSE_TYPE, SCAN_TYPE, typestore
 from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC
 from quadtree_lss.desk.exchange.clouds import READERS, PoseTable, read_clouds, read_poses
+from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.maps import record_dtype
 from quadtree_lss.onboard.messages.outputs import MessageMaker

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are read: other programs' point clouds and poses, and results folders."""
+"""Read files: point clouds, poses and elevation models of other programs; results folders."""

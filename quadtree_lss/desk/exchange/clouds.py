@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.onboard.elevation.archives import read_arrays
-from quadtree_lss.onboard.elevation.libraries import ExchangeError, library
+from quadtree_lss.desk.exchange.archives import read_arrays
+from quadtree_lss.desk.exchange.libraries import ExchangeError, library
 
 Array = NDArray[Any]
 Clouds = tuple[list[Array], NDArray[np.int64] | None]

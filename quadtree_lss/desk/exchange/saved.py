@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.desk.exchange.archives import read_arrays
+from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.loading import read_values
 from quadtree_lss.onboard.config.settings import Config, config_from_values, still_parameters
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain, carried
-from quadtree_lss.onboard.elevation.archives import read_arrays
-from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 Table = dict[str, NDArray[Any]]

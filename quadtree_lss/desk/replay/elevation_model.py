@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from quadtree_lss.desk.exchange.dem import ElevationModel, read_dem
 from quadtree_lss.desk.replay.results import ReplayResult, run_summary, write_results
 from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
-from quadtree_lss.onboard.elevation.dem import ElevationModel, read_dem
 from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
 
 #: Leaves along a side, at most.

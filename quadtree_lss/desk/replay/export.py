@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.desk.exchange.libraries import ExchangeError, library
+from quadtree_lss.desk.exchange.reference import WHAT, reference
 from quadtree_lss.desk.exchange.saved import Results, load_results
 from quadtree_lss.desk.replay.files import write_bytes, write_json, writing
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask
 from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED
 from quadtree_lss.onboard.core.landing.raster import rasterise
-from quadtree_lss.onboard.elevation.libraries import ExchangeError, library
-from quadtree_lss.onboard.elevation.reference import WHAT, reference
 
 NO_DATA = 255
 """Value of unseen ground in the layer ``safe``."""

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.desk.exchange import saved
+from quadtree_lss.desk.exchange.archives import read_arrays
+from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.exchange.saved import Results
 from quadtree_lss.desk.replay.replay import scans
 from quadtree_lss.desk.replay.results import ReplayResult, grid_of
@@ -21,8 +23,6 @@ from quadtree_lss.lab.simulation.simulate import TRUTH_NAME
 from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.elevation.archives import read_arrays
-from quadtree_lss.onboard.elevation.libraries import ExchangeError
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 TOP = 5

@@ -12,6 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from quadtree_lss.desk.exchange.dem import ElevationModel
 from quadtree_lss.desk.exchange.saved import Results, load_results
 from quadtree_lss.desk.replay.elevation_model import rank_sites
 from quadtree_lss.desk.replay.files import write_bytes, write_csv, write_json, write_npz
@@ -32,7 +33,6 @@ from quadtree_lss.lab.flight.ground import GRID, Ground
 from quadtree_lss.lab.flight.pilot import Decision
 from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.onboard.config.settings import config_from_values, still_parameters
-from quadtree_lss.onboard.elevation.dem import ElevationModel
 
 PATH, SCANS, UNSAFE, PLACE, DOWN = "#0072b2", "#56b4e9", "#d55e00", "#e69f00", "#009e73"
 

@@ -5,14 +5,9 @@ from __future__ import annotations
 
 import cython
 import numpy as np
+from cython.cimports.libc.math import INFINITY, ceil, sqrt
 
 from quadtree_lss.onboard.arrays import Array
-
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, ceil, sqrt
-else:
-    from math import ceil, sqrt
-    from math import inf as INFINITY
 
 #: m: a post on the very rim of a pad or of the circle is under it.
 TOLERANCE = cython.declare(cython.double, 1e-9)

@@ -10,15 +10,9 @@ quadratic of the range, whose first root is the hit.
 from __future__ import annotations
 
 import cython
+from cython.cimports.libc.math import INFINITY, NAN, fabs, sqrt
 
 from quadtree_lss.onboard.arrays import Array
-
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, NAN, fabs, sqrt
-else:
-    from math import fabs, sqrt
-    from math import inf as INFINITY
-    from math import nan as NAN
 
 #: Posts past the edge of a cell, so that the next position is in the next cell.
 NUDGE = cython.declare(cython.double, 1e-7)

@@ -4,13 +4,9 @@
 from __future__ import annotations
 
 import cython
+from cython.cimports.libc.math import sqrt
 
 from quadtree_lss.onboard.arrays import Array, Index
-
-if cython.compiled:
-    from cython.cimports.libc.math import sqrt
-else:
-    from math import sqrt
 
 
 @cython.boundscheck(False)

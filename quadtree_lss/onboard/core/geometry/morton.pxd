@@ -5,6 +5,9 @@ cdef enum:
     #: first cache.
     DIGIT_BITS = 11
 
+cdef extern from * nogil:
+    void prefetch "__builtin_prefetch" (const void* at)
+
 cpdef long long encode(long long ix, long long iy) noexcept nogil
 cdef long long spread(long long value) noexcept nogil
 cpdef long long squeeze(long long code) noexcept nogil

@@ -5,11 +5,9 @@ from __future__ import annotations
 
 import cython
 import numpy as np
+from cython.cimports.quadtree_lss.onboard.core.geometry.morton import DIGIT_BITS, PLACE_BITS
 
 from quadtree_lss.onboard.arrays import Index, Keys
-
-if not cython.compiled:
-    PLACE_BITS, DIGIT_BITS = 32, 11
 
 
 def encode(ix: cython.longlong, iy: cython.longlong) -> cython.longlong:

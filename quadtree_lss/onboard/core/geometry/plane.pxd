@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
 
-from libc.math cimport sqrt
-from quadtree_lss.onboard.core.geometry.portable cimport length
-from quadtree_lss.onboard.core.geometry.sphere cimport basis_at, minus_at, plus_at
-
 cdef void multiply(double* a, double* b, double* out) noexcept nogil
 cdef void beside(double* c, double* d, double* out) noexcept nogil
 cdef void congruent(double* a, double* pair, double* out) noexcept nogil

@@ -11,14 +11,11 @@ xx, xy, xz, yy, yz, zz.
 from __future__ import annotations
 
 import cython
+from cython.cimports.libc.math import sqrt
+from cython.cimports.quadtree_lss.onboard.core.geometry.portable import length
+from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at, minus_at, plus_at
 
 from quadtree_lss.onboard.core.geometry.sphere import Vector
-
-if not cython.compiled:
-    from math import sqrt
-
-    from quadtree_lss.onboard.core.geometry.portable import length
-    from quadtree_lss.onboard.core.geometry.sphere import basis_at, minus_at, plus_at
 
 #: A map of elevations has no walls: steeper planes are tilted back to this n_z (75.5 deg).
 MIN_UP = cython.declare(cython.double, 0.25)

@@ -5,15 +5,10 @@ from __future__ import annotations
 
 import cython
 import numpy as np
+from cython.cimports.libc.math import INFINITY, sqrt
 from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array
-
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, sqrt
-else:
-    from math import inf as INFINITY
-    from math import sqrt
 
 #: Coordinates over this are no place to land at, and their squares would overflow, m.
 FARTHEST = 1e12

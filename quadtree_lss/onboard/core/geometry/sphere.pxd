@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-from libc.math cimport atan2, cos, sin, sqrt
 
 cdef void basis_at(double* normal, double* out) noexcept nogil
 cdef void exp_at(double* tangent, double* out) noexcept nogil

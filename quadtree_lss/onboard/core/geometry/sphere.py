@@ -12,9 +12,7 @@ from collections.abc import MutableSequence
 from typing import TypeAlias
 
 import cython
-
-if not cython.compiled:
-    from math import atan2, cos, sin, sqrt
+from cython.cimports.libc.math import atan2, cos, sin, sqrt
 
 #: A C array of doubles that a kernel reads or writes in place.
 Vector: TypeAlias = MutableSequence[float]

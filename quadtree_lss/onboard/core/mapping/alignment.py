@@ -12,21 +12,13 @@ from typing import NamedTuple
 
 import cython
 import numpy as np
+from cython.cimports.libc.math import INFINITY, exp, fabs, sqrt
+from cython.cimports.quadtree_lss.onboard.core.mapping import update as row
+from cython.cimports.quadtree_lss.onboard.core.tree.leaves import HINTS, LeafTable
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.geometry.bounds import HEIGHTS
 from quadtree_lss.onboard.core.mapping.departure import BEYOND, FLOOR, MIN_CELLS, Departure
-
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, exp, fabs, sqrt
-    from cython.cimports.quadtree_lss.onboard.core.mapping import update as row
-    from cython.cimports.quadtree_lss.onboard.core.tree.leaves import HINTS, LeafTable
-else:
-    from math import exp, fabs, sqrt
-    from math import inf as INFINITY
-
-    from quadtree_lss.onboard.core.mapping import update as row
-    from quadtree_lss.onboard.core.tree.leaves import HINTS, LeafTable
 
 #: A cell that departs from the others by more than this many deviations counts less.
 HUBER = cython.declare(cython.double, 2.0)

@@ -11,19 +11,11 @@ from typing import NamedTuple
 
 import cython
 import numpy as np
+from cython.cimports.libc.math import INFINITY, exp, fabs, sqrt
+from cython.cimports.quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
+from cython.cimports.quadtree_lss.onboard.core.mapping import update as row
 
 from quadtree_lss.onboard.arrays import Array
-
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, exp, fabs, sqrt
-    from cython.cimports.quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
-    from cython.cimports.quadtree_lss.onboard.core.mapping import update as row
-else:
-    from math import exp, fabs, sqrt
-    from math import inf as INFINITY
-
-    from quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
-    from quadtree_lss.onboard.core.mapping import update as row
 
 #: A cell that departs from the others by more than this many of its deviations counts less: of
 #: Gaussian cells one in 22 does.

@@ -5,21 +5,17 @@ IV.D): two criteria, and rocks."""
 from __future__ import annotations
 
 import cython
+from cython.cimports.libc.math import fabs, sqrt
+from cython.cimports.quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
+from cython.cimports.quadtree_lss.onboard.core.geometry.portable import above
+from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at
+from cython.cimports.quadtree_lss.onboard.core.mapping.features import feature_height
+from cython.cimports.quadtree_lss.onboard.core.mapping.measure import few, partial, pose_variance
+from cython.cimports.quadtree_lss.onboard.core.tree.leaves import MEASURED
 
 from quadtree_lss.onboard.core.geometry.sphere import Vector
 from quadtree_lss.onboard.core.mapping.measure import Rules
 from quadtree_lss.onboard.core.tree.leaves import Record
-
-if not cython.compiled:
-    from math import fabs, sqrt
-
-    from quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
-    from quadtree_lss.onboard.core.geometry.portable import above
-    from quadtree_lss.onboard.core.geometry.sphere import basis_at
-    from quadtree_lss.onboard.core.mapping.features import feature_height
-    from quadtree_lss.onboard.core.mapping.measure import few, partial, pose_variance
-    from quadtree_lss.onboard.core.tree.leaves import MEASURED
-
 
 #: Mean and standard deviation of chi_1, E = sqrt(2 / pi), and of chi_3, E = 2 sqrt(2 / pi)
 #: = sqrt(2) Gamma(2) / Gamma(3/2) of Eq. 47.

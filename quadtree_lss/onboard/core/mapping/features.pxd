@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
 cimport cython
-from libc.math cimport NAN, fabs, isfinite, sqrt
 from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run
 from quadtree_lss.onboard.core.tree.leaves cimport Leaf
 

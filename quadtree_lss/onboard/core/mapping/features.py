@@ -11,15 +11,12 @@ from __future__ import annotations
 
 import cython
 import numpy as np
+from cython.cimports.libc.math import NAN, fabs, isfinite, sqrt
 
 from quadtree_lss.onboard.core.geometry.sphere import Vector
 from quadtree_lss.onboard.core.mapping.measure import Rules
 from quadtree_lss.onboard.core.tree import cell_map
 from quadtree_lss.onboard.core.tree.leaves import Record
-
-if not cython.compiled:
-    from math import fabs, isfinite, sqrt
-    from math import nan as NAN
 
 PI = cython.declare(cython.double, 3.141592653589793)
 #: Points this many standard deviations above the plane make a cell a candidate.

@@ -1,12 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 cimport cython
-from libc.math cimport exp, fabs, sqrt
-from quadtree_lss.onboard.core.geometry.plane cimport fuse, fuse_height, offset_variance
-from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
-from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, pose_variance
-from quadtree_lss.onboard.core.tree.leaves cimport (
-    HINTS, INHERITED, LIFT, MEASURED, NOTHING, NO_SLOPE, WEIGHT, Leaf, LeafTable
-)
+from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run
+from quadtree_lss.onboard.core.tree.leaves cimport Leaf, LeafTable
 
 @cython.final
 cdef class Fusion:

@@ -4,28 +4,18 @@
 from __future__ import annotations
 
 import cython
+from cython.cimports.libc.math import exp, fabs, sqrt
+from cython.cimports.quadtree_lss.onboard.core.geometry import plane as planes
+from cython.cimports.quadtree_lss.onboard.core.geometry.plane import fuse, fuse_height
+from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at
+from cython.cimports.quadtree_lss.onboard.core.mapping.measure import pose_variance
+from cython.cimports.quadtree_lss.onboard.core.tree import leaves
+from cython.cimports.quadtree_lss.onboard.core.tree.leaves import LIFT, WEIGHT
 
 from quadtree_lss.onboard.core.geometry.sphere import Vector
 from quadtree_lss.onboard.core.mapping.measure import Rules
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
-
-if not cython.compiled:
-    from math import exp, fabs, sqrt
-
-    from quadtree_lss.onboard.core.geometry.plane import fuse, fuse_height, offset_variance
-    from quadtree_lss.onboard.core.geometry.sphere import basis_at
-    from quadtree_lss.onboard.core.mapping.measure import pose_variance
-    from quadtree_lss.onboard.core.tree.leaves import (
-        HINTS,
-        INHERITED,
-        LIFT,
-        MEASURED,
-        NO_SLOPE,
-        NOTHING,
-        WEIGHT,
-    )
-
 
 #: Before anything is known, ground is level but for this (rad, one sigma) ...
 LEVEL_SIGMA = cython.declare(cython.double, 0.5)
@@ -81,7 +71,7 @@ class Fusion:
         A scan with a wrong pose over ground that no other had seen leaves such planes; to average
         with them would keep them for ever. They are kept apart, and points are votes.
         """
-        if leaf.known < INHERITED:
+        if leaf.known < leaves.INHERITED:
             return False
         variance = leaf.range_part[8] + leaf.pose_part[8] + run.range_part[8] + run.pose_part[8]
         off = (leaf.z - self.origin[2] - run.z) * leaf.normal[2]
@@ -113,10 +103,10 @@ class Fusion:
         factor = self.rules.division_factor
         own = run.variance * (1.0 / run.points + factor * factor - 1.0)
         news = 1.0 - self.common(leaf.last_time)
-        known = offset_variance(leaf.pose_part, first, second)
+        known = planes.offset_variance(leaf.pose_part, first, second)
         # That of the pose's height, z.
         high = leaf.normal[2] * leaf.normal[2] * self.sigma[14] if self.aligned else 0.0
-        plane = offset_variance(leaf.range_part, first, second)
+        plane = planes.offset_variance(leaf.range_part, first, second)
         run.doubt = 2.0 * sqrt(own + plane + news * max(known + run.pose_part[8] - 2.0 * high, 0.0))
         plane += news * (known + max(run.pose_part[8] - high, 0.0))
         run.shared = plane / (plane + run.variance / run.points)
@@ -133,15 +123,15 @@ class Fusion:
         rise = cython.declare(cython.double[1])
         sideways = cython.declare(cython.double[3])
         i: cython.int
-        fresh: cython.bint = leaf.known <= HINTS
-        if leaf.known == NOTHING:
+        fresh: cython.bint = leaf.known <= leaves.HINTS
+        if leaf.known == leaves.NOTHING:
             leaf.first_time = self.now
             leaf.z = run.z + self.origin[2]
             for i in range(9):
                 leaf.range_part[i] = leaf.pose_part[i] = 0.0
             leaf.range_part[0] = leaf.range_part[4] = LEVEL_SIGMA * LEVEL_SIGMA
             leaf.range_part[8] = HEIGHT_SIGMA * HEIGHT_SIGMA
-        if same_scan or (self.aligned and leaf.known == INHERITED):
+        if same_scan or (self.aligned and leaf.known == leaves.INHERITED):
             common = 1.0
             if not same_scan:
                 sideways[0], sideways[1], sideways[2] = run.normal[0], run.normal[1], 0.0
@@ -153,7 +143,7 @@ class Fusion:
                 run.pose_part[i] = leaf.pose_part[i]
         else:
             common = self.common(leaf.last_time)
-        if leaf.known == INHERITED:
+        if leaf.known == leaves.INHERITED:
             # An inherited slope counts as a fit as certain as it.
             leaf.bias[WEIGHT] = run.variance / (leaf.range_part[0] + leaf.range_part[4])
         ranges, poses = leaf.range_part, leaf.pose_part
@@ -179,12 +169,12 @@ class Fusion:
         if fresh:
             steep = leaf.range_part[0] + leaf.range_part[4]
             few: cython.bint = leaf.points < self.rules.min_points
-            if few or steep > NO_SLOPE or not self._apart(leaf, run):
-                leaf.known = HINTS
+            if few or steep > leaves.NO_SLOPE or not self._apart(leaf, run):
+                leaf.known = leaves.HINTS
                 return
         if leaf.bias[WEIGHT] == 0.0:
             self._turn(leaf, run)
-        leaf.known = MEASURED
+        leaf.known = leaves.MEASURED
 
     def _along(self, leaf: Record, run: Record, out: Vector) -> None:
         """The ray to a run, of length one, along the tangent axes of a leaf's plane (2)."""

@@ -1,12 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-from libc.math cimport fabs, sqrt
-from quadtree_lss.onboard.core.geometry.plane cimport (
-    covariance_about, height_normal, line_normal, moments, orthogonal_normal, pose_part, slope_covariance
-)
-from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
-
-from quadtree_lss.onboard.core.tree.leaves cimport LIFT, NOTHING, WEIGHT, Leaf, LeafTable
-from quadtree_lss.onboard.core.geometry.morton cimport encode, squeeze
+from quadtree_lss.onboard.core.tree.leaves cimport Leaf, LeafTable
 
 cdef struct Run:
     double points

@@ -9,28 +9,17 @@ from __future__ import annotations
 
 import cython
 import numpy as np
+from cython.cimports.libc.math import fabs, sqrt
+from cython.cimports.quadtree_lss.onboard.core.geometry import plane
+from cython.cimports.quadtree_lss.onboard.core.geometry.morton import encode, squeeze
+from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at
+from cython.cimports.quadtree_lss.onboard.core.tree.leaves import LIFT, NOTHING, WEIGHT
 
 from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.sphere import Vector
 from quadtree_lss.onboard.core.sensing import lidar
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
-
-if not cython.compiled:
-    from math import fabs, sqrt
-
-    from quadtree_lss.onboard.core.geometry.morton import encode, squeeze
-    from quadtree_lss.onboard.core.geometry.plane import (
-        covariance_about,
-        height_normal,
-        line_normal,
-        moments,
-        orthogonal_normal,
-        pose_part,
-        slope_covariance,
-    )
-    from quadtree_lss.onboard.core.geometry.sphere import basis_at
-    from quadtree_lss.onboard.core.tree.leaves import LIFT, NOTHING, WEIGHT
 
 #: |n.u| is taken to be at least this (grazing incidence).
 MIN_COSINE = cython.declare(cython.double, 0.05)
@@ -267,7 +256,7 @@ def measure(
     arm = cython.declare(cython.double[3])
     scatter = cython.declare(cython.double[6])
     cython.declare(i=cython.int, line=cython.bint)
-    moments(points, number, run.centroid, run.scatter)
+    plane.moments(points, number, run.centroid, run.scatter)
     prior = leaf.normal
     x, y = leaf.x - origin[0], leaf.y - origin[1]
     count: cython.double = number
@@ -319,14 +308,16 @@ def measure(
             run.normal[i] = prior[i]
     elif line:
         telling = scatter
-        line_normal(run.scatter, prior, count * (half + root), square, run.normal, telling)
+        plane.line_normal(run.scatter, prior, count * (half + root), square, run.normal, telling)
     else:
-        height_normal(run.scatter, -prior[0] / prior[2], -prior[1] / prior[2], square, run.normal)
+        plane.height_normal(
+            run.scatter, -prior[0] / prior[2], -prior[1] / prior[2], square, run.normal
+        )
         if rules.ml and count > 3.0:
             first = run.normal[0]
             second = run.normal[1]
             up = run.normal[2]
-            orthogonal_normal(run.scatter, run.normal)
+            plane.orthogonal_normal(run.scatter, run.normal)
             if run.normal[2] < OVERTURNED * up:
                 run.normal[0] = first
                 run.normal[1] = second
@@ -381,17 +372,17 @@ def measure(
         flat = first * first + second * second
         run.range_part[8] = run.own + UNKNOWN_TILT * UNKNOWN_TILT * flat
     else:
-        slope_covariance(telling, run.normal, variance + max(misfit, leaf.uneven), slope)
+        plane.slope_covariance(telling, run.normal, variance + max(misfit, leaf.uneven), slope)
         if not line:
             tilt = run.unseen * UNSEEN_TILT
             slope[0] += tilt * tilt
             slope[3] += tilt * tilt
-        covariance_about(slope, run.own, first, second, run.range_part)
+        plane.covariance_about(slope, run.own, first, second, run.range_part)
     if rules.independent:
         for i in range(9):
             run.pose_part[i] = 0.0
     else:
-        pose_part(run.normal, basis, arm, sigma, run.pose_part)
+        plane.pose_part(run.normal, basis, arm, sigma, run.pose_part)
     run.statistic = run.greatest = run.raised_by = run.doubt = 0.0
     run.shared = 1.0
 
@@ -427,7 +418,7 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
             for k in range(first, first + number):
                 seen += 1 if observed[k] else 0
             if seen == 0 or seen == number or leaf.known < 3:
-                covariance_about(slope, lift, 0.0, 0.0, part)
+                plane.covariance_about(slope, lift, 0.0, 0.0, part)
                 for j in range(9):
                     out[i, j] = part[j]
                 continue
@@ -462,7 +453,7 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
             z = -(leaf.normal[0] * x + leaf.normal[1] * y)
             z /= leaf.normal[2]
             basis_at(leaf.normal, basis)
-            covariance_about(
+            plane.covariance_about(
                 slope,
                 lift,
                 basis[0] * x + basis[1] * y + basis[2] * z,

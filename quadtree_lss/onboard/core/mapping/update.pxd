@@ -1,14 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 cimport cython
-from libc.math cimport INFINITY as INFINITE, fabs, sqrt
-from quadtree_lss.onboard.core.geometry.plane cimport offset_variance
-from quadtree_lss.onboard.core.mapping.division cimport (
-    asks, departs, hides_rock, judge, left_out, rest, rough, standing_out
-)
-from quadtree_lss.onboard.core.mapping.features cimport Heights, update_feature
+from quadtree_lss.onboard.core.mapping.features cimport Heights
 from quadtree_lss.onboard.core.mapping.fusion cimport Fusion
-from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, few, measure, partial, pose_variance
-from quadtree_lss.onboard.core.tree.leaves cimport HINTS, INHERITED, KNOWN, MEASURED, NOTHING, OUT, SEEN, Leaf, LeafTable
+from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run
+from quadtree_lss.onboard.core.tree.leaves cimport Leaf, LeafTable
 
 cpdef enum:  # rows of `ScanUpdate.fit`
     RISE, OWN, OF_SCAN, OF_MAP, FIRST_TIME, LAST_TIME,

@@ -7,6 +7,17 @@ from typing import Any
 
 import cython
 import numpy as np
+from cython.cimports.libc.math import INFINITY, fabs, sqrt
+from cython.cimports.quadtree_lss.onboard.core.geometry.plane import offset_variance
+from cython.cimports.quadtree_lss.onboard.core.mapping import division, measure
+from cython.cimports.quadtree_lss.onboard.core.mapping import update as row
+from cython.cimports.quadtree_lss.onboard.core.mapping.division import departs, hides_rock, judge
+from cython.cimports.quadtree_lss.onboard.core.mapping.features import update_feature
+from cython.cimports.quadtree_lss.onboard.core.mapping.update import OF_MAP as OF_MAP
+from cython.cimports.quadtree_lss.onboard.core.mapping.update import OF_SCAN as OF_SCAN
+from cython.cimports.quadtree_lss.onboard.core.mapping.update import OWN as OWN
+from cython.cimports.quadtree_lss.onboard.core.mapping.update import RISE as RISE
+from cython.cimports.quadtree_lss.onboard.core.tree import leaves
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Keys
 from quadtree_lss.onboard.core.geometry.bounds import HEIGHTS
@@ -15,37 +26,6 @@ from quadtree_lss.onboard.core.mapping.fusion import Fusion
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
 from quadtree_lss.onboard.core.sensing.register import KEPT_POINTS, RegisteredScan
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
-
-if not cython.compiled:
-    from math import fabs, inf, sqrt
-
-    from quadtree_lss.onboard.core.geometry.plane import offset_variance
-    from quadtree_lss.onboard.core.mapping.division import (
-        asks,
-        departs,
-        hides_rock,
-        judge,
-        left_out,
-        rest,
-        rough,
-        standing_out,
-    )
-    from quadtree_lss.onboard.core.mapping.features import update_feature
-    from quadtree_lss.onboard.core.mapping.measure import few, measure, partial, pose_variance
-    from quadtree_lss.onboard.core.tree.leaves import (
-        HINTS,
-        INHERITED,
-        KNOWN,
-        MEASURED,
-        NOTHING,
-        OUT,
-        SEEN,
-    )
-
-    RISE, OWN, OF_SCAN, OF_MAP, FIRST_TIME, LAST_TIME = range(6)
-    PLACE_X, PLACE_Y, PLACE_Z, SLOPE_X, SLOPE_Y, OF_SLOPE, ROWS = range(6, 13)
-    INFINITE = inf
-
 
 #: Share of a finest cell, of 6 cm in 25, on which nothing stands out that matters.
 FEW = cython.declare(cython.double, 1.0 / 16.0)
@@ -104,8 +84,7 @@ class Room:
         """Have room for the records of so many cells."""
         if cells > self.cells:
             self.cells = 2 * cells
-            runs = np.empty(self.cells, dtype=RUN)
-            self.runs = runs if cython.compiled else runs.view(np.recarray)
+            self.runs = np.empty(self.cells, dtype=RUN)
 
 
 class ScanUpdate:
@@ -173,34 +152,22 @@ class ScanUpdate:
     @cython.boundscheck(False)
     def _run(self, at: cython.Py_ssize_t) -> Record:
         """One record of type `measure.RUN`, to read and to write."""
-        if cython.compiled:
-            return cython.address(self.runs[at])
-        else:
-            return self.runs[at]
+        return cython.address(self.runs[at])
 
     @cython.boundscheck(False)
     def _leaf(self, row: cython.Py_ssize_t) -> Record:
         """One leaf, to read and to write."""
-        if cython.compiled:
-            return cython.address(self.table.leaf[row])
-        else:
-            return self.table.at(row)
+        return cython.address(self.table.leaf[row])
 
     @cython.boundscheck(False)
     def _from(self, begin: cython.Py_ssize_t) -> Any:
         """Points from one on, x, y and z of one after the other."""
-        if cython.compiled:
-            return cython.address(self.points[begin, 0])
-        else:
-            return self.points.reshape(-1)[3 * begin :]
+        return cython.address(self.points[begin, 0])
 
     @cython.boundscheck(False)
     def _residual_from(self, begin: cython.Py_ssize_t) -> Any:
         """Residuals of the points from one on."""
-        if cython.compiled:
-            return cython.address(self.residual[begin])
-        else:
-            return self.residual[begin:]
+        return cython.address(self.residual[begin])
 
     @cython.boundscheck(False)
     def fit(self) -> Array:
@@ -217,19 +184,19 @@ class ScanUpdate:
         """
         i: cython.Py_ssize_t
         found: cython.Py_ssize_t = 0
-        out = np.empty((ROWS, self.cells))
+        out = np.empty((row.ROWS, self.cells))
         self.columns = out
         with cython.nogil:
             for i in range(self.cells):
                 self.table.glance(self.rows[min(i + 16, self.cells - 1)])
                 leaf = self._leaf(self.rows[i])
-                if leaf.known <= HINTS:
+                if leaf.known <= leaves.HINTS:
                     self._level(leaf)
                     continue
                 self.table.expect(self.rows[min(i + 4, self.cells - 1)])
                 run = self._run(i)
                 self._measure(leaf, self.begins[i], self.begins[i + 1], run)
-                if leaf.known == MEASURED:
+                if leaf.known == leaves.MEASURED:
                     self._compare(leaf, run, found)
                     found += 1
         return out[:, :found]
@@ -243,7 +210,7 @@ class ScanUpdate:
         self.columns = out
         for i in range(self.cells):
             leaf = self._leaf(self.rows[i])
-            if leaf.known != MEASURED:
+            if leaf.known != leaves.MEASURED:
                 continue
             run = self._run(i)
             up = leaf.normal[2]
@@ -259,12 +226,12 @@ class ScanUpdate:
                 total += along_x * (self.points[k, 0] - x) + along_y * (self.points[k, 1] - y)
                 count += 1.0
                 if k + 1 == self.begins[i + 1] or self.key[k + 1] != self.key[k]:
-                    if self.table.seen[self.key[k]] == KNOWN:
+                    if self.table.seen[self.key[k]] == leaves.KNOWN:
                         own = run.variance / count + leaf.range_part[8]
-                        self.columns[RISE, found] = total / count
-                        self.columns[OWN, found] = own / (up * up) + max(misfit, 0.0)
-                        self.columns[OF_SCAN, found] = run.pose_part[8] / (up * up)
-                        self.columns[OF_MAP, found] = leaf.pose_part[8] / (up * up)
+                        self.columns[row.RISE, found] = total / count
+                        self.columns[row.OWN, found] = own / (up * up) + max(misfit, 0.0)
+                        self.columns[row.OF_SCAN, found] = run.pose_part[8] / (up * up)
+                        self.columns[row.OF_MAP, found] = leaf.pose_part[8] / (up * up)
                         found += 1
                     total = count = 0.0
         return out[:, :found]
@@ -276,28 +243,28 @@ class ScanUpdate:
         square = leaf.normal[2] * leaf.normal[2]
         own = run.range_part[8] + leaf.range_part[8]
         misfit = leaf.square_sum / max(leaf.division_weight, 1.0) - run.variance
-        self.columns[RISE, at] = run.z + self.fusion.origin[2] - leaf.z
-        if few(run):
+        self.columns[row.RISE, at] = run.z + self.fusion.origin[2] - leaf.z
+        if measure.few(run):
             self.fusion.place(leaf, run, place)
             own = run.variance / run.points + offset_variance(leaf.range_part, place[0], place[1])
-            self.columns[RISE, at] = place[2]
+            self.columns[row.RISE, at] = place[2]
         seen = max(1.0 - run.unseen, 0.1)
         own += self.rules.uneven * (1.0 / (seen * seen) - 1.0)
-        self.columns[OWN, at] = own / square + max(misfit, 0.0)
+        self.columns[row.OWN, at] = own / square + max(misfit, 0.0)
         pose = run.pose_part[8]
         if self.rules.independent:  # no part of a plane, but of the scan
-            pose = pose_variance(leaf.normal, run.centroid, self.fusion.sigma)
-        self.columns[OF_SCAN, at] = pose / square
-        self.columns[OF_MAP, at] = leaf.pose_part[8] / square
-        self.columns[FIRST_TIME, at] = leaf.first_time
-        self.columns[LAST_TIME, at] = leaf.last_time
-        self.columns[PLACE_X, at] = leaf.x - self.fusion.origin[0]
-        self.columns[PLACE_Y, at] = leaf.y - self.fusion.origin[1]
-        self.columns[PLACE_Z, at] = run.z
-        self.columns[SLOPE_X, at] = -leaf.normal[0] / leaf.normal[2]
-        self.columns[SLOPE_Y, at] = -leaf.normal[1] / leaf.normal[2]
+            pose = measure.pose_variance(leaf.normal, run.centroid, self.fusion.sigma)
+        self.columns[row.OF_SCAN, at] = pose / square
+        self.columns[row.OF_MAP, at] = leaf.pose_part[8] / square
+        self.columns[row.FIRST_TIME, at] = leaf.first_time
+        self.columns[row.LAST_TIME, at] = leaf.last_time
+        self.columns[row.PLACE_X, at] = leaf.x - self.fusion.origin[0]
+        self.columns[row.PLACE_Y, at] = leaf.y - self.fusion.origin[1]
+        self.columns[row.PLACE_Z, at] = run.z
+        self.columns[row.SLOPE_X, at] = -leaf.normal[0] / leaf.normal[2]
+        self.columns[row.SLOPE_Y, at] = -leaf.normal[1] / leaf.normal[2]
         tilt = 0.5 * (leaf.pose_part[0] + leaf.pose_part[4])
-        self.columns[OF_SLOPE, at] = tilt / (square * square)
+        self.columns[row.OF_SLOPE, at] = tilt / (square * square)
 
     def align(self, down: float) -> None:
         """Lower the scan to where the map lies, by so many m."""
@@ -314,7 +281,7 @@ class ScanUpdate:
                 self.table.expect(self.rows[min(i + 4, self.cells - 1)])
                 begin, end = self.begins[i], self.begins[i + 1]
                 leaf, run = self._leaf(self.rows[i]), self._run(i)
-                if leaf.known <= HINTS:
+                if leaf.known <= leaves.HINTS:
                     run = self._run(self.cells)
                     self._measure(leaf, begin, end, run)
                 levels = self.table.max_level - leaf.level
@@ -328,7 +295,7 @@ class ScanUpdate:
 
     def _level(self, leaf: Record) -> None:
         """Where nothing is known, ground is taken to be level."""
-        if leaf.known == NOTHING:
+        if leaf.known == leaves.NOTHING:
             leaf.normal[0] = leaf.normal[1] = 0.0
             leaf.normal[2] = 1.0
 
@@ -338,7 +305,7 @@ class ScanUpdate:
         """Fit a run of points in a leaf."""
         points, side = self._from(begin), self.table.sides[leaf.level]
         origin, sigma = self.fusion.origin, self.fusion.sigma
-        measure(self.rules, leaf, run, points, end - begin, origin, sigma, side)
+        measure.measure(self.rules, leaf, run, points, end - begin, origin, sigma, side)
 
     def _divide(self, row: cython.Py_ssize_t, run: Record) -> cython.bint:
         """Divide a leaf above the finest level, if there is room.
@@ -354,11 +321,11 @@ class ScanUpdate:
         square = run.variance
         if leaf.division_weight > 0.0:
             square = max(leaf.square_sum / leaf.division_weight, square)
-        uneven = max(left_out(leaf, run.variance), leaf.uneven)
+        uneven = max(division.left_out(leaf, run.variance), leaf.uneven)
         side = 0.5 * self.table.side(leaf.level)
         tilt = run.variance + 2.0 * uneven
         tilt *= 12.0 / (self.rules.slope_points * side * side)
-        spread = standing_out(self.rules, leaf, run.variance)
+        spread = division.standing_out(self.rules, leaf, run.variance)
         if not self.table.divide(row, square, tilt, spread, LESS * uneven):
             self.refused += 1
             return False
@@ -387,13 +354,13 @@ class ScanUpdate:
             leaf.points -= run.points
             if leaf.points > 0.0:
                 if run.points > 1.0:  # one return alone is no evidence
-                    put(self.table.seen, self.key, begin, end, SEEN)
+                    put(self.table.seen, self.key, begin, end, leaves.SEEN)
                 else:
-                    self._mark(begin, end, SEEN)
+                    self._mark(begin, end, leaves.SEEN)
                 return
             self.table.forget(leaf)
             self._measure(leaf, begin, end, run)
-        fresh: cython.bint = leaf.known <= HINTS
+        fresh: cython.bint = leaf.known <= leaves.HINTS
         if fresh and run.sloped == 0.0:
             seen = 1.0 - run.unseen
             grows: cython.bint = seen > leaf.strip
@@ -402,12 +369,12 @@ class ScanUpdate:
             if enough and not grows and self._divide(row, run):
                 self._go_on(row, begin, end, False)
             else:
-                self._mark(begin, end, SEEN)
+                self._mark(begin, end, leaves.SEEN)
             return
-        if leaf.known >= INHERITED:
+        if leaf.known >= leaves.INHERITED:
             self.fusion.doubt(leaf, run)
             if (
-                partial(run)
+                measure.partial(run)
                 and leaf.level < self.table.max_level
                 and departs(self.rules, leaf, run, self._from(begin), self.fusion.origin, side)
             ):
@@ -415,25 +382,25 @@ class ScanUpdate:
                 if self._divide(row, run):
                     self._go_on(row, begin, end, False)
                     return
-        if not few(run):
+        if not measure.few(run):
             judge(self.rules, leaf, run, self._from(begin), self.fusion.origin, self.fusion.sigma)
         x, y, z, up = leaf.normal[0], leaf.normal[1], leaf.z, leaf.normal[2]
         self.fusion.fuse(leaf, run, same_scan)
         if not fabs(leaf.z) < HIGHEST:  # planes of places far above each other lead anywhere
             self.table.forget(leaf)
-            self._mark(begin, end, SEEN)
+            self._mark(begin, end, leaves.SEEN)
             return
         if not fresh:  # by no plane was anything known
             moved = fabs(leaf.normal[0] / leaf.normal[2] - x / up)
             moved += fabs(leaf.normal[1] / leaf.normal[2] - y / up)
-            most = MOVED * standing_out(self.rules, leaf, run.variance)
+            most = MOVED * division.standing_out(self.rules, leaf, run.variance)
             if fabs(leaf.z - z) + 0.5 * side * moved > most:
                 self.table.unknow(leaf)  # what was known, was by another plane
-                leaf.low, leaf.high = INFINITE, -INFINITE
-        if leaf.known != MEASURED:
-            self._mark(begin, end, SEEN)
+                leaf.low, leaf.high = INFINITY, -INFINITY
+        if leaf.known != leaves.MEASURED:
+            self._mark(begin, end, leaves.SEEN)
             return
-        asked: cython.bint = asks(self.rules, leaf, run)
+        asked: cython.bint = division.asks(self.rules, leaf, run)
         if asked and leaf.level < self.table.max_level:
             self._residuals(leaf, begin, end, run)
         if not (asked and self._divide(row, run)):
@@ -441,7 +408,7 @@ class ScanUpdate:
             if asked or leaf.level == self.table.max_level:
                 return
             mound: cython.bint = self._mound(begin, end, run.variance, 1.0)
-            if not (mound or hides_rock(self.rules, leaf) or rough(self.rules, leaf)):
+            if not (mound or hides_rock(self.rules, leaf) or division.rough(self.rules, leaf)):
                 return
             if not self._divide(row, run):
                 return
@@ -491,9 +458,9 @@ class ScanUpdate:
         cython.declare(i=cython.Py_ssize_t)
         out = count = 0.0
         points, residual = self._from(begin), self._residual_from(begin)
-        rest(self.rules, leaf, run, points, residual, self.fusion.origin)
+        division.rest(self.rules, leaf, run, points, residual, self.fusion.origin)
         if run.greatest <= run.raised_by:
-            put(self.table.seen, self.key, begin, end, KNOWN)
+            put(self.table.seen, self.key, begin, end, leaves.KNOWN)
             return
         for i in range(begin, end):
             count += 1.0
@@ -501,11 +468,11 @@ class ScanUpdate:
                 out += 1.0
             if i == end - 1 or self.key[i + 1] != self.key[i]:
                 if out <= FEW * count:
-                    self.table.seen[self.key[i]] = KNOWN
+                    self.table.seen[self.key[i]] = leaves.KNOWN
                 elif out > 1.0:
-                    self.table.seen[self.key[i]] = OUT
+                    self.table.seen[self.key[i]] = leaves.OUT
                 else:
-                    self._mark(i, i + 1, SEEN)
+                    self._mark(i, i + 1, leaves.SEEN)
                 out = count = 0.0
 
     @cython.boundscheck(False)

@@ -1,10 +1,3 @@
-from libc.math cimport INFINITY, NAN, sqrt
-
-from quadtree_lss.onboard.core.geometry.morton cimport PLACE_BITS, sort_packed
-
-cdef extern from * nogil:
-    void prefetch "__builtin_prefetch" (const void* at)
-
 ctypedef fused Coordinate:
     float
     double

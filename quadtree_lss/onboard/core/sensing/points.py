@@ -7,22 +7,14 @@ import sys
 
 import cython
 import numpy as np
+from cython.cimports.libc.math import INFINITY, NAN, sqrt
+from cython.cimports.quadtree_lss.onboard.core.geometry.morton import PLACE_BITS, prefetch
 
 from quadtree_lss.onboard.arrays import Array, Ints, Keys, Points
 from quadtree_lss.onboard.core.geometry.morton import SPREAD, sort_packed
 
 #: Known to be an array of numbers once and for all.
 SPREAD_OUT = cython.declare(cython.longlong[::1], SPREAD)
-
-if not cython.compiled:
-    from math import inf as INFINITY
-    from math import nan as NAN
-    from math import sqrt
-
-    from quadtree_lss.onboard.core.geometry.morton import PLACE_BITS
-
-    def prefetch(at: object) -> None:
-        """Only a compiled program knows where its numbers lie."""
 
 
 class Workspace:
@@ -199,10 +191,10 @@ def arrange(work: Workspace, isolated: cython.bint, nowhere: cython.longlong) ->
             if key == nowhere:
                 break
             run = runs[i] - (key << PLACE_BITS)
-            if cython.compiled:  # runs lie all over the scan: one is brought near before its turn
-                ahead = runs[min(i + 16, runs.shape[0] - 1)]
-                ahead -= (ahead >> PLACE_BITS) << PLACE_BITS
-                prefetch(cython.address(points[3 * begins[ahead]]))
+            # Runs lie all over the scan: prefetch a later one.
+            ahead = runs[min(i + 16, runs.shape[0] - 1)]
+            ahead -= (ahead >> PLACE_BITS) << PLACE_BITS
+            prefetch(cython.address(points[3 * begins[ahead]]))
             begin, end = begins[run], begins[run + 1]
             if isolated:
                 for at in range(begin, end):

@@ -8,30 +8,11 @@ from dataclasses import dataclass
 import cython
 import numpy as np
 from cython.cimports.libc.math import fabs, sqrt
+from cython.cimports.quadtree_lss.onboard.core.geometry import plane
+from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at, minus_at, plus_at
 
 from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-
-if cython.compiled:
-    from cython.cimports.quadtree_lss.onboard.core.geometry.plane import (
-        inverse_symmetric,
-        keep_up,
-        shift_origin,
-        turn_tangent,
-    )
-    from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import (
-        basis_at,
-        minus_at,
-        plus_at,
-    )
-else:
-    from quadtree_lss.onboard.core.geometry.plane import (
-        inverse_symmetric,
-        keep_up,
-        shift_origin,
-        turn_tangent,
-    )
-    from quadtree_lss.onboard.core.geometry.sphere import basis_at, minus_at, plus_at
 
 
 @dataclass(frozen=True)
@@ -178,10 +159,10 @@ def fuse_leaves(
             minus_at(own, mean, error, turn)
             first = basis[0] * arm[0] + basis[1] * arm[1] + basis[2] * arm[2]
             second = basis[3] * arm[0] + basis[4] * arm[1] + basis[5] * arm[2]
-            shift_origin(ranges, first, second, 1)
-            turn_tangent(ranges, turn, 1)
+            plane.shift_origin(ranges, first, second, 1)
+            plane.turn_tangent(ranges, turn, 1)
             error[2] = -(own[0] * arm[0] + own[1] * arm[1] + own[2] * arm[2])
-            inverse_symmetric(ranges, information)
+            plane.inverse_symmetric(ranges, information)
             for i in range(3):
                 for j in range(3):
                     range_part[a, i, j] += information[3 * i + j]
@@ -190,18 +171,18 @@ def fuse_leaves(
             for i in range(3):
                 for j in range(3):
                     information[3 * i + j] = range_part[a, i, j]
-            inverse_symmetric(information, ranges)
+            plane.inverse_symmetric(information, ranges)
             for i in range(3):
                 mean[i], error[i] = planes[a, 3 + i], 0.0
                 for j in range(3):
                     error[i] += ranges[3 * i + j] * pulled[a, j]
             basis_at(mean, basis)
             plus_at(mean, basis, error, own)
-            keep_up(own)
+            plane.keep_up(own)
             # d / n_z is how far the plane passes above the origin; the origin moves up to it.
             rise = error[2] / own[2]
             planes[a, 2] += rise
-            shift_origin(ranges, -rise * own[0], -rise * own[1], 1)
+            plane.shift_origin(ranges, -rise * own[0], -rise * own[1], 1)
             for i in range(3):
                 planes[a, 3 + i] = own[i]
                 for j in range(3):

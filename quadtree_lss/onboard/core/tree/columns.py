@@ -7,17 +7,11 @@ from typing import Any
 
 import cython
 import numpy as np
+from cython.cimports.libc.math import NAN
+from cython.cimports.quadtree_lss.onboard.core.tree.leaves import INHERITED, MEASURED, LeafTable
 
 from quadtree_lss.onboard.arrays import Array, Index, Single
 from quadtree_lss.onboard.core.tree.cell_map import SHAPE, CellMap
-
-if cython.compiled:
-    from cython.cimports.libc.math import NAN
-    from cython.cimports.quadtree_lss.onboard.core.tree.leaves import INHERITED, MEASURED, LeafTable
-else:
-    from math import nan as NAN
-
-    from quadtree_lss.onboard.core.tree.leaves import INHERITED, MEASURED, LeafTable
 
 #: A bell fitted to a hemisphere (Eq. 53) by least squares peaks a quarter above it. Its volume is
 #: right; a sigma wider by this lowers the peak and keeps it.

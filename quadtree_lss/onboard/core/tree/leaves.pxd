@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
 cimport cython
-from libc.math cimport INFINITY as INFINITE, NAN, fabs
-from quadtree_lss.onboard.core.geometry.morton cimport encode
-from quadtree_lss.onboard.core.geometry.plane cimport shift_origin
-from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
 
 cpdef enum:
     NOTHING, HINTS, INHERITED, MEASURED
@@ -49,9 +45,6 @@ cdef struct Leaf:
 cdef double NO_SLOPE
 
 cdef void clear(Leaf* leaf) noexcept nogil
-
-cdef extern from * nogil:
-    void prefetch "__builtin_prefetch" (const void* at)
 
 @cython.final
 cdef class LeafTable:

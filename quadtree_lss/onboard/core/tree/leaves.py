@@ -12,28 +12,17 @@ from typing import Any, TypeAlias
 
 import cython
 import numpy as np
+from cython.cimports.libc.math import INFINITY, NAN, fabs
+from cython.cimports.quadtree_lss.onboard.core.geometry.morton import encode, prefetch
+from cython.cimports.quadtree_lss.onboard.core.geometry.plane import shift_origin
+from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at
+from cython.cimports.quadtree_lss.onboard.core.tree.leaves import INHERITED, NOTHING, OUT, SEEN
+from cython.cimports.quadtree_lss.onboard.core.tree.leaves import MEASURED as MEASURED
 from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Bytes, Index, Ints, Numbers
 from quadtree_lss.onboard.core.geometry.morton import SPREAD
 from quadtree_lss.onboard.core.tree.domain import Domain
-
-if not cython.compiled:
-    from math import fabs
-
-    from quadtree_lss.onboard.core.geometry.morton import encode
-    from quadtree_lss.onboard.core.geometry.plane import shift_origin
-    from quadtree_lss.onboard.core.geometry.sphere import basis_at
-
-    NAN = float("nan")
-    INFINITE = float("inf")
-    NOTHING, HINTS, INHERITED, MEASURED = range(4)
-    SEEN, KNOWN, OUT = 1, 2, 3
-    LIFT, WEIGHT = 3, 4
-
-    def prefetch(at: object) -> None:
-        """Only a compiled program knows where its numbers lie."""
-
 
 #: A slope less certain than this, rad^2, is none. None is handed on so: strips, which keep it,
 #: would lie anywhere.
@@ -198,23 +187,18 @@ class LeafTable:
 
     def at(self, row: cython.Py_ssize_t) -> Record:
         """A leaf, to read and to write; until the table grows."""
-        if cython.compiled:
-            return cython.address(self.leaf[row])
-        else:
-            return self.leaf[row]
+        return cython.address(self.leaf[row])
 
     def glance(self, row: cython.Py_ssize_t) -> None:
         """Prefetch the first line of a leaf: its place, and whether it is known."""
-        if cython.compiled:
-            prefetch(cython.address(self.leaf[row]))
+        prefetch(cython.address(self.leaf[row]))
 
     def expect(self, row: cython.Py_ssize_t) -> None:
         """Prefetch a leaf that will be wanted soon, but for its feature."""
         i: cython.int
-        if cython.compiled:
-            byte: cython.p_char = cython.cast(cython.p_char, cython.address(self.leaf[row]))
-            for i in range(0, 448, 64):
-                prefetch(byte + i)
+        byte: cython.p_char = cython.cast(cython.p_char, cython.address(self.leaf[row]))
+        for i in range(0, 448, 64):
+            prefetch(byte + i)
 
     def side(self, level: cython.int) -> cython.double:
         """Side of a cell of a level, m."""
@@ -324,7 +308,7 @@ class LeafTable:
         clear(leaf)
         self.unknow(leaf)
         leaf.known = NOTHING
-        leaf.low, leaf.high = INFINITE, -INFINITE
+        leaf.low, leaf.high = INFINITY, -INFINITY
         leaf.z = leaf.normal[0] = leaf.normal[1] = 0.0
         leaf.normal[2] = 1.0
 

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from quadtree_lss.desk.exchange.archives import read_arrays
+from quadtree_lss.desk.exchange.libraries import ExchangeError, library
+from quadtree_lss.desk.exchange.reference import why_not_metric
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.elevation.archives import read_arrays
-from quadtree_lss.onboard.elevation.libraries import ExchangeError, library
-from quadtree_lss.onboard.elevation.reference import why_not_metric
 from quadtree_lss.onboard.errors import one_line
 
 TIFF = (".tif", ".tiff", ".vrt", ".img", ".asc")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.onboard.elevation.libraries import ExchangeError
+from quadtree_lss.desk.exchange.libraries import ExchangeError
 
 MOST_BYTES = 2 << 30
 """Of all arrays of a file together: a few MB may unpack to more than there is memory."""

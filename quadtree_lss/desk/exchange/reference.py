@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from quadtree_lss.onboard.elevation.libraries import ExchangeError, library
+from quadtree_lss.desk.exchange.libraries import ExchangeError, library
 
 WHAT = "GeoTIFF and coordinates of the Earth"
 
