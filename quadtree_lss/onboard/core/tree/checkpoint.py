@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from quadtree_lss.onboard.core.geometry.bounds import MOST, MOST_HEIGHT
 from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.core.tree.held_returns import SHOWN
 from quadtree_lss.onboard.core.tree.leaves import LEAF, MEASURED, OUT, leaf_raster
 from quadtree_lss.onboard.core.tree.soundness import sound_planes
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-FORMAT = 7
+FORMAT = 8
 """Goes up whenever the arrays of `Mapper.export_state` change their meaning."""
 
 ROUNDING = 1e-6
@@ -126,6 +127,10 @@ def check(
     rises, returns = state["piled"].T
     possible = (np.abs(rises) < MOST) & (returns >= 0.0) & (returns < MOST)
     _see(possible.all(), "has finest cells with impossible returns")
+    held, scans = state["held_scan"], int(state["held_scans"])
+    possible = (np.abs(state["held_height"]) < MOST_HEIGHT) & (held >= 0) & (held <= scans)
+    possible &= state["held_shown"] <= SHOWN
+    _see(possible.all() and scans < 2**31, "has impossible held-back returns")
     height, variance = state["offset"].tolist()
     none = math.isnan(height) and math.isnan(variance)
     known = abs(height) < MOST_HEIGHT and 0.0 <= variance < MOST
