@@ -172,3 +172,12 @@ def test_held_back_returns_follow_the_domain():
     assert found.compare(POINT, moved, 0.4).confirmed.all()
     found.follow(64, 0)
     assert not found.shown.any()
+
+
+def test_held_back_returns_are_lifted_with_the_map():
+    found = held(POINT, POINT)
+    found.lifted += 3.0
+    lifted = POINT + (0.0, 0.0, 3.0)
+    compared = found.compare(lifted, DOMAIN, 0.4)
+    assert compared.confirmed.all() and not found.compare(POINT, DOMAIN, 0.4).confirmed.any()
+    assert found.places(compared.admitted, DOMAIN)[0, 2] == pytest.approx(lifted[0, 2])

@@ -306,7 +306,7 @@ class Mapper:
         self._lifted += of_map
         if abs(self._owed) >= LEAST_LIFT * metre:
             lift(self.leaves, self._owed, round(offset.since, 9))
-            self._held.height += np.float32(self._owed)
+            self._held.lifted += self._owed
             self._owed = 0.0
         self._offset = (offset.height - of_map + self._owed, offset.variance)
         change.align(of_scan + self._owed)
@@ -358,6 +358,7 @@ class Mapper:
             "held_scan": self._held.scan.copy(),
             "held_shown": self._held.shown.copy(),
             "held_scans": np.array(self._held.scans),
+            "held_lifted": np.array(self._held.lifted),
             "stamp_ns": np.array(self.stamp_ns),
             "start_ns": np.array(self._start_ns),
             "noise_ratio": np.array(self._noise_ratio),
@@ -382,6 +383,7 @@ class Mapper:
         self._held.scan[:] = state["held_scan"]
         self._held.shown[:] = state["held_shown"]
         self._held.scans = int(state["held_scans"])
+        self._held.lifted = float(state["held_lifted"])
         self.stamp_ns = int(state["stamp_ns"])
         self._start_ns = int(state["start_ns"])
         self._noise_ratio = float(state["noise_ratio"])

@@ -26,8 +26,7 @@ if cython.compiled:
 else:
     from math import inf as INFINITY
 
-#: The gate is at least this many usual distances. A plane seen at a slant from 400 m has steps of
-#: one usual distance; rocks and pixel noise multiply them.
+#: The gate is at least this many usual distances.
 WIDENING = 5.0
 #: Places of the pixels or points, as shares of their number, whose median is the usual distance:
 #: multiples of the golden section sample any raster evenly.

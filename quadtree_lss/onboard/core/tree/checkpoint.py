@@ -130,7 +130,9 @@ def check(
     held, scans = state["held_scan"], int(state["held_scans"])
     possible = (np.abs(state["held_height"]) < MOST_HEIGHT) & (held >= 0) & (held <= scans)
     possible &= state["held_shown"] <= SHOWN
-    _see(possible.all() and scans < 2**31, "has impossible held-back returns")
+    sound = bool(possible.all()) and scans < 2**31
+    sound &= abs(float(state["held_lifted"])) < MOST_HEIGHT
+    _see(sound, "has impossible held-back returns")
     height, variance = state["offset"].tolist()
     none = math.isnan(height) and math.isnan(variance)
     known = abs(height) < MOST_HEIGHT and 0.0 <= variance < MOST

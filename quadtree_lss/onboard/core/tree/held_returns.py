@@ -36,7 +36,7 @@ class IsolatedReturns(NamedTuple):
 
     Attributes:
         cell: (K,) finest cell of each, iy * n + ix; -1 outside the domain.
-        height: (K,) map frame, m.
+        height: (K,) as in `HeldReturns`, m.
         shown: (K,) how many scans have shown its place, this one included, at most `SHOWN`.
         admitted: (A,) cells whose held-back return this scan confirms, ascending.
     """
@@ -57,7 +57,8 @@ class HeldReturns:
     """Heights of isolated returns that are held back, one for each finest cell.
 
     Attributes:
-        height: (n, n) [iy, ix] of the last isolated return, map frame, m.
+        height: (n, n) [iy, ix] of the last isolated return, m; ``lifted`` lower than in the map.
+        lifted: By how much the map was lifted since the heights began, m.
         scan: (n, n) number of the scan that it is of, from 1 on.
         shown: (n, n) how many scans have shown its place, 0 for no return, `SHOWN` if confirmed.
         scans: How many scans were kept.
@@ -69,10 +70,14 @@ class HeldReturns:
         self.scan: Ints = np.zeros((n, n), dtype=np.int32)
         self.shown: Bytes = np.zeros((n, n), dtype=np.uint8)
         self.scans = 0
+        self.lifted = 0.0
 
     def clear(self) -> None:
         """Forget all returns."""
+        self.height[:] = 0.0
+        self.scan[:] = 0
         self.shown[:] = 0
+        self.scans, self.lifted = 0, 0.0
 
     def follow(self, east: int, north: int) -> None:
         """The domain moved by so many finest cells along x and along y."""
@@ -88,7 +93,7 @@ class HeldReturns:
         inside: Mask = np.all((place >= 0) & (place < n), axis=1)
         ix, iy = np.where(inside[:, None], place, 0).astype(np.intp).T
         cell = np.where(inside, iy * n + ix, -1)
-        height = np.ascontiguousarray(points_map[:, 2])
+        height = points_map[:, 2] - self.lifted
         shown = np.ones(len(cell), dtype=np.uint8)
         admitted = np.empty(9 * len(cell), dtype=np.intp)
         count = find_shown(self, gate, cell, height, shown, admitted)
@@ -115,7 +120,7 @@ class HeldReturns:
         iy, ix = np.divmod(cells, domain.finest_count)
         x = domain.xmin + (ix + 0.5) * domain.finest_size
         y = domain.ymin + (iy + 0.5) * domain.finest_size
-        return np.stack([x, y, self.height.reshape(-1)[cells]], axis=1)
+        return np.stack([x, y, self.height.reshape(-1)[cells] + self.lifted], axis=1)
 
 
 @cython.locals(cell=cython.Py_ssize_t[::1], height=cython.double[::1], shown=cython.uchar[::1])
