@@ -50,6 +50,7 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.checkpoint import State
 from quadtree_lss.onboard.core.tree.columns import leaf_columns
 from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.core.tree.held_returns import HeldReturns
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, unfold
 
 #: A scan older than the map by more than this is no late one: time jumped back (`ScanQueue`).
@@ -72,9 +73,13 @@ class ScanReport:
     Attributes:
         stamp_ns: The scan's stamp.
         points: Points in the message.
-        points_used: Points that entered the map; with ``dropped`` they are all points.
+        points_used: Points of the scan that entered the map; with ``dropped`` they are all points.
         dropped: Points that were unsound or outside, by reason (``sensing.register``), or all the
-            others as ``contradiction``: the scan was refused.
+            others as ``contradiction``: the scan was refused. ``isolated`` are also those held
+            back, which may enter with a later scan.
+        admitted: Isolated returns of earlier scans that entered with this one, because it is
+            the third to show their places. They count as ``isolated`` in the report of their own
+            scan, and in ``points`` of no other.
         leaves: Leaves after the scan.
         divisions: Cells divided by it.
         refused_divisions: Cells that ``mapping.max_cells`` left whole.
@@ -99,6 +104,7 @@ class ScanReport:
     centre: tuple[float, float] | None
     offset: float
     overruled: bool = False
+    admitted: int = 0
 
 
 class Mapper:
@@ -118,6 +124,7 @@ class Mapper:
         self._area: tuple[float, float] | None = None
         self._rules = Rules(config)
         self._room = Room()
+        self._held = HeldReturns(self.domain)
         self.reset()
 
     def __repr__(self) -> str:
@@ -145,6 +152,7 @@ class Mapper:
     def reset(self) -> None:
         """Forget everything that was mapped."""
         self.leaves.plant()
+        self._held.clear()
         self.stamp_ns = 0
         self._start_ns = 0
         self._noise_ratio = float("nan")
@@ -164,8 +172,11 @@ class Mapper:
         is how the lidar moved while it took the scan, None if at once."""
         if not self.stamp_ns or self.config.domain.follow == "area":
             self._follow(pose)  # there is nothing to drop yet, or no pose decides
-        scan, dropped = register(points_lidar, pose, self.config.lidar, self.domain, sweep)
-        used = len(scan.key)
+        if pose.stamp_ns < self.stamp_ns - JUMP_NS:
+            self._held.clear()  # time jumped back
+        lidar = self.config.lidar
+        scan, dropped = register(points_lidar, pose, lidar, self.domain, sweep, self._held)
+        used = len(scan.key) - scan.admitted
         divisions = refused = 0
         offset, verdict = 0.0, Verdict.SOUND
         if used:
@@ -183,6 +194,8 @@ class Mapper:
                 change.settle()
                 self._check_noise(change.ratio)
                 divisions, refused = change.divisions, change.refused
+        if verdict is not Verdict.REFUSED:
+            self._held.keep(scan.isolated if verdict is Verdict.SOUND else None)
         self._missed = 0 if used else self._missed + 1
         if used or self._missed >= AGREEING:
             self._follow(pose)
@@ -198,6 +211,7 @@ class Mapper:
             centre=scan.centre,
             offset=offset,
             overruled=verdict is Verdict.OVERRULES,
+            admitted=scan.admitted if used else 0,
         )
 
     def _follow(self, pose: Pose) -> None:
@@ -209,6 +223,8 @@ class Mapper:
             east, north = self.domain.steps_to(*at)
             if east or north:
                 self.leaves.follow(east, north)
+                cells = 1 << (self.domain.max_level - self.domain.min_level)
+                self._held.follow(east * cells, north * cells)
 
     def _confront(self, scan: RegisteredScan, now: float) -> tuple[ScanUpdate, Array, Verdict]:
         """A scan fitted to the leaves, how it compares with them, and what is to become of it.
@@ -231,6 +247,7 @@ class Mapper:
                 self.leaves.plant()
             else:
                 lift(self.leaves, height, -np.inf)
+            self._held.clear()  # the map lies elsewhere than was compared
             change, cells, found = self._compare(scan, now)
             self._gaps.clear()
         elif found is not None and found.deviations > JUMP and verdict is Verdict.SOUND:
@@ -276,6 +293,7 @@ class Mapper:
         self._owed += of_map
         if abs(self._owed) >= LEAST_LIFT * metre:
             lift(self.leaves, self._owed, round(offset.since, 9))
+            self._held.lifted += self._owed
             self._owed = 0.0
         self._offset = (offset.height - of_map + self._owed, offset.variance)
         change.align(of_scan + self._owed)
@@ -329,6 +347,11 @@ class Mapper:
             "leaves": np.array(self.leaves.rows[: self.leaves.count]),
             "observed": self.leaves.observed.copy(),
             "piled": self.leaves.piled.copy(),
+            "held_height": self._held.height.copy(),
+            "held_scan": self._held.scan.copy(),
+            "held_shown": self._held.shown.copy(),
+            "held_scans": np.array(self._held.scans),
+            "held_lifted": np.array(self._held.lifted),
             "stamp_ns": np.array(self.stamp_ns),
             "start_ns": np.array(self._start_ns),
             "noise_ratio": np.array(self._noise_ratio),
@@ -349,6 +372,11 @@ class Mapper:
         self.leaves.take_up({name: leaves[name] for name in leaves.dtype.names or ()})
         self.leaves.observed[:] = state["observed"]
         self.leaves.piled[:] = state["piled"]
+        self._held.height[:] = state["held_height"]
+        self._held.scan[:] = state["held_scan"]
+        self._held.shown[:] = state["held_shown"]
+        self._held.scans = int(state["held_scans"])
+        self._held.lifted = float(state["held_lifted"])
         self.stamp_ns = int(state["stamp_ns"])
         self._start_ns = int(state["start_ns"])
         self._noise_ratio = float(state["noise_ratio"])

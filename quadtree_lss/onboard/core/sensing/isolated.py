@@ -26,8 +26,7 @@ if cython.compiled:
 else:
     from math import inf as INFINITY
 
-#: The gate is at least this many usual distances. A plane seen at a slant from 400 m has steps of
-#: one usual distance; rocks and pixel noise multiply them.
+#: The gate is at least this many usual distances.
 WIDENING = 5.0
 #: Places of the pixels or points, as shares of their number, whose median is the usual distance:
 #: multiples of the golden section sample any raster evenly.
@@ -36,8 +35,8 @@ SAMPLE = np.arange(1024) * 0.6180339887498949 % 1.0
 LEAST_GATE = 1e-6
 
 
-def isolated_in_image(ranges: Array, gate: float) -> int:
-    """Set the ranges of isolated returns to NaN in an organised scan; return their number.
+def isolated_in_image(ranges: Array, gate: float) -> Ints:
+    """Find the isolated returns of an organised scan: their places (K,), ascending.
 
     Args:
         ranges: (H, W), m; NaN where there is no return.
@@ -46,14 +45,13 @@ def isolated_in_image(ranges: Array, gate: float) -> int:
     pixels = np.empty(ranges.size, dtype=np.int32)
     count = find_isolated(ranges, gate, pixels) if gate > 0.0 else 0
     if count == 0 or np.count_nonzero(ranges > 0.0) < 3:
-        return 0
+        return pixels[:0]
     steps = np.empty(len(SAMPLE))
     known = second_steps(ranges, (SAMPLE * ranges.size).astype(np.int32), steps)
     limit = WIDENING * float(np.partition(steps[:known], known // 2)[known // 2]) if known else 0.0
     if limit > gate:  # a wider gate isolates no return that the narrower one does not
         count = keep_isolated(ranges, limit, pixels[:count])
-    ranges.reshape(-1)[pixels[:count]] = np.nan
-    return count
+    return pixels[:count]
 
 
 @cython.boundscheck(False)
@@ -173,21 +171,21 @@ def second_steps(ranges: Array, pixels: Ints, steps: Array) -> cython.Py_ssize_t
     return known
 
 
-def isolated_in_space(points: Array, ranges: Array, gate: float) -> int:
-    """Set the ranges of isolated returns to NaN in an unorganised scan; return their number.
+def isolated_in_space(points: Array, ranges: Array, gate: float) -> Ints:
+    """Find the isolated returns of an unorganised scan: their places (K,), ascending.
 
     Args:
         points: (N, 3) in any axes, m; anything where there is no return.
         ranges: (N,), m; NaN where there is no return.
         gate: m; 0 keeps every return.
     """
-    returns = np.flatnonzero(ranges > 0.0) if gate > 0.0 else np.empty(0, dtype=np.intp)
-    if len(returns) < 3:
-        return 0
+    returns = np.flatnonzero(ranges > 0.0).astype(np.int32)
+    if gate == 0.0 or len(returns) < 3:
+        return returns[:0]
     points = points[returns]
     linked = linked_in_order(points, gate)
     if linked.all():
-        return 0
+        return returns[:0]
     from scipy.spatial import cKDTree  # takes half a second: organised scans never need it
 
     limit = max(gate, WIDENING * usual_distance(points), LEAST_GATE)
@@ -198,9 +196,8 @@ def isolated_in_space(points: Array, ranges: Array, gate: float) -> int:
     pair = np.flatnonzero(np.isfinite(distance[:, 1]) & ~held)
     other = near[pair, :2].sum(axis=1) - apart[pair]  # of the point itself and its one neighbour
     held[pair] = np.isfinite(tree.query(points[other], k=[3], distance_upper_bound=limit)[0][:, 0])
-    isolated = returns[apart[~held]]
-    ranges[isolated] = np.nan
-    return len(isolated)
+    isolated: Ints = np.sort(returns[apart[~held]])
+    return isolated
 
 
 def usual_distance(points: Array) -> float:

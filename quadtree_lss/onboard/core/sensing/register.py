@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quadtree_lss.onboard.arrays import Array, Keys, Points
+from quadtree_lss.onboard.arrays import Array, Index, Keys, Points
 from quadtree_lss.onboard.config.settings import LidarConfig
 from quadtree_lss.onboard.core.geometry.bounds import MOST_HEIGHT
+from quadtree_lss.onboard.core.geometry.morton import SPREAD
 from quadtree_lss.onboard.core.sensing.isolated import isolated_in_image, isolated_in_space
 from quadtree_lss.onboard.core.sensing.lidar import Pose, sound_covariance
 from quadtree_lss.onboard.core.sensing.points import Workspace, arrange, turn
@@ -18,6 +19,7 @@ from quadtree_lss.onboard.core.sensing.sweep import AT_ONCE, AT_STAMP, Sweep
 
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.tree.domain import Domain
+    from quadtree_lss.onboard.core.tree.held_returns import HeldReturns, IsolatedReturns
 
 #: Of larger scans no memory is kept.
 KEPT_POINTS = 1 << 20
@@ -37,6 +39,9 @@ class RegisteredScan(NamedTuple):
             keep the order of the scan.
         centre: x and y of the middle of the sound returns, map frame, m, if all of them are outside
             the domain; otherwise, or if there is none, None.
+        isolated: Isolated returns, compared with those held back; None if there is none, or if
+            none are held back.
+        admitted: How many of the points are held-back returns of earlier scans.
     """
 
     pose: Pose
@@ -44,6 +49,8 @@ class RegisteredScan(NamedTuple):
     points: Array
     key: Keys
     centre: tuple[float, float] | None
+    isolated: IsolatedReturns | None = None
+    admitted: int = 0
 
 
 def register(
@@ -52,6 +59,7 @@ def register(
     lidar: LidarConfig,
     domain: Domain,
     sweep: Sweep | None = None,
+    held: HeldReturns | None = None,
 ) -> tuple[RegisteredScan, dict[str, int]]:
     """Keep the sound returns, apply Eq. 15 and bring them into the order of the cells.
 
@@ -60,6 +68,8 @@ def register(
             finite = no return.
         pose: Of the lidar at the scan's stamp.
         sweep: How the lidar moved while it took the scan, if it did; of as many points.
+        held: Isolated returns of earlier scans. Those that this one confirms enter with it;
+            without it, all isolated returns are dropped.
 
     Returns:
         The scan and how many points were dropped, by reason: ``no_return``, ``range``,
@@ -94,9 +104,15 @@ def register(
     )
     if points_lidar.ndim == 3:
         image = work.ranges.reshape(points_lidar.shape[:2])
-        isolated = isolated_in_image(image, lidar.outlier_gate)
+        alone = isolated_in_image(image, lidar.outlier_gate)
     else:
-        isolated = isolated_in_space(turned, work.ranges, lidar.outlier_gate)
+        alone = isolated_in_space(turned, work.ranges, lidar.outlier_gate)
+    compared = None
+    if held is not None and len(alone):
+        compared = held.compare(turned[alone] + pose.position, domain, lidar.outlier_gate)
+        alone = alone[~compared.confirmed]
+    work.ranges[alone] = np.nan
+    isolated = len(alone)
     sound = len(flat) - work.missing - work.beyond - isolated
     points, key = work.answer()
     inside = arrange(work, isolated > 0, n * n) if abs(z) < HIGHEST else 0
@@ -105,14 +121,21 @@ def register(
         middle = (turned[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]).tolist()
     above = int(np.count_nonzero(points[:inside, 2] > 0.0)) if work.above else 0
     above = inside if 2 * above > inside else 0
+    points, key, admitted = points[: inside - above], key[: inside - above], 0
+    if held is not None and compared is not None and len(compared.admitted) and len(key):
+        places = held.places(compared.admitted, domain)
+        points, key = _with_held(points, key, places - pose.position, compared.admitted, n)
+        admitted = len(places)
     scan = RegisteredScan(
         pose=Pose(
             pose.stamp_ns, pose.position, pose.rotation_map_lidar, sound_covariance(pose.covariance)
         ),
         origin=pose.position,
-        points=points[: inside - above],
-        key=key[: inside - above],
+        points=points,
+        key=key,
         centre=None if middle is None else (middle[0], middle[1]),
+        isolated=compared,
+        admitted=admitted,
     )
     dropped = {
         "no_return": work.missing,
@@ -121,6 +144,16 @@ def register(
         "outside": sound - inside,
     }
     return scan, dropped | ({"above": above} if above else {})
+
+
+def _with_held(points: Array, key: Keys, places: Array, cells: Index, n: int) -> tuple[Array, Keys]:
+    """Points (N, 3) and their ascending keys (N,) with ``places`` (A, 3), each after the points of
+    its cell. ``cells``: (A,) of the places, iy * n + ix."""
+    iy, ix = np.divmod(cells, n)
+    own = SPREAD[ix] | SPREAD[iy] << 1
+    order = np.argsort(own)
+    at = np.searchsorted(key, own[order], side="right")
+    return np.insert(points, at, places[order], axis=0), np.insert(key, at, own[order])
 
 
 def _workspace(size: int) -> Workspace:

@@ -8,6 +8,7 @@ the files.
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import replace
 from typing import Any, BinaryIO, TypeAlias
 
@@ -15,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.core.tree.held_returns import SHOWN
 from quadtree_lss.onboard.core.tree.leaves import LEAF, MEASURED, leaf_raster
 from quadtree_lss.onboard.core.tree.soundness import sound_planes
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 #: Increases whenever the arrays of `Mapper.export_state` change their meaning.
-FORMAT = 7
+FORMAT = 8
 
 #: Tolerance of a principal minor of a correlation matrix. Fusion leaves this much when the pose
 #: variance is up to 10^18 times the range variance (`geometry.plane.keep_possible`).
@@ -99,6 +101,10 @@ def check(
     count = len(state["leaves"])
     _see(count <= max_cells, f"has {count} leaves, mapping.max_cells is {max_cells}")
     _check_leaves(state["leaves"], domain)
+    held, scans = state["held_scan"], int(state["held_scans"])
+    sound = bool(((held >= 0) & (held <= scans)).all()) and scans < 2**31
+    sound &= bool(np.isfinite(state["held_height"]).all() and (state["held_shown"] <= SHOWN).all())
+    _see(sound and math.isfinite(float(state["held_lifted"])), "has impossible held-back returns")
     return there
 
 
