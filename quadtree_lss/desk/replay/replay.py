@@ -112,9 +112,10 @@ def replay(
         else:
             cells = run.map_scans(source, prior)
         passes.finish(run.done_ns, lambda: cells)
-        losses, counts = [*opened.losses, *run.losses], run.counts()
+        losses, counts, notes = [*opened.losses, *run.losses], run.counts(), [*opened.notes]
         if isinstance(source, Stream):
             losses, counts = [*losses, *source.losses], counts | source.counts()
+            notes += source.notes
     if progress is not None and not run.interrupted:
         progress(part.seconds, part.seconds)
     decoded, assessment = passes.cells, passes.last
@@ -143,7 +144,7 @@ def replay(
         target=passes.changes[-1].id if passes.changes else 0,
         target_changes=len(passes.changes),
         losses=losses,
-        warnings=[*assessment.doubts, *opened.notes, *run.warnings()],
+        warnings=[*assessment.doubts, *notes, *run.warnings()],
     )
     timings, targets = tuple(run.timings), tuple(passes.changes)
     result = ReplayResult(folder, decoded, assessment, timings, summary, targets)
