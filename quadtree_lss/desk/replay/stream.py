@@ -7,6 +7,7 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,11 +22,13 @@ from quadtree_lss.onboard.config.settings import (
     MountConfig,
     config_from_values,
 )
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.sensing.transforms import FixedTransforms
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.errors import QuadtreeLssError, one_line
 from quadtree_lss.onboard.messages import outputs
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
-from quadtree_lss.onboard.messages.extrinsics import Extrinsics
+from quadtree_lss.onboard.messages.extrinsics import add_transforms
 from quadtree_lss.onboard.messages.intake import Intake, Notice, ReadyScan
 from quadtree_lss.onboard.messages.landing_inputs import TYPES, LandingWishes
 
@@ -87,7 +90,8 @@ class Stream:
     the latter two may be empty. ``hear`` may be set to what is also given each message, after its
     kind. ``settings`` are parameters that follow from the bag: ``mount.source: tf`` where no mount
     is set, poses are of a body and ``/tf_static`` leads from it to the scans; if ``adapt``,
-    ``frames.map`` of the first pose. Raises `BagError`: a topic is missing or ambiguous."""
+    ``frames.map`` of the first pose. ``tf_mounts`` are mounts that ``/tf_static`` allows where the
+    body's frame is not known, by that frame. Raises `BagError`: a topic is missing or ambiguous."""
 
     def __init__(
         self,
@@ -107,6 +111,7 @@ class Stream:
         )
         self.notes = [note] * bool(note)
         self.settings: dict[str, Any] = {}
+        self.tf_mounts: dict[str, Pose] = {}
         first = self._first(self.poses, self.pose_type)
         if adapt and first is not None and first.header.frame_id.strip("/"):
             frame = first.header.frame_id.lstrip("/")
@@ -150,25 +155,25 @@ class Stream:
         says that there is none. ``pose``: the first one."""
         there = topics.candidates(self._bag, types.TRANSFORMS_TYPE)
         there = [name for name in there if name.endswith(topics.TRANSFORMS_TOPIC)]
-        body = config.frames.body or getattr(pose, "child_frame_id", "")
         scan = self._first(self.scans, self.scan_type)
-        if len(there) != 1 or not body or scan is None:
+        if len(there) != 1 or scan is None:
             return {}
-        found = {"mount.source": "tf"}
-        chain = Extrinsics(config_from_values(found, config))
-        self._transforms(there[0], chain.on_transforms)
+        tree = FixedTransforms()
         with contextlib.suppress(MessageError):
-            chain.check_body(body)
-            chain.check_lidar(scan.header.frame_id)
-        mount = chain.mount
-        if mount is None or (
-            np.allclose(mount.position, 0.0) and np.allclose(mount.rotation_map_lidar, np.eye(3))
-        ):
+            self._transforms(there[0], partial(add_transforms, tree))
+        lidar, body = scan.header.frame_id, config.frames.body or getattr(pose, "child_frame_id", "")
+        bodies = {body.lstrip("/")} if body else {*tree.frames()} - {config.frames.map}
+        mounts = {name: tree.between(name, lidar) for name in sorted(bodies)}
+        self.tf_mounts = {
+            name: mount
+            for name, mount in mounts.items()
+            if mount is not None and not _is_identity(mount)
+        }
+        if not body or not self.tf_mounts:
             return {}
-        frames = f"poses are of '{body}', scans of '{scan.header.frame_id}'"
-        text = f"{frames}: the mount is taken from {there[0]}; the nodes need mount.source: tf"
-        self.notes.append(one_line(text))
-        return found
+        text = f"poses are of '{body}', scans of '{lidar}': the mount is taken from {there[0]}"
+        self.notes.append(one_line(f"{text}; the nodes need mount.source: tf"))
+        return {"mount.source": "tf"}
 
     def ready(self, part: Part, progress: Progress | None = None) -> Iterator[ReadyScan]:
         """The scans of a part of the bag, each with the lidar's pose at its stamp."""
@@ -213,6 +218,11 @@ class Stream:
             "poses": self.intake.poses_taken,
             "messages_rejected": dict(self.intake.rejected),
         }
+
+
+def _is_identity(mount: Pose) -> bool:
+    turn = mount.rotation_map_lidar
+    return np.allclose(mount.position, 0.0) and np.allclose(turn, np.eye(3), atol=1e-6)
 
 
 class LandingTopics:

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag mapped as it is and with each setting that may fix it: what `doctor` says in the end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from quadtree_lss.desk.bags.bag import Bag
+from quadtree_lss.desk.bags.cloud_files import NO_POSES
+from quadtree_lss.desk.replay.doctor import Finding, Heard
+from quadtree_lss.desk.replay.replay import steps
+from quadtree_lss.desk.replay.stream import ReplayError, Stream
+from quadtree_lss.desk.replay.suggest import Seen, suggest_config
+from quadtree_lss.onboard.config.settings import Config, config_from_values
+
+if TYPE_CHECKING:
+    from quadtree_lss.desk.replay.info import BagInfo
+
+MOST_CONTRADICTING, LEAST_MAPPED = 0.05, 0.95
+"""Shares, of the points that the map could use and of the scans, of a bag with which nothing is
+wrong."""
+BETTER = 0.8
+"""A setting is kept if with it this share of what contradicts, or of the leaves, is left."""
+FITTED = ("domain.xmin", "domain.ymin", "domain.size", "domain.min_level", "domain.max_level")
+"""What is suggested for a trial if the domain is the default one, with the range noise."""
+
+
+class Trial(NamedTuple):
+    """A bag mapped. ``scans``: that were. ``used``, ``contradicting``: points. ``apart``: median of
+    the heights by which rejected scans lie over the map, m. ``leaves``: in the end."""
+
+    scans: int = 0
+    used: int = 0
+    contradicting: int = 0
+    apart: float = 0.0
+    leaves: int = 0
+
+    @property
+    def share(self) -> float:
+        """Of the points that the map could use those that contradict it; 1 if there is none."""
+        return self.contradicting / all_ if (all_ := self.used + self.contradicting) else 1.0
+
+    def improves_on(self, other: Trial) -> bool:
+        """Whether scans agree clearly better, or the same ground needs clearly fewer leaves."""
+        if not self.used or self.share > other.share + 0.01:
+            return False
+        fewer = self.leaves < BETTER * other.leaves
+        return not other.used or self.share < BETTER * other.share - 0.01 or fewer
+
+
+def mapped(bag: str | Path | Bag, config: Config, how: Mapping[str, Any]) -> Trial:
+    """Maps a bag. ``how``: topics and poses, as of `replay.replay`."""
+    scans = used = contradicting = leaves = 0
+    apart = []
+    for _, report, _ in steps(bag, config, **how):
+        scans, leaves = scans + 1, report.leaves
+        used += report.points_used
+        if against := report.dropped.get("contradiction", 0):
+            contradicting += against
+            apart.append(abs(report.offset))
+    return Trial(scans, used, contradicting, float(np.median(apart or [0.0])), leaves)
+
+
+def fitted(config: Config, values: Mapping[str, Any]) -> Config:
+    """The configuration with the domain and range noise that are suggested, where it has the
+    default ones."""
+    usual = Config()
+    names = FITTED if config.domain == usual.domain else ()
+    if config.lidar.range_noise == usual.lidar.range_noise:
+        names = (*names, "lidar.range_noise")
+    return config_from_values({name: values[name] for name in names}, config)
+
+
+def diagnosed(
+    info: BagInfo,
+    bag: Bag,
+    stream: Stream,
+    heard: Heard,
+    seen: Seen,
+    texts: Mapping[str, str],
+    how: Mapping[str, Any],
+) -> None:
+    """Adds to ``info`` what the ground of an open bag says, as far as mapping it confirms that, and
+    the verdict. ``texts``: of the intake's notices. ``how``: as of `mapped`."""
+    source: str | Bag = info.path if Path(info.path).exists() else bag
+    config, best = stream.config, Trial()
+    try:
+        if seen.places:
+            config = fitted(config, seen.suggestion(bag.path, {}, ()).values)
+            best = mapped(source, config, how)
+    except ReplayError as error:
+        info.findings.append(Finding("nothing", str(error), fatal=True))
+    trial, asked = best, stream.config
+    timed = not {"times_unreasonable", "times_unknown"} & texts.keys()
+    for finding in [] if NO_POSES in bag.notes else heard.findings(config, timed=timed):
+        if finding.settings is None:
+            info.findings.append(finding)
+            continue
+        changed = config_from_values(finding.settings, asked)
+        try:
+            values = suggest_config(source, changed, **how).values
+            found = mapped(source, fitted(changed, values), how)
+        except ReplayError:
+            continue
+        if found.improves_on(best):
+            best, asked = found, changed
+            text = f"{finding.text}; with it {_contradicting(found)}"
+            info.findings.append(finding._replace(text=text))
+    _judge(info, trial)
+
+
+def _contradicting(trial: Trial) -> str:
+    return f"{100 * trial.share:.1f} % of the points contradict the map"
+
+
+def _judge(info: BagInfo, trial: Trial) -> None:
+    """Sets the verdict; where nothing else is wrong it is a finding."""
+    total = info.scans_with_pose + sum(info.scans_dropped.values())
+    disagree = trial.scans > 0 and trial.share > MOST_CONTRADICTING
+    for k, finding in enumerate(info.findings):
+        if disagree and finding.key == "frames" and finding.text.startswith(info.scan_topic):
+            mend = "send the clouds of each lidar on a topic of its own"
+            info.findings[k] = finding._replace(mend=mend)
+    count = sum(bool(finding.mend) or finding.fatal for finding in info.findings)
+    figures = f"{trial.scans} of {total} scans mapped, {_contradicting(trial)}"
+    why = "; no common fault explains it" if not count else ": see above"
+    if trial.scans < LEAST_MAPPED * total:
+        reason = max(info.scans_dropped, key=info.scans_dropped.__getitem__, default="")
+        scans = next(topic for topic in info.topics if topic.name == info.scan_topic)
+        if reason == "duplicate":
+            one = scans.first_stamp_ns == scans.last_stamp_ns
+            reason = "one stamp" if one else "stamps that a scan before them has"
+            reason += ", check the driver's timestamp mode and for a second publisher"
+        info.verdict = f"{total - trial.scans} of {total} scans dropped: {reason or 'no return'}"
+        info.findings.append(Finding("dropped", info.verdict, fatal=True))
+    elif disagree:
+        info.verdict = f"scans disagree by {trial.apart:.2g} m{why} ({figures})"
+        info.findings.append(Finding("disagree", info.verdict, fatal=True))
+    elif count:
+        info.verdict = f"{count} fault{'s' * (count > 1)}, see above; as it is, {figures}"
+    else:
+        read = f"{info.scan_topic} and {info.pose_topic}"
+        info.verdict = f"nothing is wrong with {read}: {figures}"
