@@ -125,6 +125,7 @@ def radians(config: Config) -> str:
 
 
 def _suggest(options: argparse.Namespace) -> int:
+    from quadtree_lss.desk.replay.info import inspect_bag
     from quadtree_lss.desk.replay.suggest import suggest_config
 
     if len(options.names) != 1:
@@ -132,6 +133,11 @@ def _suggest(options: argparse.Namespace) -> int:
     config, how = _chosen(options), common.given(options, *common.TOPICS)
     with ProgressBar("suggest", "s", options.verbose) as bar:
         found = suggest_config(options.names[0], config, **how, progress=bar.update)
+        info = inspect_bag(options.names[0], config, **how, diagnose=True, progress=bar.update)
+    suggested = found.values.items()
+    wrong = (f for f in info.findings if f.mend and not (f.settings or {"": 0}).items() <= suggested)
+    notes = [*found.notes, *(f"Wrong: {finding.line}" for finding in wrong)]
+    found = dataclasses.replace(found, notes=tuple(notes))
     common.show(options, found.as_dict(), found.text().removesuffix("\n"))
     for note in found.notes[1:]:
         warn(note)

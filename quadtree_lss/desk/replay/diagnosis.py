@@ -11,11 +11,12 @@ import numpy as np
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.cloud_files import NO_POSES
-from quadtree_lss.desk.replay.doctor import Finding, Heard
+from quadtree_lss.desk.replay.doctor import Finding, Heard, setting
 from quadtree_lss.desk.replay.replay import steps
-from quadtree_lss.desk.replay.stream import ReplayError, Stream
+from quadtree_lss.desk.replay.stream import Stream
 from quadtree_lss.desk.replay.suggest import Seen, suggest_config
 from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.errors import QuadtreeLssError
 
 if TYPE_CHECKING:
     from quadtree_lss.desk.replay.info import BagInfo
@@ -87,16 +88,22 @@ def diagnosed(
     """Adds to ``info`` what the ground of an open bag says, as far as mapping it confirms that, and
     the verdict. ``texts``: of the intake's notices. ``how``: as of `mapped`."""
     source: str | Bag = info.path if Path(info.path).exists() else bag
-    config, best = stream.config, Trial()
+    config, best, failure = stream.config, Trial(), "no return lies in the lidar's range"
+    found_by_range = []
     try:
         if seen.places:
-            config = fitted(config, seen.suggestion(bag.path, {}, ()).values)
+            values = seen.suggestion(bag.path, {}, ()).values
+            config = fitted(config, values)
+            if most := values.get("lidar.max_range"):
+                text = "many returns are at one greatest range: rays without a return"
+                found_by_range = [setting("max_range", text, {"lidar.max_range": most})]
             best = mapped(source, config, how)
-    except ReplayError as error:
-        info.findings.append(Finding("nothing", str(error), fatal=True))
+    except QuadtreeLssError as error:
+        failure = str(error)
     trial, asked = best, stream.config
     timed = not {"times_unreasonable", "times_unknown"} & texts.keys()
-    for finding in [] if NO_POSES in bag.notes else heard.findings(config, timed=timed):
+    by_ground = [] if NO_POSES in bag.notes else heard.findings(config, timed=timed)
+    for finding in [*found_by_range, *by_ground]:
         if finding.settings is None:
             info.findings.append(finding)
             continue
@@ -104,38 +111,45 @@ def diagnosed(
         try:
             values = suggest_config(source, changed, **how).values
             found = mapped(source, fitted(changed, values), how)
-        except ReplayError:
+        except QuadtreeLssError:
             continue
         if found.improves_on(best):
             best, asked = found, changed
             text = f"{finding.text}; with it {_contradicting(found)}"
             info.findings.append(finding._replace(text=text))
-    _judge(info, trial)
+    _judge(info, trial, failure)
 
 
 def _contradicting(trial: Trial) -> str:
     return f"{100 * trial.share:.1f} % of the points contradict the map"
 
 
-def _judge(info: BagInfo, trial: Trial) -> None:
-    """Sets the verdict; where nothing else is wrong it is a finding."""
+def _judge(info: BagInfo, trial: Trial, failure: str) -> None:
+    """Sets the verdict; where nothing else is wrong it is a finding. ``failure``: why no scan was
+    mapped although some have a pose."""
     total = info.scans_with_pose + sum(info.scans_dropped.values())
     disagree = trial.scans > 0 and trial.share > MOST_CONTRADICTING
+    others = any(finding.mend for finding in info.findings if finding.key != "outside")
     for k, finding in enumerate(info.findings):
+        if others and finding.key == "outside":  # as a consequence
+            info.findings[k] = finding._replace(mend="")
         if disagree and finding.key == "frames" and finding.text.startswith(info.scan_topic):
             mend = "send the clouds of each lidar on a topic of its own"
             info.findings[k] = finding._replace(mend=mend)
     count = sum(bool(finding.mend) or finding.fatal for finding in info.findings)
     figures = f"{trial.scans} of {total} scans mapped, {_contradicting(trial)}"
     why = "; no common fault explains it" if not count else ": see above"
-    if trial.scans < LEAST_MAPPED * total:
+    if not trial.scans and info.scans_with_pose:
+        info.verdict = f"no scan mapped: {'see above' if count else failure}"
+        info.findings += [] if count else [Finding("dropped", info.verdict, fatal=True)]
+    elif trial.scans < LEAST_MAPPED * total:
         reason = max(info.scans_dropped, key=info.scans_dropped.__getitem__, default="")
         scans = next(topic for topic in info.topics if topic.name == info.scan_topic)
         if reason == "duplicate":
             one = scans.first_stamp_ns == scans.last_stamp_ns
             reason = "one stamp" if one else "stamps that a scan before them has"
             reason += ", check the driver's timestamp mode and for a second publisher"
-        info.verdict = f"{total - trial.scans} of {total} scans dropped: {reason or 'no return'}"
+        info.verdict = f"{total - trial.scans} of {total} scans dropped: {reason}"
         info.findings.append(Finding("dropped", info.verdict, fatal=True))
     elif disagree:
         info.verdict = f"scans disagree by {trial.apart:.2g} m{why} ({figures})"

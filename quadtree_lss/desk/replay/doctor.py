@@ -30,7 +30,7 @@ from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.mount import AXES, cloud_turn, fixed_mount
 from quadtree_lss.onboard.messages.clouds import MessageError, points_from_cloud, stamp_ns
 from quadtree_lss.onboard.messages.lost_points import LOOKING_DOWN, NED_FROM_ENU
-from quadtree_lss.onboard.messages.poses import has_unknown_covariance, mount_from_message
+from quadtree_lss.onboard.messages.poses import mount_from_message
 from quadtree_lss.onboard.messages.times import offsets_from_cloud
 
 MOST_SCANS, MOST_POINTS = 60, 800
@@ -91,17 +91,16 @@ class Heard:
     """Some scans, all poses and gimbal angles of a bag.
 
     ``mount``: of the lidar on the body where that is fixed. ``tf_mounts``: what it may be by
-    ``/tf_static``, by the body's frame. ``frames``: of the last cloud and pose.
+    ``/tf_static``, by the body's frame.
     """
 
     def __init__(self) -> None:
         self._scans: list[tuple[int, Array]] = []
         self._every, self._count = 1, 0
-        self._poses: list[tuple[int, Array, Array, bool]] = []
+        self._poses: list[tuple[int, Array, Array]] = []
         self._gimbal: list[tuple[int, Array, Array]] = []
         self.mount: Pose | None = None
         self.tf_mounts: dict[str, Pose] = {}
-        self.frames: tuple[str, str] = ("", "")
 
     def add(self, what: str, msg: Any) -> None:
         """A message of a `Stream`; depth images and their cameras say nothing here."""
@@ -113,7 +112,6 @@ class Heard:
     def add_cloud(self, msg: Any) -> None:
         """One scan, of which some points are kept."""
         self._count += 1
-        self.frames = msg.header.frame_id.lstrip("/"), self.frames[1]
         if (self._count - 1) // 2 % self._every:
             return
         try:
@@ -133,10 +131,8 @@ class Heard:
         p, q = msg.pose.pose.position, msg.pose.pose.orientation
         place, turn = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
         size = np.linalg.norm(turn)
-        self.frames = self.frames[0], msg.header.frame_id.lstrip("/")
         if np.isfinite(place).all() and size > 0.5:
-            known = not has_unknown_covariance(msg)
-            self._poses.append((stamp_ns(msg.header), place, turn / size, known))
+            self._poses.append((stamp_ns(msg.header), place, turn / size))
 
     def add_gimbal(self, msg: Any) -> None:
         angle = mount_from_message(msg)
@@ -146,23 +142,15 @@ class Heard:
     def findings(self, config: Config, *, timed: bool = True) -> list[Finding]:
         """What the messages and the ground say. ``timed``: the points' times, if any, are known;
         otherwise no lag is judged."""
-        found = []
-        if self._poses and not any(known for *_, known in self._poses):
-            place, turn = config.pose.unknown_position_sigma, config.pose.unknown_attitude_sigma_deg
-            text = f"no pose tells how well it is known: {place:g} m and {turn:g} deg are assumed"
-            text += " (pose.unknown_position_sigma, pose.unknown_attitude_sigma_deg)"
-            found.append(Finding("covariance", text))
-        found += self._path_findings()
+        found = self._path_findings()
         flight = self._flight(config)
         if flight is None:
             return found
-        if self.frames[0] == self.frames[1]:
-            return [*found, Finding("map_cloud", *MAP_CLOUD)]
         return found + _judged(flight, config, self.tf_mounts, timed=timed)
 
     def _path_findings(self) -> list[Finding]:
         """Poses of two publishers on one topic, and of a geographic grid."""
-        places = np.array([place for _, (place, *_) in sorted((p[0], p[1:]) for p in self._poses)])
+        places = np.array([place for _, place, _ in sorted(self._poses, key=lambda pose: pose[0])])
         if len(places) < 8:
             return []
         leap = np.linalg.norm(places[1:-1] - 0.5 * (places[:-2] + places[2:]), axis=1)
@@ -179,7 +167,7 @@ class Heard:
 
     def _flight(self, config: Config) -> _Flight | None:
         """What can be compared; None where scans and poses are of other times, or too few."""
-        poses = {stamp: (place, turn) for stamp, place, turn, _ in self._poses}
+        poses = {stamp: (place, turn) for stamp, place, turn in self._poses}
         angles = {stamp: (place, turn) for stamp, place, turn in self._gimbal}
         if len(poses) < 2:
             return None
@@ -247,10 +235,17 @@ class _Flight:
         self.last = float(body.times[-1])
         self.ranges = np.linalg.norm(self.points, axis=1)
         self._limits, self.own = (lidar.min_range, lidar.max_range), np.zeros(len(self.of), bool)
-        used = self.used(1.0) if self.used(1.0).mean() > IN_RANGE else np.ones(len(self.of), bool)
+        self.range, self.cell, self.normals = 0.0, 0.0, np.zeros((len(scans), 3))
+        self._measure()
+
+    def _measure(self) -> None:
+        """Range, normals of the scans and the side of a cell, by the points that are used."""
+        used = self.used(1.0)
+        if used.mean() <= IN_RANGE:
+            used = ~self.own
         self.range = float(np.median(self.ranges[used]))
-        spreads, self.normals = [], np.zeros((len(scans), 3))
-        for k in range(len(scans)):
+        spreads = []
+        for k in range(len(self.times)):
             points = self.points[used & (self.of == k)]
             if len(points) >= FEWEST:
                 _, sizes, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
@@ -287,7 +282,7 @@ class _Flight:
         if np.mean(aloft[own]) < 0.8 or np.mean(self.ranges[used & ~own] < least) > 0.02:
             return None
         self.own = own
-        self.range = float(np.median(self.ranges[self.used(1.0)]))
+        self._measure()
         text = f"{100 * own.sum() / used.sum():.0f} % of the returns are always at the same place"
         text += f" close by, within {farthest:.2g} m: the vehicle itself"
         return setting("own_returns", text, {"lidar.min_range": least})

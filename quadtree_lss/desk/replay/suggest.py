@@ -37,6 +37,8 @@ SPACINGS, NOISES, MOST_CELLS, LEAST_CELLS = 1.75, 4.0, 16.0, 6.5
 QUANTILE, AT_QUANTILE = 0.3, 0.638
 #: Of a level: rather finer than coarser, where the wanted cell lies between two.
 FINER = 0.2
+#: Ranges that are the same, relative; so many at the greatest are no returns, as a share.
+SAME, MANY = 1e-5, 0.02
 #: Levels between the coarsest and the finest cells.
 LEVELS = 4
 
@@ -98,6 +100,7 @@ class Seen:
         self._scans = 0
         self._noise: list[float] = []
         self._spacing: list[float] = []
+        self._most: list[float] = []
 
     def add(self, scan: ReadyScan, every: int) -> None:
         """Takes a scan; one of ``every`` so many is looked at."""
@@ -110,6 +113,10 @@ class Seen:
         with np.errstate(invalid="ignore"):
             sound = (ranges >= lidar.min_range) & (ranges <= lidar.max_range)
         points, ranges = points[sound], ranges[sound]
+        at_most = ranges > (1.0 - SAME) * ranges.max(initial=0.0)
+        if np.mean(at_most) > MANY:
+            self._most.append(float(ranges.max()))
+            points, ranges = points[~at_most], ranges[~at_most]
         if len(points) < NEIGHBOURS:
             return
         placed = points @ scan.pose.rotation_map_lidar.T + scan.pose.position
@@ -159,8 +166,11 @@ class Seen:
         apart = f"returns of a scan are {spacing:.2g} m apart on the ground, and the vehicle"
         sizes = f"cells of {coarse:g} ... {finest:g} m: {apart} measures {vehicle.diameter:g} m"
         values |= settings
+        if 2 * len(self._most) > len(self.places):
+            values["lidar.max_range"] = float(f"{0.99 * min(self._most):.3g}")
         reasons = {
             "frames.map": "of the poses",
+            "lidar.max_range": "many returns are at one greatest range: rays without a return",
             "mount.source": "/tf_static leads from the poses' frame to the scans'",
             "domain.xmin": f"99 % of the returns lie in x {x}, y {y} m",
             "domain.max_level": sizes,

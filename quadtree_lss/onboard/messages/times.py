@@ -37,9 +37,9 @@ MAX_OFFSET_NS = 1_000_000_000
 #: Units of integers and of floats, ns, the usual first.
 UNITS = {"i": (1.0, 1e3, 1e6), "u": (1.0, 1e3, 1e6), "f": (1e9, 1.0, 1e3, 1e6)}
 #: A scan lasts from so little to so many periods: units, a thousandfold apart, are told by it.
-LEAST_PERIODS, MOST_PERIODS = 0.02, 2.5
+LEAST_PERIODS, MOST_PERIODS = 0.05, 2.5
 #: Where the period is not known yet, a scan lasts as long as at 20 Hz to 10 Hz by those limits, ns.
-USUAL_SPAN_NS = (1e6, 0.25e9)
+USUAL_SPAN_NS = (2.5e6, 0.25e9)
 
 
 class PointTimes(NamedTuple):
