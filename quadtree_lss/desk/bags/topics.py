@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Collection
 
 import numpy as np
 
 from quadtree_lss.desk.bags import message_types as types
 from quadtree_lss.desk.bags.bag import Bag, BagError
+from quadtree_lss.onboard.messages.clouds import MessageError
+from quadtree_lss.onboard.messages.depth import ENCODINGS
 from quadtree_lss.onboard.messages.intake import GAP_NS
 from quadtree_lss.onboard.messages.landing_inputs import TYPES
 from quadtree_lss.onboard.messages.outputs import TOPIC_TYPES
@@ -140,11 +143,21 @@ def choose_scan_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, st
     """Topic and type of the scans, as of `choose_pose_topic` by ``lidar.source``, and the topic of
     the CameraInfo of depth images, empty for clouds. Raises `BagError`: lists the candidates."""
     order = (DEPTH_TOPIC, SCAN_TOPIC) if source == "depth" else (SCAN_TOPIC, DEPTH_TOPIC)
-    topic, kind = _choose(bag, asked, order, "--scan-topic")
+    topic, kind = _choose(bag, asked, order, "--scan-topic", _without_depth(bag))
     if kind == types.SCAN_TYPE:
         return topic, kind, ""
     beside = topic.rpartition("/")[0] + "/camera_info"
     return topic, kind, choose_topic(bag, None, beside, "the CameraInfo", types.CAMERA_TYPE)
+
+
+def _without_depth(bag: Bag) -> list[str]:
+    """Topics of images that are colour or infrared, by the first of each, where there are more."""
+    names, others = candidates(bag, types.IMAGE_TYPE), []
+    for name in names if len(names) > 1 else []:
+        with contextlib.suppress(MessageError, StopIteration):
+            first = bag.decode(next(iter(bag.messages([name]))).raw, types.IMAGE_TYPE)
+            others += [name] * (first.encoding not in ENCODINGS)
+    return others
 
 
 def _choose(

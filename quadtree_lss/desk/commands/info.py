@@ -75,7 +75,8 @@ def _doctor(options: argparse.Namespace) -> int:
     lines = [f"wrong: {finding.text}\nmend:  {finding.mend or none}" for finding in told]
     lines += [f"note:  {finding.text}" for finding in notes]
     lines += [f"damaged: {text}" for text in info.losses]
-    lines += [info.verdict or ("nothing is wrong with the maps" if info.works else "no verdict")]
+    good = "nothing is wrong with the maps" if info.works else "nothing can be mapped: see above"
+    lines.append(info.verdict or good)
     findings = [finding._asdict() for finding in (*wrong, *notes)]
     content = {"findings": findings, "losses": info.losses, "verdict": info.verdict}
     common.show(options, content, "\n".join(lines))

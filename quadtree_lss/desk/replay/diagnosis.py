@@ -11,7 +11,8 @@ import numpy as np
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.cloud_files import NO_POSES
-from quadtree_lss.desk.replay.doctor import Finding, Heard, setting
+from quadtree_lss.desk.replay.doctor import findings
+from quadtree_lss.desk.replay.heard import Finding, Heard, setting
 from quadtree_lss.desk.replay.replay import steps
 from quadtree_lss.desk.replay.stream import Stream
 from quadtree_lss.desk.replay.suggest import Seen, suggest_config
@@ -42,8 +43,8 @@ class Trial(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Of the points that the map could use those that contradict it; 1 if there is none."""
-        return self.contradicting / all_ if (all_ := self.used + self.contradicting) else 1.0
+        """Of the points that the map could use those that contradict it."""
+        return self.contradicting / all_ if (all_ := self.used + self.contradicting) else 0.0
 
     def improves_on(self, other: Trial) -> bool:
         """Whether scans agree clearly better, or the same ground needs clearly fewer leaves."""
@@ -98,11 +99,13 @@ def diagnosed(
                 text = "many returns are at one greatest range: rays without a return"
                 found_by_range = [setting("max_range", text, {"lidar.max_range": most})]
             best = mapped(source, config, how)
+            if most:
+                config = config_from_values({"lidar.max_range": most}, config)
     except QuadtreeLssError as error:
         failure = str(error)
     trial, asked = best, stream.config
     timed = not {"times_unreasonable", "times_unknown"} & texts.keys()
-    by_ground = [] if NO_POSES in bag.notes else heard.findings(config, timed=timed)
+    by_ground = [] if NO_POSES in bag.notes else findings(heard, config, timed=timed)
     for finding in [*found_by_range, *by_ground]:
         if finding.settings is None:
             info.findings.append(finding)
@@ -117,18 +120,20 @@ def diagnosed(
             best, asked = found, changed
             text = f"{finding.text}; with it {_contradicting(found)}"
             info.findings.append(finding._replace(text=text))
-    _judge(info, trial, failure)
+    _judge(info, trial, failure, texts)
 
 
 def _contradicting(trial: Trial) -> str:
+    if not trial.used:
+        return "no point enters the map"
     return f"{100 * trial.share:.1f} % of the points contradict the map"
 
 
-def _judge(info: BagInfo, trial: Trial, failure: str) -> None:
-    """Sets the verdict; where nothing else is wrong it is a finding. ``failure``: why no scan was
-    mapped although some have a pose."""
+def _judge(info: BagInfo, trial: Trial, failure: str, texts: Mapping[str, str]) -> None:
+    """Sets the verdict; where it is no good one it is a finding, too. ``failure``: why no scan was
+    mapped although some have a pose. ``texts``: of the intake's notices."""
     total = info.scans_with_pose + sum(info.scans_dropped.values())
-    disagree = trial.scans > 0 and trial.share > MOST_CONTRADICTING
+    disagree = trial.share > MOST_CONTRADICTING
     others = any(finding.mend for finding in info.findings if finding.key != "outside")
     for k, finding in enumerate(info.findings):
         if others and finding.key == "outside":  # as a consequence
@@ -139,8 +144,8 @@ def _judge(info: BagInfo, trial: Trial, failure: str) -> None:
     count = sum(bool(finding.mend) or finding.fatal for finding in info.findings)
     figures = f"{trial.scans} of {total} scans mapped, {_contradicting(trial)}"
     why = "; no common fault explains it" if not count else ": see above"
-    if not trial.scans and info.scans_with_pose:
-        info.verdict = f"no scan mapped: {'see above' if count else failure}"
+    if not trial.used and info.scans_with_pose:
+        info.verdict = f"no scan can be mapped: {'see above' if count else failure}"
         info.findings += [] if count else [Finding("dropped", info.verdict, fatal=True)]
     elif trial.scans < LEAST_MAPPED * total:
         reason = max(info.scans_dropped, key=info.scans_dropped.__getitem__, default="")
@@ -148,8 +153,10 @@ def _judge(info: BagInfo, trial: Trial, failure: str) -> None:
         if reason == "duplicate":
             one = scans.first_stamp_ns == scans.last_stamp_ns
             reason = "one stamp" if one else "stamps that a scan before them has"
-            reason += ", check the driver's timestamp mode and for a second publisher"
-        info.verdict = f"{total - trial.scans} of {total} scans dropped: {reason}"
+            reason += ": check the driver's timestamp mode, and for a second publisher"
+        info.verdict = (
+            f"{total - trial.scans} of {total} scans dropped: {texts.get(reason, reason)}"
+        )
         info.findings.append(Finding("dropped", info.verdict, fatal=True))
     elif disagree:
         info.verdict = f"scans disagree by {trial.apart:.2g} m{why} ({figures})"

@@ -19,8 +19,8 @@ from quadtree_lss.desk.bags.cloud_files import open_recording
 from quadtree_lss.desk.bags.message_types import POSE_TYPES, SCAN_TYPES
 from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.replay.diagnosis import diagnosed
-from quadtree_lss.desk.replay.doctor import Finding, Heard, setting
 from quadtree_lss.desk.replay.files import plain
+from quadtree_lss.desk.replay.heard import Finding, Heard, setting
 from quadtree_lss.desk.replay.results import points_line, points_warning
 from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Part, Progress, Stream, rate
 from quadtree_lss.desk.replay.suggest import SCANS, Seen
@@ -263,8 +263,8 @@ def _read(
     for topic in info.topics:
         if headers[topic.name]:
             topic.tell(headers[topic.name])
-    rejected = intake.rejected
-    rare = {key for key in rejected if key.startswith("times_") and 2 * rejected[key] < intake.scans}
+    rejected, scans = intake.rejected, intake.scans
+    rare = {key for key in rejected if key.startswith("times_") and 2 * rejected[key] < scans}
     info.findings += _judge(info, texts, rare)
     if frame := stream.settings.get("frames.map"):
         text, values = f"poses are in frame '{frame}', not in frames.map", {"frames.map": frame}

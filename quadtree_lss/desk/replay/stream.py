@@ -161,7 +161,8 @@ class Stream:
         tree = FixedTransforms()
         with contextlib.suppress(MessageError):
             self._transforms(there[0], partial(add_transforms, tree))
-        lidar, body = scan.header.frame_id, config.frames.body or getattr(pose, "child_frame_id", "")
+        lidar = scan.header.frame_id
+        body = config.frames.body or getattr(pose, "child_frame_id", "")
         bodies = {body.lstrip("/")} if body else {*tree.frames()} - {config.frames.map}
         mounts = {name: tree.between(name, lidar) for name in sorted(bodies)}
         self.tf_mounts = {

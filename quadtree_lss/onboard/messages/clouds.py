@@ -105,8 +105,10 @@ def layout_note(msg: Any) -> str:
     if not wrong:
         return ""
     shape = f"{msg.width} x {msg.height} points of {msg.point_step} bytes"
-    return f"cloud of {shape} has {', '.join(wrong)}; read with rows of {packed} bytes and single"\
+    return (
+        f"cloud of {shape} has {', '.join(wrong)}; read with rows of {packed} bytes and single"
         " values: correct the driver"
+    )
 
 
 def _row_step(msg: Any, size: int) -> int:
