@@ -32,9 +32,9 @@ KINDS = {
 OUTPUTS = (*(f"/{name}" for name in TOPIC_TYPES), "/landing/dispersion")
 """How topics end that are clouds or poses by type, but our own output or what guidance says."""
 
-COVERED, SELDOM = 0.9, 0.1
-"""Share of the scans with poses around them, and rate, of the most that any pose topic has: with
-less a topic is passed over."""
+COVERED, SELDOM = 0.9, 0.5
+"""Share of the scans with poses around them, and rate up to that of the scans, of the most that any
+pose topic has: with less a topic is passed over."""
 _RAW = "ros2 run point_cloud_transport republish --ros-args -p out_transport:=raw -p in_transport:="
 _LIVOX = "livox_ros_driver2 sends PointCloud2 with xfer_format: 0; of a recording, play it through"
 CONVERSIONS = {
@@ -98,8 +98,8 @@ def choose_pose_topic(
     bag: Bag, asked: str | None, source: str, scans: str = ""
 ) -> tuple[str, str, str]:
     """Topic and type of the poses, and what to know of the choice: of the type preferred, of the
-    other if there is none of it. Topics with poses at too few of the scans' times, or far more
-    seldom than another, are passed over. ``bag``: an open bag. ``asked``: topic that the user
+    other if there is none of it. Topics with poses at too few of the scans' times, or more seldom
+    than scans while another has more, are passed over. ``bag``: an open bag. ``asked``: topic that the user
     named, or None. ``source``: ``pose`` or ``odometry``, as ``pose.source`` has it. ``scans``:
     topic of the scans. Raises `BagError`: lists the candidates."""
     order = (ODOMETRY_TOPIC, POSE_TOPIC) if source == "odometry" else (POSE_TOPIC, ODOMETRY_TOPIC)
@@ -122,7 +122,7 @@ def choose_pose_topic(
 
 def _useful_rates(bag: Bag, names: list[str], scans: str) -> dict[str, tuple[float, float]]:
     """Of each topic the share of the scans between two poses that are not too far apart, and the
-    rate, 1/s, both by times of reception; empty where there is no choice."""
+    rate, 1/s, at most that of the scans, by times of reception; empty where there is no choice."""
     if len(names) < 2:
         return {}
     times: dict[str, list[int]] = {name: [] for name in (*names, scans)}
@@ -135,7 +135,8 @@ def _useful_rates(bag: Bag, names: list[str], scans: str) -> dict[str, tuple[flo
         after = np.searchsorted(own, asked)
         inside = (after > 0) & (after < len(own))
         near = own[after[inside]] - own[after[inside] - 1] <= GAP_NS
-        found[name] = np.count_nonzero(near) / max(len(asked), 1), len(own) / seconds
+        rate = min(len(own), len(asked)) / seconds
+        found[name] = np.count_nonzero(near) / max(len(asked), 1), rate
     return found
 
 

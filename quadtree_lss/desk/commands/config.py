@@ -135,9 +135,7 @@ def _suggest(options: argparse.Namespace) -> int:
         found = suggest_config(options.names[0], config, **how, progress=bar.update)
         info = inspect_bag(options.names[0], config, **how, diagnose=True, progress=bar.update)
     suggested = found.values.items()
-    wrong = (
-        f for f in info.findings if f.mend and not (f.settings or {"": 0}).items() <= suggested
-    )
+    others = [f for f in info.findings if not (f.settings or {"": 0}).items() <= suggested]
     notes = [*found.notes, *(f"Wrong: {finding.line}" for finding in others if finding.mend)]
     found = dataclasses.replace(found, notes=tuple(notes))
     common.show(options, found.as_dict(), found.text().removesuffix("\n"))

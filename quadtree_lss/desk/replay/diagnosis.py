@@ -99,8 +99,10 @@ def diagnosed(
                 text = "many returns are at one greatest range: rays without a return"
                 found_by_range = [setting("max_range", text, {"lidar.max_range": most})]
             best = mapped(source, config, how)
-            if most:
-                config = config_from_values({"lidar.max_range": most}, config)
+            # Faults of frames make the noise look larger than it is.
+            noise = min(config.lidar.range_noise, stream.config.lidar.range_noise)
+            judged = {"lidar.range_noise": noise} | ({"lidar.max_range": most} if most else {})
+            config = config_from_values(judged, config)
     except QuadtreeLssError as error:
         failure = str(error)
     trial, asked = best, stream.config
