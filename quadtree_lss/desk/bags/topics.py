@@ -99,8 +99,8 @@ def choose_pose_topic(
 ) -> tuple[str, str, str]:
     """Topic and type of the poses, and what to know of the choice: of the type preferred, of the
     other if there is none of it. Topics with poses at too few of the scans' times, or more seldom
-    than scans while another has more, are passed over. ``bag``: an open bag. ``asked``: topic that the user
-    named, or None. ``source``: ``pose`` or ``odometry``, as ``pose.source`` has it. ``scans``:
+    than scans while another has more, are passed over. ``bag``: an open bag. ``asked``: topic that
+    the user named, or None. ``source``: ``pose`` or ``odometry``, as of ``pose.source``. ``scans``:
     topic of the scans. Raises `BagError`: lists the candidates."""
     order = (ODOMETRY_TOPIC, POSE_TOPIC) if source == "odometry" else (POSE_TOPIC, ODOMETRY_TOPIC)
     if asked is not None:

@@ -114,7 +114,7 @@ class Seen:
             sound = (ranges >= lidar.min_range) & (ranges <= lidar.max_range)
         points, ranges = points[sound], ranges[sound]
         at_most = ranges > (1.0 - SAME) * ranges.max(initial=0.0)
-        if np.mean(at_most) > MANY:
+        if MANY * len(ranges) < np.count_nonzero(at_most) < (1.0 - MANY) * len(ranges):
             self._most.append(float(ranges.max()))
             points, ranges = points[~at_most], ranges[~at_most]
         if len(points) < NEIGHBOURS:
