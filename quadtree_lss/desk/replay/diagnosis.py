@@ -26,20 +26,23 @@ MOST_CONTRADICTING, LEAST_MAPPED = 0.05, 0.95
 """Shares, of the points that the map could use and of the scans, of a bag with which nothing is
 wrong."""
 BETTER = 0.8
-"""A setting is kept if with it this share of what contradicts, or of the leaves, is left."""
+"""A setting is kept if with it this share of what contradicts, of the leaves or of their roughness
+is left."""
 FITTED = ("domain.xmin", "domain.ymin", "domain.size", "domain.min_level", "domain.max_level")
 """What is suggested for a trial if the domain is the default one, with the range noise."""
 
 
 class Trial(NamedTuple):
     """A bag mapped. ``scans``: that were. ``used``, ``contradicting``: points. ``apart``: median of
-    the heights by which rejected scans lie over the map, m. ``leaves``: in the end."""
+    the heights by which rejected scans lie over the map, m. ``leaves``, ``roughness``: in the end,
+    their count, and the mean distance of their returns from their planes, m."""
 
     scans: int = 0
     used: int = 0
     contradicting: int = 0
     apart: float = 0.0
     leaves: int = 0
+    roughness: float = 0.0
 
     @property
     def share(self) -> float:
@@ -47,24 +50,29 @@ class Trial(NamedTuple):
         return self.contradicting / all_ if (all_ := self.used + self.contradicting) else 0.0
 
     def improves_on(self, other: Trial) -> bool:
-        """Whether scans agree clearly better, or the same ground needs clearly fewer leaves."""
+        """Whether scans agree clearly better, or the ground becomes clearly simpler or smoother."""
         if not self.used or self.share > other.share + 0.01:
             return False
-        fewer = self.leaves < BETTER * other.leaves
+        fewer = self.leaves < BETTER * other.leaves or self.roughness < BETTER * other.roughness
         return not other.used or self.share < BETTER * other.share - 0.01 or fewer
 
 
 def mapped(bag: str | Path | Bag, config: Config, how: Mapping[str, Any]) -> Trial:
     """Maps a bag. ``how``: topics and poses, as of `replay.replay`."""
     scans = used = contradicting = leaves = 0
-    apart = []
-    for _, report, _ in steps(bag, config, **how):
+    apart, step = [], None
+    for step in steps(bag, config, **how):
+        report = step.report
         scans, leaves = scans + 1, report.leaves
         used += report.points_used
         if against := report.dropped.get("contradiction", 0):
             contradicting += against
             apart.append(abs(report.offset))
-    return Trial(scans, used, contradicting, float(np.median(apart or [0.0])), leaves)
+    rough = 0.0
+    if step is not None and used:
+        cells = step.mapper.snapshot()
+        rough = float(np.nanmean(cells.roughness[cells.measured]))
+    return Trial(scans, used, contradicting, float(np.median(apart or [0.0])), leaves, rough)
 
 
 def fitted(config: Config, values: Mapping[str, Any]) -> Config:
