@@ -116,20 +116,24 @@ def diagnosed(
     trial, asked = best, stream.config
     timed = not {"times_unreasonable", "times_unknown"} & texts.keys()
     by_ground = [] if NO_POSES in bag.notes else findings(heard, config, timed=timed)
-    for finding in [*found_by_range, *by_ground]:
-        if finding.settings is None:
-            info.findings.append(finding)
-            continue
-        changed = config_from_values(finding.settings, asked)
-        try:
-            values = suggest_config(source, changed, **how).values
-            found = mapped(source, fitted(changed, values), how)
-        except QuadtreeLssError:
-            continue
-        if found.improves_on(best):
-            best, asked = found, changed
-            text = f"{finding.text}; with it {_contradicting(found)}"
-            info.findings.append(finding._replace(text=text))
+    claimed = [*found_by_range, *by_ground]
+    info.findings += [finding for finding in claimed if finding.settings is None]
+    pending = [finding for finding in claimed if finding.settings is not None]
+    kept = True
+    while kept and pending:  # one fault may hide what another costs
+        kept = False
+        for finding in tuple(pending):
+            changed = config_from_values(finding.settings or {}, asked)
+            try:
+                values = suggest_config(source, changed, **how).values
+                found = mapped(source, fitted(changed, values), how)
+            except QuadtreeLssError:
+                continue
+            if found.improves_on(best):
+                best, asked, kept = found, changed, True
+                pending.remove(finding)
+                text = f"{finding.text}; with it {_contradicting(found)}"
+                info.findings.append(finding._replace(text=text))
     _judge(info, trial, failure, texts)
 
 
