@@ -10,7 +10,12 @@ from hypothesis import strategies as st
 from messages.samples import cloud, header
 
 from quadtree_lss.onboard.core.sensing.lidar import points_from_ranges
-from quadtree_lss.onboard.messages.clouds import MessageError, points_from_cloud, stamp_ns
+from quadtree_lss.onboard.messages.clouds import (
+    MessageError,
+    layout_note,
+    points_from_cloud,
+    stamp_ns,
+)
 
 CONTAINERS = {
     "numpy": np.asarray,
@@ -111,6 +116,31 @@ def test_the_padding_of_the_last_row_may_be_missing():
     np.testing.assert_array_equal(points_from_cloud(msg), points)
 
 
+@pytest.mark.parametrize("height", [1, 3])
+@pytest.mark.parametrize("wrong", ["row_step 0", "row_step 4", "row_step of all", "count 0", "12"])
+def test_sizes_that_a_driver_gets_wrong_leave_one_reading_which_is_told(wrong, height):
+    points = np.arange(36.0).reshape(3, 4, 3).reshape(height, -1, 3)
+    msg = cloud(points if height > 1 else points[0])
+    assert not layout_note(msg)
+    if wrong.startswith("row_step"):
+        msg.row_step = {"0": 0, "4": msg.width, "all": 144}[wrong.split()[-1]]
+    else:
+        for field in msg.fields:
+            field.count = int(wrong.removeprefix("count "))
+    read = points_from_cloud(msg)
+    np.testing.assert_array_equal(read.reshape(-1, 3), points.reshape(-1, 3))
+    harmless = wrong == "row_step of all" and height == 1  # one row is all
+    assert ("correct the driver" in layout_note(msg)) != harmless
+
+
+def test_a_buffer_longer_than_one_row_of_points_is_read_up_to_its_end():
+    points = np.arange(12.0).reshape(4, 3)
+    msg = cloud(points)
+    msg.data = np.concatenate([msg.data, np.zeros(60, np.uint8)])
+    np.testing.assert_array_equal(points_from_cloud(msg), points)
+    assert "108 bytes of data" in layout_note(msg)
+
+
 def test_zero_points_are_an_empty_scan():
     assert points_from_cloud(cloud(np.empty((0, 3)))).shape == (0, 3)
     msg = cloud(np.empty((0, 3)))
@@ -136,9 +166,8 @@ def broken_field(**changes):
         (broken(height=4), "size"),
         (broken(height=2), "size"),
         (broken(width=-1), "size"),
-        (broken(row_step=0), "size"),
-        (broken(row_step=47), "size"),
-        (broken(row_step=2**32 - 1), "size"),
+        (broken(row_step=0, data=bytes(145)), "size"),
+        (broken(row_step=47, data=bytes(143)), "size"),
         (broken(point_step=0), "layout"),
         (broken(point_step=4), "layout"),
         (broken(width=2**32 - 1, height=2**32 - 1), "too_large"),
@@ -155,7 +184,6 @@ def broken_field(**changes):
         (broken_field(name="Y"), "fields"),
         (broken_field(datatype=5), "field_type"),
         (broken_field(datatype=0), "field_type"),
-        (broken_field(count=0), "layout"),
         (broken_field(count=3), "layout"),
         (broken_field(offset=9), "layout"),
         (broken_field(offset=2), "layout"),

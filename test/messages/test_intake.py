@@ -40,12 +40,12 @@ def test_a_scan_between_two_poses_is_ready_with_the_pose_between():
 def test_bad_messages_are_counted_by_reason_and_told_once_each():
     intake = Intake(CONFIG)
     wrong = scan(10)
-    wrong.row_step = 1
+    wrong.width += 1
     assert intake.on_cloud(wrong, 0) is None
     intake.on_cloud(scan(20, n=0), 0)
     intake.on_pose(pose(0, frame="odom"))
     intake.on_pose(pose(0, xyzw=(0, 0, 0, 0)))
-    intake.on_pose(pose(0, covariance=-np.eye(6)))
+    intake.on_pose(pose(0, covariance=-2.0 * np.eye(6)))
     expected = ["cloud_size", "cloud_empty"]
     expected += ["pose_frame", "pose_quaternion", "pose_covariance"]
     assert [notice.reason for notice in intake.notices()] == expected

@@ -68,17 +68,16 @@ def changed(entries):
 
 
 @pytest.mark.survives(
-    'attitude variance above 0.25 rad² (drivers send 1e6 for "unknown")',
-    "no pose, counted as `pose_attitude`: nothing can be placed by it. Zeros say unknown",
+    "attitude variance of 0.25 to 39 rad²",
+    "no pose, counted as `pose_attitude`: nothing can be placed by it",
 )
 @pytest.mark.parametrize(
     "covariance",
     [
         changed({(0, 0): -1e-9}),
-        changed({(2, 2): np.nan}),
-        changed({(5, 5): np.inf}),
-        changed({(0, 1): 0.01}),
-        changed({(3, 4): 1e-8}),
+        changed({(0, 1): 0.01, (1, 0): 0.02}),
+        changed({(3, 4): 1e-8, (4, 3): 2e-8}),
+        changed({(0, 1): np.inf, (1, 0): np.inf}),
         changed({(0, 1): 0.05, (1, 0): 0.05}),
         changed({(0, 0): 0.0, (0, 1): 0.01, (1, 0): 0.01}),
         np.ones(35),
@@ -117,6 +116,39 @@ def test_attitude_may_be_unknown_where_position_is_not():
         found = np.diag(pose_from_message(msg, "map", **of).covariance)
         turned = [0.3, 0.2, 0.2] if told is not covariance else [np.deg2rad(0.1)] * 3
         np.testing.assert_allclose(np.sqrt(found), [*sigmas, *turned])
+
+
+UNKNOWN = {
+    "not a number": (np.full(36, np.nan), range(6)),
+    "the first is not a number": (np.r_[np.nan, np.zeros(35)], range(6)),
+    "the first is -1": (np.r_[-1.0, np.zeros(35)], range(6)),
+    "variances of -1": (changed({(k, k): -1.0 for k in range(3, 6)}), (3, 4, 5)),
+    "unused axes": (changed({(k, k): 1e6 for k in (2, 3, 4)}), (2, 3, 4)),
+    "unused axes of 1e12": (changed({(k, k): 1e12 for k in (2, 3, 4)}), (2, 3, 4)),
+    "unused axes, correlated": (
+        changed({(2, 2): 1e9, (0, 2): 3e3, (2, 0): 3e3, (5, 5): np.inf}), (2, 5),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("how", UNKNOWN)
+def test_every_way_to_say_unknown_takes_the_configured_sigmas(how):
+    covariance, axes = UNKNOWN[how]
+    msg = pose(covariance=covariance)
+    assert has_unknown_covariance(msg)
+    of = {"unknown_position_sigma": 0.5, "unknown_attitude_sigma_deg": 0.1}
+    found = pose_from_message(msg, "map", **of).covariance
+    expected = COVARIANCE.diagonal().copy()
+    expected[[*axes]] = (np.repeat([0.5, np.deg2rad(0.1)], 3) ** 2)[[*axes]]
+    np.testing.assert_allclose(found, np.diag(expected), atol=1e-18)
+
+
+@pytest.mark.parametrize("triangle", [np.triu, np.tril])
+def test_one_triangle_of_a_covariance_is_all_of_it(triangle):
+    whole = changed({(0, 1): 0.01, (1, 0): 0.01, (3, 5): 2e-7, (5, 3): 2e-7})
+    msg = pose(covariance=triangle(whole))
+    np.testing.assert_allclose(pose_from_message(msg, "map").covariance, whole, rtol=1e-12)
+    assert not has_unknown_covariance(msg)
 
 
 def test_the_covariance_cannot_be_changed_by_accident():

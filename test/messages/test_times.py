@@ -35,7 +35,8 @@ def test_each_drivers_times_are_known(driver, order):
     name, kind, values, error = LAYOUTS[driver]
     shift = -0.0999 if driver.endswith("end") else 0.0
     msg = cloud(np.ones((64, 3)), order=order, gap=2, times=(name, kind, values(OFFSETS)))
-    offsets, span = offsets_from_cloud(msg, STAMP, points_from_cloud(msg))
+    offsets, span, note = offsets_from_cloud(msg, STAMP, points_from_cloud(msg))
+    assert not note
     np.testing.assert_allclose(offsets, (OFFSETS + shift) * 1e9, atol=error)
     assert span[0] <= min(offsets.min(), 0) and span[1] >= max(offsets.max(), 0)
     np.testing.assert_allclose(span, (min(shift * 1e9, 0.0), (0.0999 + shift) * 1e9), atol=error)
@@ -44,7 +45,7 @@ def test_each_drivers_times_are_known(driver, order):
 def test_a_clock_that_began_with_the_simulation_is_taken_for_what_it_is():
     for name, values in (("timestamp", 0.3 + OFFSETS), ("time", OFFSETS)):
         msg = cloud(np.ones((64, 3)), times=(name, "f8", values))
-        offsets, _ = offsets_from_cloud(msg, 300_000_000, points_from_cloud(msg))
+        offsets, *_ = offsets_from_cloud(msg, 300_000_000, points_from_cloud(msg))
         np.testing.assert_allclose(offsets, OFFSETS * 1e9, atol=1.0)
 
 
@@ -61,7 +62,7 @@ def test_times_of_no_returns_do_not_matter():
     times = OFFSETS.copy()
     times[10] = np.nan
     msg = cloud(points, times=("time", "f4", times))
-    offsets, _ = offsets_from_cloud(msg, STAMP, points_from_cloud(msg))
+    offsets, *_ = offsets_from_cloud(msg, STAMP, points_from_cloud(msg))
     np.testing.assert_allclose(np.delete(offsets, 10), np.delete(OFFSETS, 10) * 1e9, atol=8)
 
 
@@ -69,8 +70,49 @@ UNREASONABLE = {
     "not finite": ("time", "f4", np.where(OFFSETS > 0.05, np.nan, OFFSETS)),
     "longer than a second": ("t", "u4", OFFSETS * 20e9),
     "of another clock": ("timestamp", "f8", OFFSETS + 1e6),
-    "before the stamp, unsigned": ("t", "u4", np.rint(OFFSETS * 1e9) + 2**32 - 10**8),
+    "of a clock's lower half": ("t", "u4", OFFSETS * 1e9 + 1e9),
+    "as shares of the scan": ("time", "f4", OFFSETS * 10.0),
+    "since the epoch, rounded to 128 s": ("timestamp", "f4", STAMP * 1e-9 + OFFSETS),
 }
+
+#: Field, type, values from seconds after the stamp, and what is noted of its unit.
+VARIANTS = {
+    "us": ("t", "u4", lambda s: np.rint(s * 1e6), "microseconds"),
+    "us as a timestamp": ("timestamp", "u4", lambda s: np.rint(s * 1e6), "microseconds"),
+    "us in floats": ("time", "f4", lambda s: s * 1e6, "microseconds"),
+    "ms in floats": ("time", "f4", lambda s: s * 1e3, "milliseconds"),
+    "us since the epoch": ("timestamp", "f8", lambda s: STAMP * 1e-3 + s * 1e6, "microseconds"),
+    "a name with its unit": ("time_us", "u4", lambda s: np.rint(s * 1e6), ""),
+    "another name": ("point_time_offset", "u4", lambda s: np.rint(s * 1e9), ""),
+    "signed": ("time_offset_ns", "i4", lambda s: np.rint(s * 1e9), ""),
+    "stamps": ("stamps", "f8", lambda s: s, ""),
+    "below zero, unsigned": ("offset_time", "u4", lambda s: np.rint((s - 0.01) * 1e9) % 2**32, ""),
+}
+
+
+@pytest.mark.parametrize("period", [None, 100_000_000, 50_000_000])
+@pytest.mark.parametrize("how", VARIANTS)
+def test_a_unit_is_told_by_the_length_of_a_scan(how, period):
+    name, kind, values, noted = VARIANTS[how]
+    msg = cloud(np.ones((64, 3)), times=(name, kind, values(OFFSETS)))
+    offsets, _, note = offsets_from_cloud(msg, STAMP, points_from_cloud(msg), period)
+    early = 0.01 if how.startswith("below") else 0.0
+    np.testing.assert_allclose(offsets, (OFFSETS - early) * 1e9, atol=1500)
+    assert bool(note) == bool(noted) and noted in note and (not note or name in note)
+
+
+def test_an_unknown_field_of_times_is_named():
+    msg = cloud(np.ones((64, 3)), times=("timestamp_low", "u4", OFFSETS * 1e9))
+    with pytest.raises(MessageError, match="'timestamp_low'"):
+        offsets_from_cloud(msg, STAMP, points_from_cloud(msg))
+
+
+@pytest.mark.parametrize("length", [0.4, 0.9])
+def test_slow_scans_are_known_by_their_period(length):
+    seconds = np.linspace(0.0, length, 64)
+    msg = cloud(np.ones((64, 3)), times=("t", "u4", np.rint(seconds * 1e9)))
+    offsets, *_ = offsets_from_cloud(msg, STAMP, points_from_cloud(msg), SECOND)
+    np.testing.assert_allclose(offsets, seconds * 1e9, atol=1)
 
 
 @pytest.mark.parametrize("how", UNREASONABLE)

@@ -216,7 +216,7 @@ def test_unusable_messages_are_counted_and_the_rest_is_mapped(tmp_path):
     with recording(path) as recorder:
         flight(recorder)
         bad = recorder.cloud(START + SECOND, np.ones((2, 2, 3)))
-        bad.row_step = 3
+        bad.width = 3
         recorder.write(SCAN_TOPIC, bad, CLOUD, START + SECOND)
         wrong = recorder.pose(START + SECOND, (0, 0, 0), frame="odom")
         recorder.write(POSE_TOPIC, wrong, POSE, START + SECOND)

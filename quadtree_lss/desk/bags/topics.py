@@ -3,8 +3,16 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Collection
+
+import numpy as np
+
 from quadtree_lss.desk.bags import message_types as types
 from quadtree_lss.desk.bags.bag import Bag, BagError
+from quadtree_lss.onboard.messages.clouds import MessageError
+from quadtree_lss.onboard.messages.depth import ENCODINGS
+from quadtree_lss.onboard.messages.intake import GAP_NS
 from quadtree_lss.onboard.messages.landing_inputs import TYPES
 from quadtree_lss.onboard.messages.outputs import TOPIC_TYPES
 
@@ -24,10 +32,17 @@ KINDS = {
 OUTPUTS = (*(f"/{name}" for name in TOPIC_TYPES), "/landing/dispersion")
 """How topics end that are clouds or poses by type, but our own output or what guidance says."""
 
+COVERED, SELDOM = 0.9, 0.5
+"""Share of the scans with poses around them, and rate up to that of the scans, of the most that any
+pose topic has: with less a topic is passed over."""
 CONVERSIONS = {
-    "/PoseStamped": "convert to PoseWithCovarianceStamped; zeros are an unknown covariance",
-    "/CompressedPointCloud2": "decompress with `ros2 run point_cloud_transport republish`",
-    "/CustomMsg": "convert with livox_to_pointcloud2, or record with xfer_format: 0",
+    "/PoseStamped": "copy PoseStamped into PoseWithCovarianceStamped with a covariance of zeros:"
+    " docs/connecting.md has the script for a bag",
+    "/CompressedPointCloud2": "play the bag through `ros2 run point_cloud_transport republish"
+    " --ros-args -p out_transport:=raw -p in_transport:=draco` (or cloudini, zlib, zstd) and record"
+    " its output",
+    "/CustomMsg": "livox_ros_driver2 sends PointCloud2 with xfer_format: 0; of a recording, play it"
+    " through the package livox_to_pointcloud2 and record its output",
     " as ": "only ROS messages are decoded; convert to ROS 2 messages (cdr)",
 }
 """Remedies by a part of a type that is not read."""
@@ -39,12 +54,21 @@ def candidates(bag: Bag, kind: str, *, ours: bool = True) -> list[str]:
     return [name for name in names if ours or not name.endswith(OUTPUTS)]
 
 
-def choose_topic(bag: Bag, asked: str | None, default: str, option: str, msgtype: str = "") -> str:
+def choose_topic(
+    bag: Bag,
+    asked: str | None,
+    default: str,
+    option: str,
+    msgtype: str = "",
+    without: Collection[str] = (),
+) -> str:
     """The topic to read of ``msgtype``, or of the default's: the one ``asked`` for, else the
-    ``default``, else the only one. Raises `BagError`: lists the candidates, and the command-line
-    ``option`` by which to choose."""
+    ``default``, else the only one. ``without``: topics that are not chosen unless asked for. Raises
+    `BagError`: lists the candidates, and the command-line ``option`` by which to choose."""
     msgtype = msgtype or KINDS[default]
     fitting = candidates(bag, msgtype, ours=asked is not None)
+    if asked is None:
+        fitting = [name for name in fitting if name not in without]
     listed = ", ".join(fitting)
     if asked is not None:
         for name in (asked if asked.startswith("/") else f"/{asked}", asked):
@@ -68,34 +92,84 @@ def choose_topic(bag: Bag, asked: str | None, default: str, option: str, msgtype
     raise BagError(f"{bag.path}: {msg}")
 
 
-def choose_pose_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, str]:
-    """Topic and type of the poses: of the type preferred, of the other if there is none of it.
-    ``bag``: an open bag. ``asked``: topic that the user named, or None. ``source``: ``pose`` or
-    ``odometry``, as ``pose.source`` has it. Raises `BagError`: lists the candidates."""
+def choose_pose_topic(
+    bag: Bag, asked: str | None, source: str, scans: str = ""
+) -> tuple[str, str, str]:
+    """Topic and type of the poses, and what to know of the choice: of the type preferred, of the
+    other if there is none of it. Topics with poses at too few of the scans' times, or more seldom
+    than scans while another has more, are passed over. ``bag``: an open bag. ``asked``: topic that
+    the user named, or None. ``source``: ``pose`` or ``odometry``, as of ``pose.source``. ``scans``:
+    topic of the scans. Raises `BagError`: lists the candidates."""
     order = (ODOMETRY_TOPIC, POSE_TOPIC) if source == "odometry" else (POSE_TOPIC, ODOMETRY_TOPIC)
-    return _choose(bag, asked, order, "--pose-topic")
+    if asked is not None:
+        return *_choose(bag, asked, order, "--pose-topic"), ""
+    names = [name for kind in order for name in candidates(bag, KINDS[kind], ours=False)]
+    rates = _useful_rates(bag, names, scans)
+    best = max((rate for _, rate in rates.values()), default=0.0)
+    most = max((share for share, _ in rates.values()), default=0.0)
+    seldom = {
+        name: rate
+        for name, (share, rate) in rates.items()
+        if share < COVERED * most or (rate < SELDOM * best and name not in order)
+    }
+    topic, kind = _choose(bag, None, order, "--pose-topic", seldom)
+    passed = ", ".join(f"{name} ({rate:.2g} Hz)" for name, rate in seldom.items())
+    note = f"poses are taken from {topic}, not from {passed}: --pose-topic chooses another"
+    return topic, kind, note if passed else ""
+
+
+def _useful_rates(bag: Bag, names: list[str], scans: str) -> dict[str, tuple[float, float]]:
+    """Of each topic the share of the scans between two poses that are not too far apart, and the
+    rate, 1/s, at most that of the scans, by times of reception; empty where there is no choice."""
+    if len(names) < 2:
+        return {}
+    times: dict[str, list[int]] = {name: [] for name in (*names, scans)}
+    for message in bag.messages(list(times)):
+        times[message.topic].append(message.received_ns)
+    asked, found = np.sort(times[scans]), {}
+    seconds = max(bag.end_ns - bag.start_ns, 1) * 1e-9
+    for name in names:
+        own = np.sort(times[name])
+        after = np.searchsorted(own, asked)
+        inside = (after > 0) & (after < len(own))
+        near = own[after[inside]] - own[after[inside] - 1] <= GAP_NS
+        rate = min(len(own), len(asked)) / seconds
+        found[name] = np.count_nonzero(near) / max(len(asked), 1), rate
+    return found
 
 
 def choose_scan_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, str, str]:
     """Topic and type of the scans, as of `choose_pose_topic` by ``lidar.source``, and the topic of
     the CameraInfo of depth images, empty for clouds. Raises `BagError`: lists the candidates."""
     order = (DEPTH_TOPIC, SCAN_TOPIC) if source == "depth" else (SCAN_TOPIC, DEPTH_TOPIC)
-    topic, kind = _choose(bag, asked, order, "--scan-topic")
+    topic, kind = _choose(bag, asked, order, "--scan-topic", _without_depth(bag))
     if kind == types.SCAN_TYPE:
         return topic, kind, ""
     beside = topic.rpartition("/")[0] + "/camera_info"
     return topic, kind, choose_topic(bag, None, beside, "the CameraInfo", types.CAMERA_TYPE)
 
 
-def _choose(bag: Bag, asked: str | None, order: tuple[str, str], option: str) -> tuple[str, str]:
+def _without_depth(bag: Bag) -> list[str]:
+    """Topics of images that are colour or infrared, by the first of each, where there are more."""
+    names, others = candidates(bag, types.IMAGE_TYPE), []
+    for name in names if len(names) > 1 else []:
+        with contextlib.suppress(MessageError, StopIteration):
+            first = bag.decode(next(iter(bag.messages([name]))).raw, types.IMAGE_TYPE)
+            others += [name] * (first.encoding not in ENCODINGS)
+    return others
+
+
+def _choose(
+    bag: Bag, asked: str | None, order: tuple[str, str], option: str, without: Collection[str] = ()
+) -> tuple[str, str]:
     """Of the types of two topics the first that is there, or that of the topic asked for."""
 
     def fits(kind: str) -> bool:
-        there = {*candidates(bag, kind, ours=asked is not None)}
+        there = {*candidates(bag, kind, ours=asked is not None)} - {*without}
         return bool(there if asked is None else there & {asked, f"/{asked}"})
 
     default = next((name for name in order if fits(KINDS[name])), order[0])
-    return choose_topic(bag, asked, default, option), KINDS[default]
+    return choose_topic(bag, asked, default, option, without=without), KINDS[default]
 
 
 def landing_topics(bag: Bag, *, without: tuple[str, ...] = ()) -> dict[str, str]:

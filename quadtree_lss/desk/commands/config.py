@@ -51,7 +51,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "files to check; keys or sections to explain; the bag to suggest for"
     add("names", nargs="*", metavar="NAME", help=text)
     common.add_config_options(parser)
-    add("--poses", type=common.named, metavar="FILE", help=common.POSES)
+    common.add_topics(parser)
     text = "check: the files are for this node, /uav1/lss_node"
     add("--node", default="", metavar="NAME", help=text)
     text = "for a vehicle of this diameter and clearance, m, with pads in proportion"
@@ -75,7 +75,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.action != "print" and not options.names:
         options.parser.error(f"config {options.action}: name at least one")
     unused = ["config", "set", "vehicle"] if options.action == "check" else ["node"]
-    unused += ["poses"] * (options.action != "suggest")
+    unused += common.TOPICS if options.action != "suggest" else ()
     common.refuse(options, f"config {options.action}", *unused)
     return ACTIONS[options.action](options)
 
@@ -125,13 +125,19 @@ def radians(config: Config) -> str:
 
 
 def _suggest(options: argparse.Namespace) -> int:
+    from quadtree_lss.desk.replay.info import inspect_bag
     from quadtree_lss.desk.replay.suggest import suggest_config
 
     if len(options.names) != 1:
         options.parser.error("config suggest takes one bag")
-    config = _chosen(options)
+    config, how = _chosen(options), common.given(options, *common.TOPICS)
     with ProgressBar("suggest", "s", options.verbose) as bar:
-        found = suggest_config(options.names[0], config, poses=options.poses, progress=bar.update)
+        found = suggest_config(options.names[0], config, **how, progress=bar.update)
+        info = inspect_bag(options.names[0], config, **how, diagnose=True, progress=bar.update)
+    suggested = found.values.items()
+    others = [f for f in info.findings if not (f.settings or {"": 0}).items() <= suggested]
+    notes = [*found.notes, *(f"Wrong: {finding.line}" for finding in others if finding.mend)]
+    found = dataclasses.replace(found, notes=tuple(notes))
     common.show(options, found.as_dict(), found.text().removesuffix("\n"))
     for note in found.notes[1:]:
         warn(note)

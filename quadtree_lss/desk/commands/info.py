@@ -20,8 +20,9 @@ DOCTOR_EXAMPLES = """examples:
   quadtree-lss doctor --config vehicle.yaml             (the topics that are live now, ten seconds)
   quadtree-lss doctor flight_bag --config vehicle.yaml
 
-Frames, axes, units, quaternions, clocks, lag, mount, rates and covariances. Move the vehicle
-meanwhile: without motion some faults look alike. Exit code 1 if something is wrong.
+Frames, axes, units, quaternions, clocks, lag, mount, rates and covariances. The bag is mapped as it
+is and with each setting that is named; the last line says what came of it. Move the vehicle while
+you record: without motion some faults look alike. Exit code 1 if something is wrong.
 """
 
 
@@ -65,19 +66,20 @@ def _doctor(options: argparse.Namespace) -> int:
     else:
         common.refuse(options, "a bag", "seconds")
     with ProgressBar("doctor", "s", options.verbose) as bar:
-        info = inspect_bag(bag, config, **how, progress=bar.update)
+        info = inspect_bag(bag, config, **how, diagnose=True, progress=bar.update)
     wrong = [finding for finding in info.findings if finding.mend or finding.fatal]
     notes = [finding for finding in info.findings if finding not in wrong]
     wrong.sort(key=lambda finding: not finding.mend)  # what has none mostly follows from the others
     none = "as above" if wrong and wrong[0].mend else "none known"
-    lines = [f"wrong: {finding.text}\nmend:  {finding.mend or none}" for finding in wrong]
-    if not wrong:
-        read = f"{info.scan_topic} and {info.pose_topic}" if info.scan_topic else "the maps"
-        lines.append(f"nothing is wrong with {read}")
+    told = [finding for finding in wrong if finding.text != info.verdict]
+    lines = [f"wrong: {finding.text}\nmend:  {finding.mend or none}" for finding in told]
     lines += [f"note:  {finding.text}" for finding in notes]
     lines += [f"damaged: {text}" for text in info.losses]
+    good = "nothing is wrong with the maps" if info.works else "nothing can be mapped: see above"
+    lines.append(info.verdict or good)
     findings = [finding._asdict() for finding in (*wrong, *notes)]
-    common.show(options, {"findings": findings, "losses": info.losses}, "\n".join(lines))
+    content = {"findings": findings, "losses": info.losses, "verdict": info.verdict}
+    common.show(options, content, "\n".join(lines))
     if wrong:
         return common.ERROR
     return common.IN_PART if info.losses else common.DONE

@@ -140,8 +140,8 @@ def _names(bag: Bag, scan_topic: str | None, pose_topic: str | None) -> dict[str
     pairs = MapPairs.alone(bag, scan_topic)
     if pairs is not None:
         return dict(zip(pairs.topics, MAPS, strict=True))
-    poses, kind = topics.choose_pose_topic(bag, pose_topic, "pose")
     scans, _, camera = topics.choose_scan_topic(bag, scan_topic, "points")
+    poses, kind, _ = topics.choose_pose_topic(bag, pose_topic, "pose", scans)
     names = {
         scans: topics.DEPTH_TOPIC if camera else topics.SCAN_TOPIC,
         **({camera: topics.CAMERA_TOPIC} if camera else {}),

@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -15,13 +15,15 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.desk.bags.bag import Bag, BagError
-from quadtree_lss.desk.bags.cloud_files import NO_POSES, open_recording
+from quadtree_lss.desk.bags.cloud_files import open_recording
 from quadtree_lss.desk.bags.message_types import POSE_TYPES, SCAN_TYPES
 from quadtree_lss.desk.bags.recorded_file import RawMessage
-from quadtree_lss.desk.replay.doctor import Finding, Heard
+from quadtree_lss.desk.replay.diagnosis import diagnosed
 from quadtree_lss.desk.replay.files import plain
+from quadtree_lss.desk.replay.heard import Finding, Heard, setting
 from quadtree_lss.desk.replay.results import points_line, points_warning
 from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Part, Progress, Stream, rate
+from quadtree_lss.desk.replay.suggest import SCANS, Seen
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.sensing.register import register
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -92,7 +94,8 @@ class BagInfo:
     ``kind`` is what it would read: ``scans``, ``maps`` or ``nothing``; of two topics, empty if not
     found. Some scans could be mapped (``scans_with_pose``, with ``points``), others not
     (``scans_dropped``, by reason), and so it is with the former's points. ``findings`` say what is
-    wrong, with what mends it, and what to know; ``losses`` what cannot be read, one line each.
+    wrong, with what mends it, and what to know; ``losses`` what cannot be read, one line each;
+    ``verdict`` of a diagnosis, in one line, is in the end what a replay would show.
     """
 
     path: str
@@ -108,6 +111,7 @@ class BagInfo:
     points_dropped: dict[str, int] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
     losses: list[str] = field(default_factory=list)
+    verdict: str = ""
 
     @property
     def problems(self) -> list[str]:
@@ -161,10 +165,13 @@ def inspect_bag(
     scan_topic: str | None = None,
     pose_topic: str | None = None,
     poses: str | Path | None = None,
+    diagnose: bool = False,
     progress: Progress | None = None,
 ) -> BagInfo:
     """Reads a bag as a replay would, without mapping; the arguments are those of `replay.replay`.
-    Raises `BagError`: there is nothing to read."""
+    ``diagnose``: also maps it, looks for what is wrong with the ground, and tries what is set for
+    it (`diagnosis.diagnosed`). Raises `BagError`: there is nothing to read."""
+    how = {"scan_topic": scan_topic, "pose_topic": pose_topic, "poses": poses}
     with open_recording(bag, poses, config.frames.map) as opened:
         info = BagInfo(
             path=str(opened.path),
@@ -175,7 +182,7 @@ def inspect_bag(
         )
         stream, pairs = None, MapPairs.alone(opened, scan_topic)
         try:
-            stream = Stream(opened, config, scan_topic, pose_topic)
+            stream = Stream(opened, config, scan_topic, pose_topic, adapt=diagnose)
         except BagError as error:
             if pairs is None:
                 info.findings.append(Finding("topics", str(error), MENDS["topics"], fatal=True))
@@ -186,7 +193,12 @@ def inspect_bag(
         else:
             info.kind = "scans"
             info.scan_topic, info.pose_topic = stream.scans, stream.poses
-            _read(info, opened, stream, config, progress)
+            heard, seen = Heard(), Seen(config)
+            hear = heard.add if diagnose else None
+            texts = _read(info, opened, stream, seen, hear, progress)
+            if diagnose:
+                heard.mount, heard.tf_mounts = stream.intake.mount, stream.tf_mounts
+                diagnosed(info, opened, stream, heard, seen, texts, how)
         # Of clouds and poses that are not read: what they may be chosen by.
         kinds, times = (*SCAN_TYPES, *POSE_TYPES), defaultdict(list)
         unread = [t for t in info.topics if t.first_stamp_ns is None and t.type in kinds]
@@ -195,20 +207,29 @@ def inspect_bag(
         for topic in unread:
             topic.rate = rate(times[topic.name])
         info.losses = [*opened.losses, *([] if stream is None else stream.losses)]
-        info.findings += [Finding("bag", text) for text in opened.notes]
+        notes = [*opened.notes, *(() if stream is None else stream.notes)]
+        info.findings += [Finding("bag", text) for text in notes]
     return info
 
 
 def _read(
-    info: BagInfo, bag: Bag, stream: Stream, config: Config, progress: Progress | None
-) -> None:
-    intake, heard = stream.intake, Heard()
+    info: BagInfo,
+    bag: Bag,
+    stream: Stream,
+    seen: Seen,
+    also: Callable[[str, Any], None] | None,
+    progress: Progress | None,
+) -> dict[str, str]:
+    """What messages say, and where their points lie; the intake's notices by their keys. ``also``
+    hears each message."""
+    intake, config = stream.intake, stream.config
     domain = Domain.of(config.domain)
     dropped: Counter[str] = Counter()
     missed_at: tuple[float, float] | None = None
     why = ""
     headers: dict[str, list[tuple[Any, ...]]] = defaultdict(list)
     texts: dict[str, str] = {}
+    every = max(next(t.count for t in bag.topics if t.name == stream.scans) // SCANS, 1)
 
     def note() -> None:
         for notice in intake.notices():
@@ -218,13 +239,15 @@ def _read(
         if what in ("cloud", "pose"):
             with contextlib.suppress(MessageError):  # counted and told by the intake
                 headers[message.topic].append(_header(msg, message.received_ns))
-        heard.add(what, msg)
+        if also is not None:
+            also(what, msg)
 
     stream.hear = hear
     for message in Part.of(bag).messages(bag, stream.topics, progress):
         stream.take(message)
         for ready in intake.ready(message.received_ns):
             info.scans_with_pose += 1
+            seen.add(ready, every)
             if config.domain.follow == "vehicle":
                 domain = domain.moved(*domain.steps_to(*ready.pose.position[:2].tolist()))
             scan, lost = register(ready.points_lidar, ready.pose, config.lidar, domain, ready.sweep)
@@ -240,16 +263,19 @@ def _read(
     for topic in info.topics:
         if headers[topic.name]:
             topic.tell(headers[topic.name])
-    heard.mount = intake.mount
-    info.findings += _judge(info, texts, config)
-    wrong = [] if NO_POSES in bag.notes else heard.findings(config)
+    rejected, scans = intake.rejected, intake.scans
+    rare = {key for key in rejected if key.startswith("times_") and 2 * rejected[key] < scans}
+    info.findings += _judge(info, texts, rare)
+    if frame := stream.settings.get("frames.map"):
+        text, values = f"poses are in frame '{frame}', not in frames.map", {"frames.map": frame}
+        info.findings.append(setting("pose_frame", text, values))
     warning = points_warning(info.points, dropped, domain, missed_at, why)
     if warning is not None:
-        elsewhere = not wrong and max(dropped, key=dropped.__getitem__) == "outside"
+        elsewhere = max(dropped, key=dropped.__getitem__) == "outside"
         mend = MENDS["outside"] if elsewhere else ""
         fatal = info.points == dropped.total()
-        wrong.append(Finding("outside", warning, mend, fatal))
-    info.findings += wrong
+        info.findings.append(Finding("outside", warning, mend, fatal))
+    return texts
 
 
 def _header(msg: Any, received_ns: int) -> tuple[Any, ...]:
@@ -272,14 +298,16 @@ MENDS = {
     "pose_attitude": "publish the attitude's covariance in rad^2, or zeros where it is unknown",
     "pose_covariance": "publish a symmetric covariance without negative eigenvalues, m and rad",
     "outside": "quadtree-lss config suggest BAG writes a domain that fits",
-    "topics": "name clouds and poses by --scan-topic and --pose-topic, or record them"
+    "topics": "name clouds and poses by --scan-topic and --pose-topic, or convert or record them"
     " (docs/connecting.md says which types are read)",
+    "times_unknown": "name the field as one that is known (docs/messages/inputs.md)",
+    "times_unreasonable": "send times in ns, us, ms or s from the stamp, or the same for all",
 }
 """What mends that which the intake tells, by its keys."""
 
 
-def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> list[Finding]:
-    """Of headers, rates and what the intake refused."""
+def _judge(info: BagInfo, texts: dict[str, str], rare: set[str]) -> list[Finding]:
+    """Of headers, rates and what the intake refused; of ``rare`` notices nothing need be done."""
     by_name = {topic.name: topic for topic in info.topics}
     scans, poses = by_name[info.scan_topic], by_name[info.pose_topic]
     found, lacks = [], not info.scans_with_pose
@@ -310,10 +338,11 @@ def _judge(info: BagInfo, texts: dict[str, str], config: Config) -> list[Finding
             found.append(Finding("clocks", text, mend, fatal=True))
     wrong_frame = lacks and "pose_frame" in texts and len(poses.frames) == 1
     for key, text in texts.items():
-        mend = MENDS.get(key, "")
+        mend = MENDS.get(key, "") if key not in rare else ""
         if key == "pose_frame" and wrong_frame:
             mend = f"frames.map: {next(iter(poses.frames))}"
-        found.append(Finding(key, f"{key}: {text}", mend, fatal=lacks))
+        fatal = lacks and not key.startswith("times_")
+        found.append(Finding(key, f"{key}: {text}", mend, fatal=fatal))
     if lacks and not texts:
         found.append(Finding("no_pose", "no scan has a pose at its stamp", fatal=True))
     if poses.rate < scans.rate:

@@ -105,9 +105,10 @@ def replay(
         else:
             cells = run.map_scans(source)
         passes.finish(run.done_ns, lambda: cells)
-        losses, counts = [*opened.losses, *run.losses], run.counts()
+        losses, counts, notes = [*opened.losses, *run.losses], run.counts(), [*opened.notes]
         if isinstance(source, Stream):
             losses, counts = [*losses, *source.losses], counts | source.counts()
+            notes += source.notes
     if progress is not None and not run.interrupted:
         progress(part.seconds, part.seconds)
     decoded, assessment = passes.cells, passes.last
@@ -133,7 +134,7 @@ def replay(
         target=passes.changes[-1].id if passes.changes else 0,
         target_changes=len(passes.changes),
         losses=losses,
-        warnings=[*assessment.warnings, *opened.notes, *run.warnings()],
+        warnings=[*assessment.warnings, *notes, *run.warnings()],
     )
     timings, targets = tuple(run.timings), tuple(passes.changes)
     result = ReplayResult(folder, decoded, assessment, timings, summary, targets)

@@ -7,17 +7,28 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from quadtree_lss.desk.bags import message_types as types
 from quadtree_lss.desk.bags import topics
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.recorded_file import RawMessage
-from quadtree_lss.onboard.config.settings import Config, LssConfig
+from quadtree_lss.onboard.config.settings import (
+    Config,
+    LssConfig,
+    MountConfig,
+    config_from_values,
+)
+from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.sensing.transforms import FixedTransforms
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.errors import QuadtreeLssError, one_line
 from quadtree_lss.onboard.messages import outputs
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
+from quadtree_lss.onboard.messages.extrinsics import add_transforms
 from quadtree_lss.onboard.messages.intake import Intake, Notice, ReadyScan
 from quadtree_lss.onboard.messages.landing_inputs import TYPES, LandingWishes
 
@@ -77,16 +88,37 @@ class Stream:
     pose. ``scan_topic``, ``pose_topic`` are asked for, None to find them. Read are the topics
     ``scans``, ``poses``, ``gimbal`` and, with the CameraInfo of depth images, ``camera``, of which
     the latter two may be empty. ``hear`` may be set to what is also given each message, after its
-    kind. Raises `BagError`: a topic is missing or ambiguous."""
+    kind. ``settings`` are parameters that follow from the bag: ``mount.source: tf`` where no mount
+    is set, poses are of a body and ``/tf_static`` leads from it to the scans; if ``adapt``,
+    ``frames.map`` of the first pose. ``tf_mounts`` are mounts that ``/tf_static`` allows where the
+    body's frame is not known, by that frame. Raises `BagError`: a topic is missing or ambiguous."""
 
     def __init__(
-        self, bag: Bag, config: Config, scan_topic: str | None = None, pose_topic: str | None = None
+        self,
+        bag: Bag,
+        config: Config,
+        scan_topic: str | None = None,
+        pose_topic: str | None = None,
+        *,
+        adapt: bool = False,
     ) -> None:
         self._bag = bag
         self.hear: Callable[[str, Any, RawMessage], None] | None = None
         source = config.lidar.source
         self.scans, self.scan_type, self.camera = topics.choose_scan_topic(bag, scan_topic, source)
-        self.poses, self.pose_type = topics.choose_pose_topic(bag, pose_topic, config.pose.source)
+        self.poses, self.pose_type, note = topics.choose_pose_topic(
+            bag, pose_topic, config.pose.source, self.scans
+        )
+        self.notes = [note] * bool(note)
+        self.settings: dict[str, Any] = {}
+        self.tf_mounts: dict[str, Pose] = {}
+        first = self._first(self.poses, self.pose_type)
+        if adapt and first is not None and first.header.frame_id.strip("/"):
+            frame = first.header.frame_id.lstrip("/")
+            self.settings |= {"frames.map": frame} if frame != config.frames.map else {}
+        if config.mount == MountConfig() and first is not None:
+            self.settings |= self._mount_of_tf(config, first)
+        config = self.config = config_from_values(self.settings, config)
         self.gimbal = ""
         if config.mount.source == "gimbal":
             self.gimbal = topics.choose_topic(bag, None, topics.GIMBAL_TOPIC, "mount.source gimbal")
@@ -95,9 +127,7 @@ class Stream:
         if config.mount.source == "tf":
             # Of all the bag: latched, they stand at its beginning, whatever part is replayed.
             topic = topics.choose_topic(bag, None, topics.TRANSFORMS_TOPIC, "mount.source tf")
-            for message in bag.messages([topic]):
-                with contextlib.suppress(MessageError):
-                    self.intake.on_transforms(bag.decode(message.raw, types.TRANSFORMS_TYPE))
+            self._transforms(topic, self.intake.on_transforms)
         self._read: dict[str, tuple[str, str, Callable[..., object]]] = {
             self.camera: ("camera", types.CAMERA_TYPE, self.intake.on_camera_info),
             self.gimbal: ("gimbal", types.GIMBAL_TYPE, self.intake.on_gimbal),
@@ -107,6 +137,44 @@ class Stream:
         self.topics = [name for name in self._read if name]
         self._stamps: dict[str, list[int]] = {}
         self._undecoded: dict[str, list[str]] = {}
+
+    def _first(self, topic: str, kind: str) -> Any:
+        """The first message of a topic that can be decoded; None without one."""
+        for message in self._bag.messages([topic]):
+            with contextlib.suppress(MessageError):
+                return self._bag.decode(message.raw, kind)
+        return None
+
+    def _transforms(self, topic: str, take: Callable[[Any], object]) -> None:
+        for message in self._bag.messages([topic]):
+            with contextlib.suppress(MessageError):
+                take(self._bag.decode(message.raw, types.TRANSFORMS_TYPE))
+
+    def _mount_of_tf(self, config: Config, pose: Any) -> dict[str, Any]:
+        """The setting by which ``/tf_static`` gives the mount; empty where it does not say it, or
+        says that there is none. ``pose``: the first one."""
+        there = topics.candidates(self._bag, types.TRANSFORMS_TYPE)
+        there = [name for name in there if name.endswith(topics.TRANSFORMS_TOPIC)]
+        scan = self._first(self.scans, self.scan_type)
+        if len(there) != 1 or scan is None:
+            return {}
+        tree = FixedTransforms()
+        with contextlib.suppress(MessageError):
+            self._transforms(there[0], partial(add_transforms, tree))
+        lidar = scan.header.frame_id
+        body = config.frames.body or getattr(pose, "child_frame_id", "")
+        bodies = {body.lstrip("/")} if body else {*tree.frames()} - {config.frames.map}
+        mounts = {name: tree.between(name, lidar) for name in sorted(bodies)}
+        self.tf_mounts = {
+            name: mount
+            for name, mount in mounts.items()
+            if mount is not None and not _is_identity(mount)
+        }
+        if not body or not self.tf_mounts:
+            return {}
+        text = f"poses are of '{body}', scans of '{lidar}': the mount is taken from {there[0]}"
+        self.notes.append(one_line(f"{text}; the nodes need mount.source: tf"))
+        return {"mount.source": "tf"}
 
     def ready(self, part: Part, progress: Progress | None = None) -> Iterator[ReadyScan]:
         """The scans of a part of the bag, each with the lidar's pose at its stamp."""
@@ -151,6 +219,11 @@ class Stream:
             "poses": self.intake.poses_taken,
             "messages_rejected": dict(self.intake.rejected),
         }
+
+
+def _is_identity(mount: Pose) -> bool:
+    turn = mount.rotation_map_lidar
+    return np.allclose(mount.position, 0.0) and np.allclose(turn, np.eye(3), atol=1e-6)
 
 
 class LandingTopics:

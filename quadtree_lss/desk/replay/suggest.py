@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,6 @@ from scipy.spatial import cKDTree
 
 from quadtree_lss.desk.bags.cloud_files import open_recording
 from quadtree_lss.desk.replay.configuration import dump_values
-from quadtree_lss.desk.replay.doctor import Heard
 from quadtree_lss.desk.replay.stream import Part, Progress, ReplayError, Stream
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.risk import doubt
@@ -37,6 +37,8 @@ SPACINGS, NOISES, MOST_CELLS, LEAST_CELLS = 1.75, 4.0, 16.0, 6.5
 QUANTILE, AT_QUANTILE = 0.3, 0.638
 #: Of a level: rather finer than coarser, where the wanted cell lies between two.
 FINER = 0.2
+#: Ranges that are the same, relative; so many at the greatest are no returns, as a share.
+SAME, MANY = 1e-5, 0.02
 #: Levels between the coarsest and the finest cells.
 LEVELS = 4
 
@@ -64,50 +66,57 @@ def suggest_config(
     bag: str | Path,
     config: Config,
     *,
+    scan_topic: str | None = None,
+    pose_topic: str | None = None,
     poses: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Suggestion:
-    """Domain, range noise, cells and landing grid for a bag; the arguments are those of
-    `replay.replay`, and what is suggested is checked together with ``config``, whose vehicle it
-    suits. Raises `BagError` as that does, and `ReplayError`: no scan has a pose, or none a return.
+    """Domain, range noise, cells and landing grid for a bag, the frame of its map and the mount
+    that its transforms give; the arguments are those of `replay.replay`, and what is suggested is
+    checked together with ``config``, whose vehicle it suits. Raises `BagError` as that does, and
+    `ReplayError`: no scan has a pose, or none a return.
     """
-    seen = _Seen()
+    seen = Seen(config)
     with open_recording(bag, poses, config.frames.map) as opened:
-        stream = Stream(opened, config)
-        heard = Heard()
-        stream.hear = lambda what, msg, _: heard.add(what, msg)
+        stream = Stream(opened, config, scan_topic, pose_topic, adapt=True)
         count = next(t.count for t in opened.topics if t.name == stream.scans)
         for scan in stream.ready(Part.of(opened), progress):
-            seen.add(scan, config, max(count // SCANS, 1))
+            seen.add(scan, max(count // SCANS, 1))
         stream.intake.finish()
         causes = [notice.text for notice in stream.intake.notices()]
-    if not seen.places:
-        why = causes[0] if causes else "no scan has a pose and a return"
-        mend = f"quadtree-lss info {shlex.quote(str(bag))} says what to --set"
-        raise ReplayError(f"{bag}: nothing to suggest from: {why}; {mend}")
-    heard.mount = stream.intake.mount
-    wrong = [f"Wrong: {found.line}" for found in heard.findings(config) if found.mend]
-    return seen.suggestion(Path(bag), config, wrong)
+        if not seen.places:
+            why = causes[0] if causes else "no scan has a pose and a return"
+            mend = f"quadtree-lss doctor {shlex.quote(str(bag))} looks for why"
+            raise ReplayError(f"{bag}: nothing to suggest from: {why}; {mend}")
+        return seen.suggestion(Path(opened.path), stream.settings, stream.notes)
 
 
-class _Seen:
-    """What scans show."""
+class Seen:
+    """What scans show. ``config``: of which the lidar's range and the vehicle matter."""
 
-    def __init__(self) -> None:
+    def __init__(self, config: Config) -> None:
+        self._config = config
         self.places: list[Array] = []
         self._scans = 0
         self._noise: list[float] = []
         self._spacing: list[float] = []
+        self._most: list[float] = []
 
-    def add(self, scan: ReadyScan, config: Config, every: int) -> None:
+    def add(self, scan: ReadyScan, every: int) -> None:
+        """Takes a scan; one of ``every`` so many is looked at."""
+        lidar = self._config.lidar
         self._scans += 1
         if (self._scans - 1) % every:
             return
         points = scan.points_lidar.reshape(-1, 3).astype(np.float64)
         ranges = np.linalg.norm(points, axis=1)
         with np.errstate(invalid="ignore"):
-            sound = (ranges >= config.lidar.min_range) & (ranges <= config.lidar.max_range)
+            sound = (ranges >= lidar.min_range) & (ranges <= lidar.max_range)
         points, ranges = points[sound], ranges[sound]
+        at_most = ranges > (1.0 - SAME) * ranges.max(initial=0.0)
+        if MANY * len(ranges) < np.count_nonzero(at_most) < (1.0 - MANY) * len(ranges):
+            self._most.append(float(ranges.max()))
+            points, ranges = points[~at_most], ranges[~at_most]
         if len(points) < NEIGHBOURS:
             return
         placed = points @ scan.pose.rotation_map_lidar.T + scan.pose.position
@@ -119,7 +128,12 @@ class _Seen:
         variance = _scatter(points / ranges[:, None], ranges, few)
         self._noise.append(math.sqrt(float(np.quantile(variance, QUANTILE)) / AT_QUANTILE))
 
-    def suggestion(self, bag: Path, config: Config, wrong: list[str]) -> Suggestion:
+    def suggestion(
+        self, bag: Path, settings: Mapping[str, Any], notes: Sequence[str]
+    ) -> Suggestion:
+        """Values for the scans of a bag, with the ``settings`` and ``notes`` of its stream. Raises
+        `ReplayError`: all returns are of one place."""
+        config = config_from_values(settings, self._config)
         noise = max(float(f"{np.median(self._noise):.2g}"), 1e-3)
         spacing = float(np.median(self._spacing))
         low, high = np.percentile(np.concatenate(self.places)[:, :2], [0.5, 99.5], axis=0)
@@ -151,7 +165,13 @@ class _Seen:
         x, y = (f"{a:.1f} ... {b:.1f}" for a, b in zip(low, high, strict=True))
         apart = f"returns of a scan are {spacing:.2g} m apart on the ground, and the vehicle"
         sizes = f"cells of {coarse:g} ... {finest:g} m: {apart} measures {vehicle.diameter:g} m"
+        values |= settings
+        if 2 * len(self._most) > len(self.places):
+            values["lidar.max_range"] = float(f"{0.99 * min(self._most):.3g}")
         reasons = {
+            "frames.map": "of the poses",
+            "lidar.max_range": "many returns are at one greatest range: rays without a return",
+            "mount.source": "/tf_static leads from the poses' frame to the scans'",
             "domain.xmin": f"99 % of the returns lie in x {x}, y {y} m",
             "domain.max_level": sizes,
             "lidar.range_noise": "scatter of neighbouring returns where the ground is smoothest",
@@ -163,7 +183,7 @@ class _Seen:
             if name.startswith("vehicle.") or value != usual[name]
         }
         found = config_from_values(values := given | values, config)
-        notes = [f"Suggested for {bag} from {len(self.places)} of its {self._scans} scans.", *wrong]
+        notes = [f"Suggested for {bag} from {len(self.places)} of its {self._scans} scans.", *notes]
         if by_data > most:
             notes.append(
                 f"The returns of a scan or their noise are too coarse for a vehicle of"

@@ -85,15 +85,45 @@ def column(msg: Any, field: Any, kind: str) -> NDArray[Any]:
     """(height, width) values of one field of a cloud that `points_from_cloud` has taken. ``kind``:
     NumPy's word for the field's type, without byte order. Raises `MessageError`: ``layout`` if the
     field lies outside a point or is no single value."""
-    shape, strides = (msg.height, msg.width), (msg.row_step, msg.point_step)
+    data = bytes_of(msg.data)
+    shape, strides = (msg.height, msg.width), (_row_step(msg, data.size), msg.point_step)
     order, (start, _) = ">" if msg.is_bigendian else "<", _span(msg, field, kind)
-    return np.ndarray(shape, order + kind, bytes_of(msg.data), start, strides)
+    return np.ndarray(shape, order + kind, data, start, strides)
+
+
+def layout_note(msg: Any) -> str:
+    """Which sizes of a cloud that `points_from_cloud` has taken are wrong, and how they were read;
+    empty if none is."""
+    size = bytes_of(msg.data).size
+    row_step, packed = int(msg.row_step), int(msg.width) * int(msg.point_step)
+    misread = row_step < packed or int(msg.height) > 1
+    wrong = [f"row_step {row_step}"] * (misread and row_step != packed == _row_step(msg, size))
+    fields = (field for field in msg.fields if field.name in CARTESIAN + SPHERICAL)
+    wrong += [f"count {field.count} of '{field.name}'" for field in fields if field.count != 1]
+    if size > int(msg.height) * max(packed, row_step):
+        wrong.append(f"{size} bytes of data")
+    if not wrong:
+        return ""
+    shape = f"{msg.width} x {msg.height} points of {msg.point_step} bytes"
+    return (
+        f"cloud of {shape} has {', '.join(wrong)}; read with rows of {packed} bytes and single"
+        " values: correct the driver"
+    )
+
+
+def _row_step(msg: Any, size: int) -> int:
+    """Bytes from row to row. Data of exactly height * width * point_step bytes has no padding,
+    whatever ``row_step`` says: some drivers leave it 0, or give points or the whole size."""
+    packed = int(msg.width) * int(msg.point_step)
+    return packed if size == int(msg.height) * packed else int(msg.row_step)
 
 
 def _span(msg: Any, field: Any, kind: str) -> tuple[int, int]:
-    """First byte of a field in each point, and the one after its last. Raises `MessageError`."""
+    """First byte of a field in each point, and the one after its last. A count of 0, or of the
+    cloud's points, is a driver's slip for 1. Raises `MessageError`."""
     start, end = int(field.offset), int(field.offset) + int(kind[1])
-    if int(field.count) != 1 or start < 0 or end > msg.point_step:
+    single = int(field.count) in (0, 1, int(msg.height) * int(msg.width))
+    if not single or start < 0 or end > msg.point_step:
         text = (
             f"cloud field '{field.name}', {field.count} at bytes {start}..{end}, is no single value"
             f" within a point of {msg.point_step} bytes"
@@ -146,18 +176,21 @@ def _view(msg: Any, fields: list[Any], kinds: list[str], data: Bytes) -> Points 
     """(height, width, 3) of the bytes themselves; None if they do not lie so."""
     kind, size, start = kinds[0], int(kinds[0][1]), int(fields[0].offset)
     address = data.__array_interface__["data"][0] + start
-    aligned = not any(n % size for n in (address, msg.point_step, msg.row_step))
+    row_step = _row_step(msg, data.size)
+    aligned = not any(n % size for n in (address, msg.point_step, row_step))
     together = [int(field.offset) for field in fields] == [start, start + size, start + 2 * size]
     same = kinds == [kind] * 3 and bool(msg.is_bigendian) == (sys.byteorder == "big")
     if not (aligned and together and same):
         return None
-    shape, strides = (msg.height, msg.width, 3), (msg.row_step, msg.point_step, size)
+    shape, strides = (msg.height, msg.width, 3), (row_step, msg.point_step, size)
     return np.ndarray(shape, kind, data, start, strides)
 
 
 def _check_layout(msg: Any, fields: list[Any], size: int) -> None:
     """Of the coordinates' fields, in ``size`` bytes of data. Raises `MessageError`."""
-    point_step, row_step = _count(msg, "point_step"), _count(msg, "row_step")
+    point_step = _count(msg, "point_step")
+    _count(msg, "row_step")
+    row_step = _row_step(msg, size)
     height, width = int(msg.height), int(msg.width)
     spans = []
     for field in fields:
@@ -175,9 +208,11 @@ def _check_layout(msg: Any, fields: list[Any], size: int) -> None:
     if row_step < width * point_step:
         text = f"cloud row_step {row_step} is less than {width} points of {point_step} bytes"
         raise MessageError("size", text)
-    # The padding of the last row may be left out.
+    # The padding of the last row may be left out. A driver's buffer may be larger than its cloud,
+    # where a single row leaves no question of what is padding.
     least, most = (height - 1) * row_step + width * point_step, height * row_step
-    if not least <= size <= most:
+    longer = height == 1 and row_step == width * point_step
+    if size < least or (size > most and not longer):
         text = f"cloud of {width} x {height} points needs {most} bytes, has {size}"
         raise MessageError("size", text)
 

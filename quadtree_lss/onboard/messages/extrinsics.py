@@ -67,24 +67,11 @@ class Extrinsics:
         self._look()
 
     def on_transforms(self, msg: Any) -> None:
-        """Takes a ``tf2_msgs/TFMessage`` of ``/tf_static``. Raises `MessageError`: ``stamp``,
-        ``position``, ``quaternion`` or ``frame`` of a transform; the others hold."""
-        wrong: MessageError | None = None
-        new = False
-        for item in msg.transforms:
-            try:
-                held = mount_from_message(item, "transform")
-                frames = [
-                    _usable(of, "frame") for of in (item.header.frame_id, item.child_frame_id)
-                ]
-            except MessageError as error:
-                wrong = wrong or error
-            else:
-                new |= self._tree.add(*frames, held)
-        if new:
+        """Takes a ``tf2_msgs/TFMessage`` of ``/tf_static``. Raises as `add_transforms`."""
+        try:
+            add_transforms(self._tree, msg)
+        finally:
             self._look()
-        if wrong is not None:
-            raise wrong
 
     def lack(self) -> str:
         """Why the mount is not known yet."""
@@ -100,6 +87,22 @@ class Extrinsics:
         found = self._tree.between(self._body, self._lidar) if self._body and self._lidar else None
         if found is not None:
             self._found = self.turned(found)
+
+
+def add_transforms(tree: FixedTransforms, msg: Any) -> None:
+    """Adds those of a ``tf2_msgs/TFMessage`` to a tree. Raises `MessageError`: ``stamp``,
+    ``position``, ``quaternion`` or ``frame`` of a transform; the others are added."""
+    wrong: MessageError | None = None
+    for item in msg.transforms:
+        try:
+            held = mount_from_message(item, "transform")
+            frames = [_usable(of, "frame") for of in (item.header.frame_id, item.child_frame_id)]
+        except MessageError as error:
+            wrong = wrong or error
+        else:
+            tree.add(*frames, held)
+    if wrong is not None:
+        raise wrong
 
 
 def _usable(frame: object, reason: str) -> str:

@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Points
 from quadtree_lss.onboard.config.settings import Config
@@ -20,7 +19,12 @@ from quadtree_lss.onboard.core.sensing.pose_gate import PoseGate
 from quadtree_lss.onboard.core.sensing.scan_queue import Drop, ScanQueue
 from quadtree_lss.onboard.core.sensing.sweep import Sweep, poses_during, sweep
 from quadtree_lss.onboard.errors import one_line
-from quadtree_lss.onboard.messages.clouds import MessageError, points_from_cloud, stamp_ns
+from quadtree_lss.onboard.messages.clouds import (
+    MessageError,
+    layout_note,
+    points_from_cloud,
+    stamp_ns,
+)
 from quadtree_lss.onboard.messages.depth import DepthCamera
 from quadtree_lss.onboard.messages.extrinsics import Extrinsics
 from quadtree_lss.onboard.messages.poses import (
@@ -28,7 +32,7 @@ from quadtree_lss.onboard.messages.poses import (
     mount_from_message,
     pose_from_message,
 )
-from quadtree_lss.onboard.messages.times import offsets_from_cloud
+from quadtree_lss.onboard.messages.times import PointTimes, offsets_from_cloud
 
 NOISE_RATIO_LIMIT = 1.4
 """Observed over configured range noise that is worth a warning, either way."""
@@ -37,6 +41,9 @@ GAP_NS = 1_500_000_000
 """Between poses farther apart nothing is interpolated: one a second may be late by half."""
 BUFFER_NS = 30 * SECOND_NS
 """Older poses are forgotten: by far more than a scan may wait for its own, or a pose come late."""
+
+GAPS = 9
+"""Of so many gaps between clouds the median is their period: a few may be lost or sent twice."""
 
 
 class Notice(NamedTuple):
@@ -71,10 +78,10 @@ class ReadyScan(NamedTuple):
 
 
 class _Cloud(NamedTuple):
-    """What waits for its pose; ``times`` as of `offsets_from_cloud`."""
+    """What waits for its pose."""
 
     points: Points
-    times: tuple[NDArray[np.int32], tuple[int, int]] | None
+    times: PointTimes | None
     edges: int = 0
 
 
@@ -120,6 +127,8 @@ class Intake:
         self.scans = 0
         self.poses_taken = 0
         self._notices: list[Notice] = []
+        self._stamp_ns = 0
+        self._gaps_ns: deque[int] = deque(maxlen=GAPS)
 
     @property
     def mount(self) -> Pose | None:
@@ -150,7 +159,7 @@ class Intake:
             return
         if has_unknown_covariance(msg):
             text = (
-                "pose covariance is zero in position or attitude, taken as unknown: using"
+                "pose covariance is zero, -1, not a number or huge where it is unknown: using"
                 f" {limits.unknown_position_sigma:g} m and"
                 f" {limits.unknown_attitude_sigma_deg:g} deg (pose.unknown_position_sigma,"
                 " pose.unknown_attitude_sigma_deg)"
@@ -211,19 +220,30 @@ class Intake:
             return None
         times = None
         if not depth:
+            if note := layout_note(msg):
+                self._notices.append(Notice("cloud_sizes", note))
             try:
-                times = offsets_from_cloud(msg, stamp, points)
+                times = offsets_from_cloud(msg, stamp, points, self._period_ns(stamp))
+                if times is not None and times.note:
+                    self._notices.append(Notice("times_unit", times.note))
             except MessageError as error:
                 self.reject("times", error)
         self.scans += 1
         self._mount()
         jumps = self.queue.jumps
-        span_ns = (0, 0) if times is None else times[1]
+        span_ns = (0, 0) if times is None else times.span
         self.queue.push_scan(stamp, _Cloud(points, times, edges), arrival_ns, span_ns)
         if self.queue.jumps != jumps:
             text = "scan stamps jumped back (a looping bag?): waiting scans dropped, map kept"
             self._notices.append(Notice("time_jump", text))
         return stamp
+
+    def _period_ns(self, stamp_ns: int) -> float | None:
+        """Median time from cloud to cloud up to one of this stamp; None for the first."""
+        if self._stamp_ns and stamp_ns > self._stamp_ns:
+            self._gaps_ns.append(stamp_ns - self._stamp_ns)
+        self._stamp_ns = stamp_ns
+        return float(np.median(self._gaps_ns)) if self._gaps_ns else None
 
     def ready(self, now_ns: int) -> list[ReadyScan]:
         """Scans whose pose is known, oldest first; gives up those that have waited too long.
@@ -239,7 +259,7 @@ class Intake:
     def _with_sweep(self, stamp: int, cloud: _Cloud, pose: Pose) -> ReadyScan:
         if cloud.times is None:
             return ReadyScan(stamp, cloud.points, pose, edges=cloud.edges)
-        offsets, (first, last) = cloud.times
+        offsets, (first, last), _ = cloud.times
         poses = poses_during(self.queue.poses, stamp + first, stamp + last)
         return ReadyScan(stamp, cloud.points, pose, sweep(offsets, pose, poses))
 

@@ -37,9 +37,9 @@ REASONS = {
 
 
 def misplaced(report: ScanReport) -> bool:
-    """Whether no point entered the map because they lie elsewhere or above the lidar."""
+    """Whether no point entered the map, mostly because they lie elsewhere or above the lidar."""
     lost = report.dropped.get("outside", 0) + report.dropped.get("above", 0)
-    return not report.points_used and lost > 0
+    return not report.points_used and lost > report.dropped.get("contradiction", 0)
 
 
 def unused_points_text(report: ScanReport, domain: Domain, why: str = "") -> str | None:

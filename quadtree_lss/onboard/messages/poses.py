@@ -25,11 +25,14 @@ MAX_COVARIANCE = 1e12
 MAX_ATTITUDE_VARIANCE = 0.25
 """rad^2; an attitude known to no better than 0.5 rad places no point."""
 
+UNKNOWN_VARIANCES = np.repeat([300.0**2, (2.0 * np.pi) ** 2], 3)
+"""m^2, rad^2; more says "unknown", as drivers do with 1e6 on axes that they do not estimate."""
+
 UNIT_TOLERANCE = 0.01
 """A quaternion's length may differ from one by this; it is normalised."""
 
 COVARIANCE_TOLERANCE = 1e-6
-"""Relative asymmetry and negative eigenvalue that count as rounding and are mended."""
+"""Relative asymmetry and negative eigenvalue that count as rounding and are corrected."""
 
 
 def pose_from_message(
@@ -41,8 +44,8 @@ def pose_from_message(
 ) -> Pose:
     """Pose of the lidar (or body) in the map frame.
 
-    Variances of zeros alone, of position or of attitude, say "unknown" by convention; the two
-    sigmas (m and degrees, each axis) then take their place (see `has_unknown_covariance`). ``msg``
+    Where the covariance says "unknown" (see `has_unknown_covariance`), the two sigmas (m and
+    degrees, each axis) take its place. ``msg``
     is like ``geometry_msgs/PoseWithCovarianceStamped`` or ``nav_msgs/Odometry``, of which the
     velocity is not used; its header's frame must be ``map_frame``, a leading slash aside; its
     covariance is of (x, y, z, rotation about that frame's fixed axes), m and rad. Raises
@@ -60,8 +63,9 @@ def pose_from_message(
 
 
 def has_unknown_covariance(msg: Any) -> bool:
-    """True if all variances of position, or of attitude, are zero: the publisher does not know.
-    Raises `MessageError` as `pose_from_message`."""
+    """True if the publisher does not know a variance: it is not a number, -1 or above
+    `UNKNOWN_VARIANCES`, or all of position, or of attitude, are zero beside. Raises `MessageError`
+    as `pose_from_message`."""
     return bool(_covariance(_content(msg.pose.covariance))[1].any())
 
 
@@ -92,21 +96,31 @@ def _content(covariance: Any) -> bytes:
 @lru_cache(maxsize=8)  # most publishers repeat theirs, and poses come at hundreds a second
 def _covariance(content: bytes) -> tuple[Array, Mask]:
     """A covariance (6, 6) of 36 float64 row by row, symmetric and without negative eigenvalues,
-    read-only; and (6,) of which axes nothing is said, all three of position or of attitude.
+    read-only, zero along axes that are unknown; and (6,) which are.
 
-    Rounding is mended, more is refused. Asymmetry and eigenvalues are judged after scaling to unit
-    diagonal, since metres and radians differ by orders of magnitude. Raises `MessageError`:
-    ``covariance`` if it is of another length, not finite, not symmetric, or has a negative
-    eigenvalue; ``attitude`` if that is as good as unknown.
+    Rounding is corrected, more is refused. Of a matrix with one empty triangle the other counts. A
+    correlation that is not a number is none. Asymmetry and eigenvalues are judged after scaling to
+    unit diagonal, since metres and radians differ by orders of magnitude. Raises `MessageError`:
+    ``covariance`` if it is of another length, not symmetric, or has a negative variance or
+    eigenvalue; ``attitude`` if that is too uncertain to place a point.
     """
     entries = np.frombuffer(content)
     if entries.size != 36:
         text = f"pose covariance has {entries.size} entries; 36 are needed"
         raise MessageError("covariance", text)
-    if not (np.abs(entries) <= MAX_COVARIANCE).all():  # also when one is not a number
-        text = f"pose covariance is not finite or absurd (beyond {MAX_COVARIANCE:.0e})"
-        raise MessageError("covariance", text)
     matrix = entries.reshape(6, 6)
+    variances = matrix.diagonal()
+    unknown = np.isnan(variances) | (variances == -1.0) | (variances > UNKNOWN_VARIANCES)
+    empty = (unknown | (variances == 0.0)).reshape(2, 3).all(axis=1)
+    unknown |= np.repeat(empty, 3)
+    left_out = unknown | unknown[:, None] | np.isnan(matrix)
+    matrix = np.where(left_out, 0.0, matrix)
+    upper, lower = np.triu(matrix, 1), np.tril(matrix, -1)
+    if upper.any() != lower.any():
+        matrix = matrix + (upper + lower).T
+    if not (np.abs(matrix) <= MAX_COVARIANCE).all():
+        text = f"pose covariance is absurd (beyond {MAX_COVARIANCE:.0e})"
+        raise MessageError("covariance", text)
     variances = matrix.diagonal()
     if variances.min() < 0.0:
         text = f"pose covariance has a negative variance ({variances.min():.3g})"
@@ -131,10 +145,10 @@ def _covariance(content: bytes) -> tuple[Array, Mask]:
     widest = float(covariance.diagonal()[3:].max())
     if widest > MAX_ATTITUDE_VARIANCE:
         text = f"pose attitude has a variance of {widest:.3g} rad^2, so nothing is known of it"
-        text += "; a covariance of zeros says unknown (pose.unknown_attitude_sigma_deg)"
+        text += "; zeros say unknown (pose.unknown_attitude_sigma_deg)"
         raise MessageError("attitude", text)
     covariance.flags.writeable = False
-    return covariance, np.repeat(~variances.reshape(2, 3).any(axis=1), 3)
+    return covariance, unknown
 
 
 def _position(point: Any, what: str) -> Array:
