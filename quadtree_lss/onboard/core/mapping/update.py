@@ -174,6 +174,8 @@ class ScanUpdate:
         """Fit the touched leaves; the scan beside the map in the M that were measured before.
 
         Where there is no plane to compare with, `settle` fits, while the leaf is near for more.
+        Leaves divided from rough ground (tree crowns) are not compared: their planes depend on
+        which returns a scan happens to have, not on its pose.
 
         Returns:
             (ROWS, M), by row. `RISE`: scan's height over the map, m; `OWN`: variance of that but
@@ -196,7 +198,7 @@ class ScanUpdate:
                 self.table.expect(self.rows[min(i + 4, self.cells - 1)])
                 run = self._run(i)
                 self._measure(leaf, self.begins[i], self.begins[i + 1], run)
-                if leaf.known == leaves.MEASURED:
+                if self._comparable(leaf):
                     self._compare(leaf, run, found)
                     found += 1
         return out[:, :found]
@@ -210,7 +212,7 @@ class ScanUpdate:
         self.columns = out
         for i in range(self.cells):
             leaf = self._leaf(self.rows[i])
-            if leaf.known != leaves.MEASURED:
+            if not self._comparable(leaf):
                 continue
             run = self._run(i)
             up = leaf.normal[2]
@@ -235,6 +237,10 @@ class ScanUpdate:
                         found += 1
                     total = count = 0.0
         return out[:, :found]
+
+    def _comparable(self, leaf: Record) -> cython.bint:
+        """Whether the height of a scan over a leaf tells the scan's offset from the map."""
+        return leaf.known == leaves.MEASURED and leaf.uneven <= self.rules.slack
 
     def _compare(self, leaf: Record, run: Record, at: cython.Py_ssize_t) -> None:
         """One column of what `fit` returns; few points are compared where they lie, for what they
@@ -395,8 +401,10 @@ class ScanUpdate:
             moved += fabs(leaf.normal[1] / leaf.normal[2] - y / up)
             most = MOVED * division.standing_out(self.rules, leaf, run.variance)
             if fabs(leaf.z - z) + 0.5 * side * moved > most:
-                self.table.unknow(leaf)  # what was known, was by another plane
-                leaf.low, leaf.high = INFINITY, -INFINITY
+                turn_x = x / up - leaf.normal[0] / leaf.normal[2]
+                turn_y = y / up - leaf.normal[1] / leaf.normal[2]
+                if not self.table.unmark_moved(leaf, leaf.z - z, turn_x, turn_y, most):
+                    leaf.low, leaf.high = INFINITY, -INFINITY
         if leaf.known != leaves.MEASURED:
             self._mark(begin, end, leaves.SEEN)
             return

@@ -69,7 +69,7 @@ cdef class LeafTable:
     cdef Leaf* at(self, Py_ssize_t row) noexcept nogil
     cdef double side(self, int level) noexcept nogil
     cdef void _place(self, Py_ssize_t row, int level, int ix, int iy) noexcept nogil
-    cdef void unknow(self, Leaf* leaf) noexcept nogil
+    cdef bint unmark_moved(self, Leaf* leaf, double rise, double slope_x, double slope_y, double limit) noexcept nogil
     cdef void forget(self, Leaf* leaf) noexcept nogil
     cdef bint _stands_out(self, int level, int ix, int iy) noexcept nogil
     cpdef bint divide(self, Py_ssize_t row, double square, double tilt, double spread, double uneven) noexcept nogil

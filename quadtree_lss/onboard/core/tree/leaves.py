@@ -293,20 +293,44 @@ class LeafTable:
         return True
 
     @cython.boundscheck(False)
-    def unknow(self, leaf: Record) -> None:
-        """Nothing is known of the finest cells under a leaf; seen they were."""
-        code: cython.Py_ssize_t
-        down: cython.int = 2 * (self.max_level - leaf.level)
-        first: cython.Py_ssize_t = encode(leaf.ix, leaf.iy) << down
-        for code in range(first, first + (1 << down)):
-            if self.seen[code] > SEEN:
-                self.seen[code] = SEEN
-            self.pile[code, 0] = self.pile[code, 1] = 0.0
+    def unmark_moved(
+        self, leaf: Record, rise: float, slope_x: float, slope_y: float, limit: float
+    ) -> cython.bint:
+        """Mark finest cells as observed only, where the leaf's plane moved too far.
+
+        Args:
+            leaf: The leaf.
+            rise: By how much its plane moved up at the leaf's centre, m.
+            slope_x, slope_y: By how much dz/dx and dz/dy changed.
+            limit: A finest cell keeps its state where no corner moved farther, m.
+
+        Returns:
+            Whether any finest cell is still marked as part of the map.
+        """
+        cython.declare(i=cython.int, j=cython.int, code=cython.Py_ssize_t)
+        down: cython.int = self.max_level - leaf.level
+        first: cython.Py_ssize_t = encode(leaf.ix, leaf.iy) << 2 * down
+        side: cython.double = self.sides[self.max_level]
+        half: cython.double = 0.5 * side * (1 << down)
+        corner = 0.5 * side * (fabs(slope_x) + fabs(slope_y))
+        kept: cython.bint = False
+        for i in range(1 << down):
+            for j in range(1 << down):
+                code = first + encode(j, i)
+                moved = rise + slope_x * ((j + 0.5) * side - half)
+                moved += slope_y * ((i + 0.5) * side - half)
+                if fabs(moved) + corner <= limit:
+                    kept = kept or self.seen[code] > SEEN
+                    continue
+                if self.seen[code] > SEEN:
+                    self.seen[code] = SEEN
+                self.pile[code, 0] = self.pile[code, 1] = 0.0
+        return kept
 
     def forget(self, leaf: Record) -> None:
         """Nothing is known of a leaf, nor of the finest cells under it; seen they were."""
         clear(leaf)
-        self.unknow(leaf)
+        self.unmark_moved(leaf, INFINITY, 0.0, 0.0, 0.0)
         leaf.known = NOTHING
         leaf.low, leaf.high = INFINITY, -INFINITY
         leaf.z = leaf.normal[0] = leaf.normal[1] = 0.0
