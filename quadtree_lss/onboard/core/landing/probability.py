@@ -26,9 +26,9 @@ from numpy.typing import ArrayLike
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask, Single
 from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, RiskModel, Row
 from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.core.landing.contact import ContactLimits, Contacts
 from quadtree_lss.onboard.core.landing.lattice import GroundPlanes
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
-from quadtree_lss.onboard.core.landing.touchdown import Limits, WorstContact
 
 #: Side of the square of the ground under the lander, diameters.
 FOOTPRINT = 0.9
@@ -84,15 +84,16 @@ class Dispersion:
         return Dispersion(float(given[0]), float(given[1]), turned if isfinite(turned) else None)
 
 
-def limits(model: RiskModel, lss: LssConfig) -> Limits:
-    """Between which contacts the model, and the touchdown check, differ."""
-    rise, slope = lss.vehicle.clearance, tan(radians(lss.vehicle.max_slope_deg))
-    lengths = lss.vehicle.lengths
-    own, steep = lengths.touchdown_roughness, tan(radians(lengths.touchdown_slope_deg))
-    (low, high), (level, steepest) = (model.span(name) for name in ("rise", "tilt"))
-    return Limits(
-        (min(low * rise, own), max(high * rise, own)),
-        (min(level * slope, steep), max(steepest * slope, steep)),
+def contact_limits(model: RiskModel, lss: LssConfig) -> ContactLimits:
+    """Contacts that neither the risk model nor the touchdown limits tell apart."""
+    vehicle, lengths = lss.vehicle, lss.vehicle.lengths
+    least_rise, most_tilt = model.span("rise")[0], model.span("tilt")[1]
+    return ContactLimits(
+        min(least_rise * vehicle.clearance, lengths.touchdown_roughness),
+        max(
+            most_tilt * tan(radians(vehicle.max_slope_deg)),
+            tan(radians(lengths.touchdown_slope_deg)),
+        ),
     )
 
 
@@ -159,18 +160,18 @@ class RiskTable:
         wide = max(log10(side / (0.85 * least)), 0.0)
         return 2.0 * log10(self._noise / (0.2 * least)) + 3.0 * wide
 
-    def features(self, raster: TerrainRaster, planes: GroundPlanes, worst: WorstContact) -> Single:
+    def features(self, raster: TerrainRaster, planes: GroundPlanes, contacts: Contacts) -> Single:
         """What the model asks of each grid point, (F, n + 1, n + 1) in the order of `LOCAL`.
 
         Args:
             raster: The map.
             planes: The ground at the lander's scale.
-            worst: The lander's worst contacts on the map, where it is judged and beside that.
+            contacts: Contacts on the map, where it is judged and beside that.
         """
         vehicle, side, cells = self._vehicle, raster.domain.finest_size, raster.cells
         clearance, steep = vehicle.clearance, tan(radians(vehicle.max_slope_deg))
-        out = np.empty((len(LOCAL), *worst.rise.shape), dtype=np.float32)
-        for k, contact, limit in ((0, worst.rise, clearance), (2, worst.slope, steep)):
+        out = np.empty((len(LOCAL), *contacts.rise.shape), dtype=np.float32)
+        for k, contact, limit in ((0, contacts.rise, clearance), (2, contacts.tilt, steep)):
             set_contacts(contact, limit, self.low[k], out[k : k + 2])
         known = ~raster.bridged
         # Returns on a square as wide as the least hazard, of those that their leaf has there.
@@ -191,7 +192,7 @@ class RiskTable:
         return out
 
     def risk(
-        self, raster: TerrainRaster, judged: Mask, planes: GroundPlanes, worst: WorstContact
+        self, raster: TerrainRaster, judged: Mask, planes: GroundPlanes, contacts: Contacts
     ) -> tuple[Array, Bytes]:
         """P(unsafe) of landing at each grid point, and what most of it comes from.
 
@@ -201,7 +202,7 @@ class RiskTable:
         Returns:
             (n + 1, n + 1) probabilities, 1 where it is not judged; and numbers in `CAUSES`.
         """
-        places = self.features(raster, planes, worst)
+        places = self.features(raster, planes, contacts)
         side = raster.domain.finest_size
         if self._constant is None or self._constant[0] != side:
             of = self.overall(side)
