@@ -375,5 +375,5 @@ def test_a_heading_that_is_no_number_is_any():
 
 @pytest.mark.parametrize("sigma", [1e-160, 1e-200, 1e-320, 1e-3])
 def test_a_dispersion_of_next_to_nothing_is_none(sigma):
-    weights = normal_weights(sigma, 0.25)
+    weights = normal_weights(sigma / 0.25, 40)
     assert weights.sum() == weights[len(weights) // 2] == 1.0

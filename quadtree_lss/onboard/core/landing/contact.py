@@ -222,6 +222,7 @@ class ContactKernel:
         """
         cython.declare(k=cython.Py_ssize_t, p=cython.Py_ssize_t)
         headings: cython.Py_ssize_t = self.cos.shape[0]
+        corner: cython.double = self.corner
         for k in range(4 * headings):
             p = cell + self.pad_cell[k]
             self.pad_z[k] = (
@@ -229,8 +230,7 @@ class ContactKernel:
                 + self.ground[1, p] * self.pad_x[k]
                 + self.ground[2, p] * self.pad_y[k]
             )
-        steep, self.z_low = 0.0, FAR
-        self.z_east = self.z_west = self.z_north = self.z_south = FAR
+        steep, low, low_east, low_west, low_north, low_south = 0.0, FAR, FAR, FAR, FAR, FAR
         for k in range(headings):
             east, north = self.pad_z[k], self.pad_z[headings + k]
             west, south = self.pad_z[2 * headings + k], self.pad_z[3 * headings + k]
@@ -244,10 +244,12 @@ class ContactKernel:
                 self.plane_x[2 * k + p], self.plane_y[2 * k + p] = x, y
                 self.plane_z[2 * k + p] = z
                 steep = max(steep, x * x + y * y)
-                self.z_low = min(self.z_low, z)
-                x, y = x * self.corner, y * self.corner
-                self.z_east, self.z_west = min(self.z_east, z + x), min(self.z_west, z - x)
-                self.z_north, self.z_south = min(self.z_north, z + y), min(self.z_south, z - y)
+                low = min(low, z)
+                x, y = x * corner, y * corner
+                low_east, low_west = min(low_east, z + x), min(low_west, z - x)
+                low_north, low_south = min(low_north, z + y), min(low_south, z - y)
+        self.z_low, self.z_east, self.z_west = low, low_east, low_west
+        self.z_north, self.z_south = low_north, low_south
         return sqrt(steep)
 
     def find_rise(self, cell: cython.Py_ssize_t) -> cython.double:

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-from libc.math cimport fabs, sqrt
+from libc.math cimport erfc, fabs, sqrt
 from quadtree_lss.onboard.core.geometry.plane cimport inverse_symmetric
-from quadtree_lss.onboard.core.geometry.portable cimport above
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at
 from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, few, partial, pose_variance
 from quadtree_lss.onboard.core.mapping.features cimport feature_height
 from quadtree_lss.onboard.core.tree.leaves cimport MEASURED, Leaf
 
+cdef double normal_tail(double x) noexcept nogil
 cdef double mean_distance(double* points, Py_ssize_t count, double* normal, double* through) noexcept nogil
 cdef double mahalanobis_factor(double* mean, double cosine, double* sigma, double along, double plane) noexcept nogil
 cdef void judge(Rules rules, Leaf* leaf, Run* run, double* points, double* origin, double* sigma) noexcept nogil
