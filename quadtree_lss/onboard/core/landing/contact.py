@@ -37,6 +37,7 @@ from quadtree_lss.onboard.core.tree.domain import Domain, carried
 if cython.compiled:
     from cython.cimports.cpython.exc import PyErr_CheckSignals
 else:
+    SPAN = 16  # otherwise from the .pxd
 
     def PyErr_CheckSignals() -> None:
         """Do nothing: the interpreter handles signals."""
@@ -148,6 +149,7 @@ class ContactKernel:
             east or west of the grid point.
         half: (2 reach,) half width of the disc in each row, in cells.
         offset: (2 reach,) centres of these rows, or of columns, from the grid point, m.
+        share: (2 reach,) the same without a sign, over ``corner``.
         pad_row, pad_column: (4 headings,) cell under each pad, from the one north-east of the grid
             point.
         pad_x, pad_y: (4 headings,) the pad from the centre of that cell, m.
@@ -181,11 +183,14 @@ class ContactKernel:
         self.pad_row = np.floor(y / side).astype(np.intp)
         self.pad_x = x - (np.asarray(self.pad_column) + 0.5) * side
         self.pad_y = y - (np.asarray(self.pad_row) + 0.5) * side
-        self.pad_z = np.empty(len(x))
-        self.plane_x, self.plane_y, self.plane_z = np.empty((3, len(x) // 2))
         self.bound_x, self.bound_y = np.empty((2, 2 * under.reach))
         self.corner = float((np.abs(under.x) + np.abs(under.y)).max())
-        self.z_low = self.z_east = self.z_west = self.z_north = self.z_south = 0.0
+        self.share = np.abs(np.asarray(self.offset)) / self.corner
+        assert len(x) <= 48, "see the .pxd"
+        if not cython.compiled:  # otherwise parts of the object
+            self.pad_z, self.plane_x, self.plane_y, self.plane_z = np.empty((4, 48 * SPAN))
+            self.steep, self.z_low, self.z_east = np.empty((3, SPAN))
+            self.z_west, self.z_north, self.z_south = np.empty((3, SPAN))
 
     @cython.locals(due=cython.uchar[:, ::1], contacts=cython.float[:, :, ::1])
     def update(self, ground: Array, due: Bytes, contacts: Single) -> None:
@@ -193,10 +198,13 @@ class ContactKernel:
 
         ``ground`` (4, n, n): pad height, slopes in x and y, highest ground of the finest cells.
         """
-        cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, cell=cython.Py_ssize_t)
+        cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, p=cython.Py_ssize_t)
+        cython.declare(k=cython.Py_ssize_t, cell=cython.Py_ssize_t)
+        cython.declare(count=cython.Py_ssize_t, some=cython.uchar)
         n: cython.Py_ssize_t = ground.shape[1]
         self.width = n + 2
-        around = np.pad(ground, ((0, 0), (1, 1), (1, 1)), mode="edge")
+        # The last span of a row goes on in the next row.
+        around = np.pad(ground, ((0, 0), (1, 2 + SPAN // (n + 2)), (1, 1)), mode="edge")
         self.ground = around.reshape(4, -1)
         pairs = np.maximum(self.ground[3, 1:], self.ground[3, :-1])
         self.top = np.maximum(pairs[n + 2 :], pairs[: -(n + 2)])
@@ -205,91 +213,105 @@ class ContactKernel:
         after: cython.Py_ssize_t = n + 1 - max(np.max(self.pad_row), self.reach - 1)
         for i in range(first, after):
             with cython.nogil:
-                for j in range(first, after):
-                    if due[i, j]:
-                        cell = (i + 1) * self.width + j + 1
-                        tilt = self.find_planes(cell)
-                        contacts[1, i, j] = tilt
-                        contacts[0, i, j] = self.least_rise
-                        if tilt <= self.most_tilt:
-                            contacts[0, i, j] = self.find_rise(cell)
+                for k in range((after - first + SPAN - 1) // SPAN):
+                    j = first + k * SPAN
+                    count = min(SPAN, after - j)
+                    some = 0
+                    for p in range(count):
+                        some |= due[i, j + p]
+                    if not some:
+                        continue
+                    cell = (i + 1) * self.width + j + 1
+                    self.find_planes(cell)
+                    for p in range(count):
+                        if due[i, j + p]:
+                            contacts[0, i, j + p] = self.least_rise
+                            contacts[1, i, j + p] = sqrt(self.steep[p])
+                            if contacts[1, i, j + p] <= self.most_tilt:
+                                contacts[0, i, j + p] = self.find_rise(cell + p, p)
             PyErr_CheckSignals()  # The user can interrupt a large map.
 
-    def find_planes(self, cell: cython.Py_ssize_t) -> cython.double:
-        """Find the resting planes and the pyramid below them, and return the steepest slope.
+    def find_planes(self, cell: cython.Py_ssize_t) -> None:
+        """Find the resting planes and the pyramids below them at the grid points of a span.
 
-        ``cell``: column of ``ground`` of the cell north-east of the grid point.
+        ``cell``: column of ``ground`` of the cell north-east of the first grid point.
         """
-        cython.declare(k=cython.Py_ssize_t, p=cython.Py_ssize_t)
+        cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, p=cython.Py_ssize_t)
+        cython.declare(x=cython.double, y=cython.double, u=cython.double, v=cython.double)
         headings: cython.Py_ssize_t = self.cos.shape[0]
         corner: cython.double = self.corner
         for k in range(4 * headings):
-            p = cell + self.pad_cell[k]
-            self.pad_z[k] = (
-                self.ground[0, p]
-                + self.ground[1, p] * self.pad_x[k]
-                + self.ground[2, p] * self.pad_y[k]
-            )
-        steep, low, low_east, low_west, low_north, low_south = 0.0, FAR, FAR, FAR, FAR, FAR
+            i, u, v = cell + self.pad_cell[k], self.pad_x[k], self.pad_y[k]
+            for p in range(SPAN):
+                x, y = self.ground[1, i + p] * u, self.ground[2, i + p] * v
+                self.pad_z[k * SPAN + p] = self.ground[0, i + p] + x + y
+        for p in range(SPAN):
+            self.steep[p], self.z_low[p] = 0.0, FAR
+            self.z_east[p] = self.z_west[p] = self.z_north[p] = self.z_south[p] = FAR
         for k in range(headings):
-            east, north = self.pad_z[k], self.pad_z[headings + k]
-            west, south = self.pad_z[2 * headings + k], self.pad_z[3 * headings + k]
-            z = 0.5 * max(east + west, north + south)
-            # On the diagonal that carries the vehicle both differences are the same.
-            for p in range(2):
-                along = z - west if p else east - z
-                across = z - south if p else north - z
-                x = along * self.cos[k] - across * self.sin[k]
-                y = along * self.sin[k] + across * self.cos[k]
-                self.plane_x[2 * k + p], self.plane_y[2 * k + p] = x, y
-                self.plane_z[2 * k + p] = z
-                steep = max(steep, x * x + y * y)
-                low = min(low, z)
-                x, y = x * corner, y * corner
-                low_east, low_west = min(low_east, z + x), min(low_west, z - x)
-                low_north, low_south = min(low_north, z + y), min(low_south, z - y)
-        self.z_low, self.z_east, self.z_west = low, low_east, low_west
-        self.z_north, self.z_south = low_north, low_south
-        return sqrt(steep)
+            cos, sin, i = self.cos[k], self.sin[k], k * SPAN
+            for p in range(SPAN):
+                east, north = self.pad_z[i + p], self.pad_z[headings * SPAN + i + p]
+                west = self.pad_z[2 * headings * SPAN + i + p]
+                south = self.pad_z[3 * headings * SPAN + i + p]
+                z = 0.5 * max(east + west, north + south)
+                # On the diagonal that carries the vehicle both differences are the same.
+                x, y = (east - z) * cos - (north - z) * sin, (east - z) * sin + (north - z) * cos
+                u, v = (z - west) * cos - (z - south) * sin, (z - west) * sin + (z - south) * cos
+                self.plane_x[2 * i + p], self.plane_x[2 * i + SPAN + p] = x, u
+                self.plane_y[2 * i + p], self.plane_y[2 * i + SPAN + p] = y, v
+                self.plane_z[i + p] = z
+                self.z_low[p] = min(self.z_low[p], z)
+                self.z_east[p] = min(self.z_east[p], z + corner * min(x, u))
+                self.z_west[p] = min(self.z_west[p], z - corner * max(x, u))
+                self.z_north[p] = min(self.z_north[p], z + corner * min(y, v))
+                self.z_south[p] = min(self.z_south[p], z - corner * max(y, v))
+                self.steep[p] = max(self.steep[p], max(x * x + y * y, u * u + v * v))
 
-    def find_rise(self, cell: cython.Py_ssize_t) -> cython.double:
-        """Greatest rise of ground over the resting planes, m, or ``least_rise`` if that is more."""
+    def find_rise(self, cell: cython.Py_ssize_t, p: cython.Py_ssize_t) -> cython.double:
+        """Greatest rise of ground over the resting planes, m, or ``least_rise`` if that is more.
+
+        ``cell``: of the grid point, as for `find_planes`; ``p``: its place in the span.
+        """
         cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
         cython.declare(half=cython.Py_ssize_t, corner=cython.Py_ssize_t)
-        for j in range(self.reach):
-            share = self.offset[self.reach + j] / self.corner
-            self.bound_x[self.reach + j] = share * (self.z_east - self.z_low)
-            self.bound_x[self.reach - 1 - j] = share * (self.z_west - self.z_low)
-            self.bound_y[self.reach + j] = share * (self.z_north - self.z_low) + self.z_low
-            self.bound_y[self.reach - 1 - j] = share * (self.z_south - self.z_low) + self.z_low
+        low: cython.double = self.z_low[p]
+        east, west = self.z_east[p] - low, self.z_west[p] - low
+        north, south = self.z_north[p] - low, self.z_south[p] - low
+        for j in range(2 * self.reach):
+            share = self.share[j]
+            self.bound_x[j] = share * (west if j < self.reach else east)
+            self.bound_y[j] = share * (south if j < self.reach else north) + low
         rise = self.least_rise
         for i in range(0, 2 * self.reach, 2):
             corner = cell + (i - self.reach) * self.width - self.reach
             half = max(self.half[i], self.half[i + 1])
-            y = min(self.bound_y[i], self.bound_y[i + 1])
+            level = min(self.bound_y[i], self.bound_y[i + 1]) + rise
             for j in range(self.reach - half, self.reach + half, 2):
-                if self.top[corner + j] - y - min(self.bound_x[j], self.bound_x[j + 1]) > rise:
+                if self.top[corner + j] - min(self.bound_x[j], self.bound_x[j + 1]) > level:
                     for k in range(4):
-                        rise = self.raise_to(rise, cell, i + k // 2, j + k % 2)
+                        rise = self.raise_to(rise, cell, p, i + k // 2, j + k % 2)
+                    level = min(self.bound_y[i], self.bound_y[i + 1]) + rise
         return rise
 
     def raise_to(
         self,
         rise: cython.double,
         cell: cython.Py_ssize_t,
+        p: cython.Py_ssize_t,
         i: cython.Py_ssize_t,
         j: cython.Py_ssize_t,
     ) -> cython.double:
         """The greater of ``rise`` and the rise of one cell over the resting planes, m."""
-        k: cython.Py_ssize_t
+        cython.declare(k=cython.Py_ssize_t, one=cython.Py_ssize_t)
         z = self.ground[3, cell + (i - self.reach) * self.width + j - self.reach]
         inside: cython.bint = self.reach - self.half[i] <= j < self.reach + self.half[i]
         if not inside or z - self.bound_x[j] - self.bound_y[i] <= rise:
             return rise
         u, v, other = self.offset[j], self.offset[i], rise
-        for k in range(0, self.plane_z.shape[0], 2):
-            x, y = self.plane_x[k] * u, self.plane_y[k] * v
-            rise = max(rise, z - self.plane_z[k] - x - y)
-            x, y = self.plane_x[k + 1] * u, self.plane_y[k + 1] * v
-            other = max(other, z - self.plane_z[k] - x - y)
+        for k in range(self.cos.shape[0]):
+            height, one = z - self.plane_z[k * SPAN + p], 2 * k * SPAN + p
+            rise = max(rise, height - self.plane_x[one] * u - self.plane_y[one] * v)
+            one += SPAN
+            other = max(other, height - self.plane_x[one] * u - self.plane_y[one] * v)
         return max(rise, other)

@@ -180,13 +180,15 @@ class RiskTable:
         level = np.log10(returns + NO_RETURNS).astype(np.float32)
         rough = np.fmax(cells.roughness / (clearance * cells.size**2), 0.0)
         rough = np.minimum(rough, 2.0).astype(np.float32)
-        z = planes.elevation
-        corners = 0.25 * (z[:-1, :-1] + z[:-1, 1:] + z[1:, :-1] + z[1:, 1:])
-        relief = np.clip((raster.elevation - corners) / clearance, 0.0, HIGHEST)
         cell_values = np.empty((3, *known.shape), dtype=np.float32)
         cell_values[0] = np.where(known, level[raster.leaf], np.float32(log10(NO_RETURNS)))
         cell_values[1] = rough[raster.leaf] * known
-        cell_values[2] = np.where(raster.seen, relief**2, 0.0)
+        relief = planes.elevation[:-1] + planes.elevation[1:]
+        relief = raster.elevation - 0.25 * (relief[:, :-1] + relief[:, 1:])
+        relief /= clearance
+        np.clip(relief, 0.0, HIGHEST, out=relief)
+        np.multiply(relief, relief, out=cell_values[2], casting="same_kind")
+        cell_values[2] *= raster.seen
         reach = max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1)
         means = square_means(cell_values, reach)
         np.subtract(means[0], np.float32(self._worse(side)), out=found[4])
