@@ -227,6 +227,21 @@ def test_aims_are_means_over_the_touchdowns_drawn_from_the_dispersion():
         assert found[row, column] == pytest.approx(fails.mean(), abs=0.01)
 
 
+@pytest.mark.parametrize("spread", [Dispersion(0.0, 0.4), Dispersion(0.1, 1.3)])
+def test_an_aim_is_the_weighted_mean_of_the_risk_about_it(spread):
+    risk, beyond = np.random.default_rng(5).random((19, 25)), 30
+    around = np.pad(risk, beyond, constant_values=1.0)
+    along_y, along_x = (normal_weights(s / 0.25, beyond) for s in (spread.y, spread.x))
+    found = aimed(risk, 0.25, spread)
+    for row, column in ((0, 0), (9, 12), (18, 3)):
+        rows, columns = (
+            np.arange(-(len(w) // 2), len(w) // 2 + 1) + at + beyond
+            for w, at in ((along_y, row), (along_x, column))
+        )
+        expected = along_y @ around[np.ix_(rows, columns)] @ along_x
+        assert found[row, column] == pytest.approx(expected, abs=1e-12)
+
+
 @pytest.mark.parametrize("sigma", [2.0, 8.0, 100.0])
 def test_of_a_wide_dispersion_most_comes_down_beyond_the_map(sigma):
     places, side = np.arange(21), 0.25

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 
-from libc.math cimport hypot, sqrt
+from libc.math cimport sqrt
 from quadtree_lss.onboard.core.geometry.sphere cimport basis_at, minus_at, plus_at
 
 cdef void multiply(double* a, double* b, double* out) noexcept nogil

@@ -130,7 +130,7 @@ class ContactCheck:
         pad = z + self.config.vehicle.pad_radius * np.sqrt(x * x + y * y)
         top = z + 0.5 * domain.finest_size * (np.abs(x) + np.abs(y)) + SHAPE * raster.subscale
         ground = np.stack([pad, x, y, top])
-        changed = (ground != self._ground).any(axis=0)
+        changed: Mask = (ground != self._ground).any(axis=0)
         self._ground = ground
         return changed
 
