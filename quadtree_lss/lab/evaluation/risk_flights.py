@@ -34,10 +34,10 @@ from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.arrays import Array, Mask, Single
 from quadtree_lss.onboard.config.risk import OVERALL, RiskModel
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.landing.probability import RiskTable, limits
+from quadtree_lss.onboard.core.landing.contact import ContactCheck, Contacts
+from quadtree_lss.onboard.core.landing.probability import RiskTable, contact_limits
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.onboard.core.landing.score import Surroundings, look_around
-from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck, WorstContact
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -162,18 +162,18 @@ class Landings:
 
     raster: TerrainRaster
     around: Surroundings
-    worst: WorstContact
+    contacts: Contacts
     counts: Mask
     failed: Mask
 
     def risk(self, table: RiskTable) -> Array:
         """(K,) P(unsafe)."""
         around = self.around
-        return table.risk(self.raster, around.judged, around.planes, self.worst)[0][self.counts]
+        return table.risk(self.raster, around.judged, around.planes, self.contacts)[0][self.counts]
 
     def asked(self, table: RiskTable) -> Single:
         """(K, len(ASKED)) what a model asks of each place."""
-        of = table.features(self.raster, self.around.planes, self.worst)[:, self.counts].T
+        of = table.features(self.raster, self.around.planes, self.contacts)[:, self.counts].T
         overall = table.overall(self.raster.domain.finest_size)
         all_over = np.tile([overall[name] for name in OVERALL], (len(of), 1))
         return np.hstack([of, all_over]).astype(np.float32)
@@ -184,9 +184,9 @@ def land(mapped: Mapped, model: RiskModel) -> Landings:
     lss = mapped.config.lss
     raster = rasterise(mapped.cells, lss)
     around = look_around(raster, lss)
-    worst = TouchdownCheck(lss, limits(model, lss)).worst(raster, around.met)
+    contacts = ContactCheck(lss, contact_limits(model, lss)).contacts(raster, around.needs_contact)
     counts = around.judged & mapped.known
-    return Landings(raster, around, worst, counts, ~mapped.safe[counts])
+    return Landings(raster, around, contacts, counts, ~mapped.safe[counts])
 
 
 def table_of(model: RiskModel, config: Config) -> RiskTable:
