@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from quadtree_lss.desk.commands import common, console
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -80,8 +80,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--out", required=True, type=common.named, metavar="DIR", help="folder for the results")
     text = "without ROS: the nodes' functions, called in the flight's own time"
     add("--lockstep", action="store_true", help=text)
-    text = "speed of a flight over ROS (default 1); nodes go by /clock"
-    add("--rate", type=common.positive, metavar="R", help=text)
     text = "by the nodes; by the paper's rules; straight to the planned point; by the true ground"
     add("--avoidance", choices=AVOIDANCE, default="package", help=text)
     add("--terrain", type=common.named, metavar="DEM", help=TERRAIN)
@@ -91,7 +89,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--fault", action="append", default=[], metavar="FAULT", help=text)
     text = "set one parameter of the nodes, for instance lss.margin=1.0"
     add("--set", action="append", default=[], metavar="KEY=VALUE", help=text)
-    add("--no-page", action="store_true", help="no picture and no page")
 
 
 def _fly(options: argparse.Namespace) -> int:
@@ -109,8 +106,6 @@ def _fly(options: argparse.Namespace) -> int:
     }
     settings = flight_settings(given)
     alone = options.lockstep or options.avoidance in ("none", "perfect")
-    if alone:
-        common.refuse(options, "--lockstep, nor with --avoidance none or perfect", "rate")
     figures = {"seed": options.seed, "avoidance": options.avoidance, "outcome": "none"}
     with (
         made(options.out, QuadtreeLssError),
@@ -119,14 +114,14 @@ def _fly(options: argparse.Namespace) -> int:
         progress = partial(bar.update, total=LONGEST)
         try:
             if alone:
-                done = flown(options.seed, settings, progress=progress, record=not options.no_page)
+                done = flown(options.seed, settings, progress=progress, record=True)
             else:
                 done = _live(options, settings, progress)
         except BaseException as error:
             figures |= {"safe": False, "reason": console.first_line(error)}
             write_json(options.out / "touchdown.json", figures)
             raise
-    write_flight(options.out, done, report=not options.no_page)
+    write_flight(options.out, done)
     if done.figures["warnings"]:
         console.warn(f"warning: {done.figures['warnings']}")
     common.show(options, done.figures, f"{headline(done)}\nresults in {options.out}")
@@ -143,10 +138,8 @@ def _live(options: argparse.Namespace, settings: FlightSettings, progress: Progr
     except ImportError as error:
         msg = f"ROS 2 is not here ({console.first_line(error)}); --lockstep flies without"
         raise QuadtreeLssError(msg) from None
-    rate = 1.0 if options.rate is None else options.rate
     live = options.out / "nodes"
-    how: dict[str, Any] = {"rate": rate, "progress": progress, "domain": given_domain()}
-    return fly_live(options.seed, settings, live, **how)
+    return fly_live(options.seed, settings, live, progress=progress, domain=given_domain())
 
 
 def _simulate(options: argparse.Namespace) -> int:

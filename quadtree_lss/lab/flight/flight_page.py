@@ -37,17 +37,16 @@ from quadtree_lss.onboard.elevation.dem import ElevationModel
 PATH, SCANS, UNSAFE, PLACE, DOWN = "#0072b2", "#56b4e9", "#d55e00", "#e69f00", "#009e73"
 
 
-def write_flight(out: Path, flown: Flown, *, report: bool = True) -> None:
-    """``touchdown.json``, ``flight.csv``, ``decisions.csv``; with ``report`` picture, page and
-    results of the map, as replay writes them. Raises `OSError`: ``out`` cannot be written."""
+def write_flight(out: Path, flown: Flown) -> None:
+    """Write figures, record, decisions, picture and page, and the map like a replay's results.
+    Raises `OSError`: ``out`` cannot be written."""
     write_json(out / "touchdown.json", flown.figures)
     flight = flown.flight
     _write_csv(out / "flight.csv", flight.samples[0]._fields, flight.samples)
     _write_csv(out / "decisions.csv", Decision._fields, flight.pilot.decisions)
-    if report:
-        picture = drawing.png(figure(flown), dpi=110)
-        write_bytes(out / "flight.png", picture)
-        write_bytes(out / "flight.html", _page(out, flown, picture).encode())
+    picture = drawing.png(figure(flown), dpi=110)
+    write_bytes(out / "flight.png", picture)
+    write_bytes(out / "flight.html", _page(out, flown, picture).encode())
 
 
 def figure(flown: Flown) -> Figure:

@@ -64,7 +64,6 @@ LIMITS = {
     "dropouts": (0.0, 1.0),
     "glide_slope_deg": (10.0, 80.0),
     "navigation_error": (0.0, 100.0),
-    "conservatism": (0.01, 100.0),
     "rocks": (0.0, 0.3),
     "slope_deg": (0.0, 20.0),
 }
@@ -81,7 +80,6 @@ class Conditions:
         outliers, dropouts: Shares of false and of missing returns.
         glide_slope_deg: Of the morpheus scenario.
         navigation_error: How many times the usual errors of morpheus and descent.
-        conservatism: How many times its errors the navigation claims.
         rocks: Share of the ground that rocks cover, the k of Golombek and Rapp (a made field has
             0.05); on a given terrain rocks are added, over 100 m about its centre at most.
         slope_deg: Root mean square slope of a made field (1.5).
@@ -94,7 +92,6 @@ class Conditions:
     dropouts: float = 0.0
     glide_slope_deg: float = 30.0
     navigation_error: float = 1.0
-    conservatism: float = 2.0
     rocks: float | None = None
     slope_deg: float | None = None
 
@@ -126,7 +123,7 @@ class Conditions:
         usual, many = DriftingNavigation(), self.navigation_error
         place = many * usual.position_bias, many * usual.position_drift
         turn = many * attitude_bias_deg, many * attitude_drift_deg
-        return DriftingNavigation(*place, *turn, conservatism=self.conservatism)
+        return DriftingNavigation(*place, *turn)
 
 
 def _box(terrain: Terrain, half: float) -> tuple[float, float, float, float]:
