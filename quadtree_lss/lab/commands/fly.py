@@ -31,19 +31,15 @@ SCENARIOS = ("morpheus", "parabola", "descent", "drone", "depth")
 GIVEN = "seed duration terrain range_noise outliers dropouts flights rocks overwrite".split()
 SIMULATE = "Simulate a flight: a bag, and truth.npz beside it."
 FLIGHTS = """flights:
-  morpheus   the paper's Section VII: 20 s at 20 Hz on a 30 degree glide slope, 450 m off, 1 degree
-             gimballed lidar, over 60 x 60 m of rocks and craters
-  parabola   the paper's Section VI exactly: 61 scans at 1 Hz from 500 m, 10 degree lidar
-  descent    30 s at 5 Hz from 200 m down to 50 m, looking down with 20 degrees, over 60 x 60 m;
-             for measured ground by --terrain
-  drone      10 s at 10 Hz from 25 m down to 15 m, looking down with 60 degrees, over 16 x 16 m
-  depth      10 s at 5 Hz from 15 m down to 3 m, looking down with a stereo camera's depth images,
-             640 x 480, over 8 x 8 m of the drone's ground
---terrain takes an elevation model: GeoTIFF, or .npz with x (nx,), y (ny,) ascending in the same
-equal steps and elevation (ny, nx), m, z up, at least 9 x 9 m. Without it morpheus and descent fly
-over a field of rocks and craters. The flight is about the model's middle (parabola's about x 10,
-y 0): let domain.xmin, domain.ymin, domain.size of the replay fit, or take those of `config suggest
-BAG`.
+  morpheus   Section VII of the paper: 20 s at 20 Hz on a 30 degree glide slope from 450 m, 1 degree
+             gimballed lidar, 60 x 60 m of rocks and craters
+  parabola   Section VI of the paper: 61 scans at 1 Hz from 500 m, 10 degree lidar
+  descent    30 s at 5 Hz from 200 m to 50 m, 20 degree lidar, 60 x 60 m
+  drone      10 s at 10 Hz from 25 m to 15 m, 60 degree lidar, 16 x 16 m
+  depth      10 s at 5 Hz from 15 m to 3 m, depth images of 640 x 480, 8 x 8 m
+--terrain takes a GeoTIFF, or .npz with x (nx,), y (ny,) ascending in equal steps and elevation
+(ny, nx), m, z up, at least 9 x 9 m. The flight is around its middle (parabola: x 10, y 0): set
+domain.xmin, domain.ymin, domain.size of the replay, for example with `config suggest BAG`.
 
 """
 SIMULATE_EXAMPLES = """examples:

@@ -204,10 +204,8 @@ def _other_lander(results: Results, truth: Truth) -> list[str]:
     if own == truth.lander.limits:
         return []
     told = "{:g} m wide, pads of {:g} m, up to {:g} deg and {:g} m of rise"
-    return [
-        f"the truth is of a lander {told.format(*truth.lander.limits)}, the results of one"
-        f" {told.format(*own)}: hazards, sites and risk are not of one vehicle"
-    ]
+    both = told.format(*truth.lander.limits), told.format(*own)
+    return ["the truth is of a lander {}, the results of one {}".format(*both)]
 
 
 def _table_2(

@@ -123,17 +123,9 @@ def _cells_and_scans(results: Results, truth: Truth) -> Figure:
     """Boundaries of the leaves and of every fifth scan (Figs. 9, 10)."""
     cells = results.map
     shown, total = truth.outlines_of(results.timing["stamp_ns"], EVERY)
-    box = _domain(cells)
-    if shown.size and np.isfinite(shown).any():  # and a little of what scans saw beyond
-        room = 0.1 * cells.domain.size
-        low, high = np.nanmin(shown, axis=(0, 1)), np.nanmax(shown, axis=(0, 1))
-        xmin, xmax, ymin, ymax = box
-        xmin, xmax = max(min(xmin, low[0]), xmin - room), min(max(xmax, high[0]), xmax + room)
-        ymin, ymax = max(min(ymin, low[1]), ymin - room), min(max(ymax, high[1]), ymax + room)
-        box = float(xmin), float(xmax), float(ymin), float(ymax)
     kind = "Fixed-resolution cells" if _fixed(cells) else "Quadtree cells"
     scans = f"outlines of every {EVERY}th of {total} scans" if total else "no scan outlines known"
-    figure, axes = _map(f"{kind}, {_count(cells)}; {scans}", box)
+    figure, axes = _map(f"{kind}, {_count(cells)}; {scans}", _domain(cells))
     drawing.outline(axes, cells, ~cells.estimated, colors="#bbbbbb", linewidths=0.4)
     drawing.outline(axes, cells, cells.estimated)
     if total:

@@ -141,12 +141,13 @@ def load_results(directory: str | Path) -> Results:
 
 
 def named_bag(results: Results) -> Path | None:
-    """The bag that was replayed, as ``summary.json`` names it."""
+    """The bag that ``summary.json`` names."""
     name = results.summary.get("bag")
     return Path(name) if isinstance(name, str) and name else None
 
 
 def recorded_bag(results: Results) -> Path | None:
+    """The named bag if it exists."""
     bag = named_bag(results)
     return bag if bag is not None and bag.is_absolute() and bag.exists() else None
 

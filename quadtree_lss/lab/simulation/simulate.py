@@ -131,13 +131,11 @@ def _make_room(path: Path, overwrite: bool) -> None:
     """Make the parent directory; remove an old bag only when asked to."""
     if path.exists():
         if not overwrite:
-            msg = f"{path} exists; choose another path, or --overwrite to replace it"
-            raise SimulationError(msg)
-        if not path.is_dir():
-            msg = f"{path} is a file, and bags are directories; it is not overwritten"
-            raise SimulationError(msg)
-        if not (path / "metadata.yaml").is_file() and any(path.iterdir()):
-            raise SimulationError(f"{path} is a directory but no bag; it is not overwritten")
+            raise SimulationError(
+                f"{path} exists; choose another path, or --overwrite to replace it"
+            )
+        if not (path / "metadata.yaml").is_file():
+            raise SimulationError(f"{path} is no bag; it is not overwritten")
         shutil.rmtree(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
