@@ -89,17 +89,17 @@ def test_residuals_of_a_sound_map_are_consistent(covariance, trials):
     draws = trials if covariance[0, 0] > 1e-6 else counts.points
     tolerance = 5.0 * np.sqrt(0.025 * 0.975 / draws)
     assert counts.points > 300 * trials
-    assert abs(counts.one_degree[0] - 0.025) < tolerance
-    assert abs(counts.one_degree[1] - 0.025) < tolerance
+    assert abs(counts.one_degree.below - 0.025) < tolerance
+    assert abs(counts.one_degree.above - 0.025) < tolerance
     # The residual has one degree of freedom: the interval of three is not its own.
-    assert counts.three_degrees[0] > 0.3
-    assert counts.three_degrees[1] < 0.01
+    assert counts.three_degrees.below > 0.3
+    assert counts.three_degrees.above < 0.01
 
 
 def test_too_small_a_pose_covariance_shows_above_and_too_large_a_one_below():
     true, small, large = (pose_covariance(s, 1e-5) for s in (0.5, 0.1, 2.5))
-    assert one_more_scan(true, small, 60).one_degree[1] > 0.3
-    assert one_more_scan(true, large, 60).one_degree[0] > 0.06
+    assert one_more_scan(true, small, 60).one_degree.above > 0.3
+    assert one_more_scan(true, large, 60).one_degree.below > 0.06
 
 
 def test_treating_pose_error_as_independent_is_inconsistent():
@@ -107,7 +107,7 @@ def test_treating_pose_error_as_independent_is_inconsistent():
     pose = pose_covariance(0.3, 1e-5)
     common = one_more_scan(pose, pose, 150)
     independent = one_more_scan(pose, pose, 150, "covariance")
-    assert independent.one_degree[1] > 1.5 * common.one_degree[1]
+    assert independent.one_degree.above > 1.5 * common.one_degree.above
 
 
 def test_statistics_are_those_of_equations_17_46_and_61():
@@ -194,7 +194,7 @@ def test_section_vi_is_consistent_with_its_seeds_pooled(parabola):
     below, above = together.one_degree
     assert below < 0.1
     assert above < 0.1
-    assert together.three_degrees[0] > 0.15
+    assert together.three_degrees.below > 0.15
 
 
 def test_a_wrong_range_noise_is_seen(tmp_path):
@@ -205,11 +205,11 @@ def test_a_wrong_range_noise_is_seen(tmp_path):
     assert seen == list(range(1, found.scans + 1))
     right = found.counts
     # Leaves that were seen in part claim more than they are off by.
-    assert 0.015 < right.one_degree[0] < 0.08
-    assert right.one_degree[1] == pytest.approx(0.025, abs=0.01)
+    assert 0.015 < right.one_degree.below < 0.08
+    assert right.one_degree.above == pytest.approx(0.025, abs=0.01)
     wrong = consistency(bag, load_config((), {**SMALL, "lidar.range_noise": 0.09})).counts
-    assert wrong.one_degree[0] > 0.06
-    assert wrong.one_degree[1] < 0.001
+    assert wrong.one_degree.below > 0.06
+    assert wrong.one_degree.above < 0.001
     assert wrong.points == pytest.approx(right.points, rel=0.05)
 
 

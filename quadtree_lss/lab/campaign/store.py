@@ -25,7 +25,7 @@ FILES = ("terrain", "lss.risk_model")
 
 @dataclass(frozen=True)
 class Record:
-    """Figures of a flight, or the error."""
+    """Figures of a flight, or its error."""
 
     index: int
     seed: int

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi
@@ -37,7 +37,15 @@ def acceptance_interval(degrees: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-class Counts(NamedTuple):
+class Shares(NamedTuple):
+    """Shares of residuals below and above the interval; NaN without residuals."""
+
+    below: float
+    above: float
+
+
+@dataclass(frozen=True)
+class Counts:
     """Residuals, and how many lie below and above the 95 % interval: of the test with one degree of
     freedom, and of the paper's with three."""
 
@@ -47,18 +55,18 @@ class Counts(NamedTuple):
     below_3: int = 0
     above_3: int = 0
 
-    def __add__(self, other: Any) -> Counts:
-        return Counts(*map(int.__add__, self, other))
+    def __add__(self, other: Counts) -> Counts:
+        return Counts(*map(int.__add__, astuple(self), astuple(other)))
 
     @property
-    def one_degree(self) -> tuple[float, float]:
-        """Shares below and above; 0.025 each if consistent, NaN without residuals."""
-        return self.below / (self.points or np.nan), self.above / (self.points or np.nan)
+    def one_degree(self) -> Shares:
+        """0.025 each if consistent."""
+        return Shares(*(of / (self.points or np.nan) for of in (self.below, self.above)))
 
     @property
-    def three_degrees(self) -> tuple[float, float]:
-        """Shares of the paper's test. The residual has one degree of freedom: most lie below."""
-        return self.below_3 / (self.points or np.nan), self.above_3 / (self.points or np.nan)
+    def three_degrees(self) -> Shares:
+        """Of the paper's test. The residual has one degree of freedom: most lie below."""
+        return Shares(*(of / (self.points or np.nan) for of in (self.below_3, self.above_3)))
 
 
 @dataclass(frozen=True)
