@@ -215,7 +215,7 @@ def test_a_wrong_range_noise_is_seen(tmp_path):
 
 def test_ground_seen_once_cannot_be_judged(tmp_path):
     bag = write_ros2(tmp_path / "bag", scans=1)
-    with pytest.raises(EvaluationError, match="already mapped"):
+    with pytest.raises(EvaluationError, match="on mapped ground"):
         consistency(bag, load_config((), SMALL))
 
 

@@ -83,11 +83,11 @@ def test_what_cannot_be_flown_over_is_one_clear_line(tmp_path):
 @pytest.mark.parametrize(
     ("x", "y", "shape", "text"),
     [
-        (np.arange(3.0), np.arange(1.0), (1, 3), "at least two posts"),
+        (np.arange(3.0), np.arange(1.0), (1, 3), "must be vectors"),
         (np.arange(3.0), np.arange(4.0), (3, 4), r"shape \(3, 4\), expected"),
-        (-np.arange(3.0), np.arange(4.0), (4, 3), "x must ascend"),
-        (np.zeros(3), np.arange(4.0), (4, 3), "x must ascend"),
-        (np.arange(3.0), np.arange(4.0) ** 2, (4, 3), "y must ascend"),
+        (-np.arange(3.0), np.arange(4.0), (4, 3), "must be vectors that ascend"),
+        (np.zeros(3), np.arange(4.0), (4, 3), "must be vectors that ascend"),
+        (np.arange(3.0), np.arange(4.0) ** 2, (4, 3), "must be vectors that ascend"),
     ],
 )
 def test_arrays_that_are_no_terrain(x, y, shape, text):

@@ -17,6 +17,8 @@ distance of the greatest |u| + |v| under the vehicle. A comparison with this pyr
 cells, four at a time.
 """
 
+# mypy: disable-error-code="attr-defined"
+# (C arrays of `ContactKernel` are declared in the .pxd.)
 from __future__ import annotations
 
 from dataclasses import dataclass
