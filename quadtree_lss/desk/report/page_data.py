@@ -230,5 +230,4 @@ def _timing(content: Results) -> dict[str, Any]:
     return {
         "seconds": _seconds(stamps, int(stamps[0]) if len(stamps) else 0),
         "map_ms": [round(value, 3) for value in timing["map_ms"].tolist()],
-        **{name: timing[name].tolist() for name in ("leaves", "points_used", "points")},
     }
