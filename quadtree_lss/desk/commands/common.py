@@ -175,7 +175,7 @@ def landing_of(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def polygon(text: str) -> list[list[float]] | None:
-    """``'0,0 9,0 9,9'``, or ``none``."""
+    """Type of an option: ``'0,0 9,0 9,9'``, or ``none``."""
     corners = _numbers(text)
     if corners is not None and len(corners) < 3:
         msg = f"'{text}' has {len(corners)} corners; a polygon has three or more"
@@ -184,7 +184,7 @@ def polygon(text: str) -> list[list[float]] | None:
 
 
 def place(text: str) -> list[float] | None:
-    """``3,-4``, or ``none``."""
+    """Type of an option: ``3,-4``, or ``none``."""
     corners = _numbers(text)
     if corners is not None and len(corners) != 1:
         raise argparse.ArgumentTypeError(f"'{text}' is not a place X,Y")
@@ -192,13 +192,12 @@ def place(text: str) -> list[float] | None:
 
 
 def origin(text: str) -> list[float]:
-    """``46.2,8.6``: latitude and longitude, deg."""
+    """Type of an option: ``46.2,8.6``, latitude and longitude, deg."""
     with contextlib.suppress(ValueError):
         north, east = (float(part) for part in text.split(","))
         if abs(north) <= 90.0 and abs(east) <= 360.0:
             return [north, east]
-    msg = f"'{text}' is not LAT,LON in deg, latitude first"
-    raise argparse.ArgumentTypeError(msg)
+    raise argparse.ArgumentTypeError(f"'{text}' is not LAT,LON in deg, latitude first")
 
 
 def _numbers(text: str) -> list[list[float]] | None:

@@ -29,13 +29,11 @@ class Thinned:
         self._last: list[Any] = []
 
     def add(self, item: Any) -> None:
-        self._last = [item]
-        if self._count % self._step == 0:
-            if len(self._kept) == self._limit:
-                self._kept, self._step = self._kept[::2], 2 * self._step
-            if self._count % self._step == 0:
-                self._kept.append(item)
-                self._last = []
+        if self._count % self._step == 0 and len(self._kept) == self._limit:
+            self._kept, self._step = self._kept[::2], 2 * self._step
+        keep = self._count % self._step == 0
+        self._kept += [item] * keep
+        self._last = [] if keep else [item]
         self._count += 1
 
     def all(self) -> list[Any]:

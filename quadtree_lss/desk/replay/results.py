@@ -9,7 +9,7 @@ import resource
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -145,14 +145,9 @@ def peak_memory_mb() -> float:
 
 def versions() -> dict[str, str]:
     """Versions of this package and of its main dependencies."""
-    found = {"quadtree_lss": quadtree_lss.__version__, "build": build.name()}
-    found["python"] = platform.python_version()
-    for name in ("numpy", "scipy", "rosbags"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    return found
+    own = {"quadtree_lss": quadtree_lss.__version__, "build": build.name()}
+    own["python"] = platform.python_version()
+    return own | {name: version(name) for name in ("numpy", "scipy", "rosbags")}
 
 
 def write_results(
