@@ -12,8 +12,8 @@ from replay.recordings import CLOUD, GROUND, POSE, SECOND, START, flight, record
 from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC
 from quadtree_lss.desk.exchange.saved import cells_arrays
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.desk.replay.files import write_npz
-from quadtree_lss.desk.replay.replay import ReplayError, replay
+from quadtree_lss.desk.replay.files import ReplayError, write_npz
+from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.mapping.mapper import Mapper

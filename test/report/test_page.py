@@ -31,7 +31,7 @@ def content(result):
 def unpacked(content):
     """What a page of this content embeds, and how to read its columns."""
     data, columns = page_data.page_data(content)
-    return data, lambda about: column(b"".join(columns._parts), about)
+    return data, lambda about: column(b"".join(columns._known), about)
 
 
 def test_it_is_one_well_formed_file_that_loads_nothing(text):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which topics of a bag are meant: by name, else by type; where that is not clear, one line."""
+"""The topics of a bag to read: by name, else by type."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ KINDS = {
     GIMBAL_TOPIC: types.GIMBAL_TYPE,
     TRANSFORMS_TOPIC: types.TRANSFORMS_TYPE,
 }
-"""Type of what is recorded on a topic by these names."""
+"""Message type by default name of the topic."""
 OUTPUTS = (*(f"/{name}" for name in TOPIC_TYPES), "/landing/dispersion")
-"""How topics end that are clouds or poses by type, but our own output or what guidance says."""
+"""Ends of topics that have the type of an input but are outputs of our nodes or of guidance."""
 
 CONVERSIONS = {
     "/PoseStamped": "convert to PoseWithCovarianceStamped; zeros are an unknown covariance",
@@ -34,15 +34,14 @@ CONVERSIONS = {
 
 
 def candidates(bag: Bag, kind: str, *, ours: bool = True) -> list[str]:
-    """Topics of an open bag with messages of a type; ``ours``: our own `OUTPUTS`, too."""
+    """Topics of an open bag with messages of a type; ``ours``: also `OUTPUTS`."""
     names = (topic.name for topic in bag.topics if topic.type == kind and topic.count)
     return [name for name in names if ours or not name.endswith(OUTPUTS)]
 
 
 def choose_topic(bag: Bag, asked: str | None, default: str, option: str, msgtype: str = "") -> str:
-    """The topic to read of ``msgtype``, or of the default's: the one ``asked`` for, else the
-    ``default``, else the only one. Raises `BagError`: lists the candidates, and the command-line
-    ``option`` by which to choose."""
+    """Choose the topic ``asked`` for, else the ``default``, else the only one of ``msgtype`` (by
+    default that of ``default``). Raises `BagError`: names candidates and the ``option``."""
     msgtype = msgtype or KINDS[default]
     fitting = candidates(bag, msgtype, ours=asked is not None)
     listed = ", ".join(fitting)
@@ -69,16 +68,15 @@ def choose_topic(bag: Bag, asked: str | None, default: str, option: str, msgtype
 
 
 def choose_pose_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, str]:
-    """Topic and type of the poses: of the type preferred, of the other if there is none of it.
-    ``bag``: an open bag. ``asked``: topic that the user named, or None. ``source``: ``pose`` or
-    ``odometry``, as ``pose.source`` has it. Raises `BagError`: lists the candidates."""
+    """Topic and type of the poses; ``source`` (``pose.source``) is the preferred type. Raises
+    `BagError`: lists the candidates."""
     order = (ODOMETRY_TOPIC, POSE_TOPIC) if source == "odometry" else (POSE_TOPIC, ODOMETRY_TOPIC)
     return _choose(bag, asked, order, "--pose-topic")
 
 
 def choose_scan_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, str, str]:
-    """Topic and type of the scans, as of `choose_pose_topic` by ``lidar.source``, and the topic of
-    the CameraInfo of depth images, empty for clouds. Raises `BagError`: lists the candidates."""
+    """Topic and type of the scans, ``source`` (``lidar.source``) preferred, and the topic of the
+    CameraInfo of depth images, empty for clouds. Raises `BagError`: lists the candidates."""
     order = (DEPTH_TOPIC, SCAN_TOPIC) if source == "depth" else (SCAN_TOPIC, DEPTH_TOPIC)
     topic, kind = _choose(bag, asked, order, "--scan-topic")
     if kind == types.SCAN_TYPE:
@@ -88,7 +86,8 @@ def choose_scan_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, st
 
 
 def _choose(bag: Bag, asked: str | None, order: tuple[str, str], option: str) -> tuple[str, str]:
-    """Of the types of two topics the first that is there, or that of the topic asked for."""
+    """Choose between the types of two topics: that of the topic asked for, else the first that is
+    recorded."""
 
     def fits(kind: str) -> bool:
         there = {*candidates(bag, kind, ours=asked is not None)}
@@ -99,9 +98,8 @@ def _choose(bag: Bag, asked: str | None, order: tuple[str, str], option: str) ->
 
 
 def landing_topics(bag: Bag, *, without: tuple[str, ...] = ()) -> dict[str, str]:
-    """``area``, ``keep_out`` or ``target`` by the topic of an open bag that tells it. ``without``:
-    names that are not looked for. Raises `BagError`: several topics end alike and none has the
-    plain name."""
+    """Names of `TYPES` by the topic of an open bag, except those in ``without``. Raises `BagError`:
+    several topics end alike and none has the plain name."""
     found = {}
     for name, kind in TYPES.items():
         plain = f"/landing/{name}"
