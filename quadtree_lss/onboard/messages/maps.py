@@ -213,12 +213,6 @@ def _check(cells: CellMap) -> None:
         raise MessageError("values", msg)
 
 
-def _put(out: NDArray[np.void], names: Iterable[str], values: Array) -> None:
-    """Columns (M, K) into fields."""
-    for name, column in zip(names, np.asarray(values).T, strict=True):
-        out[name] = column
-
-
 def _block(records: NDArray[np.void], names: Sequence[str]) -> NDArray[Any]:
     """(M, K) of fields of one type that lie side by side: of contiguous records a view, which is
     read at once, in a fourth of the time."""
@@ -243,7 +237,7 @@ def encode_sites(assessment: LandingAssessment) -> NDArray[np.void]:
     """One record per ranked site, (K,) of `SITE_FIELDS`, best first."""
     sites = assessment.sites
     out = np.zeros(len(sites.score), dtype=SITE_FIELDS)
-    _put(out, "xyz", sites.position)
+    _block(out, "xyz")[:] = sites.position
     for name in ("score", "roughness", "hazard_distance", "subscale_height", "id", "probability"):
         out[name] = getattr(sites, name)
     out["slope"], out["answer"] = np.radians(sites.slope_deg), assessment.number
@@ -255,8 +249,8 @@ def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]
     if unknown."""
     selected = assessment.selected
     out = np.zeros(1, dtype=STATUS_FIELDS)
-    _put(out, "xyz", selected.position)
-    _put(out, _NOW, np.asarray(assessment.now))
+    _block(out, "xyz")[:] = selected.position
+    _block(out, _NOW)[:] = assessment.now
     for name in ("offset_z", "offset_variance", "seen"):
         out[name] = getattr(assessment, name)
     for name in ("id", "reason", "state", "probability"):
