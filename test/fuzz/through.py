@@ -8,6 +8,7 @@ a sound map and sound sites, in numbers that the messages can hold.
 from __future__ import annotations
 
 import faulthandler
+import io
 import resource
 import socket
 import warnings
@@ -40,7 +41,7 @@ from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.pose_gate import PATIENCE
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_bytes, to_bytes
+from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_file, to_bytes
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.intake import Intake
 from quadtree_lss.onboard.messages.landing_inputs import (
@@ -466,7 +467,7 @@ class Checkpoints:
     def send(self) -> str:
         mapper = Mapper(self.config)
         try:
-            mapper.import_state(from_bytes(cases.damaged(self.content, self.rng)))
+            mapper.import_state(from_file(io.BytesIO(cases.damaged(self.content, self.rng))))
         except CheckpointError as error:
             assert str(error).isprintable()
             assert to_bytes(mapper.export_state()) == self.empty
@@ -574,7 +575,7 @@ class Saved:
         pose = replace(pose, position=pose.position + (0.0, 0.0, self.base))
         self.mapper.update(points, pose)
         content, again = to_bytes(self.mapper.export_state()), Mapper(self.config)
-        again.import_state(from_bytes(content))
+        again.import_state(from_file(io.BytesIO(content)))
         assert to_bytes(again.export_state()) == content
         if self.sent % 5 == 0:
             (_, cloud), (_, grid) = MAKER.of_map(self.mapper.snapshot())

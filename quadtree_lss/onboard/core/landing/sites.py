@@ -215,7 +215,7 @@ class LandingSiteSelector:
             now=here,
         )
         apart = lss.vehicle.lengths.min_separation
-        best = best_points(aims.candidates.cost, at.x, at.y, lss.sites, apart)
+        best = best_points(aims.candidates.cost, at.x, lss.sites, apart)
         ranked = [*zip(*best, strict=True)]
         places = ranked if choice.place is None else [*ranked, choice.place]
         found = self._describe(points, aims, spread, places)
