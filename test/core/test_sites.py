@@ -240,23 +240,6 @@ def test_elevation_is_the_maps_own_and_the_planes_is_another():
             assert found.sites.position[k, 2] == sz == found.plane_elevation[at]
 
 
-def test_roughness_is_a_height_whatever_the_leafs_size():
-    """Eq. 55's volume over the leaf's area: the same ground is as rough in large leaves."""
-    found = []
-    for level in (2, 4):
-        lander = {"diameter": 1.9, "clearance": 1.9, "max_slope_deg": 88.0}
-        config = configured(levels=(level, level), noise=0.02, vehicle=lander)
-
-        def ground(x, y):
-            return 0.2 * np.sin(9.0 * x) * np.sin(9.0 * y)
-
-        cells = mapped(config, ground, density=300.0).snapshot()
-        found.append(assess(cells, config).sites.roughness[0])
-    large, little = found
-    assert 0.03 < large < 0.2
-    assert 0.5 < little / large < 2.0
-
-
 @pytest.mark.parametrize(("assessment", "limit"), [("paper", 11), ("touchdown", 9.9)])
 def test_reasons_give_a_sites_figures_and_the_limit_that_decided(cells, assessment, limit):
     config = small(assessment=assessment, max_slope_deg=11.0)
