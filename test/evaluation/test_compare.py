@@ -6,7 +6,6 @@ import pytest
 from evaluation.scores import write_results, write_truth
 
 from quadtree_lss.lab.evaluation.evaluate import evaluate
-from quadtree_lss.lab.evaluation.figures import processing_time
 from quadtree_lss.lab.evaluation.results import EvaluationError
 
 
@@ -33,9 +32,3 @@ def test_scans_of_the_truth_must_match_one_another(tmp_path):
     np.savez(truth, **known)
     with pytest.raises(EvaluationError, match=r"scan_flight has shape \(7,\), expected \(1,\)"):
         evaluate(folder, truth, figures=False)
-
-
-def test_scans_are_counted_in_whole_numbers():
-    axes = processing_time({"run": np.array([1.0, 2.0, 1.5])}).axes[0]
-    ticks = axes.get_xticks()
-    np.testing.assert_array_equal(ticks, np.round(ticks))

@@ -444,19 +444,6 @@ def test_past_moments_show_the_past(browse):
     assert told["again"] == told["end"][:2]
 
 
-def test_values_are_at_the_foot_of_a_phone(browse):
-    told = browse(
-        """
-        const s = sites[0]; tell(s.x, s.y); const box = tooltip.getBoundingClientRect();
-        tellTest("box", [box.left, root.clientWidth - box.right, box.bottom, box.height]);
-        tellTest("finger", map.getBoundingClientRect().top + py(s.y));
-        """,
-        size=(390, 844),
-    )
-    left, right, bottom, high = told["box"]
-    assert (left, right, bottom) == (0, 0, 844) and told["finger"] < 844 - high
-
-
 @pytest.mark.slow
 def test_it_can_be_used_by_all(text, in_browser):
     assert accessible(in_browser, text)
