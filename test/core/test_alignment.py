@@ -7,7 +7,6 @@ from core.builders import configured, look, mapped
 from core.scenes import ABOVE, flat, make_pose, pose_covariance, scan, scattered
 
 from quadtree_lss.onboard.core.mapping.alignment import lift, lower, offset_of
-from quadtree_lss.onboard.core.mapping.departure import Departure
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
 NOISE = 0.02
@@ -117,13 +116,6 @@ def test_a_jump_is_news_however_soon():
 @pytest.mark.parametrize("count", [0, 2])
 def test_without_overlap_there_is_no_offset(count):
     assert offset_of(cells_of(np.zeros(count)), 0.0, 0.0) is None
-
-
-def test_a_scan_is_tilted_about_the_middle_of_what_was_compared():
-    points = np.random.default_rng(4).standard_normal((50, 3))
-    x, y, z = points.T.copy()
-    lower(points, Departure(1.0, 0.0, (0.1, -0.2), (3.0, 5.0), 0.0, 0.0, 0.0, 4.0))
-    np.testing.assert_allclose(points.T, [x, y, z - 0.1 * (x - 3.0) + 0.2 * (y - 5.0)])
 
 
 def test_leaves_are_lifted_as_far_as_they_share_the_error():

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from core.builders import configured, leaf_at, look, nees, plane_errors
-from core.scenes import ABOVE, flat, make_pose, pose_covariance, scan, scattered, slope
+from core.scenes import ABOVE, flat, make_pose, pose_covariance, scattered, slope
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
@@ -85,22 +85,6 @@ def test_a_strip_first_does_not_starve_a_steep_cell(seed):
     assert leaf.known == 3
     assert leaf.z == pytest.approx(8.5, abs=0.1)
     assert -leaf.normal[0] / leaf.normal[2] == pytest.approx(1.0, abs=0.15)
-
-
-@pytest.mark.parametrize("side", [(1.0, 0.0), (0.0, 1.0)])
-@pytest.mark.parametrize(
-    ("widths", "leaves"), [((0.1, 0.2, 0.3, 4.0), 16), ((0.3,), 16), ((0.3, 0.25), 19)]
-)
-def test_a_strip_that_grows_waits_and_another_goes_on_in_smaller_leaves(widths, leaves, side):
-    """Sixteen leaves of 4 m; a scan comes in over one, or what it shows is all there is."""
-    config = configured(domain={"max_level": 3}, noise=0.06)
-    rng, mapper = np.random.default_rng(5), Mapper(config)
-    for k, width in enumerate(widths):
-        pose = make_pose(ABOVE, stamp_ns=k + 1)
-        across, along = width * rng.random(400), 4.0 * rng.random(400)
-        x, y = side[0] * across + side[1] * along, side[1] * across + side[0] * along
-        report = mapper.update(scan(flat(), x, y, pose, 0.06, rng), pose)
-    assert report.leaves == leaves
 
 
 def test_hints_go_up_with_the_map():

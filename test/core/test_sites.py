@@ -23,10 +23,6 @@ SMALL = {"size": 16.0, "min_level": 1, "max_level": 5}
 RADIUS = 0.95
 
 
-def with_lss(config: Config, **values: object) -> Config:
-    return dataclasses.replace(config, lss=dataclasses.replace(config.lss, **values))
-
-
 def small(**lss: object) -> Config:
     """A lander of 1.9 m on a domain of 16 m with leaves down to 0.5 m."""
     values = {"min_separation": 2.0, "grid_spacing": 0.5, "max_gap": 0.6, **lss}
@@ -379,16 +375,6 @@ def assert_empty_but_explained(found: LandingAssessment) -> None:
     assert not np.isfinite(found.score).any()
     assert found.explanation
     assert "\n" not in found.explanation
-
-
-@pytest.mark.parametrize("level", [0, 1])
-@pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
-def test_maps_of_one_or_four_cells_are_assessed(level, assessment):
-    config = with_lss(configured(levels=(level, level)), assessment=assessment)
-    found = assess(mapped(config, flat(), density=10.0).snapshot(), config)
-    assert found.score.shape == (33, 33)
-    assert found.explanation
-    assert np.isfinite(found.slope_deg).all()
 
 
 @pytest.mark.parametrize(
