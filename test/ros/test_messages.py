@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message, serialize_message
 from ros_scene import mapped
 from sensor_msgs.msg import PointCloud2, PointField
@@ -130,14 +129,6 @@ def test_bytes_that_are_no_cloud_are_refused(cells):
     for some in (*(raw[:n] for n in range(0, len(raw), 4999)), raw[:12] + b"\xff" * 4 + raw[16:]):
         with pytest.raises(MessageError, match="no PointCloud2"):
             cloud_message(some)
-
-
-@pytest.fixture
-def executor(node):
-    result = SingleThreadedExecutor(context=node.context)
-    result.add_node(node)
-    yield result
-    result.shutdown()
 
 
 def test_the_last_change_is_always_published(node, executor):
