@@ -11,7 +11,6 @@ from quadtree_lss.lab.simulation.hazard_field import (
     HazardField,
     hazard_field,
     sample_rock_diameters,
-    strewn,
 )
 from quadtree_lss.lab.simulation.rocks import lay
 from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain, load_terrain
@@ -139,11 +138,3 @@ def test_a_rock_of_a_heap_lies_on_those_below_its_centre():
 
 def test_a_rock_beyond_the_field_raises_nothing():
     assert not laid([(9.0, 9.0, 1.0, 0.5, 0.5, 0.0)], heaped=True).any()
-
-
-def test_rocks_are_strewn_over_a_terrain():
-    coarse = np.linspace(-40.0, 40.0, 41)
-    flat = Terrain(coarse, coarse, np.zeros((41, 41)))
-    rocky = strewn(np.random.default_rng(3), flat, 0.05)
-    assert rocky.elevation.min() == 0.0
-    assert 0.03 < np.mean(rocky.elevation > 0.0) < 0.09  # and some piles
