@@ -117,7 +117,7 @@ def judge(cells: CellMap, selector: LandingSiteSelector, **wanted: Any) -> None:
 def assert_taken_up(mapper: Mapper) -> None:
     """A mapper takes up the checkpoint of any map."""
     content, other = to_bytes(mapper.export_state()), Mapper(mapper.config)
-    other.import_state(from_bytes(content))
+    other.import_state(from_file(io.BytesIO(content)))
     assert to_bytes(other.export_state()) == content
 
 

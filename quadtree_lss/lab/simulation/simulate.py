@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.exchange.archives import read_arrays
-from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.lab.simulation.recording import DEPTH_TOPIC, SCAN_TOPIC, recorded
 from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.lab.simulation.simulation import Simulation
