@@ -10,12 +10,13 @@ before that to the map as well, which is sent once more for it.
 from __future__ import annotations
 
 import argparse
+import itertools
 import multiprocessing
 import struct
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from multiprocessing.synchronize import Event
@@ -227,7 +228,7 @@ def fly(
             usage[name].follow(psutil.Process(nodes[turn].process.pid))
             killed.append((name, time.time_ns()))
 
-        sent, late = _play(script, seconds, domain.number, usage, kill_every, replace_one)
+        sent, late = play(script, seconds, domain.number, usage, kill_every, replace_one)
         time.sleep(3.0)
         for node in nodes:
             node.check()
@@ -247,36 +248,6 @@ def fly(
 
 
 def play(
-    script: Script, domain: int, patience: float | None = None
-) -> Iterator[tuple[int, bool, int]]:
-    """Flies again and again with stamps that go on, and yields of each message that was sent when
-    it was due, ns, whether it is a scan, and how late it was, ns; with ``patience`` only when both
-    topics are subscribed to, for which it waits so many s."""
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    node = Node("lidar", context=context)
-    profile = stream(200, reliable=True)
-    scans = node.create_publisher(PointCloud2, "lidar/points", profile)
-    poses = node.create_publisher(PoseWithCovarianceStamped, "nav/pose", profile)
-    try:
-        if patience is not None:
-            wait_for_subscribers(node, [scans, poses], patience)
-        start = time.time_ns()
-        while True:
-            for offset, is_scan, content in zip(
-                script.offset_ns, script.is_scan, script.content, strict=True
-            ):
-                due = start + offset
-                time.sleep(max(due - time.time_ns(), 0) / SECOND_NS)
-                struct.pack_into("<iI", content, 4, *divmod(due, SECOND_NS))
-                (scans if is_scan else poses).publish(bytes(content))
-                yield due, is_scan, time.time_ns() - due
-            start += script.period_ns
-    finally:
-        context.try_shutdown()
-
-
-def _play(
     script: Script,
     seconds: float,
     domain: int,
@@ -284,25 +255,39 @@ def _play(
     kill_every: float,
     kill: Callable[[], None],
 ) -> tuple[list[int], float]:
-    """Stamps of the scans sent, and by how much the worst was sent too late, ms."""
+    """Repeat the flight with increasing stamps; return the scans' stamps and the longest delay of a
+    scan behind its stamp, ms."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = Node("lidar", context=context)
+    profile = stream(200, reliable=True)
+    scans = node.create_publisher(PointCloud2, "lidar/points", profile)
+    poses = node.create_publisher(PoseWithCovarianceStamped, "nav/pose", profile)
     sent: list[int] = []
-    begin = late = sampled = killed = 0
-    for due, is_scan, behind in play(script, domain, 30.0):
-        begin = begin or due
-        if due >= begin + seconds * SECOND_NS:
-            break
-        if is_scan:
-            sent.append(due)
-            late = max(late, behind)
-        if due - sampled >= SECOND_NS:
-            sampled = due
-            for each in usage.values():
-                each.sample()
-        killed = killed or due
-        if kill_every and due > killed + kill_every * SECOND_NS:
-            killed = due
-            kill()
-    return sent, late / 1e6
+    late = sampled = 0
+    try:
+        wait_for_subscribers(node, [scans, poses], 30.0)
+        start = killed = time.time_ns()
+        for number in itertools.count():
+            turn, k = divmod(number, len(script.content))
+            due = start + turn * script.period_ns + script.offset_ns[k]
+            if due >= start + seconds * SECOND_NS:
+                return sent, late / 1e6
+            time.sleep(max(due - time.time_ns(), 0) / SECOND_NS)
+            struct.pack_into("<iI", script.content[k], 4, *divmod(due, SECOND_NS))
+            (scans if script.is_scan[k] else poses).publish(bytes(script.content[k]))
+            if script.is_scan[k]:
+                sent.append(due)
+                late = max(late, time.time_ns() - due)
+            if due - sampled >= SECOND_NS:
+                sampled = due
+                for each in usage.values():
+                    each.sample()
+            if kill_every and due > killed + kill_every * SECOND_NS:
+                killed = due
+                kill()
+    finally:
+        context.try_shutdown()
 
 
 def latencies_ms(sent: Stamps, received: Sequence[tuple[int, int]]) -> tuple[Any, Any]:

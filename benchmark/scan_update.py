@@ -1,22 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one scan costs: by flight, by stage, by points, by leaves; memory of a leaf.
+"""CPU time of one scan update by flight, by points and by leaves; memory of a leaf.
 
-Beside it, on the same scans and in the same run, what mean heights on a fixed grid cost in three
-ways (see `common/heights.py`). Everything is on (exceptions, roughness, subscale features), from
-the first scan. Times are CPU times of one core. The stages are timed in a pass of their own.
+For comparison, mean heights on a fixed grid are computed in three ways (`common/heights.py`) from
+the same scans in the same run. Exceptions, roughness and subscale features are all on.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
 import sys
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).parent))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: one core is measured
@@ -25,18 +21,9 @@ import numpy as np
 from common import Recording, configuration, machine, mean_heights, recording, table
 
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.mapping import mapper as mapping
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 
-#: Steps of `Mapper.update`: names of its module, and methods of what they lead to.
-STAGES: tuple[tuple[str, object, str], ...] = (
-    ("register, order", mapping, "register"),
-    ("runs of leaves", mapping, "ScanUpdate"),
-    ("fit", mapping.ScanUpdate, "fit"),
-    ("align", Mapper, "_align"),
-    ("update (fuse, judge, divide, rest)", mapping.ScanUpdate, "settle"),
-)
 FLIGHTS = (
     ("morpheus", "Morpheus, leaves to 0.25 m (required: median 1.5, 99 % 4 ms)"),
     ("parabola", "Section VI, to 1.875 m (required: all scans 80 ms)"),
@@ -64,7 +51,6 @@ def main() -> None:
     flights = {name: recording(name, options.seed, options.duration) for name, _ in FLIGHTS}
     for scenario, title in FLIGHTS:
         totals(title, flights[scenario], configuration(scenario))
-    stages(flights)
     growth_with_points([side for side in POINTS if side <= options.largest])
     growth_with_leaves()
     memory(flights["morpheus"])
@@ -95,59 +81,6 @@ def totals(title: str, flight: Recording, config: Config) -> None:
         ["ms", "first", "median", "99 %", "worst", "all scans", "ours is times"],
         rows,
     )
-
-
-@contextlib.contextmanager
-def watched(spent: Counter[str]) -> Iterator[None]:
-    """Within it, the CPU time of every stage is added to ``spent``, s."""
-
-    def timed(stage: str, function: Callable) -> Callable:
-        def wrapper(*args: object, **kwargs: object) -> object:
-            began = time.process_time()
-            try:
-                return function(*args, **kwargs)
-            finally:
-                spent[stage] += time.process_time() - began
-
-        return wrapper
-
-    plain = mapping.ScanUpdate
-    steps = {name: stage for stage, of, name in STAGES if of is plain}
-
-    class Watched:
-        """A compiled class has no methods that could be exchanged."""
-
-        def __init__(self, *args: object) -> None:
-            self._plain = plain(*args)
-
-        def __getattr__(self, name: str) -> object:
-            found = getattr(self._plain, name)
-            return timed(steps[name], found) if name in steps else found
-
-    with contextlib.ExitStack() as stack:
-        for stage, owner, name in STAGES:
-            if owner is not plain:
-                function = Watched if name == "ScanUpdate" else getattr(owner, name)
-                stack.enter_context(mock.patch.object(owner, name, timed(stage, function)))
-        yield
-
-
-def stages(flights: dict[str, Recording]) -> None:
-    """Where the time goes."""
-    names = list(dict.fromkeys(stage for stage, _, _ in STAGES))
-    columns = []
-    for scenario, _ in FLIGHTS:
-        spent: Counter[str] = Counter()
-        mapper, scans = Mapper(configuration(scenario)), flights[scenario].scans
-        with watched(spent):
-            total = sum(cpu_ms(mapper.update, *scan[1:3]) for scan in scans) / len(scans)
-        parts = [1e3 * spent[name] / len(scans) for name in names]
-        columns.append([*parts, total - sum(parts), total])
-    rows = [
-        [name, *(f"{value:.3f}" for value in values)]
-        for name, *values in zip([*names, "rest", "all"], *columns, strict=True)
-    ]
-    table("Mean of a scan by stage, ms", ["stage", *(name for name, _ in FLIGHTS)], rows)
 
 
 def waves(side: int, stamp: int, rng: np.random.Generator, extent: float = 60.0):

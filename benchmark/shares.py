@@ -73,9 +73,6 @@ def main() -> None:
     text = "root mean square slope of waves, degrees"
     parser.add_argument("--rolling", type=float, default=0.0, help=text)
     parser.add_argument("--terrain", type=Path, help=".npz of measured ground")
-    parser.add_argument(
-        "--sums", action="store_true", help="of all shares, angles and leaves alone"
-    )
     parser.add_argument("--figure", type=Path, help="PNG to draw")
     options = parser.parse_args()
     print(machine())
@@ -85,19 +82,8 @@ def main() -> None:
     found = [d for scans, n in counts.items() for d in drawn(options.seed, n, scans, over)]
     rows = []
     for scans in (1, 20):
-        for low, high in zip(SHARES, SHARES[1:], strict=False):
-            some = [d for d in found if d.scans == scans and low <= d.share <= high]
-            rows.append([f"{scans}, {100 * low:g} to {100 * high:g} %", *row_of(some)])
-        for low, high in ((0.0, 30.0), (30.0, 60.0), (60.0, 75.0)):
-            some = [d for d in found if d.scans == scans and low <= d.incidence <= high]
-            rows.append([f"{scans}, {low:g} to {high:g} deg", *row_of(some)])
-        for side in SIDES:
-            some = [d for d in found if d.scans == scans and d.side == side]
-            rows.append([f"{scans}, leaf of {side:g} m", *row_of(some)])
         rows.append([f"{scans}, all", *row_of([d for d in found if d.scans == scans])])
     rows.append(["all", *row_of(found)])
-    if options.sums:
-        rows = [row for row in rows if str(row[0]).endswith("all")]
     three = ["RMS", "over 4, %", "worst"]
     table(
         "error over claimed deviation: height at the middle of what was seen, slope, both",

@@ -10,8 +10,10 @@ from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.differences import Comparison, compare_results
 from quadtree_lss.desk.replay.elevation_model import rank_sites
 from quadtree_lss.desk.replay.export import export_results
+from quadtree_lss.desk.replay.files import ReplayError
 from quadtree_lss.desk.replay.info import BagInfo, inspect_bag
-from quadtree_lss.desk.replay.replay import ReplayError, ReplayResult, Step, replay, scans, steps
+from quadtree_lss.desk.replay.replay import Step, replay, scans, steps
+from quadtree_lss.desk.replay.results import ReplayResult
 from quadtree_lss.desk.replay.suggest import Suggestion, suggest_config
 from quadtree_lss.onboard.config.settings import Config, ConfigError
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector, Sites

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What leaves give out, against the true ground and against what was measured."""
+"""Errors of leaves over their claimed standard deviations; heights of points near a place."""
 
 from __future__ import annotations
 
@@ -14,22 +14,15 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 @dataclass(frozen=True)
 class Claims:
-    """Of M measured leaves.
+    """Errors of M measured leaves over their claimed standard deviations.
 
-    Attributes:
-        height: (M,) error of the height at the middle of what was seen, over its deviation; the
-            true one is the mean of the ground that was seen.
-        slope: (M, 2) errors of the slope in the leaf's tangent, along the axes of its covariance,
-            each over its deviation; the true one is of the likeliest plane of all of the leaf.
-        error, claimed: (M, 2) of heights, m, and of the worse axis of the slope, rad.
-        share: (M,) finest cells under the leaf in which a point fell, over all.
+    ``height`` (M,): at the middle of the observed part, against the mean of the ground there.
+    ``slope`` (M, 2): in the leaf's tangent plane, along the axes of its covariance, against the
+    least-squares plane of the whole leaf.
     """
 
     height: Array
     slope: Array
-    error: Array
-    claimed: Array
-    share: Array
 
     @property
     def all(self) -> Array:
@@ -72,16 +65,7 @@ def claims(cells: CellMap, surface: Surface = level) -> Claims:
     tilt = across * (np.arctan2(sine, cosine) / np.maximum(sine, 1e-12))[:, None]
     values, vectors = np.linalg.eigh(cells.covariance[rows, :2, :2])
     along, deviation = np.einsum("mi,mij->mj", tilt, vectors), np.sqrt(np.maximum(values, 1e-18))
-    ratio = along / deviation
-    worse = np.arange(len(rows)), np.abs(ratio).argmax(axis=1)
-    part = seen[rows] / 4.0 ** (cells.domain.max_level - cells.level[rows].astype(float))
-    return Claims(
-        off / ground.deviation,
-        ratio,
-        np.column_stack([off, along[worse]]),
-        np.column_stack([ground.deviation, deviation[worse]]),
-        part,
-    )
+    return Claims(off / ground.deviation, along / deviation)
 
 
 def true_normals(cells: CellMap, rows: Array, surface: Surface) -> Array:

@@ -3,12 +3,10 @@
 
 import dataclasses
 import json
-import shutil
 import struct
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -91,12 +89,6 @@ def test_the_bridge_passes_loses_delays_and_cuts(copter):
     node.close()
 
 
-def test_a_simulator_that_ends_breaks_off_its_flight_alone(tmp_path):
-    binary = shutil.which("true")
-    flown = arducopter.fly((binary, 5, "", tmp_path, 1.0, arducopter.Copter))
-    assert flown.outcome == "broken off, the simulator has ended"
-
-
 def test_a_touchdown_is_judged_by_the_true_ground_and_by_what_was_forbidden(tmp_path):
     flight = arducopter.Flight("", 5, "", tmp_path)
     terrain, gear = flight.terrain, SCENARIOS["drone"].lander
@@ -114,38 +106,6 @@ def test_a_touchdown_is_judged_by_the_true_ground_and_by_what_was_forbidden(tmp_
         flight._keep_out = places[good] + square + (beside, 0.0)
         flight._judge(np.append(places[good], 0.0))
         assert flight.landing.ground == ground
-
-
-def test_a_vehicle_that_hovers_in_vain_had_no_target(tmp_path):
-    """One that never got so high did not start."""
-    for height, outcome in ((arducopter.HEIGHT_M, "no target"), (3.0, "")):
-        flight = arducopter.Flight("", 5, "", tmp_path)
-        place = np.array([0.0, 0.0, height])
-        flight.copter = SimpleNamespace(
-            now=arducopter.START_S, armed=True, truth=lambda at=place: (0.0, at, np.eye(3))
-        )
-        assert not flight._take_off()
-        assert flight.landing.outcome == outcome
-
-
-def test_a_pilot_sees_that_he_has_handed_over_wherever_it_flies_then(tmp_path, monkeypatch):
-    """The mode comes with a heartbeat. Who missed it, took off again after the landing."""
-    flight = arducopter.Flight("", 5, "", tmp_path)
-    copter = arducopter.Copter.__new__(arducopter.Copter)
-    copter.now, copter.armed, copter.mode = 0.0, True, arducopter.LOITER
-    monkeypatch.setattr(copter, "_switch", lambda mode: None, raising=False)
-    monkeypatch.setattr(copter, "_sticks", [1500] * 4, raising=False)
-    flight.copter, flight.nodes, flight._target = copter, {"": None}, np.zeros(3)
-
-    def tick():
-        copter.now += 1.0
-        if copter.now == 3.0:
-            copter.mode = arducopter.GUIDED
-        high = np.array([0.0, 0.0, arducopter.HEIGHT_M - 2.0 * max(copter.now - 1.0, 0.0)])
-        return high, max(copter.now - 1.0, 0.0)
-
-    monkeypatch.setattr(flight, "_tick", tick)
-    assert flight._take_off()
 
 
 def test_recorded_flights_are_not_flown_again(tmp_path, monkeypatch, capsys):

@@ -21,9 +21,8 @@ import pytest
 from quadtree_lss.cli import main
 from quadtree_lss.desk.commands.common import INTERRUPTED
 from quadtree_lss.lab.campaign import engine
-from quadtree_lss.lab.campaign.engine import Where, _client, campaign, flagged
+from quadtree_lss.lab.campaign.engine import Where, campaign, flagged
 from quadtree_lss.lab.campaign.kinds import CampaignError
-from quadtree_lss.lab.campaign.paired import compare_campaigns
 from quadtree_lss.lab.campaign.study import read_study
 
 LocalCluster = pytest.importorskip("distributed").LocalCluster
@@ -115,19 +114,6 @@ def test_each_flight_is_a_file_and_told(first):
         flagged(result.out / "flights")
     assert re.search("<td>0 of [1-4]</td>", page)  # of the flights that found a site
     assert "--keep 17" in page and "Safe terrain found" in page
-
-
-def test_workers_keep_no_record_of_their_own_stack():
-    """Dask's profiler, by default on, grows by 0.3 MB a flight for a quarter of an hour."""
-
-    def spin():
-        end = time.monotonic() + 1.0
-        while time.monotonic() < end:  # a profiler would look every 10 ms
-            pass
-
-    with _client(Where(workers=1)) as client:
-        client.submit(spin).result(timeout=60)
-        assert client.profile()["count"] == 0
 
 
 def test_what_was_flown_is_not_flown_again(first, study, tmp_path):
@@ -286,26 +272,6 @@ def test_a_failed_flight_is_recorded_and_the_others_go_on(tmp_path):
     again = start(path, out, "--workers", 1)
     assert again.wait(60) == 3  # nothing was flown: failures stay
     assert {path: path.stat().st_mtime_ns for path in out.glob("flights/*.json")} == written_at
-
-
-@pytest.mark.slow
-def test_two_campaigns_are_compared_in_pairs(first, study, tmp_path):
-    path = written(tmp_path, STUDY.replace("  duration", "  outliers: 0.05\n  duration"))
-    other = campaign(read_study(path), tmp_path / "out", Where(workers=2))
-    found = compare_campaigns(first[0].out, other.out)
-    one, two = (
-        [result.records[k].figures["mean_absolute"] for k in range(COUNT)]
-        for result in (first[0], other)
-    )
-    errors = [b - a for a, b in zip(one, two, strict=True)]
-    row = next(d for d in found.differences if d.quantity.name == "mean_absolute")
-    assert row.mean == pytest.approx(sum(errors) / COUNT)
-    assert row.low <= row.mean <= row.high
-    assert (row.better, row.worse) == (sum(e < 0 for e in errors), sum(e > 0 for e in errors))
-    assert errors[row.largest_flight] == row.largest == max(errors)
-    assert "8 pairs" in found.table()
-    with pytest.raises(CampaignError, match="no folder of a campaign"):
-        compare_campaigns(first[0].out, tmp_path)
 
 
 def test_one_folder_has_one_campaign_at_a_time(first, study):

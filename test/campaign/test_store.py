@@ -36,8 +36,6 @@ def edited(**new):
 @pytest.mark.parametrize(
     ("spoil", "word"),
     [
-        (edited(figures={"safe_found": "high"}), "was changed"),
-        (edited(figures={"safe_found": None}), "was changed"),
         (edited(index="1"), "no record"),
         (edited(index=2), "but of 000002-"),
         (edited(more=1), "no record"),

@@ -146,13 +146,6 @@ def mapped(
     return mapper
 
 
-def four_leaves(points: float = 0.0) -> LeafTable:
-    """Leaves of 8 m, two levels above the finest, whose sums hold so many points of no residual."""
-    leaves = Mapper(configured(domain={"min_level": 1, "max_level": 3})).leaves
-    leaves.rows.residuals[:4] = points
-    return leaves
-
-
 def divide(
     leaves: LeafTable, row: int, square: float = 0.0, tilt: float = 0.0, spread: float = 0.0
 ) -> bool:

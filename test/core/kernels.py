@@ -116,12 +116,12 @@ def shifted(covariance: Array, normal: ArrayLike, delta: ArrayLike) -> Array:
 
 
 def fit(
-    rules, points: Array, x: float, y: float, side: float, prior, sigma: Array, z=np.nan, uneven=0.0
+    rules, points: Array, x: float, y: float, side: float, prior, sigma: Array, z: float = np.nan
 ):
     """All points (N, 3) fitted in one cell: a record of type `measure.RUN`."""
     run = np.zeros(1, dtype=RUN).view(np.recarray)
     leaf = blank().view(np.recarray)
-    leaf.x, leaf.y, leaf.z, leaf.normal, leaf.uneven = x, y, z, prior, uneven
+    leaf.x, leaf.y, leaf.z, leaf.normal = x, y, z, prior
     leaf.known = NOTHING if np.isnan(z) else MEASURED
     points = np.ascontiguousarray(points)
     measure.measure(rules, leaf, run, points, len(points), np.zeros(3), sigma, side)

@@ -4,14 +4,10 @@
 import numpy as np
 import pytest
 from core.builders import configured, look, mapped
-from core.scenes import ABOVE, flat, make_pose, pose_covariance, scan, scattered, slope
+from core.scenes import ABOVE, flat, make_pose, pose_covariance, scan, scattered
 
 from quadtree_lss.onboard.core.mapping.alignment import lift, lower, offset_of
-from quadtree_lss.onboard.core.mapping.departure import Departure
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.mapping.measure import Rules
-from quadtree_lss.onboard.core.mapping.update import ScanUpdate
-from quadtree_lss.onboard.core.sensing.register import register
 
 NOISE = 0.02
 CELLS = {"min_level": 4, "max_level": 4}
@@ -22,27 +18,6 @@ def cells_of(rise, own=1e-4, of_scan=0.09, of_map=0.01, first=0.0, last=0.0) -> 
     rise = np.asarray(rise, dtype=np.float64)
     columns = (rise, own, of_scan, of_map, first, last)
     return np.array([np.broadcast_to(column, rise.shape) for column in columns], dtype=np.float64)
-
-
-def test_cells_that_are_compared_tell_where_they_are_how_steep_and_how_well_known():
-    """What a plane of the map did not describe makes its height less certain here, too."""
-    config = configured(domain=CELLS, noise=NOISE)
-    mapper, rng = mapped(config, slope(0.2, -0.1), scans=2), np.random.default_rng(9)
-    pose = make_pose((20.0, -30.0, 90.0), pose_covariance(0.1, 1e-3), 10)
-    points = scan(slope(0.2, -0.1, 0.3), *scattered(rng, 0, 0, 16, 12000), pose, NOISE, rng)
-    seen, _ = register(points, pose, config.lidar, config.domain)
-    leaves, found = mapper.leaves.rows, []
-    for misfit in (0.0, 0.09):
-        leaves.square_sum[:] = misfit * leaves.division_weight
-        change = ScanUpdate(mapper.leaves, Rules(config), seen, 1.0)
-        found.append(change.fit())
-    rows = np.unique(mapper.leaves.leaf_of[seen.key], return_index=True)
-    leaf = leaves[rows[0][np.argsort(rows[1])]]
-    np.testing.assert_allclose(found[0][0], 0.3, atol=0.1)
-    np.testing.assert_allclose(found[1][1] - found[0][1], 0.09, rtol=0.02)
-    places = np.column_stack([leaf.x, leaf.y, leaf.z]).T - pose.position[:, None]
-    np.testing.assert_allclose(found[0][6:9], places, atol=0.4)
-    np.testing.assert_allclose(found[0][9:11], -leaf.normal[:, :2].T / leaf.normal[:, 2])
 
 
 def test_the_offset_is_the_weighted_mean():
@@ -74,13 +49,6 @@ def test_an_offset_divides_as_the_pose_errors_do(of_scan, of_map):
     found = offset_of(cells_of(np.full(50, 0.3), 1e-6, of_scan, of_map), 0.0, 0.0)
     assert found.scan == pytest.approx(scan_error[near].mean(), abs=0.01)
     assert found.map == pytest.approx(-map_error[near].mean(), abs=0.01)
-
-
-@pytest.mark.parametrize(("of_scan", "of_map"), [(0.0, 0.09), (1e6, 0.01)])
-def test_who_is_exact_is_not_moved_and_who_is_lost_moves_nothing(of_scan, of_map):
-    found = offset_of(cells_of(np.full(50, 0.05), 1e-4, of_scan, of_map), 0.0, 0.0)
-    assert found.scan == pytest.approx(0.05 * (of_scan > 0.0), rel=1e-6)
-    assert found.map == pytest.approx(0.05 * (of_scan == 0.0), rel=0.05, abs=1e-6)
 
 
 def steps(x, y):
@@ -148,13 +116,6 @@ def test_a_jump_is_news_however_soon():
 @pytest.mark.parametrize("count", [0, 2])
 def test_without_overlap_there_is_no_offset(count):
     assert offset_of(cells_of(np.zeros(count)), 0.0, 0.0) is None
-
-
-def test_a_scan_is_tilted_about_the_middle_of_what_was_compared():
-    points = np.random.default_rng(4).standard_normal((50, 3))
-    x, y, z = points.T.copy()
-    lower(points, Departure(1.0, 0.0, (0.1, -0.2), (3.0, 5.0), 0.0, 0.0, 0.0, 4.0))
-    np.testing.assert_allclose(points.T, [x, y, z - 0.1 * (x - 3.0) + 0.2 * (y - 5.0)])
 
 
 def test_leaves_are_lifted_as_far_as_they_share_the_error():

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from core.builders import configured, look
-from core.scenes import flat, make_pose, pose_covariance, scan, scattered, slope
+from core.scenes import flat, make_pose, pose_covariance, scan, scattered
 
 from quadtree_lss.onboard.core.geometry.rotations import exp
 from quadtree_lss.onboard.core.mapping.contradiction import AGREEING, DEVIATIONS
@@ -165,14 +165,6 @@ def test_a_map_that_cannot_be_lifted_to_them_is_forgotten():
     assert np.median(known.normal[known.measured, 1]) == pytest.approx(-np.sin(0.2), abs=0.03)
 
 
-def test_a_map_begun_by_a_wrong_pose_comes_to_where_all_others_put_it():
-    flight = Flight()
-    flight.fly(off=(0.0, 0.0, 1000.0))
-    for _ in range(AGREEING + 3):
-        flight.fly()
-    assert np.abs(flight.errors()).max() < 0.2
-
-
 @pytest.mark.parametrize("height", [1000.0, -30.0, 7e6])
 def test_planes_of_a_wrong_pose_over_new_ground_go_with_the_next_scan(height):
     """The half that no other scan has seen has nothing to contradict."""
@@ -201,20 +193,6 @@ def test_points_are_votes_where_a_plane_is_of_another_place_altogether():
         look(mapper, flat(high), *places, rng, NOISE, pose)
         heights.append(mapper.snapshot().z[0])
     np.testing.assert_allclose(heights, [50.0, 50.0, 50.0, 0.0, 0.0], atol=0.05)
-
-
-def test_a_point_that_outvotes_a_plane_is_measured_as_by_a_fresh_leaf():
-    """The slope of what was wrong says nothing any more."""
-    config = configured(domain={"size": 4.0, "min_level": 0, "max_level": 0})
-    wrong, fresh, rng = Mapper(config), Mapper(config), np.random.default_rng(6)
-    look(wrong, slope(1.0, 0.0, 3e3), *scattered(rng, 0, 0, 4, 4), pose=make_pose((2.0, 2.0, 4e3)))
-    corner, pose = (np.array([3.5]), np.array([3.0])), make_pose((2.0, 2.0, 40.0), stamp_ns=5)
-    for _ in range(4):
-        look(wrong, flat(), *corner, pose=pose)
-    look(fresh, flat(), *corner, pose=pose)
-    for name in ("z", "range_part", "points"):
-        expected = fresh.leaves.rows[name][0]
-        np.testing.assert_allclose(wrong.leaves.rows[name][0], expected, atol=1e-9)
 
 
 @pytest.mark.survives(

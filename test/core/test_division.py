@@ -3,14 +3,14 @@
 
 import numpy as np
 import pytest
-from core.builders import configured, four_leaves, look, mapped, point_covariances
+from core.builders import configured, look, mapped, point_covariances
 from core.kernels import division, tangent_basis
 from core.scenes import make_pose, pose_covariance, scan, slope
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
 
-MEAN_CHI_1, MEAN_CHI_3 = np.sqrt(2.0 / np.pi), 2.0 * np.sqrt(2.0 / np.pi)
+MEAN_CHI_1 = np.sqrt(2.0 / np.pi)
 
 
 def run_of(points: float, statistic: float, unseen: float = 0.0, square: float = 0.0):
@@ -19,38 +19,8 @@ def run_of(points: float, statistic: float, unseen: float = 0.0, square: float =
     return run
 
 
-def test_a_scan_weighs_by_the_residuals_its_fit_left_free():
-    """Its points less three; from eight of them on the leaf asks."""
-    rules = Rules(configured())
-    leaf = four_leaves().rows
-    division.asks(rules, leaf[1:2], run_of(4.0, 9.0))
-    division.asks(rules, leaf[1:2], run_of(12.0, 0.5))
-    assert leaf[1].division_weight == 1.0 + 9.0
-    assert leaf[1].division_sum == 9.0 + 4.5
-    # Four free residuals, then eight.
-    assert [division.asks(rules, leaf[2:3], run_of(7.0, 9.0)) for _ in range(2)] == [False, True]
-    assert not leaf[0].division_weight
-
-
-@pytest.mark.parametrize(
-    ("criterion", "mean", "spread"),
-    [
-        ("none", MEAN_CHI_1, np.sqrt(1.0 - MEAN_CHI_1**2)),
-        ("division", MEAN_CHI_3, np.sqrt(3.0 - MEAN_CHI_3**2)),
-    ],
-)
-def test_a_leaf_asks_above_its_threshold_and_the_doubt_of_few(criterion, mean, spread):
-    """Factor times E[chi], and half a deviation of a mean of n chi variables."""
-    rules = Rules(configured(mapping={"paper": criterion}))
-    for free in (10.0, 1000.0):
-        bound = 1.2 * mean + 0.5 * spread / np.sqrt(free)
-        for factor, asked in ((0.999, False), (1.001, True)):
-            leaf = four_leaves().rows
-            assert division.asks(rules, leaf[0:1], run_of(free + 3.0, factor * bound)) == asked
-
-
 def test_a_view_of_less_than_half_of_a_leaf_does_not_judge_it():
-    rules, leaf = Rules(configured()), four_leaves().rows
+    rules, leaf = Rules(configured()), Mapper(configured(levels=(1, 3))).leaves.rows
     assert not division.asks(rules, leaf[0:1], run_of(5000.0, 50.0, 0.5, 1.0))
     for name in ("division_sum", "division_weight", "square_sum"):
         assert leaf[0][name] == 0.0

@@ -105,18 +105,6 @@ def test_k_squared_is_the_volume(height, sigma, gradient):
     np.testing.assert_allclose(state[[MU_X, MU_Y]], [0.3, -0.2], atol=0.02)
 
 
-def test_a_feature_stays_with_more_scans_and_is_one():
-    config = configured(domain=CELLS_2M, noise=0.04)
-    radius, x0, y0 = hemispheres(11, 0.3, 0.4)
-    ground = rocky(radius, x0, y0)
-    few = by_place(mapped(config, ground, density=100.0, scans=2, seed=1).snapshot())
-    many = by_place(mapped(config, ground, density=100.0, scans=8, seed=1).snapshot())
-    both = np.isfinite(few[:, K]) & np.isfinite(many[:, K])
-    assert np.mean(np.isfinite(many[:, K])) >= 0.95
-    apart = np.hypot(*(few - many)[both][:, [MU_X, MU_Y]].T)
-    assert np.median(apart) < 0.03
-
-
 #: Each limit, and what of a published state (M, 5) it is about: at least, but for the last.
 LIMITS = {
     "FEATURE_HEIGHT": (0.3, peak),

@@ -3,13 +3,12 @@
 
 import numpy as np
 import pytest
-from core.builders import configured, leaf_at, look, mapped, nees, plane_errors
-from core.scenes import ABOVE, flat, make_pose, pose_covariance, scan, scattered, slope
+from core.builders import configured, leaf_at, look, nees, plane_errors
+from core.scenes import ABOVE, flat, make_pose, pose_covariance, scattered, slope
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
 FINEST_1M = {"min_level": 4, "max_level": 4}
-CELLS_4M = {"min_level": 2, "max_level": 2}
 TWO = np.array([1.0, 3.0])
 
 
@@ -31,21 +30,6 @@ def test_two_points_a_scan_make_a_plane_in_time(fit):
     assert np.median(np.abs(error)) < 0.03
     # The median of a chi-square of three degrees is 2.37.
     assert np.median(nees(error, cells.covariance[cells.measured])) < 2.0 * 2.37
-
-
-@pytest.mark.parametrize("crossed", [False, True])
-def test_two_points_tell_the_slope_along_their_line(crossed):
-    """On one diagonal, scan by scan, no plane; on both of them in turn, one."""
-    config = configured(domain=CELLS_4M, noise=0.05)
-    rng, mapper = np.random.default_rng(2), Mapper(config)
-    for k in range(30):
-        y = np.array([3.0, 1.0] if crossed and k % 2 else [1.0, 3.0])
-        pose = make_pose(ABOVE, stamp_ns=k + 1)
-        mapper.update(scan(flat(), np.array([1.0, 3.0]), y, pose, 0.05, rng), pose)
-    cells = mapper.snapshot()
-    assert np.count_nonzero(cells.measured) == crossed
-    error = plane_errors(cells, np.array([0.0, 0.0, 1.0]), flat())[cells.measured]
-    assert np.abs(error).max(initial=0.0) < 0.05
 
 
 def under_lines(ground, spacing: float, aside: float, step: float):
@@ -103,22 +87,6 @@ def test_a_strip_first_does_not_starve_a_steep_cell(seed):
     assert -leaf.normal[0] / leaf.normal[2] == pytest.approx(1.0, abs=0.15)
 
 
-@pytest.mark.parametrize("side", [(1.0, 0.0), (0.0, 1.0)])
-@pytest.mark.parametrize(
-    ("widths", "leaves"), [((0.1, 0.2, 0.3, 4.0), 16), ((0.3,), 16), ((0.3, 0.25), 19)]
-)
-def test_a_strip_that_grows_waits_and_another_goes_on_in_smaller_leaves(widths, leaves, side):
-    """Sixteen leaves of 4 m; a scan comes in over one, or what it shows is all there is."""
-    config = configured(domain={"max_level": 3}, noise=0.06)
-    rng, mapper = np.random.default_rng(5), Mapper(config)
-    for k, width in enumerate(widths):
-        pose = make_pose(ABOVE, stamp_ns=k + 1)
-        across, along = width * rng.random(400), 4.0 * rng.random(400)
-        x, y = side[0] * across + side[1] * along, side[1] * across + side[0] * along
-        report = mapper.update(scan(flat(), x, y, pose, 0.06, rng), pose)
-    assert report.leaves == leaves
-
-
 def test_hints_go_up_with_the_map():
     """Two scans in three are 0.4 m too high; the corner's cell gets two points of each."""
     config = configured(domain=FINEST_1M, noise=0.01, pose={"correlation_time": 0.0})
@@ -135,31 +103,6 @@ def test_hints_go_up_with_the_map():
     middle = np.median(cells.z[cells.measured])
     assert middle == pytest.approx(0.8 / 3.0, abs=0.05)
     assert leaf_at(mapper, 0.5, 0.5).z == pytest.approx(middle, abs=0.05)
-
-
-def test_two_points_more_are_counted_and_weigh_no_more_than_two():
-    config = configured(domain=CELLS_4M, noise=0.05)
-    mapper = mapped(config, flat(), density=2.0, scans=1)
-    before = leaf_at(mapper, 2.0, 2.0).copy()
-    look(mapper, flat(), TWO, TWO, pose=make_pose(ABOVE, stamp_ns=5))
-    after = leaf_at(mapper, 2.0, 2.0)
-    assert after.points == before.points + 2
-    own, two = before.range_part[8], 0.05**2 / 2.0
-    assert own * two / (own + two) * 0.98 < after.range_part[8] < own
-
-
-@pytest.mark.parametrize("fit", ["none", "fit"])
-def test_a_strip_that_climbs_at_the_edge_of_a_leaf_leaves_its_middle_near(fit):
-    """Over 0.08 m beside a rock, past which the rest is not seen, heights go from 0 to 1.1 m."""
-    config = configured(levels=(6, 6), noise=0.01, mapping={"paper": fit})
-    rng, mapper = np.random.default_rng(8), Mapper(config)
-    for k in range(6):
-        x, y = 8.0 + 0.25 * rng.random(20), 8.17 + 0.08 * rng.random(20)
-        pose = make_pose(ABOVE, stamp_ns=k + 1)
-        look(mapper, slope(0.0, 14.0, -14.0 * 8.17), x, y, rng, 0.01, pose)
-    cells = mapper.snapshot()
-    assert cells.measured.any()
-    assert abs(cells.at(8.125, 8.125).height - 0.56) < 0.5  # 0.56 m is the mean of the strip
 
 
 def sparse(ground, points: int, scans: int, seed: int, sigma: float = 0.0, **sections):

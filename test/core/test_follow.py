@@ -2,6 +2,7 @@
 """A square that follows: what stays inside is as if it had always lain there, to the bit."""
 
 import dataclasses
+import io
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.core.mapping.contradiction import AGREEING
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_bytes, to_bytes
+from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_file, to_bytes
 from quadtree_lss.onboard.core.tree.domain import ASTRAY, Domain, carried
 from quadtree_lss.onboard.core.tree.leaves import LEAF
 from quadtree_lss.onboard.messages.maps import round_trip
@@ -152,7 +153,7 @@ def test_a_checkpoint_carries_the_origin():
     (mapper,) = fly((Mapper(FOLLOWING),), 20)
     content = to_bytes(mapper.export_state())
     restored = Mapper(FOLLOWING)
-    restored.import_state(from_bytes(content))
+    restored.import_state(from_file(io.BytesIO(content)))
     assert restored.domain == mapper.domain
     assert to_bytes(restored.export_state()) == content
     one, other = fly((mapper, restored), 20, start=20)
@@ -160,7 +161,7 @@ def test_a_checkpoint_carries_the_origin():
     for values in ({"domain.follow": "none"}, {"domain.xmin": 0.5}, {"domain.max_level": 6}):
         stranger = Mapper(config_from_values(values, FOLLOWING))
         with pytest.raises(CheckpointError, match="another domain|version"):
-            stranger.import_state(from_bytes(content))
+            stranger.import_state(from_file(io.BytesIO(content)))
         assert stranger.domain == Domain.of(stranger.config.domain)
 
 

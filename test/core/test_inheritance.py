@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from core.builders import configured, divide, leaf_at, look, mapped
-from core.scenes import ABOVE, flat, lattice, make_pose, pose_covariance, scan, scattered, slope
+from core.scenes import ABOVE, flat, make_pose, pose_covariance, scan, scattered
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
@@ -49,61 +49,6 @@ def test_children_keep_the_pose_part_of_all_scans(correlation_time):
     np.testing.assert_allclose(cells.covariance_pose[divided, 2, 2], expected, rtol=0.3)
 
 
-def test_children_of_planar_ground_are_as_sure_as_a_quarter_of_its_points():
-    """What divides them is elsewhere: nothing of the slope is forgotten."""
-    config = configured(levels=(2, 3), noise=0.02)
-    mapper = mapped(config, slope(0.2, -0.1), density=60.0, scans=4)
-    for row in range(16):
-        divide(mapper.leaves, row, 0.02**2, 12.0 * 0.02**2 / (5.0 * 2.0**2))
-    cells = mapper.snapshot()
-    assert cells.estimated.all() and not cells.measured.any()
-    x, y = lattice(0.0, 0.0, 16.0, 40)
-    np.testing.assert_allclose(cells.at(x, y).height, 0.2 * x - 0.1 * y, atol=0.01)
-    assert np.sqrt(cells.covariance[:, 2, 2]).max() < 0.03
-
-
-def test_children_keep_how_far_noise_may_have_turned_their_parent():
-    """Points that tell no slope leave that as it is; fits of their own come to outweigh it."""
-    config = configured(levels=(2, 3), noise=0.02)
-    mapper, rng = mapped(config, flat(), density=60.0, scans=4), np.random.default_rng(3)
-    leaf_at(mapper, 1.0, 1.0).bias[:3] = 0.5, 0.1, 0.3
-    divide(mapper.leaves, 0, 0.02**2, 12.0 * 0.02**2 / (5.0 * 2.0**2))
-    turned = []
-    for count in (1, 1, 2, 500, 500):
-        look(mapper, flat(), *scattered(rng, 0.2, 0.2, 1.6, count), rng, 0.02)
-        turned.append(leaf_at(mapper, 1.0, 1.0).bias[:3].tolist())
-    assert turned[:3] == [[0.5, 0.1, 0.3]] * 3
-    assert turned[3][0] < 0.05 and turned[4][0] < turned[3][0]
-
-
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize(("x0", "width"), [(4.0, 0.39), (7.8, 0.2), (4.0, 1.5)])
-def test_a_strip_does_not_spoil_a_leaf_that_is_well_known(seed, x0, width):
-    """Smooth ground of one curvature, 4 m leaves known from three views; then a strip along the
-    edge is seen, where the plane is wrong: no measured leaf is four deviations and 0.1 m off."""
-
-    def ground(x, y):
-        return 0.03 * (x - 6.0) ** 2 + 0.02 * (y - 6.0) ** 2
-
-    config = configured(noise=0.05)
-    rng, mapper = np.random.default_rng(seed), Mapper(config)
-    for k in range(3):
-        places, pose = scattered(rng, 0.0, 0.0, 16.0, 16_000), make_pose(ABOVE, stamp_ns=1 + k)
-        look(mapper, ground, *places, rng, 0.05, pose)
-    before = mapper.snapshot()
-    for k in range(3):
-        pose = make_pose((-200.0, 8.0, 300.0), stamp_ns=10 + k)
-        x, y = x0 + width * rng.random(60), 4.0 + 4.0 * rng.random(60)
-        look(mapper, ground, x, y, rng, 0.05, pose)
-    for cells in (before, mapper.snapshot()):
-        side = 0.5 * cells.size
-        # The mean of the ground over a cell.
-        truth = ground(cells.x, cells.y) + (0.03 + 0.02) * side**2 / 3.0
-        off = np.abs(cells.z - truth)
-        far = 4.0 * np.sqrt(cells.covariance[:, 2, 2]) / cells.normal[:, 2]
-        assert (off < np.maximum(far, 0.1))[cells.measured].all()
-
-
 @pytest.mark.parametrize("part", ["strip", "corner"])
 def test_a_part_of_a_known_leaf_moves_its_middle_by_no_more_than_its_points(part):
     """200 points 0.3 m high in a tenth of a leaf that is known from 3,000."""
@@ -119,29 +64,6 @@ def test_a_part_of_a_known_leaf_moves_its_middle_by_no_more_than_its_points(part
     assert after.distance_sum - after.noise_sum > 100.0 * 0.15
     # So thin a part tells no slope: that is the one before, to the bit.
     np.testing.assert_array_equal(after.normal, before.normal)
-
-
-@pytest.mark.parametrize(
-    ("correlation_time", "align", "stands_out"),
-    [(300.0, False, True), (0.0, True, True), (0.0, False, False)],
-)
-def test_what_pose_errors_explain_of_a_part_does_not_stand_out(
-    monkeypatch, correlation_time, align, stands_out
-):
-    """0.3 m, by poses as uncertain: unless the error lasts, or the rest of the scan tells it."""
-    config = configured(levels=(2, 2), noise=0.02, pose={"correlation_time": correlation_time})
-    mapper, rng = Mapper(config), np.random.default_rng(7)
-    if not align:
-        monkeypatch.setattr(mapper, "_align", lambda *_: 0.0)
-    sigma = pose_covariance(0.3, 1e-9)
-    for k in range(3):
-        places, pose = scattered(rng, 0.0, 0.0, 16.0, 8000), make_pose(ABOVE, sigma, 1 + k)
-        look(mapper, flat(), *places, rng, 0.02, pose)
-    x = np.r_[8.0 + 8.0 * rng.random(6000), 4.0 + 0.4 * rng.random(200)]
-    y = np.r_[16.0 * rng.random(6000), 4.0 + 4.0 * rng.random(200)]
-    look(mapper, lambda x, y: 0.3 * (x < 8.0), x, y, rng, 0.02, make_pose(ABOVE, sigma, 10))
-    leaf = leaf_at(mapper, 6.0, 6.0)
-    assert (leaf.distance_sum - leaf.noise_sum > 100.0 * 0.15) == stands_out
 
 
 @pytest.mark.parametrize("towards", [1.0, -1.0])

@@ -133,39 +133,6 @@ def test_inherited_planes_are_the_parents():
             np.testing.assert_allclose(child[name].reshape(3, 3), expected, atol=1e-15)
 
 
-def test_childrens_bounds_are_their_planes_reach_unless_the_parents_are_narrower():
-    """No return that is known in a child lay farther from the plane, but for the spread."""
-    tree = known_leaf(Domain(0.0, 0.0, 8.0, 0, 4))
-    n = tree.rows[0].normal.copy()
-    tree.rows[0].low, tree.rows[0].high = 1.5, 90.0
-    divide(tree, 0, spread=0.1)
-    children, reach = tree.rows[:4], (2.0 * (abs(n[0]) + abs(n[1])) + 0.1) / n[2]
-    np.testing.assert_allclose(children.high, children.z + reach)
-    np.testing.assert_allclose(children.low, np.maximum(children.z - reach, 1.5))
-    assert len(set(children.low.tolist())) > 1
-
-
-def test_misfit_makes_what_is_inherited_less_certain():
-    """In height and in slope."""
-    square, tilt = 0.01, 3e-4
-    plain, rough = (known_leaf(Domain(0.0, 0.0, 8.0, 0, 4)) for _ in range(2))
-    divide(plain, 0)
-    divide(rough, 0, square, tilt)
-    for one, other in zip(plain.rows[:4], rough.rows[:4], strict=True):
-        added = (other.range_part - one.range_part).reshape(3, 3)
-        np.testing.assert_allclose(added, np.diag([tilt, tilt, square]), rtol=1e-9, atol=1e-15)
-        np.testing.assert_array_equal(other.pose_part, one.pose_part)
-
-
-def test_no_slope_is_handed_on_as_less_certain_than_none():
-    """Beyond 0.3 rad strips, which keep the slope, would lie anywhere; what is worse stays so."""
-    tree = known_leaf(Domain(0.0, 0.0, 8.0, 0, 4))
-    tree.rows[0].range_part[4] = 0.2
-    divide(tree, 0, tilt=1.0)
-    for child in tree.rows[:4]:
-        np.testing.assert_allclose(child.range_part[[0, 4]], [0.09, 0.2])
-
-
 def test_children_begin_their_statistics_anew():
     tree = known_leaf(Domain(0.0, 0.0, 8.0, 0, 4))
     leaf = tree.rows[0]

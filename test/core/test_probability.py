@@ -14,21 +14,21 @@ from scipy.stats import norm
 from quadtree_lss.lab.evaluation.risk_fit import ASKED, risk_model_text, risks
 from quadtree_lss.onboard.config.risk import LOCAL, Cause, Curve, RiskModel, risk_model
 from quadtree_lss.onboard.core.landing import hazards, score
+from quadtree_lss.onboard.core.landing.contact import ContactCheck
 from quadtree_lss.onboard.core.landing.grid import TIE, probable_first
 from quadtree_lss.onboard.core.landing.probability import (
     Dispersion,
     Remainder,
     RiskTable,
     aimed,
+    contact_limits,
     heading_word,
-    limits,
     normal_weights,
     shown,
 )
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.score import look_around
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-from quadtree_lss.onboard.core.landing.touchdown import Limits, TouchdownCheck
 
 Array = NDArray[np.float64]
 
@@ -102,20 +102,20 @@ def landed(config, cells):
     lss = config.lss
     raster = rasterise(cells, lss)
     around = look_around(raster, lss)
-    worst = TouchdownCheck(lss, limits(MODEL, lss)).worst(raster, around.met)
-    return raster, around.judged, around.planes, worst
+    contacts = ContactCheck(lss, contact_limits(MODEL, lss)).contacts(raster, around.needs_contact)
+    return raster, around.judged, around.planes, contacts
 
 
 def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     config, cells = rough_ground
-    raster, judged, planes, worst = landed(config, cells)
-    table, given = RiskTable(MODEL, config.lss, 0.06), (raster, planes, worst)
+    raster, judged, planes, contacts = landed(config, cells)
+    table, given = RiskTable(MODEL, config.lss, 0.06), (raster, planes, contacts)
     found = dict(zip(LOCAL, table.features(*given), strict=True))
     side, c, steep = raster.domain.finest_size, 0.3, np.tan(np.radians(10.0))
     size, seen = len(judged), ~raster.bridged
     for name, contact, limit, least in (
-        ("rise", worst.rise, c, 0.5),
-        ("tilt", worst.slope, steep, 0.6),
+        ("rise", contacts.rise, c, 0.5),
+        ("tilt", contacts.tilt, steep, 0.6),
     ):
         own = np.fmax(contact / limit, least)
         np.testing.assert_allclose(found[name], own, rtol=1e-5)
@@ -148,10 +148,10 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
 @pytest.mark.parametrize("noise", [0.06, 0.03])
 def test_the_fit_is_looked_up_as_its_equations_say(rough_ground, noise):
     config, cells = rough_ground
-    raster, judged, planes, worst = landed(config, cells)
+    raster, judged, planes, contacts = landed(config, cells)
     table = RiskTable(MODEL, config.lss, noise)
-    found, cause = table.risk(raster, judged, planes, worst)
-    asked = table.features(raster, planes, worst)[:, judged].astype(float)
+    found, cause = table.risk(raster, judged, planes, contacts)
+    asked = table.features(raster, planes, contacts)[:, judged].astype(float)
     of = dict(zip(LOCAL, asked, strict=True))
     of |= {"noise": np.log10(noise / 0.3), "cell": np.log10(raster.domain.finest_size / 0.3)}
     of["clearance"] = np.log10(0.3 / 3.7)
@@ -227,6 +227,21 @@ def test_aims_are_means_over_the_touchdowns_drawn_from_the_dispersion():
         assert found[row, column] == pytest.approx(fails.mean(), abs=0.01)
 
 
+@pytest.mark.parametrize("spread", [Dispersion(0.0, 0.4), Dispersion(0.1, 1.3)])
+def test_an_aim_is_the_weighted_mean_of_the_risk_about_it(spread):
+    risk, beyond = np.random.default_rng(5).random((19, 25)), 30
+    around = np.pad(risk, beyond, constant_values=1.0)
+    along_y, along_x = (normal_weights(s / 0.25, beyond) for s in (spread.y, spread.x))
+    found = aimed(risk, 0.25, spread)
+    for row, column in ((0, 0), (9, 12), (18, 3)):
+        rows, columns = (
+            np.arange(-(len(w) // 2), len(w) // 2 + 1) + at + beyond
+            for w, at in ((along_y, row), (along_x, column))
+        )
+        expected = along_y @ around[np.ix_(rows, columns)] @ along_x
+        assert found[row, column] == pytest.approx(expected, abs=1e-12)
+
+
 @pytest.mark.parametrize("sigma", [2.0, 8.0, 100.0])
 def test_of_a_wide_dispersion_most_comes_down_beyond_the_map(sigma):
     places, side = np.arange(21), 0.25
@@ -234,22 +249,6 @@ def test_of_a_wide_dispersion_most_comes_down_beyond_the_map(sigma):
     within = -np.diff(norm.cdf((ends - places) * side / sigma), axis=0)[0]
     unsafe = aimed(np.zeros((21, 21)), side, Dispersion(sigma, sigma))
     np.testing.assert_allclose(1.0 - unsafe, np.outer(within, within), rtol=2e-3, atol=1e-5)
-
-
-def test_the_worst_contact_does_not_depend_on_the_limits():
-    config = configured(domain={"size": 32.0})
-    cells = mapped(config, block, density=60.0).snapshot()
-    raster = rasterise(cells, config.lss)
-    inside = np.zeros((65, 65), dtype=bool)
-    inside[8:-8, 8:-8] = True
-    wide = TouchdownCheck(config.lss, Limits((0.0, 9.0), (0.0, 9.0))).worst(raster, inside)
-    narrow = TouchdownCheck(config.lss, Limits((0.2, 0.9), (0.1, 0.2))).worst(raster, inside)
-    clipped = np.maximum(wide.rise, 0.2)
-    compared = inside & (clipped < 0.9) & (wide.slope < 0.2)
-    np.testing.assert_allclose(narrow.rise[compared], clipped[compared], atol=2e-4)
-    known = inside & (wide.slope < 0.2)
-    np.testing.assert_allclose(narrow.slope[known], np.maximum(wide.slope, 0.1)[known], atol=1e-5)
-    assert (compared & (clipped > 0.2)).any()
 
 
 def probable(**lss: object) -> LandingSiteSelector:
@@ -308,13 +307,13 @@ def test_guidance_goes_before_the_configuration(beside_a_rock):
 @pytest.mark.parametrize("rule", ["probability", "touchdown"])
 def test_a_heading_counts_for_limits_and_not_for_the_risk_fitted_to_the_worst(beside_a_rock, rule):
     ranking, heard = "probability" if rule == "probability" else "score", []
-    selector, worst = probable(assessment=rule, ranking=ranking), TouchdownCheck.worst
+    selector, contacts = probable(assessment=rule, ranking=ranking), ContactCheck.contacts
 
-    def hear(check, raster, candidates, heading=None):
+    def hear(check, raster, needed, heading=None):
         heard.append(heading)
-        return worst(check, raster, candidates, heading)
+        return contacts(check, raster, needed, heading)
 
-    with mock.patch.object(TouchdownCheck, "worst", hear):
+    with mock.patch.object(ContactCheck, "contacts", hear):
         one = selector.assess(beside_a_rock, dispersion=[0.0, 0.0, 0.3])
     assert heard == [None if rule == "probability" else 0.3]
     every = selector.assess(beside_a_rock, dispersion=[0.0, 0.0])
@@ -362,10 +361,9 @@ def test_what_is_more_probable_comes_first_whatever_its_score():
 
 def test_limits_cover_the_model_and_the_touchdown_limits():
     config = configured(lss={"assessment": "probability"})
-    found = limits(MODEL, config.lss)
-    assert found.rise == (pytest.approx(0.15), pytest.approx(0.42))
-    steep = np.tan(np.radians(10.0))
-    assert found.slope == (pytest.approx(0.6 * steep), pytest.approx(1.3 * steep))
+    found = contact_limits(MODEL, config.lss)
+    assert found.least_rise == pytest.approx(0.15)
+    assert found.most_tilt == pytest.approx(1.3 * np.tan(np.radians(10.0)))
 
 
 def test_where_the_probability_is_the_same_the_score_decides(beside_a_rock, tmp_path):
@@ -392,5 +390,5 @@ def test_a_heading_that_is_no_number_is_any():
 
 @pytest.mark.parametrize("sigma", [1e-160, 1e-200, 1e-320, 1e-3])
 def test_a_dispersion_of_next_to_nothing_is_none(sigma):
-    weights = normal_weights(sigma, 0.25)
+    weights = normal_weights(sigma / 0.25, 40)
     assert weights.sum() == weights[len(weights) // 2] == 1.0

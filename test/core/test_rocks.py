@@ -5,53 +5,17 @@ import functools
 
 import numpy as np
 import pytest
-from core.builders import by, configured, four_leaves, mapped
+from core.builders import by, configured, mapped
 from core.kernels import division
 from core.scenes import flat, scattered
 from scipy.stats import norm
 
 from quadtree_lss.onboard.core.geometry import morton
-from quadtree_lss.onboard.core.mapping.measure import Rules
-from quadtree_lss.onboard.core.tree.cell_map import SHAPE, peak
-from quadtree_lss.onboard.core.tree.leaves import LeafTable
 
 NOISE = 0.05
 LEAVES_4M = {"xmin": 0.0, "ymin": 0.0, "size": 16.0, "min_level": 2, "max_level": 6}
 ROWS = slice(0, 4)
 NEVER = np.inf
-
-
-def hides(leaves: LeafTable, noise: float = 0.02, **constants: float) -> list[bool]:
-    """Which of `four_leaves` hold a rock, by the default limits but for those given."""
-    with by(**constants):
-        rules = Rules(configured(noise=noise))
-    return [division.hides_rock(rules, leaves.rows[row : row + 1]) for row in range(4)]
-
-
-def test_exceptions_beyond_their_noise_divide():
-    """1.5 measurements, 3 deviations of what noise makes, 2 in 10,000 points: the greatest."""
-    leaves = four_leaves(1000.0)
-    leaves.rows.residuals[3] = 20_000.0
-    leaves.rows.exception_noise[ROWS] = (0.0, 0.5, 9.0, 0.0)
-    least = np.array([1.5, 0.5 + 3.0 * np.sqrt(0.5), 9.0 + 9.0, 4.0])
-    for factor, expected in ((0.99, False), (1.01, True)):
-        leaves.rows.exception_sum[ROWS] = factor * least
-        assert hides(leaves) == [expected] * 4
-    assert hides(leaves, ROCK_EXCEPTIONS=NEVER) == [False] * 4
-
-
-def test_features_as_high_and_narrow_as_a_rock_divide():
-    leaves = four_leaves(1000.0)
-
-    def boulder(height: float, sigma: float) -> np.ndarray:
-        return np.array([0.0, np.sqrt(2.0 * np.pi * height * SHAPE) * sigma, 0.0, 0.0, sigma])
-
-    assert peak(boulder(0.2, 0.3)) == pytest.approx(SHAPE * 0.2)
-    shapes = ((0.16, 0.2), (0.14, 0.2), (0.5, 0.51), (0.5, 0.49))
-    leaves.rows.feature[ROWS] = [boulder(*shape) for shape in shapes]
-    assert hides(leaves) == [True, False, False, True]
-    # Three deviations of the range noise are 0.18 m.
-    assert hides(leaves, noise=0.06) == [False, False, False, True]
 
 
 def bump(x, y, x0, y0, radius, height):

@@ -23,10 +23,6 @@ SMALL = {"size": 16.0, "min_level": 1, "max_level": 5}
 RADIUS = 0.95
 
 
-def with_lss(config: Config, **values: object) -> Config:
-    return dataclasses.replace(config, lss=dataclasses.replace(config.lss, **values))
-
-
 def small(**lss: object) -> Config:
     """A lander of 1.9 m on a domain of 16 m with leaves down to 0.5 m."""
     values = {"min_separation": 2.0, "grid_spacing": 0.5, "max_gap": 0.6, **lss}
@@ -240,23 +236,6 @@ def test_elevation_is_the_maps_own_and_the_planes_is_another():
             assert found.sites.position[k, 2] == sz == found.plane_elevation[at]
 
 
-def test_roughness_is_a_height_whatever_the_leafs_size():
-    """Eq. 55's volume over the leaf's area: the same ground is as rough in large leaves."""
-    found = []
-    for level in (2, 4):
-        lander = {"diameter": 1.9, "clearance": 1.9, "max_slope_deg": 88.0}
-        config = configured(levels=(level, level), noise=0.02, vehicle=lander)
-
-        def ground(x, y):
-            return 0.2 * np.sin(9.0 * x) * np.sin(9.0 * y)
-
-        cells = mapped(config, ground, density=300.0).snapshot()
-        found.append(assess(cells, config).sites.roughness[0])
-    large, little = found
-    assert 0.03 < large < 0.2
-    assert 0.5 < little / large < 2.0
-
-
 @pytest.mark.parametrize(("assessment", "limit"), [("paper", 11), ("touchdown", 9.9)])
 def test_reasons_give_a_sites_figures_and_the_limit_that_decided(cells, assessment, limit):
     config = small(assessment=assessment, max_slope_deg=11.0)
@@ -396,16 +375,6 @@ def assert_empty_but_explained(found: LandingAssessment) -> None:
     assert not np.isfinite(found.score).any()
     assert found.explanation
     assert "\n" not in found.explanation
-
-
-@pytest.mark.parametrize("level", [0, 1])
-@pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
-def test_maps_of_one_or_four_cells_are_assessed(level, assessment):
-    config = with_lss(configured(levels=(level, level)), assessment=assessment)
-    found = assess(mapped(config, flat(), density=10.0).snapshot(), config)
-    assert found.score.shape == (33, 33)
-    assert found.explanation
-    assert np.isfinite(found.slope_deg).all()
 
 
 @pytest.mark.parametrize(

@@ -67,14 +67,6 @@ def test_ground_seen_for_the_first_time_is_no_target_yet():
     assert first == there(1, 1, Reason.FIRST), "the best of what was safe before"
 
 
-def test_it_stays_until_another_is_better_by_the_margin():
-    keeper, seen = TargetKeeper(), ground([1, 2, 1, 1])
-    assert choose(keeper, seen, seen).place == (0, 1)
-    assert choose(keeper, ground([1, 2, 1, 2.5])).reason is Reason.HOLDS
-    assert choose(keeper, ground([1, 1.9, 1, 2.5])) == there(3, 2, Reason.BETTER)
-    assert choose(keeper, ground([1, 1.9, 1, 1.5])).place == (0, 3), "nor does it go back"
-
-
 def test_newly_seen_ground_does_not_take_it_over_at_once():
     keeper, seen = TargetKeeper(), ground([1, 2, NAN, NAN])
     choose(keeper, seen, seen)
@@ -352,21 +344,6 @@ def test_unseen_ground_withdraws_the_target(level_ground):
     observed[int(held[1] / 0.5) - 3 :, :] = False
     found = selector.assess(dataclasses.replace(level_ground, observed=observed), target=(5.0, 5.0))
     assert found.selected.reason is Reason.UNSEEN
-
-
-def test_between_lattice_points_unseen_ground_withdraws_it_too():
-    """It reaches into the margin of one of the four around the target, not of the nearest."""
-    config = by_risk(grid_spacing=0.3, margin=0.6, dispersion=0.05)
-    cells = mapped(config, flat(3.0), density=200.0).snapshot()
-    selector = LandingSiteSelector(config)
-    for _ in range(3):
-        held = selector.assess(cells, target=(8.1, 8.1)).selected
-    np.testing.assert_allclose(held.position[:2], 8.1)
-    observed = cells.observed.copy()
-    observed[:, 20:] = False  # from x = 10 on
-    lost = dataclasses.replace(cells, observed=observed, known=cells.known & observed)
-    found = selector.assess(lost, target=(8.1, 8.1))
-    assert not found.safe[27, 27] and found.selected.reason is Reason.UNSEEN
 
 
 def test_it_waits_for_a_share_of_the_area_or_some_time(level_ground):

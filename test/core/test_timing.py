@@ -161,27 +161,6 @@ def test_scans_that_no_pose_can_help_do_not_hold_up_the_others():
     assert reasons == set(queue.dropped) == {"before_poses", "pose_gap", "duplicate"}
 
 
-@pytest.mark.parametrize("poses_first", [True, False])
-def test_a_looping_bag_is_taken_up_again_within_a_pose(poses_first):
-    buffer = PoseBuffer(30 * SECOND, 150 * MS)
-    queue = queue_of(buffer)
-    mapped = []
-    for _ in range(2):
-        for t in range(0, 5000, 100):
-            steps = [lambda t=t: buffer.add(plain_pose(t * MS))]
-            steps.append(lambda t=t: queue.push_scan((t + 30) * MS, t, t * MS))
-            for step in steps if poses_first else steps[::-1]:
-                step()
-                mapped += [scan for _, scan, _ in queue.pop_ready()]
-    # In the first round the last scan has no pose behind it, in the second neither.
-    expected = [t for t in range(0, 4900, 100)]
-    first, second = mapped[: len(expected)], mapped[len(expected) :]
-    assert first == expected
-    assert len(second) >= len(expected) - 1 and second == expected[-len(second) :]
-    assert queue.dropped.total() <= 2
-    assert buffer.jumps + queue.jumps >= 1
-
-
 @settings(max_examples=80)
 @given(data=st.data(), latency=st.integers(0, 250), period=st.integers(20, 90))
 def test_when_it_is_asked_for_does_not_change_what_comes_out(data, latency, period):

@@ -47,9 +47,3 @@ def test_a_table_that_runs_into_another_is_found(check):
 def test_run_numbers_belong_to_the_evidence(check):
     assert check("Seeds 101–120 chose.\n") and check("Seeds from 7 on.\n")
     assert not check("Seeds 101–120 chose.\n", "evidence.md")
-
-
-def test_the_documents_are_plain():
-    pages = LANGUAGE["pages"]()
-    assert len(pages) > 25
-    assert [(page.name, fault) for page in pages for fault in LANGUAGE["faults"](page)] == []

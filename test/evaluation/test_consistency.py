@@ -24,7 +24,6 @@ from scipy.special import gammainc
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.evaluation.consistency import (
-    Consistency,
     Counts,
     acceptance_interval,
     consistency,
@@ -215,12 +214,5 @@ def test_a_wrong_range_noise_is_seen(tmp_path):
 
 def test_ground_seen_once_cannot_be_judged(tmp_path):
     bag = write_ros2(tmp_path / "bag", scans=1)
-    with pytest.raises(EvaluationError, match="already mapped"):
+    with pytest.raises(EvaluationError, match="on mapped ground"):
         consistency(bag, load_config((), SMALL))
-
-
-def test_table_tells_both_tests():
-    text = Consistency(Counts(1000, 24, 26, 360, 1), 5).table()
-    assert "2.40%" in text
-    assert "36.00%" in text
-    assert len({len(line) for line in text.splitlines()}) == 1

@@ -123,17 +123,6 @@ def test_a_bag_that_was_moved_copied_or_cut_is_the_same_flight(both):
     assert score(results, truth).notes == ("Table 2: needs --bag",)
 
 
-def test_files_that_name_no_bag_are_taken(both):
-    truth = both / "7" / "truth.npz"
-    known = {
-        name: array for name, array in np.load(truth).items() if name not in ("bag_name", "seed")
-    }
-    np.savez(truth, **known)
-    assert score(both / "7" / "out", truth).notes == ()
-    tell(both / "7" / "out", bag="7/bag")
-    assert score(both / "7" / "out", truth).notes == ("Table 2: needs --bag",)
-
-
 def test_a_bag_of_another_flight(both):
     results, truth = both / "7" / "out", both / "7" / "truth.npz"
     name_truth(truth, bag_name="unknown")  # so that the results have to tell

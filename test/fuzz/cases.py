@@ -22,6 +22,7 @@ NUMBERS += [5e-324, 1.7e308, -1.7e308, 3.4e38]
 NAMES = ["x", "y", "z", "t", "time", "range", "azimuth", "elevation", "", "x\n\x1b[2J", "q" * 10**5]
 FRAMES = ["map", "/map", "", "odom\nERROR all is well", "\x1b]0;title\x07", "m" * 10**6, "\u202e"]
 CONTAINERS = [np.asarray, bytes, lambda data: array.array("B", bytes(data))]
+WORDS = [*NAMES, *FRAMES, "body", "lidar", "a", "rgb8", "8UC1", "32FC1", "equidistant"]
 KINDS = [("f4",) * 3, ("f8",) * 3, ("f4", "f8", "f4")]
 
 
@@ -70,43 +71,64 @@ def random_cloud(rng: np.random.Generator, stamp_ns: int) -> SimpleNamespace:
         container=one_of(rng, CONTAINERS),
         times=times,
     )
-    for _ in range(rng.integers(0, 3)):
-        spoil_cloud(cloud, rng)
-    return cloud
-
-
-def spoil_cloud(cloud: SimpleNamespace, rng: np.random.Generator) -> None:
-    """One part of a cloud becomes something that no publisher should send."""
-    which = rng.integers(9)
-    if which == 0:
-        name = one_of(rng, ["height", "width", "point_step", "row_step"])
-        setattr(cloud, name, one_of(rng, WHOLE))
-    elif which == 1:
-        cloud.is_bigendian = not cloud.is_bigendian
-    elif which == 2:
-        cloud.data = cut(cloud.data, rng)
-    elif which == 3:
-        cloud.data = rng.integers(0, 256, len(cloud.data), dtype=np.uint8)
-    elif which == 4 and cloud.fields:
-        field = cloud.fields[rng.integers(len(cloud.fields))]
-        field.name = one_of(rng, NAMES)
-    elif which == 5 and cloud.fields:
-        field = cloud.fields[rng.integers(len(cloud.fields))]
-        name = one_of(rng, ["offset", "datatype", "count"])
-        setattr(field, name, one_of(rng, WHOLE))
-    elif which == 6 and cloud.fields:
-        place = int(rng.integers(len(cloud.fields)))
-        cloud.fields = cloud.fields[:place] + cloud.fields[place + rng.integers(2) :] * 2
-    elif which == 7:
-        cloud.header.frame_id = one_of(rng, FRAMES)
-    else:
-        cloud.header.stamp.nanosec = one_of(rng, [0, 999_999_999, 2**32 - 1])
+    return spoilt(cloud, rng)
 
 
 def cut(data: Any, rng: np.random.Generator) -> bytes:
     """The first of some bytes, and others behind them."""
     end = int(rng.integers(0, len(data) + 1))
     return bytes(data)[:end] + bytes(rng.integers(0, 256, rng.integers(0, 9), dtype=np.uint8))
+
+
+def spoil(message: SimpleNamespace, rng: np.random.Generator) -> None:
+    """Change one value at any depth of a message to another value of its type."""
+    name = one_of(rng, [key for key in vars(message) if key != "sec"])
+    value = getattr(message, name)
+    if isinstance(value, SimpleNamespace):
+        spoil(value, rng)
+    elif isinstance(value, list) and value and isinstance(value[0], SimpleNamespace):
+        parts = [SimpleNamespace(**vars(part)) for part in value]
+        place = int(rng.integers(len(parts)))
+        if rng.random() < 0.3:
+            parts = parts[:place] + parts[place + rng.integers(2) :] * 2
+        else:
+            spoil(parts[place], rng)
+        setattr(message, name, parts)
+    else:
+        setattr(message, name, other_value(name, value, rng))
+
+
+def other_value(name: str, value: Any, rng: np.random.Generator) -> Any:
+    """A value of the same type that a publisher may send but should not."""
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, str):
+        return one_of(rng, WORDS)
+    if isinstance(value, int):
+        return one_of(rng, WHOLE)
+    if isinstance(value, float):
+        return extreme(rng)
+    if np.asarray(value).dtype.kind != "f":
+        size = len(value)
+        made = rng.integers(0, 256, size, dtype=np.uint8) if rng.random() < 0.5 else None
+        content = cut(value, rng) if made is None else made.tobytes()
+        return array.array("b" if getattr(value, "typecode", "") == "b" else "B", content)
+    values = np.array(value)
+    if name in ("covariance", "d") and rng.random() < 0.3:
+        return np.full(one_of(rng, [0, 4, 5, 8, 14, 35, 36, 37]), extreme(rng))
+    if rng.random() < 0.3:
+        with np.errstate(over="ignore", invalid="ignore"):
+            return values * 10.0 ** rng.uniform(-320, 30)
+    if values.size:
+        values[rng.integers(values.size)] = extreme(rng)
+    return values
+
+
+def spoilt(message: SimpleNamespace, rng: np.random.Generator, most: int = 2) -> SimpleNamespace:
+    """The message with up to ``most`` of its values changed."""
+    for _ in range(rng.integers(0, most + 1)):
+        spoil(message, rng)
+    return message
 
 
 def random_pose(rng: np.random.Generator, good: SimpleNamespace) -> SimpleNamespace:
@@ -121,45 +143,14 @@ def random_pose(rng: np.random.Generator, good: SimpleNamespace) -> SimpleNamesp
             xyzw=turn / np.linalg.norm(turn),
             covariance=root @ root.T,
         )
-    for _ in range(rng.integers(0, 4)):
-        which, held = rng.integers(7), pose.pose
-        if which == 0:
-            setattr(held.pose.position, "xyz"[rng.integers(3)], extreme(rng))
-        elif which == 1:
-            setattr(held.pose.orientation, "xyzw"[rng.integers(4)], extreme(rng))
-        elif which == 2 and len(held.covariance) == 36:
-            held.covariance[rng.integers(36)] = extreme(rng)
-        elif which == 3:
-            held.covariance = np.full(one_of(rng, [0, 35, 36, 37]), extreme(rng))
-        elif which == 4 and len(held.covariance) == 36:
-            with np.errstate(over="ignore", invalid="ignore"):
-                held.covariance = held.covariance * 10.0 ** rng.uniform(-320, 30)
-        elif which == 5:
-            pose.header.frame_id = one_of(rng, FRAMES)
-        else:
-            pose.header.stamp.nanosec = one_of(rng, [0, 10**9, 2**32 - 1])
-    return pose
+    return spoilt(pose, rng, 3)
 
 
 def random_transform(rng: np.random.Generator, stamp_ns: int) -> SimpleNamespace:
     """Body to lidar, with up to two parts spoilt."""
     turn = rng.normal(size=4)
     turn /= np.linalg.norm(turn)
-    transform = samples.transform(stamp_ns, rng.normal(size=3).tolist(), turn.tolist())
-    place, quaternion = transform.transform.translation, transform.transform.rotation
-    for _ in range(rng.integers(0, 3)):
-        which = rng.integers(5)
-        if which == 0:
-            setattr(place, "xyz"[rng.integers(3)], extreme(rng))
-        elif which == 1:
-            setattr(quaternion, "xyzw"[rng.integers(4)], extreme(rng))
-        elif which == 2:
-            transform.child_frame_id = one_of(rng, [*FRAMES, "body", "lidar", "a", "b"])
-        elif which == 3:
-            transform.header.frame_id = one_of(rng, [*FRAMES, "body", "lidar", "a", "b"])
-        else:
-            transform.header.stamp.nanosec = one_of(rng, [0, 10**9, 2**32 - 1])
-    return transform
+    return spoilt(samples.transform(stamp_ns, rng.normal(size=3).tolist(), turn.tolist()), rng)
 
 
 def random_image(rng: np.random.Generator, stamp_ns: int, z: np.ndarray) -> SimpleNamespace:
@@ -183,42 +174,7 @@ def random_image(rng: np.random.Generator, stamp_ns: int, z: np.ndarray) -> Simp
         step=whole.strides[0],
         data=one_of(rng, CONTAINERS)(whole.view(np.uint8).ravel()),
     )
-    for _ in range(rng.integers(0, 3)):
-        which = rng.integers(6)
-        if which == 0:
-            setattr(image, one_of(rng, ["height", "width", "step"]), one_of(rng, WHOLE))
-        elif which == 1:
-            image.encoding = one_of(rng, ["rgb8", "8UC1", "", "32FC1", "\x1b[2J", "q" * 99])
-        elif which == 2:
-            image.data = cut(image.data, rng)
-        elif which == 3:
-            image.data = rng.integers(0, 256, len(image.data), dtype=np.uint8)
-        elif which == 4:
-            image.is_bigendian = 1 - image.is_bigendian
-        else:
-            image.header.stamp.nanosec = one_of(rng, [0, 999_999_999, 2**32 - 1])
-    return image
-
-
-def random_camera_info(rng: np.random.Generator, good: SimpleNamespace) -> SimpleNamespace:
-    """One with up to two of its parts spoilt."""
-    info = SimpleNamespace(**vars(good))
-    info.d, info.k, info.p = good.d.copy(), good.k.copy(), good.p.copy()
-    for _ in range(rng.integers(0, 3)):
-        which = rng.integers(6)
-        if which == 0:
-            setattr(info, one_of(rng, ["height", "width"]), one_of(rng, WHOLE))
-        elif which == 1:
-            info.k[rng.integers(9)] = extreme(rng)
-        elif which == 2:
-            info.p[rng.integers(12)] = extreme(rng)
-        elif which == 3:
-            info.distortion_model = one_of(rng, ["", "equidistant", "rational_polynomial"])
-        elif which == 4:
-            info.d = rng.normal(scale=one_of(rng, [0.1, 1e3]), size=one_of(rng, [0, 4, 5, 8, 14]))
-        else:
-            info.d = np.full(one_of(rng, [1, 5]), extreme(rng))
-    return info
+    return spoilt(image, rng)
 
 
 def accepted_pose(

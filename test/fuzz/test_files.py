@@ -15,6 +15,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from exchange.test_clouds import write
+from exchange.test_dem import band
 from fuzz.cases import NUMBERS, damaged, one_of
 from replay.recordings import GROUND
 
@@ -87,59 +89,42 @@ def dem_npz(rng, folder):
 
 def dem_tiff(rng, folder):
     rasterio = pytest.importorskip("rasterio")
-    path, bands = folder / "dem.tif", int(one_of(rng, [1, 1, 1, 1, 2, 3]))
+    path = folder / "dem.tif"
     path.unlink(missing_ok=True)
-    kind = one_of(rng, ["float32", "float64", "int16", "uint8", "complex64"])
-    step = float(one_of(rng, [*[2.0] * 40, *NUMBERS]))
-    options = {"crs": one_of(rng, [None, "EPSG:32611", "EPSG:32611", "EPSG:4326", "EPSG:2225"])}
-    options["transform"] = rasterio.Affine(step, 0.0, -12.0, 0.0, -step, 12.0)
-    options |= {"driver": "GTiff", "width": 13, "height": 13, "count": bands, "dtype": kind}
-    try:
-        with rasterio.open(path, "w", **options) as file:
-            file.scales = [float(one_of(rng, [*[1.0] * 40, 0.1, *NUMBERS]))] * bands
-            file.offsets = [float(one_of(rng, [*[0.0] * 40, 5.0, *NUMBERS]))] * bands
-            if unit := one_of(rng, ["", "", "m", "ft", "km", "deg", "1", "\u202e"]):
-                file.units = [unit] * bands
-            with np.errstate(all="ignore"):
-                values = spoilt_array(rng, HEIGHTS)
-                values = HEIGHTS if values.shape != HEIGHTS.shape else values
-                file.write(np.stack([values.astype(kind)] * bands))
-    except (rasterio.errors.RasterioError, ValueError, TypeError, OverflowError):
-        return  # what GDAL does not write
+    step, scale = (float(one_of(rng, [*[usual] * 40, *NUMBERS])) for usual in (2.0, 1.0))
+    with np.errstate(all="ignore"):
+        values = spoilt_array(rng, HEIGHTS)
+        values = HEIGHTS if values.shape != HEIGHTS.shape else values
+        kind = one_of(rng, ["float32", "float64", "int16", "uint8", "complex64"])
+        how = {"dtype": kind, "bands": int(one_of(rng, [1, 1, 1, 1, 2, 3])), "scale": scale}
+        how |= {"crs": one_of(rng, [None, "EPSG:32611", "EPSG:32611", "EPSG:4326", "EPSG:2225"])}
+        how |= {"transform": rasterio.Affine(step, 0.0, -12.0, 0.0, -step, 12.0)}
+        how |= {"unit": one_of(rng, ["", "", "m", "ft", "km", "deg", "1", "\u202e"])}
+        how |= {"offset": float(one_of(rng, [*[0.0] * 40, 0.1, *NUMBERS]))}
+        try:
+            band(path, values, width=13, height=13, **how)
+        except (rasterio.errors.RasterioError, ValueError, TypeError, OverflowError):
+            return  # what GDAL does not write
     path.write_bytes(spoilt_bytes(rng, path.read_bytes()))
     sound(rank_sites(path, None, CONFIG))
 
 
-def text_of(points):
-    return "\n".join(" ".join(map(repr, row)) for row in np.asarray(points, float).tolist())
-
-
 def cloud(rng, folder):
-    x, y = np.meshgrid(AXIS, AXIS)
-    points = np.stack([x, y, HEIGHTS], axis=-1).reshape(-1, 3)
-    kind = one_of(rng, ["npy", "npz", "ply", "pcd"])
-    path = folder / f"cloud.{kind}"
-    path.unlink(missing_ok=True)
-    if kind == "npz":
+    points = np.stack([*np.meshgrid(AXIS, AXIS), HEIGHTS], axis=-1).reshape(-1, 3)
+    path = folder / f"cloud{one_of(rng, ['.npy', '.npz', '.ply', '.pcd'])}"
+    other = spoilt_array(rng, points)
+    if path.suffix == ".npz":
         stamps = rng.integers(0, 2**63, int(one_of(rng, [1, 2])))
         more = {"stamp_ns": stamps, "points": np.stack([points] * len(stamps))}
         path.write_bytes(archive(rng, more if rng.random() < 0.5 else {"points": points}))
+    elif path.suffix == ".npy":
+        np.save(path, other)
     else:
-        out = io.BytesIO()
-        np.save(out, spoilt_array(rng, points))
-        spoilt = spoilt_array(rng, points)
-        spoilt = points if spoilt.ndim != 2 or spoilt.shape[1] != 3 else spoilt
-        try:
-            rows = text_of(spoilt)
-        except (TypeError, ValueError):
-            rows = text_of(points)
-        count = one_of(rng, [len(spoilt), len(spoilt), -1, 2**31, 2**62])
-        head = f"ply\nformat ascii 1.0\nelement vertex {count}\n"
-        head += "".join(f"property double {axis}\n" for axis in "xyz") + "end_header\n"
-        pcd = "VERSION .7\nFIELDS x y z\nSIZE 8 8 8\nTYPE F F F\nCOUNT 1 1 1\n"
-        pcd += f"WIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA ascii\n"
-        forms = {"npy": out.getvalue(), "ply": (head + rows).encode(), "pcd": (pcd + rows).encode()}
-        path.write_bytes(spoilt_bytes(rng, forms[kind]))
+        with np.errstate(all="ignore"):
+            write(path, other if other.dtype.kind == "f" and other.shape[1:] == (3,) else points)
+        count = str(one_of(rng, [len(other), len(other), -1, 2**31, 2**62])).encode()
+        path.write_bytes(path.read_bytes().replace(b" 169\n", b" " + count + b"\n"))
+    path.write_bytes(spoilt_bytes(rng, path.read_bytes()))
     sound(replay(path, None, CONFIG))
     path.unlink()
 

@@ -178,24 +178,6 @@ def test_site_table_and_grids(cells):
     np.testing.assert_array_equal(observed == -1, ~cells.observed)
 
 
-def test_maps_from_before_are_known_where_they_were_measured_and_have_no_bounds(cells):
-    records = maps.encode_cells(cells)
-    kind = maps.CELL_FIELDS_BEFORE
-    before = np.zeros(len(records), dtype=kind)
-    for name in kind.names:
-        before[name] = records[name]
-    leaf = cells.leaf_raster()
-    before["measured"][leaf[cells.observed][-40:]] = 0
-    seen = maps.decode_observed(np.where(cells.observed, np.int8(100), np.int8(-1)))
-    d = cells.domain
-    back = maps.decode_cells(before, seen[0], d.xmin, d.ymin, cells.stamp_ns, known=seen[1])
-    assert np.isnan(back.low).all() and np.isnan(back.high).all()
-    np.testing.assert_array_equal(back.observed, cells.observed)
-    expected = cells.observed & (before["measured"] > 0)[leaf]
-    np.testing.assert_array_equal(back.known, expected)
-    assert (cells.observed & ~expected).any()
-
-
 @pytest.mark.parametrize(
     ("low", "high"), [(2.0, 1.0), (np.inf, np.nan), (np.nan, -np.inf), (-1e8, 1.0)]
 )

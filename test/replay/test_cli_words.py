@@ -11,7 +11,6 @@ import pytest
 from replay.test_cli import FAST, run
 
 from quadtree_lss.cli import main
-from quadtree_lss.desk.commands import console
 from quadtree_lss.desk.replay.results import aligned
 
 
@@ -99,11 +98,3 @@ def test_the_last_line_names_the_page(bag, tmp_path, capsys):
     assert out.splitlines()[-1] == f"open {tmp_path / 'report.html'}"
     out = run(capsys, "replay", bag, "--out", tmp_path, *FAST)[1]
     assert out.splitlines()[-1] == f"results in {tmp_path}"
-
-
-def test_bars_tell_what_is_done_of_how_much(monkeypatch):
-    shown = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", shown)
-    with console.ProgressBar("work", "scans", verbose=True) as bar:
-        bar.update(3, 10)
-    assert "3 of 10 scans, " in shown.getvalue()

@@ -115,13 +115,6 @@ def test_sections_of_other_nodes_and_parameters_of_ros_itself_are_left_alone(wri
     assert load_config([path]) == Config()
 
 
-def test_unknown_keys_name_the_file_and_the_nearest_key(write):
-    path = write(section("domain.min_levle: 3"))
-    text = message(path)
-    assert "domain.min_levle" in text and "'domain.min_level'" in text and str(path) in text
-    assert "'lss.margin'" in message(**{"lss.margn": 1.0})
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -61,30 +61,6 @@ def test_every_layer_is_a_cloud_optimised_geotiff(written, tmp_path):
             np.testing.assert_allclose(pixel[0], written.cells.at(*middle).height, rtol=1e-6)
 
 
-def test_a_new_layer_of_the_grid_comes_by_itself(written, tmp_path):
-    rasterio = pytest.importorskip("rasterio")
-    results = load_results(written.out)
-    grid = results.grid
-    more = {**grid.layers, "chance": np.linspace(0.0, 1.0, grid["score"].size)}
-    more["chance"] = more["chance"].reshape(grid["score"].shape)
-    vars(results)["grid"] = Grid(grid | more)
-    export_results(results, tmp_path, ["geotiff"])
-    with rasterio.open(tmp_path / "chance.tif") as file:
-        np.testing.assert_allclose(file.read(1), more["chance"][::-1], rtol=1e-6)
-        assert file.crs is None and np.isnan(file.nodata)
-
-
-def test_a_geotiff_is_an_elevation_model_again(written, tmp_path):
-    pytest.importorskip("rasterio")
-    from quadtree_lss.desk.exchange.dem import read_dem
-
-    export_results(written.out, tmp_path, ["geotiff"])
-    model, grid = read_dem(tmp_path / "elevation.tif"), load_results(written.out).grid
-    np.testing.assert_allclose(model.x, grid.x)
-    np.testing.assert_allclose(model.y, grid.y)
-    np.testing.assert_allclose(model.elevation, grid["elevation"], rtol=1e-6)
-
-
 @pytest.mark.parametrize("form", ["ply", "gltf"])
 def test_the_mesh_is_the_ground(written, tmp_path, form):
     trimesh = pytest.importorskip("trimesh")

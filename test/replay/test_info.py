@@ -46,15 +46,6 @@ def test_a_domain_that_no_point_reaches_is_a_problem(tmp_path):
     assert info.works and any("only " in line for line in info.notes)
 
 
-def test_rates_of_topics_that_are_not_read_are_theirs(tmp_path):
-    topics = ("/lidar/points", "/camera/points")
-    path = write_ros2(tmp_path / "bag", scan_topics=topics)
-    for asked in (None, "/camera/points", "/nothing"):
-        info = inspect_bag(path, CONFIG, scan_topic=asked)
-        assert [topic(info, name).rate for name in topics] == [pytest.approx(10.0)] * 2
-        assert topic(info, "/nav/pose").rate == pytest.approx(20.0)
-
-
 @pytest.mark.parametrize(
     ("topics", "word"), [({"scan_topics": ()}, "PointCloud2"), ({"pose_topics": ()}, "Pose")]
 )

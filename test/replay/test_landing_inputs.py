@@ -14,8 +14,7 @@ from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.config.settings import config_from_values
-from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.landing_inputs import MAX_KEEP_OUTS, LandingWishes, Navigation
+from quadtree_lss.onboard.messages.landing_inputs import Navigation
 
 CONFIG = config_from_values({**GROUND, "domain.max_level": 5})
 WEST = [(-15.0, -15.0), (0.0, -15.0), (0.0, 15.0), (-15.0, 15.0)]
@@ -82,15 +81,6 @@ def test_the_last_word_counts_and_options_outrank_it(tmp_path):
     assert east(sites(bag, landing={"keep_out": KEEP_OUT})) == 0.0
 
 
-def test_a_keep_out_that_cannot_be_used_withholds_all_sites(tmp_path):
-    bag = write(tmp_path / "bag", lambda r: r.polygon("/landing/keep_out", KEEP_OUT, START, "odom"))
-    result = replay(bag, None, CONFIG, report=False)
-    assert not len(result.assessment.sites.score)
-    assert "landing/keep_out cannot be used" in result.summary["explanation"]
-    assert any("keep_out_frame" in line and "'odom'" in line for line in result.warnings)
-    assert len(sites(bag, landing={"keep_out": None}).sites.score)
-
-
 def test_keep_outs_hold_together_each_until_its_id_is_sent_again(tmp_path):
     """The ground is 32 m wide: the east and the west leave nothing."""
     small = [(1.0, 1.0), (2.0, 1.0), (2.0, 2.0)]
@@ -112,28 +102,6 @@ def test_keep_outs_hold_together_each_until_its_id_is_sent_again(tmp_path):
     assert held == dict.fromkeys(("keep_out", "keep_outs/-8"), [list(c) for c in small])
     assert len(sites(bag, duration=0.4, landing={"keep_outs": None}).sites)
     assert not len(sites(bag, landing={"keep_outs": [KEEP_OUT, WEST]}).sites)
-
-
-def test_a_keep_out_of_the_set_that_cannot_be_used_withholds_until_its_id_comes_again():
-    make = Messages()
-    wishes = LandingWishes("map")
-    for number in range(MAX_KEEP_OUTS):
-        wishes.take("keep_outs", make.polygon(START, KEEP_OUT, number))
-    assert len(wishes.arguments()["keep_outs"]) == MAX_KEEP_OUTS
-    with pytest.raises(MessageError, match="already"):
-        wishes.take("keep_outs", make.polygon(START, KEEP_OUT, -1))
-    wishes.take("area", make.polygon(START, WEST))
-    wishes.take("target", make.point(START, np.zeros(3)))
-    assert len(wishes.arguments()["area"]) == 4
-    assert "keep_outs/-1" in wishes.withheld
-    for number in (3, -1):
-        wishes.take("keep_outs", make.polygon(START, [], number))
-    assert not wishes.withheld and len(wishes.arguments()["keep_outs"]) == MAX_KEEP_OUTS - 1
-    with pytest.raises(MessageError):
-        wishes.take("keep_outs", make.polygon(START, KEEP_OUT[:2], 4))
-    assert "keep_outs/4" in wishes.withheld
-    assert wishes.use_frame("moon").keys() >= {"keep_outs/5", "keep_outs/4"}
-    assert not wishes.arguments()["keep_outs"] and "keep_outs/5" in wishes.withheld
 
 
 def test_height_and_speed_are_those_of_the_poses():

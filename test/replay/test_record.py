@@ -17,9 +17,10 @@ from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay import record as products
 from quadtree_lss.desk.replay.differences import compare_results
 from quadtree_lss.desk.replay.export import export_results
+from quadtree_lss.desk.replay.files import ReplayError
 from quadtree_lss.desk.replay.info import inspect_bag
 from quadtree_lss.desk.replay.passes import Passes
-from quadtree_lss.desk.replay.replay import ReplayError, replay
+from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.replay.stream import MapPairs
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.messages.maps import CELL_FIELDS, SITE_FIELDS, STATUS_FIELDS, encode_score

@@ -2,7 +2,6 @@
 """A bag to a results folder: contract of the files, determinism, counts, damage."""
 
 import csv
-import dataclasses
 import json
 
 import numpy as np
@@ -10,13 +9,10 @@ import pytest
 from replay.recordings import CLOUD, GROUND, POSE, SECOND, START, flight, recording, write_ros2
 
 from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC
-from quadtree_lss.desk.exchange.saved import cells_arrays
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.desk.replay.files import write_npz
-from quadtree_lss.desk.replay.replay import ReplayError, replay
-from quadtree_lss.lab.simulation.simulate import simulate
+from quadtree_lss.desk.replay.files import ReplayError
+from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
-from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
 CONFIG = config_from_values(GROUND)
 FILES = set("history.npz sites.csv selected.csv cells.npz".split())
@@ -84,14 +80,6 @@ def test_cells_hold_the_contract_and_the_slope_that_was_flown_over(result):
     normal = np.column_stack([cells[n][known] for n in ("nx", "ny", "nz")])
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0)
     assert (normal[:, 2] > 0.0).all()
-
-
-def test_cells_hold_the_covariance_of_pose_and_range(result, tmp_path):
-    more = result.cells.covariance_pose + 0.5 * np.eye(3)
-    cells = dataclasses.replace(result.cells, covariance_pose=more)
-    write_npz(tmp_path / "cells.npz", cells_arrays(cells))
-    found = arrays(tmp_path / "cells.npz")["covariance"]
-    np.testing.assert_array_equal(found, cells.covariance_range + more)
 
 
 def test_grid_holds_the_contract(result):
@@ -242,20 +230,3 @@ def test_a_map_without_a_safe_site_is_a_result(bag, tmp_path):
     assert not len(result.assessment.sites.score)
     assert columns(tmp_path / "sites.csv")[1] == []
     assert "No landing site" in (tmp_path / "report.html").read_text()
-
-
-def test_a_warning_says_when_poses_err_by_ten_times_what_they_claim(tmp_path, monkeypatch):
-    """Half a metre, another error in each scan: claimed as they are, and as a tenth of that."""
-    simulate("parabola", tmp_path / "bag", seed=5, duration=30.0, truth=False)
-    update, told = Mapper.update, {}
-    for share in (1.0, 0.1):
-
-        def claiming(self, points, pose, sweep=None, share=share):
-            claim = share**2 * pose.covariance
-            return update(self, points, dataclasses.replace(pose, covariance=claim), sweep)
-
-        monkeypatch.setattr(Mapper, "update", claiming)
-        found = replay(tmp_path / "bag", None, load_config(["parabola"]), report=False)
-        lines = found.summary["warnings"]
-        told[share] = [line for line in lines if "scans and map differ by" in line]
-    assert not told[1.0] and len(told[0.1]) == 1

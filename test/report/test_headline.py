@@ -36,7 +36,8 @@ def test_the_share_is_of_the_seen_ground(content):
     assert headline.areas(everything).seen == pytest.approx(size**2)
     words, ground = headline.headline(content)
     assert f"at the best of {len(content.sites['x'])} sites" in words
-    assert f"allowed on {100 * found.share:.0f} % of the {found.seen:,.0f} m² seen" in ground
+    share = 100 * found.allowed / found.seen
+    assert f"allowed on {share:.0f} % of the {found.seen:,.0f} m² seen" in ground
     why = content.reasons[0].partition(": ")[2]  # without its probability, which the words have
     assert f" m. {why[:1].upper()}{why[1:]}. Landing is" in ground
 

@@ -31,7 +31,7 @@ def content(result):
 def unpacked(content):
     """What a page of this content embeds, and how to read its columns."""
     data, columns = page_data.page_data(content)
-    return data, lambda about: column(b"".join(columns._parts), about)
+    return data, lambda about: column(b"".join(columns._known), about)
 
 
 def test_it_is_one_well_formed_file_that_loads_nothing(text):
@@ -115,15 +115,6 @@ def test_ground_not_yet_mapped_has_a_word_and_a_colour_of_its_own(content):
     assert "seen, not yet mapped" not in words(hazard_figure(none))
 
 
-def test_layers_are_those_that_the_run_had(content):
-    bare = {name: v for name, v in content.grid.items() if name not in ("probability", "risk")}
-    there = unpacked(changed(content, grid=bare))[0]["grid"].keys()
-    assert "probability" not in there
-    likely = np.where(content.grid.seen, 0.25, np.nan)
-    data, get = unpacked(changed(content, grid=bare | {"probability": likely}))
-    np.testing.assert_allclose(get(data["grid"]["probability"]), 100.0 * likely.ravel())
-
-
 def test_roughness_is_shown_by_area_whatever_the_size_of_the_leaf(content):
     """A map whose leaves lie 7 mm off their planes in the mean, large ones and small ones."""
     cells = dataclasses.replace(content.map, roughness=0.007 * content.map.size**2)
@@ -166,15 +157,6 @@ def test_history_tells_at_what_time_ground_is_seen(result, text, content):
     last = [site[1:3] for site in history["sites"][-1]]
     np.testing.assert_allclose(last, result.assessment.sites.position[:, :2])
     assert len(found.column(history["position"])) == 3 * len(result.timings)
-
-
-def test_answers_before_the_first_scan_are_no_time_of_the_flight(content):
-    stamps = content.history["answer_stamp_ns"].copy()
-    stamps[0] = 0
-    data, _ = unpacked(changed(content, history={**content.history, "answer_stamp_ns": stamps}))
-    assert min(data["history"]["seconds"]) >= 0.0
-    none = {**content.history, "answer_stamp_ns": np.zeros_like(stamps)}
-    assert unpacked(changed(content, history=none))[0]["history"] is None
 
 
 def test_rates_are_those_that_info_tells(result, text):

@@ -20,6 +20,7 @@ else:
     from rcl_interfaces.msg import SetParametersResult
     from rcl_interfaces.srv import SetParameters
     from rclpy.context import Context
+    from rclpy.executors import SingleThreadedExecutor
     from rclpy.node import Node
     from rclpy.parameter import Parameter
     from ros_scene import Ears, Sensors, mapped
@@ -129,3 +130,12 @@ def context(ros: Ros) -> Iterator[Context]:
 def node(context: Context) -> Node:
     """A node in it."""
     return Node("node", context=context)
+
+
+@pytest.fixture
+def executor(node: Node) -> Iterator[SingleThreadedExecutor]:
+    """An executor of the node."""
+    result = SingleThreadedExecutor(context=node.context)
+    result.add_node(node)
+    yield result
+    result.shutdown()

@@ -29,8 +29,10 @@ def hears(pid: int, number: int) -> bool:
     "ended by SIGINT, SIGTERM or SIGHUP",
     "exit code 0 from the moment Python itself is up, 0.2 s after the start",
 )
-@pytest.mark.parametrize("name", ["mapping_node", "lss_node", "autopilot_node"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    ("name", "number"),
+    zip(("mapping_node", "lss_node", "autopilot_node"), entry.SIGNALS, strict=True),
+)
 def test_a_signal_while_a_node_starts_ends_it_cleanly(ros, name, number):
     node = ros.start(name)
     while not hears(node.process.pid, signal.SIGHUP):  # the last that it comes to hear

@@ -4,21 +4,12 @@
 import time
 
 import pytest
-from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import Int32
 
 from quadtree_lss.onboard.nodes.executor import WhenWanted, arrived
 from quadtree_lss.onboard.nodes.qos import stream, subscribe
 
 pytestmark = pytest.mark.xdist_group("ros_executor")
-
-
-@pytest.fixture
-def executor(node):
-    result = SingleThreadedExecutor(context=node.context)
-    result.add_node(node)
-    yield result
-    result.shutdown()
 
 
 def spin(executor, until, limit=10.0):

@@ -174,16 +174,6 @@ def test_halves_of_two_maps_are_not_joined(ros, vehicle):
     assert {frame for _, frame, _ in vehicle.said} == {"map"}
 
 
-def test_a_frame_that_was_asked_for_is_insisted_on(ros, vehicle):
-    lss = ros.start("lss_node", "-p", "frames.map:=map")
-    vehicle.send_map(0, "moon")
-    vehicle.until(vehicle.has, "problems.map.frame", 1)
-    assert "frames.map" in lss.output()
-    stamp = vehicle.send_map(1)
-    vehicle.until(vehicle.sites_of, stamp, anywhere)
-    assert [frame for _, frame, _ in vehicle.said] == ["map"]
-
-
 def test_polygons_and_targets():
     np.testing.assert_array_equal(polygon_from_message(polygon(WEST), "/map"), WEST)
     assert polygon_from_message(polygon([]), "map") is None

@@ -14,7 +14,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.live.listener import TOPICS
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.messages.maps import round_trip
 from quadtree_lss.onboard.nodes.markers import cell_markers, site_markers
 
@@ -62,12 +61,6 @@ def test_one_marker_per_level_covers_each_plane_with_two_triangles(mapper):
         centre = corners.min(axis=(1, 2)) + corners.max(axis=(1, 2))
         middle = np.column_stack([cells.x[rows], cells.y[rows], cells.z[rows]])
         np.testing.assert_allclose(0.5 * centre, middle)
-
-
-def test_markers_of_an_empty_map_delete():
-    empty = Mapper(load_config(["morpheus"])).snapshot()
-    message = deserialize_message(cell_markers(empty, "map"), MarkerArray)
-    assert {marker.action for marker in message.markers} == {Marker.DELETE}
 
 
 def test_sites_have_circle_normal_and_rank(mapper):

@@ -10,15 +10,12 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message, serialize_message
 from ros_scene import mapped
 from sensor_msgs.msg import PointCloud2, PointField
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.maps import CELL_FIELDS
-from quadtree_lss.onboard.messages.outputs import cloud_records, map_from_messages
 from quadtree_lss.onboard.nodes.diagnostics import Problems
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher
 from quadtree_lss.onboard.nodes.ros_messages import (
@@ -132,33 +129,6 @@ def test_bytes_that_are_no_cloud_are_refused(cells):
     for some in (*(raw[:n] for n in range(0, len(raw), 4999)), raw[:12] + b"\xff" * 4 + raw[16:]):
         with pytest.raises(MessageError, match="no PointCloud2"):
             cloud_message(some)
-
-
-def test_foreign_clouds_are_refused(cells):
-    cloud, grid = sent(cells)
-    cloud.fields = cloud.fields[:-1]
-    with pytest.raises(MessageError, match="layout"):
-        map_from_messages(cloud, grid)
-    short = message_maker("map").cloud(np.zeros(3, [("x", "<f4")]), 0)
-    with pytest.raises(MessageError):
-        cloud_records(short, CELL_FIELDS)
-
-
-def test_grid_rows_run_along_y():
-    values = np.arange(6, dtype=np.int8).reshape(2, 3)
-    grid = message_maker("map").grid(values, (-1.0, 2.0), 0.5, 1_500_000_000)
-    assert (grid.info.width, grid.info.height) == (3, 2)
-    assert list(grid.data) == [0, 1, 2, 3, 4, 5]
-    assert (grid.info.origin.position.x, grid.info.origin.position.y) == (-1.0, 2.0)
-    assert (grid.header.stamp.sec, grid.header.stamp.nanosec) == (1, 500_000_000)
-
-
-@pytest.fixture
-def executor(node):
-    result = SingleThreadedExecutor(context=node.context)
-    result.add_node(node)
-    yield result
-    result.shutdown()
 
 
 def test_the_last_change_is_always_published(node, executor):

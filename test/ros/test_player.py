@@ -12,8 +12,8 @@ from sensor_msgs.msg import PointCloud2
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.player.player import PlayError, play
 from quadtree_lss.desk.replay.configuration import load_config
+from quadtree_lss.desk.replay.files import ReplayError
 from quadtree_lss.desk.replay.replay import replay
-from quadtree_lss.desk.replay.stream import ReplayError
 from quadtree_lss.lab.live.processes import program
 
 pytestmark = pytest.mark.xdist_group("ros_faults")

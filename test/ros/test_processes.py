@@ -9,13 +9,8 @@ import sys
 import threading
 import time
 from contextlib import ExitStack
-from xml.etree import ElementTree
 
 import pytest
-import rclpy
-from rclpy.context import Context
-from rclpy.node import Node
-from std_msgs.msg import Int32
 
 from quadtree_lss.lab.live import processes
 from quadtree_lss.lab.live.processes import NodeProcess, ProcessError, local_domain
@@ -33,15 +28,6 @@ processes.DOMAINS = {SPARE}
 with processes.local_domain(Path(sys.argv[1])) as domain:
     print(domain.number, flush=True)
     sys.stdin.read()
-"""
-
-THERE = """\
-import sys
-import rclpy
-from std_msgs.msg import Int32
-rclpy.init()
-publisher = rclpy.create_node("there").create_publisher(Int32, "numbers", 1)
-sys.stdin.read()
 """
 
 
@@ -95,28 +81,3 @@ def test_what_was_started_ends_with_sigterm_and_at_once_with_another(tmp_path, m
             signal.raise_signal(signal.SIGTERM)
     assert node.process.poll() == -signal.SIGKILL
     assert signal.getsignal(signal.SIGTERM) == before
-
-
-def test_who_joins_late_hears_those_who_are_there_at_once(tmp_path):
-    """Answers to whoever joins may be lost; who is there says again, each 0.2 s, that it is."""
-    with ExitStack() as stack:
-        domain = stack.enter_context(local_domain(tmp_path))
-        profile = ElementTree.parse(domain.env["FASTRTPS_DEFAULT_PROFILES_FILE"])
-        assert [
-            (period.tag.rpartition("}")[2], int(period.text))
-            for period in profile.find(".//{*}leaseAnnouncement")
-        ] == [("nanosec", 200_000_000)]
-        there = stack.enter_context(
-            subprocess.Popen([sys.executable, "-c", THERE], stdin=subprocess.PIPE, env=domain.env)
-        )
-        for name in (f"late_{k}" for k in range(12)):
-            context = Context()
-            rclpy.init(context=context, domain_id=domain.number)
-            node, end = Node(name, context=context), time.monotonic() + 30.0
-            subscription = node.create_subscription(Int32, "numbers", print, 1)
-            while not subscription.get_publisher_count():
-                assert time.monotonic() < end
-                time.sleep(0.01)
-            node.destroy_node()
-            context.try_shutdown()
-        there.stdin.close()

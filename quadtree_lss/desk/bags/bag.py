@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading ROS 2 and ROS 1 bags as a stream of raw messages.
+"""ROS 2 and ROS 1 bags as a stream of raw messages.
 
-rosbags decodes the messages. It does not read the files because it opens no truncated file, expands
-without a limit, and sorts messages by time even if the recorder's clock stepped back.
+rosbags only decodes messages: its readers open no truncated file, expand without a limit, and sort
+by time even if the recorder's clock stepped back.
 """
 
 from __future__ import annotations
@@ -47,10 +47,9 @@ class Topic:
 
 
 class Bag:
-    """Context manager that opens a bag for reading: a rosbag2 directory (mcap or sqlite3, also
-    without its metadata), a single ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file; each also compressed
-    with zstd. ``topics`` are by name, ``start_ns`` and ``end_ns`` times of reception of the first
-    and the last message, ``ros1`` whether it is of ROS 1, ``notes`` what to know, a line each.
+    """Context manager that opens a rosbag2 folder (also without metadata) or a ``.mcap``, ``.db3``
+    or ROS 1 ``.bag`` file, each also compressed with zstd. ``topics`` are sorted by name,
+    ``start_ns`` and ``end_ns`` are times of reception, ``notes`` are remarks of one line each.
     Raises `BagError`: there is nothing to read."""
 
     def __init__(self, path: str | Path) -> None:
@@ -75,18 +74,15 @@ class Bag:
 
     @property
     def losses(self) -> list[str]:
-        """One line for each piece that could not be read, so far."""
+        """One line for each part that could not be read so far."""
         lines = self._losses + [loss for file in self._files for loss in file.losses]
         return [one_line(line) for line in lines]
 
     def messages(
         self, topics: Collection[str], start_ns: int = 0, stop_ns: int = LAST_NS
     ) -> Iterator[RawMessage]:
-        """Raw messages of the topics with start_ns <= time of reception < stop_ns.
-
-        One file after the other, as they were recorded, for a clock may have stepped back; files
-        that share no topic are joined by the time of reception.
-        """
+        """Raw messages of the topics with start_ns <= time of reception < stop_ns: file by file,
+        because a clock may have stepped back; files without a common topic are merged by time."""
         chains: list[list[RecordedFile]] = []
         for file in self._files:
             alike = (c for c in chains if any(file.counts.keys() & f.counts.keys() for f in c))
@@ -97,8 +93,7 @@ class Bag:
         return heapq.merge(*streams, key=lambda message: message.received_ns)
 
     def decode(self, raw: bytes, msgtype: str) -> Any:
-        """The message of which ``raw`` are the serialised bytes. Raises `MessageError`:
-        ``encoding`` if they are not."""
+        """Decode a message. Raises `MessageError` with reason ``encoding``."""
         try:
             return self._decoded(raw, msgtype)
         except Exception as error:  # any content must do: SerdeError, struct.error, ValueError, …
@@ -107,17 +102,16 @@ class Bag:
             raise MessageError("encoding", text) from None
 
     def _decoded(self, raw: bytes, msgtype: str) -> Any:
-        content = memoryview(plain_message(raw))  # of which slices are no copies
-        if self.ros1:
-            return self._store.deserialize_ros1(content, msgtype)
-        return self._store.deserialize_cdr(content, msgtype)
+        content = memoryview(plain_message(raw))  # whose slices are not copies
+        store = self._store
+        return (store.deserialize_ros1 if self.ros1 else store.deserialize_cdr)(content, msgtype)
 
     def _open(self) -> None:
         if not self.path.exists():
             raise BagError(f"no such bag: {self.path}")
         try:
             for path in self._paths():
-                plain = self._unpacked(path)
+                plain = self._unpacked(path) if path.suffix in PACKED else path
                 file = FORMATS[plain.suffix](plain)
                 self._stack.callback(file.close)
                 self._files.append(file)
@@ -163,8 +157,7 @@ class Bag:
         return files
 
     def _named(self, names: list[str], there: dict[str, Path]) -> list[Path]:
-        """Files that metadata.yaml lists, or that replace these after renaming or unpacking.
-        ``there``: as `_stored` returns them."""
+        """Files that metadata.yaml lists, or that replace them after renaming or unpacking."""
         found = {name: there[_plain(name)] for name in names if _plain(name) in there}
         missing = [name for name in names if name not in found]
         others = [path for path in there.values() if path not in found.values()]
@@ -178,9 +171,7 @@ class Bag:
         return [found[name] for name in names if name in found]
 
     def _unpacked(self, file: Path) -> Path:
-        """The file itself, or what is in it if it is compressed as a whole."""
-        if file.suffix not in PACKED:
-            return file
+        """Decompress a file that is compressed as a whole."""
         folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="quadtree_lss_"))
         plain = Path(folder) / file.stem
         if fault := unpack_file(file, plain):
@@ -189,9 +180,9 @@ class Bag:
 
 
 class MessageBag(Bag):
-    """Messages that never were in a bag, replayed like one: (topic, time of reception, message, or
-    what makes it) in the order of reception. ``name`` stands for the path in texts, ``span_ns`` is
-    the first and the last time of reception."""
+    """Messages from elsewhere, read like a bag: (topic, time of reception, message or a function
+    that makes it) in the order of reception. ``name`` replaces the path in messages to the user,
+    ``span_ns`` is the first and the last time of reception."""
 
     def __init__(
         self,
@@ -205,8 +196,7 @@ class MessageBag(Bag):
         super().__init__(Path(name))
         self.topics, self._messages = list(topics), messages
         self.start_ns, self.end_ns = span_ns
-        self._losses += losses
-        self.notes += notes
+        self._losses, self.notes = list(losses), list(notes)
 
     def _open(self) -> None:
         return
@@ -223,16 +213,13 @@ class MessageBag(Bag):
 
 
 def _stored(folder: Path) -> dict[str, Path]:
-    """Bag files of a folder by their name without compression, in the order of their numbers; a
-    plain file rather than its compressed copy."""
+    """Bag files of a folder by their name without compression, ``…_10`` after ``…_9``; a plain file
+    rather than its compressed copy."""
     packed_first = sorted(folder.iterdir(), key=lambda path: path.suffix not in PACKED)
     found = {_plain(path.name): path for path in packed_first if _is_stored(path)}
-    return dict(sorted(found.items(), key=lambda item: _by_number(item[0])))
-
-
-def _by_number(name: str) -> list[str | int]:
-    """Sorting key by which ``…_10`` comes after ``…_9``."""
-    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)]
+    texts = {name: re.split(r"(\d+)", name) for name in found}
+    keys = {name: [int(t) if t.isdecimal() else t for t in text] for name, text in texts.items()}
+    return {name: found[name] for name in sorted(found, key=keys.__getitem__)}
 
 
 def _plain(name: str) -> str:

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Point clouds in files, with a file of poses or none, as the messages that a bag would hold."""
+"""Point clouds in files, with or without a file of poses, read like a bag."""
 
 from __future__ import annotations
 
 import re
-from bisect import bisect_left
 from decimal import Decimal
 from functools import lru_cache, partial
 from pathlib import Path
@@ -23,41 +22,40 @@ from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.maps import record_dtype
 from quadtree_lss.onboard.messages.outputs import MessageMaker
 
-#: Without poses: from so far above its ground a cloud is seen, m; its attitude is known, rad.
+#: Without poses: assumed height of the lidar above the ground, m, and attitude error, rad.
 ABOVE, ATTITUDE_SIGMA = 2000.0, 1e-6
 LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
 SECOND_NS = 10**9
 _UNITS_NS = (1, 10**3, 10**6, 10**9)
 ROUNDED_NS = 1000
-"""Of a stamp in seconds: as text, or as one number."""
+"""Rounding of a stamp in seconds."""
 OURS = ("truth.npz", "cells.npz", "grid.npz", "history.npz")
-"""Names of no clouds: of a simulation, and of results."""
+"""Files of a simulation or of results, which are not clouds."""
 NO_POSES = "no --poses: the clouds are taken to be in the map's frame, seen from above"
 
 
 def open_recording(
     path: str | Path | Bag, poses: str | Path | None = None, frame: str = "map"
 ) -> Bag:
-    """A bag, itself or by its path, or point clouds: a file or a folder of them. ``poses``: file of
-    poses for clouds in the lidar's axes; None for clouds in the map frame, which ``frame`` names.
-    Raises `BagError`: there is nothing to read, or a bag is given poses that it has itself."""
+    """Open a bag or point clouds (a file or a folder). ``poses``: file of poses for clouds in the
+    lidar's axes; None for clouds in the map frame, which ``frame`` names. Raises `BagError`: there
+    is nothing to read, or poses are given for a bag."""
     if isinstance(path, Bag):
         return path
     place = Path(path)
-    if is_clouds(place):
+    if _is_clouds(place):
         try:
             return _bag_of(place, None if poses is None else Path(poses), frame)
         except ExchangeError as error:
             raise BagError(str(error)) from None
     if poses is not None and place.exists():
-        kinds = " ".join(READERS)
-        msg = f"{place}: --poses goes with point clouds ({kinds}), of which there are none here"
-        raise BagError(msg)
+        msg = f"--poses goes with point clouds ({' '.join(READERS)}), of which there are none here"
+        raise BagError(f"{place}: {msg}")
     return Bag(place)
 
 
-def is_clouds(path: Path) -> bool:
-    """Whether it is a cloud, or a folder of clouds without a bag."""
+def _is_clouds(path: Path) -> bool:
+    """True for a cloud and for a folder of clouds without a bag."""
     if path.is_dir():
         names = {p.suffix.lower() for p in path.iterdir() if p.name not in OURS}
         return not names & {*FORMATS, *PACKED} and bool(names & {*READERS})
@@ -95,7 +93,6 @@ def _bag_of(path: Path, poses_path: Path | None, frame: str) -> MessageBag:
     if table is None:
         low, high = np.nanmin(corners, axis=(0, 1)), np.nanmax(corners, axis=(0, 1))
         eye = np.round(np.append(0.5 * (low + high)[:2], high[2] + ABOVE))
-        # A lidar that looks straight down, whose attitude is known.
         covariance = np.diag(np.repeat([0.01, ATTITUDE_SIGMA], 3) ** 2).reshape(36)
         rows = (eye, (1.0, 0.0, 0.0, 0.0), covariance)
         times = np.array([stamp for stamp, *_ in scans], np.int64)
@@ -139,26 +136,23 @@ def _stamps(path: Path, files: list[Path], table: PoseTable | None) -> list[int]
         fit = [t for t, n in zip(tries, inside, strict=True) if n == max(inside) > 0.5 * len(files)]
         # From 0 s on, small numbers are within the poses in any unit, and may be no times at all.
         if len(fit) == 1 or fit and len(files) != len(known):
-            return [_near(known.tolist(), t) for t in fit[-1]]
+            return [_near(known, t) for t in fit[-1]]
     if len(files) == len(known):
         return known.tolist()
-    span = " ... ".join(f"{1e-9 * t:.3f}" for t in (known[0], known[-1]))
-    raise BagError(
-        f"{path}: which pose belongs to which cloud? The names hold no times between those"
-        f" of the poses ({span} s), and {len(files)} clouds are not {len(known)} poses"
-    )
+    msg = f"{path}: which pose belongs to which cloud? The names hold no times between those of the"
+    msg += f" poses ({1e-9 * known[0]:.3f} ... {1e-9 * known[-1]:.3f} s), and"
+    raise BagError(f"{msg} {len(files)} clouds are not {len(known)} poses")
 
 
-def _near(known: list[int], stamp: int) -> int:
+def _near(known: NDArray[np.int64], stamp: int) -> int:
     """The stamp of a pose that is the same but for rounding, else the stamp itself."""
-    at = bisect_left(known, stamp - ROUNDED_NS)
-    return known[at] if at < len(known) and known[at] <= stamp + ROUNDED_NS else stamp
+    near = known[np.searchsorted(known, stamp - ROUNDED_NS) :][:1].tolist()
+    return near[0] if near and near[0] <= stamp + ROUNDED_NS else stamp
 
 
 def _corners(points: NDArray[Any]) -> Array:
     """(2, 3) least and greatest coordinates; NaN without a return."""
     flat = points.reshape(-1, 3)
     sound = flat[np.isfinite(flat).all(axis=1)]
-    if not len(sound):
-        return np.full((2, 3), np.nan)
+    sound = sound if len(sound) else np.full((1, 3), np.nan)
     return np.array([sound.min(axis=0), sound.max(axis=0)], np.float64)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.rosbag1 import ReaderError
 
-from quadtree_lss.desk.bags.compression import MOST_BYTES, DamagedError, plain_message
+from quadtree_lss.desk.bags.compression import MOST_BYTES, DamagedError
 
 YEAR_S = 365 * 24 * 3600.0
 JITTER_NS = 10**8
@@ -39,14 +39,8 @@ class RawMessage(NamedTuple):
     raw: bytes
 
 
-class Message(NamedTuple):
-    """A message as stored: time of reception, channel, place, offset, serialised bytes."""
-
-    time_ns: int
-    channel: int
-    place: int
-    offset: int
-    raw: bytes
+Row = tuple[int, int, int, int]
+"""The fields of `INDEX` of one message."""
 
 
 class RecordedFile(ABC):
@@ -80,11 +74,11 @@ class RecordedFile(ABC):
             self.index = self.index[np.argsort(times, kind="stable")]
 
     @abstractmethod
-    def _rows(self) -> Iterable[tuple[int, int, int, int]]:
+    def _rows(self) -> Iterable[Row]:
         """Find topics and messages: rows of an `INDEX` in the order of the file."""
 
     @abstractmethod
-    def _load(self, place: int) -> Iterator[Message]:
+    def _load(self, place: int) -> Iterator[tuple[Row, bytes]]:
         """Read the messages of a chunk or row. Raises one of `DAMAGE`."""
 
     def close(self) -> None:
@@ -119,7 +113,7 @@ class RecordedFile(ABC):
         held: dict[int, dict[tuple[int, int], bytes]] = {}
         for time_ns, channel, place, offset in chosen.tolist():
             if place not in held:
-                held[place] = {(m.offset, m.channel): m.raw for m in self._messages(place)}
+                held[place] = {(row[3], row[1]): raw for row, raw in self._messages(place)}
             raw = held[place].get((offset, channel))
             left[place] -= 1
             if not left[place]:
@@ -129,9 +123,9 @@ class RecordedFile(ABC):
             else:
                 yield RawMessage(self.topics[channel][0], time_ns, raw)
 
-    def _messages(self, place: int) -> list[Message]:
+    def _messages(self, place: int) -> list[tuple[Row, bytes]]:
         """Messages of a chunk or row up to the first damage, which is noted."""
-        found: list[Message] = []
+        found: list[tuple[Row, bytes]] = []
         try:
             found.extend(self._load(place))
         except DAMAGE as error:
@@ -155,10 +149,8 @@ class ChunkedFile(RecordedFile):
     CHUNK: int
     MESSAGE: int
     MESSAGE_INDEX: int
-    END = -1
-    """Kind of the record that ends a complete file."""
-    NO_END: str
-    """Fault of a file that is read without its index and has no such record."""
+    END = -1  # kind of the record that ends a complete file
+    NO_END: str  # fault of a file that is read without its index and lacks that record
 
     @abstractmethod
     def _head(self, source: BinaryIO) -> tuple[int, Any, int]:
@@ -174,7 +166,7 @@ class ChunkedFile(RecordedFile):
         channel and time of each message in a `MESSAGE_INDEX`; decompressed content and declared
         size of a chunk; None for others, such as of topics."""
 
-    def _rows(self) -> Iterable[tuple[int, int, int, int]]:
+    def _rows(self) -> Iterable[Row]:
         if self._file.read(len(self.MAGIC)) != self.MAGIC:
             self.fault = f"wrong first bytes of a {self.path.suffix} file"
             return []
@@ -182,14 +174,14 @@ class ChunkedFile(RecordedFile):
             places = self._indexed()
         except DAMAGE:
             places = self._walk()
-        rows: list[tuple[int, int, int, int]] = []
+        rows: list[Row] = []
         for place in places:
             listed = self._listed(place)
             known = listed and {row[1] for row in listed} <= self.topics.keys()
-            rows += listed if known else [message[:4] for message in self._messages(place)]
+            rows += listed if known else [row for row, _ in self._messages(place)]
         return rows
 
-    def _listed(self, place: int) -> list[tuple[int, int, int, int]]:
+    def _listed(self, place: int) -> list[Row]:
         """Rows by the index behind a chunk, which is not opened; empty if it is damaged."""
         entries: list[tuple[int, int, int]] = []
         try:
@@ -234,7 +226,7 @@ class ChunkedFile(RecordedFile):
             self.fault = f"damaged or truncated after byte {max(places, default=0)}"
         return places
 
-    def _load(self, place: int) -> Iterator[Message]:
+    def _load(self, place: int) -> Iterator[tuple[Row, bytes]]:
         chunk = next(self._records(self._file, place, self._size), None)
         if chunk is None or chunk.kind not in (self.CHUNK, self.MESSAGE):
             raise DamagedError("no chunk")
@@ -245,7 +237,7 @@ class ChunkedFile(RecordedFile):
         for record in records:
             taken = self._take(record)
             if record.kind == self.MESSAGE:
-                yield Message(min(taken[0], LAST_NS), taken[1], place, record.place, taken[2])
+                yield (min(taken[0], LAST_NS), taken[1], place, record.place), taken[2]
         if len(data) != size:
             raise DamagedError(f"chunk of {len(data)} bytes instead of {size}")
 
@@ -257,13 +249,3 @@ def replace_impossible(times: NDArray[np.int64]) -> int:
     good = np.flatnonzero(~bad)
     times[bad] = times[good[np.maximum(np.searchsorted(good, np.flatnonzero(bad)) - 1, 0)]]
     return int(np.count_nonzero(bad))
-
-
-def stamp_of(raw: bytes) -> int:
-    """Stamp of a CDR message that begins with its header, ns; -1 if it is cut short."""
-    try:
-        raw = plain_message(raw)
-        seconds, nanoseconds = struct.unpack_from("<II" if raw[1] else ">II", raw, 4)
-    except (DamagedError, struct.error, IndexError):
-        return -1
-    return int(seconds) * 10**9 + int(nanoseconds)

@@ -8,7 +8,7 @@ import sqlite3
 from collections.abc import Iterator
 
 from quadtree_lss.desk.bags.compression import MOST_BYTES, DamagedError
-from quadtree_lss.desk.bags.recorded_file import Message, RecordedFile
+from quadtree_lss.desk.bags.recorded_file import RecordedFile, Row
 
 ROWS = "SELECT timestamp, topic_id, id, 0 FROM messages"
 
@@ -18,7 +18,7 @@ class SqliteFile(RecordedFile):
 
     unit = "row"
 
-    def _rows(self) -> Iterator[tuple[int, int, int, int]]:
+    def _rows(self) -> Iterator[Row]:
         log = self.path.with_name(f"{self.path.name}-wal")  # of a recorder that was killed
         logged, writable = log.exists() and log.stat().st_size, os.access(log.parent, os.W_OK)
         if logged and not writable:  # sqlite writes an index of the log beside it
@@ -43,7 +43,7 @@ class SqliteFile(RecordedFile):
         except sqlite3.Error as error:
             self.fault = str(error)
 
-    def _sound_rows(self) -> Iterator[tuple[int, int, int, int]]:
+    def _sound_rows(self) -> Iterator[Row]:
         """All rows; after damage only those that the index of times lists."""
         last = -(2**63)
         try:
@@ -59,7 +59,7 @@ class SqliteFile(RecordedFile):
                     self._damage[number] = str(error)
                     self._unread.add((number, 0))
 
-    def _load(self, place: int) -> Iterator[Message]:
+    def _load(self, place: int) -> Iterator[tuple[Row, bytes]]:
         query = "SELECT topic_id, data FROM messages WHERE id = ? AND typeof(data) = 'blob'"
         query += f" AND length(data) <= {MOST_BYTES}"
         try:
@@ -68,7 +68,7 @@ class SqliteFile(RecordedFile):
             raise DamagedError(str(error)) from None
         if row is None:
             raise DamagedError("no data")
-        yield Message(0, row[0], place, 0, row[1])
+        yield (0, row[0], place, 0), row[1]
 
     def close(self) -> None:
         self._database.close()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which topics of a bag are meant: by name, else by type; where that is not clear, one line."""
+"""The topics of a bag to read: by name, else by type."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ KINDS = {
     GIMBAL_TOPIC: types.GIMBAL_TYPE,
     TRANSFORMS_TOPIC: types.TRANSFORMS_TYPE,
 }
-"""Type of what is recorded on a topic by these names."""
+"""Message type by default name of the topic."""
 OUTPUTS = (*(f"/{name}" for name in TOPIC_TYPES), "/landing/dispersion")
-"""How topics end that are clouds or poses by type, but our own output or what guidance says."""
+"""Ends of topics that have the type of an input but are outputs of our nodes or of guidance."""
 
 COVERED, SELDOM = 0.9, 0.5
 """Share of the scans with poses around them, and rate up to that of the scans, of the most that any
@@ -49,7 +49,7 @@ CONVERSIONS = {
 
 
 def candidates(bag: Bag, kind: str, *, ours: bool = True) -> list[str]:
-    """Topics of an open bag with messages of a type; ``ours``: our own `OUTPUTS`, too."""
+    """Topics of an open bag with messages of a type; ``ours``: also `OUTPUTS`."""
     names = (topic.name for topic in bag.topics if topic.type == kind and topic.count)
     return [name for name in names if ours or not name.endswith(OUTPUTS)]
 
@@ -139,8 +139,8 @@ def _useful_rates(bag: Bag, names: list[str], scans: str) -> dict[str, tuple[flo
 
 
 def choose_scan_topic(bag: Bag, asked: str | None, source: str) -> tuple[str, str, str]:
-    """Topic and type of the scans, as of `choose_pose_topic` by ``lidar.source``, and the topic of
-    the CameraInfo of depth images, empty for clouds. Raises `BagError`: lists the candidates."""
+    """Topic and type of the scans, ``source`` (``lidar.source``) preferred, and the topic of the
+    CameraInfo of depth images, empty for clouds. Raises `BagError`: lists the candidates."""
     order = (DEPTH_TOPIC, SCAN_TOPIC) if source == "depth" else (SCAN_TOPIC, DEPTH_TOPIC)
     topic, kind = _choose(bag, asked, order, "--scan-topic", _without_depth(bag))
     if kind == types.SCAN_TYPE:
@@ -173,9 +173,8 @@ def _choose(
 
 
 def landing_topics(bag: Bag, *, without: tuple[str, ...] = ()) -> dict[str, str]:
-    """``area``, ``keep_out`` or ``target`` by the topic of an open bag that tells it. ``without``:
-    names that are not looked for. Raises `BagError`: several topics end alike and none has the
-    plain name."""
+    """Names of `TYPES` by the topic of an open bag, except those in ``without``. Raises `BagError`:
+    several topics end alike and none has the plain name."""
     found = {}
     for name, kind in TYPES.items():
         plain = f"/landing/{name}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the subcommands have in common: the parser, exit codes, options, configuration."""
+"""Shared parts of the subcommands: parser, exit codes, options, configuration."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ EXIT_CODES = """exit codes:
 
 
 class UsageError(QuadtreeLssError):
-    """Words that make no command."""
+    """The command line is wrong."""
 
 
 class Parser(argparse.ArgumentParser):
-    """As of argparse; what begins as a negative number, as a place may, is no option."""
+    """An argument parser that does not take negative coordinates for options."""
 
     def __init__(self, *args: Any, **named: Any) -> None:
         super().__init__(*args, **named)
@@ -50,14 +50,10 @@ def add_command(
     text: str,
     examples: str,
 ) -> argparse.ArgumentParser:
-    """A subcommand with its help and the options that all have."""
-    parser = commands.add_parser(
-        name,
-        help=text,
-        description=text,
-        epilog=f"{examples}\n{EXIT_CODES}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    """Add a subcommand with its help and the common options."""
+    style, epilog = argparse.RawDescriptionHelpFormatter, f"{examples}\n{EXIT_CODES}"
+    how: dict[str, Any] = {"formatter_class": style, "epilog": epilog}
+    parser = commands.add_parser(name, help=text, description=text, **how)
     parser.set_defaults(run=run, parser=parser)
     add = parser.add_argument
     add("-q", "--quiet", action="store_true", help="errors only: no progress, table or warnings")
@@ -68,12 +64,12 @@ def add_command(
 
 
 def given(options: argparse.Namespace, *names: str) -> dict[str, Any]:
-    """Options as arguments of a function that calls them the same."""
+    """Options by name, as arguments of a function."""
     return {name: getattr(options, name) for name in names}
 
 
 def refuse(options: argparse.Namespace, what: str, *names: str) -> None:
-    """Ends in a line where some of these options are given, which ``what`` would not use."""
+    """Report a usage error if one of these options is given, which ``what`` does not use."""
     default = options.parser.get_default
     unused = [n for n in names if n in options and getattr(options, n) != default(n)]
     told = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
@@ -83,7 +79,7 @@ def refuse(options: argparse.Namespace, what: str, *names: str) -> None:
 
 @contextlib.contextmanager
 def of_ros(what: str) -> Iterator[None]:
-    """Within it, ROS is imported, which ``what`` needs."""
+    """Context in which ROS is imported for ``what``."""
     try:
         yield
     except ImportError as error:
@@ -92,14 +88,14 @@ def of_ros(what: str) -> Iterator[None]:
 
 
 def named(text: str) -> Path:
-    """Type of an option: a file or folder, which an empty text does not name."""
+    """Type of an option: a path that is not empty."""
     if not text.strip():
         raise argparse.ArgumentTypeError("the name of a file or folder is empty")
     return Path(text)
 
 
 def _number(kind: Callable[[str], N], fits: Callable[[N], bool], wanted: str) -> Callable[[str], N]:
-    """Type of an option: what ``kind`` makes of a text, if it fits."""
+    """Type of an option: a number that fits."""
 
     def convert(text: str) -> N:
         with contextlib.suppress(ValueError):
@@ -157,8 +153,8 @@ def chosen_config(options: argparse.Namespace) -> Config:
 
 
 def add_landing_options(parser: argparse._ActionsContainer, default: str) -> None:
-    """``--area``, ``--keep-out`` and ``--target``, no attributes where they are not given: ``none``
-    lifts what a bag says. ``default`` says what holds without them."""
+    """Add ``--area``, ``--keep-out`` and ``--target``, which set no attribute if not given.
+    ``default``: help text for that case."""
     absent: dict[str, Any] = {"default": argparse.SUPPRESS}
     corners: dict[str, Any] = {"metavar": "'X,Y X,Y X,Y ...'", "type": polygon, **absent}
     text = f"this polygon, map frame, m{default}"
@@ -170,7 +166,7 @@ def add_landing_options(parser: argparse._ActionsContainer, default: str) -> Non
 
 
 def landing_of(options: argparse.Namespace) -> dict[str, Any]:
-    """What the options say of landing, by name."""
+    """The argument ``landing`` of `replay.replay`."""
     found = {name: getattr(options, name) for name in ("area", "target") if name in options}
     if "keep_out" in options:
         found["keep_out"], *others = options.keep_out
@@ -179,7 +175,7 @@ def landing_of(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def polygon(text: str) -> list[list[float]] | None:
-    """``'0,0 9,0 9,9'``, or ``none``."""
+    """Type of an option: ``'0,0 9,0 9,9'``, or ``none``."""
     corners = _numbers(text)
     if corners is not None and len(corners) < 3:
         msg = f"'{text}' has {len(corners)} corners; a polygon has three or more"
@@ -188,7 +184,7 @@ def polygon(text: str) -> list[list[float]] | None:
 
 
 def place(text: str) -> list[float] | None:
-    """``3,-4``, or ``none``."""
+    """Type of an option: ``3,-4``, or ``none``."""
     corners = _numbers(text)
     if corners is not None and len(corners) != 1:
         raise argparse.ArgumentTypeError(f"'{text}' is not a place X,Y")
@@ -196,13 +192,12 @@ def place(text: str) -> list[float] | None:
 
 
 def origin(text: str) -> list[float]:
-    """``46.2,8.6``: latitude and longitude, deg."""
+    """Type of an option: ``46.2,8.6``, latitude and longitude, deg."""
     with contextlib.suppress(ValueError):
         north, east = (float(part) for part in text.split(","))
         if abs(north) <= 90.0 and abs(east) <= 360.0:
             return [north, east]
-    msg = f"'{text}' is not LAT,LON in deg, latitude first"
-    raise argparse.ArgumentTypeError(msg)
+    raise argparse.ArgumentTypeError(f"'{text}' is not LAT,LON in deg, latitude first")
 
 
 def _numbers(text: str) -> list[list[float]] | None:
@@ -217,13 +212,13 @@ def _numbers(text: str) -> list[list[float]] | None:
 
 
 def tell(options: argparse.Namespace, result: Any, *lines: str) -> None:
-    """A result as JSON if that is asked for, else its table and some lines."""
+    """Print a result as JSON if asked for, else its table and some lines."""
     out = {"out": str(result.out)} if hasattr(result, "out") else {}
     show(options, {**out, **result.as_dict()}, "\n".join([result.table(), *lines]))
 
 
 def show(options: argparse.Namespace, content: Mapping[str, Any], text: str) -> None:
-    """A result as JSON if that is asked for, else as text."""
+    """Print a result as JSON if asked for, else as text."""
     if options.json:
         print_json(content)
     else:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the command line shows: progress, results, messages."""
+"""Output of the command line: progress, results, messages."""
 
 from __future__ import annotations
 
@@ -32,19 +32,17 @@ MODEL = """\
 {posts[0]} x {posts[1]} posts, {post_spacing:g} m apart; heights {height_range[0]:.1f} to \
 {height_range[1]:.1f} m, median slope {median_slope_deg:.1f}°
 landing site selection {lss_ms:.0f} ms; {explanation}"""
-"""Key figures of a replay of scans, one of maps, and of an elevation model, of its summary."""
+"""Key figures of a replay of scans, of maps, and of an elevation model."""
 BAR = "{desc} {percentage:3.0f} % |{bar}| {n:.0f} of {total:.0f} {unit}, {remaining} left"
 
 
 class _Quiet:
-    """Whether ``-q`` was given, for this run of `cli.main`."""
-
-    on = False
+    on = False  # ``-q`` was given
 
 
 @contextlib.contextmanager
 def quiet(on: bool, json: bool = False) -> Iterator[None]:
-    """Within it, nothing but errors, and JSON if that is asked for, is shown."""
+    """Context in which only errors, and JSON if asked for, are shown."""
     before, _Quiet.on = _Quiet.on, on
     hide = on and not json
     hidden = contextlib.redirect_stdout(io.StringIO()) if hide else contextlib.nullcontext()
@@ -56,16 +54,14 @@ def quiet(on: bool, json: bool = False) -> Iterator[None]:
 
 
 class ProgressBar:
-    """A progress bar on stderr that is told what is done of how much; silent without terminal.
-    ``what``: is done. ``unit``: it is counted in, in the plural; ``s`` are seconds of a bag.
-    ``verbose``: show it even if stderr is no terminal."""
+    """A progress bar on stderr, if that is a terminal or ``verbose``. ``unit``: plural, or ``s``
+    for seconds of a bag."""
 
     def __init__(self, what: str, unit: str, verbose: bool) -> None:
         self._bar: Any = None
         if not _Quiet.on and (verbose or sys.stderr.isatty()):
             from tqdm import tqdm  # takes long to import
 
-            # Until it is told of how much: a total of None cannot be formatted.
             how = {"total": 1, "file": sys.stderr, "leave": False, "bar_format": BAR}
             self._bar = tqdm(desc=what, unit=unit, **how)
 
@@ -83,8 +79,8 @@ class ProgressBar:
 
 
 class Interruption:
-    """Context manager that turns the first Ctrl-C into a wish to stop; the second one stops.
-    ``then``: what is still done, which the first Ctrl-C tells at once."""
+    """Context manager for a first Ctrl-C that ends the work in order; a second one stops at once.
+    ``then``: what is still done, for the message."""
 
     def __init__(self, then: str) -> None:
         self._then = then
@@ -92,7 +88,7 @@ class Interruption:
         self._before: Any = None
 
     def __enter__(self) -> Interruption:
-        with contextlib.suppress(ValueError):  # not in the main thread: nothing to handle
+        with contextlib.suppress(ValueError):  # not in the main thread
             self._before = signal.signal(signal.SIGINT, self._note)
         return self
 
@@ -106,7 +102,7 @@ class Interruption:
     def _note(self, number: int, frame: object) -> None:
         self._asked = True
         signal.signal(signal.SIGINT, self._before)
-        # Not by print: the signal may have come within one.
+        # print is not reentrant.
         text = f"quadtree-lss: stopping: {one_line(self._then)} (Ctrl-C again stops at once)\n"
         end = "\n" if sys.stderr.isatty() else ""
         with contextlib.suppress(OSError):
@@ -114,7 +110,7 @@ class Interruption:
 
 
 def result_text(result: ReplayResult) -> str:
-    """Key figures of a replay and its ranked sites; last, what to open."""
+    """Key figures of a replay, its ranked sites, and the file to open."""
     from quadtree_lss.desk.replay.results import aligned, points_line  # the core: slow to import
 
     summary, sites = result.summary, result.assessment.sites
@@ -136,7 +132,6 @@ def result_text(result: ReplayResult) -> str:
 
 
 def _site_rows(sites: Sites) -> list[Sequence[str]]:
-    """The first of the columns' names."""
     from quadtree_lss.onboard.core.landing.probability import shown
 
     columns = {
@@ -163,7 +158,6 @@ def warn(text: str) -> None:
 
 
 def first_line(error: BaseException) -> str:
-    """An error as one line."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename or 'file'}: {error.strerror}"
     return (str(error) or type(error).__name__).splitlines()[0]

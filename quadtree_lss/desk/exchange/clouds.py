@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Point clouds in files, NPY, NPZ, PLY, PCD, LAS and LAZ, and poses in text: TUM's form or CSV."""
+"""Point clouds in NPY, NPZ, PLY, PCD, LAS and LAZ files, and poses in TUM or CSV files."""
 
 from __future__ import annotations
 
@@ -20,18 +20,17 @@ Array = NDArray[Any]
 Clouds = tuple[list[Array], NDArray[np.int64] | None]
 
 MOST_POINTS = 1 << 20
-"""Of one scan; larger clouds, as surveys are, become several."""
+"""Points of one scan; larger clouds, such as surveys, become several scans."""
 
 
 def read_clouds(path: Path) -> Clouds:
-    """The clouds of a file, and their stamps in ns if it has any; each (N, 3), or (H, W, 3) if the
-    file says that it is organised, m, NaN for no return. Raises `ExchangeError`: the file cannot be
-    read, or the library for it is missing."""
+    """Read clouds (N, 3), or (H, W, 3) if organised, m, NaN for no return, and their stamps in ns,
+    if any. Raises `ExchangeError`: the file cannot be read, or a library is missing."""
     try:
         clouds, stamps = READERS[path.suffix.lower()](path)
     except ExchangeError:
         raise
-    except Exception as error:  # any content must do, and each library has errors of its own
+    except Exception as error:  # each library has errors of its own
         line = (str(error) or type(error).__name__).splitlines()[0]
         msg = f"{path}: not a readable {path.suffix.lower()} file: {line}"
         raise ExchangeError(msg) from None
@@ -45,7 +44,7 @@ def read_clouds(path: Path) -> Clouds:
 
 
 def _npz(path: Path) -> Clouds:
-    """``points`` of one scan, or with one more axis of several and ``stamp_ns`` of each."""
+    """Read ``points`` of one scan, or with one more axis of several with a ``stamp_ns`` each."""
     arrays = read_arrays(path)
     if "points" not in arrays:
         msg = f"{path}: has no array 'points', but {', '.join(arrays) or 'nothing'}"
@@ -62,7 +61,7 @@ def _npz(path: Path) -> Clouds:
 
 def _ply(path: Path) -> Clouds:
     trimesh = library("trimesh", "PLY files")
-    # What is in it decides what this makes of it; vertices they all have.
+    # The content decides the type, but each type has vertices.
     loaded = trimesh.load(path, process=False, force=None)
     return [_coordinates(path, np.asarray(loaded.vertices, np.float64))], None
 
@@ -89,7 +88,7 @@ def _las(path: Path) -> Clouds:
 
 
 def _coordinates(path: Path, array: Array) -> Array:
-    """The first three columns are x, y, z."""
+    """Take the first three columns: x, y, z."""
     if array.ndim not in (2, 3) or array.shape[-1] < 3 or array.dtype.kind not in "fiu":
         msg = f"{path}: {array.dtype} {array.shape} is not a point cloud, (N, 3) or (H, W, 3)"
         raise ExchangeError(msg)
@@ -111,9 +110,8 @@ COVARIANCE = tuple(f"cov_{k}" for k in range(36))
 
 
 class PoseTable(NamedTuple):
-    """Poses of the lidar in the map frame in the order of their stamps (K,): positions (K, 3) m,
-    quaternions (K, 4) that take lidar axes to the map, and covariances (K, 36) of x, y, z and
-    rotations about the map's axes, row by row, zeros where they are not known."""
+    """Poses (K,) of the lidar in the map frame by stamp: positions m, quaternions (K, 4) from lidar
+    to map axes, covariances (K, 36) of x, y, z and rotations about map axes, 0 if unknown."""
 
     stamp_ns: NDArray[np.int64]
     position: NDArray[np.float64]
@@ -122,10 +120,9 @@ class PoseTable(NamedTuple):
 
 
 def read_poses(path: Path) -> PoseTable:
-    """Poses of a file. TUM: lines ``stamp x y z qx qy qz qw`` in s and m, ``#`` begins a comment.
-    CSV: a header with ``stamp_ns`` (or ``stamp`` in s) and the other names of TUM, in any order,
-    and perhaps ``cov_0`` … ``cov_35``; further columns do not matter. Raises `ExchangeError`: the
-    file cannot be read, or is neither."""
+    """Read poses. TUM: lines ``stamp x y z qx qy qz qw`` in s and m, ``#`` begins a comment. CSV: a
+    header with ``stamp_ns`` (or ``stamp`` in s), the other names of TUM in any order, and perhaps
+    ``cov_0`` … ``cov_35``. Raises `ExchangeError`: the file cannot be read, or is neither."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:

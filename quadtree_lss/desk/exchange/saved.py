@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A results folder, read back, and a map as the arrays of ``cells.npz``."""
+"""Reading a results folder; a map as the arrays of ``cells.npz``."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ from quadtree_lss.onboard.core.tree.domain import Domain, carried
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 Table = dict[str, NDArray[Any]]
-"""Columns of a CSV file by name: whole numbers, numbers, or else texts."""
+"""Columns of a CSV file by name: integers, else floats, else texts."""
 SAME = ("level", "ix", "iy", "z", "covariance_pose", "count", "measured", "roughness")
 SAME += ("exception_fraction", "feature", "low", "high")
-"""Arrays of ``cells.npz`` that are the columns of a map of that name."""
+"""Arrays of ``cells.npz`` that are attributes of `CellMap`."""
 COLUMNS, MASKS = (*SAME, "nx", "ny", "nz", "covariance"), ("observed_cells", "known_cells")
 
 
 class ResultsError(QuadtreeLssError):
-    """A folder is none that a replay wrote, or one of its files cannot be read."""
+    """A folder does not hold results, or one of its files cannot be read."""
 
 
 def cells_arrays(cells: CellMap) -> dict[str, NDArray[Any]]:
-    """Content of ``cells.npz``: one array per field of the leaves, in Morton order."""
+    """Content of ``cells.npz``; leaves are in Morton order."""
     domain = cells.domain
     of_domain = [domain.xmin, domain.ymin, domain.size, domain.min_level, domain.max_level]
     return {
@@ -55,7 +55,7 @@ def cells_arrays(cells: CellMap) -> dict[str, NDArray[Any]]:
 
 
 def cell_map(path: str | Path, a: Mapping[str, NDArray[Any]]) -> CellMap:
-    """The map in the arrays of ``cells.npz``. Raises `ResultsError`: they are none."""
+    """Make a map of the arrays of ``cells.npz``. Raises `ResultsError`: they are not a map."""
     needed = (*COLUMNS, *MASKS, "domain", "stamp_ns", "offset")
     missing = [name for name in needed if name not in a]
     if missing:
@@ -85,14 +85,13 @@ def cell_map(path: str | Path, a: Mapping[str, NDArray[Any]]) -> CellMap:
 
 
 def unreadable(path: str | Path, error: object) -> ResultsError:
-    """The error of a file for a reason."""
     if isinstance(error, OSError) and error.strerror:
         error = error.strerror
     return ResultsError(f"{path}: cannot be read: {error}")
 
 
 def read_table(path: Path) -> Table:
-    """The columns of a file. Raises `ResultsError`: it is no table."""
+    """Read a CSV file. Raises `ResultsError`: it is not a table."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             header, *rows = list(csv.reader(file)) or [[]]
@@ -111,8 +110,8 @@ def _column(texts: list[str]) -> NDArray[Any]:
 
 
 class Grid(dict[str, NDArray[Any]]):
-    """The landing grid by the names in ``grid.npz``: ``x`` (nx,) and ``y`` (ny,) of the grid
-    points, m, ascending, evenly spaced, and layers (ny, nx)."""
+    """The landing grid, by the names in ``grid.npz``: ``x`` (nx,) and ``y`` (ny,) of the grid
+    points, m, ascending, evenly spaced; layers (ny, nx)."""
 
     @property
     def x(self) -> Array:
@@ -133,12 +132,12 @@ class Grid(dict[str, NDArray[Any]]):
 
     @property
     def seen(self) -> Mask:
-        """(ny, nx) of the grid points on seen ground that is mapped."""
+        """(ny, nx): observed and estimated ground."""
         return np.asarray((self["hazard"] & UNSEEN) == 0)
 
     @property
     def unmapped(self) -> Mask:
-        """(ny, nx) of those whose ground is seen, but not yet mapped."""
+        """(ny, nx): observed ground that is not estimated."""
         return np.asarray((self["hazard"] & UNMAPPED) > 0)
 
     def __repr__(self) -> str:
@@ -148,16 +147,14 @@ class Grid(dict[str, NDArray[Any]]):
 
 @dataclass(frozen=True, repr=False)
 class Results:
-    """What a replay wrote; each file is read when it is asked for.
-
-    Every attribute raises `ResultsError` if its file cannot be read. Lengths m, map frame.
-    """
+    """What a replay wrote: lengths in m, map frame. Each attribute reads its file when it is first
+    used, and raises `ResultsError` if it cannot be read."""
 
     folder: Path
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """``summary.json``; numbers that do not exist are None."""
+        """``summary.json``; None for numbers that are not finite."""
         path = self.folder / "summary.json"
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
@@ -220,8 +217,8 @@ class Results:
         return _arrays(path) if path.exists() else {}
 
     def then(self, name: str, answers: NDArray[np.intp]) -> NDArray[np.uint8]:
-        """(A, ny, nx) of the history at some answers, bits or per cent, on the grid of the last: a
-        domain that follows lay elsewhere. What was not in it was not seen."""
+        """A layer of the history at some assessments, (A, ny, nx), bits or per cent, moved to the
+        last grid because the domain may have followed the vehicle."""
         shape, rows = self.grid["hazard"].shape, self.history[name][answers]
         fill = 255 if name == "probability" else 0
         if not fill:
@@ -235,19 +232,19 @@ class Results:
 
     @property
     def zone(self) -> float:
-        """Radius of the ground that a landing needs, m."""
+        """Radius of the landing zone, m."""
         return 0.5 * self.config.lss.vehicle.diameter + self.config.lss.margin
 
     @property
     def dispersion(self) -> tuple[float, float]:
-        """1 sigma of a touchdown about its aim along x and y, m: the last heard, or as set."""
+        """Touchdown dispersion along x and y, 1 σ, m: the last received, or the setting."""
         heard = (self.summary.get("landing") or {}).get("dispersion")
         x, y = heard[:2] if heard else (self.config.lss.dispersion,) * 2
         return float(x), float(y)
 
     @property
     def probability(self) -> Array | None:
-        """(ny, nx) of a safe touchdown, NaN where it was not judged; None if nowhere."""
+        """(ny, nx) of a safe touchdown, NaN where unknown; None if unknown everywhere."""
         found = self.grid.get("probability")
         return None if found is None or not np.isfinite(found).any() else found
 
@@ -263,8 +260,8 @@ class Results:
 
 
 def load_results(folder: str | os.PathLike[str]) -> Results:
-    """The results of a replay, for instance of ``results/latest``. Raises `ResultsError`: the
-    folder has no ``summary.json`` or no ``grid.npz``."""
+    """The results in a folder, for instance ``results/latest``. Raises `ResultsError`: there is no
+    ``summary.json`` or no ``grid.npz``."""
     path = Path(folder)
     if not path.is_dir():
         raise ResultsError(f"{path} is not a results folder")

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag is published as if it were live: player, its clock, its peers, its keyboard."""
+"""Playing a bag into running nodes; listening to live topics."""

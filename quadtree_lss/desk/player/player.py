@@ -23,37 +23,38 @@ from rclpy.exceptions import NameValidationException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rosgraph_msgs.msg import Clock
 
 from quadtree_lss.desk.bags import message_types as types
 from quadtree_lss.desk.bags import topics
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.compression import DamagedError, plain_message
-from quadtree_lss.desk.player.clock import PlayTime
-from quadtree_lss.desk.replay.stream import MapPairs, Part, Progress
+from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Part, Progress
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages import landing_inputs
 from quadtree_lss.onboard.messages.outputs import CELLS, OBSERVED, TOPIC_TYPES
 from quadtree_lss.onboard.nodes.qos import latched, stream
-from quadtree_lss.onboard.nodes.ros_messages import TYPES
+from quadtree_lss.onboard.nodes.ros_messages import TYPES, time_message
 
 MATCH_PAUSE_S = 0.5
 """After a publisher sees its match the subscriber may not be ready yet."""
+CLOCK_S = 0.02
+"""Longest interval between two messages on ``/clock``, s of the steady clock."""
 DEPTH = 200
 LANDING = {f"/landing/{name}": kind for name, kind in landing_inputs.TYPES.items()}
 MAPS = {f"/{name}": TOPIC_TYPES[name] for name in (CELLS, OBSERVED)}
 KINDS = topics.KINDS | LANDING | MAPS
 OPTIONAL = (topics.GIMBAL_TOPIC, *LANDING)
-"""Played though nobody may listen."""
+"""Played even without subscribers."""
 
 
 class PlayError(QuadtreeLssError):
-    """The bag cannot be played, or nobody listens."""
+    """The bag cannot be played, or has no subscribers."""
 
 
 @dataclass(frozen=True)
 class PlayReport:
-    """How many messages were sent, and what could not be read of the bag, a line each.
-    ``duration``: time from the first to the last of them, s."""
+    """Numbers of messages that were sent, ``duration`` in s, and a line for each loss."""
 
     scans: int
     poses: int
@@ -76,21 +77,18 @@ def play(
     domain_id: int | None = None,
     progress: Progress | None = None,
 ) -> PlayReport:
-    """Play a ROS 2 bag on ``lidar/points`` and ``nav/pose``, with the bag's time on ``/clock``.
+    """Play scans and poses of a ROS 2 bag into running nodes, with the bag's time on ``/clock``.
 
-    Odometry is published on ``nav/odometry`` instead. ``lidar/gimbal`` and latched
-    ``landing/area``, keep-outs and ``landing/target`` are played if they were recorded, the last
-    three including what was sent before the part that is played. A bag that holds maps and no scans
-    is played on ``map/cells`` and ``map/observed``, latched. The player waits until scans and
-    poses, or maps, have a subscriber, and at the end until all messages are acknowledged.
+    ``lidar/gimbal``, ``landing/area``, keep-outs and ``landing/target`` are played if recorded; a
+    bag of maps is played on ``map/cells`` and ``map/observed``. The player waits for subscribers
+    of scans and poses, or maps, and at the end for acknowledgements.
 
     Args:
         rate: Bag seconds per second.
-        scan_topic, pose_topic, start, duration: As of `replay.replay`.
-        wait: How long to wait for subscribers, s.
-        namespace, remap: Of the topics published on; ``FROM:=TO`` as after ``-r`` of a node.
-        domain_id: ROS domain, that of the environment if None.
-        progress: Called with the seconds of the bag that are played and those to play.
+        scan_topic, pose_topic, start, duration, progress: As in `replay.replay`.
+        wait: Longest time to wait for subscribers, s.
+        namespace, remap: Names of the topics; ``FROM:=TO`` as after ``-r`` of a node.
+        domain_id: ROS domain; by default that of the environment.
 
     Raises:
         BagError, ReplayError: the bag cannot be read, its topics or the part are not clear.
@@ -116,9 +114,11 @@ def play(
             wishes = [recorded for recorded, name in names.items() if name in LANDING]
             for message in source.messages(wishes, 0, part.start_ns):
                 publishers[message.topic].publish(_serialised(message.raw))
-            times, began, sent = PlayTime(node, rate), time.monotonic(), Counter[str]()
+            clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
+            began_ns, began, sent = None, time.monotonic(), Counter[str]()
             for topic, received_ns, raw in part.messages(source, list(names), progress):
-                times.wait_until(received_ns)
+                began_ns = received_ns if began_ns is None else began_ns
+                _wait_until(received_ns, clock, began_ns, began, rate)
                 publishers[topic].publish(_serialised(raw))
                 sent[names[topic]] += 1
             seconds = time.monotonic() - began
@@ -133,6 +133,16 @@ def play(
             )
         finally:
             context.try_shutdown()
+
+
+def _wait_until(bag_ns: int, clock: Publisher, began_ns: int, began_s: float, rate: float) -> None:
+    """Publish the bag's time, ``began_ns`` at ``began_s``, until it is ``bag_ns``."""
+    while True:
+        now_ns = began_ns + round((time.monotonic() - began_s) * rate * SECOND_NS)
+        clock.publish(Clock(clock=time_message(min(now_ns, bag_ns))))
+        if now_ns >= bag_ns:
+            return
+        time.sleep(min((bag_ns - now_ns) / (rate * SECOND_NS), CLOCK_S))
 
 
 def _names(bag: Bag, scan_topic: str | None, pose_topic: str | None) -> dict[str, str]:
@@ -154,7 +164,7 @@ def _names(bag: Bag, scan_topic: str | None, pose_topic: str | None) -> dict[str
 
 
 def _serialised(raw: bytes) -> bytes:
-    """A message's bytes, whether or not the bag compresses each; nodes refuse damaged ones."""
+    """Decompress a message if necessary; nodes reject damaged ones."""
     with contextlib.suppress(DamagedError):
         return plain_message(raw)
     return raw
@@ -174,8 +184,7 @@ def _publishers(node: Node, names: Mapping[str, str]) -> dict[str, Publisher]:
 def player_node(
     context: Context, namespace: str, remap: Sequence[str], played: Iterable[str]
 ) -> Node:
-    """What publishes. Raises `PlayError`: the namespace or another name is none, or no such topic
-    is played."""
+    """Make the node. Raises `PlayError`: a name is invalid, or such a topic is not played."""
     known = [name.lstrip("/") for name in played]
     arguments = ["--ros-args"]
     for rule in remap:
@@ -185,21 +194,16 @@ def player_node(
             raise PlayError(msg)
         arguments += ["-r", f"{name}:={to}"]
     try:
-        return Node(
-            "bag_player",
-            context=context,
-            namespace=namespace,
-            cli_args=arguments,
-            start_parameter_services=False,  # the node is never spun
-        )
+        # The node is never spun.
+        how = {"namespace": namespace, "cli_args": arguments, "start_parameter_services": False}
+        return Node("bag_player", context=context, **how)
     except (NameValidationException, rclpy_implementation.RCLError) as error:
         msg = f"--namespace or --remap: {str(error).splitlines()[0].split(', at /')[0]}"
         raise PlayError(msg) from None
 
 
 def wait_for_subscribers(node: Node, publishers: Sequence[Publisher], wait: float) -> None:
-    """Until each publisher has one. Raises `PlayError`: after ``wait`` seconds; names what is
-    subscribed instead."""
+    """Wait until each publisher has a subscriber. Raises `PlayError` after ``wait`` s."""
     deadline = time.monotonic() + wait
     while missing := [p for p in publishers if not p.get_subscription_count()]:
         if time.monotonic() > deadline:
@@ -211,7 +215,7 @@ def wait_for_subscribers(node: Node, publishers: Sequence[Publisher], wait: floa
 
 
 def _subscribed(node: Node, publishers: Sequence[Publisher]) -> str:
-    """Which topics of the same types somebody does listen to."""
+    """Name the topics of the same types that have subscribers."""
     kinds = {f"{p.msg_type.__module__.split('.')[0]}/msg/{p.msg_type.__name__}" for p in publishers}
     found = [
         name

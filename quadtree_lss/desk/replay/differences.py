@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two results of the same ground, without truth: heights, safe ground, sites gained and lost."""
+"""Comparison of two results of the same ground, without truth."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 
 SIGMAS = 3.0
 SAME_GROUND = 0.5
-"""Correlation of heights. Flights over one field have 0.97 and more, over two fields -0.1 to 0.1; a
-yard of mounds that is 1 or 3 m off 0.94 or 0.71."""
+"""Least correlation of heights of the same ground. Measured: 0.97 over one field, 0.1 over two,
+0.71 for mounds that are shifted by 3 m."""
 
 
 class Heights(NamedTuple):
-    """Second less first height where both maps have seen the ground, m: 95 % of the differences are
-    less than ``most``, the ``greatest`` is at (``x``, ``y``), and of ``beyond``, a share, what is
-    left without the mean is more than three deviations by both maps' covariances."""
+    """Second minus first height where both observed the ground, m. ``most``: percentile 95 of the
+    magnitude; (``x``, ``y``): place of the ``greatest``; ``beyond``: share of differences, without
+    their mean, of more than 3 σ of both maps."""
 
     points: int
     mean: float
@@ -41,7 +41,7 @@ class Heights(NamedTuple):
 
 
 class Site(NamedTuple):
-    """A site that only one of the two results has, and what the other says of its place."""
+    """A site of only one result, and the other's assessment of its place."""
 
     rank: int
     x: float
@@ -52,13 +52,12 @@ class Site(NamedTuple):
 
 @dataclass(frozen=True)
 class Comparison:
-    """How two results of the same ground differ; the second is the newer one.
+    """The differences between two results of the same ground; the second is the newer one.
 
-    Areas are m^2: allowed ground of what both have seen, in either (``safe_…``) and in one alone
-    (``gained``, ``lost``), and ground that one alone has seen. ``sites_kept`` are pairs of ranks of
-    the same place, ``sites_gained`` and ``sites_lost`` those without another near by.
-    ``difference`` (ny, nx) is the second less the first height at the first's grid points, m; NaN
-    where not compared.
+    Areas in m²: of the ground that both observed the allowed part of either (``safe_…``) and of
+    only one (``gained``, ``lost``); ground that only one observed (``seen_…``). ``sites_kept``:
+    pairs of ranks. ``difference`` (ny, nx): second minus first height at the first's grid points,
+    m, or NaN.
     """
 
     first: Results
@@ -77,12 +76,12 @@ class Comparison:
 
     @property
     def same_ground(self) -> bool:
-        """Whether heights go together, or differ by no more than noise, as of level ground."""
+        """True if heights are correlated, or differ by no more than noise on level ground."""
         noise = max(r.config.lidar.range_noise for r in (self.first, self.second))
         return self.heights.correlation >= SAME_GROUND or self.heights.rms_mean_removed <= noise
 
     def as_dict(self) -> dict[str, Any]:
-        """In JSON's types."""
+        """In JSON types."""
         names = ("safe_first", "safe_second", "gained", "lost", "seen_first", "seen_second")
         content = {
             "first": str(self.first.folder),
@@ -97,7 +96,7 @@ class Comparison:
         return dict(plain(content))
 
     def table(self) -> str:
-        """For people."""
+        """As text."""
         h = self.heights
         rows = [
             ("Ground seen by both", f"{h.points} grid points"),
@@ -122,10 +121,9 @@ class Comparison:
 def compare_results(
     first: Results | str | Path, second: Results | str | Path, out: str | Path | None = None
 ) -> Comparison:
-    """Compares two results of the same ground at the grid points of the first. ``first``,
-    ``second``: results or their folders. ``out``: folder for ``comparison.json`` and
-    ``comparison.png``; None writes nothing. Raises `ResultsError`: a folder is none of results, or
-    the two have seen no ground in common."""
+    """Compare two results, or their folders, at the grid points of the first. ``out``: folder for
+    ``comparison.json`` and ``comparison.png``. Raises `ResultsError`: a folder does not hold
+    results, or the two have observed no ground in common."""
     a, b = (r if isinstance(r, Results) else load_results(r) for r in (first, second))
     grid = a.grid
     both = grid.seen & _laid(b.grid, b.grid.seen, grid.x, grid.y)
@@ -163,7 +161,7 @@ def compare_results(
 
 
 def _laid(grid: Grid, values: NDArray[Any], x: Array, y: Array) -> NDArray[Any]:
-    """Of a layer of a grid (ny, nx) at the grid points nearest to places; 0 beyond the grid."""
+    """Sample a layer (ny, nx) at the grid points nearest to x, y; 0 outside the grid."""
     rows, columns = (
         np.rint((places - axis[0]) / grid.spacing).astype(np.intp)
         for axis, places in ((grid.y, y), (grid.x, x))
@@ -174,7 +172,7 @@ def _laid(grid: Grid, values: NDArray[Any], x: Array, y: Array) -> NDArray[Any]:
 
 
 def _seen_alone(grid: Grid, other: Grid) -> float:
-    """Ground that a grid has seen and the other has not, m^2."""
+    """Area of ground that a grid has observed and the other has not, m²."""
     alone = grid.seen & ~_laid(other, other.seen, grid.x, grid.y)
     return grid.spacing**2 * np.count_nonzero(alone)
 
@@ -184,10 +182,8 @@ def _heights(difference: Array, deviation: Array, x: Array, y: Array, second: Ar
     values = difference[known]
     left, heights = values - values.mean(), (second[known] - values, second[known])
     worst = np.unravel_index(np.nanargmax(np.abs(difference)), difference.shape)
-    correlation = np.nan
-    if values.size > 1:
-        with np.errstate(all="ignore"):  # of level ground it is none
-            correlation = np.corrcoef(heights)[0, 1]
+    with np.errstate(all="ignore"):  # NaN for level ground
+        correlation = np.corrcoef(heights)[0, 1] if values.size > 1 else np.nan
     return Heights(
         points=int(values.size),
         mean=float(values.mean()),
@@ -203,7 +199,7 @@ def _heights(difference: Array, deviation: Array, x: Array, y: Array, second: Ar
 
 
 def _sites(a: Results, b: Results) -> tuple[Any, tuple[Site, ...], tuple[Site, ...]]:
-    """Pairs of ranks, sites of the first alone, sites of the second alone."""
+    """Pairs of ranks, sites of only the first, sites of only the second."""
     lss = a.config.lss
     reach = 0.5 * min(lss.vehicle.diameter, lss.vehicle.lengths.min_separation)
     one, other = a.positions, b.positions
@@ -227,7 +223,7 @@ def _alone(places: Array, paired: set[int], other: Results, name: str) -> tuple[
 
 
 def _verdict(grid: Grid, x: float, y: float, name: str) -> str:
-    """What a result says of a place."""
+    """Describe the assessment of a place."""
     place = np.array([x]), np.array([y])
     if not _laid(grid, np.ones_like(grid.seen), *place).all():
         return f"outside the {name}'s domain"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Landing sites straight on an elevation model: each cell between its posts is a leaf."""
+"""Landing sites on an elevation model: each cell between its posts is a leaf."""
 
 from __future__ import annotations
 
@@ -19,10 +19,8 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
 
-#: Leaves along a side, at most.
-MOST_CELLS = 1 << 10
-#: Grid points along a side, at most.
-MOST_POINTS = 2000
+#: Largest numbers of leaves and of grid points along a side.
+MOST_CELLS, MOST_POINTS = 1 << 10, 2000
 
 
 def rank_sites(
@@ -33,18 +31,13 @@ def rank_sites(
     report: bool = True,
     landing: Mapping[str, ArrayLike | None] | None = None,
 ) -> ReplayResult:
-    """Ranks landing sites on an elevation model (or its file, see `read_dem`) and writes the
-    results.
+    """Rank landing sites on an elevation model or its file (`read_dem`) and write the results.
 
-    The domain is that of the model, its smallest cells are those between the posts, or of several
-    of them where a map would have more than 1024 x 1024. An area cuts the model to it. Of
-    ``config``, ``lss`` matters, and ``lidar.range_noise`` as the posts' deviation; ``out``,
-    ``report`` and ``landing`` are as of `replay.replay`.
-
-    Raises:
-        ExchangeError: the file is no elevation model.
-        ConfigError: the configuration does not go with the model's size.
-        ReplayError: the results cannot be written.
+    A leaf is a cell between posts, or several of them if there are more than 1024 x 1024. An area
+    crops the model. ``config``: ``lss`` is used, and ``lidar.range_noise`` as the posts' standard
+    deviation. ``out``, ``report`` and ``landing`` as in `replay.replay`. Raises `ExchangeError`:
+    not an elevation model; `ConfigError`: the configuration does not fit the model's size;
+    `ReplayError`: the results cannot be written.
     """
     began = time.perf_counter()
     name = "" if isinstance(dem, ElevationModel) else str(Path(dem).resolve())
@@ -97,10 +90,10 @@ def _notes(model: ElevationModel, block: int) -> list[str]:
 
 
 def cells_of(model: ElevationModel, deviation: float) -> tuple[CellMap, int]:
-    """A map whose leaves are all of one level, and how many cells of the model a leaf has a side.
+    """Make a map with leaves of one level; also return the cells of the model along a leaf's side.
 
-    A leaf's plane is the least-squares one through its posts; one that lacks a post is not
-    measured. ``model``: the heights. ``deviation``: standard deviation of each, m.
+    Each plane is fitted to the leaf's posts, whose standard deviation is ``deviation``, m; a leaf
+    that lacks a post is not estimated.
     """
     count = max(len(model.x), len(model.y)) - 1
     block = max(-(-count // MOST_CELLS), 1)

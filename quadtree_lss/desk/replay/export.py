@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A results folder for other programs: layers, meshes, sites, occupancy grids."""
+"""Export of results to other programs: layers, meshes, sites, occupancy grids."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ from quadtree_lss.onboard.arrays import Array, Bytes, Mask
 from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED
 from quadtree_lss.onboard.core.landing.raster import rasterise
 
-NO_DATA = 255
-"""Value of unseen ground in the layer ``safe``."""
+NO_DATA = 255  # value of unseen ground in the layer ``safe``
 LAYERS = {
     "elevation": ("m", "the map's own height"),
     "plane_elevation": ("m", "height of the plane at the lander's scale"),
@@ -40,12 +39,11 @@ LAYERS = {
 }
 """Unit and meaning."""
 FAR = 10_000.0
-"""Coordinates beyond lose centimetres in the 32 bits that meshes have, m."""
+"""Larger coordinates lose centimetres in the 32 bits of a mesh, m."""
 FARTHEST_DEG = 1.0
-"""Beyond the area of a coordinate system; neighbouring zones of UTM are used so."""
+"""Largest distance from the area of a coordinate system, deg; UTM zones are used one further."""
 CIRCLE_POINTS = 48
-FREE, OCCUPIED, UNKNOWN = 254, 0, 205
-"""Grey of nav2's map_server."""
+FREE, OCCUPIED, UNKNOWN = 254, 0, 205  # grey levels of nav2's map_server
 
 
 def export_results(
@@ -56,20 +54,20 @@ def export_results(
     crs: str = "",
     origin: tuple[float, float] | None = None,
 ) -> list[Path]:
-    """Writes what a replay found in the forms of other programs; returns what was written.
+    """Write results in formats of other programs; return the paths of the files.
 
     Args:
         results: Results or their folder.
-        out: Folder for the files, made if missing; by default ``exchange`` in the results.
-        formats: Names of `FORMATS`; none takes all, GeoJSON only with a place on the Earth.
-        crs: Coordinate reference system of the map frame, as ``EPSG:32611``; by default that of the
-            elevation model, if the results are of one that tells.
+        out: Folder for the files; by default ``exchange`` in the results.
+        formats: Names of `FORMATS`; by default all, GeoJSON only with a place on the Earth.
+        crs: Coordinate system of the map frame, such as ``EPSG:32611``; by default that of the
+            elevation model, if any.
         origin: Instead, latitude and longitude of the map frame's origin, deg (x east, y north).
 
     Raises:
-        ResultsError: the folder is none of results.
-        ExchangeError: a library is missing, the system is none or not for that place, or nothing
-            can be written.
+        ResultsError: the folder does not hold results.
+        ExchangeError: a library is missing, the coordinate system is unknown or not for this place,
+            or a file cannot be written.
     """
     found = results if isinstance(results, Results) else load_results(results)
     told = "" if origin is not None else str(found.summary.get("crs") or "")
@@ -84,9 +82,7 @@ def export_results(
 
 
 def check_place(x: Array, y: Array, crs: str) -> None:
-    """See that places in m lie in the area that a coordinate system is made for; systems that name
-    no area, as those about an origin, have none. Raises `ExchangeError`: they are farther from it
-    than a degree, at which its metres are wrong."""
+    """Raise `ExchangeError` if places, m, are too far from the area of a coordinate system."""
     rasterio = library("rasterio", WHAT)
     system = rasterio.crs.CRS.from_wkt(crs)
     code = system.to_epsg()
@@ -99,19 +95,15 @@ def check_place(x: Array, y: Array, crs: str) -> None:
     inside = (longitude - west) % 360.0 <= ((east - west) % 360.0 or 360.0)
     aside = np.minimum((longitude - east) % 360.0, (west - longitude) % 360.0)
     beyond = np.where(inside, 0.0, aside)
-    off = np.max([beyond, south - latitude, latitude - north])
-    if not off <= FARTHEST_DEG:
-        msg = (
-            f"the map lies at latitude {latitude[0]:.2f}, longitude {longitude[0]:.2f} by its"
-            f" coordinate system, which is for {area[1]} (south, west, north, east):"
-            " a map about a place has --origin instead"
-        )
-        raise ExchangeError(msg)
+    if not np.max([beyond, south - latitude, latitude - north]) <= FARTHEST_DEG:
+        msg = f"the map lies at latitude {latitude[0]:.2f}, longitude {longitude[0]:.2f} by its"
+        msg += f" coordinate system, which is for {area[1]} (south, west, north, east):"
+        raise ExchangeError(f"{msg} a map about a place has --origin instead")
 
 
 def to_degrees(x: Array, y: Array, crs: str) -> tuple[Array, Array]:
-    """Longitude and latitude of places in a coordinate reference system, deg (WGS 84). Raises
-    `ExchangeError`: the system has no place on the Earth."""
+    """Convert places in a coordinate system to longitude and latitude, deg (WGS 84). Raises
+    `ExchangeError`."""
     rasterio = library("rasterio", WHAT)
     warp = library("rasterio.warp", WHAT)
     try:
@@ -123,8 +115,7 @@ def to_degrees(x: Array, y: Array, crs: str) -> tuple[Array, Array]:
 
 
 def _geotiff(results: Results, folder: Path, crs: str) -> list[Path]:
-    """Every layer of the landing grid, and height and deviation of the map's own cells where the
-    ground is known."""
+    """Write the layers of the landing grid, and height and deviation of the finest cells."""
     grid, domain = results.grid, results.map.domain
     written = [
         _write_geotiff(folder, name, values, grid.x, grid.y, grid.seen, crs)
@@ -143,8 +134,8 @@ def _geotiff(results: Results, folder: Path, crs: str) -> list[Path]:
 def _write_geotiff(
     folder: Path, name: str, values: NDArray[Any], x: Array, y: Array, seen: Mask, crs: str
 ) -> Path:
-    """One layer (ny, nx) as cloud-optimised GeoTIFF; pixels are about the places x (nx,), y (ny,),
-    ascending, evenly spaced, m; NaN is no data, in ``safe`` unseen ground."""
+    """Write a layer (ny, nx) as cloud-optimised GeoTIFF with pixels about x (nx,), y (ny,),
+    ascending, evenly spaced, m."""
     rasterio = library("rasterio", WHAT)
     unit, words = LAYERS.get(name, ("", ""))
     exact, path = values.dtype in (np.bool_, np.uint8), folder / f"{name}.tif"
@@ -152,7 +143,7 @@ def _write_geotiff(
     options["nodata"] = None if exact else float("nan")
     if name == "safe":
         values, options["nodata"] = np.where(seen, values, NO_DATA), NO_DATA
-    if exact:  # a mean of bits is none of them
+    if exact:  # bits cannot be averaged
         options["overview_resampling"] = "nearest"
     pixels = np.ascontiguousarray(values[::-1], np.uint8 if exact else np.float32)
     dx, dy = (float(a[-1] - a[0]) / (len(a) - 1) if len(a) > 1 else 1.0 for a in (x, y))
@@ -172,7 +163,7 @@ def _write_geotiff(
 
 
 def _colour_tables() -> dict[str, dict[int, str]]:
-    """Colour of whole values by layer, as those of the page."""
+    """Colours of integer layers, as on the page."""
     from quadtree_lss.desk.report import palette
 
     no, yes, none = palette.EXCLUDED_COLOUR, palette.SAFE_COLOUR, {NO_DATA: palette.UNSEEN_COLOUR}
@@ -184,9 +175,8 @@ def _colour_tables() -> dict[str, dict[int, str]]:
 
 
 def _mesh(end: str, results: Results, folder: Path, crs: str) -> list[Path]:
-    """The ground at the grid points, coloured by where landing is allowed, in relief: ``ply``
-    (z up) or ``glb`` (y up, as glTF has it). Far from the origin it is moved there, and a text
-    beside it says by how much."""
+    """Write the ground at the grid points, green where landing is allowed, as ``ply`` (z up) or
+    ``glb`` (y up). Far from the origin it is moved there, and a text file says by how much."""
     trimesh: Any = library("trimesh", "PLY and glTF files")
     grid, path = results.grid, folder / f"ground.{end}"
     heights = np.asarray(grid["elevation"], np.float64)
@@ -207,8 +197,8 @@ def _mesh(end: str, results: Results, folder: Path, crs: str) -> list[Path]:
 
 
 def ground_mesh(x: Array, y: Array, heights: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Vertices (V, 3) and triangles (T, 3), counter-clockwise from above, of heights (ny, nx) m at
-    x (nx,), y (ny,); squares that lack a corner, which is NaN, are left out."""
+    """Vertices (V, 3) and triangles (T, 3), counter-clockwise from above, of heights (ny, nx), m,
+    at x (nx,), y (ny,); without squares that have a NaN corner."""
     known = np.isfinite(heights)
     number = np.cumsum(known.ravel()).reshape(known.shape) - 1
     across, along = np.meshgrid(x, y)
@@ -220,7 +210,7 @@ def ground_mesh(x: Array, y: Array, heights: Array) -> tuple[Array, NDArray[np.i
 
 
 def _colours(results: Results) -> Bytes:
-    """(ny, nx, 3): green where landing is allowed, else grey, shaded."""
+    """(ny, nx, 3): shaded green where landing is allowed, else grey."""
     from quadtree_lss.desk.report.palette import SAFE_COLOUR
     from quadtree_lss.plot import relief
 
@@ -232,8 +222,7 @@ def _colours(results: Results) -> Bytes:
 
 
 def _geojson(results: Results, folder: Path, crs: str) -> list[Path]:
-    """Of each ranked site a point and the circle of its landing zone (RFC 7946), with the columns
-    of ``sites.csv``."""
+    """Write a point and a landing zone per site (RFC 7946), with the columns of ``sites.csv``."""
     if not crs:
         msg = "GeoJSON is in longitude and latitude: --crs or --origin says where the map lies"
         raise ExchangeError(msg)
@@ -258,7 +247,7 @@ def _geojson(results: Results, folder: Path, crs: str) -> list[Path]:
 
 
 def _map_server(results: Results, folder: Path, crs: str) -> list[Path]:
-    """Pictures (PGM) and YAML files, read in the mode ``trinary``."""
+    """Write images (PGM) and YAML files for the mode ``trinary``."""
     grid, seen = results.grid, results.grid.seen
     maps = {
         "hazards": np.where((grid["hazard"] & IDENTIFIED) > 0, OCCUPIED, FREE),
@@ -287,4 +276,4 @@ FORMATS: dict[str, Callable[[Results, Path, str], Any]] = {
     "geojson": _geojson,
     "map_server": _map_server,
 }
-"""By name, what writes the files."""
+"""Writers by name of the format."""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Result files: each is written beside its place and then moved there, so that a reader never sees
-half of one and a failed run leaves the files of the last."""
+"""Result files, each written under another name and then moved, so that a reader never sees half of
+one and a failed run keeps the earlier ones."""
 
 from __future__ import annotations
 
@@ -23,12 +23,16 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 SAMPLE, WORTH_PACKING = 1 << 14, 0.85
-"""An array is packed if so many bytes from its middle come down to less than this share."""
+"""An array is compressed if a sample of its bytes shrinks to less than this share."""
+
+
+class ReplayError(QuadtreeLssError):
+    """The bag gave no map, or the results cannot be written."""
 
 
 @contextmanager
 def writing(out: str | Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
-    """Within it, what cannot be written to ``out`` raises an error of this kind."""
+    """Context in which errors of writing to ``out`` become errors of a kind."""
     try:
         yield
     except OSError as error:
@@ -37,7 +41,7 @@ def writing(out: str | Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Writes a file beside ``path`` and moves it there; makes the folder."""
+    """Write a file as a whole; make its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
     try:
@@ -46,7 +50,7 @@ def write_bytes(path: Path, content: bytes) -> None:
     except BaseException as error:
         beside.unlink(missing_ok=True)
         if isinstance(error, OSError):
-            error.filename = str(path)  # not the one beside it
+            error.filename = str(path)
         raise
 
 
@@ -56,7 +60,7 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def plain(value: Any) -> Any:
-    """The value with JSON's types alone; numbers that are not finite become None."""
+    """Convert a value to JSON types; numbers that are not finite become None."""
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
@@ -77,10 +81,7 @@ def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) 
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """As `numpy.savez_compressed` does, in a quarter of the time.
-
-    What hardly packs, such as the last digits of an elevation, is stored as it is.
-    """
+    """Like `numpy.savez_compressed` in a quarter of the time: incompressible arrays are stored."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as file:
         for name, values in arrays.items():
@@ -95,7 +96,7 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def new_folder(root: Path) -> Path:
-    """A new folder ``root/<date>_<time>``, which no other run has."""
+    """Make a new folder ``root/<date>_<time>``."""
     name = time.strftime("%Y-%m-%d_%H-%M-%S")
     for suffix in ("", *(f"_{n}" for n in range(2, 1000))):
         with suppress(FileExistsError):
@@ -106,8 +107,8 @@ def new_folder(root: Path) -> Path:
 
 @contextmanager
 def made(folder: Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
-    """Makes a folder before the work begins, which one that cannot be written would waste; where
-    that fails, an empty folder goes again. ``kind``: as of `writing`."""
+    """Context that makes a folder before the work, and removes it after an error if it is empty.
+    ``kind``: as of `writing`."""
     with writing(folder, kind):
         folder.mkdir(parents=True, exist_ok=True)
     try:
@@ -119,7 +120,7 @@ def made(folder: Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
 
 
 def link_latest(folder: Path) -> Path | None:
-    """Lets ``latest`` beside ``folder`` point at it; None where that cannot be: it is no link."""
+    """Make ``latest`` beside ``folder`` a link to it; None if that is not possible."""
     link = folder.parent / "latest"
     if link.exists() and not link.is_symlink():
         return None

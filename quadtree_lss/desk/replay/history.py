@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``history.npz``: what became of the flight over time, for the page's slider."""
+"""``history.npz``: scans and assessments over time, for the page's slider."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from quadtree_lss.onboard.messages.intake import ReadyScan
 from quadtree_lss.onboard.messages.maps import known_probability
 
 ANSWERS, SCANS = 240, 4000
-"""At most so many are kept of a flight however long, evenly spread, and the last."""
+"""Largest numbers of assessments and scans that are kept."""
 _EVERY = 16
 _ANGLES = np.arange(12) * (2.0 * np.pi / 12)
 _DIRECTIONS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 
 
 class Thinned:
-    """At most ``limit`` of many, evenly spread, and the last."""
+    """Keeps at most ``limit`` items, evenly spread, and the last."""
 
     def __init__(self, limit: int) -> None:
         self._limit, self._step, self._count = limit, 1, 0
@@ -29,13 +29,11 @@ class Thinned:
         self._last: list[Any] = []
 
     def add(self, item: Any) -> None:
-        self._last = [item]
-        if self._count % self._step == 0:
-            if len(self._kept) == self._limit:
-                self._kept, self._step = self._kept[::2], 2 * self._step
-            if self._count % self._step == 0:
-                self._kept.append(item)
-                self._last = []
+        if self._count % self._step == 0 and len(self._kept) == self._limit:
+            self._kept, self._step = self._kept[::2], 2 * self._step
+        keep = self._count % self._step == 0
+        self._kept += [item] * keep
+        self._last = [] if keep else [item]
         self._count += 1
 
     def all(self) -> list[Any]:
@@ -43,7 +41,7 @@ class Thinned:
 
 
 class History:
-    """Notes answers of `Passes`, and where the lidar was and looked."""
+    """Records assessments, lidar positions and outlines of scans."""
 
     def __init__(self) -> None:
         self._answers, self._scans = Thinned(ANSWERS), Thinned(SCANS)
@@ -74,8 +72,8 @@ class History:
         self._scans.add((scan.stamp_ns, scan.pose.position.copy(), outline))
 
     def arrays(self, *, probability: bool = True) -> dict[str, NDArray[Any]]:
-        """The content of the file: S scans, A answers, K sites of all answers; map frame, m.
-        ``probability``: also of each grid point, which is most of the file."""
+        """The content of the file, map frame, m. ``probability``: include that of each grid point,
+        which is most of the file."""
         scans, answers = self._scans.all(), self._answers.all()
         sites = np.concatenate([a["sites"] for a in answers]) if answers else np.zeros((0, 6))
         outlines = np.array([edge for _, _, edge in scans])

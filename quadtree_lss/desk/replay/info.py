@@ -38,12 +38,11 @@ TYPE_NAMES = "int8 uint8 int16 uint16 int32 uint32 float32 float64".split()
 
 @dataclass
 class TopicInfo:
-    """One topic; stamps are known for the topics that would be used.
+    """One topic. Stamps and what follows them are known for the topics that a replay would use.
 
-    ``rate`` is by the stamps, Hz; of clouds and poses that would not be used by their reception, of
-    other topics unknown. ``frames`` counts the messages of each frame name, ``backward`` the stamps
-    smaller than the one before. ``delay`` is the median time of reception less stamp, s; ``layout``
-    a cloud's fields with type and offset, size and organisation; ``points`` their median number.
+    ``rate``: by stamps, of unused clouds and poses by reception, Hz; ``frames``: messages by frame
+    name; ``backward``: number of stamps smaller than the one before; ``delay``: median of reception
+    minus stamp, s; ``layout``: fields of a cloud; ``points``: their median number.
     """
 
     name: str
@@ -59,7 +58,7 @@ class TopicInfo:
     points: float = float("nan")
 
     def tell(self, headers: Sequence[tuple[Any, ...]]) -> None:
-        """Takes over what its messages have in their headers."""
+        """Set the values by the headers of the messages."""
         stamps, delays, frames, *cloud = zip(*headers, strict=True)
         self.frames = dict(Counter(frames).most_common())
         self.first_stamp_ns, self.last_stamp_ns = min(stamps), max(stamps)
@@ -70,7 +69,7 @@ class TopicInfo:
             self.layout = "; or ".join(name for name, _ in Counter(cloud[1]).most_common(3))
 
     def lines(self, width: int) -> list[str]:
-        """For people, with its name as wide as others."""
+        """As text, with the name in a column of ``width``."""
         often = "" if self.rate != self.rate else f"{self.rate:.2f} Hz"
         name, kind = one_line(self.name, 80), one_line(self.type, 80)
         lines = [f"  {name:{width}} {self.count:7d} {often:>11}  {kind}"]
@@ -78,10 +77,8 @@ class TopicInfo:
             frames = ", ".join(map(repr, self.frames))
             order = f"{self.backward} go back" if self.backward else "in order"
             first, last = self.first_stamp_ns / SECOND_NS, self.last_stamp_ns / SECOND_NS
-            lines.append(
-                f"      stamps {first:.3f} … {last:.3f} s, {order};"
-                f" received {self.delay:.3f} s later; frame {frames}"
-            )
+            text = f"      stamps {first:.3f} … {last:.3f} s, {order};"
+            lines.append(f"{text} received {self.delay:.3f} s later; frame {frames}")
             if self.layout:
                 lines.append(f"      {self.points:.0f} points: {self.layout}")
         return lines
@@ -89,7 +86,7 @@ class TopicInfo:
 
 @dataclass
 class BagInfo:
-    """Content of a bag and what a replay would make of it.
+    """Content of a bag and what a replay would read of it.
 
     ``kind`` is what it would read: ``scans``, ``maps`` or ``nothing``; of two topics, empty if not
     found. Some scans could be mapped (``scans_with_pose``, with ``points``), others not
@@ -115,39 +112,37 @@ class BagInfo:
 
     @property
     def problems(self) -> list[str]:
-        """Why it cannot be replayed, one line each; empty if it can."""
+        """One line for each reason why it cannot be replayed."""
         return [finding.line for finding in self.findings if finding.fatal]
 
     @property
     def notes(self) -> list[str]:
-        """What else is wrong, or to know, one line each."""
+        """One line for each other fault or remark."""
         return [finding.line for finding in self.findings if not finding.fatal]
 
     @property
     def works(self) -> bool:
-        """Whether a replay would give landing sites or say that there are none."""
+        """True if it can be replayed."""
         return not self.problems
 
     def as_dict(self) -> dict[str, Any]:
-        """In JSON's types."""
+        """In JSON types."""
         told = {"works": self.works, "problems": self.problems, "notes": self.notes}
         found = {"findings": [finding._asdict() for finding in self.findings]}
         content: dict[str, Any] = plain(told | asdict(self) | found)
         return content
 
     def table(self) -> str:
-        """For people."""
+        """As text."""
         when = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(self.start_ns / SECOND_NS))
         lines = [f"{one_line(self.path)}: {self.seconds:.2f} s from {when} UTC"]
         width = max(len(one_line(topic.name, 80)) for topic in self.topics)
         lines += [line for topic in self.topics for line in topic.lines(width)]
         if self.kind == "scans":
             dropped = ", ".join(f"{n} {reason}" for reason, n in self.scans_dropped.items() if n)
-            lines.append(
-                f"scans {one_line(self.scan_topic, 80)}, poses {one_line(self.pose_topic, 80)}:"
-                f" {self.scans_with_pose} scans have a pose at their stamp;"
-                f" dropped: {dropped or 'none'}"
-            )
+            names = one_line(self.scan_topic, 80), one_line(self.pose_topic, 80)
+            text = "scans {}, poses {}: {} scans have a pose at their stamp; dropped: {}"
+            lines.append(text.format(*names, self.scans_with_pose, dropped or "none"))
             if self.points:
                 used = points_line(self.points, self.points_dropped)
                 lines.append(f"{used} with this configuration")

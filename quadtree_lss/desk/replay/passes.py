@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Landing passes in a bag's time, as ``lss_node`` makes them on the maps it gets."""
+"""Landing assessments in the time of a bag, as ``lss_node`` makes them."""
 
 from __future__ import annotations
 
@@ -16,15 +16,13 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.maps import round_trip
 
 ROUNDING = 1e-6
-"""A target is the same to so many m: grid points of a domain that follows are but for rounding."""
-
+"""Rounding error of grid points when the domain follows the vehicle, m."""
 LAST_PASSES = 4
-"""After them all is said of the last map: withdrawn, seen, seen again. `Passes.land_now` may find
-nothing within reach, however often it asks."""
+"""Assessments of the last map after which the target no longer changes."""
 
 
 class TargetChange(NamedTuple):
-    """A row of ``selected.csv``: another target, or none (``id`` 0, NaN)."""
+    """A row of ``selected.csv``: a new target, or none (``id`` 0, NaN)."""
 
     stamp_ns: int
     id: int
@@ -35,13 +33,13 @@ class TargetChange(NamedTuple):
 
 
 class Passes:
-    """Makes maps at most ``publish.rate`` times a second of the bag's time, answers at most
-    ``publish.lss_rate`` times, and the last state always.
+    """Makes maps at most at ``publish.rate`` and assessments at most at ``publish.lss_rate`` in the
+    bag's time, and always those of the last state.
 
-    ``restrictions`` gives the keyword arguments of ``LandingSiteSelector.assess`` at the time. With
-    the bag's time ``on_map`` get what takes each map, which only in this call it surely can, and
-    ``on_answer`` each answer. ``cells`` is the last map, as its message gives it to ``lss_node``,
-    ``last`` the last answer, which took ``lss_ms``; ``changes`` are the target's.
+    ``restrictions`` returns the keyword arguments of ``LandingSiteSelector.assess``. ``on_map``
+    are called with the bag's time and a function that takes the map, valid during the call;
+    ``on_answer`` with the time and the assessment. ``cells`` is the last map as ``lss_node``
+    decodes it, ``last`` the last assessment, ``changes`` those of the target.
     """
 
     def __init__(self, config: Config, restrictions: Callable[[], dict[str, Any]]) -> None:
@@ -62,7 +60,7 @@ class Passes:
         self._map.changed = True
 
     def landing_changed(self) -> None:
-        """Something else is asked of landing: ``restrictions`` tells what."""
+        """Note that ``restrictions`` changed."""
         self._landing.changed = True
 
     def land_now(self) -> None:
@@ -70,7 +68,7 @@ class Passes:
         self._landing.changed, self._landing.due_ns = True, 0
 
     def tick(self, now_ns: int, snapshot: Callable[[], CellMap]) -> None:
-        """Makes what is due at a time of the bag."""
+        """Make what is due at a time of the bag."""
         if self._map.due(now_ns):
             self._make_map(now_ns, snapshot)
         self._landing.changed |= self._settling and self._waited(now_ns) >= self._settle_time
@@ -78,7 +76,7 @@ class Passes:
             self._assess(now_ns)
 
     def finish(self, now_ns: int, snapshot: Callable[[], CellMap]) -> None:
-        """Makes the last state, however soon it comes after the one before."""
+        """Make the map and assessment of the last state, due or not."""
         if self._map.changed or self._snapshot is None:
             self._make_map(now_ns, snapshot)
         for _ in range(LAST_PASSES):
@@ -90,12 +88,11 @@ class Passes:
         return self.last is not None and self.last.selected.state == State.SETTLING
 
     def _waited(self, now_ns: int) -> float:
-        """Since the first map, s."""
+        """Time since the first map, s."""
         return 0.0 if self._began_ns is None else 1e-9 * (now_ns - self._began_ns)
 
     def _make_map(self, now_ns: int, snapshot: Callable[[], CellMap]) -> None:
-        """A map that nobody looks at need not be taken: where the next one is due before an answer
-        is, it either comes first or is the same."""
+        """Take a map, but only when it is used: the next map may come before the assessment."""
         self._map.sent(now_ns)
         if self._began_ns is None or now_ns < self._began_ns:  # a recorder's clock stepped back
             self._began_ns = now_ns
@@ -122,7 +119,7 @@ class Passes:
             tell(now_ns, found)
 
     def _note(self, found: LandingAssessment) -> None:
-        """A row where the target is another one, another place or none any more."""
+        """Add a row if the target is another one, has moved or was withdrawn."""
         x, y, z = found.selected.position.tolist()
         row = TargetChange(found.stamp_ns, found.selected.id, x, y, z, found.selected.reason.key)
         last = self.changes[-1] if self.changes else TargetChange(0, 0, nan, nan, nan, "")
@@ -132,7 +129,7 @@ class Passes:
 
 
 class _Clock:
-    """Whether a change is due at a rate in Hz."""
+    """Limits the rate (Hz) of outputs after changes."""
 
     def __init__(self, rate: float) -> None:
         self._period_ns = round(1e9 / rate)
@@ -140,7 +137,7 @@ class _Clock:
         self.changed = False
 
     def due(self, now_ns: int) -> bool:
-        # What is due long after now was set before a recorder's clock stepped back.
+        # A due time far ahead is from before the recorder's clock stepped back.
         return self.changed and not self.due_ns - self._period_ns <= now_ns < self.due_ns
 
     def sent(self, now_ns: int) -> None:

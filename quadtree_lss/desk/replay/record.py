@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the nodes would have published on a bag, as a bag: maps and landing sites in its time."""
+"""A bag of the messages that the nodes would publish: maps and landing sites."""
 
 from __future__ import annotations
 
@@ -13,27 +13,23 @@ from rosbags import interfaces as ros
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from quadtree_lss.desk.bags.message_types import typestore
-from quadtree_lss.desk.replay.files import writing
-from quadtree_lss.desk.replay.stream import ReplayError
+from quadtree_lss.desk.replay.files import ReplayError, writing
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages import outputs
 
 VIEWER_NS = 10**9
-"""Between two messages of ``landing/grid_map``, which is large; the last is always written."""
+"""Interval of ``landing/grid_map``, which is large, ns; the last is always written."""
 _NO_TIME = ros.QosTime(0, 0)
 _KEPT = ros.QosHistory.KEEP_LAST, 1, ros.QosReliability.RELIABLE, ros.QosDurability.TRANSIENT_LOCAL
 LATCHED = ros.Qos(*_KEPT, _NO_TIME, _NO_TIME, ros.QosLiveliness.AUTOMATIC, _NO_TIME, False)
-"""So that `ros2 bag play` serves late subscribers, as the nodes do."""
+"""Profile with which `ros2 bag play` serves late subscribers, as the nodes do."""
 
 
 class Recorder:
-    """Context manager that writes the output topics, of `Passes`, into a new mcap bag.
-
-    ``path``: folder to write, which must not exist. ``frame``: of the map. ``maps``: write maps
-    too; not for a bag that holds them already. Raises `ReplayError`: ``path`` exists or cannot be
-    written.
-    """
+    """Context manager that writes outputs of `Passes` into a new mcap bag, a folder ``path``.
+    ``frame``: of the map. ``maps``: also write maps. Raises `ReplayError`: ``path`` exists or
+    cannot be written."""
 
     def __init__(self, path: Path, frame: str, *, maps: bool = True) -> None:
         self._path, self._maps = path, maps
@@ -52,7 +48,7 @@ class Recorder:
             self._view(*self._unseen)
         with writing(self._path, ReplayError):
             self._writer.close()
-        if not self._connections:  # an empty bag is of no use
+        if not self._connections:
             shutil.rmtree(self._path, ignore_errors=True)
 
     def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
@@ -62,7 +58,6 @@ class Recorder:
             self._write(topic, message, now_ns)
 
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
-        """Writes an answer, with the age of its map in the bag's time."""
         age = 1e-9 * (now_ns - found.stamp_ns) if found.stamp_ns else float("nan")
         target = self._messages.of_target(found, age)
         for topic, message in (*target, *self._messages.of_ground(found)):

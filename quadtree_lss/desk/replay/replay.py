@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded bag through the nodes' logic, synchronously: same messages in, same map out."""
+"""Replay of a bag: the code of the nodes, run synchronously."""
 
 from __future__ import annotations
 
@@ -14,25 +14,16 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.cloud_files import open_recording
-from quadtree_lss.desk.replay.files import made
+from quadtree_lss.desk.replay.files import ReplayError, made
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.desk.replay.results import ReplayResult, points_line, run_summary, write_results
 from quadtree_lss.desk.replay.run import Run
-from quadtree_lss.desk.replay.stream import (
-    LandingTopics,
-    MapPairs,
-    Part,
-    Progress,
-    ReplayError,
-    Stream,
-)
+from quadtree_lss.desk.replay.stream import LandingTopics, MapPairs, Part, Progress, Stream
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.messages.intake import ReadyScan
 from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
-
-__all__ = ["Progress", "ReplayError", "ReplayResult", "Step", "replay", "scans", "steps"]
 
 
 def replay(
@@ -51,27 +42,24 @@ def replay(
     progress: Progress | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> ReplayResult:
-    """Maps a bag, ranks landing sites and writes the results.
+    """Map a bag, rank landing sites and write the results.
 
-    Deterministic: messages go in the order of the bag, and their times of reception stand for
-    the clock by which scans wait for their pose. Of a bag that holds maps but no scans, the last
-    map is taken.
+    The result is deterministic: times of reception replace the clock. If a bag has maps but no
+    scans, its last map is used.
 
     Args:
-        bag: A bag as of `bags.Bag`, its path, or point clouds (`cloud_files.open_recording`).
-        out: Folder for the results, made if missing; None writes nothing.
-        config: Everything that can be set.
-        scan_topic, pose_topic: Topics; by default found by name, then by type.
+        bag: An open `Bag`, the path of a bag, or point clouds (`cloud_files.open_recording`).
+        out: Folder for the results; None writes nothing.
+        config: The configuration.
+        scan_topic, pose_topic: By default found by name, then by type.
         poses: File of poses for point clouds.
-        start, duration: As of `stream.Part.of`.
+        start, duration: Part of the bag, s (`stream.Part.of`).
         report: Also draw figures and ``report.html``.
-        record: New bag for what the nodes would have published (see `record.Recorder`).
-        landing: By ``area``, ``keep_out`` (V, 2), ``keep_outs``, a list of such, and ``target``
-            (2,), map frame, m, or None for none: what holds whatever the bag says. Those not in it
-            are read from the topics ``landing/…`` of the bag.
+        record: New bag for the messages that the nodes would publish.
+        landing: ``area``, ``keep_out`` (V, 2), ``keep_outs`` (a list of such) and ``target`` (2,),
+            map frame, m, or None for none. They replace the bag's topics ``landing/…``.
         progress: See `stream.Progress`.
-        stop: Asked after each message; True ends the replay there, and the results are those of
-            what was processed.
+        stop: Called after each message; True ends the replay there.
 
     Raises:
         BagError: the bag cannot be read or its topics are ambiguous.
@@ -113,7 +101,7 @@ def replay(
         progress(part.seconds, part.seconds)
     decoded, assessment = passes.cells, passes.last
     assert decoded is not None and assessment is not None
-    if not decoded.observed.any():  # instead of a node's ``nothing is mapped yet``
+    if not decoded.observed.any():
         why = points_line(run.points, run.points_dropped)
         why = "the last map holds no measurement" if run.maps else why
         assessment = changed(assessment, explanation=f"nothing is mapped: {why}")
@@ -153,8 +141,8 @@ def scans(
     start: float = 0.0,
     duration: float | None = None,
 ) -> Iterator[ReadyScan]:
-    """Scans of a bag, each with the lidar's pose at its stamp, as the nodes would map them; the
-    arguments are those of `replay.replay`. Raises `BagError` or `ReplayError` as that does."""
+    """Yield the scans of a bag, each with the lidar's pose at its stamp, as the nodes would map
+    them. Arguments and errors are those of `replay`."""
     with open_recording(bag, poses, config.frames.map) as opened:
         part = Part.of(opened, start, duration)
         stream = Stream(opened, config, scan_topic, pose_topic)
@@ -164,7 +152,7 @@ def scans(
 
 
 class Step(NamedTuple):
-    """One scan, what became of it, and the mapper that has it now."""
+    """One scan, the report on it, and the mapper after it."""
 
     scan: ReadyScan
     report: ScanReport
@@ -172,10 +160,8 @@ class Step(NamedTuple):
 
 
 def steps(bag: str | Path | Bag, config: Config, **options: Any) -> Iterator[Step]:
-    """Maps a bag scan by scan; ``step.mapper.snapshot()`` is the map so far.
-
-    Arguments, options and errors are those of `scans`.
-    """
+    """Map a bag scan by scan; ``step.mapper.snapshot()`` is the map so far. Arguments and errors
+    are those of `scans`."""
     mapper = Mapper(config)
     for scan in scans(bag, config, **options):
         yield Step(scan, mapper.update(scan.points_lidar, scan.pose, scan.sweep), mapper)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a run produced, its key figures, and its folder: names, keys and units others rely on."""
+"""The result of a run, its summary, and its folder."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import resource
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,18 +18,11 @@ import numpy as np
 import quadtree_lss
 from quadtree_lss import build
 from quadtree_lss.desk.exchange.saved import Grid, cells_arrays
+from quadtree_lss.desk.replay import files
 from quadtree_lss.desk.replay.configuration import dump_config
-from quadtree_lss.desk.replay.files import (
-    plain,
-    write_bytes,
-    write_csv,
-    write_json,
-    write_npz,
-    writing,
-)
+from quadtree_lss.desk.replay.files import ReplayError, plain
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import TargetChange
-from quadtree_lss.desk.replay.stream import ReplayError
 from quadtree_lss.onboard.config.settings import Config, values_from_config
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -40,7 +33,7 @@ from quadtree_lss.onboard.messages.maps import known_probability
 JUDGED = ("score", "slope_deg", "roughness", "hazard_distance", "subscale_height")
 SITE_COLUMNS = ("rank", *"xyz", "nx", "ny", "nz", *JUDGED, "id", "probability")
 FIGURES = ("elevation", "slope", "hazards", "probability", "score", "timing")
-"""Names of the figures, ``figures/<name>.png``, in the order of the page."""
+"""Names of the figures, ``figures/<name>.png``."""
 
 
 class ScanTiming(NamedTuple):
@@ -56,11 +49,8 @@ class ScanTiming(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class ReplayResult:
-    """What a replay produced; ``out`` is None if nothing was written.
-
-    ``cells`` are as decoded from their message, ``timings`` a row per mapped scan, empty for a bag
-    of maps, ``summary`` the content of ``summary.json``; ``targets`` are the changes of the target.
-    """
+    """The result of a replay. ``out``: folder, if written; ``cells``: as decoded from the message;
+    ``timings``: a row per mapped scan; ``summary``: content of ``summary.json``."""
 
     out: Path | None
     cells: CellMap
@@ -71,17 +61,17 @@ class ReplayResult:
 
     @property
     def losses(self) -> tuple[str, ...]:
-        """What could not be read of the bag, a line each."""
+        """One line for each part of the bag that could not be read."""
         return tuple(self.summary["losses"])
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Each kind of trouble with the messages and how often it occurred, a line each."""
+        """One line for each kind of problem, with its number."""
         return tuple(self.summary["warnings"])
 
     @property
     def interrupted(self) -> bool:
-        """It was stopped before the bag's end."""
+        """True if it was stopped before the end of the bag."""
         return bool(self.summary["interrupted"])
 
     def __repr__(self) -> str:
@@ -90,7 +80,7 @@ class ReplayResult:
         return f"<ReplayResult: {len(self.timings)} scans{part}{where}; {self.assessment}>"
 
     def as_dict(self) -> dict[str, Any]:
-        """The summary with the ranked sites, in JSON's types."""
+        """The summary with the ranked sites, in JSON types."""
         sites = self.assessment.sites
         names = ("position", "normal", "score", "probability", *JUDGED[1:], "id")
         rows = [
@@ -102,8 +92,7 @@ class ReplayResult:
             for k in range(len(sites.score))
         ]
         out = None if self.out is None else str(self.out)
-        content: dict[str, Any] = plain({"out": out, "sites": rows, **self.summary})
-        return content
+        return dict(plain({"out": out, "sites": rows, **self.summary}))
 
 
 def run_summary(
@@ -114,8 +103,8 @@ def run_summary(
     timings: Sequence[ScanTiming] = (),
     **known: Any,
 ) -> dict[str, Any]:
-    """Content of ``summary.json`` of a run: ``known`` stands over what holds for a map that is of
-    no bag. Times in ms; without a scan those of a map update are NaN."""
+    """Content of ``summary.json``. ``known`` replaces defaults, which are those of a map without
+    bag."""
     map_ms = np.array([row.map_ms for row in timings] or [np.nan])
     stamps = [row.stamp_ns for row in timings]
     return {
@@ -149,68 +138,63 @@ def run_summary(
 
 
 def peak_memory_mb() -> float:
-    """Largest resident size of this process so far, MB."""
+    """Largest resident size of this process, MB."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1e6 if sys.platform == "darwin" else 1e6 / 1024.0)
 
 
 def versions() -> dict[str, str]:
-    """Versions of this package and of what its numbers depend on."""
-    found = {"quadtree_lss": quadtree_lss.__version__, "build": build.name()}
-    found["python"] = platform.python_version()
-    for name in ("numpy", "scipy", "rosbags"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    return found
+    """Versions of this package and of its main dependencies."""
+    own = {"quadtree_lss": quadtree_lss.__version__, "build": build.name()}
+    own["python"] = platform.python_version()
+    return own | {name: version(name) for name in ("numpy", "scipy", "rosbags")}
 
 
 def write_results(
     out: Path, result: ReplayResult, config: Config, report: bool, history: History | None = None
 ) -> None:
-    """The files of a results folder, which is made if it is missing; ``report`` adds the page.
-    Raises `ReplayError`: they cannot be written."""
+    """Write a results folder; ``report`` adds page and figures. Raises `ReplayError`: it cannot be
+    written."""
     sites, rows = result.assessment.sites, np.arange(len(result.assessment.sites))
-    with writing(out, ReplayError):
+    with files.writing(out, ReplayError):
         columns = (rows + 1, *sites.position.T, *sites.normal.T)
         columns += tuple(getattr(sites, name) for name in (*JUDGED, "id", "probability"))
-        write_csv(out / "sites.csv", SITE_COLUMNS, zip(*(c.tolist() for c in columns), strict=True))
-        write_csv(out / "selected.csv", TargetChange._fields, result.targets)
-        write_npz(out / "cells.npz", cells_arrays(result.cells))
-        write_npz(out / "grid.npz", grid_of(result.assessment))
+        table = zip(*(column.tolist() for column in columns), strict=True)
+        files.write_csv(out / "sites.csv", SITE_COLUMNS, table)
+        files.write_csv(out / "selected.csv", TargetChange._fields, result.targets)
+        files.write_npz(out / "cells.npz", cells_arrays(result.cells))
+        files.write_npz(out / "grid.npz", grid_of(result.assessment))
         timings = ([*row[:-1], f"{row.map_ms:.4f}"] for row in result.timings)
-        write_csv(out / "timing.csv", ScanTiming._fields, timings)
-        write_npz(out / "history.npz", (history or History()).arrays(probability=report))
-        write_bytes(out / "config.yaml", dump_config(config).encode())
-        write_json(out / "summary.json", result.summary)
+        files.write_csv(out / "timing.csv", ScanTiming._fields, timings)
+        files.write_npz(out / "history.npz", (history or History()).arrays(probability=report))
+        files.write_bytes(out / "config.yaml", dump_config(config).encode())
+        files.write_json(out / "summary.json", result.summary)
         _remove_report(out)
         if report:
             write_report(out)
 
 
 def write_report(out: Path) -> None:
-    """Page and figures of a results folder, made of its other files."""
+    """Write page and figures of a results folder."""
     from quadtree_lss.desk.report.report import report_files  # matplotlib takes long to import
 
     for name, content in report_files(out).items():
-        write_bytes(out / name, content)
+        files.write_bytes(out / name, content)
 
 
 def _remove_report(out: Path) -> None:
-    """Takes away page, figures and evaluation of an earlier run, which would contradict these."""
+    """Remove page, figures and evaluation of an earlier run."""
     folder = out / "evaluation"
     old = [out / "report.html", *(out / "figures" / f"{name}.png" for name in FIGURES)]
-    # Those that `evaluate` writes.
     old += [*folder.glob("fig[0-9][0-9]_*.png"), folder / "evaluation.json", folder / "report.html"]
     for path in old:
         path.unlink(missing_ok=True)
-    with contextlib.suppress(OSError):  # not there, or somebody else's files in it
+    with contextlib.suppress(OSError):  # missing or not empty
         folder.rmdir()
 
 
 def grid_of(assessment: LandingAssessment) -> Grid:
-    """What ``grid.npz`` holds."""
+    """The content of ``grid.npz``."""
     names = ("x", "y", "elevation", "plane_elevation", "slope_deg", "hazard", "safe", "score")
     found = Grid({name: getattr(assessment, name) for name in (*names, "risk")})
     found["probability"] = known_probability(assessment)
@@ -218,8 +202,8 @@ def grid_of(assessment: LandingAssessment) -> Grid:
 
 
 def aligned(rows: Sequence[Sequence[str]], sides: str = "<>") -> list[str]:
-    """Lines of a table for people: cells to the left (``<``) or right of each column, by default
-    the first to the left; the last of the ``sides`` is that of all further ones."""
+    """Format a table as lines. ``sides``: alignment of each column, ``<`` or ``>``; the last holds
+    for all further columns."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     sides = sides.ljust(len(widths), sides[-1])
     forms = [f"{{:{side}{width}}}" for side, width in zip(sides, widths, strict=True)]
@@ -227,8 +211,7 @@ def aligned(rows: Sequence[Sequence[str]], sides: str = "<>") -> list[str]:
 
 
 def points_line(points: int, dropped: Mapping[str, int]) -> str:
-    """``points 5.9 of 6.6 million used (10 % outside the domain)``. ``points``: of all mapped
-    scans. ``dropped``: those of them that are not in the map, by the keys of
+    """``points 5.9 of 6.6 million used (10 % outside the domain)``. ``dropped``: number by key of
     `lost_points.REASONS`."""
     used = points - sum(dropped.values())
     text = f"points {used} of {points} used"
@@ -246,10 +229,8 @@ def points_warning(
     missed_at: tuple[float, float] | None = None,
     why: str = "",
 ) -> str | None:
-    """Why less than half of the points enter the map, in one line; None if more do.
-
-    ``domain`` is named, with its place, when points missed it, ``missed_at`` is the middle of a
-    scan that did, map frame, m, and ``why`` the `lost_points.likely_reason` of that."""
+    """Explain in one line why less than half of the points enter the map; None if more do.
+    ``missed_at``: centre of a scan outside the domain, map frame, m. ``why``: likely reason."""
     used = points - sum(dropped.values())
     if not points or 2 * used >= points:
         return None
@@ -264,7 +245,7 @@ def points_warning(
 
 
 def share_text(part: int, of: int) -> str:
-    """Per cent: not 0 % of a few, not 100 % of nearly all."""
+    """Format a share in per cent; never 0 % of some or 100 % of nearly all."""
     percent = 100.0 * part / of
     if 0.0 < percent < 0.1:
         return "< 0.1 %"
@@ -274,5 +255,5 @@ def share_text(part: int, of: int) -> str:
 
 
 def _significant(number: int) -> str:
-    """Millions, to a tenth or to two digits."""
+    """Format millions, to a tenth or to two digits."""
     return f"{1e-6 * number:.1f}" if number >= 1e6 or not number else f"{1e-6 * number:.2g}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A map made from the scans of a bag, or read from a bag of maps."""
+"""Mapping the scans of a bag, or reading its maps."""
 
 from __future__ import annotations
 
@@ -10,17 +10,11 @@ from typing import Any
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.recorded_file import RawMessage
+from quadtree_lss.desk.replay.files import ReplayError
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.desk.replay.results import ScanTiming, points_warning
-from quadtree_lss.desk.replay.stream import (
-    LandingTopics,
-    MapPairs,
-    Part,
-    Progress,
-    ReplayError,
-    Stream,
-)
+from quadtree_lss.desk.replay.stream import LandingTopics, MapPairs, Part, Progress, Stream
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.mapping.mapper import GAP_SCANS, Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -33,13 +27,12 @@ from quadtree_lss.onboard.messages.landing_inputs import AREA
 
 
 class Run:
-    """What has been done so far of a part of an open bag.
+    """Processes a part of an open bag.
 
-    ``passes`` gets the maps as they come, ``landing`` hears areas, keep-outs and targets, and
-    ``history`` notes where the lidar looked. ``stop`` is asked after each message; True ends the
-    run there, which is then ``interrupted``. The bag was processed up to the time of reception
-    ``done_ns``; ``points_dropped`` are points of mapped scans that are not in the map, by reason,
-    ``maps`` counts those read of a bag of maps.
+    ``passes`` gets the maps, ``landing`` the areas, keep-outs and targets, ``history`` the scans.
+    If ``stop`` returns True after a message, the run is ``interrupted``. ``done_ns``: time of
+    reception of the last message; ``points_dropped``: points of mapped scans that are not in the
+    map, by reason; ``maps``: number of maps that were read.
     """
 
     def __init__(
@@ -68,8 +61,8 @@ class Run:
         self._missed_why = ""
 
     def map_scans(self, stream: Stream) -> CellMap:
-        """Maps every scan of the stream. Raises `ReplayError`: there was none that could be mapped;
-        or KeyboardInterrupt: stopped before there was one."""
+        """Map the scans of a stream. Raises `ReplayError`: no scan could be mapped;
+        KeyboardInterrupt: stopped before the first."""
         mapper = Mapper(self.config)
         intake = stream.intake
         stream.hear = self._navigate
@@ -91,8 +84,7 @@ class Run:
         return mapper.snapshot()
 
     def read_maps(self, pairs: MapPairs) -> CellMap:
-        """The last map of a bag of maps; the landing passes get all of them. Raises as
-        `map_scans`."""
+        """Read a bag of maps; return the last one. Raises as `map_scans`."""
         last: CellMap | None = None
         for message in self._messages(pairs.topics):
             try:
@@ -111,8 +103,7 @@ class Run:
         return last
 
     def _messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Those of the topics until it is to stop; what is asked of landing goes where it is
-        heard."""
+        """Yield messages of the topics until the run stops; landing topics are handled here."""
         wanted = [*topics, *self._landing.names]
         for message in self._part.messages(self._bag, wanted, self._progress):
             if self._landing.take(self._bag, message):
@@ -130,7 +121,7 @@ class Run:
         return sum(row.points for row in self.timings)
 
     def counts(self) -> dict[str, Any]:
-        """What ``summary.json`` has of it."""
+        """Entries of ``summary.json``."""
         return {
             "points_used": self.points - self.points_dropped.total(),
             "points_dropped": dict(self.points_dropped),
@@ -141,7 +132,7 @@ class Run:
         }
 
     def warnings(self) -> list[str]:
-        """One line per kind of trouble, most frequent first."""
+        """One line for each kind of problem, most frequent first."""
         lost, domain = self.points_dropped, Domain.of(self.config.domain)
         refused = self._refused_divisions
         noise = noise_notice(self._noise_ratio, self.config)
@@ -155,7 +146,6 @@ class Run:
         return list(filter(None, lines))
 
     def _nothing(self, failure: str, default: str) -> BaseException:
-        """Why there is no map."""
         causes = "; ".join(self.warnings()) or f"{default} in this part of the bag"
         text = f"{self._bag.path}: {failure}: {causes}"
         return KeyboardInterrupt() if self.interrupted else ReplayError(text)
@@ -192,7 +182,7 @@ class Run:
 
     @property
     def losses(self) -> list[str]:
-        """Messages that could not be decoded, a line for each kind; `Stream` tells of its own."""
+        """One line for each kind of message, except those of `Stream`, that was not decoded."""
         keys = [key for key in self._notices if key.endswith("_encoding")]
         others = [key for key in keys if not key.startswith(("cloud", "pose", "gimbal"))]
         return [one_line(f"{self._notices[k]} messages lost: {self._texts[k]}") for k in others]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is read of a bag: scans and poses, areas and targets, or maps; and which part in time."""
+"""Input of a replay: scans and poses, areas and targets, or maps, of a part of a bag."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from quadtree_lss.desk.bags import message_types as types
 from quadtree_lss.desk.bags import topics
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.recorded_file import RawMessage
+from quadtree_lss.desk.replay.files import ReplayError
 from quadtree_lss.onboard.config.settings import (
     Config,
     LssConfig,
@@ -25,7 +26,7 @@ from quadtree_lss.onboard.config.settings import (
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.transforms import FixedTransforms
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.errors import QuadtreeLssError, one_line
+from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages import outputs
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.onboard.messages.extrinsics import add_transforms
@@ -34,24 +35,19 @@ from quadtree_lss.onboard.messages.landing_inputs import TYPES, LandingWishes
 
 SECOND_NS = 1_000_000_000
 BAR_S = 0.2
-"""Between two changes of a progress bar."""
+"""Interval of calls of a `Progress`, s."""
 Progress = Callable[[float, float], None]
-"""Called with the seconds of the bag that are done and the seconds there are."""
-
-
-class ReplayError(QuadtreeLssError):
-    """The bag gave no map, or the results cannot be written."""
+"""Called with the seconds of the bag that are done and all seconds."""
 
 
 def rate(times_ns: Sequence[int]) -> float:
-    """Per second between the least and the greatest; NaN if they do not differ."""
+    """Rate of stamps in Hz; NaN if they do not differ."""
     length = (max(times_ns, default=0) - min(times_ns, default=0)) / SECOND_NS
     return (len(times_ns) - 1) / length if length > 0.0 else math.nan
 
 
 class Part(NamedTuple):
-    """A part of a bag in time: messages that are received at start_ns <= t < stop_ns, which lie
-    ``seconds`` apart at the most."""
+    """Messages of a bag that were received at start_ns <= t < stop_ns, which span ``seconds``."""
 
     start_ns: int
     stop_ns: int
@@ -59,8 +55,8 @@ class Part(NamedTuple):
 
     @classmethod
     def of(cls, bag: Bag, start: float = 0.0, duration: float | None = None) -> Part:
-        """``start``, ``duration``: in s after the first message of an open bag, None for all there
-        is. Raises `ReplayError`: the part lies outside the bag."""
+        """Make a part that begins ``start`` s after the first message of an open bag and lasts
+        ``duration`` s or until the end. Raises `ReplayError`: it lies outside the bag."""
         length = (bag.end_ns - bag.start_ns) / SECOND_NS
         if not 0.0 <= start <= length:
             raise ReplayError(f"--start {start:g} s is outside the bag's {length:.3f} s")
@@ -74,7 +70,6 @@ class Part(NamedTuple):
     def messages(
         self, bag: Bag, topics: Collection[str], progress: Progress | None = None
     ) -> Iterator[RawMessage]:
-        """Those of the topics; ``progress`` hears of them now and then."""
         shown = -math.inf
         for message in bag.messages(topics, self.start_ns, self.stop_ns):
             yield message
@@ -125,7 +120,7 @@ class Stream:
         names = {"scan_topic": self.scans, "pose_topic": self.poses}
         self.intake = Intake(config, **names, gimbal_topic=self.gimbal or topics.GIMBAL_TOPIC)
         if config.mount.source == "tf":
-            # Of all the bag: latched, they stand at its beginning, whatever part is replayed.
+            # They are latched and recorded at the beginning of the bag.
             topic = topics.choose_topic(bag, None, topics.TRANSFORMS_TOPIC, "mount.source tf")
             self._transforms(topic, self.intake.on_transforms)
         self._read: dict[str, tuple[str, str, Callable[..., object]]] = {
@@ -177,13 +172,13 @@ class Stream:
         return {"mount.source": "tf"}
 
     def ready(self, part: Part, progress: Progress | None = None) -> Iterator[ReadyScan]:
-        """The scans of a part of the bag, each with the lidar's pose at its stamp."""
+        """Yield the scans of a part of the bag, each with the lidar's pose at its stamp."""
         for message in part.messages(self._bag, self.topics, progress):
             self.take(message)
             yield from self.intake.ready(message.received_ns)
 
     def take(self, message: RawMessage) -> int | None:
-        """Gives one message to the intake; the stamp if it is a usable scan."""
+        """Give a message to the intake; return the stamp if it is a usable scan."""
         what, kind, take = self._read[message.topic]
         try:
             msg = self._bag.decode(message.raw, kind)
@@ -191,7 +186,7 @@ class Stream:
             self.intake.reject(what, error)
             self._undecoded.setdefault(message.topic, []).append(str(error))
             return None
-        with contextlib.suppress(MessageError):  # the intake tells
+        with contextlib.suppress(MessageError):  # the intake counts it
             self._stamps.setdefault(message.topic, []).append(stamp_ns(msg.header))
         if self.hear is not None:
             self.hear(what, msg, message)
@@ -202,14 +197,14 @@ class Stream:
 
     @property
     def losses(self) -> list[str]:
-        """One line for each topic of which messages could not be decoded, so far."""
+        """One line for each topic with messages that could not be decoded so far."""
         return [
             one_line(f"{len(texts)} messages of {topic} lost: {texts[0]}")
             for topic, texts in self._undecoded.items()
         ]
 
     def counts(self) -> dict[str, Any]:
-        """What ``summary.json`` has of it, so far."""
+        """Entries of ``summary.json``, so far."""
         return {
             "scan_topic": self.scans,
             "pose_topic": self.poses,
@@ -227,9 +222,8 @@ def _is_identity(mount: Pose) -> bool:
 
 
 class LandingTopics:
-    """Feeds `LandingWishes` from a bag. ``wishes``: what is fed; names that it holds fixed are not
-    read. ``bag``: an open bag. ``start_ns``: what was said before is taken at once: these topics
-    are latched."""
+    """Feeds `LandingWishes` from an open bag, except the names that are fixed. Messages before
+    ``start_ns`` are taken at once, because these topics are latched."""
 
     def __init__(self, wishes: LandingWishes, bag: Bag, start_ns: int) -> None:
         self.wishes = wishes
@@ -240,7 +234,7 @@ class LandingTopics:
                 self.take(bag, message)
 
     def take(self, bag: Bag, message: RawMessage) -> bool:
-        """True if the message was of these topics."""
+        """Take a message; False if it is not of these topics."""
         name = self.names.get(message.topic)
         if name is None:
             return False
@@ -256,7 +250,7 @@ class LandingTopics:
 
 
 class MapPairs:
-    """Joins ``map/cells`` and ``map/observed`` of one stamp to maps, in any namespace."""
+    """Joins ``map/cells`` and ``map/observed`` of one stamp to a map, in any namespace."""
 
     def __init__(self, cells_topic: str, observed_topic: str) -> None:
         self.topics = (cells_topic, observed_topic)
@@ -264,8 +258,7 @@ class MapPairs:
 
     @classmethod
     def alone(cls, bag: Bag, scan_topic: str | None = None) -> MapPairs | None:
-        """The map topics of an open bag that has no scans; None if it has, scans are asked for, or
-        there are none."""
+        """The map topics of an open bag without scans; None if it has scans or no maps."""
         if scan_topic is not None:
             return None
         clouds = topics.candidates(bag, types.SCAN_TYPE)
@@ -279,10 +272,9 @@ class MapPairs:
         return None
 
     def take(self, bag: Bag, message: RawMessage, lss: LssConfig | None = None) -> CellMap | None:
-        """The map that this message completes, None if its other half is still missing. ``bag``,
-        ``message``: an open bag and one of its messages on ``topics``. ``lss``: how landing will be
-        judged on the map, None if it will not. Raises `MessageError`: a message is not what
-        ``mapping_node`` sends."""
+        """Take a message of an open bag; return the map that it completes, if any. ``lss``: for
+        which the map is checked, if any. Raises `MessageError`: not a message of ``mapping_node``.
+        """
         kind = types.SCAN_TYPE if message.topic == self.topics[0] else outputs.GRID_TYPE
         self._held[message.topic] = bag.decode(message.raw, kind)
         cells, observed = (self._held.get(topic) for topic in self.topics)

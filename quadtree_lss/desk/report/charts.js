@@ -23,16 +23,12 @@ const second_s = (u, v) => (v === null ? "" : v.toFixed(2) + " s");
 function curve(label, stroke, unit = "", more = {}) {
   return { label, stroke, width: 1.3, value: told(unit), points: { show: false }, ...more };
 }
-function processing() {
-  const parent = byId("charts"), t = data.timing;
+function timing() {
+  const parent = byId("timing"), { seconds, map_ms } = data.timing;
   if (!parent) return;
-  const cursor = { sync: { key: "processing" } };
-  const chart = (label, series, columns) => plot(parent, 210, {
-    cursor, scales: { x: { time: false }, y: { range: (u, low, high) => [0, high * 1.05 || 1] } },
-    axes: [{ label: "time since the first scan, s" }, { label }],
-    series: [{ label: "time", value: second_s }, ...series] }, [t.seconds, ...columns]);
-  chart("map update, ms", [curve("map update", CURVES[0], " ms")], [t.map_ms]);
-  chart("cells", [curve("cells", CURVES[1])], [t.leaves]);
-  chart("points", [curve("in the scan", CURVES[7]), curve("used", CURVES[2])],
-        [t.points, t.points_used]);
+  plot(parent, 210, {
+    scales: { x: { time: false }, y: { range: (u, low, high) => [0, high * 1.05 || 1] } },
+    axes: [{ label: "time since the first scan, s" }, { label: "map update, ms" }],
+    series: [{ label: "time", value: second_s }, curve("map update", CURVES[0], " ms")],
+  }, [seconds, map_ms]);
 }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What figures share: images on a lattice, shaded ground, scale bars, marked sites."""
+"""Parts of figures: images of grids, shaded ground, scale bars, marked sites."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ Box = tuple[float, float, float, float]
 
 
 def extent(x: Array, y: Array) -> Box:
-    """Of an image whose samples stand at x (nx,), y (ny,): half a step beyond the outer ones."""
-    half = [0.5 * _step(axis) for axis in (x, y)]
-    return x[0] - half[0], x[-1] + half[0], y[0] - half[1], y[-1] + half[1]
+    """Box of an image with samples at x (nx,), y (ny,): half a step beyond the outer ones."""
+    dx, dy = 0.5 * _step(x), 0.5 * _step(y)
+    return x[0] - dx, x[-1] + dx, y[0] - dy, y[-1] + dy
 
 
 def _step(axis: Array) -> float:
@@ -35,7 +35,7 @@ def _step(axis: Array) -> float:
 
 
 def image(axes: Any, x: Array, y: Array, values: Any, **style: Any) -> Any:
-    """An array (ny, nx) with samples at x, y; leaves the limits of the axes alone."""
+    """Draw an array (ny, nx) with samples at x, y; the limits of the axes stay."""
     limits = axes.get_xlim(), axes.get_ylim()
     style = {"interpolation": "nearest", "origin": "lower", **style}
     drawn = axes.imshow(values, extent=extent(x, y), **style)
@@ -46,7 +46,7 @@ def image(axes: Any, x: Array, y: Array, values: Any, **style: Any) -> Any:
 def classes(
     axes: Any, x: Array, y: Array, kind: Any, colours: Any, heights: Array | None = None
 ) -> None:
-    """Numbers (ny, nx) of classes in their colours, shaded where the ``heights`` are given."""
+    """Draw class numbers (ny, nx) in their colours, shaded if ``heights`` are given."""
     drawn = ListedColormap(colours)(np.asarray(kind, dtype=np.int64))[..., :3]
     if heights is not None:
         drawn = shaded(drawn, heights, _step(x), 0.6)
@@ -64,10 +64,8 @@ def layer(
     heights: Array | None = None,
     unknown: str = "white",
 ) -> ScalarMappable:
-    """Values (ny, nx) with a colour map of `palette.MAPS` on ground lit from the north-west.
-
-    The ground's ``heights`` are the values by default. What is returned makes a colour bar.
-    """
+    """Draw values (ny, nx) with a colour map of `palette.MAPS` on shaded ground (``heights``, by
+    default the values). Returns the mappable for a colour bar."""
     norm = Normalize(*(limits or colour_limits(values)))
     colours = matplotlib.colormaps[MAPS[kind]].with_extremes(bad=unknown)
     drawn = colours(norm(np.ma.masked_invalid(values)))[..., :3]
@@ -78,7 +76,7 @@ def layer(
 
 
 def map_axes(axes: Any, title: str, box: Box) -> None:
-    """Axes in metres, equal in scale, that show a box, with a scale bar."""
+    """Set up axes in metres of equal scale, with a scale bar."""
     axes.set(xlabel="x (map), m", ylabel="y (map), m", aspect="equal")
     axes.set(xlim=box[:2], ylim=box[2:])
     axes.set_title(title, fontsize="medium")
@@ -94,7 +92,7 @@ def map_axes(axes: Any, title: str, box: Box) -> None:
 def mark_sites(
     axes: Any, places: ArrayLike, radius: float = 0.0, colour: str = SITE_COLOUR, name: str = ""
 ) -> list[Any]:
-    """Ranked places (K, 2 or 3) with their ranks, and circles of a radius in m around them."""
+    """Mark ranked places (K, 2 or 3) with their ranks and circles of ``radius`` m."""
     drawn = []
     for rank, (x, y, *_) in enumerate(np.asarray(places, np.float64), start=1):
         if radius > 0.0:
@@ -110,7 +108,7 @@ def mark_sites(
 
 
 def outline(axes: Any, cells: CellMap, which: Any = slice(None), **style: Any) -> None:
-    """Boundaries of some leaves; the more there are, the thinner."""
+    """Draw boundaries of leaves, thinner if there are many."""
     corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]], float)
     centre = np.stack([cells.x, cells.y], axis=-1)
     edges = (centre[:, None, :] + 0.5 * cells.size[:, None, None] * corner)[which]
@@ -120,14 +118,13 @@ def outline(axes: Any, cells: CellMap, which: Any = slice(None), **style: Any) -
 
 
 def png(figure: Figure, dpi: int = 130) -> bytes:
-    """A figure as the content of a file."""
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=dpi)
     return content.getvalue()
 
 
 def small(content: bytes) -> bytes:
-    """A PNG with 40 colours, a fifth of its size."""
+    """Reduce a PNG to 40 colours and a fifth of its size."""
     from PIL import Image  # with matplotlib
 
     out = io.BytesIO()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a results folder, for reports on paper and where there is no JavaScript."""
+"""Figures of a results folder, for print and for readers without JavaScript."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ NONE_COLOUR = "#cdcdcd"
 
 
 def figures(content: Results) -> dict[str, Figure]:
-    """All of them by name."""
     grid, zone = content.grid, content.zone
     limit, slope = palette.slope_limit(content.config.lss), content.grid["slope_deg"]
     found = {"hazards": hazard_figure(content)}
@@ -48,10 +47,8 @@ def figures(content: Results) -> dict[str, Figure]:
 
 
 def hazard_figure(content: Results) -> Figure:
-    """Kinds of hazards, and beside them where the vehicle may land, with the ranked sites.
-
-    Kinds that do not exclude landing are outlines.
-    """
+    """Draw kinds of hazards (outlines if they do not exclude landing), and beside them the allowed
+    ground with the ranked sites."""
     figure = Figure(figsize=(11.0, 6.4))
     left, right = figure.subplots(1, 2, sharey=True)
     figure.subplots_adjust(left=0.07, right=0.98, top=0.95, bottom=0.18, wspace=0.05)
@@ -69,19 +66,14 @@ def hazard_figure(content: Results) -> Figure:
     for bit, name, colour in palette.HAZARDS:
         shown = ((grid["hazard"] & bit) > 0) & content.grid.seen
         if not (bits | palette.UNKNOWN) & bit and shown.any():
-            if not shown.all():  # of all there is no outline
+            if not shown.all():  # otherwise there is no outline
                 left.contour(grid["x"], grid["y"], shown, [0.5], colors=colour, linewidths=0.7)
             kinds.append(Patch(facecolor="none", edgecolor=colour, label=f"{name}, not excluding"))
     unseen = np.where(grid.unmapped, 3, 2)
     allowed = np.where(grid["safe"], 1, np.where(grid.seen, 0, unseen))
-    names = [
-        ("excluded", palette.EXCLUDED_COLOUR),
-        ("allowed", palette.SAFE_COLOUR),
-        ("unseen", palette.UNSEEN_COLOUR),
-    ]
-    decisions = _classes(
-        right, content, allowed, [*names, (palette.UNMAPPED_NAME, palette.UNMAPPED_COLOUR)]
-    )
+    names = [("excluded", palette.EXCLUDED_COLOUR), ("allowed", palette.SAFE_COLOUR)]
+    names += [(name, colour) for _, name, colour in palette.HAZARDS[1::-1]]
+    decisions = _classes(right, content, allowed, names)
     figure.legend(handles=kinds, loc="lower left", ncols=3, frameon=False)
     figure.legend(handles=decisions, loc="lower right", ncols=2, frameon=False)
     drawing.mark_sites(right, content.positions, content.zone)
@@ -96,7 +88,7 @@ def _map(title: str, content: Results) -> tuple[Figure, Any]:
 
 
 def _layer(axes: Any, content: Results, values: Array, kind: str, label: str, **style: Any) -> Any:
-    """Values (ny, nx) on the shaded ground; returns their colour bar."""
+    """Draw values (ny, nx) on shaded ground; return the colour bar."""
     grid = content.grid
     style |= {"heights": grid["elevation"], "unknown": NONE_COLOUR}
     drawn = drawing.layer(axes, grid.x, grid.y, values, kind, **style)
@@ -105,7 +97,6 @@ def _layer(axes: Any, content: Results, values: Array, kind: str, label: str, **
 
 
 def _timing(content: Results) -> Figure:
-    """Time of each map update, and the leaves after it."""
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")
     axes = figure.add_subplot()
     stamps, times = content.timing["stamp_ns"], content.timing["map_ms"]
@@ -124,7 +115,7 @@ def _timing(content: Results) -> Figure:
 
 
 def _box(content: Results) -> drawing.Box:
-    """The seen ground, or all."""
+    """Box of the observed ground, or of the grid."""
     grid = content.grid
     if not grid.seen.any():
         return drawing.extent(grid.x, grid.y)
@@ -134,7 +125,7 @@ def _box(content: Results) -> drawing.Box:
 
 
 def _classes(axes: Any, content: Results, kind: Any, names: list[tuple[str, str]]) -> list[Patch]:
-    """Image of class numbers on the shaded ground, and a legend with shares of the seen ground."""
+    """Draw class numbers on shaded ground; return a legend with shares of the observed ground."""
     grid, colours = content.grid, [colour for _, colour in names]
     drawing.classes(axes, grid.x, grid.y, kind, colours, grid["elevation"])
     seen = max(np.count_nonzero(grid.seen), 1)

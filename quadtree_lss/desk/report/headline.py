@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was found in a sentence, how far to trust it, or what stands in the way.
+"""The headline of the page: the result, how far to trust it, or why there is no site.
 
-Two words are kept apart: ground is *allowed* by the risk of a place, an aim has a *probability*.
+Ground is *allowed* by the risk at a grid point; an aim point has a *probability*.
 """
 
 from __future__ import annotations
@@ -21,26 +21,21 @@ from quadtree_lss.onboard.core.landing.target import SETTLE_SHARE
 from quadtree_lss.onboard.messages.intake import noise_notice
 
 GOOD = 0.99
-"""Probability of the best aim from which on it is called good: one landing in a hundred fails."""
+"""Least probability of a good aim: one landing in a hundred fails."""
 LEVELS = {"good": "Good", "care": "With care", "none": "None is good enough"}
-"""How far the best aim can be trusted: good, with care, and not at all."""
+"""Levels of trust in the best aim."""
 
 
 class Areas(NamedTuple):
-    """Of the ground at the grid points, m²."""
+    """Areas of the ground at the grid points, m²."""
 
     seen: float
     allowed: float
     unmapped: float
 
-    @property
-    def share(self) -> float:
-        """Of the seen ground on which landing is allowed."""
-        return self.allowed / self.seen if self.seen else 0.0
-
 
 class Circle(NamedTuple):
-    """The largest of seen ground without a hazard that excludes; ``limit`` is what it ends at."""
+    """The largest circle of observed ground without excluding hazards; ``limit`` ends it."""
 
     x: float
     y: float
@@ -49,7 +44,7 @@ class Circle(NamedTuple):
 
 
 class NearestMiss(NamedTuple):
-    """The place that comes nearest to a site, and why it is none."""
+    """The grid point that is nearest to being a site, and why it is not one."""
 
     x: float
     y: float
@@ -57,9 +52,9 @@ class NearestMiss(NamedTuple):
 
 
 def areas(content: Results) -> Areas:
-    """How much is seen, where landing is allowed, and what more is seen but not yet mapped."""
+    """Areas that are observed, allowed, and observed but not estimated."""
     x, y = (np.full(len(content.grid[name]), content.grid.spacing) for name in "xy")
-    x[[0, -1]] *= 0.5  # the outer points stand at the map's edge
+    x[[0, -1]] *= 0.5  # the outer points are on the edge of the map
     y[[0, -1]] *= 0.5
     each = y[:, None] * x
     of = (content.grid.seen, content.grid["safe"], content.grid.unmapped)
@@ -67,7 +62,7 @@ def areas(content: Results) -> Areas:
 
 
 def largest_circle(content: Results) -> Circle | None:
-    """None where landing is allowed somewhere, or no ground is seen and clear."""
+    """The largest clear circle; None if landing is allowed somewhere, or no ground is clear."""
     grid = content.grid
     hazardous = (grid["hazard"] & excluding(content.config.lss.assessment)) > 0
     clear = grid.seen & ~hazardous
@@ -86,7 +81,7 @@ def largest_circle(content: Results) -> Circle | None:
 
 
 def nearest_miss(content: Results) -> NearestMiss | None:
-    """The likeliest place, else the most level one of those with room; None if there is none."""
+    """The most probable, else the most level grid point with room for a zone; None if none."""
     grid, lss = content.grid, content.config.lss
     room = _room(grid.seen, grid.spacing) >= content.zone
     best, word = np.nanargmin, "slope {:.1f} deg, but a hazard within the zone"
@@ -103,13 +98,13 @@ def nearest_miss(content: Results) -> NearestMiss | None:
 
 
 def _room(mask: Mask, spacing: float) -> Array:
-    """Distance (ny, nx) of grid points to where the mask is not, m."""
+    """Distance (ny, nx) of grid points to the nearest one outside the mask, m."""
     room: Array = spacing * distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
     return room
 
 
 class Fact(NamedTuple):
-    """Something that trust rests on: what, how it is, and a level of `LEVELS`, or none."""
+    """A fact for the level of trust; ``level``: a key of `LEVELS`, or empty."""
 
     name: str
     value: str
@@ -117,13 +112,13 @@ class Fact(NamedTuple):
 
 
 def best_probability(content: Results) -> float:
-    """Of the best aim; NaN without a site, or where nobody asked for it."""
+    """Probability of the best aim; NaN without a site or if not computed."""
     found = content.sites.get("probability", np.zeros(0))
     return float(found[0]) if len(found) else float("nan")
 
 
 def trust(content: Results) -> tuple[str, list[Fact]]:
-    """A level of `LEVELS` for the best aim, and what it rests on."""
+    """A key of `LEVELS` for the best aim, and the facts behind it."""
     lss, summary, best = content.config.lss, content.summary, best_probability(content)
     doubts = list(summary.get("doubts", ()))
     level = "none" if best < lss.min_probability else "good" if best >= GOOD else "care"
@@ -158,9 +153,10 @@ def trust(content: Results) -> tuple[str, list[Fact]]:
 
 
 def headline(content: Results) -> tuple[str, str]:
-    """The result in few words, and what it rests on."""
+    """The result in few words, and details."""
     found, sites = areas(content), content.sites
-    ground = f"Landing is allowed on {few(100.0 * found.share)} % of the {few(found.seen)} m² seen"
+    percent = few(100.0 * found.allowed / (found.seen or 1.0))
+    ground = f"Landing is allowed on {percent} % of the {few(found.seen)} m² seen"
     if found.allowed:
         ground += f": {few(found.allowed)} m²"
     if found.unmapped >= 0.5:
@@ -175,18 +171,18 @@ def headline(content: Results) -> tuple[str, str]:
         if level == "none":
             words += f", and a target needs {shown(content.config.lss.min_probability)}"
     x, y, z = (f"{sites[name][0]:.2f}" for name in "xyz")
-    why = re.sub(r"^probability [^:]*: ", "", content.reasons[0])  # the words have it already
+    why = re.sub(r"^probability [^:]*: ", "", content.reasons[0])
     place = f"At x {x}, y {y}, z {z} m. {why[:1].upper()}{why[1:]}. {ground}."
     return f"{LEVELS[level]}: {words}.", place
 
 
 def few(value: float) -> str:
-    """A whole number, or two digits of a small one: little is not nothing."""
+    """Format a whole number, or two digits of a small one."""
     return f"{value:,.0f}" if value >= 9.95 or not value else f"{value:.2g}"
 
 
 def shortfall(content: Results) -> str:
-    """Without a site: the limit that is in the way, and by how much; or nothing."""
+    """Without a site, the limit that is missed and by how much; or empty."""
     lss, need = content.config.lss, content.zone
     if content.grid["safe"].any() or not content.grid.seen.any():
         return ""
@@ -217,7 +213,7 @@ def shortfall(content: Results) -> str:
 
 
 def _without(content: Results, ground: str) -> str:
-    """What limits and by how much, then the nearest miss and the largest circle."""
+    """Details without a site: the missed limit, the nearest miss, the largest circle."""
     text = f"{content.summary['explanation']}".removeprefix("no safe site: ").rstrip(".")
     lines = [shortfall(content) or f"{text[:1].upper()}{text[1:]}"]
     lines += [ground] if content.grid.seen.any() else []
@@ -225,10 +221,9 @@ def _without(content: Results, ground: str) -> str:
     if miss is not None:
         lines.append(f"Nearest miss at x {miss.x:.2f}, y {miss.y:.2f} m: {miss.why}")
     if circle is not None:
-        lines.append(
-            f"Largest circle of clear ground: {circle.radius:.2f} m about x {circle.x:.2f},"
-            f" y {circle.y:.2f} m, up to {circle.limit}; {content.zone:.2f} m are needed"
-        )
+        text = f"Largest circle of clear ground: {circle.radius:.2f} m about x {circle.x:.2f},"
+        text += f" y {circle.y:.2f} m, up to {circle.limit}; {content.zone:.2f} m are needed"
+        lines.append(text)
     return ". ".join(lines) + "."
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``report.html`` draws: a results folder as columns, with their units and limits."""
+"""The data of ``report.html``: results as columns with units and limits."""
 
 from __future__ import annotations
 
@@ -17,19 +17,15 @@ from quadtree_lss.desk.report.headline import GOOD, LEVELS, largest_circle, near
 from quadtree_lss.desk.report.pages import Columns
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, peak
 
-MAX_GRID_POINTS = 250_000
-"""Of the landing grid that are embedded; of larger grids every other, third, … point is."""
-MAX_LEAVES = 80_000
-"""With their planes; beyond, only the outlines of the leaves are embedded."""
-MAX_ANSWERS = 60
-"""Of the slider."""
+MAX_GRID_POINTS = 250_000  # embedded; larger grids are thinned
+MAX_LEAVES = 80_000  # embedded with their planes; of more leaves only the outlines
+MAX_ANSWERS = 60  # assessments on the slider
 
 
 @dataclass(frozen=True)
 class Layer:
-    """One more layer of the grid points, such as the truth: ``values`` (ny, nx) are numbers with
-    ``kind`` of ``palette.MAPS`` and ``limits``, or numbers of ``classes``, pairs of name and
-    colour. ``note`` is what must be known to read it."""
+    """A further layer, such as the truth: ``values`` (ny, nx) are numbers with ``kind`` of
+    ``palette.MAPS`` and ``limits``, or indices of ``classes``, pairs of name and colour."""
 
     name: str
     title: str
@@ -42,7 +38,7 @@ class Layer:
 
 
 def page_data(content: Results, layers: Sequence[Layer] = ()) -> tuple[dict[str, Any], Columns]:
-    """Everything the page's script draws, ready for JSON, and the columns it refers to."""
+    """Data for the page's script, ready for JSON, and the columns it refers to."""
     columns, config = Columns(), content.config
     grid = _grid(content, columns)
     stride = grid["stride"]
@@ -162,11 +158,7 @@ def _leaves(cells: CellMap, columns: Columns) -> dict[str, Any]:
 def _sites(content: Results) -> list[dict[str, Any]]:
     names = [name for name in content.sites if name not in ("rank", "nx", "ny", "nz")]
     return [
-        {
-            "rank": k + 1,
-            **{name: _json(content.sites[name][k]) for name in names},
-            "reason": reason,
-        }
+        {"rank": k + 1, **{n: _json(content.sites[n][k]) for n in names}, "reason": reason}
         for k, reason in enumerate(content.reasons)
     ]
 
@@ -176,10 +168,10 @@ def _json(value: float) -> float | None:
 
 
 def _history(content: Results, columns: Columns, stride: int) -> dict[str, Any] | None:
-    """Answers and scans in seconds since the first of both; None without a second answer."""
+    """Assessments and scans, in seconds since the first; None with fewer than two assessments."""
     history = content.history
     answers = history.get("answer_stamp_ns", np.zeros(0))
-    mapped = np.flatnonzero(answers > 0)  # of a map with a scan in it
+    mapped = np.flatnonzero(answers > 0)
     if len(mapped) < 2:
         return None
     scans = history["scan_stamp_ns"]
@@ -190,13 +182,12 @@ def _history(content: Results, columns: Columns, stride: int) -> dict[str, Any] 
         bits = content.then(name, shown)[:, ::stride, ::stride]
         return np.packbits(bits.reshape(len(shown), -1), axis=1)
 
-    # Of what is seen hardly anything changes from one answer to the next.
+    # Differences between assessments are nearly all zero and compress well.
     seen = packed("seen")
     seen[1:] ^= seen[:-1].copy()
     likely = {}
     if "probability" in history:
         found = content.then("probability", shown)[:, ::stride, ::stride]
-        # Changes from one answer to the next, modulo 256, are nearly all zero.
         likely["probability"] = columns.whole(np.diff(found, axis=0, prepend=np.uint8(0)), "u1")
     names = ("site_id", "site_position", "site_score", "site_probability")
     sites = np.column_stack([history[name] for name in names])
@@ -230,5 +221,4 @@ def _timing(content: Results) -> dict[str, Any]:
     return {
         "seconds": _seconds(stamps, int(stamps[0]) if len(stamps) else 0),
         "map_ms": [round(value, 3) for value in timing["map_ms"].tolist()],
-        **{name: timing[name].tolist() for name in ("leaves", "points_used", "points")},
     }

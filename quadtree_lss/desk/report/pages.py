@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pages: one HTML file each that needs nothing else and loads nothing, made of a jinja2 template.
+"""Pages: self-contained HTML files made of jinja2 templates, all text escaped.
 
-A template is named by its place in the package and extends ``desk/report/page.html``, which has
-the look of all (``page.css``) and the policy; ``desk/report/macros.html`` has tables and pictures.
-All text is escaped. A page without scripts needs no JavaScript.
+A template is named by its path in the package and extends ``desk/report/page.html`` (style and
+content policy); ``desk/report/macros.html`` has tables and pictures.
 """
 
 from __future__ import annotations
@@ -20,30 +19,29 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 from numpy.typing import ArrayLike, NDArray
 
-#: What stands to the right in a table: a number, with its unit, and so many of so many.
+#: Aligned to the right in a table: a number with its unit or its total.
 NUMBER = re.compile(r"[-+−]?[\d.,]+( of [\d,]+| \w{1,3}| %)?")
 _NONE = {"u1": 0xFF, "u2": 0xFFFF}
 
 
 def render(template: str, **values: Any) -> str:
-    """The page that a template, such as ``lab/flight/flight.html``, makes of values; what cannot be
-    encoded, as in names of files that are no UTF-8, is a question mark."""
+    """Fill a template; text that is not valid UTF-8, as in file names, becomes a question mark."""
     text = _environment().get_template(template).render(**values)
     return text.encode(errors="replace").decode()
 
 
 def source(name: str) -> str:
-    """A text file of the package."""
+    """Read a text file of the package."""
     return files("quadtree_lss").joinpath(name).read_text("utf-8")
 
 
 def compressed(content: bytes) -> str:
-    """As a page carries it; `inflate` of ``columns.js`` undoes it."""
+    """Compress bytes for a page; `inflate` of ``columns.js`` expands them."""
     return base64.b64encode(zlib.compress(content, 9)).decode()
 
 
 def is_words(value: object) -> bool:
-    """Whether a cell of a table is text, which stands to the left; markup and numbers are not."""
+    """True for a cell of a table that is text, aligned to the left; not markup or a number."""
     text = str(value)
     number = not any(map(str.isalpha, text)) or NUMBER.fullmatch(text)
     return not number and not isinstance(value, Markup)
@@ -67,21 +65,17 @@ def _environment() -> Environment:
 
 
 class Columns:
-    """Arrays inside a page: columns one after the other, compressed, in base64.
-
-    What each call returns tells ``columns.js`` where the column is.
-    """
+    """Arrays inside a page, compressed, in base64. Calls return the place for ``columns.js``."""
 
     def __init__(self) -> None:
-        self._parts: list[bytes] = []
         self._end = 0
         self._known: dict[bytes, int] = {}
 
     def quantised(
         self, values: ArrayLike, kind: str = "u2", least: float = 0.0, **more: Any
     ) -> dict[str, Any]:
-        """Entry i is low + step · data[i], with steps of ``least`` or more; the greatest number
-        stands for NaN. ``more`` is told of it besides."""
+        """Add values as low + step · data[i], with step >= ``least``; the greatest integer is NaN.
+        ``more`` is returned with the place."""
         flat = np.asarray(values, dtype=np.float64).ravel()
         finite = np.isfinite(flat)
         low, high = (flat[finite].min(), flat[finite].max()) if finite.any() else (0.0, 0.0)
@@ -92,22 +86,21 @@ class Columns:
         return {"low": float(low), "step": step, **self._add(data, kind), **more}
 
     def whole(self, values: NDArray[Any], kind: str) -> dict[str, Any]:
-        """Integers as they are, kind ``u1``, ``u2`` or ``u4``."""
+        """Add integers of kind ``u1``, ``u2`` or ``u4``."""
         return self._add(np.asarray(values).astype(f"<{kind}"), kind)
 
     def floats(self, values: NDArray[Any]) -> dict[str, Any]:
-        """Single precision."""
+        """Add numbers in single precision."""
         return self._add(np.asarray(values).astype("<f4"), "f4")
 
     def text(self) -> str:
-        """All of them."""
-        return compressed(b"".join(self._parts))
+        """The content of all columns."""
+        return compressed(b"".join(self._known))
 
     def _add(self, data: NDArray[Any], kind: str) -> dict[str, Any]:
         raw = data.tobytes()
-        raw += bytes(-len(raw) % 4)  # so that every column can be looked at where it lies
+        raw += bytes(-len(raw) % 4)  # typed arrays must be aligned
         start = self._known.setdefault(raw, self._end)
         if start == self._end:
-            self._parts.append(raw)
             self._end += len(raw)
         return {"kind": kind, "at": start, "length": data.size}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Colours that the page and the figures share; classes are of Okabe and Ito's palette."""
+"""Colours of the page and the figures; classes use the palette of Okabe and Ito."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 UNSEEN_COLOUR = "#bbbbbb"
 UNMAPPED_NAME, UNMAPPED_COLOUR = "seen, not yet mapped", "#8c8ca6"
 UNKNOWN = UNSEEN | UNMAPPED
-# Bit, name and colour of hazards, the first that applies is drawn.
+# Bit, name and colour of hazards; the first that applies is drawn.
 HAZARDS = (
     (UNMAPPED, UNMAPPED_NAME, UNMAPPED_COLOUR),
     (UNSEEN, "unseen", UNSEEN_COLOUR),
@@ -24,9 +24,8 @@ HAZARDS = (
     (2, "elevation", "#cc79a7"),
 )
 CLEAR_COLOUR = "#f0e9c8"  # no hazard
-# Of where landing is allowed; the latter is no colour of a hazard nor of the absence of one.
 SAFE_COLOUR, EXCLUDED_COLOUR = "#009e73", "#882255"
-SITE_COLOUR = "#1c1c1c"  # of no map and no kind of hazard; ringed in white
+SITE_COLOUR = "#1c1c1c"
 MAPS = {
     "elevation": "cividis",
     "slope": "viridis_r",
@@ -35,7 +34,7 @@ MAPS = {
     "deviation": "magma_r",
     "error": "RdBu_r",
 }
-"""matplotlib's name of the colour map of each kind of layer: bright is good, where one end is."""
+"""Colour maps of matplotlib by kind of layer; bright is good."""
 KINDS = {
     "plane_elevation": "elevation",
     "map_height": "elevation",
@@ -43,22 +42,22 @@ KINDS = {
     "map_deviation": "deviation",
     "risk": "score",
 }
-"""Kind of each layer that has not its name."""
+"""Kind of each layer whose name is not a kind."""
 
 
 def excluding(assessment: str) -> int:
-    """Bits of the hazards that exclude landing with ``lss.assessment``."""
+    """Bits of the hazards that exclude landing."""
     return 8 | 4 | 2 | 1 if assessment == "paper" else 8 | 4
 
 
 def slope_limit(lss: LssConfig) -> float:
-    """The slope that a reader is told to compare with, deg."""
+    """Slope limit shown to the reader, deg."""
     vehicle, touchdown = lss.vehicle, lss.assessment == "touchdown"
     return vehicle.lengths.touchdown_slope_deg if touchdown else vehicle.max_slope_deg
 
 
 def colour_limits(values: Array) -> tuple[float, float]:
-    """Range of a colour map that outliers do not stretch: 1 and 99 %."""
+    """Range of a colour map: percentiles 1 and 99."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return 0.0, 1.0
@@ -72,12 +71,12 @@ def top_limit(values: Array) -> tuple[float, float]:
 
 
 def slope_limits(slopes: Array, lss: LssConfig) -> tuple[float, float]:
-    """Range of the colours of slopes, deg, which holds the limit."""
+    """Range of the colours of slopes, including the limit, deg."""
     return 0.0, max(top_limit(slopes)[1], slope_limit(lss))
 
 
 def even_limits(values: Array) -> tuple[float, float]:
-    """As far below 0 as above it: 99 % of the absolute values."""
+    """Symmetric about 0, to the 99th percentile of the absolute values."""
     top = top_limit(np.abs(values))[1]
     return -top, top
 
@@ -88,11 +87,8 @@ def gradients(heights: Array, spacing: float) -> Sequence[Array]:
 
 
 def shaded(image: Array, elevation: Array, spacing: float, strength: float = 0.75) -> Array:
-    """(ny, nx, 3) colours in 0 … 1 on ground (ny, nx) that is lit from the north-west.
-
-    Level ground, unseen ground and what is beside it keeps its colours. Slopes are exaggerated
-    until the steeper ones throw shade, as on the page.
-    """
+    """Shade colours (ny, nx, 3) in 0 … 1 as if the ground (ny, nx) were lit from the north-west,
+    with slopes exaggerated as on the page; level and unknown ground keeps its colours."""
     along_y, along_x = gradients(elevation, spacing)
     slopes = np.hypot(along_x, along_y)
     steep = np.nanpercentile(slopes, 90) if np.isfinite(slopes).any() else 0.0
@@ -101,7 +97,7 @@ def shaded(image: Array, elevation: Array, spacing: float, strength: float = 0.7
     lit = np.nan_to_num((1.0 + np.sqrt(0.5) * (a - b)) / np.hypot(np.hypot(a, b), 1.0), nan=1.0)
     grey = np.where(lit < 1.0, 0.5 * np.maximum(lit, 0.0), 0.5 + 0.4 * (lit - 1.0) / 0.41421)
     grey = grey[..., None]
-    # The blend mode "hard light".
+    # Blend mode "hard light".
     dark, bright = 2.0 * image * grey, 1.0 - 2.0 * (1.0 - image) * (1.0 - grey)
     result: Array = np.clip(image + strength * (np.where(grey < 0.5, dark, bright) - image), 0, 1)
     return result

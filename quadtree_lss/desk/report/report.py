@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``report.html``: what a person looks at first, made of a results folder."""
+"""``report.html`` of a results folder."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ SITES = (
     ("rough", "m", "roughness", "{:.3f}", "greatest mean deviation from the planes in the zone"),
     ("feature", "m", "subscale_height", "{:.2f}", FEATURE),
 )
-"""Columns of the table of sites: word, unit, name in ``sites.csv``, format, meaning."""
+"""Columns of the table of sites: heading, unit, name in ``sites.csv``, format, meaning."""
 
 
 def report_files(folder: str | Path) -> dict[str, bytes]:
-    """The page of a results folder and its figures: content by path in the folder."""
+    """The page and figures of a results folder: content by path in the folder."""
     content = load_results(folder)
     pictures = {f"figures/{name}.png": png(figure) for name, figure in figures(content).items()}
     return {**pictures, "report.html": page(content).encode()}
@@ -48,9 +48,8 @@ def page(
     also: Callable[[dict[str, Any], Columns], Mapping[str, Any]] | None = None,
     **values: Any,
 ) -> str:
-    """The page as text: ``layers`` are shown before those of the results; ``template`` extends
-    ``report.html`` and shows ``values`` besides; ``title`` is by default of the bag's name.
-    ``also`` makes more for the script of its data and columns."""
+    """Make the page. ``layers``: shown first; ``template``: extends ``report.html`` and uses
+    ``values``; ``also``: returns more data for the script."""
     data, columns = page_data(content, layers)
     data |= {} if also is None else also(data, columns)
     summary, config, sites = content.summary, content.config, content.sites
@@ -84,7 +83,7 @@ def page(
         "run": _run(summary),
         "input": _input(summary),
         "total": summary["points"],
-        "points": {"used": summary["points_used"], **_some(summary["points_dropped"])},
+        "points": {"used": summary["points_used"], **_positive(summary["points_dropped"])},
         "parameters": rows,
         "changed": [value != default for _, value, default, _, _ in rows],
         "columns": columns.text(),
@@ -94,7 +93,7 @@ def page(
 
 
 def short_name(bag: str) -> str:
-    """The name of a bag; with its folder's if it is plain ``bag``."""
+    """The name of a bag, with its folder's if it is just ``bag``."""
     path = Path(bag)
     return f"{path.parent.name}/{path.name}" if path.name == "bag" else path.name
 
@@ -110,12 +109,9 @@ def _run(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         values = [summary[name] for name in names]
         return "" if None in values else form.format(*values)
 
-    speed = summary["real_time_factor"]
+    speed, times = summary["real_time_factor"], ("map_ms_median", "map_ms_p99")
     rows = [
-        (
-            "map update, median / 99 %",
-            known("{:.2f} ms / {:.2f} ms", "map_ms_median", "map_ms_p99"),
-        ),
+        ("map update, median / 99 %", known("{:.2f} ms / {:.2f} ms", *times)),
         ("landing site selection", known("{:.2f} ms", "lss_ms")),
         ("speed, bag reading included", f"{speed:.1f} × real time" if speed else ""),
         ("leaves", known("{}", "leaves")),
@@ -124,7 +120,7 @@ def _run(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("peak memory", known("{:.0f} MB", "peak_memory_mb")),
         ("versions", ", ".join(f"{k} {v}" for k, v in summary["versions"].items())),
     ]
-    return [row for row in rows if row[1]]  # of maps alone, some are not known
+    return [row for row in rows if row[1]]  # some are unknown for a bag of maps
 
 
 def _input(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -147,9 +143,9 @@ def _input(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-def _some(counts: Mapping[str, int]) -> dict[str, int]:
+def _positive(counts: Mapping[str, int]) -> dict[str, int]:
     return {reason: n for reason, n in counts.items() if n}
 
 
 def _counts(counts: Mapping[str, int]) -> str:
-    return ", ".join(f"{reason} {n}" for reason, n in _some(counts).items()) or "none"
+    return ", ".join(f"{reason} {n}" for reason, n in _positive(counts).items()) or "none"

@@ -19,7 +19,7 @@ async function start() {
   watch(map); watch(second);
   byId("layer").value = view.layer;
   fit(); legend();
-  timeline(); startFlight(); processing();
+  timeline(); startFlight(); timing();
   choose(sites.length ? 0 : -1, false);
   recall();
   new ResizeObserver(again).observe(byId("frame"));

@@ -126,33 +126,30 @@ function timeline() {
     c.save(); c.strokeStyle = ink("--ink"); c.lineWidth = devicePixelRatio; c.beginPath();
     c.moveTo(p, u.bbox.top); c.lineTo(p, u.bbox.top + u.bbox.height); c.stroke(); c.restore();
   };
-  // Not less than `least` from bottom to top, so that a steady value looks steady.
-  const range = (least, most) => (u, low, high) => {
+  const range = (u, low, high) => { // at least 1 %, so that a steady value looks steady
     if (low === null) return [0, 1];
-    const middle = (low + high) / 2, half = Math.max(0.55 * (high - low), least / 2);
-    const top = Math.min(middle + half, most);
-    return [Math.min(middle - half, top - least), top];
+    const middle = (low + high) / 2, half = Math.max(0.55 * (high - low), 0.5);
+    const top = Math.min(middle + half, 100);
+    return [Math.min(middle - half, top - 1), top];
   };
   const ends = data.flight && [0, data.flight.time.length - 1].map(k => data.flight.time[k] - data.flight.before);
-  const chart = (column, scale, label, told, least, most) => {
-    if (!h.sites.some(all => all.some(s => s[column] !== null))) return;
+  if (h.sites.some(all => all.some(s => s[5] !== null))) {
     const lines = ids.map(id => h.sites.map(all => {
       const row = all.find(s => s[0] === id);
-      return row && row[column] !== null ? scale * row[column] : null;
+      return row && row[5] !== null ? 100 * row[5] : null;
     }));
+    const told = (u, v) => (v === null ? "–" : shareText(v) + " %");
     charts_sites.push(plot(byId("chart-sites"), 130, {
       series: [{ label: "time", value: second_s }, ...ids.map((id, k) =>
-        curve(name(id), CURVES[k], "", { value: (u, v) => told(v), width: rank(id) ? 2 : 1, spanGaps: false,
+        curve(name(id), CURVES[k], "", { value: told, width: rank(id) ? 2 : 1, spanGaps: false,
           points: { show: true, size: 3 } }))],
-      scales: { x: { time: false, ...(ends && { range: () => ends }) }, y: { range: range(least, most) } },
-      axes: [{ label: "time, s" }, { label }],
-      hooks: { draw: [mark] }, legend: { show: !charts_sites.length },
-      cursor: { sync: { key: "sites" },
+      scales: { x: { time: false, ...(ends && { range: () => ends }) }, y: { range } },
+      axes: [{ label: "time, s" }, { label: "probability, %" }],
+      hooks: { draw: [mark] },
+      cursor: {
         bind: { mousedown: u => () => { frames.go(frames.ofAnswer(u.cursor.idx)); return null; } } },
     }, [h.seconds, ...lines]));
-  };
-  chart(5, 100, "probability, %", v => (v === null ? "–" : shareText(v) + " %"), 1, 100);
-  chart(4, 1, "score", short, 0.02, Infinity);
+  }
   for (const chart of charts_sites) { // away from the curves, the values of the shown time
     chart.over.addEventListener("mouseleave", () => tellThen(chart));
   }

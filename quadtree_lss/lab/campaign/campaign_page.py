@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``campaign.html``: the answer, each flight as a point, the table, the worst flights."""
+"""``campaign.html``: the result, each flight as a point, the table, the worst flights."""
 
 from __future__ import annotations
 
@@ -80,12 +80,11 @@ def page(result: CampaignResult) -> str:
 
 
 def kept_flights(out: Path, page: str) -> list[str]:
-    """Folders of a campaign's flights that have their page."""
     return sorted(path.name for path in (out / "kept").glob("*") if (path / page).exists())
 
 
 def note_kept(out: Path, page: str) -> None:
-    """Links on the page of a campaign, if there is one, to the flights that are kept by now."""
+    """Update the links to kept flights on a campaign's page."""
     path = out / "campaign.html"
     if not path.exists():
         return
@@ -101,7 +100,7 @@ def note_kept(out: Path, page: str) -> None:
 def _answers_of_all(
     quantity: Quantity, parts: Sequence[tuple[str, Sequence[Record]]]
 ) -> list[tuple[str, str]]:
-    """Of each scenario that was flown in several combinations, if the quantity is a rate."""
+    """Totals of each scenario with several combinations, if the quantity is a rate."""
     several: dict[str, list[Sequence[Record]]] = {}
     for _, records in parts:
         if records and quantity.of is not None:
@@ -114,7 +113,7 @@ def _answers_of_all(
 
 
 def _answer(name: str, line: Line) -> tuple[str, str]:
-    """The first quantity of a combination in a sentence, and a level of the colour."""
+    """The first quantity of a combination as a sentence, and its colour."""
     label, value, interval, _, _ = line.cells()
     words = f"{name.rpartition(':')[0]}: {label} {value}, 95 %: {interval}."
     if line.events is None:

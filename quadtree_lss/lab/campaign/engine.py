@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flies a study on Dask: a flight is a task, and what it gives is a file."""
+"""Fly a study with Dask: each flight is a task with a file as its result."""
 
 from __future__ import annotations
 
@@ -24,26 +24,25 @@ from quadtree_lss.lab.campaign.summary import CampaignResult, write_summary
 from quadtree_lss.onboard.errors import one_line
 
 Progress = Callable[[int, int], None]
-"""Called with the flights that are done and the flights there are."""
+#: Dask's workers return freed memory page by page (a sixth of a flight's time), and profile
+#: themselves a hundred times a second; both off.
 SETTINGS = {
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 1 << 30,
     "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 1 << 30,
     "distributed.worker.profile.enabled": False,
 }
-"""Dask has its workers give back what they free, page by page: a sixth of a flight's time. And it
-has them look at their own stack a hundred times a second and keep what they saw for 1,000 s."""
 LOCAL = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
 LOCAL |= {"processes": True, "silence_logs": logging.CRITICAL}
 LOOK_S = 0.5
+#: One class from Python 3.11 on.
 TIMED_OUT = (TimeoutError, asyncio.TimeoutError)
-"""One and the same from Python 3.11 on."""
+#: Longest time without a worker, s.
 NO_WORKER_S = 60.0
-"""After so long without a worker nobody will come."""
 
 
 @dataclass(frozen=True)
 class Where:
-    """Who flies: ``workers`` processes of this computer, or those of a scheduler."""
+    """Number of worker processes on this computer, or the scheduler with the workers."""
 
     workers: int | None = None
     scheduler_address: str | None = None
@@ -61,13 +60,10 @@ def campaign(
     stop: Callable[[], bool] | None = None,
     tell: Callable[[str], None] | None = None,
 ) -> CampaignResult:
-    """Flies what of a study has no file in the folder ``out`` yet, or is to be flown again
-    (``rerun`` by number), and writes the summary. ``stop`` is asked now and then: True keeps and
-    sums up what is done. ``tell`` gets the address of the dashboard.
-
-    Raises `CampaignError`: the study cannot be flown there, or Dask is not installed;
-    KeyboardInterrupt: stopped before a flight was done.
-    """
+    """Fly the flights of a study that have no file in ``out``, and those of ``rerun``, and write
+    the summary. ``stop`` ends it early by returning True; ``tell`` gets the address of the
+    dashboard. Raises `CampaignError`: Dask is missing, or the study cannot be flown there;
+    KeyboardInterrupt: stopped before a flight was done."""
     store, stopped = Store(out), stop or (lambda: False)
     with store.opened():
         again = {study.case(index).index for index in rerun}
@@ -95,8 +91,7 @@ def campaign(
 
 
 def flagged(out: str | Path) -> list[int]:
-    """The flights that the campaign's page names as the worst. Raises `CampaignError`: there is
-    none."""
+    """The worst flights on the campaign's page. Raises `CampaignError`: there is none."""
     try:
         worst = json.loads((Path(out) / "campaign.json").read_text("utf-8"))["worst"]
         return sorted({int(index) for pairs in worst.values() for index, _ in pairs})
@@ -105,8 +100,8 @@ def flagged(out: str | Path) -> list[int]:
 
 
 def keep(study: Study, out: str | Path, index: int) -> Path:
-    """Flies flight ``index`` again; returns the folder with what it left. Raises `CampaignError`:
-    there is no such flight."""
+    """Fly ``index`` again and return the folder with all its results. Raises `CampaignError`: there
+    is no such flight."""
     from quadtree_lss.lab.campaign.campaign_page import note_kept  # matplotlib
 
     case, folder = study.case(index), Path(out) / "kept" / f"{index:06d}"
@@ -116,27 +111,26 @@ def keep(study: Study, out: str | Path, index: int) -> Path:
 
 
 def fly(case: Case) -> Figures | str:
-    """Figures of one flight, on a worker; a text says why it failed."""
+    """Figures of one flight on a worker, or the reason of its failure."""
     if (case.version, case.build) != this_build():
         return f"the worker has version and build {this_build()}, not {case.version, case.build}"
     try:
         figures = kind_of(case.kind).fly(case)
-    except Exception as error:  # whatever it is, the others go on
+    except Exception as error:  # the other flights continue
         return one_line(f"{type(error).__name__}: {error}")
-    gc.collect()  # a flight's large arrays hang in rings of small objects
+    gc.collect()  # large arrays are in reference cycles
     return figures
 
 
 def _fly_all(
     client: Any, study: Study, store: Store, missing: Iterator[int], stop: Callable[[], bool]
 ) -> Iterator[Record]:
-    """Keeps one flight for each worker on the way: a million need no more memory, and Dask gives
-    one up that only waits at a worker of which others die."""
+    """Submit one flight per worker at a time: this bounds memory, and Dask gives up tasks that wait
+    at a dying worker."""
     from dask.distributed import wait
 
     running: dict[Any, Case] = {}
     seen = time.monotonic()
-
     while not stop():
         with _answering():
             threads = sum(client.nthreads().values())
@@ -162,7 +156,7 @@ def _fly_all(
 
 @contextlib.contextmanager
 def _answering() -> Iterator[None]:
-    """Within it, a scheduler that is lost ends all in a line."""
+    """Raise `CampaignError` if the scheduler is lost."""
     try:
         yield
     except (OSError, CancelledError) as error:
@@ -170,24 +164,22 @@ def _answering() -> Iterator[None]:
 
 
 def _given(future: Any) -> Figures | str:
-    """What `fly` gave, or why it gave nothing."""
     if future.status != "error":
         return future.result()
     error = future.exception()
-    if type(error).__name__ == "KilledWorker":  # whose text has addresses
+    if type(error).__name__ == "KilledWorker":  # its text contains addresses
         return "the worker that flew it died, each time it was tried"
     return one_line(f"{type(error).__name__}: {error}")
 
 
 @contextlib.contextmanager
 def _client(where: Where) -> Iterator[Any]:
-    """Dask's client of the workers that were asked for."""
     try:
         import dask
         from dask.distributed import Client
     except ImportError as error:
-        msg = "campaigns need Dask: pip install 'quadtree_lss[campaign]'"
-        raise CampaignError(msg) from error
+        how = "pip install 'quadtree_lss[campaign]'"
+        raise CampaignError(f"campaigns need Dask: {how}") from error
     there = {"address": where.scheduler_address, "scheduler_file": where.scheduler_file}
     there = {name: value for name, value in there.items() if value}
     if len(there) + bool(where.workers) > 1:
@@ -212,10 +204,10 @@ def _client(where: Where) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _deaf_children() -> Iterator[None]:
-    """Processes that are started within it ignore Ctrl-C: what it means is the parent's affair."""
+    """Let child processes ignore Ctrl-C, which the parent handles."""
     try:
         heard = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    except ValueError:  # not the main thread, which alone hears it
+    except ValueError:  # not the main thread
         yield
         return
     try:

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kinds of flights that a study can be of, and what is told of each.
+"""Kinds of flights of studies: a name in `REGISTERED`, or a ``module:attribute`` of the user.
 
-A kind is registered by its name in `REGISTERED`, as ``module:attribute``; a study may also name one
-of its own so. What it flies is a function of a `Case` alone: the same case gives the same figures,
-in any process and any order.
+The figures of a flight depend only on its `Case`.
 """
 
 from __future__ import annotations
@@ -23,19 +21,17 @@ REGISTERED = {
 
 Value = float | int | str | bool | None
 Figures = dict[str, Value]
-"""Numbers of a flight by name, the same whenever it is flown."""
 
 
 class CampaignError(QuadtreeLssError):
-    """A study or a campaign that cannot be run as asked; the text is one clear line."""
+    """A study or campaign that cannot be run; the text is one line."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One flight of a study, with everything decided: its number, from 0; the seed of all that is
-    random in it; ``conditions`` that differ from the scenario's own, by the names that the kind
-    knows; all ``parameters``, dotted; ``labels``: what varies over the study, for tables and plots;
-    version and build of the package that is to fly it."""
+    """One flight of a study: number from 0, seed, ``conditions`` that differ from the scenario's,
+    all dotted ``parameters``, ``labels`` that vary over the study, version and build of the
+    package."""
 
     index: int
     kind: str
@@ -50,10 +46,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A figure that the summary tells, and which end of it is bad.
-
-    With ``of``, the name of another figure, it counts events: so many of so many.
-    """
+    """A figure of the summary, and its bad end. With ``of``, another figure, it counts events."""
 
     name: str
     label: str
@@ -69,10 +62,9 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Kind:
-    """How to fly a case, and what its figures mean. ``fly`` raises `QuadtreeLssError` if it fails;
-    ``keep`` leaves everything there is to see in a folder, with a ``page``. A study may use the
-    names of ``scenarios`` and ``conditions``. The page's points show ``first`` first (empty: the
-    first mean), and it may be explained ``by`` those figures, beside what the study varies."""
+    """How to fly a case, and its figures. ``fly`` may raise `QuadtreeLssError`; ``keep`` writes all
+    results with a ``page`` into a folder. The campaign's page first shows the figure ``first``
+    (empty: the first mean) over figures in ``by`` or varied by the study."""
 
     fly: Callable[[Case], Figures]
     keep: Callable[[Case, Path], None]
@@ -90,7 +82,7 @@ def kind_of(name: str) -> Kind:
     if colon:
         try:
             kind = getattr(importlib.import_module(module), attribute)
-        except Exception as error:  # whatever it does when it is imported
+        except Exception as error:
             raise CampaignError(f"kind {name!r} cannot be imported: {error}") from error
         if isinstance(kind, Kind):
             return kind

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kind ``fly``: a lander flies by the nodes' answers in lock-step; the true ground judges."""
+"""The kind ``fly``: landings in closed loop, in lock-step."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from quadtree_lss.lab.flight.settings import AVOIDANCE, FlightSettings, flight_s
 
 CONDITIONS = "terrain rocks range_noise outliers dropouts half".split()
 CONDITIONS += "slant_range speed glide_slope_deg scatter survey fault".split()
-"""As of ``flight.settings``; ``survey`` is the first pass of the lidar, s."""
 
 
 def settings_of(case: Case) -> FlightSettings:
-    """What is flown: the scenario is the avoidance; ``fault`` is one as of ``--fault``."""
+    """The scenario is the avoidance; ``survey`` is the first pass of the lidar, s."""
     given: dict[str, Any] = dict(case.conditions)
     fault = given.pop("fault", None)
     given |= {"avoidance": case.scenario, "config": dict(case.parameters)}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kind ``map``: a flight is simulated, mapped, its sites ranked, and scored, all in memory."""
+"""The kind ``map``: simulate, map, rank sites and score, in memory."""
 
 from __future__ import annotations
 
@@ -28,14 +28,13 @@ CONDITIONS = ("flights", *(item.name for item in fields(Conditions)))
 
 
 def fly(case: Case) -> Figures:
-    """Figures of one flight; needs no file but a terrain that the case may name."""
     config = load_config([], case.parameters)
     results, truth = fly_in_memory(case.scenario, case.seed, config, case.conditions)
     return figures(score(results, truth), results, truth)
 
 
 def in_memory(simulation: Simulation) -> MessageBag:
-    """A simulated flight as a bag that is no file, for once."""
+    """A simulated flight as a bag in memory, which can be read once."""
     depth, counts = {**DEPTH_TYPES, POSE_TOPIC: POSE}, {POSE_TOPIC: simulation.poses}
     kinds = depth if isinstance(simulation.legs[0].plan.lidar, StereoCamera) else TYPES
     topics = [Topic(name, kind, counts.get(name, simulation.scans)) for name, kind in kinds.items()]
@@ -45,14 +44,13 @@ def in_memory(simulation: Simulation) -> MessageBag:
 def fly_in_memory(
     scenario: str, seed: int, config: Config, conditions: Any
 ) -> tuple[Results, Truth]:
-    """Results and truth of a simulated flight without a bag, the same to the bit as with one."""
+    """Results and truth of a simulated flight, bit-identical to those through a bag."""
     simulation = Simulation(scenario, seed, **conditions)
     results = results_of(replay(in_memory(simulation), None, config, report=False))
     return results, truth_of(simulation.truth("bag", lander_of(config)))
 
 
 def figures(scores: EvaluationResult, results: Results, truth: Truth) -> Figures:
-    """What is kept of a flight; None where a number does not exist."""
     detection, elevation = scores.detection, scores.elevation
     judged = [verdict for verdict in scores.site_verdicts if verdict != "unknown"]
     largest = scores.missed[0] if scores.missed else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,8 +16,7 @@ from quadtree_lss.lab.campaign.store import Record
 from quadtree_lss.lab.campaign.summary import bootstrap, number, numbers, read_campaign
 
 
-@dataclass(frozen=True)
-class Difference:
+class Difference(NamedTuple):
     """Second minus first over flights of the same number and seed; 95 % interval of the mean."""
 
     quantity: Quantity
@@ -35,14 +34,13 @@ class Difference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All quantities, and flights that only one of the two has."""
+    """Differences by quantity, and the number of flights without a partner."""
 
     differences: tuple[Difference, ...]
     unpaired: int
 
     def table(self) -> str:
-        head = ("", "first", "second", "difference", "95 % interval", "better / worse", "flight")
-        rows = [head]
+        rows = [("", "first", "second", "difference", "95 % interval", "better / worse", "flight")]
         for d in self.differences:
             digits = f".{max(d.quantity.digits, 2)}f"
             flight = "–" if d.largest_flight is None else str(d.largest_flight)
@@ -62,8 +60,8 @@ class Comparison:
 
 
 def compare_campaigns(first: str | Path, second: str | Path) -> Comparison:
-    """Compare two campaigns' folders, whose flights are paired by number and seed. Raises
-    `CampaignError`: they are of different kinds or have no pair."""
+    """Compare the folders of two campaigns, with flights paired by number and seed. Raises
+    `CampaignError`: the kinds differ, or there is no pair."""
     (kind, one), (other_kind, two) = read_campaign(Path(first)), read_campaign(Path(second))
     if kind != other_kind:
         raise CampaignError(f"{first} is of kind {kind}, {second} of {other_kind}")

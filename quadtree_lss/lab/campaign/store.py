@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of a campaign: a file for each flight, which is the checkpoint.
+"""The folder of a campaign: one file for each flight, written in one step.
 
-A flight's file holds what is the same whenever it is flown, and its own checksum. Its name has the
-number of the flight and a key of all that decides it, as its content has; it appears in one step.
+Names and contents have the number of the flight and a hash of everything that determines it.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 from quadtree_lss.desk.replay.files import plain, write_bytes, writing
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Value
@@ -27,7 +25,7 @@ FILES = ("terrain", "lss.risk_model")
 
 @dataclass(frozen=True)
 class Record:
-    """What is known of a flight: its figures, or why there are none."""
+    """Figures of a flight, or its error."""
 
     index: int
     seed: int
@@ -41,7 +39,7 @@ class Record:
 
 
 def key_of(case: Case) -> str:
-    """Of everything that decides a flight: another key, another flight."""
+    """Hash of everything that determines a flight."""
     content = asdict(case)
     del content["labels"]
     for part in (content["conditions"], content["parameters"]):
@@ -70,7 +68,7 @@ class Store:
 
     @contextmanager
     def opened(self) -> Iterator[None]:
-        """Within it, nobody else runs a campaign in this folder."""
+        """Lock the folder against other campaigns."""
         with writing(self.out, CampaignError):
             self._flights.mkdir(parents=True, exist_ok=True)
             lock = (self.out / ".lock").open("w")
@@ -85,36 +83,27 @@ class Store:
         return self._flights / record_name(case.index, key_of(case))
 
     def read(self, case: Case) -> Record | None:
-        """The record of a flight, None if it has not been flown; raises as of `read_record`."""
+        """The record of a flight, None if there is none; raises as `read_record` does."""
         path = self.path(case)
         return read_record(path) if path.exists() else None
 
     def write(self, case: Case, figures: dict[str, Value], error: str = "") -> Record:
-        """Keep what a flight gave."""
         of = case.index, case.seed, case.scenario, dict(case.labels)
         record = Record(*of, plain(figures), error, key_of(case), case.version, case.build)
-        content = plain(asdict(record))
-        text = json.dumps({**content, "checksum": _checksum(content)}, indent=1, allow_nan=False)
+        text = json.dumps(plain(asdict(record)), indent=1, allow_nan=False)
         write_bytes(self.path(case), (text + "\n").encode())
         return record
 
 
 def read_record(path: Path) -> Record:
-    """A flight's file. Raises `CampaignError`: it is none, or was changed or copied."""
+    """Read a flight's file. Raises `CampaignError`: it is malformed or a copy."""
     try:
-        content: Any = json.loads(path.read_text(encoding="utf-8"))
-        told = content.pop("checksum")
-        record = Record(**content)
+        record = Record(**json.loads(path.read_text(encoding="utf-8")))
         name = record_name(record.index, record.key)
-    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+    except (OSError, ValueError, TypeError, RecursionError):
         why = "is no record of a flight"
     else:
-        if told == _checksum(content) and name == path.name:
+        if name == path.name:
             return record
-        why = f"is not as it was written, but of {name}" if name != path.name else "was changed"
-    msg = f"{path} {why}; with --rerun, or without the file, it is flown again"
-    raise CampaignError(msg)
-
-
-def _checksum(content: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+        why = f"is not as it was written, but of {name}"
+    raise CampaignError(f"{path} {why}; with --rerun, or without the file, it is flown again")

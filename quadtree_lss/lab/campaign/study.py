@@ -9,7 +9,7 @@ import math
 import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ import numpy as np
 from quadtree_lss import build
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.results import versions
-from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Kind, Value, kind_of
+from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Kind, kind_of
 from quadtree_lss.lab.campaign.store import FILES, MOST_FLIGHTS
 from quadtree_lss.lab.evaluation.risk_families import even
 from quadtree_lss.onboard.config.settings import values_from_config
@@ -28,12 +28,9 @@ from quadtree_lss.onboard.config.yaml_text import YamlError, read_yaml
 KEYS = tuple("name kind scenario config seed flights seeds conditions parameters cases".split())
 OF_CASES = ("name", "scenario", "config", "conditions", "parameters")
 
-
-DRAWN: dict[str, Callable[..., Value]] = {
-    "choice": lambda generator, *of: of[int(generator.integers(len(of)))],
+DRAWN: dict[str, Callable[..., float]] = {
     "uniform": lambda generator, low, high: float(generator.uniform(low, high)),
     "log_uniform": even,
-    "normal": lambda generator, mean, sigma: float(generator.normal(mean, sigma)),
 }
 
 
@@ -42,7 +39,8 @@ class Drawn:
     """A value that each flight draws for itself."""
 
     how: str
-    of: tuple[Any, ...]
+    low: float
+    high: float
 
 
 Combination = Mapping[tuple[str, str], Any]
@@ -51,9 +49,8 @@ Combination = Mapping[tuple[str, str], Any]
 
 @dataclass(frozen=True)
 class Study:
-    """Flights by number; `case` gives each. ``seed`` is the entropy of the flights' seeds, unless
-    ``seeds`` names them; ``repeats`` the flights of each combination of what the lists hold;
-    ``files`` the configurations of each case."""
+    """Flights by number. ``seed`` is the entropy of their seeds, unless ``seeds`` has these;
+    ``repeats`` the number of flights of each combination; ``files`` the configurations by case."""
 
     name: str
     kind: str
@@ -70,7 +67,6 @@ class Study:
 
     @cached_property
     def drawn(self) -> frozenset[str]:
-        """Names of what each flight draws for itself."""
         values = (item for c in self.combinations for item in c.items())
         return frozenset(name for (_, name), value in values if isinstance(value, Drawn))
 
@@ -79,13 +75,10 @@ class Study:
         return kind_of(self.kind)
 
     def case(self, index: int) -> Case:
-        """Flight ``index``: combinations take turns, so that more flights never change the first.
-
-        Flights of one turn have the same seed, so that combinations can be compared in pairs.
-        """
+        """Flight ``index``. Combinations take turns, so more flights do not change the first ones;
+        flights of one turn have the same seed, so combinations can be compared in pairs."""
         if not 0 <= index < self.count:
-            msg = f"there is no flight {index}; the study has 0 to {self.count - 1}"
-            raise CampaignError(msg)
+            raise CampaignError(f"no flight {index}; the study has 0 to {self.count - 1}")
         turn, which = divmod(index, len(self.combinations))
         combination = self.combinations[which]
         if self.seeds:
@@ -98,7 +91,8 @@ class Study:
             if isinstance(value, Drawn):
                 own = zlib.crc32(".".join(key).encode())
                 sequence = np.random.SeedSequence(entropy, spawn_key=(turn, own))
-                value = DRAWN[value.how](np.random.default_rng(sequence), *value.of)
+                generator = np.random.default_rng(sequence)
+                value = DRAWN[value.how](generator, value.low, value.high)
             values[key] = value
         files = self.files[str(values[("case", "case")])]
         overrides = {name: v for (part, name), v in values.items() if part == "parameters"}
@@ -212,10 +206,7 @@ def _few_enough(flights: int) -> None:
 
 
 def _beside(name: Any, file: Path) -> Any:
-    """A file that a study names, or one of which each flight draws: beside the study, or as it
-    stands."""
-    if isinstance(name, Drawn):
-        return replace(name, of=tuple(_beside(one, file) for one in name.of))
+    """The path of a file beside the study; the name itself if there is none."""
     there = file.parent / str(name)
     return str(there.resolve()) if there.is_file() else name
 
@@ -233,39 +224,28 @@ def _whole(value: object, name: str, least: int) -> int:
 
 
 def values_of(value: Any, name: str) -> list[Any]:
-    """What a value in a study stands for: one, several in turn, or one that is drawn."""
+    """Return the values of an entry of a study: one, several in turn, or one that is drawn."""
     if isinstance(value, list):
         if not value:
             raise CampaignError(f"{name}: an empty list")
         if drawn := [one for one in value if isinstance(one, (list, Mapping))]:
-            raise CampaignError(f"{name}: {drawn[0]} in a list; it holds values alone")
+            raise CampaignError(f"{name}: {drawn[0]} in a list; it holds only values")
         return value
     if not isinstance(value, Mapping):
         return [value]
-    how, of = next(iter(value.items())) if len(value) == 1 else ("", None)
-    of = of if isinstance(of, list) else []
     try:
-        if how == "range":
-            first, last, number = (float(v) for v in of)
-            if np.isfinite([first, last]).all() and number in range(1, MOST_FLIGHTS + 1):
-                return [float(v) for v in np.linspace(first, last, int(number))]
-        if how == "choice" and of:
-            return [Drawn(how, tuple(of))]
-        if how in DRAWN:
-            low, high = (float(v) for v in of)
-            positive = low > 0.0 if how == "log_uniform" else high > 0.0 or how == "uniform"
-            if np.isfinite([low, high]).all() and positive and (low < high or how == "normal"):
-                return [Drawn(how, (low, high))]
+        ((how, of),) = value.items()
+        low, high = (float(v) for v in of)
+        if how in DRAWN and -math.inf < low < high < math.inf and (low > 0 or how == "uniform"):
+            return [Drawn(how, low, high)]
     except (TypeError, ValueError):
         pass
-    raise CampaignError(
-        f"{name}: {value} is no value, list, range: [first, last, number],"
-        " choice: [...], uniform: [low, high], log_uniform: [low, high], normal: [mean, sigma]"
-    )
+    forms = "uniform: [low, high] or log_uniform: [low, high]"
+    raise CampaignError(f"{name}: {value} is not a value, a list, {forms}")
 
 
 def parse_seeds(text: str) -> list[int]:
-    """Numbers from ``101-120``, ``1,2,7`` or both, each once; raises `CampaignError`."""
+    """Distinct numbers from ``101-120``, ``1,2,7`` or both; raises `CampaignError`."""
     seeds: list[int] = []
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", part)

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A campaign in a few numbers: rates and means with their intervals, and the worst flights."""
+"""Summary of a campaign: rates and means with intervals, and the worst flights."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,7 @@ WORST = 5
 """Flights that are listed."""
 
 
-@dataclass(frozen=True)
-class Line:
+class Line(NamedTuple):
     """A quantity over many flights: its mean or rate, 95 % interval, and the worst flight."""
 
     quantity: Quantity
@@ -78,8 +77,7 @@ def line_of(quantity: Quantity, records: Sequence[Record]) -> Line:
 
 
 def bootstrap(values: NDArray[np.float64]) -> tuple[float, float]:
-    """Bounds of the mean of values (n,) with 95 % confidence, by drawing from them again, which
-    assumes no shape of the distribution; NaN for one value, which tells no spread."""
+    """95 % interval of the mean of values (n,) by the bootstrap; NaN for fewer than two values."""
     if values.size < 2:
         return float("nan"), float("nan")
     how = {"method": "percentile", "batch": max(500_000 // values.size, 1)}
@@ -88,7 +86,7 @@ def bootstrap(values: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def rate_interval(events: int, trials: int) -> tuple[float, float]:
-    """Bounds of a rate from ``events`` in ``trials`` with 95 % confidence (Clopper and Pearson)."""
+    """95 % interval of a rate of ``events`` in ``trials`` (Clopper and Pearson)."""
     if trials == 0:
         return float("nan"), float("nan")
     bounds = stats.binomtest(events, trials).proportion_ci(0.95)
@@ -96,7 +94,7 @@ def rate_interval(events: int, trials: int) -> tuple[float, float]:
 
 
 def badness(quantity: Quantity, record: Record) -> float:
-    """How bad a flight is, the more the worse; of counted events none is 0."""
+    """Badness of a flight, higher is worse; 0 without a counted event."""
     value = number(record, quantity.name)
     if quantity.of is not None and quantity.worst == "smallest":
         value = number(record, quantity.of) - value
@@ -106,12 +104,11 @@ def badness(quantity: Quantity, record: Record) -> float:
 
 
 def flown(records: Iterable[Record]) -> list[Record]:
-    """Those that did not fail."""
     return [record for record in records if not record.error]
 
 
 def groups(study: Study, records: Iterable[Record]) -> list[tuple[str, list[Record]]]:
-    """Flights of each combination of the study's lists, by what tells it from the others."""
+    """Flights of each combination, by its labels."""
     parts: dict[int, list[Record]] = {}
     for record in records:
         parts.setdefault(record.index % len(study.combinations), []).append(record)
@@ -124,8 +121,7 @@ def groups(study: Study, records: Iterable[Record]) -> list[tuple[str, list[Reco
 
 @dataclass(frozen=True)
 class CampaignResult:
-    """What a campaign found: flights by number, failed ones too; whether it was ``interrupted``
-    before all were flown."""
+    """Records by number, with failed flights; ``interrupted``: not all were flown."""
 
     out: Path
     study: Study
@@ -146,7 +142,7 @@ class CampaignResult:
         ]
 
     def worst(self) -> list[tuple[Quantity, list[tuple[int, float]]]]:
-        """The worst flights by each quantity, and its value; of events, if there were."""
+        """The worst flights by each quantity, and its values."""
         found = []
         for quantity in self.study.what.quantities:
             least = 0.0 if quantity.of is not None else float("-inf")
@@ -167,23 +163,22 @@ class CampaignResult:
             {"name": name, "quantities": {row.quantity.name: numbers(row) for row in rows}}
             for name, rows in self.lines
         ]
-        content = {
-            "study": self.study.name,
-            "kind": self.study.kind,
-            "flights": len(self.records),
-            "of": self.study.count,
-            "interrupted": self.interrupted,
-            "summary": parts,
-            "worst": {q.name: pairs for q, pairs in self.worst()},
-            "failed": self.failed,
-        }
-        found: dict[str, Any] = plain(content)
-        return found
+        return plain(
+            {
+                "study": self.study.name,
+                "kind": self.study.kind,
+                "flights": len(self.records),
+                "of": self.study.count,
+                "interrupted": self.interrupted,
+                "summary": parts,
+                "worst": {q.name: pairs for q, pairs in self.worst()},
+                "failed": self.failed,
+            }
+        )
 
 
 def numbers(row: Any) -> dict[str, Any]:
-    """Fields of a row of a table but for its quantity."""
-    return {name: value for name, value in asdict(row).items() if name != "quantity"}
+    return {name: value for name, value in row._asdict().items() if name != "quantity"}
 
 
 def write_summary(result: CampaignResult) -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from quadtree_lss.desk.commands import common, console
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -31,19 +31,15 @@ SCENARIOS = ("morpheus", "parabola", "descent", "drone", "depth")
 GIVEN = "seed duration terrain range_noise outliers dropouts flights rocks overwrite".split()
 SIMULATE = "Simulate a flight: a bag, and truth.npz beside it."
 FLIGHTS = """flights:
-  morpheus   the paper's Section VII: 20 s at 20 Hz on a 30 degree glide slope, 450 m off, 1 degree
-             gimballed lidar, over 60 x 60 m of rocks and craters
-  parabola   the paper's Section VI exactly: 61 scans at 1 Hz from 500 m, 10 degree lidar
-  descent    30 s at 5 Hz from 200 m down to 50 m, looking down with 20 degrees, over 60 x 60 m;
-             for measured ground by --terrain
-  drone      10 s at 10 Hz from 25 m down to 15 m, looking down with 60 degrees, over 16 x 16 m
-  depth      10 s at 5 Hz from 15 m down to 3 m, looking down with a stereo camera's depth images,
-             640 x 480, over 8 x 8 m of the drone's ground
---terrain takes an elevation model: GeoTIFF, or .npz with x (nx,), y (ny,) ascending in the same
-equal steps and elevation (ny, nx), m, z up, at least 9 x 9 m. Without it morpheus and descent fly
-over a field of rocks and craters. The flight is about the model's middle (parabola's about x 10,
-y 0): let domain.xmin, domain.ymin, domain.size of the replay fit, or take those of `config suggest
-BAG`.
+  morpheus   Section VII of the paper: 20 s at 20 Hz on a 30 degree glide slope from 450 m, 1 degree
+             gimballed lidar, 60 x 60 m of rocks and craters
+  parabola   Section VI of the paper: 61 scans at 1 Hz from 500 m, 10 degree lidar
+  descent    30 s at 5 Hz from 200 m to 50 m, 20 degree lidar, 60 x 60 m
+  drone      10 s at 10 Hz from 25 m to 15 m, 60 degree lidar, 16 x 16 m
+  depth      10 s at 5 Hz from 15 m to 3 m, depth images of 640 x 480, 8 x 8 m
+--terrain takes a GeoTIFF, or .npz with x (nx,), y (ny,) ascending in equal steps and elevation
+(ny, nx), m, z up, at least 9 x 9 m. The flight is around its middle (parabola: x 10, y 0): set
+domain.xmin, domain.ymin, domain.size of the replay, for example with `config suggest BAG`.
 
 """
 SIMULATE_EXAMPLES = """examples:
@@ -80,8 +76,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--out", required=True, type=common.named, metavar="DIR", help="folder for the results")
     text = "without ROS: the nodes' functions, called in the flight's own time"
     add("--lockstep", action="store_true", help=text)
-    text = "speed of a flight over ROS (default 1); nodes go by /clock"
-    add("--rate", type=common.positive, metavar="R", help=text)
     text = "by the nodes; by the paper's rules; straight to the planned point; by the true ground"
     add("--avoidance", choices=AVOIDANCE, default="package", help=text)
     add("--terrain", type=common.named, metavar="DEM", help=TERRAIN)
@@ -91,7 +85,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--fault", action="append", default=[], metavar="FAULT", help=text)
     text = "set one parameter of the nodes, for instance lss.margin=1.0"
     add("--set", action="append", default=[], metavar="KEY=VALUE", help=text)
-    add("--no-page", action="store_true", help="no picture and no page")
 
 
 def _fly(options: argparse.Namespace) -> int:
@@ -109,8 +102,6 @@ def _fly(options: argparse.Namespace) -> int:
     }
     settings = flight_settings(given)
     alone = options.lockstep or options.avoidance in ("none", "perfect")
-    if alone:
-        common.refuse(options, "--lockstep, nor with --avoidance none or perfect", "rate")
     figures = {"seed": options.seed, "avoidance": options.avoidance, "outcome": "none"}
     with (
         made(options.out, QuadtreeLssError),
@@ -119,14 +110,14 @@ def _fly(options: argparse.Namespace) -> int:
         progress = partial(bar.update, total=LONGEST)
         try:
             if alone:
-                done = flown(options.seed, settings, progress=progress, record=not options.no_page)
+                done = flown(options.seed, settings, progress=progress, record=True)
             else:
                 done = _live(options, settings, progress)
         except BaseException as error:
             figures |= {"safe": False, "reason": console.first_line(error)}
             write_json(options.out / "touchdown.json", figures)
             raise
-    write_flight(options.out, done, report=not options.no_page)
+    write_flight(options.out, done)
     if done.figures["warnings"]:
         console.warn(f"warning: {done.figures['warnings']}")
     common.show(options, done.figures, f"{headline(done)}\nresults in {options.out}")
@@ -143,10 +134,8 @@ def _live(options: argparse.Namespace, settings: FlightSettings, progress: Progr
     except ImportError as error:
         msg = f"ROS 2 is not here ({console.first_line(error)}); --lockstep flies without"
         raise QuadtreeLssError(msg) from None
-    rate = 1.0 if options.rate is None else options.rate
     live = options.out / "nodes"
-    how: dict[str, Any] = {"rate": rate, "progress": progress, "domain": given_domain()}
-    return fly_live(options.seed, settings, live, **how)
+    return fly_live(options.seed, settings, live, progress=progress, domain=given_domain())
 
 
 def _simulate(options: argparse.Namespace) -> int:

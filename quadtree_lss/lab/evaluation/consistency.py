@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a map's covariances are what they say: residuals of scans before these are mapped (Eq.
-46, 61-63), over a whole bag (Table 2)."""
+"""Prefit residuals of a bag against the map's covariances (Table 2; Eq. 46, 61-63)."""
 
 from __future__ import annotations
 
@@ -24,22 +23,22 @@ from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan, register
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
-#: Share of residuals inside the acceptance interval (1 - alpha), half of the others on either side.
+#: Probability of the acceptance interval (1 - alpha); the rest is split between both tails.
 INSIDE = 0.95
-#: Least variance, m^2.
+#: Lower bound of variances, m^2.
 FLOOR = 1e-12
-#: |n.u| is taken to be at least this (grazing incidence).
+#: Lower bound of |n.u|, at grazing incidence.
 MIN_COSINE = 0.05
 
 
 def acceptance_interval(degrees: int) -> tuple[float, float]:
-    """Eq. 62 and Eq. 63: bounds that hold 95 % of the chi distribution of ``degrees``."""
+    """Bounds of the central 95 % of the chi distribution of ``degrees`` (Eq. 62, 63)."""
     low, high = chi(degrees).interval(INSIDE)
     return float(low), float(high)
 
 
-class Fractions(NamedTuple):
-    """Shares of residuals below and above the acceptance interval; NaN if there are none."""
+class Shares(NamedTuple):
+    """Shares of residuals below and above the interval; NaN without residuals."""
 
     below: float
     above: float
@@ -47,9 +46,8 @@ class Fractions(NamedTuple):
 
 @dataclass(frozen=True)
 class Counts:
-    """How many residuals lie outside the 95 % interval, which can be added up. ``points``:
-    residuals. ``below``, ``above``: of the one-degree test. ``below_3``, ``above_3``: of the
-    paper's three-degree test."""
+    """Residuals, and how many lie below and above the 95 % interval: of the test with one degree of
+    freedom, and of the paper's with three."""
 
     points: int = 0
     below: int = 0
@@ -58,27 +56,23 @@ class Counts:
     above_3: int = 0
 
     def __add__(self, other: Counts) -> Counts:
-        return Counts(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
-
-    def _shares(self, *outside: int) -> Fractions:
-        return Fractions(*(count / (self.points or float("nan")) for count in outside))
+        return Counts(*map(int.__add__, astuple(self), astuple(other)))
 
     @property
-    def one_degree(self) -> Fractions:
-        """Consistent if both are 0.025."""
-        return self._shares(self.below, self.above)
+    def one_degree(self) -> Shares:
+        """0.025 each if consistent."""
+        return Shares(*(of / (self.points or np.nan) for of in (self.below, self.above)))
 
     @property
-    def three_degrees(self) -> Fractions:
-        """The paper's Table 2. The residual having one degree of freedom, most lie below."""
-        return self._shares(self.below_3, self.above_3)
+    def three_degrees(self) -> Shares:
+        """Of the paper's test. The residual has one degree of freedom: most lie below."""
+        return Shares(*(of / (self.points or np.nan) for of in (self.below_3, self.above_3)))
 
 
 @dataclass(frozen=True)
 class PrefitStatistics:
-    """Residuals (N,) of the points of a scan that lie in leaves with a measured plane: which points
-    these are, the rows of their leaves, n.(r - c) - d and its standard deviation, m, and d_M (Eq.
-    46) of the residual as a vector."""
+    """Residuals (N,) of the points of a scan in leaves with a measured plane: indices of
+    points, rows of leaves, n.(r - c) - d and its standard deviation, m, and d_M (Eq. 46)."""
 
     point: Index
     row: Index
@@ -88,11 +82,10 @@ class PrefitStatistics:
 
     @property
     def normalised(self) -> Array:
-        """(N,) |residual| / deviation, of chi_1 if map and noises are what they say."""
+        """(N,) |residual| / deviation; of chi_1 if all covariances are right."""
         return np.abs(self.residual) / self.deviation
 
     def counts(self) -> Counts:
-        """How many lie outside the 95 % intervals."""
         outside = []
         for values, degrees in ((self.normalised, 1), (self.mahalanobis, 3)):
             low, high = acceptance_interval(degrees)
@@ -101,13 +94,11 @@ class PrefitStatistics:
 
 
 def prefit_statistics(cells: CellMap, scan: RegisteredScan, lidar: LidarConfig) -> PrefitStatistics:
-    """Residuals of a scan about the map as it was published before the scan was mapped.
+    """Residuals of a scan about the map ``cells`` from before the scan.
 
-    The residual e = n.(r - c) - d has the variance n^T Sigma_r n + a^T Sigma_P a with Sigma_r of
-    Eq. 17 (range and pose) and a = (B^T (r - c), -1). Measured and predicted point lie on one ray
-    u, so Eq. 61's residual is e u / (n.u): it is one-dimensional and its d_M (Eq. 46) is a multiple
-    of |e|. ``cells``: the map. ``scan``: points (N, 3) about the lidar with their finest cells.
-    ``lidar``: of which the range noise matters.
+    e = n.(r - c) - d has the variance n^T Sigma_r n + a^T Sigma_P a with Sigma_r of Eq. 17 and
+    a = (B^T (r - c), -1). Measured and predicted point lie on one ray u, so Eq. 61's residual is
+    e u / (n.u), and its d_M (Eq. 46) is a multiple of |e|.
     """
     column, row = squeezed(scan.key)
     of_point = cells.leaf_raster()[row, column]
@@ -116,7 +107,6 @@ def prefit_statistics(cells: CellMap, scan: RegisteredScan, lidar: LidarConfig) 
     n, r = cells.normal[leaf], scan.points[point]
     arm = r - (np.column_stack([cells.x, cells.y, cells.z]) - scan.origin)[leaf]
     residual = _dot(n, arm)
-    # Both axes of the tangent plane (Eq. 2) along the arm.
     share = _dot(n[:, :2], arm[:, :2]) / (1.0 + n[:, 2]) + arm[:, 2]
     a = np.column_stack([arm[:, :2] - share[:, None] * n[:, :2], np.full(len(n), -1.0)])
     plane = np.einsum("ni,nij,nj->n", a, cells.covariance[leaf], a)
@@ -130,8 +120,8 @@ def prefit_statistics(cells: CellMap, scan: RegisteredScan, lidar: LidarConfig) 
     jacobian = np.concatenate([unit, -skew(r)], axis=-1)
     pose = jacobian @ scan.pose.covariance @ jacobian.transpose(0, 2, 1)
     variance = plane + along * cosine**2 + np.einsum("ni,nij,nj->n", n, pose, n)
-    # What is added along the ray adds to the variance there: the pose's part alone is inverted,
-    # kept regular by a millionth of its trace.
+    # The other variances act along the ray: only the pose part needs an inverse. A millionth of its
+    # trace keeps it regular.
     trace = np.trace(pose, axis1=1, axis2=2)
     regular = pose + (1e-6 * trace + FLOOR)[:, None, None] * np.eye(3)
     weight = _dot(ray, np.linalg.solve(regular, ray[..., None])[..., 0])
@@ -142,24 +132,22 @@ def prefit_statistics(cells: CellMap, scan: RegisteredScan, lidar: LidarConfig) 
 
 
 def _dot(one: Array, other: Array) -> Array:
-    """Products (N,) of vectors (N, k)."""
+    """Dot products (N,) of vectors (N, k)."""
     return np.asarray(np.einsum("ni,ni->n", one, other))
 
 
 @dataclass(frozen=True)
 class Consistency:
-    """Prefit residuals of a bag. ``counts``: residuals outside the 95 % intervals. ``scans``: scans
-    that were mapped; the first has nothing to be compared with."""
+    """Prefit residuals of a bag of so many mapped ``scans``."""
 
     counts: Counts
     scans: int
 
     def table(self) -> str:
-        one, three = self.counts.one_degree, self.counts.three_degrees
-        rows = [("Prefit residuals", "below", "above", "both")]
-        for name, of in (("one degree of freedom", one), ("three (the paper)", three)):
-            rows.append((name, *(f"{share:.2%}" for share in (*of, sum(of)))))
-        return "\n".join(aligned(rows))
+        tests = ("one degree of freedom", "one_degree"), ("three (the paper)", "three_degrees")
+        shares = [(title, getattr(self.counts, name)) for title, name in tests]
+        rows = [(title, *(f"{v:.2%}" for v in (*of, sum(of)))) for title, of in shares]
+        return "\n".join(aligned([("Prefit residuals", "below", "above", "both"), *rows]))
 
 
 def consistency(
@@ -171,16 +159,15 @@ def consistency(
     pose_topic: str | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Consistency:
-    """Map a bag as ``replay`` would; before each scan compare its points with the map as it is.
+    """Map a bag as ``replay`` does; compare the points of each scan with the map before it.
 
-    With ``results``, only the scans that were mapped into these, which must be the same.
-    ``progress`` is called with the number of scans mapped so far. Raises `BagError`: the bag cannot
-    be read or its topics are ambiguous; `EvaluationError`: no point of it fell on ground that was
-    already mapped, or the scans are not those of the results.
+    With ``results``, only their scans, which must be the same. ``progress`` gets the number of
+    mapped scans. Raises `BagError`: the bag cannot be read or its topics are ambiguous;
+    `EvaluationError`: no point fell on mapped ground, or the scans are not those of the results.
     """
     rows: dict[int, list[int]] = {}
     if results is not None:
-        columns = [results.timing[name].tolist() for name in COLUMNS[:4]]
+        columns = (results.timing[name].tolist() for name in COLUMNS[:4])
         rows = {stamp: row for stamp, *row in zip(*columns, strict=True)}
     made_by = {} if results is None else results.summary.get("versions") or {}
     exact = made_by.get("quadtree_lss") == quadtree_lss.__version__
@@ -193,32 +180,26 @@ def consistency(
         counts += prefit_statistics(mapper.snapshot(), registered, config.lidar).counts()
         mapper.look_at(landing.get("area"))
         report = mapper.update(scan.points_lidar, scan.pose, scan.sweep)
-        if rows:
-            _check(report, rows[report.stamp_ns], exact, bag)
+        if rows and not _same(report, *rows[report.stamp_ns], exact):
+            points, used, leaves = rows[report.stamp_ns]
+            raise EvaluationError(
+                f"{bag} holds other scans than were mapped: after that of {report.stamp_ns} ns"
+                f" {report.points_used} of {report.points} points are used and there are"
+                f" {report.leaves} leaves, by timing.csv {used} of {points} and {leaves}"
+            )
         number += 1
         if progress is not None:
             progress(number)
     if number < len(rows):
-        msg = f"{bag} lacks {len(rows) - number} of the {len(rows)} scans that were mapped"
-        raise EvaluationError(msg)
+        missing = f"{len(rows) - number} of the {len(rows)} scans that were mapped"
+        raise EvaluationError(f"{bag} lacks {missing}")
     if not counts.points:
-        msg = f"{bag}: no point of {number} scans fell on ground that was already mapped"
-        raise EvaluationError(msg)
+        raise EvaluationError(f"{bag}: no point of {number} scans fell on mapped ground")
     return Consistency(counts, number)
 
 
-def _check(report: ScanReport, row: list[int], exact: bool, bag: str | Path) -> None:
-    """Compare a scan, and the map after it, with its row of ``timing.csv``.
-
-    Results of another version can only be asked for the points (not ``exact``). Of another
-    processor leaves may differ by the few whose statistics lie on a threshold to the last bit.
-    """
-    points, used, leaves = row
+def _same(report: ScanReport, points: int, used: int, leaves: int, exact: bool) -> bool:
+    """Whether a scan and its map are those of the results; of another version (not ``exact``) only
+    the points count. On another processor a few leaves differ, with statistics at a threshold."""
     near = abs(report.leaves - leaves) <= 2 + leaves // 100
-    if report.points == points and (not exact or (report.points_used == used and near)):
-        return
-    raise EvaluationError(
-        f"{bag} holds other scans than were mapped: after that of {report.stamp_ns} ns"
-        f" {report.points_used} of {report.points} points are used and there are"
-        f" {report.leaves} leaves, by timing.csv {used} of {points} and {leaves}"
-    )
+    return report.points == points and (not exact or (report.points_used == used and near))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scores of results against the truth: Tables 2 and 3 and the figures, of one run or several."""
+"""Scores of one run or several against the truth: Tables 2 and 3, and figures."""
 
 from __future__ import annotations
 
@@ -31,13 +31,11 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 
 @dataclass(frozen=True)
 class EvaluationResult:
-    """Scores of one run, and what was written.
+    """Scores of one run, and the files written.
 
-    Sites are those of the first five ranks: ``site_verdicts`` has one word for each, in order, and
-    ``unknown_in_top_five`` counts those that the truth cannot judge. ``missed`` are the hazardous
-    places called safe. ``risk`` is None if the results tell none, ``consistency`` unless the bag
-    was at hand; ``notes`` say what could not be done or checked, and why. ``heights`` and
-    ``safety`` are what was compared, place by place.
+    ``site_verdicts``: of the first five ranks. ``missed``: hazardous places called safe. ``risk``
+    and ``consistency`` are None without risks and without a bag. ``notes``: what could not be done
+    or checked. ``heights``, ``safety``: the compared fields.
     """
 
     elevation: metrics.ElevationError
@@ -107,26 +105,24 @@ def evaluate(
     figures: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> EvaluationResult:
-    """Score the results of ``replay`` in ``results_dir`` against ``truth.npz``.
+    """Score results of ``replay`` against ``truth.npz``.
 
-    Writes ``evaluation.json`` and, unless ``figures`` is false, ``report.html`` and PNG figures
-    into ``out`` (default: ``results_dir/evaluation``). For the ``consistency`` of Table 2 the
-    recording is mapped again with the results' ``config.yaml``: ``bag``, by default the one that
-    ``summary.json`` names if it is still there; ``progress(done, total)`` counts its scans.
+    Writes ``evaluation.json`` and, with ``figures``, ``report.html`` and PNG figures into ``out``
+    (default: ``results_dir/evaluation``). For Table 2 (``consistency``) the ``bag``, by default the
+    one that ``summary.json`` names, is mapped again; ``progress(done, total)`` counts its scans.
 
-    Raises `EvaluationError` when a file is missing or malformed, when results, truth and bag are
-    not of one flight (`results.check_truth`), or when the map and the truth do not overlap.
+    Raises `EvaluationError`: a file is missing or malformed, results, truth and bag are not of one
+    flight (`results.check_truth`), or map and truth do not overlap.
     """
     results, truth = load_results(results_dir), load_truth(truth_path)
     given = None if bag is None else Path(bag)
-    doubt = check_truth(results, truth, Path(truth_path), given)
-    notes = [] if doubt is None else [doubt]
-    notes += _other_lander(results, truth)
+    uncertain = check_truth(results, truth, Path(truth_path), given)
+    notes = [*filter(None, [uncertain]), *_other_lander(results, truth)]
     scores = score(results, truth)
     table_2 = None
     if consistency or given is not None:
         table_2, without = _table_2(results, given, progress)
-        notes += [] if without is None else [f"Table 2: {without}"]
+        notes += [f"Table 2: {without}"] if without else []
     folder = Path(out) if out is not None else results.folder / "evaluation"
     with writing(folder, EvaluationError):
         folder.mkdir(parents=True, exist_ok=True)
@@ -140,7 +136,7 @@ def evaluate(
         try:
             text = evaluation_page(results.folder, truth, result)
             (folder / "report.html").write_text(text, encoding="utf-8")
-        except KeyError as error:  # the page shows more than is scored
+        except KeyError as error:  # the page needs more layers
             result = replace(result, notes=(*notes, f"report.html: the results lack {error}"))
     write_json(folder / "evaluation.json", result.as_dict())
     return result
@@ -148,7 +144,7 @@ def evaluate(
 
 @dataclass(frozen=True)
 class ComparisonResult:
-    """Scores by the name of the run, and what was drawn of all together."""
+    """Scores by run, and the common figures."""
 
     runs: dict[str, EvaluationResult]
     out: Path
@@ -158,7 +154,7 @@ class ComparisonResult:
         return {"runs": {name: scores.as_dict() for name, scores in self.runs.items()}}
 
     def table(self) -> str:
-        """A row per run; elevation RMS with the mean removed, Table 2 of one degree of freedom."""
+        """A row per run; elevation RMS without the mean, Table 2 with one degree of freedom."""
         rows = [{"run": name, **_cells(r)} for name, r in self.runs.items()]
         lines = aligned([tuple(rows[0]), *(tuple(row.values()) for row in rows)])
         for note in dict.fromkeys(note for r in self.runs.values() for note in r.notes):
@@ -175,17 +171,13 @@ def compare(
     figures: bool = True,
     progress: Callable[[int, int], None] | None = None,
 ) -> ComparisonResult:
-    """Score several results of ``replay`` over the same ground.
-
-    Each is evaluated as by `evaluate`, into ``out/<name>``; what shows them together goes into
-    ``out`` (default: a new folder ``results/<time>``). Runs bear the names of their directories.
-    Raises `EvaluationError` as `evaluate` does, and for two directories of one name.
-    """
+    """Evaluate several results over one ground into ``out/<name>``, and draw them together into
+    ``out`` (default: a new folder ``results/<time>``). Runs have the names of their directories.
+    Raises `EvaluationError` as `evaluate` does, and for two directories of one name."""
     names = [Path(directory).resolve().name for directory in results_dirs]
     folders = dict(zip(names, results_dirs, strict=True))
     if len(folders) < len(names):
-        msg = f"runs are told apart by their directories' names, but these are {', '.join(names)}"
-        raise EvaluationError(msg)
+        raise EvaluationError(f"directories need different names, not {', '.join(names)}")
     together = Path(out) if out is not None else new_folder(Path("results"))
     with made(together, EvaluationError):
         runs = {
@@ -205,27 +197,21 @@ def compare(
 
 
 def _other_lander(results: Results, truth: Truth) -> list[str]:
-    """A line where the map was judged for another vehicle than the truth is of."""
     try:
         own = lander_of(results.config).limits
-    except QuadtreeLssError:  # there is none to be read, which only Table 2 needs
+    except QuadtreeLssError:  # no readable configuration, which only Table 2 needs
         return []
     if own == truth.lander.limits:
         return []
     told = "{:g} m wide, pads of {:g} m, up to {:g} deg and {:g} m of rise"
-    return [
-        f"the truth is of a lander {told.format(*truth.lander.limits)}, the results of one"
-        f" {told.format(*own)}: hazards, sites and risk are not of one vehicle"
-    ]
+    both = told.format(*truth.lander.limits), told.format(*own)
+    return ["the truth is of a lander {}, the results of one {}".format(*both)]
 
 
 def _table_2(
     results: Results, given: Path | None, progress: Callable[[int, int], None] | None
 ) -> tuple[Consistency | None, str | None]:
-    """Table 2 with the configuration of the results, or why there is none.
-
-    What is wrong with a bag that was given is an error; with one that was merely found, a reason.
-    """
+    """Table 2, or the reason why there is none. Only faults of a ``given`` bag are errors."""
     bag, total = given or recorded_bag(results), results.timing["stamp_ns"].size
     if bag is None:
         return None, "needs --bag"
@@ -248,7 +234,6 @@ def _table_2(
 
 
 def _show(value: float, digits: str, unit: str = "") -> str:
-    """A number for a table; a dash where it does not exist."""
     return "-" if math.isnan(value) else f"{value:{digits}}{unit}"
 
 
@@ -272,15 +257,11 @@ def _cells(r: EvaluationResult) -> dict[str, str]:
 
 
 def score(results: Results, truth: Truth) -> EvaluationResult:
-    """The scores alone; nothing is written, and there is no Table 2.
-
-    Raises `EvaluationError` when the map and the truth do not overlap.
-    """
+    """Scores without Table 2. Raises `EvaluationError`: map and truth do not overlap."""
     safety = metrics.safety_field(results.grid, truth)
     if min(safety.scored.size, results.grid.x.size - 1) < 1:
-        msg = f"the map in {results.folder} has a single grid point, or does not overlap the"
-        msg += " scanned box of the truth"
-        raise EvaluationError(msg)
+        msg = "has a single grid point, or does not overlap the scanned box of the truth"
+        raise EvaluationError(f"the map in {results.folder} {msg}")
     heights = metrics.elevation_field(results.map, results.grid, truth)
     verdicts = metrics.site_verdicts(results.positions[:TOP], truth)
     cells, times = results.map, results.timing["map_ms"]

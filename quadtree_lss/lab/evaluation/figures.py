@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's figures (9–13, 18–25), each named after the one it stands for.
+"""The paper's figures (9-11, 18, 20, 22-25), named after their numbers there.
 
-Colour maps are those of the page, legible without red and green. Classes have colours of Okabe and
-Ito's palette, distinct for all common kinds of colour vision.
+Colours are of Okabe and Ito's palette, distinct for all common kinds of colour vision.
 """
 
 from __future__ import annotations
@@ -35,35 +34,30 @@ VERDICTS = (
     ("hazard, MISSED", "#d55e00"),
     ("unseen", "#dddddd"),
 )
-"""Classes of the grid points, in the order of `verdict_classes`."""
 RUNS = ("#e69f00", "#0072b2", "#cc79a7", "#009e73", "#d55e00", "#56b4e9")
-"""One colour per run where several are in one picture."""
 EVERY = 5
-"""Figs. 9 and 10 show the outline of every fifth scan."""
+"""Figures 9 and 10 show every fifth scan."""
 CONTOUR_SMOOTHING = 0.25
-"""m; pebbles have no contours."""
+"""m."""
 
 
 def draw_all(
     folder: Path, results: Results, truth: Truth, heights: ErrorField, safety: SafetyField
 ) -> tuple[Path, ...]:
-    """Every figure of one run. A map of one level only stands for the paper's fixed-resolution map
-    (Figs. 10, 13 instead of 9, 12), one of several flights for FF13 + FF14 (Fig. 24 instead of
-    23)."""
+    """Draw all figures of one run. A map of one level gets Figure 10 instead of 9, a map of several
+    flights Figure 24 instead of 23."""
     sites = {"sites": results.positions[:TOP]}
-    fixed, stamps = _fixed(results.map), results.timing["stamp_ns"]
+    stamps = results.timing["stamp_ns"]
     several = np.unique(truth.scan_flight[np.isin(truth.scan_stamp_ns, stamps)]).size > 1
-    cells = "fig10_fixed_resolution_and_scans" if fixed else "fig09_quadtree_and_scans"
-    error = "fig13_fixed_resolution_error" if fixed else "fig12_quadtree_error"
+    cells = (
+        "fig10_fixed_resolution_and_scans" if _fixed(results.map) else "fig09_quadtree_and_scans"
+    )
     score = "fig24_site_score_of_several_flights" if several else "fig23_site_score"
     figures = {
         cells: _cells_and_scans(results, truth),
         "fig11_processing_time": processing_time({"map": results.timing["map_ms"]}),
-        error: _elevation_error(heights, truth, centred=False),
         "fig18_quadtree_over_truth": _quadtree_over_truth(results.map, truth),
-        "fig19_elevation_estimate": _elevation_estimate(heights, truth),
-        "fig20_elevation_error": _elevation_error(heights, truth, centred=True),
-        "fig21_true_safety": _true_safety(truth),
+        "fig20_elevation_error": _elevation_error(heights, truth),
         "fig22_classification": _classification(safety, truth, sites),
         score: _score(results, truth, sites),
         "fig25_selected_sites": _selected_sites(heights, truth, sites),
@@ -129,17 +123,9 @@ def _cells_and_scans(results: Results, truth: Truth) -> Figure:
     """Boundaries of the leaves and of every fifth scan (Figs. 9, 10)."""
     cells = results.map
     shown, total = truth.outlines_of(results.timing["stamp_ns"], EVERY)
-    box = _domain(cells)
-    if shown.size and np.isfinite(shown).any():  # and a little of what scans saw beyond
-        room = 0.1 * cells.domain.size
-        low, high = np.nanmin(shown, axis=(0, 1)), np.nanmax(shown, axis=(0, 1))
-        xmin, xmax, ymin, ymax = box
-        xmin, xmax = max(min(xmin, low[0]), xmin - room), min(max(xmax, high[0]), xmax + room)
-        ymin, ymax = max(min(ymin, low[1]), ymin - room), min(max(ymax, high[1]), ymax + room)
-        box = float(xmin), float(xmax), float(ymin), float(ymax)
     kind = "Fixed-resolution cells" if _fixed(cells) else "Quadtree cells"
     scans = f"outlines of every {EVERY}th of {total} scans" if total else "no scan outlines known"
-    figure, axes = _map(f"{kind}, {_count(cells)}; {scans}", box)
+    figure, axes = _map(f"{kind}, {_count(cells)}; {scans}", _domain(cells))
     drawing.outline(axes, cells, ~cells.estimated, colors="#bbbbbb", linewidths=0.4)
     drawing.outline(axes, cells, cells.estimated)
     if total:
@@ -151,7 +137,6 @@ def _cells_and_scans(results: Results, truth: Truth) -> Figure:
 
 
 def _fixed(cells: CellMap) -> bool:
-    """Whether the map has one level only (Section VI.B)."""
     return cells.domain.min_level == cells.domain.max_level
 
 
@@ -174,53 +159,22 @@ def _quadtree_over_truth(cells: CellMap, truth: Truth) -> Figure:
     return figure
 
 
-def _elevation_estimate(heights: ErrorField, truth: Truth) -> Figure:
-    """Estimated elevation of seen ground with the true contours (Fig. 19)."""
-    box = _seen_box(heights)
-    figure, axes = _map("Elevation estimate; contours: truth", box)
-    true = truth.elevation_at(*np.meshgrid(heights.x, heights.y))[heights.seen]
-    estimate = np.where(heights.seen, heights.estimate, np.nan)
-    _relief(figure, axes, heights.x, heights.y, estimate, true, "elevation [m]")
-    _contours(axes, truth, box)
-    return figure
-
-
-def _elevation_error(heights: ErrorField, truth: Truth, *, centred: bool) -> Figure:
-    """Estimate minus truth over seen ground (Figs. 12, 13; ``centred``, without the mean, Fig. 20).
-
-    The scale holds 99 % of the errors; the paper's saturates at 3 m, where most do not show.
-    """
-    box = _seen_box(heights)
-    mean = float(np.nanmean(heights.error)) if centred and heights.seen.any() else 0.0
+def _elevation_error(heights: ErrorField, truth: Truth) -> Figure:
+    """Estimate minus truth without its mean (Fig. 20). The scale covers 99 % of the errors."""
+    seen = heights.seen if heights.seen.any() else np.ones_like(heights.seen)
+    box = drawing.extent(heights.x[seen.any(axis=0)], heights.y[seen.any(axis=1)])
+    mean = float(np.nanmean(heights.error)) if heights.seen.any() else 0.0
     error = heights.error - mean
     finite = np.abs(error[np.isfinite(error)])
     title = "nothing to compare"
     if finite.size:
         title = f"mean absolute {finite.mean():.3f} m, largest {finite.max():.2f} m"
-        title += f"; mean of {mean:+.3f} m removed" if centred else ""
+        title += f"; mean of {mean:+.3f} m removed"
     figure, axes = _map(f"Elevation error: {title}", box)
     axes.set_facecolor("#dddddd")
-    label = "estimate − truth [m]; grey: not seen"
+    label = "estimate − truth [m]; grey: not observed"
     _coloured(axes, heights.x, heights.y, error, "error", even_limits(error), label)
     _contours(axes, truth, box)
-    return figure
-
-
-def _seen_box(heights: ErrorField) -> Box:
-    """Extent of the seen ground."""
-    seen = heights.seen if heights.seen.any() else np.ones_like(heights.seen)
-    return drawing.extent(heights.x[seen.any(axis=0)], heights.y[seen.any(axis=1)])
-
-
-def _true_safety(truth: Truth) -> Figure:
-    """The true safety map (Fig. 21)."""
-    title = f"True safety by lander contact: {100.0 * truth.safe.mean():.1f} % safe"
-    figure, axes = _map(title, truth.box)
-    colours = [HAZARD_FOUND, SAFE_FOUND]
-    drawing.classes(axes, truth.safe_x, truth.safe_y, truth.safe, colours)
-    _contours(axes, truth, truth.box)
-    handles = [Patch(color=SAFE_FOUND, label="safe"), Patch(color=HAZARD_FOUND, label="unsafe")]
-    figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure
 
 
@@ -252,10 +206,7 @@ def _score(results: Results, truth: Truth, sites: Mapping[str, Array]) -> Figure
 
 
 def _selected_sites(heights: ErrorField, truth: Truth, runs: Mapping[str, Array]) -> Figure:
-    """Sites of one or several runs over the mapped elevation (Fig. 25).
-
-    The paper shows binned measurements below them; results hold no points, so the map does here.
-    """
+    """Sites of one or several runs over the mapped elevation (Fig. 25)."""
     figure, axes = _map("Selected landing sites over the mapped terrain", _around(truth))
     estimate = np.where(heights.seen, heights.estimate, np.nan)
     _relief(figure, axes, heights.x, heights.y, estimate, estimate, "estimated elevation [m]")
@@ -283,8 +234,7 @@ def _reliability_diagram(found: Reliability) -> Figure:
 
 
 def _relief(figure: Figure, axes: Any, x: Array, y: Array, z: Array, of: Array, label: str) -> None:
-    """Shaded elevations; the colours are of most of those ``of`` something, in which a few rock
-    tops do not stretch them."""
+    """Shaded elevations ``z``, with colours for most of the elevations ``of``."""
     shown = drawing.layer(axes, x, y, z, limits=_limits(of))
     figure.colorbar(shown, ax=axes, label=label, extend="both")
 
@@ -299,7 +249,7 @@ def _coloured(
 
 
 def _limits(values: Array, beyond: float = 0.2) -> tuple[float, float]:
-    """Between which all but so many per cent at either end lie."""
+    """Percentiles ``beyond`` and 100 - ``beyond`` of finite values."""
     finite = values[np.isfinite(values)]
     low, high = np.percentile(finite, (beyond, 100.0 - beyond)) if finite.size else (0.0, 1.0)
     return float(low), float(high)

@@ -28,7 +28,7 @@ _SAMPLE_STEP = 0.5  # m, at most, between the points where elevations are compar
 _COINCIDE = 1e-3  # m
 
 SiteVerdict = Literal["safe", "unsafe", "unknown"]
-"""Of a site; unknown where the lander would reach over the edge of the true terrain."""
+"""``unknown``: the lander would reach over the edge of the true terrain."""
 
 
 @dataclass(frozen=True)
@@ -61,33 +61,33 @@ class ErrorField:
 
 @dataclass(frozen=True)
 class Detection:
-    """Hazard and safe detection (Table 3) over seen ground with small holes filled.
+    """Hazard and safe detection (Table 3) over observed ground with small holes filled. The holes
+    and ground without an estimate are unknown.
 
-    Ground that is seen but not yet mapped is scored, too: it is unknown, as the holes are.
+    Attributes:
+        hazardous_found: Fraction of the truly hazardous grid points not called safe.
+        safe_found: Fraction of the truly safe grid points called safe.
+        hazardous_unknown, safe_unknown: Fractions of these that are unknown.
+        missed_depth: Distance of the deepest missed grid point from safe ground, m.
+        unseen_box: Fraction of the scanned box out of the score.
+        precision: Fraction of the grid points called safe that are; NaN if none is called safe.
     """
 
     hazardous_found: float
-    """Fraction of the truly hazardous grid points not called safe; unknown counts as hazardous."""
     safe_found: float
-    """Fraction of the truly safe grid points called safe."""
     hazardous_unknown: float
-    """Fraction of the truly hazardous grid points found only because they are unknown."""
     safe_unknown: float
-    """Fraction of the truly safe grid points that are unknown."""
     hazardous_grid_points: int
     safe_grid_points: int
     missed_grid_points: int
     missed_depth: float
-    """How far (m) the deepest missed grid point lies inside hazardous ground."""
     unseen_box: float
-    """Fraction of the scanned box that stays out of the score as unseen."""
     precision: float
-    """Fraction of the grid points called safe that are; NaN if none is called safe."""
 
 
 @dataclass(frozen=True)
 class SafetyField:
-    """Grid point by grid point: their x (nx,), y (ny,) in the box and arrays (ny, nx)."""
+    """Grid points of the box: x (nx,), y (ny,), arrays (ny, nx); ``risk`` where the map has one."""
 
     x: Array
     y: Array
@@ -96,18 +96,16 @@ class SafetyField:
     seen: Mask
     scored: Mask
     risk: Array | None = None
-    """By the map; None if it tells none."""
 
     @property
     def missed(self) -> Mask:
-        """Hazardous ground called safe."""
         return self.scored & ~self.truly_safe & self.called_safe & self.seen
 
 
 @dataclass(frozen=True)
 class MissedPlace:
-    """A patch of hazardous ground called safe: centre (m), grid points, how deep in it; ``relief``
-    is how far the highest post that the lander can touch there stands above the median (m)."""
+    """A patch of hazardous ground called safe: centre, grid points, depth within hazardous ground,
+    and height of the highest post that the lander can touch above the median (m)."""
 
     x: float
     y: float
@@ -169,11 +167,8 @@ def fill_holes(seen: Mask, spacing: float) -> Mask:
 
 
 def safety_field(grid: Grid, truth: Truth) -> SafetyField:
-    """Bring the map's verdict and the truth to the same grid points of the scanned box.
-
-    Where they share less than every other one, the contact simulation is run at the map's own:
-    reading a safety map between its grid points would by itself cost several per cent.
-    """
+    """Bring the map's verdict and the truth to the same grid points of the scanned box: the common
+    ones, or, where these are less than half, the map's with the contact simulated there."""
     xmin, xmax, ymin, ymax = truth.box
     own_x, own_y = (
         np.flatnonzero((axis >= low - _COINCIDE) & (axis <= high + _COINCIDE))
@@ -225,7 +220,7 @@ def detection(field: SafetyField) -> Detection:
     called = field.called_safe & field.seen
 
     def share(part: Mask, whole: Mask) -> float:
-        return float(part[whole].mean()) if whole.any() else float("nan")
+        return float(part[whole].mean()) if whole.any() else np.nan
 
     return Detection(
         hazardous_found=share(~called, hazardous),
@@ -242,12 +237,8 @@ def detection(field: SafetyField) -> Detection:
 
 
 def site_verdicts(sites: Array, truth: Truth) -> tuple[SiteVerdict, ...]:
-    """Whether a lander set down at each site (K, 2 or 3) stands safely.
-
-    A site on a grid point of the true safety map takes its verdict from there; any other, inside or
-    outside the scanned box, is simulated on the DEM. Where the lander would reach over the edge of
-    the DEM nothing is known.
-    """
+    """Whether a lander at each site (K, 2 or 3) is safe: by the true safety map at its grid points,
+    elsewhere by the contact on the DEM."""
     places = sites[:, :2]
     known, safe = on_dem(truth, places, truth.lander), contact_safe(truth, places, truth.lander)
     for k, (x, y) in enumerate(places):
@@ -274,20 +265,19 @@ def missed_places(field: SafetyField, truth: Truth) -> tuple[MissedPlace, ...]:
 
 @dataclass(frozen=True)
 class RiskBin:
-    """Grid points with a predicted risk from ``low`` to ``high``."""
+    """Grid points with a predicted risk from ``low`` to ``high``: their mean risk and the share
+    that is truly unsafe; NaN without a grid point."""
 
     low: float
     high: float
     grid_points: int
     predicted: float
-    """Mean risk; NaN without a grid point."""
     unsafe: float
-    """Share that is truly unsafe; NaN without a grid point."""
 
 
 @dataclass(frozen=True)
 class Reliability:
-    """Of the risk at seen grid points; the less the scores the better."""
+    """Scores of the predicted risk at observed grid points; lower is better."""
 
     brier: float
     log_score: float
@@ -304,7 +294,7 @@ class Reliability:
 
 
 def scores(risk: Array, failed: Mask, weight: Array | None = None) -> tuple[float, float]:
-    """Brier score and mean log score of risks (K,), each of which counts as ``weight`` says."""
+    """Weighted Brier score and log score of risks (K,)."""
     sure = np.clip(risk, LEAST, 1.0 - LEAST)
     log = -np.where(failed, np.log(sure), np.log1p(-sure))
     brier = np.square(risk - failed)
@@ -312,10 +302,8 @@ def scores(risk: Array, failed: Mask, weight: Array | None = None) -> tuple[floa
 
 
 def reliability_of(safety: SafetyField) -> Reliability | None:
-    """Of the risk that a map gives to seen grid points; None if it gives none.
-
-    A risk of 1 is no prediction: there the lander would reach unseen ground.
-    """
+    """Reliability at observed grid points; None without risks. A risk of 1 is not a prediction: the
+    lander would reach unobserved ground."""
     if safety.risk is None or not (asked := safety.seen & (safety.risk < 1.0)).any():
         return None
     given, true = safety.risk[asked], ~safety.truly_safe[asked]

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``replay`` wrote and what ``simulate`` knows, and whether both are of one flight: scores of
-two mean nothing."""
+"""Results of ``replay``, truth of ``simulate``, and a check that both are of one flight."""
 
 from __future__ import annotations
 
@@ -25,19 +24,19 @@ from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
+#: Sites that are drawn and judged.
 TOP = 5
-"""Sites that are drawn and judged."""
+#: Layers of the landing grid that are scored.
 LAYERS = ("elevation", "hazard", "safe", "score")
-"""Of the landing grid that are scored."""
+#: Columns of ``timing.csv``.
 COLUMNS = ("stamp_ns", "points", "points_used", "leaves", "map_ms")
-"""Of ``timing.csv``."""
 _TRUTH = ("x", "y", "elevation", "safe_x", "safe_y", "safe", "box", "scan_stamp_ns")
 _TRUTH_EXTRA = ("scan_outline", "scan_flight")
 _TRUTH_NAMES = ("bag_name", "seed", "lander")
+#: Lengths of the first axes: a number, or the length of another array.
 _SHAPES: dict[str, tuple[int | str, ...]] = {n: (n,) for n in ("x", "y", "safe_x", "safe_y")}
 _SHAPES |= {"elevation": ("y", "x"), "safe": ("safe_y", "safe_x"), "box": (4,), "lander": (4,)}
 _SHAPES |= dict.fromkeys(_TRUTH_EXTRA, ("scan_stamp_ns",))
-"""How long they are along their first axes: a number, or as many as that array has."""
 
 
 class EvaluationError(QuadtreeLssError):
@@ -46,7 +45,14 @@ class EvaluationError(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class Truth(Terrain):
-    """The ground as it is (``truth.npz``), metres, map frame."""
+    """Content of ``truth.npz``, metres, map frame.
+
+    Attributes:
+        scan_outline: Edge of each scan on the ground (S, K, 2); K = 0 if unknown.
+        scan_flight: Number of the flight of each scan (S,).
+        bag_name, seed: Of the bag beside the file; None if unknown.
+        lander: The vehicle whose safety it is.
+    """
 
     safe_x: Array
     safe_y: Array
@@ -54,17 +60,13 @@ class Truth(Terrain):
     box: tuple[float, float, float, float]
     scan_stamp_ns: NDArray[np.int64]
     scan_outline: Array
-    """Edge of each scan on the ground (S, K, 2); K = 0 where the file does not know."""
     scan_flight: NDArray[np.int64]
-    """Flight to which each scan belongs (S,)."""
     bag_name: str | None = None
-    """Name of the bag beside the file; None where the file does not tell, like ``seed``."""
     seed: int | None = None
     lander: LandingGear = LandingGear()
-    """Whose safety it is."""
 
     def outlines_of(self, stamps_ns: NDArray[np.int64], every: int) -> tuple[Array, int]:
-        """Closed outlines (n, K + 1, 2) of every so-manieth of the given scans; their number."""
+        """Closed outlines (n, K + 1, 2) of every ``every``-th given scan; number of these scans."""
         rows = np.flatnonzero(np.isin(self.scan_stamp_ns, stamps_ns))
         if not self.scan_outline.shape[1]:
             return np.empty((0, 1, 2)), 0
@@ -73,7 +75,7 @@ class Truth(Terrain):
 
 
 def load_truth(path: str | Path) -> Truth:
-    """Raises `EvaluationError`: there is no such file, or it is none of a simulation."""
+    """Read ``truth.npz``. Raises `EvaluationError`: it is missing or malformed."""
     file = Path(path)
     try:
         found = read_arrays(file, (*_TRUTH, *_TRUTH_EXTRA, *_TRUTH_NAMES))
@@ -85,7 +87,6 @@ def load_truth(path: str | Path) -> Truth:
 
 
 def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
-    """Truth of the content of its ``file``."""
     a = {name: arrays[name] for name in (*_TRUTH, *_TRUTH_EXTRA, *_TRUTH_NAMES) if name in arrays}
     scans = a["scan_stamp_ns"].size
     a.setdefault("scan_outline", np.empty((scans, 0, 2)))
@@ -106,7 +107,7 @@ def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
 
 
 def results_of(replayed: ReplayResult) -> Results:
-    """The results of a replay that wrote none: the same as of a folder."""
+    """Results of a replay without a folder."""
     rows, found = replayed.timings, Results(Path())
     places = replayed.assessment.sites.position.reshape(-1, 3)
     vars(found).update(
@@ -126,7 +127,7 @@ def load_results(directory: str | Path) -> Results:
         read = saved.load_results(folder)
         if missing := [name for name in LAYERS if name not in read.grid.layers]:
             raise EvaluationError(f"{folder / 'grid.npz'} lacks {', '.join(missing)}")
-        for part in ("map", "positions", "summary"):  # each is read when it is asked for
+        for part in ("map", "positions", "summary"):  # reads the files
             getattr(read, part)
         for name in COLUMNS:
             kind = np.float64 if name == "map_ms" else np.int64
@@ -135,18 +136,18 @@ def load_results(directory: str | Path) -> Results:
     except saved.ResultsError as error:
         raise EvaluationError(str(error)) from error
     except (KeyError, ValueError) as error:
-        msg = f"{folder}: sites.csv or timing.csv lack a column of numbers: {error}"
-        raise EvaluationError(msg) from error
+        msg = "sites.csv or timing.csv lack a column of numbers"
+        raise EvaluationError(f"{folder}: {msg}: {error}") from error
 
 
 def named_bag(results: Results) -> Path | None:
-    """The bag that was replayed, as ``summary.json`` names it."""
+    """The bag that ``summary.json`` names."""
     name = results.summary.get("bag")
     return Path(name) if isinstance(name, str) and name else None
 
 
 def recorded_bag(results: Results) -> Path | None:
-    """The same, if it is still where it was."""
+    """The named bag if it exists."""
     bag = named_bag(results)
     return bag if bag is not None and bag.is_absolute() and bag.exists() else None
 
@@ -154,23 +155,19 @@ def recorded_bag(results: Results) -> Path | None:
 def check_truth(
     results: Results, truth: Truth, truth_path: Path, bag: Path | None = None
 ) -> str | None:
-    """Make sure that the truth is of the flight that was mapped; what remains in doubt, in one
-    line.
+    """Check that the truth is of the flight that was mapped; return a note if that is uncertain.
 
-    Every mapped scan must be one the truth knows by its stamp. Flights of several seeds have the
-    same stamps; they are told apart by the seed and by the bag that the truth names, as far as the
-    files tell. A bag of another name may be the same flight, moved or converted: where both are at
-    hand their first scans decide. Raises `EvaluationError`: they are of different flights.
+    The truth must know the stamp of each mapped scan. Flights of other seeds have the same stamps:
+    they differ in seed and bag name. A bag of another name may be the same flight, moved or
+    converted: then the first scans decide. Raises `EvaluationError`: the flights differ.
     """
     stamps = results.timing["stamp_ns"], truth.scan_stamp_ns
     mapped, flown = (np.unique(of[of > 0]) for of in stamps)  # zero is no stamp
     strange = mapped[~np.isin(mapped, flown)]
     if flown.size and strange.size:
-        raise EvaluationError(
-            f"{truth_path} is of another flight than {results.folder}: {strange.size} of"
-            f" {mapped.size} mapped scans are not among its {flown.size}, the first at"
-            f" {strange[0]} ns"
-        )
+        msg = f"{truth_path} is of another flight than {results.folder}: {strange.size} of"
+        msg += f" {mapped.size} mapped scans are not among its {flown.size}, the first at"
+        raise EvaluationError(f"{msg} {strange[0]} ns")
     seed = results.summary.get("seed")
     if seed is not None and truth.seed is not None and seed != truth.seed:
         msg = f"{truth_path} is of seed {truth.seed}, but {results.folder} of seed {seed}"
@@ -180,11 +177,10 @@ def check_truth(
         return None
     of_truth = truth_path.parent / Path(truth.bag_name).name
     contradiction = f"{truth_path} is of the bag {of_truth.name}, not of {named}"
-    same = None
-    if of_truth.exists() and of_results is not None:
-        same = _same_scans(of_results, of_truth, results.config)
-        if same is False:
-            raise EvaluationError(f"{contradiction}, which holds other scans")
+    both = of_truth.exists() and of_results is not None
+    same = _same_scans(of_results, of_truth, results.config) if both else None
+    if same is False:
+        raise EvaluationError(f"{contradiction}, which holds other scans")
     if same or of_truth.name in (named.name, named.parent.name):
         return None
     if of_truth.exists() and of_results is None:
@@ -193,7 +189,7 @@ def check_truth(
 
 
 def _same_scans(bag: Path, whole: Path, config: Config) -> bool | None:
-    """Whether the first scan of a bag is in another one too; None if either cannot be read."""
+    """Whether another bag holds the first scan of a bag; None if either cannot be read."""
     bag, whole = bag.resolve(), whole.resolve()
     if bag == whole or whole in bag.parents:
         return True

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What simulated flights draw from: families of grounds and of views, for a lander of 3.7 m."""
+"""Families of grounds and views for simulated flights of a lander of 3.7 m."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ LANDER, HALF = 3.7, 30.0
 
 @dataclass(frozen=True)
 class Family:
-    """What flights of a kind draw from; None is as the configuration has it.
+    """Ranges and choices of a family; None takes the configuration's value.
 
-    ``grounds`` are names in `FIELDS`, or ``any``, ``mixed`` or ``bare``; ``views`` names in
-    `VIEWS`. The vehicle's diameter, m; its clearance over that; slopes that it stands on, deg;
-    cells along the diameter; noise of a range over the clearance, and so many times that is what
-    the mapping is ``told``; shares of false returns; the weight in a fit, beside others.
+    ``grounds``: names in `FIELDS`, ``any``, ``mixed`` or ``bare``; ``views``: names in `VIEWS`;
+    vehicle's diameter, m; clearance over diameter; slope limits, deg; cells along the diameter;
+    noise of a range over the clearance; factors on it for the mapping (``told``); shares of
+    outliers; weight in a fit.
     """
 
     grounds: tuple[str, ...] = tuple(FIELDS)
@@ -93,8 +93,8 @@ FAMILIES: dict[str, Family] = {
 
 
 def ground(rng: np.random.Generator, kind: str) -> Terrain:
-    """80 x 80 m of one of `FIELDS`; or of ``any`` such field, ``plain``, ``cratered``, ``bare`` (an
-    incline), or ``mixed``: two of them, half and half or in patches."""
+    """Make 80 x 80 m of a field in `FIELDS`, or of ``any``, ``plain``, ``cratered``, ``bare`` (an
+    incline), or ``mixed`` ground: two of these, in halves or patches."""
     if kind == "mixed":
         one, two = rng.choice(_PAIRS)
         first, second = ground(rng, one), ground(rng, two)
@@ -147,7 +147,7 @@ _PAIRS = (
 
 @dataclass(frozen=True)
 class View:
-    """Scans of a lander of 3.7 m: their times (S,), s, true poses (S, 3), (S, 3, 3), and beams."""
+    """Times (S,), s, true poses (S, 3), (S, 3, 3), and beams of scans."""
 
     times: Array
     positions: Array
@@ -156,7 +156,7 @@ class View:
 
 
 def even(rng: np.random.Generator, low: float, high: float) -> float:
-    """Drawn evenly in the logarithm."""
+    """Draw from a log-uniform distribution."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
@@ -202,7 +202,7 @@ def _swept(sweep: Sweep, rate: float, pixels: int) -> View:
 
 
 def _descent(rng: np.random.Generator) -> View:
-    """Down to a place near the middle that it looks at."""
+    """A descent to a place near the middle."""
     high, fov, pixels = rng.uniform(90.0, 250.0), rng.uniform(8.0, 35.0), rng.choice([48, 64, 128])
     begin = np.array([*rng.uniform(-45.0, 45.0, 2), high])
     end = np.array([*rng.uniform(-12.0, 12.0, 2), high * rng.uniform(0.15, 0.8)])
@@ -213,7 +213,7 @@ def _descent(rng: np.random.Generator) -> View:
 
 
 def _wide(rng: np.random.Generator, rate: float | None = None) -> View:
-    """Over the ground, looking down with a wide or a spinning lidar; at a rate, Hz, or any."""
+    """A pass over the ground with a wide or a spinning lidar, at a rate, Hz, or at random times."""
     high = rng.uniform(90.0, 190.0)
     begin = np.array([*rng.uniform(-45.0, 45.0, 2), high])
     end = np.array([*(-begin[:2] * rng.uniform(0.2, 1.0)), high * rng.uniform(0.5, 1.0)])
@@ -227,7 +227,7 @@ def _wide(rng: np.random.Generator, rate: float | None = None) -> View:
 
 
 def _few(rng: np.random.Generator) -> View:
-    """So few scans that a clearance wide has 0.3 to 40 returns."""
+    """Few scans: 0.3 to 40 returns on a square of the clearance."""
     fov, high = rng.uniform(12.0, 40.0), rng.uniform(80.0, 220.0)
     tilt = np.radians(rng.uniform(0.0, 60.0)) * (rng.random() < 0.5)
     rows, columns = int(rng.choice([16, 32, 48, 64, 128])), int(rng.choice([32, 64, 128]))
@@ -248,7 +248,7 @@ def _few(rng: np.random.Generator) -> View:
 def _passed(
     rng: np.random.Generator, begin: Array, end: Array, rate: float | None = None
 ) -> tuple[Array, Array]:
-    """Times, of a rate or 12 to 119 at random, and places between two."""
+    """Times, at a rate or 12 to 119 at random, and positions between two places."""
     duration = rng.uniform(8.0, 40.0)
     count = int(rng.integers(12, 120))
     times = np.sort(rng.uniform(0.0, duration, count))

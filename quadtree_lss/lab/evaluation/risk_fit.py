@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fits a ``RiskModel`` to landings: what a map told of each place, and whether the lander failed.
+"""Fit a ``RiskModel`` to features of places in a map and failures of landings there.
 
-The log odds of each cause are a constant and steps from knot to knot of its curves. Those of what
-is asked of a place keep their sign: more that rises never lowers the risk, more returns never raise
-it.
+The log odds of each cause are a constant plus steps between the knots of its curves. Steps of most
+curves have one sign, so that for example a higher rise never lowers the risk.
 """
 
 from __future__ import annotations
@@ -20,19 +19,18 @@ from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, OVERALL, Cause, Curve, RiskModel, Row
 from quadtree_lss.onboard.core.landing.probability import interpolation_weights
 
-#: What the columns of what is asked are.
+#: Columns of the features.
 ASKED = LOCAL + OVERALL
-#: Knots of how well ground is seen, where contacts tell of it each in their own way.
+#: Knots of the feature ``seen`` for curves that have a row for each.
 SEEN = (0.0, 1.2, 2.2)
-#: Weight of the squares of all steps, against the mean log score.
+#: Weight of the squared steps, against the mean log score.
 RIDGE = 3e-7
-#: Of the optimiser.
 SEARCH = {"maxiter": 2000, "maxfun": 3000, "maxcor": 40, "ftol": 1e-12, "gtol": 1e-7}
 
 
 class Term(NamedTuple):
-    """A curve to be fitted: what it goes by, the sign of its steps (0 for any), whether it has a
-    row for each knot of `SEEN`, and where steps begin: the log odds at its end over its start."""
+    """A curve to fit: its feature, the sign of its steps (0 for any), whether it has a row for each
+    knot of `SEEN`, and the initial log odds at its end over its start."""
 
     of: str
     knots: Row
@@ -42,7 +40,7 @@ class Term(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows, and steps of each."""
+        """Rows and steps."""
         return len(SEEN) if self.by_seen else 1, len(self.knots) - 1
 
 
@@ -77,8 +75,8 @@ TERMS: dict[str, tuple[Term, ...]] = {
 
 
 def fit(places: Array, failed: Mask, weight: Array) -> RiskModel:
-    """The likeliest model: of what was asked of places (K, len(ASKED)), whether the lander failed
-    there (K,), and the weight of each landing (K,)."""
+    """Return the maximum-likelihood model from features (K, len(ASKED)), failures (K,) and weights
+    (K,) of landings."""
     columns = [_columns(places, terms) for terms in TERMS.values()]
     ends = np.cumsum([part.shape[1] for part in columns])
     begin = np.concatenate([_steps(unfitted().causes[name]) for name in CAUSES])
@@ -123,7 +121,7 @@ def risks(model: RiskModel, given: ArrayLike) -> Array:
 
 
 def _columns(places: Array, terms: tuple[Term, ...]) -> Array:
-    """(K, 1 + steps) what each step of a cause weighs at each place."""
+    """Weights (K, 1 + steps) of the constant and the steps of a cause."""
     seen = interpolation_weights(places[:, ASKED.index("seen")], SEEN)
     parts = [np.ones((len(places), 1))]
     for term in terms:
@@ -136,7 +134,7 @@ def _columns(places: Array, terms: tuple[Term, ...]) -> Array:
 
 
 def unfitted() -> RiskModel:
-    """What a fit begins with."""
+    """The model that a fit starts with."""
     begin = {"obstacle": -9.0, "slope": -9.0, "hidden": -2.5}
     causes = {}
     for name, terms in TERMS.items():
@@ -168,7 +166,6 @@ def _model(steps: list[Array]) -> RiskModel:
 
 
 def rounded(values: Array) -> Row:
-    """As it is written into a file."""
     return tuple(round(float(value), 3) for value in values)
 
 

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flies over simulated ground, in memory, and fits what a map tells of a safe touchdown.
+"""Simulate flights in memory and fit the risk model to their maps.
 
-All is flown over ground made for a lander of 3.7 m and scaled to the vehicle, seen from views that
-are scaled alike. Families differ in ground, view, vehicle, cells and noise; each flight draws its
-own of them.
+Ground and views are made for a lander of 3.7 m and scaled to the vehicle. Each flight draws ground,
+view, vehicle, cells and noise from its family.
 """
 
 from __future__ import annotations
@@ -34,26 +33,25 @@ from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.arrays import Array, Mask, Single
 from quadtree_lss.onboard.config.risk import OVERALL, RiskModel
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.landing.probability import RiskTable, limits
+from quadtree_lss.onboard.core.landing.contact import ContactCheck, Contacts
+from quadtree_lss.onboard.core.landing.probability import RiskTable, contact_limits
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.onboard.core.landing.score import Surroundings, look_around
-from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck, WorstContact
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.maps import round_trip
 
-#: A flight is judged after a part between these, and at its end.
+#: Ranges of the parts of a flight after which its map is used.
 PARTS: tuple[Range, ...] = ((0.05, 0.33), (0.33, 0.8), (1.0, 1.0))
-#: Landings of a map that a fit takes at most.
+#: Largest number of landings of one map in a fit.
 TAKEN = 500
 
 
 @dataclass(frozen=True)
 class Mapped:
-    """A map after a ``part`` of a flight, as its message gives it, the configuration it was mapped
-    with, and slope (over run) and rise (m) of the worst true contact at the grid points of its
-    finest lattice, (n + 1, n + 1); NaN if not known."""
+    """A map after a ``part`` of a flight, and slope (tangent) and rise (m) of the worst true
+    contact at the corners of its finest cells, (n + 1, n + 1); NaN if unknown."""
 
     config: Config
     part: float
@@ -63,21 +61,18 @@ class Mapped:
 
     @property
     def known(self) -> Mask:
-        """(n + 1, n + 1) grid points whose truth is known."""
         return ~np.isnan(self.rise)
 
     @property
     def safe(self) -> Mask:
-        """(n + 1, n + 1) of them, where the lander stands safely."""
         vehicle = self.config.vehicle
         stands = self.slope <= np.tan(np.radians(vehicle.max_slope_deg))
         return np.asarray(stands & (self.rise <= vehicle.clearance))
 
 
 def fly(family: Family, seed: int, config: Config, terrain: Terrain | None = None) -> list[Mapped]:
-    """A simulated flight, mapped, after each of `PARTS` of it. ``config``: vehicle, noise and cells
-    of families that vary none; and how to map. ``terrain``: at the scale of `LANDER`; None for one
-    of the family."""
+    """Simulate and map a flight; return the maps after each of `PARTS`. ``config``: defaults of
+    what the family does not vary; ``terrain``: at the scale of `LANDER`, None to draw it."""
     rng = np.random.default_rng([seed, 77])
     own, noise, outliers = _drawn(rng, family, config)
     scale = own.vehicle.diameter / LANDER
@@ -109,7 +104,7 @@ def fly(family: Family, seed: int, config: Config, terrain: Terrain | None = Non
 
 
 def _drawn(rng: np.random.Generator, family: Family, config: Config) -> tuple[Config, float, float]:
-    """The configuration of a flight, the true noise of its ranges, m, and the share of outliers."""
+    """Configuration, true noise of ranges, m, and share of outliers of a flight."""
 
     def between(ends: Range | None, usual: float) -> float:
         return usual if ends is None else even(rng, *ends)
@@ -138,7 +133,6 @@ def _drawn(rng: np.random.Generator, family: Family, config: Config) -> tuple[Co
 
 
 def _truth(cells: CellMap, surface: Terrain, config: Config) -> tuple[Single, Single]:
-    """Slopes and rises of the worst true contacts, NaN off the terrain."""
     domain, lander = cells.domain, lander_of(config)
     along = domain.finest_size * np.arange(domain.finest_count + 1)
     points = np.stack(np.meshgrid(domain.xmin + along, domain.ymin + along), axis=-1)
@@ -149,54 +143,50 @@ def _truth(cells: CellMap, surface: Terrain, config: Config) -> tuple[Single, Si
 
 
 def lander_of(config: Config) -> LandingGear:
-    """The vehicle that the parameters describe: whose safety is judged, and is true."""
+    """The vehicle of the parameters ``vehicle.*``."""
     of = config.vehicle
     return LandingGear(of.diameter, of.pad_radius, of.max_slope_deg, max_roughness=of.clearance)
 
 
 @dataclass(frozen=True)
 class Landings:
-    """Landings at the grid points of a map: it, what lies about its points, and contacts there.
-    ``counts``: (n + 1, n + 1) where all ground under the lander is seen and the truth is known.
-    ``failed``: (K,) of these: whether the lander fails there."""
+    """Contacts at the grid points of a map. ``counts`` (n + 1, n + 1): all ground under the lander
+    is observed, and the truth is known. ``failed`` (K,): whether the lander fails at these."""
 
     raster: TerrainRaster
     around: Surroundings
-    worst: WorstContact
+    contacts: Contacts
     counts: Mask
     failed: Mask
 
     def risk(self, table: RiskTable) -> Array:
-        """(K,) P(unsafe)."""
         around = self.around
-        return table.risk(self.raster, around.judged, around.planes, self.worst)[0][self.counts]
+        return table.risk(self.raster, around.judged, around.planes, self.contacts)[0][self.counts]
 
     def asked(self, table: RiskTable) -> Single:
-        """(K, len(ASKED)) what a model asks of each place."""
-        of = table.features(self.raster, self.around.planes, self.worst)[:, self.counts].T
+        """Features (K, len(ASKED)) of a model."""
+        of = table.features(self.raster, self.around.planes, self.contacts)[:, self.counts].T
         overall = table.overall(self.raster.domain.finest_size)
         all_over = np.tile([overall[name] for name in OVERALL], (len(of), 1))
         return np.hstack([of, all_over]).astype(np.float32)
 
 
 def land(mapped: Mapped, model: RiskModel) -> Landings:
-    """Sets the lander down on a map at every grid point, with the limits of a model."""
+    """Compute the contact at every grid point, with the limits of a model."""
     lss = mapped.config.lss
     raster = rasterise(mapped.cells, lss)
     around = look_around(raster, lss)
-    worst = TouchdownCheck(lss, limits(model, lss)).worst(raster, around.met)
+    contacts = ContactCheck(lss, contact_limits(model, lss)).contacts(raster, around.needs_contact)
     counts = around.judged & mapped.known
-    return Landings(raster, around, worst, counts, ~mapped.safe[counts])
+    return Landings(raster, around, contacts, counts, ~mapped.safe[counts])
 
 
 def table_of(model: RiskModel, config: Config) -> RiskTable:
-    """A model for the vehicle and the noise of a configuration."""
     return RiskTable(model, config.lss, config.lidar.range_noise)
 
 
 class Sample(NamedTuple):
-    """Some landings of a map: what was asked (K, len(ASKED)), whether they failed (K,), and how
-    many each stands for (K,)."""
+    """Landings of a map: features (K, len(ASKED)), failures (K,) and weights (K,)."""
 
     asked: Single
     failed: Mask
@@ -204,8 +194,7 @@ class Sample(NamedTuple):
 
 
 def sampled(rng: np.random.Generator, mapped: Mapped) -> Sample:
-    """Some of a map's landings: of those that are sure to fail fewer, and of those that fail where
-    nothing is to be seen more."""
+    """Sample landings of a map: fewer of the certain failures, more of the unexpected ones."""
     model = unfitted()
     landings = land(mapped, model)
     asked, failed = landings.asked(table_of(model, mapped.config)), landings.failed
@@ -224,10 +213,8 @@ def fit_risk(
     families: Iterable[str] = tuple(FAMILIES),
     progress: Callable[[int, int], None] | None = None,
 ) -> RiskModel:
-    """Flies, and fits; each of the `FAMILIES` has its weight, however many flights it has. Seeds
-    are dealt to them in turn, a flight each; ``config`` has vehicle, noise and cells of those that
-    vary none. Raises `EvaluationError`: there is no such family, or no seed or no landing for
-    one."""
+    """Simulate flights and fit a model. Families take the seeds in turn, one flight each. Raises
+    `EvaluationError`: an unknown family, or one without a seed or without failures."""
     names = list(dict.fromkeys(families))
     for name in names:
         if name not in FAMILIES:
@@ -247,13 +234,13 @@ def fit_risk(
 def fitted(
     flown: dict[str, list[Sample]], seeds: dict[str, list[int]], config: Config
 ) -> RiskModel:
-    """The model of landings, by family, of flights by such seeds."""
+    """Fit a model to landings and seeds by family."""
     parts, weights = [], []
     for name, samples in flown.items():
         one = Sample(*map(np.concatenate, zip(*samples, strict=True)))
         if one.failed.all() or not one.failed.any():
-            msg = f"family {name}: {'every' if one.failed.any() else 'no'} landing fails"
-            raise EvaluationError(f"{msg}: nothing to fit")
+            which = "every" if one.failed.any() else "no"
+            raise EvaluationError(f"family {name}: {which} landing fails: nothing to fit")
         parts.append(one)
         weights.append(FAMILIES[name].weight * one.weight / one.weight.sum())
     asked, failed, _ = map(np.concatenate, zip(*parts, strict=True))

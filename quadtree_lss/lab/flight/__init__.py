@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated lander that flies by what the nodes say: vehicle, guidance, lidar, loop.
-
-Uses the nodes' interface as an integrator would; nothing of the package needs this room.
-"""
+"""A simulated lander in closed loop with the nodes: vehicle, guidance, lidar, loop."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flight, tick by tick: the true vehicle, what it senses, what guidance makes of the answers.
+"""A flight in ticks: the true vehicle, its sensors, and guidance.
 
-Neither time nor transport is its own: `step` goes one tick on and returns what was sent; answers
-come by `hear`. So the same flight runs in lock-step and over DDS.
+`Flight.step` advances by one tick and returns the messages sent; answers go to its pilot. So the
+same flight runs in lock-step and over DDS.
 """
 
 from __future__ import annotations
@@ -26,26 +26,23 @@ from quadtree_lss.lab.simulation.safety import contact_safe
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config, config_from_values
 
+#: Period of poses, s; periods of guidance, scans, and area and target in ticks.
 TICK = 0.01
-"""s; a pose each, and ..."""
 GUIDE_EVERY, SCAN_EVERY, ASK_EVERY = 10, 5, 100
-"""... of these so many ticks: guidance, scans, area and target."""
+#: Delay of a scan after a pose, s.
 SCAN_AFTER = 0.0037
-"""A flash is so long after a pose, s."""
 START_NS = 1_700_000_000 * 10**9
 FIELD_OF_VIEW_DEG = 1.0
-SETTLE = 0.5
-"""Where a touchdown is soft: m/s across and degrees of tilt; m/s down are `SINK`."""
-TILT_DEG, SINK = 6.0, 2.0
+#: Limits of a soft touchdown: m/s across, tilt in degrees, m/s down.
+SETTLE, TILT_DEG, SINK = 0.5, 6.0, 2.0
 JUMP = np.array([2.0, 0.0, 1.0])
 SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-
+#: The paper's rules and score.
 PAPER = {"lss.assessment": "paper", "lss.ranking": "score"}
-"""The paper's rules and score."""
 
 
 class Sent(NamedTuple):
-    """A message as plain values: topic, stamp, and the arrays that it holds."""
+    """A message as topic, stamp and arrays."""
 
     topic: str
     stamp_ns: int
@@ -66,7 +63,7 @@ class Sent(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """A row of the record: time, true position, mass, thrust, tilt and what the pilot did."""
+    """A row of the record, with the true state and the pilot's mode."""
 
     time: float
     x: float
@@ -79,15 +76,14 @@ class Sample(NamedTuple):
 
 
 class Flight:
-    """One flight of a seed (of ground, start, navigation and lidar); ``ground`` where it was made
-    before.
+    """One flight of a seed (of ground, start, navigation and lidar), over a given ``ground`` or one
+    of the seed.
 
     Attributes:
-        time: s of flight.
         outcome: Empty in flight, then ``touchdown``, ``aborted`` or ``time``.
         samples, outlines: Ten a second; edges of the field of view on the ground, two a second.
-        active: Faults that hold now, by kind; ``failed`` all that began, until when, s.
-        areas: (V, 2) polygons of what could be reached, with their time, s.
+        active: Current faults with their ends, s; ``failed``: all faults with begin and end.
+        areas: (V, 2) polygons of reachable ground, with their times, s.
     """
 
     def __init__(self, seed: int, settings: FlightSettings, ground: Ground | None = None) -> None:
@@ -127,11 +123,10 @@ class Flight:
 
     @property
     def stamp_ns(self) -> int:
-        """Of the present tick."""
         return START_NS + self._ticks * round(TICK * 1e9)
 
     def step(self) -> list[Sent]:
-        """One tick: what was sent during it, in order."""
+        """Advance by one tick; return the messages sent, in order."""
         jump = JUMP if "pose_jump" in self.active else 0.0
         position = self.lander.position + (self._offset[self._ticks] + jump)
         velocity = self.lander.velocity + self._slip[self._ticks]
@@ -190,13 +185,12 @@ class Flight:
         self.samples.append(Sample(self.time, *lander.position.tolist(), *state, self.pilot.mode))
 
     def _fail(self, height: float) -> None:
-        """Faults that begin and end now."""
         self.active = {kind: until for kind, until in self.active.items() if self.time < until}
         for fault in [fault for fault in self._due if height <= fault.height]:
             self.active[fault.kind] = self.time + fault.seconds
             self.failed.append((fault.kind, self.time, self.active[fault.kind]))
             self._due.remove(fault)
-            if fault.kind == "keep_out":  # one after another takes its place
+            if fault.kind == "keep_out":  # replaces the one before
                 self._asked.pop("landing/keep_out", None)
 
     def _sense(self, position: Array, velocity: Array) -> Iterator[Sent]:
@@ -216,7 +210,6 @@ class Flight:
             if area is not None:
                 self.areas.append((self.time, area))
                 yield from self._ask("landing/area", area)
-            # Where navigation believes to be off, and what guidance adds to it.
             variances = np.diag(self._covariance)[:2] + self.settings.rules.miss**2
             yield from self._ask("landing/dispersion", variances)
             yield from self._ask("landing/target", pilot.aim)
@@ -224,13 +217,13 @@ class Flight:
             yield from self._ask("landing/keep_out", pilot.aim[:2] + 4.0 * SQUARE)
 
     def _scan(self, before: tuple[Array, Array]) -> Sent:
-        """The flash between the last tick, ``before``, and this one."""
+        """A scan between the last tick, ``before``, and this one."""
         share = SCAN_AFTER / TICK
         (place, turn), (place_now, turn_now) = before, self._seen_from
         place = place + share * (place_now - place)
         moved = Rotation.from_matrix(turn.T @ turn_now).as_rotvec()
         turn = turn @ Rotation.from_rotvec(share * moved).as_matrix()
-        # The true boresight is off by what navigation does not know of its attitude.
+        # Navigation's attitude error turns the true boresight.
         turn = self._tilt[self._ticks].T @ turn
         points = self._lidar.scan(self.ground.terrain, place, turn, self._noise)
         if self._ticks // SCAN_EVERY % 10 == 0:
@@ -239,7 +232,7 @@ class Flight:
         return Sent("lidar/points", stamp, points)
 
     def _ask(self, topic: str, value: Array) -> Iterator[Sent]:
-        """Only what is new is sent."""
+        """Send a value if it is new."""
         content = np.round(value, 3).tobytes()
         if self._asked.get(topic) != content:
             self._asked[topic] = content
@@ -257,12 +250,9 @@ class Flight:
 
 
 def flight_config(settings: FlightSettings, ground: Ground) -> Config:
-    """``config/flight.yaml`` with what the settings say, the domain about the planned point."""
+    """``config/flight.yaml`` with the settings, and the domain around the planned point."""
     config = load_config(["flight"], dict(settings.config), origin="settings")
     half = 0.5 * config.domain.size
-    over: dict[str, Any] = {
-        f"domain.{axis}min": float(ground.planned[k]) - half for k, axis in enumerate("xy")
-    }
-    if settings.avoidance == "paper":
-        over |= PAPER
-    return config_from_values(over, config)
+    x, y = (float(middle) - half for middle in ground.planned[:2])
+    over: dict[str, Any] = dict(PAPER) if settings.avoidance == "paper" else {}
+    return config_from_values(over | {"domain.xmin": x, "domain.ymin": y}, config)

@@ -37,44 +37,26 @@ from quadtree_lss.onboard.config.settings import config_from_values, still_param
 PATH, SCANS, UNSAFE, PLACE, DOWN = "#0072b2", "#56b4e9", "#d55e00", "#e69f00", "#009e73"
 
 
-def write_flight(out: Path, flown: Flown, *, report: bool = True) -> None:
-    """``touchdown.json``, ``flight.csv``, ``decisions.csv``; with ``report`` picture, page and
-    results of the map, as replay writes them. Raises `OSError`: ``out`` cannot be written."""
+def write_flight(out: Path, flown: Flown) -> None:
+    """Write figures, record, decisions, picture and page, and the map like a replay's results.
+    Raises `OSError`: ``out`` cannot be written."""
     write_json(out / "touchdown.json", flown.figures)
     flight = flown.flight
     _write_csv(out / "flight.csv", flight.samples[0]._fields, flight.samples)
     _write_csv(out / "decisions.csv", Decision._fields, flight.pilot.decisions)
-    if report:
-        picture = drawing.png(figure(flown), dpi=110)
-        write_bytes(out / "flight.png", picture)
-        write_bytes(out / "flight.html", _page(out, flown, picture).encode())
+    picture = drawing.png(figure(flown), dpi=110)
+    write_bytes(out / "flight.png", picture)
+    write_bytes(out / "flight.html", _page(out, flown, picture).encode())
 
 
 def figure(flown: Flown) -> Figure:
-    """Side view, ground with scans and diverts, touchdown with the pads."""
-    whole = Figure(figsize=(13.0, 8.6), layout="constrained")
-    grid = whole.add_gridspec(2, 2, height_ratios=(1.0, 1.9))
-    _side(whole.add_subplot(grid[0, :]), flown)
-    _above(whole.add_subplot(grid[1, 0]), flown)
-    _touchdown(whole.add_subplot(grid[1, 1]), flown)
+    """Ground with scans and targets, and touchdown with the pads."""
+    whole = Figure(figsize=(13.0, 6.0), layout="constrained")
+    whole.suptitle(headline(flown), fontsize="medium")
+    left, right = whole.subplots(1, 2)
+    _above(left, flown)
+    _touchdown(right, flown)
     return whole
-
-
-def _side(axes: Axes, flown: Flown) -> None:
-    flight = flown.flight
-    times, x, z = np.array([(s.time, s.x, s.z) for s in flight.samples]).T
-    away, height = x - flight.ground.planned[0], z - flight.ground.planned[2]
-    axes.plot(away, height, color=PATH, lw=2)
-    axes.axhline(flight.pilot.commit_height, color="0.5", lw=1, ls=":")
-    for number, (began, what) in enumerate(_episodes(flown)):
-        k = int(np.abs(times - began).argmin())
-        axes.plot(away[k], height[k], "o", color=PLACE, zorder=3)
-        offset, side = ((6, 14), "left") if number % 2 == 0 else ((-6, -18), "right")
-        text: dict[str, Any] = {"textcoords": "offset points", "xytext": offset, "ha": side}
-        axes.annotate(f"{began:.1f} s: {what}", (away[k], height[k]), **text, fontsize="small")
-    axes.set(xlabel="from the planned point along the approach [m]", ylabel="height [m]")
-    axes.set_title(headline(flown), fontsize="medium")
-    axes.grid(alpha=0.3)
 
 
 def _above(axes: Axes, flown: Flown) -> None:
@@ -135,20 +117,8 @@ def _terrain(axes: Axes, ground: Ground, x: float, y: float, half: float) -> Sca
     return drawing.layer(axes, terrain.x[columns], terrain.y[rows], z)
 
 
-def _episodes(flown: Flown) -> list[tuple[float, str]]:
-    """Decisions with the time of the first of each group that are less than 2 s apart."""
-    groups: list[list[Decision]] = []
-    for d in flown.flight.pilot.decisions:
-        if d.what in ("too late", "out of reach"):
-            continue
-        if not groups or d.time - groups[-1][-1].time >= 2.0:
-            groups.append([])
-        groups[-1].append(d)
-    return [(group[0].time, ", ".join(d.what for d in group)) for group in groups]
-
-
 def headline(flown: Flown) -> str:
-    """What became of a flight, in a line."""
+    """Outcome of a flight in one line."""
     f = flown.figures
     if f["outcome"] != "touchdown":
         return f"seed {f['seed']}: {f['outcome']} after {f['time']:.1f} s"

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One flight in lock-step, from a seed and settings to figures.
+"""A flight in lock-step, from a seed and settings to figures.
 
-Both nodes do with each message what they do, without transport, in the flight's time: the functions
-are those that nodes and replay call, `Intake`, `Mapper`, `Passes`.
+Without transport, in the flight's time: `Intake`, `Mapper` and `Passes`, as in nodes and replay.
 """
 
 from __future__ import annotations
@@ -36,12 +35,10 @@ OUTSIDE = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapp
 
 @dataclass(frozen=True)
 class Flown:
-    """A flight that has ended. ``flight``: its state at the end, with its record. ``figures``: see
-    ``docs/topics_and_files.md``. ``last``: what the nodes said last, None without them. Where it
-    was recorded: ``cells``, the map at the end; ``history``, what became of it; ``targets``, the
-    changes of the target; ``told``, more for its summary. ``heard``: of a live flight at which
-    ticks guidance heard which answers (None for no target), with which it can be flown again
-    without ROS."""
+    """A flight that has ended: its final state and record, figures (``docs/topics_and_files.md``),
+    and the last assessment, None without nodes. If recorded: ``cells``, the map at the end, its
+    ``history``, changes of the target, and ``told``, values for the summary. ``heard``: ticks and
+    answers (None: no target) of a live flight, which repeat it without ROS."""
 
     flight: Flight
     figures: dict[str, Any]
@@ -61,8 +58,8 @@ def flown(
     progress: Callable[[float], None] | None = None,
     record: bool = False,
 ) -> Flown:
-    """One flight; with ``record`` all that its page shows. ``ground`` is of this seed, if it is
-    there already; ``progress`` is told the seconds flown."""
+    """Fly a seed; ``record`` keeps what the page shows. ``ground``: of this seed, if made before.
+    ``progress`` gets the seconds flown."""
     flight = Flight(seed, settings, ground)
     if not flight.looks:
         fly(flight, None, progress)
@@ -75,8 +72,7 @@ def flown(
 
 
 def fly(flight: Flight, nodes: Any, progress: Callable[[float], None] | None) -> None:
-    """To its end, with what befalls the nodes: `LockstepNodes`, processes with the same methods
-    (`lab.live.flight.LiveNodes`), or None."""
+    """Fly to the end, with `LockstepNodes`, `lab.live.flight.LiveNodes` or None."""
     before: set[str] = set()
     while not flight.outcome:
         sent = flight.step()
@@ -99,7 +95,7 @@ def fly(flight: Flight, nodes: Any, progress: Callable[[float], None] | None) ->
 
 
 def figures_of(seed: int, flight: Flight, last: LandingAssessment | None) -> dict[str, Any]:
-    """What became of a flight, ready for JSON."""
+    """Figures of a flight for JSON."""
     figures = {"seed": seed, "avoidance": flight.settings.avoidance, **flight.result()}
     warnings = "; ".join(() if last is None else last.warnings)
     said = "nothing" if last is None else map_said(last, figures["x"], figures["y"])
@@ -107,7 +103,7 @@ def figures_of(seed: int, flight: Flight, last: LandingAssessment | None) -> dic
 
 
 def map_said(last: LandingAssessment, x: float, y: float) -> str:
-    """What a map says of a place: safe, margin, unsafe, unseen, or unmapped, which is seen."""
+    """Class of a place in an assessment: safe, margin, unsafe, unseen or unmapped."""
     at = int(abs(last.y - y).argmin()), int(abs(last.x - x).argmin())
     hazard = int(last.hazard[at])
     if hazard & UNSEEN:
@@ -116,10 +112,9 @@ def map_said(last: LandingAssessment, x: float, y: float) -> str:
 
 
 class LockstepNodes:
-    """mapping_node and lss_node of one configuration without transport. One that is killed loses
-    what it held in memory; what is latched comes back to it. ``answer_delay`` is from a pass to its
-    answer at the guidance, s; ``last`` the last answer that reached it; ``history``
-    notes all, ``targets`` are the changes of the target."""
+    """mapping_node and lss_node without transport. A killed node loses its memory, not latched
+    messages. ``answer_delay``: from an assessment to guidance, s; ``last``: the last assessment
+    that guidance heard."""
 
     def __init__(self, config: Config, answer_delay: float, history: History | None = None) -> None:
         self._config = config
@@ -136,7 +131,6 @@ class LockstepNodes:
         self._start_lss()
 
     def take(self, sent: Sent, now_ns: int) -> None:
-        """A message of the flight."""
         topic, message = sent.topic, sent.message(self._make)
         if topic == "nav/pose":
             self._wishes.navigation.take(message)
@@ -151,8 +145,8 @@ class LockstepNodes:
             self._intake.on_cloud(message, now_ns)
 
     def work(self, now_ns: int) -> list[Array | None]:
-        """Maps and assesses what is due; what ``landing/selected`` says now, if anything: places
-        (3,), None for none."""
+        """Map and assess what is due; return new messages on ``landing/selected``: places (3,), or
+        None for no target."""
         if "mapping" not in self._down:
             self.mapper.look_at(self._wishes.values[AREA])
             for scan in self._intake.ready(now_ns):
@@ -178,16 +172,13 @@ class LockstepNodes:
         return [said.selected.position.copy() if said.selected.id else None]
 
     def _answer(self, now_ns: int, found: LandingAssessment) -> None:
-        """It reaches guidance after the delay."""
         self._waiting.append((now_ns + self._delay_ns, found))
 
     def land_now(self) -> None:
-        """Calls the service of that name."""
         self._passes.land_now()
 
     def recorded(self, found: Flown) -> Flown:
-        """With the map at the end, what is found on it by the last of the landing wishes, and for a
-        summary what guidance said last and how the returns scatter."""
+        """Add the final map, its assessment, and values for the summary."""
         self._passes.finish(found.flight.stamp_ns, self.mapper.snapshot)
         told = {"landing": self._wishes.as_lists(), "range_noise_ratio": self._noise_ratio}
         last, cells, targets = self._passes.last, self._passes.cells, tuple(self.targets)
@@ -195,11 +186,11 @@ class LockstepNodes:
         return replace(found, last=last, cells=cells, **record)
 
     def kill(self, node: str) -> None:
-        """``mapping`` or ``lss`` is no more; of the mapper its last map stays latched."""
+        """End ``mapping`` or ``lss``; the last map stays latched."""
         self._down.add(node)
 
     def respawn(self, node: str, *, checkpoint: bool = True) -> None:
-        """It is back, without what it had in memory, the mapper with its checkpoint or without."""
+        """Start a killed node again."""
         self._down.discard(node)
         if node == "lss":
             self._start_lss()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the lidar looks: strips over the candidate area, then about the target, again and again."""
+"""Pointing of the lidar: strips over the candidate area, then around the target, repeatedly."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def axes(boresight: Array) -> Array:
 
 
 def quaternion(rotation: Array) -> Array:
-    """x, y, z, w (4,) of a rotation (3, 3) of which the trace may be anything."""
+    """x, y, z, w (4,) of a rotation (3, 3)."""
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
     squares = (1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i)
     greatest = max(range(4), key=squares.__getitem__)
@@ -39,9 +39,8 @@ def quaternion(rotation: Array) -> Array:
 
 @dataclass(frozen=True)
 class ScanPlan:
-    """How the lidar is led: duration of a pass over all of the area (``survey``) and about the
-    target (``closer``), s; ``half`` side of what the latter covers, at most and at least, m;
-    ``overlap`` of neighbouring strips; greatest turn per second; scans per second."""
+    """Durations of a pass over the area (``survey``) and around the target (``closer``), s; largest
+    and smallest ``half`` side of the latter, m; ``overlap`` of strips; rates per s."""
 
     survey: float = 8.0
     closer: float = 1.5
@@ -52,8 +51,7 @@ class ScanPlan:
 
 
 class Gimbal:
-    """Aims the boresight, (3,) in the map frame; knows navigation's position, the area (``centre``
-    (3,), ``half`` its side, m), the target, and no more."""
+    """Boresight (3,), map frame, over an area with ``centre`` (3,) and ``half`` side, m."""
 
     def __init__(
         self, plan: ScanPlan, field_of_view_deg: float, centre: Array, half: float
@@ -75,9 +73,8 @@ class Gimbal:
         dt: float,
         aim: Array | None = None,
     ) -> None:
-        """Turns the boresight, in ``dt`` s, toward where it should look at ``now`` s: at the
-        ``target`` (3,) more closely; without one over the area, or, too low for that, about ``aim``
-        (3,), where it is going. Position and velocity (3,) are navigation's."""
+        """Turn the boresight for ``dt`` s: around the ``target`` (3,); without one over the area,
+        or at low height around the ``aim`` (3,)."""
         if now >= self._ends:
             known = (target, aim) if self.passes else (None, None)
             self._begin(now, position, velocity, *known)
@@ -98,12 +95,9 @@ class Gimbal:
     def _begin(
         self, now: float, position: Array, velocity: Array, target: Array | None, aim: Array | None
     ) -> None:
-        """Strips across the line of sight, from the near edge to the far one.
-
-        They are as narrow as the footprint will be at the end of the pass, f. Of a square of half
-        side h a pass of T s sees all if (2 h)^2 <= ((1 - overlap) f)^2 T rate, less a tenth for
-        turning round. Where that is not the area it looks about the aim.
-        """
+        """Plan strips across the line of sight, from near to far, as wide as the footprint f at the
+        end of the pass. T s cover a square of half side h if (2 h)^2 <= ((1 - overlap) f)^2 T rate,
+        less a tenth for turns. If they do not cover the area, look around the aim."""
         centre = self.centre if target is None else target
         seconds = self.plan.survey if target is None else self.plan.closer
         half = self.half

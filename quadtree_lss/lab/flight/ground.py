@@ -21,8 +21,7 @@ GRID = 0.25
 
 @dataclass(frozen=True)
 class Ground:
-    """Terrain, the planned point in its middle, and the candidate area about it. ``terrain``: the
-    truth. ``planned``: (3,) on the ground. ``half``: half side of the candidate area, m."""
+    """True terrain, planned point (3,) on it, and half side of the candidate area around it, m."""
 
     terrain: Terrain
     planned: Array
@@ -30,8 +29,8 @@ class Ground:
 
     @classmethod
     def of(cls, settings: FlightSettings, generator: np.random.Generator) -> Ground:
-        """As the settings say; on a large DEM the planned point lies anywhere within 100 m. Raises
-        `SimulationError`: the terrain cannot be read, or is too small."""
+        """Ground of the settings; on a DEM the planned point is drawn within 100 m of the middle.
+        Raises `SimulationError`: the terrain cannot be read, or is too small."""
         given = Conditions(terrain=settings.terrain or None, rocks=settings.rock_abundance)
         terrain = given.ground("morpheus", generator)
         assert terrain is not None
@@ -48,7 +47,7 @@ class Ground:
 
     def touches(self, position: Array) -> bool:
         """Whether a lander whose pads are level with ``position`` (3,) is on the ground."""
-        if position[2] > self._highest:  # it saves looking
+        if position[2] > self._highest:  # the usual case, fast
             return False
         radius = 0.5 * safety.LandingGear().diameter
         angles = 0.25 * np.pi * np.arange(8)
@@ -64,7 +63,7 @@ class Ground:
 
     @cached_property
     def safe(self) -> tuple[Array, Array, Array]:
-        """x, y (n,) of the candidate area and the room in truth (n, n), m: 0 where unsafe."""
+        """x, y (n,) of the candidate area and distance from unsafe ground (n, n), m."""
         n = int(self.half / GRID)
         x = self.planned[0] + GRID * np.arange(-n, n + 1)
         y = self.planned[1] + GRID * np.arange(-n, n + 1)
@@ -72,7 +71,7 @@ class Ground:
         return x, y, GRID * distance_transform_edt(np.pad(safe, 1))[1:-1, 1:-1]
 
     def best(self) -> Array | None:
-        """(3,) what perfect knowledge flies to: room enough, near to the planned point."""
+        """Place (3,) far from unsafe ground and near the planned point."""
         x, y, room = self.safe
         away = np.hypot(x[None, :] - self.planned[0], y[:, None] - self.planned[1])
         worth = np.where(room > 0.0, np.minimum(room, 1.5) - 0.01 * away, -np.inf)

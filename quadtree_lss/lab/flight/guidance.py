@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ZEM/ZEV guidance: the thrust now, the time to go, what that costs and what can be reached.
+"""ZEM/ZEV guidance: thrust, time to go, propellant and reachable places.
 
-To be at r_f with v_f after the time T, the acceleration (without gravity) that is least in the
-square mean is linear in time (D'Souza 1997; Ebrahimi, Bahrami and Roshanian 2008):
+To reach r_f with v_f after the time T, the acceleration (without gravity) of least mean square is
+linear in time (D'Souza 1997; Ebrahimi, Bahrami and Roshanian 2008):
 
     a(0) = 6 ZEM / T² − 2 ZEV / T,    a(T) = −6 ZEM / T² + 4 ZEV / T,
 
-with the miss and the wrong speed that gravity alone would lead to, ZEM = r_f − (r + v T + g T²/2)
-and ZEV = v_f − (v + g T). T is free: of those for which the path keeps all limits, the one that
-burns least is taken.
+with the errors under gravity alone, ZEM = r_f − (r + v T + g T²/2) and ZEV = v_f − (v + g T). T is
+the one within all limits that needs the least propellant.
 """
 
 from __future__ import annotations
@@ -28,9 +27,8 @@ _AT = np.linspace(0.0, 1.0, 13)
 
 @dataclass(frozen=True)
 class Limits:
-    """What a path must keep: the share of the range between least and greatest thrust that is
-    planned with, at both ends (the rest is for errors); greatest tilt; least elevation seen from
-    its end; and how far it stays above that, m; negative allows for errors."""
+    """Limits of a path: share of the thrust range, at both ends; tilt; elevation seen from the end,
+    and margin above it, m (negative: tolerance)."""
 
     thrust_share: float = 0.95
     tilt_deg: float = 40.0
@@ -40,8 +38,8 @@ class Limits:
 
 @dataclass(frozen=True)
 class Paths:
-    """Paths to K places with M times to go, (K, M). ``propellant``: what each burns, kg.
-    ``allowed``: it keeps the limits. ``times``: (M,) s."""
+    """Propellant (K, M), kg, of paths to K places with M ``times`` to go, s; whether each is within
+    the limits (K, M)."""
 
     propellant: Array
     allowed: np.ndarray
@@ -57,8 +55,7 @@ class Paths:
 def zem_zev(
     position: Array, velocity: Array, end: Array, end_velocity: Array, t: Any, weight: Array
 ) -> tuple[Array, Array]:
-    """Acceleration (..., 3) by thrust, now, and its change until the end, ``t`` s on, a number or
-    an array; all in the map frame, m and s."""
+    """Acceleration (..., 3) by thrust now, and its change within the time to go ``t``."""
     miss = end - position - velocity * t - 0.5 * weight * t * t
     wrong = end_velocity - velocity - weight * t
     change = 6.0 / t * wrong - 12.0 / (t * t) * miss
@@ -75,7 +72,7 @@ def paths(
     times: Array,
     limits: Limits,
 ) -> Paths:
-    """What it takes to reach each of ``ends`` (K, 3) in each of ``times`` (M,)."""
+    """Paths to each of ``ends`` (K, 3) in each of ``times`` (M,)."""
     t, weight = times[None, :, None], vehicle.weight
     first, change = zem_zev(position, velocity, ends[:, None], end_velocity, t, weight)
     at = _AT[:, None, None, None]
@@ -91,14 +88,14 @@ def paths(
     high = vehicle.thrust_max * limits.thrust_share / middle
     allowed = (size >= low).all(axis=0) & (size <= high).all(axis=0)
     upright = acceleration[..., 2] >= np.cos(np.radians(limits.tilt_deg)) * size
-    # The vehicle takes a while to turn: where it starts is not the path's fault.
+    # The vehicle turns slowly: ignore the tilt at the start.
     allowed &= upright[1:].all(axis=0)
     away = place - ends[None, :, None]
     across = np.hypot(away[..., 0], away[..., 1])
     slope = np.tan(np.radians(limits.glide_slope_deg))
     began = (position - ends)[None, :, None]
     short = slope * np.hypot(began[..., 0], began[..., 1]) - began[..., 2]
-    # A path that begins below the cone must at least not fall farther below it.
+    # A path that begins below the cone must not fall farther below it.
     below = slope * across - away[..., 2]
     allowed &= (below <= np.maximum(short * (1.0 - at[..., 0]), 0.0) - limits.floor).all(axis=0)
     return Paths(mass - left, allowed, times)

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flies by ``landing/selected``: toward the target, to another, to a hover, away; never down blind.
+"""Guidance by ``landing/selected`` and navigation's state. Modes:
 
-Knows what a vehicle knows: navigation's state and what the nodes say. Modes:
-
-    approach   to the gate above the aim, which is the planned point until a target is selected
-    hover      at a height over the aim, since there is no target
-    terminal   straight down from the gate
-    abort      no target came in time: the vehicle leaves
+approach   to the gate above the aim: the target, or the planned point before the first target
+hover      above the aim, without a target
+terminal   straight down from the gate
+abort      climb away, because no target came in time
 """
 
 from __future__ import annotations
@@ -23,21 +21,17 @@ from quadtree_lss.onboard.arrays import Array
 
 @dataclass(frozen=True)
 class Rules:
-    """How it is flown; m, s.
+    """Parameters of guidance; m, s.
 
     Attributes:
-        ease: Factor on the greatest tilt and thrust of the path that is flown, while there is a
-            choice: the rest is for diverts and errors.
-        gate: Height over the aim from which it is straight down.
-        gate_speed, touchdown_speed: Downwards there, and to the ground.
-        hover: Height over the aim at which to wait for a target.
-        patience: How long.
-        miss: 1 sigma, along x and along y, that ``landing/dispersion`` tells besides navigation's:
-            more than a touchdown misses by (0.1 m), since a target on the edge of safe ground is
-            soon withdrawn.
-        zone: Radius of the landing zone, which the area of ``landing/area`` holds whole.
-        headings, reach: Of that area: how many vertices, and how far they may be.
-        reserve: Propellant that no divert may touch, kg.
+        ease: Factor on the greatest tilt and thrust of the planned path, if one exists.
+        gate, gate_speed: Height over the aim where the vertical descent begins; speed there.
+        hover, patience: Height over the aim, and longest time, to wait for a target.
+        miss: 1 sigma along x and y, added to navigation's on ``landing/dispersion``. It exceeds the
+            usual miss of 0.1 m, because targets at the edge of safe ground are often withdrawn.
+        zone: Radius of the landing zone, which ``landing/area`` contains.
+        headings, reach: Number of vertices of that area, and their greatest distance.
+        reserve: Propellant that diverts leave, kg.
     """
 
     limits: Limits = field(default_factory=Limits)
@@ -55,7 +49,7 @@ class Rules:
 
 
 class Decision(NamedTuple):
-    """Something the pilot did, for the record: time, height over the aim, what, and where to."""
+    """A record of the pilot: time, height over the aim, event, and place."""
 
     time: float
     height: float
@@ -65,10 +59,8 @@ class Decision(NamedTuple):
 
 
 class Pilot:
-    """Guidance with its decisions, in order. ``planned``: (3,) point to be flown to until something
-    is known, and whatever is said unless ``avoid``. ``commit_height``: ``lss.commit_height``: lower
-    over the aim, no other target is flown to, m. ``aim``: (3,) where it is going to land by now.
-    ``target``: the one that holds, None while there is none. ``mode``: see above."""
+    """Guidance to ``planned`` (3,), and to targets if ``avoid``; below ``commit_height``, m over
+    the aim, to no other one. ``aim`` (3,): place of landing; ``target``: None if there is none."""
 
     def __init__(
         self, vehicle: Vehicle, rules: Rules, planned: Array, *, avoid: bool, commit_height: float
@@ -87,12 +79,10 @@ class Pilot:
 
     @property
     def committed(self) -> bool:
-        """Too low for another target."""
         return self._height < self.commit_height
 
     def hear(self, place: Array | None) -> None:
-        """Takes what ``landing/selected`` says, as often as it says it: a place (3,), or None where
-        there is none."""
+        """Take a message of ``landing/selected``: a place (3,), or None for no target."""
         if not self.avoid or self.mode in ("terminal", "abort"):
             return
         first = self.target is None
@@ -114,7 +104,7 @@ class Pilot:
             self._resume("target" if first else "divert")
 
     def guide(self, now: float, position: Array, velocity: Array, mass: float) -> Array:
-        """Thrust (3,), N, from navigation's position and velocity (3,) and the mass."""
+        """Thrust (3,), N, from navigation's position and velocity (3,)."""
         self._now, self._state = now, (position, velocity, mass)
         self._height = float(position[2] - self.aim[2])
         if self.mode == "approach":
@@ -127,7 +117,7 @@ class Pilot:
         return self._down() if self.mode == "terminal" else self._wait()
 
     def area(self) -> Array | None:
-        """(V, 2) polygon of the zones that can still be reached, None if nothing new is known."""
+        """(V, 2) polygon of the zones within reach, None if unchanged."""
         rules = self.rules
         if self.mode in ("terminal", "abort") or self.committed:
             return None
@@ -184,7 +174,7 @@ class Pilot:
         return found is not None and found[1] <= self._spare()
 
     def _to_hover(self, number: int, **limits: float) -> tuple[float, float] | None:
-        """Time to go and propellant to rest at hover height; as low as need be on the way."""
+        """Time to go and propellant to rest at hover height."""
         kept = replace(self.rules.limits, floor=-1e3, glide_slope_deg=0.0, **limits)
         return self._paths(self._over()[None], self._times(number), kept, speed=0.0).best()
 
@@ -192,7 +182,7 @@ class Pilot:
         return self.aim + np.array([0.0, 0.0, self.rules.hover])
 
     def _watch(self, now: float) -> None:
-        """Without a target it goes no lower than from where it can still stop at hover height."""
+        """Without a target, hover before the vehicle can no longer stop at hover height."""
         if not self.avoid or self.target is not None or now < 1.0:
             return
         low = self._state[0][2] < self._over()[2]
@@ -216,7 +206,7 @@ class Pilot:
         return thrust_for(self.vehicle, mass, push)
 
     def _plan(self, now: float) -> None:
-        """The cheapest time to go; the old one goes on if none keeps the limits."""
+        """Find the cheapest time to go; keep the old one if no path is within the limits."""
         self._planned_at = now
         times = self._times(60)
         if np.isfinite(self.time_to_go):
@@ -236,7 +226,7 @@ class Pilot:
             self.time_to_go = float(np.median(times)) if found is None else found[0]
 
     def _down(self) -> Array:
-        """Straight down; it waits where it is while it is not yet over the aim."""
+        """Descend vertically, once over the aim."""
         position, velocity, mass = self._state
         off = (self.aim - position)[:2]
         push = np.array([0.0, 0.0, self.vehicle.gravity])
@@ -248,7 +238,7 @@ class Pilot:
         return thrust_for(self.vehicle, mass, push)
 
     def _wait(self) -> Array:
-        """To the hover point over the aim, and to stay there; up and away after an abort."""
+        """Fly to the hover point over the aim and stay there; after an abort climb there."""
         position, velocity, mass = self._state
         over, gravity = self._over(), self.vehicle.gravity
         if self.mode == "hover" and np.linalg.norm(velocity) > 3.0:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is flown: the ground, the sensors, the guidance, the faults; checked once, by name."""
+"""Settings of a flight: ground, sensors, guidance, faults."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ from quadtree_lss.lab.simulation.scenarios import LIMITS as SIMULATED
 from quadtree_lss.lab.simulation.terrain import check
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
+#: Guided by the nodes; by them with the paper's rules; to the planned point; by the true ground.
 AVOIDANCE = ("package", "paper", "none", "perfect")
-"""By the nodes; by them with the paper's rules; straight to the planned point; by the truth."""
-
 FAULTS = tuple(
     "kill_lss kill_mapping forget_mapping pose_gap pose_jump lidar_gap keep_out land_now".split()
 )
@@ -28,8 +27,8 @@ LIMITS = {k: SIMULATED[k] for k in "range_noise outliers dropouts glide_slope_de
     "answer_delay": (0.0, 1e3),
     "longest": (1.0, 1e4),
 }
+#: Limit of the height, m, and the duration, s, of a fault.
 MOST = 1e4
-"""Of the height of a fault, m, and of its seconds."""
 
 
 class FlightError(QuadtreeLssError):
@@ -38,16 +37,8 @@ class FlightError(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class Fault:
-    """Something that goes wrong once.
-
-    Attributes:
-        kind: ``kill_lss``, ``kill_mapping`` (it comes back with its checkpoint), ``forget_mapping``
-            (it comes back with an empty map), ``pose_gap``, ``pose_jump`` (2 m east, 1 m up, and
-            back), ``lidar_gap``, ``keep_out`` (4 m about where the lander is going),
-            ``land_now`` (somebody calls that service).
-        height: Over the aim at which it begins, m.
-        seconds: How long it lasts; a keep-out stays until another one, ``land_now`` for good.
-    """
+    """A fault of one of `FAULTS` (``docs/closed_loop.md``) that begins at a height over the aim, m,
+    and lasts some seconds; a keep-out lasts until the next one, ``land_now`` for good."""
 
     kind: str
     height: float
@@ -57,9 +48,8 @@ class Fault:
         if self.kind not in FAULTS:
             raise FlightError(f"unknown fault {self.kind!r}; there are {', '.join(FAULTS)}")
         if not (0.0 <= self.height <= MOST and 0.0 < self.seconds <= MOST):
-            raise FlightError(
-                f"fault {self.kind} at {self.height:g} m for {self.seconds:g} s: from 0 to {MOST:g}"
-            )
+            given = f"{self.kind} at {self.height:g} m for {self.seconds:g} s"
+            raise FlightError(f"fault {given}: from 0 to {MOST:g}")
 
     @classmethod
     def read(cls, text: str) -> Fault:
@@ -69,25 +59,23 @@ class Fault:
         try:
             return cls(kind, float(height), float(seconds or 3.0))
         except ValueError:
-            msg = f"fault {text!r}: expected KIND@HEIGHT or KIND@HEIGHT+SECONDS"
-            raise FlightError(msg) from None
+            expected = "KIND@HEIGHT or KIND@HEIGHT+SECONDS"
+            raise FlightError(f"fault {text!r}: expected {expected}") from None
 
 
 @dataclass(frozen=True)
 class FlightSettings:
-    """Everything about a flight but its seed.
+    """All of a flight except its seed.
 
     Attributes:
-        avoidance: One of `AVOIDANCE`.
-        terrain: As of ``simulate --terrain``; empty for a field of rocks and craters.
-        rock_abundance: Share of the ground that rocks cover; None for 0.05 on that field, and none
-            on a terrain, over 100 m of which they are strewn otherwise.
-        half: Half side of the candidate area about the planned point, m.
-        slant_range, speed: At the start, on a glide slope of ``glide_slope_deg``.
-        scatter: 1 sigma of the start's place, m; the speed's is a twentieth of it, m/s.
+        terrain: As ``simulate --terrain``; empty for a field of rocks and craters.
+        rock_abundance: Share of the ground under rocks; None: 0.05 on that field, 0 on a terrain.
+        half: Half side of the candidate area around the planned point, m.
+        slant_range, speed, glide_slope_deg: At the start, m, m/s, deg.
+        scatter: 1 sigma of the start, m; of its speed a twentieth, m/s.
         config: Parameters by dotted key, over ``config/flight.yaml``.
-        answer_delay: From a pass's begin to its answer at the guidance in lock-step, s.
-        longest: Flights are ended after so many seconds.
+        answer_delay: From an assessment to guidance in lock-step, s.
+        longest: Longest flight, s.
     """
 
     avoidance: str = "package"
@@ -111,16 +99,14 @@ class FlightSettings:
 
     def __post_init__(self) -> None:
         if self.avoidance not in AVOIDANCE:
-            known = ", ".join(AVOIDANCE)
-            raise FlightError(f"unknown avoidance {self.avoidance!r}; there are {known}")
+            raise FlightError(f"unknown avoidance {self.avoidance!r}; there are {list(AVOIDANCE)}")
         check(self, LIMITS, FlightError)
         check(self.plan, {"survey": (0.1, 1e3)}, FlightError)
 
 
 def flight_settings(values: Mapping[str, Any]) -> FlightSettings:
-    """From plain values by name, as a study's file holds them: ``faults`` are texts as of
-    `Fault.read`; ``vehicle``, ``rules`` and ``plan`` mappings. Raises `FlightError`: a name that
-    does not exist, or a value that cannot be used."""
+    """Settings from plain values: ``faults`` are texts for `Fault.read`; ``vehicle``, ``rules`` and
+    ``plan`` mappings. Raises `FlightError`: an unknown name or an invalid value."""
     base, known = FlightSettings(), sorted(item.name for item in fields(FlightSettings))
     given = dict(values)
     if unknown := [name for name in given if name not in known]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A lander as a point that points: mass, thrust within limits, actuators that take their time."""
+"""A lander as a point mass with a thrust vector and actuator limits."""
 
 from __future__ import annotations
 
@@ -16,17 +16,14 @@ EARTH_G = 9.80665
 
 @dataclass(frozen=True)
 class Vehicle:
-    """What the lander can do: a small lunar lander; kg, N, s, degrees.
+    """A small lunar lander; kg, N, s, degrees, m/s^2.
 
     Attributes:
-        mass: At the start, with ``propellant``.
-        propellant: Of it, to be burnt.
+        mass, propellant: At the start; part of it.
         isp: Specific impulse.
-        thrust_min, thrust_max: Of the engine, which is never off in flight.
-        thrust_rate: Greatest change of thrust per second.
-        tilt_max_deg, tilt_rate_deg: Of the thrust from the vertical; of its turn per second.
-        delay: From a command to its first effect.
-        gravity: Of the body, m/s^2.
+        thrust_min, thrust_max, thrust_rate: Of the engine, which is never off in flight.
+        tilt_max_deg, tilt_rate_deg: Of the thrust from the vertical.
+        delay: From a command to its effect.
     """
 
     mass: float = 1800.0
@@ -51,9 +48,8 @@ class Vehicle:
 
 
 class VehicleState:
-    """The true state of a vehicle, and what its actuators make of commands: position and velocity
-    (3,) in the map frame, m, m/s; mass, kg; thrust, N; its direction (3,), up along the vehicle's
-    axis."""
+    """The true state: position and velocity (3,), map frame, m, m/s; mass, kg; thrust, N, and its
+    direction (3,)."""
 
     def __init__(self, vehicle: Vehicle, position: Array, velocity: Array) -> None:
         self.vehicle = vehicle
@@ -68,20 +64,18 @@ class VehicleState:
 
     @property
     def burnt(self) -> float:
-        """Propellant used so far, kg."""
         return self.vehicle.mass - self.mass
 
     @property
     def tilt_deg(self) -> float:
-        """Of the vehicle's axis from the vertical."""
         return degrees(acos(min(max(float(self.direction[2]), -1.0), 1.0)))
 
     def command(self, thrust: Array) -> None:
-        """Ask for a thrust (3,), map frame, N; it has an effect after the delay."""
+        """Command a thrust (3,), map frame, N."""
         self._commands.append((self._now + self.vehicle.delay - 1e-9, np.array(thrust)))
 
     def step(self, dt: float) -> None:
-        """``dt`` s on: actuators first, then the motion under constant thrust."""
+        """Move actuators, then the vehicle under constant thrust, for ``dt`` s."""
         while self._commands and self._commands[0][0] <= self._now:
             self._command = self._commands.popleft()[1]
         self._actuate(dt)

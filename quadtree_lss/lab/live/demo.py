@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated descent through the real nodes, over DDS, and the same bag offline.
-
-``make demo`` runs this: bag → nodes → ranked sites, then the offline replay of the bag, and a
-comparison of the two; then a lander that flies by the nodes' answers.
-"""
+"""``make demo``: replay a simulated bag offline and through the nodes, compare, and fly a
+lander."""
 
 from __future__ import annotations
 
@@ -14,8 +11,8 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,18 +38,16 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.maps import SITE_FIELDS
 from quadtree_lss.onboard.messages.outputs import cloud_records, map_from_messages
 
+#: Relative; ``landing/site_table`` carries float32, ``sites.csv`` float64.
 SITE_TOLERANCE = 1e-6
-"""Relative; ``landing/site_table`` carries float32, ``sites.csv`` float64."""
 
 
 class DemoError(QuadtreeLssError):
     """A step of the demonstration failed."""
 
 
-@dataclass(frozen=True)
-class LiveResult:
-    """What the nodes published last: the map; ranked sites (K, 3), map frame, m; and their
-    ``table`` (K,), records of ``SITE_FIELDS``."""
+class LiveResult(NamedTuple):
+    """The last map, ranked sites (K, 3), map frame, m, and records (K,) of ``SITE_FIELDS``."""
 
     cells: CellMap
     position: NDArray[np.float64]
@@ -68,14 +63,10 @@ def run_live(
     rate: float = 1.0,
     given: int | None = None,
 ) -> LiveResult:
-    """Starts both nodes with a ROS parameter file, plays the bag to them, ``rate`` bag seconds per
-    second, and waits for the sites on its last map, which is of ``last_stamp_ns``. Output of the
-    nodes goes to ``folder``. Without a ``given`` ROS domain it takes a free one.
-
-    Raises `DemoError`: the sites did not come, or others published what the nodes did;
-    `ProcessError`: a node ended by itself, or not cleanly when told to.
-    """
-    # No scan may be lost, however busy the computer is: this is compared with a replay.
+    """Play a bag to both nodes and wait for the sites on the map of ``last_stamp_ns``. Their output
+    goes to ``folder``; the default of ``given`` is a free ROS domain. Raises `DemoError`: no sites,
+    or other publishers; `ProcessError`: a node ended."""
+    # Lose no scan on a busy computer: the result is compared with a replay.
     depth = "qos_overrides./lidar/points.subscription.depth:=500"
     lossless = ("qos.scan_reliability:=reliable", depth, "pose.max_wait:=10.0", "qos.overload:=all")
     args = ["--params-file", str(params), *(word for one in lossless for word in ("-p", one))]
@@ -98,8 +89,7 @@ def run_live(
 
         if not listener.wait_for(complete, timeout=20.0):
             stamps = {topic: listener.stamp(topic) for topic in listener.newest}
-            msg = f"no landing sites for the scan at {last_stamp_ns} ns; newest stamps: {stamps}"
-            raise DemoError(msg)
+            raise DemoError(f"no sites for the scan at {last_stamp_ns} ns; newest stamps: {stamps}")
         if others := strangers(listener.node, dict.fromkeys(spoken, 1)):
             raise DemoError(f"others published {'; '.join(others)}: set another ROS_DOMAIN_ID")
         codes = {node.name: node.stop() for node in nodes}
@@ -113,7 +103,7 @@ def run_live(
 
 
 def differing(one: Path, other: Path) -> list[str]:
-    """Arrays of two ``cells.npz`` that are not the same to the bit; NaN equals NaN."""
+    """Arrays of two ``cells.npz`` that differ; NaN equals NaN."""
     with np.load(one) as a, np.load(other) as b:
         both = sorted({*a.files} & {*b.files})
         differ = [n for n in both if not np.array_equal(a[n], b[n], equal_nan=True)]
@@ -137,7 +127,7 @@ def _program(name: str, *args: str) -> None:
         raise DemoError(f"{name} {' '.join(args)} ended with exit code {done.returncode}")
 
 
-def demonstrate(out: Path, seed: int, duration: float) -> bool:
+def demonstrate(out: Path, seed: int) -> bool:
     """All steps; True if live and offline agree."""
     bag, offline, live = out / "flight" / "bag", out / "offline", out / "live"
     for folder in (bag.parent, offline, live, out / "lander"):
@@ -145,9 +135,8 @@ def demonstrate(out: Path, seed: int, duration: float) -> bool:
     out.mkdir(parents=True, exist_ok=True)
     bag.parent.mkdir()
     params = find_config("morpheus")
-    print(f"1. Simulate {duration:g} s of the Morpheus flight, seed {seed}", flush=True)
-    size = ["--seed", str(seed), "--duration", f"{duration:g}"]
-    _program("simulate", "morpheus", *size, "--out", str(bag))
+    print(f"1. Simulate 4 s of the Morpheus flight, seed {seed}", flush=True)
+    _program("simulate", "morpheus", "--seed", f"{seed}", "--duration", "4", "--out", str(bag))
     print("2. Replay the bag offline", flush=True)
     _program("replay_bag", str(bag), "--out", str(offline), "--config", str(params))
     results = load_results(offline)
@@ -188,10 +177,9 @@ def main(args: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="demo", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("demo_output"), help="results folder")
     parser.add_argument("--seed", type=int, default=1, help="of the simulated field and flight")
-    parser.add_argument("--duration", type=float, default=4.0, help="seconds of flight")
     options = parser.parse_args(args)
     try:
-        agree = demonstrate(options.out, options.seed, options.duration)
+        agree = demonstrate(options.out, options.seed)
     except QuadtreeLssError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

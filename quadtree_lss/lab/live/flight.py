@@ -47,25 +47,21 @@ def fly_live(
     settings: FlightSettings,
     folder: Path,
     *,
-    rate: float = 1.0,
     progress: Callable[[float], None] | None = None,
     domain: int | None = None,
 ) -> Flown:
-    """Starts both nodes, flies with them, and ends them; arguments as of ``flight.fly.flown``.
+    """Fly with both nodes as processes, whose parameters, checkpoint and output go to ``folder``.
 
-    The avoidance must be one by the nodes, whose parameters, checkpoint and output go to
-    ``folder``. ``rate`` is seconds of flight per second; where the computer is slower, so is
-    ``/clock``. Without a ROS ``domain`` it takes a free one. Nodes that end are started again
-    (``restarts``). Where others published what we do, the outcome is ``disturbed``, and ``others``
-    says who.
-
-    Raises `PlayError`: the nodes did not start in time; `ProcessError`: a node is not installed or
-    ended at its start, or others are in the domain.
+    The avoidance must be one of the nodes. ``/clock`` slows down with the computer. The default of
+    ``domain`` is a free one. Nodes that end are started again (``restarts``). If others publish the
+    same topics, the outcome is ``disturbed``, and ``others`` lists them. Raises `PlayError`: the
+    nodes did not start in time; `ProcessError`: a node is not installed or ended at its start, or
+    others use the domain.
     """
     flight = Flight(seed, settings)
     config = flight_config(settings, flight.ground)
     with ExitStack() as stack:
-        nodes = LiveNodes(stack, config, folder, rate, domain)
+        nodes = LiveNodes(stack, config, folder, domain)
         fly(flight, nodes, progress)
         cells = nodes.map()
     last = None if cells is None else LandingSiteSelector(config).assess(cells)
@@ -78,12 +74,10 @@ def fly_live(
 
 
 class LiveNodes:
-    """Both nodes as processes that end with ``stack``; those that end before are started again:
-    ``starts`` is how often each was. ``others``: topics that others published, with their nodes."""
+    """Both nodes as processes that end with ``stack`` or are started again. ``starts``: by node.
+    ``others``: topics with other publishers, and their nodes."""
 
-    def __init__(
-        self, stack: ExitStack, config: Config, folder: Path, rate: float, domain: int | None
-    ) -> None:
+    def __init__(self, stack: ExitStack, config: Config, folder: Path, domain: int | None) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         params, self._checkpoint = folder / "params.yaml", folder / "checkpoint.npz"
         params.write_text(dump_config(config), encoding="utf-8")
@@ -91,7 +85,7 @@ class LiveNodes:
         self._args = ["--params-file", str(params), "-p", "use_sim_time:=true"]
         self._args += ["-p", "qos.scan_reliability:=reliable"]
         self._args += ["-p", f"checkpoint.path:={self._checkpoint}"]
-        self._stack, self._folder, self._rate = stack, folder, rate
+        self._stack, self._folder = stack, folder
         local = stack.enter_context(local_domain(folder, domain))
         self._env = local.env
         topics = {topic: TOPICS[topic] for topic in (CELLS, OBSERVED)}
@@ -134,7 +128,7 @@ class LiveNodes:
         """Tells the time, waits for its moment, and returns what was said until then."""
         self._clock.publish(Clock(clock=time_message(now_ns)))
         seconds = 1e-9 * (now_ns - START_NS)
-        time.sleep(max(self._began + seconds / self._rate - time.monotonic(), 0.0))
+        time.sleep(max(self._began + seconds - time.monotonic(), 0.0))
         tick = round(seconds / TICK)
         if tick % 100 == 0 and not self._down:
             self._look()
@@ -172,8 +166,8 @@ class LiveNodes:
         return self._stack.enter_context(NodeProcess(f"{name}_node", self._args, self._env, log))
 
     def _look(self) -> None:
-        """Who has ended, and who else speaks; of a node that was killed its topics are told of for
-        a while."""
+        """Restart nodes that ended; note other publishers. The publishers of a killed node stay
+        visible for a while."""
         for name, process in self._nodes.items():
             if process.process.poll() is not None:
                 self._nodes[name] = self._start(name)

@@ -23,53 +23,17 @@ from unittest import mock
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 PACKAGE = "quadtree_lss"
-
-LOCAL_PROFILE = """\
-<?xml version="1.0" encoding="UTF-8"?>
-<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
-  <transport_descriptors>
-    <transport_descriptor>
-      <transport_id>udp</transport_id>
-      <type>UDPv4</type>
-      <sendBufferSize>16000000</sendBufferSize>
-      <receiveBufferSize>16000000</receiveBufferSize>
-      <maxInitialPeersRange>32</maxInitialPeersRange>
-    </transport_descriptor>
-  </transport_descriptors>
-  <participant profile_name="local" is_default_profile="true">
-    <rtps>
-      <userTransports>
-        <transport_id>udp</transport_id>
-      </userTransports>
-      <useBuiltinTransports>false</useBuiltinTransports>
-      <builtin>
-        <discovery_config>
-          <leaseAnnouncement>
-            <nanosec>200000000</nanosec>
-          </leaseAnnouncement>
-        </discovery_config>
-        <metatrafficUnicastLocatorList>
-          <locator/>
-        </metatrafficUnicastLocatorList>
-        <initialPeersList>
-          <locator><udpv4><address>127.0.0.1</address></udpv4></locator>
-        </initialPeersList>
-      </builtin>
-    </rtps>
-  </participant>
-</profiles>
-"""
-"""For Fast DDS: what ROS's range LOCALHOST does, which brings in shared memory, without it."""
+#: Fast DDS profile: the discovery of ROS's range LOCALHOST, without its shared memory.
+LOCAL_PROFILE = Path(__file__).with_name("fastdds.xml")
 
 
-# Ports of a domain (RTPS specification, 9.6.1.1): those of participant k begin at 10 + 2 k.
+#: Ports of a domain (RTPS specification, 9.6.1.1): participant k uses 10 + 2 k and the next one.
 FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
 PARTICIPANT_PORTS = range(10, 10 + 2 * 32)
 RESERVATION_PORT = PORTS_PER_DOMAIN - 1
-DOMAINS = range(1, 98)
-LAST_DOMAIN = 231
+DOMAINS, LAST_DOMAIN = range(1, 98), 231
+#: Time to discover all other participants, s.
 LOOK_S = 2.0
-"""So long after we joined everybody who is there is known."""
 
 
 class ProcessError(QuadtreeLssError):
@@ -90,27 +54,25 @@ def program(name: str) -> Path:
 
 @dataclass(frozen=True)
 class LocalDomain:
-    """A ROS domain that stays on this computer: its ``ROS_DOMAIN_ID``, and the environment of the
-    processes that take part in it."""
+    """A ROS domain on this computer, and the environment of its processes."""
 
     number: int
     env: dict[str, str]
 
 
 def given_domain() -> int | None:
-    """What ``ROS_DOMAIN_ID`` says, None without it. Raises `ProcessError`: it is no domain."""
+    """``ROS_DOMAIN_ID``, or None. Raises `ProcessError`: it is not a domain."""
     text = os.environ.get("ROS_DOMAIN_ID", "")
     if not text:
         return None
     if not text.isdecimal() or int(text[:4]) > LAST_DOMAIN:
-        msg = f"ROS_DOMAIN_ID is {text!r}: it must be a whole number from 0 to {LAST_DOMAIN}"
-        raise ProcessError(msg)
+        allowed = f"a whole number from 0 to {LAST_DOMAIN}"
+        raise ProcessError(f"ROS_DOMAIN_ID is {text!r}: it must be {allowed}")
     return int(text)
 
 
 def strangers(node: Any, ours: Mapping[str, int]) -> list[str]:
-    """Topics that more publish than we do, each with the nodes that do. ``ours``: how many of us
-    publish each."""
+    """Topics with more publishers than ``ours``, each with the names of all its nodes."""
     found = []
     for topic, count in ours.items():
         there = node.get_publishers_info_by_topic(topic)
@@ -121,8 +83,7 @@ def strangers(node: Any, ours: Mapping[str, int]) -> list[str]:
 
 
 def refuse_company(node: Any, ours: Mapping[str, int]) -> None:
-    """Look before we speak: raises `ProcessError` where others publish what we shall; arguments as
-    of `strangers`."""
+    """Raise `ProcessError` if others publish topics of ``ours`` (see `strangers`)."""
     time.sleep(LOOK_S)
     if found := strangers(node, ours):
         msg = f"others in this ROS domain publish {'; '.join(found)}: set another ROS_DOMAIN_ID"
@@ -131,16 +92,17 @@ def refuse_company(node: Any, ours: Mapping[str, int]) -> None:
 
 @contextmanager
 def local_domain(log_dir: Path, given: int | None = None) -> Iterator[LocalDomain]:
-    """A ROS domain for this process and those started with its environment: the ``given`` one,
-    whoever else may be there, or one of one's own. However many ask at once on this computer, each
-    has another one until it leaves the context, in which SIGTERM interrupts as Ctrl-C does, so that
-    processes end. Raises `ProcessError`: all domains are taken, or another asked for the given
-    one."""
-    number, reservation = _reserve_domain() if given is None else (given, None)
-    reservation = reservation or _bound(number, RESERVATION_PORT)
+    """A ROS domain for this process and its children: the ``given`` one, or a free one, reserved on
+    this computer until the context ends. Within it SIGTERM acts like Ctrl-C, so that the children
+    end. Raises `ProcessError`: other programs have reserved the domain or all domains."""
+    if given is None:
+        found = ((n, _free(n)) for n in random.SystemRandom().sample(DOMAINS, len(DOMAINS)))
+        number, reservation = next((one for one in found if one[1]), (-1, None))
+    else:
+        number, reservation = given, _bound(given, RESERVATION_PORT)
     if reservation is None:
-        msg = f"another flight or demo has ROS domain {number}: set another ROS_DOMAIN_ID"
-        raise ProcessError(msg)
+        which = f"between {min(DOMAINS)} and {max(DOMAINS)}" if given is None else f"{given}"
+        raise ProcessError(f"no free ROS domain {which}: set another ROS_DOMAIN_ID")
     env = _local_environment(number, log_dir)
     with reservation, mock.patch.dict(os.environ, env), _interrupted_by_sigterm():
         yield LocalDomain(number, env)
@@ -158,23 +120,17 @@ def _interrupted_by_sigterm() -> Iterator[None]:
             signal.signal(signal.SIGTERM, before)
 
 
-def _reserve_domain() -> tuple[int, socket.socket]:
-    """A domain without participants, and what keeps others from it until it is closed.
-
-    Seeing that nobody is there would not do: a process takes a second to join after it was told
-    the number. So each that asks first holds the domain's last port, which no participant reaches.
-    """
-    for domain in random.SystemRandom().sample(list(DOMAINS), len(DOMAINS)):
-        reservation = _bound(domain, RESERVATION_PORT)
-        if reservation is None:
-            continue
-        probes = [_bound(domain, port) for port in PARTICIPANT_PORTS]
-        for probe in filter(None, probes):
-            probe.close()
-        if all(probes):
-            return domain, reservation
-        reservation.close()
-    raise ProcessError(f"no free ROS domain between {min(DOMAINS)} and {max(DOMAINS)}")
+def _free(domain: int) -> socket.socket | None:
+    """Reserve a domain without participants; None if there is one. The reservation comes first,
+    because a process joins its domain only a second after its start."""
+    reservation = _bound(domain, RESERVATION_PORT)
+    probes = [_bound(domain, port) for port in PARTICIPANT_PORTS if reservation]
+    for probe in filter(None, probes):
+        probe.close()
+    if reservation is None or all(probes):
+        return reservation
+    reservation.close()
+    return None
 
 
 def _bound(domain: int, port: int) -> socket.socket | None:
@@ -198,17 +154,13 @@ def _local_environment(domain: int, log_dir: Path) -> dict[str, str]:
         "PYTHONUNBUFFERED": "1",
     }
     if "fastrtps" in env.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"):
-        log_dir.mkdir(parents=True, exist_ok=True)
-        profile = log_dir / "fastdds.xml"
-        profile.write_text(LOCAL_PROFILE, encoding="utf-8")
         env["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
-        env["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profile)
+        env["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(LOCAL_PROFILE)
     return env
 
 
 class NodeProcess:
-    """One of our nodes as a process, with what follows ``--ros-args`` and a file that takes its
-    output; ends it when the context is left."""
+    """A node as a process, with ROS arguments and a file for its output; ends with the context."""
 
     def __init__(self, name: str, ros_args: Sequence[str], env: dict[str, str], log: Path) -> None:
         self.name = name
@@ -221,7 +173,6 @@ class NodeProcess:
             )
 
     def output(self) -> str:
-        """Everything it has written so far."""
         return self.log.read_text(encoding="utf-8", errors="replace")
 
     def check(self) -> None:
@@ -229,11 +180,10 @@ class NodeProcess:
         code = self.process.poll()
         if code is not None:
             said = " ".join(self.output().split())[-500:]
-            msg = f"{self.name} ended with exit code {code}: {said}"
-            raise ProcessError(msg)
+            raise ProcessError(f"{self.name} ended with exit code {code}: {said}")
 
     def stop(self, signal_number: int = signal.SIGINT, timeout: float = 15.0) -> int:
-        """Asks it to end, kills it if it does not, or if we are interrupted; its exit code."""
+        """End the process by a signal, after the timeout by SIGKILL; return its exit code."""
         try:
             self.process.send_signal(signal_number)
             with suppress(subprocess.TimeoutExpired):

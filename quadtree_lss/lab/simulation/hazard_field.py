@@ -16,11 +16,8 @@ from quadtree_lss.onboard.arrays import Array
 
 @dataclass(frozen=True)
 class HazardField:
-    """What lies on the field; lengths in metres, rates per square metre.
-
-    Rocks follow the size-frequency law of Golombek and Rapp: rocks larger than D cover the
-    fraction F(D) = k exp(−q D) of the ground, q = 1.79 + 0.152/k.
-    """
+    """Content of a field; lengths in m, rates per m². Rocks larger than D cover the fraction
+    F(D) = k exp(−q D) of the ground, q = 1.79 + 0.152/k (Golombek and Rapp)."""
 
     size: float = 100.0
     post: float = 0.1
@@ -54,10 +51,8 @@ FIELDS = {
 def sample_rock_diameters(
     generator: np.random.Generator, area: float, abundance: float, smallest: float, largest: float
 ) -> Array:
-    """Diameters (m) of the rocks on ``area`` (m²): a Poisson number, sizes by the law.
-
-    The cover of a rock is π D²/4, so the number density is n(D) = 4 k q exp(−q D)/(π D²).
-    """
+    """Diameters (m) of a Poisson number of rocks on ``area`` (m²). A rock covers π D²/4, so the
+    number density is n(D) = 4 k q exp(−q D)/(π D²)."""
     q = 1.79 + 0.152 / abundance
     diameter = np.geomspace(smallest, largest, 4001)
     density = 4.0 * abundance * q * np.exp(-q * diameter) / (np.pi * diameter**2)
@@ -129,8 +124,7 @@ def _add_craters(
 
 
 def _rocks(generator: np.random.Generator, axis: Array, field: HazardField) -> Array:
-    """Height of rocks over the ground (n, n): single ones, half buried, about half as high as wide;
-    and heaps of 8 to 20, about a metre wide and up to about a metre high."""
+    """Heights over the ground (n, n) of half-buried rocks, and of heaps of 8 to 20 rocks."""
     rocks = np.zeros((axis.size, axis.size))
     diameters = sample_rock_diameters(
         generator, field.size**2, field.rock_abundance, field.rock_smallest, field.rock_largest
@@ -156,7 +150,7 @@ def _rocks(generator: np.random.Generator, axis: Array, field: HazardField) -> A
 
 
 def _lay(axis: Array, rocks: Array, stones: tuple[Array, ...], *, heaped: bool = False) -> None:
-    """Ellipsoids: x, y, diameter, height, ratio of axes and yaw (K,); of a plan area of π D²/4."""
+    """Add ellipsoids: x, y, diameter, height, ratio of axes and yaw (K,); plan area π D²/4."""
     x, y, diameter, height, axes, yaw = stones
     long, short = 0.5 * diameter / np.sqrt(axes), 0.5 * diameter * np.sqrt(axes)
     ends = np.column_stack([y - long, y + long, x - long, x + long])

@@ -13,10 +13,10 @@ from scipy.ndimage import uniform_filter
 from quadtree_lss.lab.simulation.terrain import Surface
 from quadtree_lss.onboard.arrays import Array
 
+#: Beams per side of the outline of a field of view.
 OUTLINE = 8
-"""Beams per side of the outline of a field of view."""
+#: Largest error of a false return, m.
 WRONG = 10.0
-"""m, at most, of a false return."""
 
 
 def _beams(azimuth: Array, elevation: Array) -> Array:
@@ -40,11 +40,8 @@ def pixel_beams(width_deg: float, height_deg: float, columns: int, rows: int) ->
 
 @dataclass(frozen=True)
 class FlashLidar:
-    """Square array of ``pixels``² beams over a square field of view.
-
-    Frame of Eq. 14: z along the boresight, x right, y down. Row 0 is the upper edge (largest
-    elevation angle), column 0 the left one (smallest azimuth).
-    """
+    """Square array of ``pixels``² beams over a square field of view, in the frame of Eq. 14 (z
+    boresight, x right, y down). Row 0 is the upper edge, column 0 the left one."""
 
     field_of_view_deg: float
     pixels: int = 128
@@ -78,11 +75,8 @@ class FlashLidar:
     def scan(
         self, surface: Surface, position_map: Array, rotation_map_lidar: Array, generator: Generator
     ) -> Array:
-        """Measured points (pixels, pixels, 3) in the lidar frame, NaN = no return.
-
-        Ranges have Gaussian noise (Eq. 13); a fraction ``outliers`` is off by up to `WRONG`, a
-        fraction ``dropouts`` is lost.
-        """
+        """Points (pixels, pixels, 3) in the lidar frame, NaN = no return, with Gaussian noise of
+        ranges (Eq. 13), ``outliers`` of up to `WRONG`, and ``dropouts``."""
         ranges = self.true_ranges(surface, position_map, rotation_map_lidar)
         ranges = ranges + generator.normal(0.0, self.range_noise, ranges.shape)
         if self.outliers > 0.0:
@@ -97,12 +91,9 @@ class FlashLidar:
 
 @dataclass(frozen=True)
 class StereoCamera(FlashLidar):
-    """Depths of a pair of cameras, as a RealSense D455 gives them: whole millimetres, along z.
-
-    Disparities have Gaussian noise, which the window of the matching makes common to 3 x 3 pixels;
-    half of the pixels at an edge take a depth between the near and the far. A square field of view,
-    the lesser of the two, is the outline.
-    """
+    """Depths along z like a RealSense D455's, in whole millimetres. Gaussian noise of disparities
+    is averaged over 3 x 3 pixels; half of the pixels at an edge get a depth in between. The outline
+    is that of the smaller field of view."""
 
     field_of_view_deg: float = 64.0
     columns: int = 640

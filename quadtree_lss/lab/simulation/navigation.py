@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of the navigation solution and the covariance it claims for itself."""
+"""Errors of navigation and the covariance that it claims."""
 
 from __future__ import annotations
 
@@ -13,11 +13,8 @@ from quadtree_lss.onboard.arrays import Array
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimated lidar poses: positions (n, 3), rotations_map_lidar (n, 3, 3) and covariance.
-
-    ``covariance`` (6, 6) is that of PoseWithCovariance: x, y, z and the rotation about the fixed
-    axes X, Y, Z of the map (m², m·rad, rad²).
-    """
+    """Estimated lidar poses: positions (n, 3), rotations_map_lidar (n, 3, 3), and covariance (6, 6)
+    as in PoseWithCovariance, about the fixed axes of the map (m², m·rad, rad²)."""
 
     positions: Array
     rotations: Array
@@ -30,11 +27,8 @@ def _isotropic(position_sigma: float, attitude_sigma: float) -> Array:
 
 @dataclass(frozen=True)
 class WhiteNavigation:
-    """Independent errors at every pose, equal on all axes, and their true covariance.
-
-    The attitude error is the right perturbation of Eq. 16; being isotropic, it has the same
-    covariance about the fixed axes.
-    """
+    """Independent isotropic errors of every pose (right perturbation of Eq. 16), and their true
+    covariance."""
 
     position_sigma: float = 0.5
     attitude_sigma_deg: float = 0.01
@@ -42,7 +36,7 @@ class WhiteNavigation:
     def estimate(
         self, generator: np.random.Generator, times: Array, positions: Array, rotations: Array
     ) -> Estimate:
-        """Estimate of true poses (n, 3), (n, 3, 3) at times (n,) s: independent errors for each."""
+        """Estimate of true poses (n, 3), (n, 3, 3) at times (n,), s."""
         sigma = np.radians(self.attitude_sigma_deg)
         offset = generator.normal(0.0, self.position_sigma, positions.shape)
         tilt = Rotation.from_rotvec(generator.normal(0.0, sigma, positions.shape)).as_matrix()
@@ -52,11 +46,8 @@ class WhiteNavigation:
 
 @dataclass(frozen=True)
 class DriftingNavigation:
-    """A constant bias and a slow first-order Gauss–Markov drift, with a conservative covariance.
-
-    Errors are about the fixed axes of the map. The claimed standard deviation is that of bias and
-    drift together times ``conservatism``.
-    """
+    """A constant bias and a first-order Gauss–Markov drift about the fixed axes of the map. The
+    claimed standard deviation is that of both together times ``conservatism``."""
 
     position_bias: float = 0.03
     position_drift: float = 0.01
@@ -68,7 +59,7 @@ class DriftingNavigation:
     def estimate(
         self, generator: np.random.Generator, times: Array, positions: Array, rotations: Array
     ) -> Estimate:
-        """The same: one bias for the flight plus a drift that is continuous in time."""
+        """Estimate of true poses, as `WhiteNavigation.estimate`."""
         offset = self._error(generator, times, self.position_bias, self.position_drift)
         bias, drift = np.radians([self.attitude_bias_deg, self.attitude_drift_deg])
         tilt = Rotation.from_rotvec(self._error(generator, times, bias, drift)).as_matrix()

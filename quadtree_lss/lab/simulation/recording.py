@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scans, poses and wishes as messages, of rosbags' classes or of rclpy's; and bags."""
+"""Scans, poses and landing inputs as messages of rosbags or rclpy; bags."""
 
 from __future__ import annotations
 
@@ -29,9 +29,8 @@ XYZ = record_dtype(("f4", "xyz"))
 
 
 class Messages(MessageMaker):
-    """Makes messages of arrays. ``types``: class by name, such as ``geometry_msgs/msg/Point``; by
-    default those of rosbags. ``pack``: what the classes take as an array of uint8. ``frame``: of
-    the map."""
+    """Makes messages from arrays. ``types``: classes by name, by default those of rosbags; ``pack``
+    converts arrays of uint8 for them; ``frame``: map frame."""
 
     def __init__(
         self,
@@ -117,8 +116,7 @@ class Messages(MessageMaker):
 
 @contextmanager
 def recorded(path: Path) -> Iterator[Callable[[str, int, Any], None]]:
-    """Within it, what writes a message of `TYPES` or `DEPTH_TYPES`, of its topic and time of
-    reception in ns, into a new mcap bag."""
+    """A new mcap bag, as a function that writes topic, time of reception, ns, and message."""
     store, kinds = get_typestore(Stores.ROS2_JAZZY), TYPES | DEPTH_TYPES
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
 

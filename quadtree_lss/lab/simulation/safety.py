@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """True safety: the contact of a four-legged lander with the posts of a DEM (Fig. 21).
 
-Geometry. Four pads stand on a circle, 90° apart, at fixed horizontal offsets from the vehicle's
-centre. Each pad rests on the highest post under it (posts within the pad's radius, and the
-bilinear surface under its centre, which matters only where posts are too wide apart for one to lie
-under the pad). Four rigid pads touch uneven ground with three: the pads of the diagonal whose mean
-height is larger carry the vehicle, and it rocks onto either one of the other two. These are the two
-planes through three pads under which the fourth pad's ground does not reach. A place is unsafe
-if, at any yaw, either plane is steeper than the limit or any post within the circle is higher above
-it (vertically) than the clearance. Yaws divide the 90° after which the four pads repeat.
+Four pads stand on a circle, 90° apart. Each rests on the highest post within its radius, or on the
+bilinear surface under its centre. The diagonal with the higher mean carries the vehicle, which
+rocks onto either other pad: two planes. A place is unsafe if at any yaw either plane is steeper
+than the limit, or a post within the circle is higher above it than the clearance.
 """
 
 from __future__ import annotations
@@ -46,30 +42,24 @@ class LandingGear:
         return self.diameter, self.pad_radius, self.max_slope_deg, self.max_roughness
 
 
+#: The paper's (Fig. 21).
 LANDER = LandingGear()
-"""The paper's (Fig. 21)."""
 
 
 def contact_safe(dem: Terrain, points: ArrayLike, lander: LandingGear = LANDER) -> Mask:
-    """Whether a lander centred at each of ``points`` (K, 2), map frame, m, stands safely: (K,). One
-    that would reach over the edge of the DEM does not."""
+    """Safety (K,) of landers at ``points`` (K, 2), map frame, m; false over the edge of the DEM."""
     slope, rise = worst_contact(dem, points, lander)
     level = slope <= np.tan(np.radians(lander.max_slope_deg))
     return np.asarray(level & (rise <= lander.max_roughness))
 
 
 def worst_contact(dem: Terrain, points: ArrayLike, lander: LandingGear) -> tuple[Array, Array]:
-    """The worst over yaws and resting planes, for landers at each of ``points`` (K, 2).
-
-    Tangent of the slope (K,), and how far the highest post within the circle is above the plane
-    (K,) in m; infinite where the lander would reach over the edge of the DEM. What remains to
-    the limits says by how much a place is safe or unsafe.
-    """
+    """Worst tangent of the slope (K,) and rise of a post within the circle above the plane (K,), m,
+    over yaws and planes, of landers at ``points`` (K, 2); infinite over the edge of the DEM."""
     centres = np.asarray(points, np.float64).reshape(-1, 2)
     on = on_dem(dem, centres, lander)
     angles = 0.5 * np.pi / lander.yaws * np.arange(4 * lander.yaws)
-    worst = np.full((len(centres), 2), np.inf)
-    stood = np.empty((int(on.sum()), 2))
+    worst, stood = np.full((len(centres), 2), np.inf), np.empty((int(on.sum()), 2))
     contact.stand(
         dem.elevation,
         np.array([dem.x[0], dem.y[0], *dem.post]),

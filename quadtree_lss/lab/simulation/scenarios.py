@@ -31,20 +31,19 @@ from quadtree_lss.lab.simulation.trajectory import (
 )
 from quadtree_lss.onboard.arrays import Array
 
+#: None: the parabola of Section VI.
 Ground = Terrain | None
-"""Of a flight; None for Section VI's."""
+#: Lattice of the true safety map and of boxes, m.
 GRID_SPACING = 0.25
-"""Lattice (m) of the true safety map; boxes start and end on it."""
-
+#: Ground between a box and the edge of a DEM, m: more than a lander's radius.
 EDGE = 2.25
-"""Ground (m) that a box leaves free to the edge of a DEM: a lander's radius and more."""
+#: Lead and lag of poses around the scans, s.
 LEAD = 0.1
-"""s: poses begin so long before the flight and end after it."""
 
 
 @dataclass(frozen=True)
 class FlightPlan:
-    """One flight: what is seen, from where, when, and how well the vehicle knows its pose."""
+    """Surface, sensor, trajectory, navigation and times of one flight."""
 
     surface: Surface
     truth: Terrain
@@ -64,7 +63,6 @@ LIMITS = {
     "dropouts": (0.0, 1.0),
     "glide_slope_deg": (10.0, 80.0),
     "navigation_error": (0.0, 100.0),
-    "conservatism": (0.01, 100.0),
     "rocks": (0.0, 0.3),
     "slope_deg": (0.0, 20.0),
 }
@@ -72,19 +70,16 @@ LIMITS = {
 
 @dataclass(frozen=True)
 class Conditions:
-    """What the user asks of a flight; None for the scenario's own. Raises `SimulationError` for
-    values that make no sense.
+    """Conditions of a flight; None is the scenario's own. Raises `SimulationError`: invalid values.
 
     Attributes:
-        duration, range_noise: Of the flight, s; one sigma of a range, m.
-        terrain: A DEM or the path of one.
+        duration, range_noise: Of the flight, s; 1 sigma of a range, m.
+        terrain: A DEM or its path.
         outliers, dropouts: Shares of false and of missing returns.
         glide_slope_deg: Of the morpheus scenario.
-        navigation_error: How many times the usual errors of morpheus and descent.
-        conservatism: How many times its errors the navigation claims.
-        rocks: Share of the ground that rocks cover, the k of Golombek and Rapp (a made field has
-            0.05); on a given terrain rocks are added, over 100 m about its centre at most.
-        slope_deg: Root mean square slope of a made field (1.5).
+        navigation_error: Factor on the usual errors of morpheus and descent.
+        rocks: Share of the ground under rocks (Golombek and Rapp's k); added on a terrain.
+        slope_deg: RMS slope of a simulated field.
     """
 
     duration: float | None = None
@@ -94,7 +89,6 @@ class Conditions:
     dropouts: float = 0.0
     glide_slope_deg: float = 30.0
     navigation_error: float = 1.0
-    conservatism: float = 2.0
     rocks: float | None = None
     slope_deg: float | None = None
 
@@ -102,7 +96,6 @@ class Conditions:
         check(self, LIMITS, SimulationError)
 
     def ground(self, scenario: str, generator: np.random.Generator) -> Ground:
-        """The terrain, made or read; None for the one of Section VI."""
         terrain, rocks, slope_deg = self.terrain, self.rocks, self.slope_deg
         if isinstance(terrain, (str, Path)):
             terrain = load_terrain(terrain)
@@ -117,20 +110,18 @@ class Conditions:
         return strewn(generator, terrain, rocks) if terrain is not None and rocks else terrain
 
     def lidar(self, field_of_view_deg: float, range_noise: float) -> FlashLidar:
-        """Lidar of a scenario with the user's noise where one is given."""
         noise = range_noise if self.range_noise is None else self.range_noise
         return FlashLidar(field_of_view_deg, 128, noise, self.outliers, self.dropouts)
 
     def drifting(self, attitude_bias_deg: float, attitude_drift_deg: float) -> DriftingNavigation:
-        """Navigation of a scenario, its errors as many times as large as the user says."""
         usual, many = DriftingNavigation(), self.navigation_error
         place = many * usual.position_bias, many * usual.position_drift
         turn = many * attitude_bias_deg, many * attitude_drift_deg
-        return DriftingNavigation(*place, *turn, conservatism=self.conservatism)
+        return DriftingNavigation(*place, *turn)
 
 
 def _box(terrain: Terrain, half: float) -> tuple[float, float, float, float]:
-    """A square box about the terrain's centre, on its grid, clear of the DEM's edge."""
+    """A square box around the terrain's centre, on the lattice, clear of the edge."""
     xmin, xmax, ymin, ymax = terrain.bounds
     middles = 0.5 * (xmin + xmax), 0.5 * (ymin + ymax)
     x, y = (GRID_SPACING * round(middle / GRID_SPACING) for middle in middles)
@@ -157,8 +148,7 @@ def _parabola(given: Conditions, terrain: Ground, duration: float, flight: int) 
     surface: Surface = terrain or parabola
     target_z = float(surface.elevation_at(10.0, 0.0))
     if not np.isfinite(target_z):
-        msg = "terrain: the parabola flight looks at (10, 0) m, which this DEM does not cover"
-        raise SimulationError(msg)
+        raise SimulationError("terrain: it does not cover (10, 0) m, where the lidar points")
     box = _box(terrain, 60.0) if terrain else (-60.0, 60.0, -60.0, 60.0)
     times = _times(min(duration, 60.0), 1.0)
     trajectory, lidar = section_vi_trajectory(target_z), given.lidar(10.0, 0.08)
@@ -173,7 +163,7 @@ def _morpheus(given: Conditions, terrain: Ground, duration: float, flight: int) 
     area = tuple(_centre(terrain, box)), 0.5 * (box[1] - box[0]), 0.5 * (box[3] - box[2])
     how = {"glide_slope_deg": given.glide_slope_deg, "reverse": flight % 2 == 1}
     trajectory = Sweep(*area, duration, field_of_view_deg=1.0, **how).trajectory()
-    # Scans at 20 Hz, none on a pose; poses begin before the first scan and end after the last.
+    # Scans at 20 Hz, between poses.
     scans = (np.arange(int(np.floor(duration * rate + 1e-9)), dtype=np.float64) + 0.37 / 5.0) / rate
     poses = _times(duration + 2.0 * LEAD, 100.0, -LEAD)
     lidar, navigation = given.lidar(1.0, 0.06), given.drifting(0.01, 0.0015)
@@ -192,8 +182,8 @@ def _looking_down(
     lidar: tuple[float, float] | None,
     spacing: float = GRID_SPACING,
 ) -> FlightPlan:
-    """A descent between two heights over any terrain, m; faster if shorter. ``lidar``: its field of
-    view, deg, and noise, m; None for a stereo camera."""
+    """A descent between two heights, m. ``lidar``: field of view, deg, and noise, m; None for a
+    stereo camera."""
     assert terrain is not None
     if lidar is None and (given.range_noise is not None or given.outliers):
         raise SimulationError("a stereo camera has neither range_noise nor outliers")
@@ -209,8 +199,7 @@ def _looking_down(
 
 @dataclass(frozen=True)
 class Scenario:
-    """A named flight: how to plan it, how long it lasts (s), the scale of its field (0: it has
-    none), and the lander whose safety is the truth unless another is given."""
+    """A named flight: plan, duration, s, scale of its field (0: none), and default lander."""
 
     plan: Callable[[Conditions, Ground, float, int], FlightPlan]
     duration: float

@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.exchange.archives import read_arrays
-from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.lab.simulation.recording import DEPTH_TOPIC, SCAN_TOPIC, recorded
 from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.lab.simulation.simulation import Simulation
@@ -23,7 +21,7 @@ TRUTH_NAME = "truth.npz"
 
 @dataclass(frozen=True)
 class SimulationResult:
-    """What was written; ``interrupted`` says that it was stopped before the end."""
+    """Summary of the bag; ``interrupted``: it ends early."""
 
     scenario: str
     seed: int
@@ -69,26 +67,24 @@ def simulate(
     stop: Callable[[], bool] | None = None,
     **conditions: Any,
 ) -> SimulationResult:
-    """Simulate ``scenario`` (see `scenarios`) into a ROS 2 bag; the same arguments
-    give the same messages.
+    """Simulate ``scenario`` (see `scenarios`) into a ROS 2 bag, reproducibly.
 
-    Topics: ``/lidar/points`` (organised 128×128 cloud in frame ``lidar``) and ``/nav/pose`` (the
-    lidar's estimated pose in frame ``map``, with covariance); of ``depth`` ``/depth/image`` and
-    ``/depth/camera_info`` instead of the former. ``truth.npz`` goes into the bag's
-    parent directory, with the bag's name and the seed; one of another bag that is there is replaced
-    with ``overwrite`` only, as is a bag. ``flights`` > 1 flies again over the same ground with new
-    navigation errors, into the same bag. ``lander`` is whose safety is in the truth; ``conditions``
-    are those of `scenarios.Conditions`. ``progress(done, total)`` is called after every scan,
-    ``stop`` asked before every message: True ends it there.
+    Topics: ``/lidar/points`` (organised cloud in frame ``lidar``; ``depth``: ``/depth/image`` and
+    ``/depth/camera_info``) and ``/nav/pose`` (estimated pose of the lidar in frame ``map``, with
+    covariance). ``truth.npz`` goes beside the bag. ``flights`` > 1 repeats the flight over the same
+    ground with new navigation errors. ``lander``: whose safety is in the truth; ``conditions``: see
+    `scenarios.Conditions`. ``progress(done, total)`` is called after every scan; the flight ends
+    when ``stop`` returns True.
 
-    Raises `SimulationError` for options that make no sense and for what would be overwritten,
-    KeyboardInterrupt if it is stopped before the first scan.
+    Raises `SimulationError`: the options are invalid, or a file would be overwritten without
+    ``overwrite``; KeyboardInterrupt: stopped before the first scan.
     """
     path = Path(bag_path)
     simulation = Simulation(scenario, seed, flights=flights, **conditions)
     safe_fraction, truth_path = None, path.parent / TRUTH_NAME if truth else None
-    if truth_path is not None and not overwrite:
-        _spare_truth(truth_path, path.name)
+    if truth_path is not None and truth_path.exists() and not overwrite:
+        msg = f"{truth_path} exists; choose another folder, or --overwrite to replace it"
+        raise SimulationError(msg)
     _make_room(path, overwrite)
     done = 0
     try:
@@ -131,31 +127,15 @@ def simulate(
     )
 
 
-def _spare_truth(path: Path, bag_name: str) -> None:
-    """Refuse to replace the truth of another bag: its results would be scored against this one."""
-    if not path.exists():
-        return
-    try:
-        owner = str(read_arrays(path, ("bag_name",))["bag_name"])
-    except (ExchangeError, KeyError):
-        owner = ""
-    if owner != bag_name:
-        whose = f"of the bag '{owner}'" if owner else "of a bag it does not name"
-        msg = f"{path} is {whose}; choose another folder, or --overwrite to replace it"
-        raise SimulationError(msg)
-
-
 def _make_room(path: Path, overwrite: bool) -> None:
     """Make the parent directory; remove an old bag only when asked to."""
     if path.exists():
         if not overwrite:
-            msg = f"{path} exists; choose another path, or --overwrite to replace it"
-            raise SimulationError(msg)
-        if not path.is_dir():
-            msg = f"{path} is a file, and bags are directories; it is not overwritten"
-            raise SimulationError(msg)
-        if not (path / "metadata.yaml").is_file() and any(path.iterdir()):
-            raise SimulationError(f"{path} is a directory but no bag; it is not overwritten")
+            raise SimulationError(
+                f"{path} exists; choose another path, or --overwrite to replace it"
+            )
+        if not (path / "metadata.yaml").is_file():
+            raise SimulationError(f"{path} is no bag; it is not overwritten")
         shutil.rmtree(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

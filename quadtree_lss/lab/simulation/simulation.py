@@ -32,7 +32,7 @@ _POSE_LATENCY_NS = 3_000_000
 
 @dataclass
 class Leg:
-    """One flight of several over the same ground: its schedule, and what has been flown of it."""
+    """One flight over the ground: its schedule, and what was flown so far."""
 
     plan: FlightPlan
     start_ns: int
@@ -54,12 +54,8 @@ class Leg:
 
 
 class Simulation:
-    """A scenario as a stream of messages; the same arguments (as of `simulate`) give the same
-    messages.
-
-    ``legs`` are the flights, and what has been flown; ``stopped`` tells whether `messages` was
-    stopped. Raises `SimulationError`: options that make no sense.
-    """
+    """A scenario as a reproducible stream of messages; arguments as of `simulate`. ``stopped``:
+    `messages` ended early. Raises `SimulationError`: invalid options."""
 
     def __init__(self, scenario: str, seed: int, *, flights: int = 1, **conditions: Any) -> None:
         if flights < 1:
@@ -93,7 +89,7 @@ class Simulation:
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """Times of the first and of the last arrival."""
+        """Times of the first and the last arrival."""
         return self.legs[0].arrivals[0][0], self.legs[-1].arrivals[-1][0]
 
     @property
@@ -102,8 +98,7 @@ class Simulation:
         return self.legs[0].plan.box
 
     def messages(self, stop: Callable[[], bool] | None = None) -> Iterator[tuple[str, int, Any]]:
-        """All messages, once, each with its topic and time of reception; ``stop`` is asked before
-        each."""
+        """All messages with topic and time of reception, until ``stop`` returns True."""
         for leg in self.legs:
             plan = leg.plan
             poses = plan.trajectory.poses(plan.pose_times)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Terrain that a lidar can look at: an elevation model, bilinear in between; Section VI's."""
+"""Surfaces for a lidar: a bilinear elevation model, and the parabola of Section VI."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from quadtree_lss.lab.simulation.march import march
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
+#: Posts; see `march`.
 WINDOWS = (64, 16, 4)
-"""Posts; see `march`."""
 
 
 class SimulationError(QuadtreeLssError):
@@ -30,7 +30,7 @@ class SimulationError(QuadtreeLssError):
 def check(
     of: object, limits: Mapping[str, tuple[float, float]], error: type[QuadtreeLssError]
 ) -> None:
-    """Raises the error where an attribute is no number within its limits, nor None."""
+    """Raise ``error`` for an attribute that is neither None nor a number within its limits."""
     for name, (low, high) in limits.items():
         value = getattr(of, name)
         if value is not None and not (isinstance(value, Real) and low <= value <= high):
@@ -38,7 +38,6 @@ def check(
 
 
 def spacing(axis: Array) -> float:
-    """Distance of neighbours of an even axis."""
     return float(axis[-1] - axis[0]) / (axis.size - 1)
 
 
@@ -64,11 +63,9 @@ def bilinear(posts_x: Array, posts_y: Array, elevation: Array, x: ArrayLike, y: 
 
 @dataclass(frozen=True)
 class Terrain:
-    """A heightfield: posts ``x`` (nx,), ``y`` (ny,) and ``elevation`` (ny, nx), metres, z up.
-
-    Axes ascend in equal steps; between posts the surface is bilinear. Raises `SimulationError`
-    when the arrays do not fit together or hold values that are not finite.
-    """
+    """A bilinear heightfield: posts ``x`` (nx,), ``y`` (ny,), ascending in equal steps,
+    ``elevation`` (ny, nx), m, z up. Raises `SimulationError`: shapes do not match, or values are
+    not finite."""
 
     x: Array
     y: Array
@@ -77,18 +74,14 @@ class Terrain:
     def __post_init__(self) -> None:
         for name in ("x", "y", "elevation"):
             object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), np.float64))
-        if self.x.ndim != 1 or self.y.ndim != 1 or min(self.x.size, self.y.size) < 2:
-            raise SimulationError("terrain: x and y must be vectors of at least two posts")
-        if self.elevation.shape != (self.y.size, self.x.size):
-            expected = f"expected (ny, nx) = ({self.y.size}, {self.x.size})"
-            raise SimulationError(
-                f"terrain: elevation has shape {self.elevation.shape}, {expected}"
-            )
-        for name, axis in (("x", self.x), ("y", self.y)):
-            steps = np.diff(axis)
-            if not np.all(steps > 0.0) or np.ptp(steps) > 1e-3 * steps.mean():
-                raise SimulationError(f"terrain: {name} must ascend in equal steps")
-        if not np.all(np.isfinite(self.elevation)):
+        steps = [np.diff(axis) for axis in (self.x, self.y) if axis.ndim == 1 and axis.size > 1]
+        even = all(step.min() > 0.0 and np.ptp(step) <= 1e-3 * step.mean() for step in steps)
+        if len(steps) < 2 or not even:
+            raise SimulationError("terrain: x and y must be vectors that ascend in equal steps")
+        shape, expected = self.elevation.shape, (self.y.size, self.x.size)
+        if shape != expected:
+            raise SimulationError(f"terrain: elevation has shape {shape}, expected {expected}")
+        if not np.isfinite(self.elevation).all():
             raise SimulationError("terrain: elevation holds values that are not finite")
 
     @property
@@ -101,7 +94,6 @@ class Terrain:
         return float(self.x[0]), float(self.x[-1]), float(self.y[0]), float(self.y[-1])
 
     def scaled(self, scale: float) -> Terrain:
-        """As many times as wide and as high."""
         return Terrain(scale * self.x, scale * self.y, scale * self.elevation)
 
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
@@ -110,8 +102,7 @@ class Terrain:
 
     @cached_property
     def window_maxima(self) -> tuple[Array, ...]:
-        """For each of `WINDOWS` the highest post within one window of each block of that size,
-        with which rays skip empty space."""
+        """For each of `WINDOWS` the highest post within one window of each block of that size."""
         maxima = []
         for window in WINDOWS:
             blocks = self.elevation
@@ -141,17 +132,12 @@ class Parabola:
     flat_radius: float = 12.0
 
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Elevation (m) at map coordinates (m)."""
         squared = np.square(np.asarray(x, float)) + np.square(np.asarray(y, float))
         return np.asarray(np.maximum(self.curvature * (squared - self.flat_radius**2), 0.0))
 
     def cast(self, origin_map: Array, directions_map: Array) -> Array:
-        """Range (N,) to the first hit; NaN where a ray misses.
-
-        The surface is the higher of plane and paraboloid, hence the first hit is the nearer of
-        the two. The height above the paraboloid is concave along a ray, so a ray that starts
-        above it meets it at the larger root.
-        """
+        """Range (N,) to the first hit; NaN where a ray misses. It is the nearer hit of plane and
+        paraboloid; a ray from above meets the latter at the larger root."""
         o, d = np.asarray(origin_map, float), np.asarray(directions_map, float)
         with np.errstate(divide="ignore", invalid="ignore"):
             plane = np.where(d[:, 2] < 0.0, -o[2] / d[:, 2], np.inf)
@@ -165,13 +151,12 @@ class Parabola:
         return np.where(np.isfinite(hit) & (hit > 0.0), hit, np.nan)
 
     def terrain(self) -> Terrain:
-        """Sample as a DEM of 140 m about the origin (for the truth file)."""
+        """A DEM of 140 m around the origin, for the truth file."""
         axis = np.linspace(-70.0, 70.0, 561)
         return Terrain(axis, axis, self.elevation_at(axis[None, :], axis[:, None]))
 
 
 Surface = Terrain | Parabola
-"""What a lidar can look at."""
 
 
 def load_terrain(path: str | Path) -> Terrain:
@@ -180,7 +165,7 @@ def load_terrain(path: str | Path) -> Terrain:
         model = read_dem(Path(path))
         return Terrain(model.x, model.y, model.elevation)
     except SimulationError as error:
-        msg = f"terrain file {path}: {str(error).removeprefix('terrain: ')}"
-        raise SimulationError(msg) from error
+        text = str(error).removeprefix("terrain: ")
+        raise SimulationError(f"terrain file {path}: {text}") from error
     except ExchangeError as error:
         raise SimulationError(f"terrain file {error}") from error

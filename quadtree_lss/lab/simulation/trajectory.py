@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the lidar is and where it looks."""
+"""Positions and pointing of the lidar."""
 
 from __future__ import annotations
 
@@ -18,12 +18,9 @@ UP = (0.0, 0.0, 1.0)
 def look_at(
     position_map: ArrayLike, target_map: ArrayLike, up_map: tuple[float, float, float] = UP
 ) -> Array:
-    """Rotations (..., 3, 3) that take the lidar frame (z boresight, x right, y down) to map.
-
-    ``position_map`` and ``target_map`` are (..., 3), m. The image's upper edge points toward
-    ``up_map``; where the boresight is parallel to that (looking straight down with the default),
-    it points to the map's north (+y).
-    """
+    """Rotations (..., 3, 3) from the lidar frame (z boresight, x right, y down) to map, for
+    positions and targets (..., 3), m. The image's upper edge points to ``up_map``, or to +y if the
+    boresight is parallel to that."""
     sight = np.asarray(target_map, float) - np.asarray(position_map, float)
     boresight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
     right = np.cross(boresight, up_map)
@@ -55,11 +52,8 @@ def _constant(duration: float, point: ArrayLike) -> CubicHermiteSpline:
 
 
 def section_vi_trajectory(target_z: float = 0.0) -> Trajectory:
-    """Section VI: the cubic through both end positions and velocities, 60 s.
-
-    From (100, −100, 500) m at (−5, −5, −5) m/s to rest 20 m above the origin; the boresight
-    always points at (10, 0) m on the ground.
-    """
+    """Section VI: the cubic of 60 s from (100, −100, 500) m at (−5, −5, −5) m/s to rest 20 m above
+    the origin; the boresight points at (10, 0) m on the ground."""
     position = CubicHermiteSpline(
         [0.0, 60.0], [[100.0, -100.0, 500.0], [0.0, 0.0, 20.0]], [[-5.0, -5.0, -5.0], [0.0] * 3]
     )
@@ -68,13 +62,9 @@ def section_vi_trajectory(target_z: float = 0.0) -> Trajectory:
 
 @dataclass(frozen=True)
 class Sweep:
-    """A gimballed sweep of a box seen from a straight approach on a glide slope.
-
-    The vehicle flies along +x toward the centre of the box. Strips run along y, from the near edge
-    to the far one and back and forth; they overlap by at least ``overlap`` of the footprint.
-    ``margin`` is swept beyond the box, so that a vehicle standing at its edge stands on seen
-    ground.
-    """
+    """A gimballed sweep of a box, and ``margin`` around it, from a straight approach along +x on a
+    glide slope. Strips run along y, from near to far and back, and overlap by at least ``overlap``
+    of the footprint."""
 
     centre_map: tuple[float, float, float]
     half_x: float
@@ -89,7 +79,6 @@ class Sweep:
     reverse: bool = False
 
     def trajectory(self) -> Trajectory:
-        """Straight approach and boustrophedon aim."""
         slope = np.radians(self.glide_slope_deg)
         back = np.array([-np.cos(slope), 0.0, np.sin(slope)])
         centre = np.asarray(self.centre_map, float)
@@ -100,11 +89,10 @@ class Sweep:
         return Trajectory(position, self._aim(centre, stop))
 
     def _aim(self, centre: Array, closest: Array) -> CubicSpline:
-        """Ground point under the boresight against time, from a polyline with rounded turns."""
+        """Ground point under the boresight over time, a polyline with rounded turns."""
         half_angle = np.radians(0.5 * self.field_of_view_deg)
         height, distance = closest[2] - centre[2], centre[0] - closest[0]
-        # Edges to cover, seen from the closest point, where footprints are smallest. The turn of
-        # the footprint by the azimuth of the line of sight and rounded turns cost a little.
+        # Edges to cover, seen from the closest point, where footprints are smallest.
         edge_x, edge_y = self.half_x + self.margin, self.half_y + self.margin
         # Half length along x and half width along y of the footprint at the near edge.
         away = distance - edge_x
@@ -119,7 +107,7 @@ class Sweep:
         else:
             first = last = 0.0
         end_y = max(edge_y - width + turn * length, 0.0)
-        # Beyond the end by what the aim moves in a tenth of a second: edges are not seen only once.
+        # Continue for a tenth of a second, so that edges are covered more than once.
         end_y += 0.1 * (strips * 2.0 * end_y + last - first) / self.duration
         strip_x = np.linspace(first, last, strips)
         corners = []
@@ -149,7 +137,7 @@ class Sweep:
 def descent_trajectory(
     centre_map: ArrayLike, duration: float, high: float = 200.0, low: float = 50.0
 ) -> Trajectory:
-    """Descent above a ground point, braking, with a sideways drift that dies away; looks down."""
+    """A braking descent above a ground point with a decaying sideways drift, looking down."""
     ground = np.asarray(centre_map, float)
     start = ground + np.array([0.1 * high, -0.06 * high, high])
     stop = ground + np.array([0.0, 0.0, low])

@@ -22,8 +22,7 @@ MOST_LEAVES = 1_000_000
 """That a map may have; each takes up to 1.5 kB while it is updated, copied and sent."""
 STEP_LEVEL = 5
 """A domain that follows is moved by cells of this level, or by coarsest ones where these are
-larger: so seldom, and by so many finest cells that a landing pass keeps what it found
-(``touchdown.Blocks``)."""
+larger, so that moves are rare."""
 
 LEAST_SIDE = 1e-3
 """Of the finest cells, m: no lidar knows less, and a lander would be on millions of them."""

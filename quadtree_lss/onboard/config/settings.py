@@ -36,21 +36,30 @@ RENAMED = {
 #: of its side of where it is to be, half of what moves it (`Domain.steps_to`).
 LEAST_STEPS = 3
 
-#: What replaced three of a stereo camera.
-STEREO = "lidar.stereo_noise is disparity_sigma / (focal_length baseline)"
-
 #: Removed parameters and sections, and what applies instead.
 REMOVED = {
+    **dict.fromkeys(
+        "lidar.outlier_gate mapping.divide_area mapping.residual_clip mapping.roughness_tolerance"
+        " features.min_height features.divide_height features.divide_sigma features.min_volume"
+        " lss.elevation_reference_size lss.touchdown_slope_deg lss.touchdown_roughness"
+        " lss.hazard_distance_cap lss.hazard_growth lss.min_separation".split(),
+        "it follows from the vehicle (config explain vehicle)",
+    ),
+    **dict.fromkeys(
+        ("lidar.disparity_sigma", "lidar.focal_length", "lidar.baseline"),
+        "lidar.stereo_noise is disparity_sigma / (focal_length baseline)",
+    ),
+    **dict.fromkeys(
+        "lss.weight_target lss.weight_slope lss.weight_roughness lss.weight_hazard_distance"
+        " lss.weight_subscale".split(),
+        "the weights of Eq. 58 are fixed",
+    ),
     "pose.buffer": "poses are kept for 30 s",
     "pose.max_gap": "between poses more than 1.5 s apart nothing is interpolated",
     "pose.queue": "20 scans may wait for each second of pose.max_wait, and at least 20",
     "lidar.noise_model": "it is stereo where lidar.stereo_noise is above 0",
     "lidar.beam_divergence": "a beam is a line; see lidar.range_noise_per_metre",
-    "lidar.disparity_sigma": STEREO,
-    "lidar.focal_length": STEREO,
-    "lidar.baseline": STEREO,
     "lidar.depth_step": "of a depth image some 320 columns are taken",
-    "lidar.outlier_gate": "it follows from the vehicle",
     "lidar.depth_raw": "depth images have to be rectified",
     "lidar.deskew": "a cloud with a time for each point is always taken point by point",
     "mount.tf": "mount.source tf says the same",
@@ -62,37 +71,19 @@ REMOVED = {
     "features.enabled": "features are always estimated",
     "mapping.division_confidence": "it is fixed at 0.5 standard deviations",
     "mapping.divide_exceptions": "it is fixed at 1.5 measurements",
-    "mapping.divide_area": "it follows from the vehicle",
     "mapping.division_min_residuals": "it is fixed at 8",
     "mapping.min_points": "it is fixed at 3: a plane has as many unknowns",
     "mapping.slope_prior_points": "it is fixed at 5 points",
-    "mapping.residual_clip": "it follows from the vehicle",
-    "mapping.roughness_tolerance": "it is the least height that makes the vehicle fail",
     "mapping.noise_check": "the check costs nothing and is always on",
-    "features.min_height": "it is a third of what makes the vehicle fail",
-    "features.divide_height": "it is half of what makes the vehicle fail, or three range noises",
-    "features.divide_sigma": "it follows from the vehicle",
-    "features.min_volume": "it follows from the vehicle",
     "features.max_sigma_fraction": "it is fixed at 0.3",
     "features.min_points": "it is fixed at 12",
     "lss.max_exception_fraction": "it is fixed at 0.05",
-    "lss.elevation_reference_size": "it follows from vehicle.diameter",
-    "lss.touchdown_slope_deg": "it is nine tenths of vehicle.max_slope_deg",
-    "lss.touchdown_roughness": "it is five sixths of vehicle.clearance",
     "lss.touchdown_yaws": "it is fixed at 12 headings",
-    "lss.hazard_distance_cap": "it follows from vehicle.diameter",
-    "lss.weight_target": "it is fixed at 0.004 for each metre",
-    "lss.weight_slope": "it is fixed at 1 per radian (Eq. 58)",
-    "lss.weight_roughness": "it is fixed, in proportion to vehicle.clearance (Eq. 58)",
-    "lss.weight_hazard_distance": "it is fixed, in proportion to vehicle.diameter (Eq. 58)",
-    "lss.weight_subscale": "it is fixed, in proportion to vehicle.clearance (Eq. 58)",
     "lss.switch_margin": "it is fixed at 0.01 of probability, or at 0.08 of the score",
     "lss.settle_share": "it is fixed at 63 %",
     "lss.target_risk": "it is fixed at 0.001 of probability for each metre",
     "lss.max_map_age": "sites are withdrawn when no map has come for 30 s",
-    "lss.hazard_growth": "it follows from vehicle.diameter",
-    "lss.min_separation": "it is vehicle.diameter",
-    "lss.weight_shadow": "light at the aim is worth a metre of way to landing/target",
+    "lss.weight_shadow": "light and shadow are not computed; delete the line",
     "lss.hysteresis": "the rule by which the target changes is fixed; delete the line",
     "light": "light and shadow are not computed; delete the line",
     "prior": "prior maps are gone; delete the line",

@@ -62,8 +62,6 @@ CELL_FIELDS = record_dtype(
     ("f4", ("offset_z", "offset_variance")),
     ("f8", ("low", "high")),
 )
-#: Of recordings from before a map told bounds.
-CELL_FIELDS_BEFORE = np.dtype(CELL_FIELDS.descr[:-2])
 
 #: Values of ``map/observed``: mapped, seen but not yet mapped, no point fell there.
 KNOWN, SEEN, NOT_SEEN = 100, 50, -1
@@ -110,7 +108,7 @@ def decode_cells(
     """The map from its two messages.
 
     Args:
-        records: (M,) of `CELL_FIELDS`, or without the bounds.
+        records: (M,) of `CELL_FIELDS`.
         observed: (n, n) [iy, ix] of ``map/observed``, of origin ``xmin``, ``ymin``, m.
         stamp_ns: Stamp that both messages carry.
         lss: How landing will be judged on it; None if it will not.
@@ -143,12 +141,7 @@ def decode_cells(
         msg = "map/cells has leaves that overlap"
         raise MessageError("tiling", msg)
     measured, elevation = records["measured"] > 0, records["elevation"].astype(np.float64)
-    double = {name: np.full(len(records), np.nan) for name in ("low", "high")}
-    told = {*double, "roughness", "exception_fraction"}.intersection(records.dtype.names or ())
-    double |= {name: records[name].astype(np.float64) for name in told}
-    # A map from before does not say what its inherited planes are known for.
-    before = known is None or "low" not in told
-    of_plane = measured if before else np.isfinite(elevation)
+    double = ("low", "high", "roughness", "exception_fraction")
     cells = CellMap(
         stamp_ns=stamp_ns,
         domain=domain,
@@ -163,10 +156,10 @@ def decode_cells(
         measured=measured,
         feature=_block(records, _FEATURE).astype(float),
         observed=observed,
-        known=observed & of_plane[raster] & (True if known is None else known),
+        known=observed & np.isfinite(elevation)[raster] & (True if known is None else known),
         offset_z=float(records["offset_z"][0]),
         offset_variance=float(records["offset_variance"][0]),
-        **double,
+        **{name: records[name].astype(np.float64) for name in double},
     )
     _check(cells)
     return cells
@@ -220,12 +213,6 @@ def _check(cells: CellMap) -> None:
         raise MessageError("values", msg)
 
 
-def _put(out: NDArray[np.void], names: Iterable[str], values: Array) -> None:
-    """Columns (M, K) into fields."""
-    for name, column in zip(names, np.asarray(values).T, strict=True):
-        out[name] = column
-
-
 def _block(records: NDArray[np.void], names: Sequence[str]) -> NDArray[Any]:
     """(M, K) of fields of one type that lie side by side: of contiguous records a view, which is
     read at once, in a fourth of the time."""
@@ -250,7 +237,7 @@ def encode_sites(assessment: LandingAssessment) -> NDArray[np.void]:
     """One record per ranked site, (K,) of `SITE_FIELDS`, best first."""
     sites = assessment.sites
     out = np.zeros(len(sites.score), dtype=SITE_FIELDS)
-    _put(out, "xyz", sites.position)
+    _block(out, "xyz")[:] = sites.position
     for name in ("score", "roughness", "hazard_distance", "subscale_height", "id", "probability"):
         out[name] = getattr(sites, name)
     out["slope"], out["answer"] = np.radians(sites.slope_deg), assessment.number
@@ -262,8 +249,8 @@ def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]
     if unknown."""
     selected = assessment.selected
     out = np.zeros(1, dtype=STATUS_FIELDS)
-    _put(out, "xyz", selected.position)
-    _put(out, _NOW, np.asarray(assessment.now))
+    _block(out, "xyz")[:] = selected.position
+    _block(out, _NOW)[:] = assessment.now
     for name in ("offset_z", "offset_variance", "seen"):
         out[name] = getattr(assessment, name)
     for name in ("id", "reason", "state", "probability"):
@@ -281,8 +268,7 @@ def encode_observed(observed: Mask, known: Mask) -> NDArray[np.int8]:
 
 
 def decode_observed(values: NDArray[np.int8]) -> tuple[Mask, Mask]:
-    """Where a point fell, and where it may be part of the map; recordings from before told both
-    alike."""
+    """Where a point fell, and where it may be part of the map."""
     return values > 0, values > SEEN
 
 

@@ -20,7 +20,6 @@ from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.onboard.messages.maps import (
     CELL_FIELDS,
-    CELL_FIELDS_BEFORE,
     POINT_FIELD_TYPES,
     STATUS_FIELDS,
     decode_cells,
@@ -121,8 +120,7 @@ def map_from_messages(cloud: Any, grid: Any, lss: LssConfig | None = None) -> Ce
         shown = [one_line(frame, 80) for frame in frames]
         msg = f"map/cells is in frame '{shown[0]}', map/observed in '{shown[1]}'"
         raise MessageError("frame", msg)
-    before = cloud.point_step == CELL_FIELDS_BEFORE.itemsize
-    records = cloud_records(cloud, CELL_FIELDS_BEFORE if before else CELL_FIELDS)
+    records = cloud_records(cloud, CELL_FIELDS)
     values = np.frombuffer(grid.data, dtype=np.int8)
     if values.size != grid.info.height * grid.info.width:
         msg = (

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Mask
-from quadtree_lss.onboard.core.geometry.portable import eigen, product
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.errors import one_line
@@ -134,13 +133,13 @@ def _covariance(content: bytes) -> tuple[Array, Mask]:
         text = f"pose covariance is not symmetric (relative difference {asymmetry:.2g})"
         raise MessageError("covariance", text)
     scaled = 0.5 * (scaled + scaled.T)
-    eigenvalues, vectors = eigen(scaled)
+    eigenvalues, vectors = np.linalg.eigh(scaled)
     least = eigenvalues.min()
     if least < -COVARIANCE_TOLERANCE:
         text = f"pose covariance has a negative eigenvalue (relative {least:.2g})"
         raise MessageError("covariance", text)
     if least < 0.0:
-        scaled = product(vectors * np.maximum(eigenvalues, 0.0), vectors.T)
+        scaled = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T
     covariance: Array = scaled * np.outer(scale, scale)
     widest = float(covariance.diagonal()[3:].max())
     if widest > MAX_ATTITUDE_VARIANCE:

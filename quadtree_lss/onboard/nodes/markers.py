@@ -51,10 +51,6 @@ class CdrWriter:
             self._append(np.ascontiguousarray(values, dtype=f"<{code}").tobytes())
         return self
 
-    def empty_sequence(self) -> CdrWriter:
-        """A sequence without elements."""
-        return self.numbers("I", 0)
-
     def message(self) -> bytes:
         """The message, ready to publish."""
         return b"".join(self._parts)
@@ -145,10 +141,10 @@ def cell_markers(cells: CellMap, frame: str) -> bytes:
         writer.numbers("?", False)  # frame_locked
         writer.rows(vertices, "d").rows(colours, "f")
         writer.string("")  # texture_resource
-        writer.numbers("i", 0).numbers("I", 0).string("").string("").empty_sequence()  # texture
-        writer.empty_sequence()  # uv_coordinates
+        writer.numbers("i", 0).numbers("I", 0).string("").string("").numbers("I", 0)  # texture
+        writer.numbers("I", 0)  # uv_coordinates
         writer.string("").string("")  # text, mesh_resource
-        writer.string("").empty_sequence()  # mesh_file
+        writer.string("").numbers("I", 0)  # mesh_file
         writer.numbers("?", False)  # mesh_use_embedded_materials
     return writer.message()
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import cython
 from cython.cimports.libc.math import sqrt
-from cython.cimports.quadtree_lss.onboard.core.geometry.portable import length
 from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at, minus_at, plus_at
 
 from quadtree_lss.onboard.core.geometry.sphere import Vector
@@ -247,7 +246,7 @@ def line_normal(
     # The longer of two forms of the eigenvector: neither is lost to round-off.
     x = along - scatter[3] if scatter[0] >= scatter[3] else scatter[1]
     y = scatter[1] if scatter[0] >= scatter[3] else along - scatter[0]
-    share = 1.0 / max(length(x, y), 1e-300)
+    share = 1.0 / max(sqrt(x * x + y * y), 1e-300)
     x *= share
     y *= share
     a = -prior[0] / prior[2]
@@ -268,7 +267,9 @@ def keep_up(normal: Vector) -> None:
     if normal[2] < 0.0:
         normal[0], normal[1], normal[2] = -normal[0], -normal[1], -normal[2]
     if normal[2] < MIN_UP:
-        level = sqrt(1.0 - MIN_UP * MIN_UP) / max(length(normal[0], normal[1]), 1e-300)
+        level = sqrt(1.0 - MIN_UP * MIN_UP) / max(
+            sqrt(normal[0] * normal[0] + normal[1] * normal[1]), 1e-300
+        )
         normal[0] *= level
         normal[1] *= level
         normal[2] = MIN_UP
@@ -317,7 +318,7 @@ def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
         determinant = max(h00 * h11 - h01 * h01, 1e-300)
         step[0] = -(h11 * g0 - h01 * g1) / determinant
         step[1] = -(h00 * g1 - h01 * g0) / determinant
-        short = min(1.0, 0.5 / max(length(step[0], step[1]), 1e-300))
+        short = min(1.0, 0.5 / max(sqrt(step[0] * step[0] + step[1] * step[1]), 1e-300))
         step[0] *= short
         step[1] *= short
         plus_at(normal, basis, step, turned)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.core.geometry.portable import product
 
 
 def skew(vectors: ArrayLike) -> Array:
@@ -29,7 +28,7 @@ def exp(rotation_vectors: ArrayLike) -> Array:
     k = skew(v)
     first = np.sinc(angle / np.pi)
     second = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
-    out: Array = np.eye(3) + first * k + second * product(k, k)
+    out: Array = np.eye(3) + first * k + second * k @ k
     return out
 
 
@@ -96,8 +95,8 @@ def quaternion_from_rotation(rotations: ArrayLike) -> Array:
 def slerp(start: ArrayLike, end: ArrayLike, fraction: float) -> Array:
     """Rotation at ``fraction`` of the way between two matrices (3, 3), at constant rate."""
     r0, r1 = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
-    x, y, z, w = quaternion_from_rotation(product(r0.T, r1)).tolist()
+    x, y, z, w = quaternion_from_rotation(r0.T @ r1).tolist()
     sine = hypot(x, y, z)
     half = fraction * atan2(sine, w)
     turn = sin(half) / sine if sine > 1e-12 else fraction
-    return product(r0, rotation_from_quaternion((turn * x, turn * y, turn * z, cos(half))))
+    return r0 @ rotation_from_quaternion((turn * x, turn * y, turn * z, cos(half)))

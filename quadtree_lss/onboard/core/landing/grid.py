@@ -40,14 +40,12 @@ COARSE = 128
 Kind = TypeVar("Kind", bound=np.generic)
 
 
-def best_points(
-    score: Array, x: Array, y: Array, count: int, separation: float
-) -> tuple[Index, Index]:
+def best_points(score: Array, x: Array, count: int, separation: float) -> tuple[Index, Index]:
     """Return rows and columns of the lowest scores, each ``separation`` from those before.
 
     Args:
         score: (ny, nx), NaN where excluded; of equal ones the south-western comes first.
-        x, y: (nx,), (ny,) of the grid points, evenly spaced, alike in x and y, m.
+        x: (nx,) of the grid points, evenly spaced, alike in x and y, m.
         count: Most points wanted.
         separation: Least distance of any two, m.
     """

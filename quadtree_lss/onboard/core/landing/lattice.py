@@ -341,51 +341,6 @@ def find_nearest(marked: Bytes, place: Ints) -> None:
 
 
 @cython.boundscheck(False)
-@cython.locals(left=cython.double[:, ::1], lowest=cython.Py_ssize_t[::1])
-@cython.locals(apart=cython.double, last=cython.Py_ssize_t[:, ::1], hysteresis=cython.double)
-@cython.locals(best=cython.Py_ssize_t[:, ::1])
-def find_best(
-    left: Array, lowest: Index, apart: float, last: Index, hysteresis: float, best: Index
-) -> int:
-    """How many of the lowest there are; ``best`` (K, 2) is set to their rows and columns.
-
-    Args:
-        left: (ny, nx) infinite where excluded, as becomes what is too near to one found.
-        lowest: (ny,) column of the lowest in each row; spoilt.
-        apart: Least distance of any two, in steps.
-        last: (L, 2) rows and columns: each keeps its rank ...
-        hysteresis: ... unless another is lower by more than this.
-    """
-    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, row=cython.Py_ssize_t)
-    cython.declare(column=cython.Py_ssize_t, found=cython.Py_ssize_t)
-    rows: cython.Py_ssize_t = left.shape[0]
-    columns: cython.Py_ssize_t = left.shape[1]
-    reach: cython.Py_ssize_t = int(apart)
-    none: cython.double = np.inf
-    for found in range(best.shape[0]):
-        row = 0
-        for i in range(rows):
-            row = i if left[i, lowest[i]] < left[row, lowest[row]] else row
-        column = lowest[row]
-        if left[row, column] == none:
-            return int(found)
-        if found < last.shape[0]:
-            i, j = last[found, 0], last[found, 1]
-            if left[i, j] <= left[row, column] + hysteresis:
-                row, column = i, j
-        best[found, 0], best[found, 1] = row, column
-        for i in range(max(row - reach, 0), min(row + reach + 1, rows)):
-            for j in range(max(column - reach, 0), min(column + reach + 1, columns)):
-                if (i - row) ** 2 + (j - column) ** 2 < apart * apart:
-                    left[i, j] = none
-            left[row, column] = none
-            if left[i, lowest[i]] == none:
-                for j in range(columns):
-                    lowest[i] = j if left[i, j] < left[i, lowest[i]] else lowest[i]
-    return int(best.shape[0])
-
-
-@cython.boundscheck(False)
 @cython.locals(marked=cython.uchar[:, ::1], lengths=cython.double[::1], out=cython.double[:, ::1])
 def find_distances(marked: Bytes, lengths: Array, far: cython.short, out: Array) -> None:
     """Distances to marked points that are near, in two sweeps that take eight points at a time.

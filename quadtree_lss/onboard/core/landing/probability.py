@@ -16,8 +16,7 @@ is safe.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
-from math import ceil, exp, isfinite, isnan, log10, radians, tan
+from math import ceil, isfinite, isnan, log10, radians, tan
 
 import cython
 import numpy as np
@@ -26,14 +25,14 @@ from numpy.typing import ArrayLike
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask, Single
 from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, RiskModel, Row
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.landing.lattice import GroundPlanes
+from quadtree_lss.onboard.core.landing.contact import ContactLimits, Contacts
+from quadtree_lss.onboard.core.landing.lattice import GroundPlanes, with_neighbours
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
-from quadtree_lss.onboard.core.landing.touchdown import Limits, WorstContact
 
 #: Side of the square of the ground under the lander, diameters.
 FOOTPRINT = 0.9
 #: Nothing counts as higher over the ground at the lander's scale, clearances.
-HIGHEST = cython.declare(cython.double, 5.0)
+HIGHEST = 5.0
 #: Returns on a square as wide as the least hazard that are as good as none.
 NO_RETURNS = 1e-3
 #: Entries of a table along a curve, and along what is known.
@@ -45,7 +44,7 @@ SEEN = cython.declare(cython.Py_ssize_t, LOCAL.index("seen"))
 LEAST = cython.declare(cython.double, -14.0)
 MOST = cython.declare(cython.double, 10.0)
 EXPS = cython.declare(cython.int, 4096)
-#: A normal distribution is cut off at so many deviations.
+#: Standard deviations at which a normal distribution is truncated.
 TAIL = 4.0
 #: The greatest deviation that is taken, m.
 WIDEST = 100.0
@@ -84,15 +83,16 @@ class Dispersion:
         return Dispersion(float(given[0]), float(given[1]), turned if isfinite(turned) else None)
 
 
-def limits(model: RiskModel, lss: LssConfig) -> Limits:
-    """Between which contacts the model, and the touchdown check, differ."""
-    rise, slope = lss.vehicle.clearance, tan(radians(lss.vehicle.max_slope_deg))
-    lengths = lss.vehicle.lengths
-    own, steep = lengths.touchdown_roughness, tan(radians(lengths.touchdown_slope_deg))
-    (low, high), (level, steepest) = (model.span(name) for name in ("rise", "tilt"))
-    return Limits(
-        (min(low * rise, own), max(high * rise, own)),
-        (min(level * slope, steep), max(steepest * slope, steep)),
+def contact_limits(model: RiskModel, lss: LssConfig) -> ContactLimits:
+    """Contacts that neither the risk model nor the touchdown limits tell apart."""
+    vehicle, lengths = lss.vehicle, lss.vehicle.lengths
+    least_rise, most_tilt = model.span("rise")[0], model.span("tilt")[1]
+    return ContactLimits(
+        min(least_rise * vehicle.clearance, lengths.touchdown_roughness),
+        max(
+            most_tilt * tan(radians(vehicle.max_slope_deg)),
+            tan(radians(lengths.touchdown_slope_deg)),
+        ),
     )
 
 
@@ -159,39 +159,46 @@ class RiskTable:
         wide = max(log10(side / (0.85 * least)), 0.0)
         return 2.0 * log10(self._noise / (0.2 * least)) + 3.0 * wide
 
-    def features(self, raster: TerrainRaster, planes: GroundPlanes, worst: WorstContact) -> Single:
+    def features(self, raster: TerrainRaster, planes: GroundPlanes, contacts: Contacts) -> Single:
         """What the model asks of each grid point, (F, n + 1, n + 1) in the order of `LOCAL`.
 
         Args:
             raster: The map.
             planes: The ground at the lander's scale.
-            worst: The lander's worst contacts on the map, where it is judged and beside that.
+            contacts: Contacts on the map, where it is judged and beside that.
         """
         vehicle, side, cells = self._vehicle, raster.domain.finest_size, raster.cells
         clearance, steep = vehicle.clearance, tan(radians(vehicle.max_slope_deg))
-        out = np.empty((len(LOCAL), *worst.rise.shape), dtype=np.float32)
-        for k, contact, limit in ((0, worst.rise, clearance), (2, worst.slope, steep)):
-            set_contacts(contact, limit, self.low[k], out[k : k + 2])
+        found = np.empty((len(LOCAL), *contacts.rise.shape), dtype=np.float32)
+        for k, contact, limit in ((0, contacts.rise, clearance), (2, contacts.tilt, steep)):
+            # Contacts that were not needed are NaN.
+            np.fmax(contact / np.float32(limit), np.float32(self.low[k]), out=found[k])
+            found[k + 1] = with_neighbours(found[k])
         known = ~raster.bridged
         # Returns on a square as wide as the least hazard, of those that their leaf has there.
         returns = raster.returns * (vehicle.least_hazard / side) ** 2
         level = np.log10(returns + NO_RETURNS).astype(np.float32)
         rough = np.fmax(cells.roughness / (clearance * cells.size**2), 0.0)
         rough = np.minimum(rough, 2.0).astype(np.float32)
-        of_cells = np.empty((3, *known.shape), dtype=np.float32)
-        of_leaves = raster.leaf, known.view(np.uint8), level, rough, log10(NO_RETURNS)
-        set_known(*of_leaves, of_cells)
-        heights = raster.elevation, planes.elevation, raster.seen.view(np.uint8)
-        set_relief(*heights, clearance, of_cells[2])
-        set_means(of_cells, max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1), out[5:])
-        np.subtract(out[5], np.float32(self._worse(side)), out=out[4])
-        np.divide(planes.gradient, steep, out=out[5], casting="same_kind")
-        # Of running sums round-off may leave less than nothing.
-        np.sqrt(np.maximum(out[6:], np.float32(0.0), out=out[6:]), out=out[6:])
-        return out
+        cell_values = np.empty((3, *known.shape), dtype=np.float32)
+        cell_values[0] = np.where(known, level[raster.leaf], np.float32(log10(NO_RETURNS)))
+        cell_values[1] = rough[raster.leaf] * known
+        relief = planes.elevation[:-1] + planes.elevation[1:]
+        relief = raster.elevation - 0.25 * (relief[:, :-1] + relief[:, 1:])
+        relief /= clearance
+        np.clip(relief, 0.0, HIGHEST, out=relief)
+        np.multiply(relief, relief, out=cell_values[2], casting="same_kind")
+        cell_values[2] *= raster.seen
+        reach = max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1)
+        means = square_means(cell_values, reach)
+        np.subtract(means[0], np.float32(self._worse(side)), out=found[4])
+        np.divide(planes.gradient, steep, out=found[5], casting="same_kind")
+        # Rounding can leave the mean of zeros below zero.
+        np.sqrt(np.maximum(means[1:], np.float32(0.0)), out=found[6:])
+        return found
 
     def risk(
-        self, raster: TerrainRaster, judged: Mask, planes: GroundPlanes, worst: WorstContact
+        self, raster: TerrainRaster, judged: Mask, planes: GroundPlanes, contacts: Contacts
     ) -> tuple[Array, Bytes]:
         """P(unsafe) of landing at each grid point, and what most of it comes from.
 
@@ -201,7 +208,7 @@ class RiskTable:
         Returns:
             (n + 1, n + 1) probabilities, 1 where it is not judged; and numbers in `CAUSES`.
         """
-        places = self.features(raster, planes, worst)
+        places = self.features(raster, planes, contacts)
         side = raster.domain.finest_size
         if self._constant is None or self._constant[0] != side:
             of = self.overall(side)
@@ -217,6 +224,19 @@ def interpolation_weights(values: Array, knots: Row) -> Array:
     return np.column_stack([np.interp(values, knots, one) for one in ones])
 
 
+def square_means(values: Single, reach: int) -> Single:
+    """Means (F, n + 1, n + 1) over the squares of 2 ``reach`` x 2 ``reach`` cells about each grid
+    point, of the part inside the domain; ``values``: (F, n, n) of finest cells."""
+    from scipy.ndimage import uniform_filter1d  # Slow to import.
+
+    out = np.pad(values, ((0, 0), (0, 1), (0, 1)))
+    inside = uniform_filter1d(np.append(np.ones(values.shape[2]), 0.0), 2 * reach, mode="constant")
+    for axis in (1, 2):
+        uniform_filter1d(out, 2 * reach, axis, output=out, mode="constant")
+    out /= np.outer(inside, inside)
+    return out
+
+
 def aimed(risk: Array, side: float, dispersion: Dispersion) -> Array:
     """P(unsafe | aim) for each grid point as aim.
 
@@ -225,29 +245,22 @@ def aimed(risk: Array, side: float, dispersion: Dispersion) -> Array:
         side: Between grid points, m.
         dispersion: Of the touchdown about the aim.
     """
-    out = np.empty(risk.shape)
-    sides = []
-    for sigma, count in zip((dispersion.y, dispersion.x), risk.shape, strict=True):
-        weights = normal_weights(sigma, side)
-        one = weights[len(weights) // 2 :]
-        if len(one) > count:  # what is farther from a point than all others lies beyond them
-            one = np.append(one[:count], one[count:].sum())
-        one = np.append(one, np.zeros(3 - (len(one) + 2) % 4))  # fours, after the first
-        sides.append(one.astype(np.float32))
-    blur(risk, *sides, out)
-    return out
+    from scipy.ndimage import gaussian_filter  # Slow to import.
+
+    sigmas = dispersion.y / side, dispersion.x / side
+    reach = tuple(ceil(TAIL * sigma) for sigma in sigmas)
+    safe = gaussian_filter(1.0 - risk, sigmas, mode="constant", radius=reach)
+    return np.asarray(np.clip(1.0 - safe, 0.0, 1.0))
 
 
-@lru_cache(maxsize=4)
-def normal_weights(sigma: float, side: float) -> Array:
-    """Weights (2 K + 1,) of grid points about the aim, along one axis."""
-    reach = ceil(TAIL * sigma / side)
-    if not reach:
-        return np.ones(1)
-    # Beyond forty deviations there is nothing, and their square may be no number.
-    away = [min(abs(k) * side / sigma, 40.0) for k in range(-reach, reach + 1)]
-    weights = np.array([exp(-0.5 * of**2) for of in away])
-    return np.asarray(weights / weights.sum())
+def normal_weights(sigma: float, count: int) -> Array:
+    """Weights (2 K + 1,) of grid points about the aim along one axis, as of `aimed`, up to
+    ``count`` steps away; ``sigma``: standard deviation in steps."""
+    reach = ceil(TAIL * sigma)
+    # A smaller standard deviation has the same weights, and no square that overflows.
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(sigma, 1e-3)) ** 2)
+    beyond = max(reach - count, 0)
+    return np.asarray(weights[beyond : len(weights) - beyond] / weights.sum())
 
 
 @dataclass(frozen=True)
@@ -319,7 +332,7 @@ def remaining_risks(
         dispersion: Of the touchdown about the aim.
     """
     across, along = (
-        _middle(normal_weights(sigma, side), count)
+        normal_weights(sigma / side, count)
         for sigma, count in zip((dispersion.y, dispersion.x), risk.shape, strict=True)
     )
     up, right, within = len(across) // 2, len(along) // 2, float(across.sum() * along.sum())
@@ -343,125 +356,6 @@ def remaining_risks(
         away, bearing = float(np.hypot(x, y)), float(np.arctan2(y, x))
         found.append(Remainder(within - float(share.sum()), away, bearing, kind).words())
     return found
-
-
-def _middle(weights: Array, count: int) -> Array:
-    """Of `normal_weights` those of points of a lattice of so many, as seen from any of them."""
-    beyond = max(len(weights) // 2 - count, 0)
-    return weights[beyond : len(weights) - beyond]
-
-
-@cython.boundscheck(False)
-@cython.locals(contact=cython.float[:, ::1], limit=cython.float, least=cython.float)
-@cython.locals(out=cython.float[:, :, ::1])
-def set_contacts(contact: Single, limit: float, least: float, out: Single) -> None:
-    """Set ``out`` (2, n, n) to contacts over a limit, ``least`` or more, also where nobody asked,
-    and to the greatest of each and its four neighbours."""
-    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, n=cython.Py_ssize_t)
-    cython.declare(south=cython.Py_ssize_t, north=cython.Py_ssize_t)
-    n = contact.shape[0]
-    with cython.nogil:
-        for i in range(n):
-            for j in range(n):
-                z = contact[i, j] / limit
-                out[0, i, j] = z if z > least else least
-        for i in range(n):
-            south, north = max(i - 1, 0), min(i + 1, n - 1)
-            for j in range(n):
-                out[1, i, j] = max(out[0, i, j], max(out[0, south, j], out[0, north, j]))
-            for j in range(1, n):
-                out[1, i, j] = max(out[1, i, j], out[0, i, j - 1])
-            for j in range(n - 1):
-                out[1, i, j] = max(out[1, i, j], out[0, i, j + 1])
-
-
-@cython.boundscheck(False)
-@cython.locals(leaf=cython.Py_ssize_t[:, ::1], known=cython.uchar[:, ::1])
-@cython.locals(level=cython.float[::1], rough=cython.float[::1], none=cython.float)
-@cython.locals(out=cython.float[:, :, ::1])
-def set_known(
-    leaf: Index, known: Bytes, level: Single, rough: Single, none: float, out: Single
-) -> None:
-    """Set ``out``'s first (2, n, n) to ``level`` and ``rough`` (M,) of the leaves of the ``known``
-    finest cells (n, n), and else to ``none`` and 0."""
-    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
-    with cython.nogil:
-        for i in range(leaf.shape[0]):
-            for j in range(leaf.shape[1]):
-                out[0, i, j] = level[leaf[i, j]] if known[i, j] else none
-                out[1, i, j] = rough[leaf[i, j]] if known[i, j] else 0.0
-
-
-@cython.boundscheck(False)
-@cython.locals(height=cython.double[:, ::1], ground=cython.double[:, ::1])
-@cython.locals(seen=cython.uchar[:, ::1], clearance=cython.double, out=cython.float[:, ::1])
-def set_relief(height: Array, ground: Array, seen: Bytes, clearance: float, out: Single) -> None:
-    """Set ``out`` (n, n) to the square of how far finest cells rise over the ground at the
-    lander's scale, clearances, 0 below it and where nothing is ``seen``.
-
-    Args:
-        height: (n, n) m.
-        ground: (n + 1, n + 1) at the corners of the cells, m.
-        seen: (n, n).
-        clearance: m.
-    """
-    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
-    with cython.nogil:
-        for i in range(out.shape[0]):
-            for j in range(out.shape[1]):
-                z = ground[i, j] + ground[i, j + 1] + ground[i + 1, j] + ground[i + 1, j + 1]
-                z = (height[i, j] - 0.25 * z) / clearance
-                z = z if z > 0.0 else 0.0  # also of what is no number
-                z = z if z < HIGHEST else HIGHEST
-                out[i, j] = z * z if seen[i, j] else 0.0
-
-
-@cython.boundscheck(False)
-@cython.locals(values=cython.float[:, :, ::1], out=cython.float[:, :, ::1])
-def set_means(values: Single, reach: cython.Py_ssize_t, out: Single) -> None:
-    """Means over squares of cells about each grid point, of what of them lies in the lattice.
-
-    Args:
-        values: (3, n, n).
-        reach: Cells on either side.
-        out: (3, n + 1, n + 1), set.
-    """
-    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
-    cython.declare(south=cython.Py_ssize_t, north=cython.Py_ssize_t, f=cython.Py_ssize_t)
-    cython.declare(west=cython.Py_ssize_t, east=cython.Py_ssize_t, below=cython.Py_ssize_t)
-    n: cython.Py_ssize_t = values.shape[1]
-    edge: cython.Py_ssize_t = min(reach, n + 1)
-    column = cython.declare(cython.double[:, ::1], np.zeros((3, n)))
-    sums = cython.declare(cython.double[:, ::1], np.zeros((3, n + 1)))
-    below = 0
-    with cython.nogil:
-        for i in range(n + 1):
-            south, north = max(i - reach, 0), min(i + reach, n)
-            for f in range(3):
-                for k in range(below, north):
-                    for j in range(n):
-                        column[f, j] += values[f, k, j]
-                if i - reach > 0:
-                    for j in range(n):
-                        column[f, j] -= values[f, i - reach - 1, j]
-            below = north
-            # Each sum waits for the one before: three at a time wait no longer than one.
-            x, y, z = 0.0, 0.0, 0.0
-            for j in range(n):
-                x += column[0, j]
-                y += column[1, j]
-                z += column[2, j]
-                sums[0, j + 1], sums[1, j + 1], sums[2, j + 1] = x, y, z
-            for f in range(3):
-                # All but the outermost have squares of the same width.
-                share: cython.double = 1.0 / (2 * reach * (north - south))
-                for j in range(reach, n + 1 - reach):
-                    out[f, i, j] = share * (sums[f, j + reach] - sums[f, j - reach])
-                for k in range(2 * edge):
-                    j = k if k < edge else n - k + edge
-                    west, east = max(j - reach, 0), min(j + reach, n)
-                    z = (sums[f, east] - sums[f, west]) / ((east - west) * (north - south))
-                    out[f, i, j] = z
 
 
 @cython.boundscheck(False)
@@ -541,79 +435,3 @@ def look_up(
                     z = z if z < end else end
                     worse *= 1.0 + exps[cython.cast(cython.Py_ssize_t, z)]
                 out[i, j], cause[i, j] = 1.0 - 1.0 / worse, likeliest
-
-
-@cython.boundscheck(False)
-@cython.locals(risk=cython.double[:, ::1], across=cython.float[::1], along=cython.float[::1])
-@cython.locals(out=cython.double[:, ::1])
-def blur(risk: Array, across: Single, along: Single, out: Array) -> None:
-    """Weighted means of P(unsafe) about each grid point; beyond the lattice it is 1.
-
-    Single precision is enough: nobody knows a risk to a millionth of it.
-
-    Args:
-        risk: (ny, nx).
-        across, along: (K + 1,), (L + 1,) weights of rows and columns so far from the grid point;
-            on both sides they are alike. K and L are multiples of four.
-        out: (ny, nx), set.
-    """
-    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
-    cython.declare(first=cython.Py_ssize_t, after=cython.Py_ssize_t)
-    cython.declare(west=cython.Py_ssize_t, east=cython.Py_ssize_t, z=cython.float)
-    cython.declare(near=cython.float, far=cython.float, third=cython.float, last=cython.float)
-    w: cython.float
-    one: cython.float = 1.0
-    rows: cython.Py_ssize_t = risk.shape[0]
-    columns: cython.Py_ssize_t = risk.shape[1]
-    up: cython.Py_ssize_t = across.shape[0] - 1
-    right: cython.Py_ssize_t = along.shape[0] - 1
-    # Columns of each row at which something is safe within reach along it.
-    begin = cython.declare(cython.Py_ssize_t[::1], np.full(rows, columns, dtype=np.intp))
-    end = cython.declare(cython.Py_ssize_t[::1], np.zeros(rows, dtype=np.intp))
-    # Means along each row.
-    means = cython.declare(cython.float[:, ::1], np.ones((rows + 2 * up, columns), np.float32))
-    line = cython.declare(cython.float[::1], np.ones(columns + 2 * right, dtype=np.float32))
-    with cython.nogil:
-        for i in range(rows):
-            for j in range(columns):
-                line[right + j] = risk[i, j]
-            first, after = right, right + columns
-            while first < after and line[first] == 1.0:
-                first += 1
-            while after > first and line[after - 1] == 1.0:
-                after -= 1
-            if first == after:
-                continue
-            first, after = max(first - right, right), min(after + right, right + columns)
-            begin[i], end[i] = first - right, after - right
-            for j in range(first, after):
-                means[up + i, j - right] = along[0] * line[j]
-            for k in range(1, right, 4):
-                near, far, third, last = along[k], along[k + 1], along[k + 2], along[k + 3]
-                for j in range(first, after):
-                    z = near * (line[j - k] + line[j + k])
-                    z += far * (line[j - k - 1] + line[j + k + 1])
-                    w = third * (line[j - k - 2] + line[j + k + 2])
-                    w += last * (line[j - k - 3] + line[j + k + 3])
-                    means[up + i, j - right] = (means[up + i, j - right] + z) + w
-        for i in range(rows):
-            # The columns in which something is safe within reach.
-            west, east = columns, 0
-            for k in range(max(i - up, 0), min(i + up + 1, rows)):
-                west, east = min(west, begin[k]), max(east, end[k])
-            for j in range(west, east):
-                line[j] = across[0] * means[up + i, j]
-            for k in range(1, up, 4):
-                near, far, third, last = across[k], across[k + 1], across[k + 2], across[k + 3]
-                south: cython.Py_ssize_t = up + i - k
-                north: cython.Py_ssize_t = up + i + k
-                for j in range(west, east):
-                    z = near * (means[south, j] + means[north, j])
-                    z += far * (means[south - 1, j] + means[north + 1, j])
-                    w = third * (means[south - 2, j] + means[north + 2, j])
-                    w += last * (means[south - 3, j] + means[north + 3, j])
-                    line[j] = (line[j] + z) + w
-            for j in range(columns):
-                out[i, j] = 1.0
-            for j in range(west, east):
-                out[i, j] = min(line[j], one)

@@ -13,6 +13,7 @@ from cython.cimports.libc.math import fabs, sqrt
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing import hazards
+from quadtree_lss.onboard.core.landing.contact import ContactCheck, Contacts
 from quadtree_lss.onboard.core.landing.lattice import (
     GroundPlanes,
     disc,
@@ -25,7 +26,6 @@ from quadtree_lss.onboard.core.landing.lattice import (
 )
 from quadtree_lss.onboard.core.landing.probability import RiskTable
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
-from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck, WorstContact
 
 #: Weights of Eq. 58, of which the paper prints none: alpha_theta, per radian; alpha_R, per metre of
 #: roughness over the leaf's area, so that a centimetre counts like a degree of slope; alpha_H, per
@@ -50,15 +50,15 @@ class Surroundings:
             it is nearer by their radius.
         to_unmapped: Distance to such ground, where that matters, m.
         judged: All ground under the lander is seen and mapped.
-        met: These, and their neighbours at which the lander is within the domain: on bridged
-            ground, too, it is set down, for what it meets there may lie a grid point farther.
+        needs_contact: These and their neighbours, as far as the vehicle fits into the domain. The
+            risk at a grid point depends on contacts beside it, too.
     """
 
     planes: GroundPlanes
     room: Array
     to_unmapped: Array
     judged: Mask
-    met: Mask
+    needs_contact: Mask
 
 
 def ground_radius(lss: LssConfig) -> float:
@@ -83,14 +83,14 @@ def look_around(raster: TerrainRaster, lss: LssConfig) -> Surroundings:
     np.minimum(room, border[:, None], out=room)
     needed = (0.5 - SLACK) * lss.vehicle.diameter
     judged, inside = room >= needed, border >= needed
-    met = with_neighbours(judged) & inside & inside[:, None]
-    return Surroundings(planes, room, to_unmapped, judged, met)
+    needs_contact = with_neighbours(judged) & inside & inside[:, None]
+    return Surroundings(planes, room, to_unmapped, judged, needs_contact)
 
 
 @dataclass(frozen=True)
 class PointAssessment:
     """What the assessment finds at the grid points of the finest lattice, (n + 1, n + 1): ``risk``
-    is P(unsafe) of landing there, NaN if nobody asked, ``worst`` contacts None likewise.
+    is P(unsafe) of landing there, NaN if nobody asked, ``contacts`` None likewise.
 
     Attributes:
         cause: What most of the risk comes from (see `RiskTable.risk`).
@@ -105,7 +105,7 @@ class PointAssessment:
 
     raster: TerrainRaster
     around: Surroundings
-    worst: WorstContact | None
+    contacts: Contacts | None
     risk: Array
     cause: Bytes
     hazard: Bytes
@@ -119,8 +119,8 @@ class PointAssessment:
 def assess_points(
     raster: TerrainRaster,
     around: Surroundings,
-    worst: WorstContact | None,
-    check: TouchdownCheck | None,
+    contacts: Contacts | None,
+    check: ContactCheck | None,
     table: RiskTable | None,
     lss: LssConfig,
 ) -> PointAssessment:
@@ -134,11 +134,11 @@ def assess_points(
     bits *= raster.seen.view(np.uint8)
     bits |= unknown_bits(raster)
     hazard = touching(bits)
-    if worst is not None and table is not None:
-        risk, cause = table.risk(raster, around.judged, around.planes, worst)
+    if contacts is not None and table is not None:
+        risk, cause = table.risk(raster, around.judged, around.planes, contacts)
     else:
         risk, cause = np.full(hazard.shape, np.nan), np.zeros_like(hazard)
-    if worst is None or check is None or lss.assessment == "paper":
+    if contacts is None or check is None or lss.assessment == "paper":
         spoiled = bits & hazards.FEATURE > 0
         near_feature = hazard & hazards.FEATURE > 0
         safe = ~grown(near_feature, zone, side)
@@ -147,15 +147,15 @@ def assess_points(
     else:
         excepted = grown(hazard & hazards.EXCEPTION > 0, radius, side)
         if lss.assessment == "touchdown":
-            spoiled = around.judged & (check.over(worst) | excepted)
+            spoiled = around.judged & (check.exceeds_limits(contacts) | excepted)
             # Rounded outwards: a map that may be off at all is off by a grid point.
             steps = np.ceil(vehicle.lengths.hazard_growth / side - SLACK)
             spoiled |= around.judged & grown(spoiled, steps * side, side)
         else:
             fails = around.judged & (risk > lss.max_risk)
             spoiled = fails | (around.judged & excepted)
-            stands = worst.rise <= vehicle.clearance
-            stands &= worst.slope <= tan(radians(vehicle.max_slope_deg))
+            stands = contacts.rise <= vehicle.clearance
+            stands &= contacts.tilt <= tan(radians(vehicle.max_slope_deg))
             hazard |= (fails & stands) * np.uint8(hazards.UNCERTAIN)
         hazard |= spoiled * np.uint8(hazards.TOUCHDOWN)
         safe = ~grown(spoiled, lss.margin, side)
@@ -176,7 +176,7 @@ def assess_points(
     over = disc(min(zone, 0.5 * cells.domain.size), side)
     score = disc_means(density, over, raster.seen)
     return PointAssessment(
-        raster, around, worst, risk, cause, hazard, safe, score, rough, spoiled, reach
+        raster, around, contacts, risk, cause, hazard, safe, score, rough, spoiled, reach
     )
 
 

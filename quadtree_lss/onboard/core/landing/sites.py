@@ -24,6 +24,7 @@ from quadtree_lss.onboard.core.landing.assessment import (
     nothing_mapped,
     risk_warnings,
 )
+from quadtree_lss.onboard.core.landing.contact import ContactCheck
 from quadtree_lss.onboard.core.landing.grid import (
     Aims,
     GridSampler,
@@ -36,7 +37,7 @@ from quadtree_lss.onboard.core.landing.lattice import disc, touching
 from quadtree_lss.onboard.core.landing.probability import (
     Dispersion,
     RiskTable,
-    limits,
+    contact_limits,
     remaining_risks,
 )
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
@@ -59,7 +60,6 @@ from quadtree_lss.onboard.core.landing.target import (
     Restrictions,
     TargetKeeper,
 )
-from quadtree_lss.onboard.core.landing.touchdown import TouchdownCheck
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, height_by_error
 
 #: Why there is no target, where the same map would not give one either.
@@ -90,14 +90,14 @@ class LandingSiteSelector:
         """Go by these limits from now on; what was found by others is forgotten."""
         self.config, lss = config, config.lss
         self._table: RiskTable | None
-        self._check: TouchdownCheck | None
+        self._check: ContactCheck | None
         self._table, self._check, within = None, None, None
         if "probability" in (lss.assessment, lss.ranking):
             model = risk_model(lss.risk_model)
             self._table = RiskTable(model, lss, config.lidar.range_noise)
-            within = limits(model, lss)
+            within = contact_limits(model, lss)
         if within is not None or lss.assessment != "paper":
-            self._check = TouchdownCheck(lss, within)
+            self._check = ContactCheck(lss, within)
 
     def release(self) -> None:
         """Give the target up: the next assessment chooses as if none had been held."""
@@ -149,12 +149,12 @@ class LandingSiteSelector:
             reason = Reason.WITHHELD if withheld else Reason.NOTHING_MAPPED
             return self._nothing(cells, at, reason, unknown_bits(raster))
         around = look_around(raster, lss)
-        worst = None
+        contacts = None
         if self._check is not None:
-            # The risk is fitted to the worst of all headings: no less is said of one of them.
+            # The risk model was fitted to the maximum over all headings.
             heading = spread.heading if self._table is None else None
-            worst = self._check.worst(raster, around.met, heading)
-        points = assess_points(raster, around, worst, self._check, self._table, lss)
+            contacts = self._check.contacts(raster, around.needs_contact, heading)
+        points = assess_points(raster, around, contacts, self._check, self._table, lss)
         aims = aim(points, at, spread, wanted, lss)
         motion = None if vehicle is None else Motion(*vehicle)
         return self._choose_sites(points, aims, spread, wanted, motion, waited)
@@ -215,7 +215,7 @@ class LandingSiteSelector:
             now=here,
         )
         apart = lss.vehicle.lengths.min_separation
-        best = best_points(aims.candidates.cost, at.x, at.y, lss.sites, apart)
+        best = best_points(aims.candidates.cost, at.x, lss.sites, apart)
         ranked = [*zip(*best, strict=True)]
         places = ranked if choice.place is None else [*ranked, choice.place]
         found = self._describe(points, aims, spread, places)
@@ -280,7 +280,7 @@ class LandingSiteSelector:
         normal = np.column_stack([-along_x, -along_y, np.ones_like(along_x)])
         slope_deg = np.degrees(np.arctan(around.planes.gradient[centre]))
         risks = [""] * len(places)
-        if points.worst is not None and self._table is not None:
+        if points.contacts is not None and self._table is not None:
             reach = 0.5 * vehicle.diameter + vehicle.pad_radius
             unmapped = around.to_unmapped < (1.0 - SLACK) * reach
             judged = around.judged, unmapped, points.cause

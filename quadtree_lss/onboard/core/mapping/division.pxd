@@ -2,6 +2,7 @@
 from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run
 from quadtree_lss.onboard.core.tree.leaves cimport Leaf
 
+cdef double normal_tail(double x) noexcept nogil
 cdef double mean_distance(double* points, Py_ssize_t count, double* normal, double* through) noexcept nogil
 cdef double mahalanobis_factor(double* mean, double cosine, double* sigma, double along, double plane) noexcept nogil
 cdef void judge(Rules rules, Leaf* leaf, Run* run, double* points, double* origin, double* sigma) noexcept nogil

@@ -5,9 +5,8 @@ IV.D): two criteria, and rocks."""
 from __future__ import annotations
 
 import cython
-from cython.cimports.libc.math import fabs, sqrt
+from cython.cimports.libc.math import erfc, fabs, sqrt
 from cython.cimports.quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
-from cython.cimports.quadtree_lss.onboard.core.geometry.portable import above
 from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at
 from cython.cimports.quadtree_lss.onboard.core.mapping.features import feature_height
 from cython.cimports.quadtree_lss.onboard.core.mapping.measure import few, partial, pose_variance
@@ -34,6 +33,11 @@ OUTSTANDING = cython.declare(cython.double, 4.0)
 MISFITS = cython.declare(cython.double, 4.0)
 #: Depths of stereo err together with their neighbours': of so many one is asked for exceptions.
 ALIKE = cython.declare(cython.Py_ssize_t, 4)
+
+
+def normal_tail(x: cython.double) -> cython.double:
+    """P(N(0, 1) > x)."""
+    return 0.5 * erfc(sqrt(0.5) * x)
 
 
 def mean_distance(
@@ -311,7 +315,7 @@ def rest(
     leaf.distance_sum += total
     leaf.noise_sum += count * MEAN_CHI_1 * sqrt(noise)
     # xi of a residual that is noise itself: the noise counts twice.
-    leaf.exception_noise += 2.0 * count * above(rules.tolerance / sqrt(2.0 * variance))
+    leaf.exception_noise += 2.0 * count * normal_tail(rules.tolerance / sqrt(2.0 * variance))
     if greatest > rules.tolerance - 3.0 * sqrt(noise):
         every: cython.Py_ssize_t = ALIKE if rules.stereo > 0.0 else 1
         leaf.exception_sum += exceptions(residual, number, every, rules.tolerance, sqrt(noise))
@@ -337,7 +341,8 @@ def exceptions(
     while i < count:
         e = fabs(residual[i])
         if e > tolerance - 3.0 * deviation:
-            mass += above((tolerance - e) / deviation) + above((tolerance + e) / deviation)
+            mass += normal_tail((tolerance - e) / deviation)
+            mass += normal_tail((tolerance + e) / deviation)
         asked += 1.0
         i += every
     return mass * (count / asked)

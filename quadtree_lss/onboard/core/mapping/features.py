@@ -67,7 +67,7 @@ def bell(square: float) -> cython.double:
     nothing from 80 on.
 
     It is 1 / (1 + r + r^2 / 2 + ...)^256, r = square / 512: numbers only and no choice, so that
-    many are computed at once, and everywhere to the same bits.
+    many are computed at once.
     """
     r = square * (1.0 / 512.0)
     e = 1.0 + r * (1.0 + r * (0.5 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0)))))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 cimport cython
 from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run
-from quadtree_lss.onboard.core.tree.leaves cimport Leaf, LeafTable
+from quadtree_lss.onboard.core.tree.leaves cimport Leaf
 
 @cython.final
 cdef class Fusion:

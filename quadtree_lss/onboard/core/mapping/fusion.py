@@ -15,7 +15,7 @@ from cython.cimports.quadtree_lss.onboard.core.tree.leaves import LIFT, WEIGHT
 from quadtree_lss.onboard.core.geometry.sphere import Vector
 from quadtree_lss.onboard.core.mapping.measure import Rules
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan
-from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
+from quadtree_lss.onboard.core.tree.leaves import Record
 
 #: Before anything is known, ground is level but for this (rad, one sigma) ...
 LEVEL_SIGMA = cython.declare(cython.double, 0.5)
@@ -39,7 +39,7 @@ class Fusion:
         now: Time of the scan, s.
     """
 
-    def __init__(self, table: LeafTable, rules: Rules, scan: RegisteredScan, now: float) -> None:
+    def __init__(self, rules: Rules, scan: RegisteredScan, now: float) -> None:
         self.rules = rules
         x, y, z = scan.origin.tolist()
         self.origin = [x, y, z]

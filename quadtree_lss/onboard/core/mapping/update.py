@@ -109,7 +109,7 @@ class ScanUpdate:
     ) -> None:
         count = len(scan.key)
         self.table = table
-        self.fusion = Fusion(table, rules, scan, now)
+        self.fusion = Fusion(rules, scan, now)
         self.rules = rules
         rules.look(scan.pose.rotation_map_lidar[:, 2])
         self.points = scan.points

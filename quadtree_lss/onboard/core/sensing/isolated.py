@@ -18,15 +18,12 @@ from typing import Any
 
 import cython
 import numpy as np
+from cython.cimports.libc.math import INFINITY
 
 from quadtree_lss.onboard.arrays import Array, Ints, Mask
 
-if cython.compiled:
-    from cython.cimports.libc.math import INFINITY
-else:
-    from math import inf as INFINITY
-
-#: The gate is at least this many usual distances.
+#: The gate is at least this many usual distances. A plane seen at a slant from 400 m has steps of
+#: one usual distance; rocks and pixel noise multiply them.
 WIDENING = 5.0
 #: Places of the pixels or points, as shares of their number, whose median is the usual distance:
 #: multiples of the golden section sample any raster evenly.

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.core.geometry.portable import limited
 
 #: Variances (m^2, rad^2) above this say no more than this: nothing is known.
 MAX_VARIANCE = 1e6
@@ -101,4 +100,6 @@ def points_from_ranges(ranges: ArrayLike, azimuth: ArrayLike, elevation: ArrayLi
 
 def sound_covariance(covariance: Array) -> Array:
     """A covariance (K, K) made positive semidefinite and bounded: eigenvalues 0 .. 1e6."""
-    return limited(covariance, MAX_VARIANCE)
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(values.clip(0.0, MAX_VARIANCE))
+    return np.asarray(root @ root.T)

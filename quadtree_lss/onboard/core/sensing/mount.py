@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.onboard.config.settings import MountConfig
-from quadtree_lss.onboard.core.geometry.portable import product
 from quadtree_lss.onboard.core.geometry.rotations import exp, skew
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.pose_buffer import PoseBuffer
@@ -113,14 +112,14 @@ def mounted(body: Pose, mount: Pose) -> Pose:
     With the arm a = R_map_body t, an error (dm, dw) of the body's pose about fixed axes moves the
     lidar by dm + dw x a and turns it by dw: the covariance is G Sigma G^T, G = [I, -[a]_x; 0, I].
     """
-    arm = product(body.rotation_map_lidar, mount.position)
+    arm = body.rotation_map_lidar @ mount.position
     moved = np.eye(6)
     moved[:3, 3:] = -skew(arm)
-    covariance = product(product(moved, body.covariance), moved.T)
+    covariance = moved @ body.covariance @ moved.T
     return Pose(
         body.stamp_ns,
         body.position + arm,
-        product(body.rotation_map_lidar, mount.rotation_map_lidar),
+        body.rotation_map_lidar @ mount.rotation_map_lidar,
         0.5 * (covariance + covariance.T),
     )
 
@@ -135,6 +134,6 @@ def fixed_mount(config: MountConfig) -> Pose | None:
     if config == MountConfig(source=config.source):
         return None
     roll, pitch, yaw = np.radians([config.roll_deg, config.pitch_deg, config.yaw_deg])
-    rotation = product(exp([0.0, 0.0, yaw]), product(exp([0.0, pitch, 0.0]), exp([roll, 0.0, 0.0])))
+    rotation = exp([0.0, 0.0, yaw]) @ exp([0.0, pitch, 0.0]) @ exp([roll, 0.0, 0.0])
     place = np.array([config.x, config.y, config.z])
-    return Pose(0, place, product(rotation, cloud_turn(config)), np.zeros((6, 6)))
+    return Pose(0, place, rotation @ cloud_turn(config), np.zeros((6, 6)))

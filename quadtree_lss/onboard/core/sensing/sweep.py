@@ -15,7 +15,6 @@ from itertools import pairwise
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Ints
-from quadtree_lss.onboard.core.geometry.portable import product
 from quadtree_lss.onboard.core.geometry.rotations import exp, log
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.mount import PoseSource
@@ -49,12 +48,12 @@ def sweep(offsets: Ints, at_stamp: Pose, poses: Sequence[Pose]) -> Sweep:
     times = np.array([pose.stamp_ns - stamp for pose in poses], dtype=np.float64)
     ways = np.array([pose.position for pose in poses]) - at_stamp.position
     rotations = np.array([pose.rotation_map_lidar for pose in poses])
-    turns = log(product(rotations[:-1].transpose(0, 2, 1), rotations[1:]))
+    turns = log(rotations[:-1].transpose(0, 2, 1) @ rotations[1:])
     parts = np.maximum(np.ceil(np.linalg.norm(turns, axis=1) / STEP), 1.0).astype(np.intp)
     of = np.repeat(np.arange(len(parts)), parts)
     share = (np.arange(len(of)) - (np.cumsum(parts) - parts)[of]) / parts[of]
     motion = np.empty((len(of) + 1, 12))
-    turned = product(rotations[of], exp(share[:, None] * turns[of]))
+    turned = rotations[of] @ exp(share[:, None] * turns[of])
     motion[:-1, :9] = turned.reshape(-1, 9)
     motion[:-1, 9:] = ways[of] + share[:, None] * (ways[of + 1] - ways[of])
     motion[-1, :9], motion[-1, 9:] = rotations[-1].ravel(), ways[-1]

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadtree_lss.onboard.core.geometry.portable import product
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 
 #: Of a vehicle there are tens; whoever sends more is out of order.
@@ -41,8 +40,8 @@ class FixedTransforms:
             return None
         p_body, r_body = to_body[common]
         p_lidar, r_lidar = to_lidar[common]
-        place = product(r_body.T, p_lidar - p_body)
-        return Pose(0, place, product(r_body.T, r_lidar), np.zeros((6, 6)))
+        place = r_body.T @ (p_lidar - p_body)
+        return Pose(0, place, r_body.T @ r_lidar, np.zeros((6, 6)))
 
     def frames(self) -> list[str]:
         """All names heard of."""
@@ -58,8 +57,8 @@ class FixedTransforms:
             frame, step = self._parent[frame]
             if frame in found:  # a loop
                 break
-            position = step.position + product(step.rotation_map_lidar, position)
-            rotation = product(step.rotation_map_lidar, rotation)
+            position = step.position + step.rotation_map_lidar @ position
+            rotation = step.rotation_map_lidar @ rotation
             found[frame] = (position, rotation)
         return found
 

@@ -44,11 +44,6 @@ def to_bytes(state: State) -> bytes:
     return out.getvalue()
 
 
-def from_bytes(content: bytes) -> State:
-    """Read the arrays of an archive. Raises `CheckpointError`: see `from_file`."""
-    return from_file(io.BytesIO(content))
-
-
 def from_file(file: BinaryIO) -> State:
     """Read the arrays of an open archive. Raises `CheckpointError`: damaged or another format."""
     try:
