@@ -31,7 +31,7 @@ def hears(pid: int, number: int) -> bool:
 )
 @pytest.mark.parametrize(
     ("name", "number"),
-    zip(("mapping_node", "lss_node", "autopilot_node"), entry.SIGNALS, strict=True),
+    list(zip(("mapping_node", "lss_node", "autopilot_node"), entry.SIGNALS, strict=True)),
 )
 def test_a_signal_while_a_node_starts_ends_it_cleanly(ros, name, number):
     node = ros.start(name)
