@@ -75,7 +75,7 @@ def test_a_map_for_another_vehicle_than_that_of_the_truth(both):
     config = load_config(["morpheus"], {"vehicle.max_slope_deg": 5.0})
     replay(place / "bag", place / "level", config, report=False)
     (note,) = score(place / "level", place / "truth.npz", consistency=False).notes
-    assert "10 deg and 0.3 m of rise" in note and "5 deg and 0.3 m of rise: hazards" in note
+    assert "10 deg and 0.3 m of rise" in note and "up to 5 deg and 0.3 m of rise" in note
 
 
 def test_scans_that_the_truth_does_not_know(tmp_path):

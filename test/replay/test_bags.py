@@ -166,7 +166,7 @@ def test_types_that_are_not_read_are_named_with_a_remedy(tmp_path):
     with recording(tmp_path / "bag") as recorder:
         flight(recorder, pose_topics=())
         recorder.write_raw("/pose", bytes(80), kind, START)
-    with pytest.raises(BagError, match="/pose: convert to PoseWithCovarianceStamped"):
+    with pytest.raises(BagError, match="/pose: copy PoseStamped into PoseWithCovarianceStamped"):
         run_replay(tmp_path / "bag", None, CONFIG)
 
 

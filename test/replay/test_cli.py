@@ -51,7 +51,7 @@ def test_a_replay_prints_its_sites_and_is_quiet_otherwise(bag, tmp_path, capsys)
 
 def test_a_replay_imports_nothing_that_it_does_not_use(bag, tmp_path):
     """A short bag takes no longer to map than these take to import."""
-    slow = ["tqdm", "scipy", "matplotlib", "jsonschema", "rosbags.rosbag2", "rclpy"]
+    slow = ["tqdm", "matplotlib", "jsonschema", "rosbags.rosbag2", "rclpy"]
     arguments = ["replay", str(bag), "--out", str(tmp_path), *FAST]
     code = f"import sys; from quadtree_lss.cli import main; main({arguments})\n"
     code += f"print('there:', [name for name in {slow} if name in sys.modules])"
@@ -147,7 +147,7 @@ def test_simulate_then_replay_then_evaluate(tmp_path, capsys):
     code, out, _ = run(capsys, *arguments)
     assert code == 0 and (tmp_path / "flight" / "truth.npz").exists() and "truth.npz" in out
     code, _, err = run(capsys, *arguments)
-    assert code == 1 and str(place) in err
+    assert code == 1 and "truth.npz exists" in err
     assert run(capsys, *arguments, "--overwrite")[0] == 0
     out = tmp_path / "results"
     code, _, _ = run(capsys, "replay", place, "--out", out, "--config", "parabola", "--no-report")

@@ -107,12 +107,18 @@ class Stream:
         self.notes = [note] * bool(note)
         self.settings: dict[str, Any] = {}
         self.tf_mounts: dict[str, Pose] = {}
-        first = self._first(self.poses, self.pose_type)
+        transforms = [
+            name
+            for name in topics.candidates(bag, types.TRANSFORMS_TYPE)
+            if name.endswith(topics.TRANSFORMS_TOPIC)
+        ]
+        mountable = config.mount == MountConfig() and len(transforms) == 1
+        first = self._first(self.poses, self.pose_type) if adapt or mountable else None
         if adapt and first is not None and first.header.frame_id.strip("/"):
             frame = first.header.frame_id.lstrip("/")
             self.settings |= {"frames.map": frame} if frame != config.frames.map else {}
-        if config.mount == MountConfig() and first is not None:
-            self.settings |= self._mount_of_tf(config, first)
+        if mountable and first is not None:
+            self.settings |= self._mount_of_tf(config, first, transforms[0])
         config = self.config = config_from_values(self.settings, config)
         self.gimbal = ""
         if config.mount.source == "gimbal":
@@ -145,17 +151,15 @@ class Stream:
             with contextlib.suppress(MessageError):
                 take(self._bag.decode(message.raw, types.TRANSFORMS_TYPE))
 
-    def _mount_of_tf(self, config: Config, pose: Any) -> dict[str, Any]:
+    def _mount_of_tf(self, config: Config, pose: Any, transforms: str) -> dict[str, Any]:
         """The setting by which ``/tf_static`` gives the mount; empty where it does not say it, or
-        says that there is none. ``pose``: the first one."""
-        there = topics.candidates(self._bag, types.TRANSFORMS_TYPE)
-        there = [name for name in there if name.endswith(topics.TRANSFORMS_TOPIC)]
+        says that there is none. ``pose``: the first one. ``transforms``: the topic."""
         scan = self._first(self.scans, self.scan_type)
-        if len(there) != 1 or scan is None:
+        if scan is None:
             return {}
         tree = FixedTransforms()
         with contextlib.suppress(MessageError):
-            self._transforms(there[0], partial(add_transforms, tree))
+            self._transforms(transforms, partial(add_transforms, tree))
         lidar = scan.header.frame_id
         body = config.frames.body or getattr(pose, "child_frame_id", "")
         bodies = {body.lstrip("/")} if body else {*tree.frames()} - {config.frames.map}
@@ -167,7 +171,7 @@ class Stream:
         }
         if not body or not self.tf_mounts:
             return {}
-        text = f"poses are of '{body}', scans of '{lidar}': the mount is taken from {there[0]}"
+        text = f"poses are of '{body}', scans of '{lidar}': the mount is taken from {transforms}"
         self.notes.append(one_line(f"{text}; the nodes need mount.source: tf"))
         return {"mount.source": "tf"}
 

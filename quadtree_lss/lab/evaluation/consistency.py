@@ -32,7 +32,7 @@ MIN_COSINE = 0.05
 
 
 def acceptance_interval(degrees: int) -> tuple[float, float]:
-    """Bounds of the central 95 % of the chi distribution of ``degrees`` (Eq. 62, 63)."""
+    """Bounds of the central 95 % of the chi distribution of ``degrees`` (Eq. 62, Eq. 63)."""
     low, high = chi(degrees).interval(INSIDE)
     return float(low), float(high)
 

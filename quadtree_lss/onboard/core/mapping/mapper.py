@@ -194,7 +194,7 @@ class Mapper:
                 change.settle()
                 self._check_noise(change.ratio)
                 divisions, refused = change.divisions, change.refused
-        if verdict is not Verdict.REFUSED:
+        if verdict is not Verdict.REFUSED and "above" not in dropped:
             self._held.keep(scan.isolated if verdict is Verdict.SOUND else None)
         self._missed = 0 if used else self._missed + 1
         if used or self._missed >= AGREEING:
