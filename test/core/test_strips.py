@@ -56,7 +56,7 @@ def test_strips_that_overlap_in_tree_crowns_are_mapped_at_their_height() -> None
     cells = mapper.snapshot()
     ground = np.isfinite(cells.z) & cells.measured & (cells.y + 0.5 * cells.size < CROWNS)
     assert np.count_nonzero(ground) >= 16
-    assert np.max(np.abs(cells.z[ground])) < 0.05
+    assert np.max(np.abs(cells.z[ground])) < 0.1  # two standard deviations of the poses' heights
 
 
 def test_ground_of_the_first_strip_stays_part_of_the_map() -> None:

@@ -99,7 +99,8 @@ class FlightSettings:
 
     def __post_init__(self) -> None:
         if self.avoidance not in AVOIDANCE:
-            raise FlightError(f"unknown avoidance {self.avoidance!r}; there are {', '.join(AVOIDANCE)}")
+            there = ", ".join(AVOIDANCE)
+            raise FlightError(f"unknown avoidance {self.avoidance!r}; there are {there}")
         check(self, LIMITS, FlightError)
         check(self.plan, {"survey": (0.1, 1e3)}, FlightError)
 

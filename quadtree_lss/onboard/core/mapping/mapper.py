@@ -26,6 +26,7 @@ from quadtree_lss.onboard.core.mapping.contradiction import (
     DEVIATIONS,
     NARROW,
     SHARE,
+    SMOOTH,
     Contradiction,
     Verdict,
     departs,
@@ -235,7 +236,8 @@ class Mapper:
         compared, contradicts = cells, departs(found)
         if found is not None:
             self._note_gap(cells, found)
-        if not contradicts and 0 < cells.shape[1] <= NARROW:
+        smooth = change.compared > SMOOTH * change.estimated
+        if not contradicts and smooth and cells.shape[1] <= NARROW:
             compared = change.parts()
             contradicts = stands_apart(compared, self.config.vehicle.height)
         verdict = self._against.judge(compared, contradicts)
@@ -261,6 +263,8 @@ class Mapper:
         """A scan fitted to the leaves, its cells beside the map's, and what they have in common."""
         change = ScanUpdate(self.leaves, self._rules, scan, now, self._room)
         cells = change.fit()
+        if change.compared < SMOOTH * change.estimated:
+            return change, cells, None
         return change, cells, self._departure(scan, cells, now)
 
     def _note_gap(self, cells: Array, found: Departure) -> None:

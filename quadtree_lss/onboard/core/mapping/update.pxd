@@ -40,6 +40,8 @@ cdef class ScanUpdate:
     cdef readonly Py_ssize_t cells
     cdef Py_ssize_t rested
     cdef readonly Py_ssize_t divisions
+    cdef readonly Py_ssize_t estimated
+    cdef readonly Py_ssize_t compared
     cdef readonly Py_ssize_t refused
     cdef Run* _run(self, Py_ssize_t at) noexcept nogil
     cdef Leaf* _leaf(self, Py_ssize_t row) noexcept nogil

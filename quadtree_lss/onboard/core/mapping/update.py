@@ -94,6 +94,8 @@ class ScanUpdate:
 
     Attributes:
         cells: Leaves that the scan touches.
+        estimated, compared: Points in leaves with a plane of their own, and in those of them that
+            `fit` compares.
         divisions, refused: Cells divided, and divisions for which there was no room.
         ratio: (2, R) of the cells in which points came to rest and that tell the range noise:
             observed over configured deviation, and points; until the next scan.
@@ -117,7 +119,7 @@ class ScanUpdate:
         self.room = Room() if room is None or count > KEPT_POINTS else room
         self.room.hold(count)
         self.residual = self.room.residual
-        self.divisions = self.refused = self.rested = 0
+        self.divisions = self.refused = self.rested = self.estimated = self.compared = 0
         self._gather()
 
     @cython.boundscheck(False)
@@ -198,7 +200,10 @@ class ScanUpdate:
                 self.table.expect(self.rows[min(i + 4, self.cells - 1)])
                 run = self._run(i)
                 self._measure(leaf, self.begins[i], self.begins[i + 1], run)
+                if leaf.known == leaves.MEASURED:
+                    self.estimated += self.begins[i + 1] - self.begins[i]
                 if self._comparable(leaf):
+                    self.compared += self.begins[i + 1] - self.begins[i]
                     self._compare(leaf, run, found)
                     found += 1
         return out[:, :found]
