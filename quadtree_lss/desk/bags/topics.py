@@ -119,7 +119,7 @@ def choose_pose_topic(
 
 
 def _useful_rates(bag: Bag, names: list[str], scans: str) -> dict[str, tuple[float, float]]:
-    """Of each topic the share of the scans between two poses that are not too far apart, and the
+    """For each topic, the share of the scans between two poses that are not too far apart, and the
     rate, 1/s, at most that of the scans, by times of reception; empty where there is no choice."""
     if len(names) < 2:
         return {}

@@ -147,7 +147,7 @@ class Grid(dict[str, NDArray[Any]]):
 
 @dataclass(frozen=True, repr=False)
 class Results:
-    """What a replay wrote: lengths in m, map frame. Each attribute reads its file when it is first
+    """Output of a replay: lengths in m, map frame. Each attribute reads its file when it is first
     used, and raises `ResultsError` if it cannot be read."""
 
     folder: Path

@@ -29,7 +29,7 @@ BETTER = 0.8
 """A setting is kept if with it this share of what contradicts, of the leaves or of their roughness
 is left."""
 FITTED = ("domain.xmin", "domain.ymin", "domain.size", "domain.min_level", "domain.max_level")
-"""What is suggested for a trial if the domain is the default one, with the range noise."""
+"""Settings suggested for a trial if the domain is the default one, with the range noise."""
 
 
 class Trial(NamedTuple):
@@ -46,7 +46,7 @@ class Trial(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Of the points that the map could use those that contradict it."""
+        """Share of the usable points that contradict the map."""
         return self.contradicting / all_ if (all_ := self.used + self.contradicting) else 0.0
 
     def improves_on(self, other: Trial) -> bool:

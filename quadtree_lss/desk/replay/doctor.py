@@ -45,7 +45,7 @@ GROUNDS = 5.0
 """Independent grounds that a flight sees: neighbouring scans see the same slopes."""
 FLIP = np.diag([1.0, -1.0, -1.0])
 JUMPY = 0.3
-"""Of the range: scans without common ground disagree if their heights scatter by more."""
+"""Share of the range. Scans without common ground disagree if their heights scatter by more."""
 STEEP_DEG = 12.0
 """A common slope that is rather a map whose z axis is not up."""
 FAR_M = 1e5
@@ -55,7 +55,7 @@ ZIGZAG = 5.0
 
 
 def findings(heard: Heard, config: Config, *, timed: bool = True) -> list[Finding]:
-    """What the messages and the ground say. ``timed``: the points' times, if any, are known;
+    """Findings from the messages and the ground. ``timed``: the points' times, if any, are known;
     otherwise no lag is judged."""
     found = _path_findings(heard)
     flight = heard.flight(config)
@@ -154,7 +154,7 @@ def _tries(flight: Flight, config: Config, tf_mounts: Mapping[str, Pose]) -> lis
 def _judged(
     flight: Flight, config: Config, tf_mounts: Mapping[str, Pose], *, timed: bool
 ) -> list[Finding]:
-    """What the ground says: of axes, frames and units, of the vehicle itself, of lag, of mount."""
+    """Findings from the ground: axes, frames, units, own returns, lag and mount."""
     fault, own = _common_fault(flight, config, tf_mounts), None
     if fault is None and (own := flight.leave_out_own()) is not None:
         fault = _common_fault(flight, config, tf_mounts)

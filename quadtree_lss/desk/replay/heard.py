@@ -35,7 +35,7 @@ that this share of the scans hit, and above the ground by this share of the lida
 
 
 class Finding(NamedTuple):
-    """What is wrong or to know, by a short name and in one line; what to do about it, empty where
+    """A fault or remark, by a short name and in one line; what to do about it, empty where
     nothing need be done, and as parameters where these do it. ``fatal``: nothing can be mapped."""
 
     key: str
