@@ -124,8 +124,12 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
         beside = np.maximum.reduce([own, *four])
         np.testing.assert_allclose(found[f"{name}_beside"], beside, rtol=1e-5)
     count = np.bincount(raster.leaf[seen], minlength=len(cells.level))
-    density = (cells.count / np.maximum(count, 1))[raster.leaf] / side**2
-    known = np.log10(np.where(seen, density * c * c, 0.0) + 1e-3)
+    with np.errstate(divide="ignore"):
+        independent = -16.0 * np.log(1.0 - cells.coverage)
+    returns = np.minimum(cells.count / np.maximum(count, 1), independent)[raster.leaf]
+    density = np.pad(np.where(seen, returns * (c / side) ** 2, 0.0), 1, mode="edge")
+    density = sliding_window_view(density, (3, 3)).mean(axis=(2, 3))
+    known = np.log10(density + 1e-3)
     under = round(0.45 * 3.7 / side)
     expected = square_means(known, under, under, size)
     expected -= 3.0 * np.log10(side / c / 0.85)  # noise is 0.2 clearances
@@ -143,6 +147,14 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     relief = np.sqrt(square_means(over**2, under, under, size))
     np.testing.assert_allclose(found["relief"], relief, atol=1e-4)
     np.testing.assert_allclose(found["gradient"], planes.gradient / steep, rtol=1e-5)
+    reach = round(4.0 * 3.7 / side)
+    tall = np.pad((over > 1.0) & seen, 1)
+    tall = sliding_window_view(tall, (3, 3)).any(axis=(2, 3))
+    raised = square_means(1.0 * ((over > 0.5) & seen & ~tall), reach, reach, size)
+    told = square_means(1.0 - np.exp(-density), reach, reach, size)
+    share = np.log10((raised + 0.02 / 64.0) / (told + 1.0 / 64.0))
+    np.testing.assert_allclose(found["abundance"], share, atol=0.15)  # found on coarser squares
+    assert np.ptp(share) > 0.4
 
 
 @pytest.mark.parametrize("noise", [0.06, 0.03])

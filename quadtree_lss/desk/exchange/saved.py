@@ -29,7 +29,7 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 Table = dict[str, NDArray[Any]]
 """Columns of a CSV file by name: integers, else floats, else texts."""
 SAME = ("level", "ix", "iy", "z", "covariance_pose", "count", "measured", "roughness")
-SAME += ("exception_fraction", "feature", "low", "high")
+SAME += ("exception_fraction", "feature", "low", "high", "coverage")
 """Arrays of ``cells.npz`` that are attributes of `CellMap`."""
 COLUMNS, MASKS = (*SAME, "nx", "ny", "nz", "covariance"), ("observed_cells", "known_cells")
 

@@ -139,6 +139,7 @@ def cells_of(model: ElevationModel, deviation: float) -> tuple[CellMap, int]:
         feature=np.full((n * n, 5), np.nan),
         low=np.full(n * n, np.nan),
         high=np.full(n * n, np.nan),
+        coverage=known.astype(np.float64),
         observed=known.reshape(n, n),
         known=known.reshape(n, n),
     )

@@ -29,7 +29,8 @@ class Family:
     ``grounds``: names in `FIELDS`, ``any``, ``mixed`` or ``bare``; ``views``: names in `VIEWS`;
     vehicle's diameter, m; clearance over diameter; slope limits, deg; cells along the diameter;
     noise of a range over the clearance; factors on it for the mapping (``told``); shares of
-    outliers; weight in a fit.
+    outliers; height of grass over the clearance; share of returns that dark ground loses
+    (``lost``); weight in a fit.
     """
 
     grounds: tuple[str, ...] = tuple(FIELDS)
@@ -41,6 +42,8 @@ class Family:
     noise: Range | None = None
     told: tuple[float, ...] = (1.0,)
     outliers: tuple[float, ...] = (0.0,)
+    grass: Range | None = None
+    lost: Range | None = None
     weight: float = 1.0
 
 
@@ -79,6 +82,21 @@ FAMILIES: dict[str, Family] = {
     ),
     "vehicles": Family(
         grounds=_ANY, views=("sweep", "descent", "morpheus"), noise=(0.07, 0.35), **_SIZES
+    ),
+    "meadow": Family(
+        grounds=("bare", "bare", "sparse", "smooth", "mixed", "any"),
+        views=("sweep", "descent", "wide", "few", "hover"),
+        cells=(5.0, 16.0),
+        noise=(0.05, 0.15),
+        grass=(0.03, 0.35),
+        lost=(0.05, 0.8),
+    ),
+    "hover": Family(
+        grounds=(*_ANY, "mixed", "bare"),
+        views=("hover",),
+        cells=(5.0, 16.0),
+        noise=(0.05, 0.3),
+        lost=(0.01, 0.5),
     ),
     "any": Family(
         grounds=(*_ANY, "mixed", "bare"),
@@ -245,6 +263,22 @@ def _few(rng: np.random.Generator) -> View:
     return View(times, at, look_at(at, aims, NORTH), pixel_beams(fov, fov, columns, rows))
 
 
+def _hover(rng: np.random.Generator) -> View:
+    """One to six places, each held for many scans: nearly the same rays again and again."""
+    places, high = int(rng.integers(1, 7)), rng.uniform(60.0, 190.0)
+    stays = rng.integers(5, 40, places)
+    count = int(stays.sum())
+    at = np.column_stack([rng.uniform(-20.0, 20.0, (places, 2)), np.full(places, high)])
+    aims = np.column_stack([rng.uniform(-8.0, 8.0, (places, 2)), np.zeros(places)])
+    at, aims = (np.repeat(of, stays, axis=0) for of in (at, aims))
+    sway = even(rng, 0.003, 0.1)
+    at, aims = (of + rng.normal(0.0, sway, of.shape) for of in (at, aims))
+    fov, pixels = rng.uniform(20.0, 45.0), int(rng.choice([64, 96, 128]))
+    return View(
+        0.1 * np.arange(count), at, look_at(at, aims, NORTH), pixel_beams(fov, fov, pixels, pixels)
+    )
+
+
 def _passed(
     rng: np.random.Generator, begin: Array, end: Array, rate: float | None = None
 ) -> tuple[Array, Array]:
@@ -265,4 +299,42 @@ VIEWS: dict[str, Callable[[np.random.Generator], View]] = {
     "wide": _wide,
     "scanning": partial(_wide, rate=10.0),
     "few": _few,
+    "hover": _hover,
 }
+
+
+@dataclass(frozen=True)
+class Cover:
+    """Patches of grass and of dark ground.
+
+    Returns end anywhere in grass up to ``height``, m. Dark ground loses a share ``lost`` of them.
+    ``waves``: (4, 3) wave numbers along x and y, rad/m, and phases of the patches.
+    """
+
+    height: float
+    lost: float
+    waves: Array
+
+    @staticmethod
+    def draw(rng: np.random.Generator, family: Family, clearance: float, scale: float) -> Cover:
+        """Draw the cover of a flight over ground ``scale`` times that of `LANDER`."""
+        height, lost = (0.0 if of is None else even(rng, *of) for of in (family.grass, family.lost))
+        length = np.exp(rng.uniform(np.log(3.0), np.log(30.0), 4)) * scale
+        turn, phase = rng.uniform(0.0, 2.0 * np.pi, (2, 4))
+        waves = np.column_stack([np.cos(turn) / length, np.sin(turn) / length]) * 2.0 * np.pi
+        return Cover(clearance * height, lost, np.column_stack([waves, phase]))
+
+    def apply(
+        self, rng: np.random.Generator, position: Array, directions: Array, ranges: Array
+    ) -> None:
+        """Shorten ranges (N,), m, along directions (N, 3) from a position, and set lost ones NaN."""
+        if not self.height and not self.lost:
+            return
+        x, y = (position[:2] + ranges[:, None] * directions[:, :2]).T
+        sines = np.sin(
+            np.outer(self.waves[:, 0], x) + np.outer(self.waves[:, 1], y) + self.waves[:, 2:]
+        )
+        grass, dark = (0.5 + 0.25 * (sines[k] + sines[k + 1]) for k in (0, 2))
+        down = np.maximum(-directions[:, 2], 0.2)
+        ranges -= self.height * grass * rng.random(ranges.shape) / down
+        ranges[rng.random(ranges.shape) < self.lost * (dark > 0.6)] = np.nan

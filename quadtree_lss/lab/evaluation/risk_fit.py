@@ -66,6 +66,7 @@ TERMS: dict[str, tuple[Term, ...]] = {
         Term("seen", (-1.5, -0.5, 0.2, 0.6, 1.0, 1.4, 1.8, 2.2, 2.6), -1, begin=-5.5),
         Term("relief", _RELIEF),
         Term("roughness", (0.0, 0.07, 0.15, 0.3, 0.5)),
+        Term("abundance", (-4.0, -3.3, -2.6, -2.0, -1.5, -1.0)),
         Term("noise", _NOISE, 0),
         Term("cell", _CELL, 0),
         Term("clearance", (-1.25, -1.1, -0.95, -0.78), 0),

@@ -21,6 +21,7 @@ from quadtree_lss.lab.evaluation.risk_families import (
     FAMILIES,
     LANDER,
     VIEWS,
+    Cover,
     Family,
     Range,
     even,
@@ -87,9 +88,12 @@ def fly(family: Family, seed: int, config: Config, terrain: Terrain | None = Non
     told = navigation.estimate(rng, view.times, positions, view.rotations)
     parts = [even(rng, *part) for part in PARTS]
     marks = {max(2, round(part * len(view.times))): part for part in parts}
+    cover = Cover.draw(rng, family, own.vehicle.clearance, scale)
     mapper, found, beams = Mapper(own), [], view.beams.reshape(-1, 3)
     for k, time in enumerate(view.times):
-        ranges = surface.cast(positions[k], beams @ view.rotations[k].T)
+        directions = beams @ view.rotations[k].T
+        ranges = surface.cast(positions[k], directions)
+        cover.apply(rng, positions[k], directions, ranges)
         ranges += rng.normal(0.0, noise, ranges.shape)
         wrong = rng.random(ranges.shape) < outliers
         ranges[wrong] += 10.0 * scale * rng.uniform(-1.0, 1.0, int(wrong.sum()))

@@ -26,7 +26,17 @@ NEAR = 0.3
 #: the map does not show at all.
 CAUSES = ("obstacle", "slope", "hidden")
 #: What a model may ask of each place, and of a map as a whole (see `RiskModel`).
-LOCAL = ("rise", "rise_beside", "tilt", "tilt_beside", "seen", "gradient", "roughness", "relief")
+LOCAL = (
+    "rise",
+    "rise_beside",
+    "tilt",
+    "tilt_beside",
+    "seen",
+    "gradient",
+    "roughness",
+    "relief",
+    "abundance",
+)
 OVERALL = ("noise", "cell", "clearance", "lean")
 
 
@@ -73,13 +83,16 @@ class RiskModel:
       tangent of the steepest one's slope over that of the limit; ``rise_beside``,
       ``tilt_beside``: the greatest of the place and its four neighbours.
     - ``seen``: k, how well the ground under the lander (0.9 d) is known: the mean of log10 of the
-      returns on a square as wide as h, in the returns that would tell as much at a range noise of
-      0.2 h and cells of 0.85 h: less 2 log10(noise / 0.2 h), and for wider cells
-      3 log10(cell / 0.85 h). Ground without a return counts 0.001.
+      independent returns on a square as wide as h (mean of 3 x 3 finest cells), in the returns that
+      would tell as much at a range noise of 0.2 h and cells of 0.85 h: less 2 log10(noise / 0.2 h),
+      and for wider cells 3 log10(cell / 0.85 h). Ground without a return counts 0.001.
     - ``gradient``: the tangent of the ground's slope at the lander's scale over that of the limit.
     - ``roughness``: square root of the mean deviation from the leaves' planes under the lander
       over c; ``relief``: the root mean square there of how far the map's cells rise over the
       ground at the lander's scale, over c (those below it count 0).
+    - ``abundance``: log10 of the share of the well observed ground, in a square of 8 d, where things
+      are that rise by 0.5 to 1 c over the ground at the lander's scale. Where many of these are
+      seen, more are hidden.
     - ``noise``, ``cell``, ``clearance``: log10 of noise / c, of finest cells / c, of c / d;
       ``lean``: of the height under one pad that leans the vehicle too far, over c.
 

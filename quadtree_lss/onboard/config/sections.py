@@ -182,7 +182,7 @@ class LssConfig:
         choices=("probability", "score"),
     )
     max_risk: float = _live(
-        0.0018,
+        0.003,
         "greatest probability that landing at a place fails there; with assessment probability",
         (0.0, 1.0),
     )

@@ -42,7 +42,7 @@ _NORMAL = ("normal_x", "normal_y", "normal_z")
 _FEATURE = ("feature_a", "feature_k", "feature_x", "feature_y", "feature_sigma")
 _PLANE = ("size", "elevation", *_NORMAL)
 _REST = (*_RANGE, *_POSE, "roughness", "exception_fraction", *_FEATURE)
-_SAME = "x y count ix iy level measured offset_z offset_variance low high".split()
+_SAME = "x y count ix iy level measured offset_z offset_variance low high coverage".split()
 """Fields that are attributes of a `CellMap`, but for those of `pack`."""
 
 
@@ -61,6 +61,7 @@ CELL_FIELDS = record_dtype(
     ("u1", ("level", "min_level", "measured")),
     ("f4", ("offset_z", "offset_variance")),
     ("f8", ("low", "high")),
+    ("f4", ["coverage"]),
 )
 
 #: Values of ``map/observed``: mapped, seen but not yet mapped, no point fell there.
@@ -141,7 +142,7 @@ def decode_cells(
         msg = "map/cells has leaves that overlap"
         raise MessageError("tiling", msg)
     measured, elevation = records["measured"] > 0, records["elevation"].astype(np.float64)
-    double = ("low", "high", "roughness", "exception_fraction")
+    double = ("low", "high", "coverage", "roughness", "exception_fraction")
     cells = CellMap(
         stamp_ns=stamp_ns,
         domain=domain,
@@ -207,6 +208,9 @@ def _check(cells: CellMap) -> None:
     if not sound[known].all() or cells.measured[~known].any():
         msg = "map/cells has a leaf with an impossible plane (normal, elevation, covariance)"
         raise MessageError("values", msg)
+    if not ((cells.coverage >= 0.0) & (cells.coverage <= 1.0)).all():
+        msg = "map/cells has a leaf with an impossible coverage"
+        raise MessageError("values", msg)
     bounds = np.stack([cells.low, cells.high])
     if (np.abs(bounds) >= MOST_HEIGHT).any() or (cells.low > cells.high).any():
         msg = "map/cells has a leaf with impossible bounds (low, high)"
@@ -227,7 +231,7 @@ def _matrices(records: NDArray[np.void], names: Sequence[str]) -> Array:
 
 def round_trip(cells: CellMap) -> CellMap:
     """The map as a subscriber gets it: some columns in single precision."""
-    names = "covariance_range covariance_pose roughness exception_fraction feature".split()
+    names = "covariance_range covariance_pose coverage roughness exception_fraction feature".split()
     single = {name: getattr(cells, name).astype(np.float32).astype(np.float64) for name in names}
     offset, variance = map(float, np.float32([cells.offset_z, cells.offset_variance]))
     return replace(cells, **single, offset_z=offset, offset_variance=variance)

@@ -26,7 +26,7 @@ from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask, Single
 from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, RiskModel, Row
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.contact import ContactLimits, Contacts
-from quadtree_lss.onboard.core.landing.lattice import GroundPlanes, with_neighbours
+from quadtree_lss.onboard.core.landing.lattice import GroundPlanes, grown, with_neighbours
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 
 #: Side of the square of the ground under the lander, diameters.
@@ -35,6 +35,15 @@ FOOTPRINT = 0.9
 HIGHEST = 5.0
 #: Returns on a square as wide as the least hazard that are as good as none.
 NO_RETURNS = 1e-3
+#: A cell counts as raised between such heights over the ground at the lander's scale, clearances, if
+#: no neighbour is higher: walls, cars and trees do not tell how many rocks are hidden.
+RAISED = 0.5, 1.0
+#: Side of the surroundings whose raised cells are counted, diameters.
+AROUND = 8.0
+#: Before anything is seen, this share is raised of a square of so many diameters (half a rock of
+#: 0.5 m for a lander of 3.7 m). Of three choices of both sides these had the best log score on 208
+#: flights outside the fit.
+PRIOR_SHARE, PRIOR_AREA = 0.02, 0.7
 #: Entries of a table along a curve, and along what is known.
 FINE = cython.declare(cython.int, 128)
 COARSE = 48
@@ -167,6 +176,8 @@ class RiskTable:
             planes: The ground at the lander's scale.
             contacts: Contacts on the map, where it is judged and beside that.
         """
+        from scipy.ndimage import uniform_filter  # Slow to import.
+
         vehicle, side, cells = self._vehicle, raster.domain.finest_size, raster.cells
         clearance, steep = vehicle.clearance, tan(radians(vehicle.max_slope_deg))
         found = np.empty((len(LOCAL), *contacts.rise.shape), dtype=np.float32)
@@ -176,12 +187,12 @@ class RiskTable:
             found[k + 1] = with_neighbours(found[k])
         known = ~raster.bridged
         # Returns on a square as wide as the least hazard, of those that their leaf has there.
-        returns = raster.returns * (vehicle.least_hazard / side) ** 2
-        level = np.log10(returns + NO_RETURNS).astype(np.float32)
+        returns = (raster.returns * (vehicle.least_hazard / side) ** 2).astype(np.float32)
+        density = uniform_filter(returns[raster.leaf] * known, 3, mode="nearest")
         rough = np.fmax(cells.roughness / (clearance * cells.size**2), 0.0)
         rough = np.minimum(rough, 2.0).astype(np.float32)
         cell_values = np.empty((3, *known.shape), dtype=np.float32)
-        cell_values[0] = np.where(known, level[raster.leaf], np.float32(log10(NO_RETURNS)))
+        np.log10(density + np.float32(NO_RETURNS), out=cell_values[0])
         cell_values[1] = rough[raster.leaf] * known
         relief = planes.elevation[:-1] + planes.elevation[1:]
         relief = raster.elevation - 0.25 * (relief[:, :-1] + relief[:, 1:])
@@ -194,8 +205,35 @@ class RiskTable:
         np.subtract(means[0], np.float32(self._worse(side)), out=found[4])
         np.divide(planes.gradient, steep, out=found[5], casting="same_kind")
         # Rounding can leave the mean of zeros below zero.
-        np.sqrt(np.maximum(means[1:], np.float32(0.0)), out=found[6:])
+        np.sqrt(np.maximum(means[1:], np.float32(0.0)), out=found[6:8])
+        high = grown((relief > RAISED[1]) & known, 1.5 * side, side)
+        raised = (relief > RAISED[0]) & known & ~high
+        found[8] = self._abundance(raised, density, side)
         return found
+
+    def _abundance(self, raised: Mask, density: Single, side: float) -> Single:
+        """Log10 of the share of raised cells around each grid point, (n + 1, n + 1).
+
+        Cells count by the probability that a return falls on a thing as wide as the least hazard.
+
+        Args:
+            raised: (n, n) finest cells that rise over the ground at the lander's scale.
+            density: (n, n) returns on a square as wide as the least hazard.
+            side: Side of the finest cells, m.
+        """
+        n, wide = len(raised), AROUND * self._vehicle.diameter / side
+        block = 1 << max(int(np.log2(max(wide / 16.0, 1.0))), 0)
+        block = min(block, n)
+        told = 1.0 - np.exp(-density)
+        both = (
+            np.stack([raised, told]).reshape(2, n // block, block, n // block, block).mean((2, 4))
+        )
+        means = square_means(both.astype(np.float32), max(round(0.5 * wide / block), 1))
+        prior = (PRIOR_AREA / AROUND) ** 2
+        share = (means[0] + prior * PRIOR_SHARE) / (means[1] + prior)
+        level = np.log10(np.maximum(share, np.float32(1e-6)))
+        at = np.minimum((np.arange(n + 1) + block // 2) // block, len(level) - 1)
+        return np.asarray(level[np.ix_(at, at)])
 
     def risk(
         self, raster: TerrainRaster, judged: Mask, planes: GroundPlanes, contacts: Contacts

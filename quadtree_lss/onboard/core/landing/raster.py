@@ -16,9 +16,11 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 
 TWO_PI = cython.declare(cython.double, 2.0 * np.pi)
-#: Returns in each known finest cell of a leaf, in the mean, among which a cell without any is no
-#: chance (e^-6 is one in 400): it lies in a shadow, of a rock or of a drop.
+#: Independent returns in each known finest cell of a leaf, in the mean, among which a cell without
+#: any is no chance (e^-6 is one in 400): it lies in a shadow, of a rock or of a drop.
 CHANCE = cython.declare(cython.double, 6.0)
+#: Parts of a finest cell of which `CellMap.coverage` counts those with a return.
+PARTS = 16.0
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,8 @@ class TerrainRaster:
         unmapped: True where a point fell whose return is not part of the map yet: seen by the
             lidar, but nobody knows what is there.
         bridged: True where the height is the nearest known cell's.
-        returns: (M,) of each leaf, on one of its known finest cells in the mean.
+        returns: (M,) independent returns of each leaf on one of its known finest cells, in the mean
+            (see `independent_returns`).
         cells: The map.
     """
 
@@ -81,7 +84,7 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
     seen = grown(known, max_gap, side, short=0.5) & ~unmapped
     share = np.zeros(len(cells.level), dtype=np.int32)
     count_known(leaf, known.view(np.uint8), share)
-    returns = cells.count / np.maximum(share, 1)
+    returns = np.minimum(cells.count / np.maximum(share, 1), independent_returns(cells.coverage))
     if not known.any():
         elevation[:] = np.nan
     elif bridged.any():
@@ -89,6 +92,16 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
     firm = known | ~grown(~seen, max_gap, side, short=0.5)
     found = (elevation, slope_x, slope_y, subscale, peak, seen, firm, unmapped, bridged, returns)
     return TerrainRaster(domain, leaf, *found, cells)
+
+
+def independent_returns(coverage: Array) -> Array:
+    """Number of returns at random places of a finest cell that covers this share (M,) of its parts.
+
+    Returns at the same place again, as in a hover, cover nothing new. Infinite where all is
+    covered: then any number of returns may be independent.
+    """
+    with np.errstate(divide="ignore"):
+        return np.asarray(-PARTS * np.log1p(-np.minimum(coverage, 1.0)))
 
 
 @cython.boundscheck(False)

@@ -351,6 +351,7 @@ class Mapper:
             "leaves": np.array(self.leaves.rows[: self.leaves.count]),
             "observed": self.leaves.observed.copy(),
             "piled": self.leaves.piled.copy(),
+            "hit_parts": self.leaves.hit_parts.copy(),
             "held_height": self._held.height.copy(),
             "held_scan": self._held.scan.copy(),
             "held_shown": self._held.shown.copy(),
@@ -376,6 +377,7 @@ class Mapper:
         self.leaves.take_up({name: leaves[name] for name in leaves.dtype.names or ()})
         self.leaves.observed[:] = state["observed"]
         self.leaves.piled[:] = state["piled"]
+        self.leaves.hit_parts[:] = state["hit_parts"]
         self._held.height[:] = state["held_height"]
         self._held.scan[:] = state["held_scan"]
         self._held.shown[:] = state["held_shown"]

@@ -54,6 +54,7 @@ cdef class ScanUpdate:
     cdef bint _divide(self, Py_ssize_t row, Run* run) noexcept nogil
     cdef void _settle(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, Run* run, bint same_scan) noexcept nogil
     cdef void _go_on(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, bint same_scan) noexcept nogil
+    cdef void _record_hits(self, Py_ssize_t begin, Py_ssize_t end) noexcept nogil
     cdef void _mark(self, Py_ssize_t begin, Py_ssize_t end, unsigned char state) noexcept nogil
     cdef void _residuals(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
     cdef bint _mound(self, Py_ssize_t begin, Py_ssize_t end, double variance, double sign) noexcept nogil

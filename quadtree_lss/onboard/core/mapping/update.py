@@ -459,6 +459,20 @@ class ScanUpdate:
                 self.table.seen[self.key[i]] = state
 
     @cython.boundscheck(False)
+    def _record_hits(self, begin: cython.Py_ssize_t, end: cython.Py_ssize_t) -> None:
+        """Record in which of the 4 x 4 parts of their finest cells the points of a run fell."""
+        cython.declare(i=cython.Py_ssize_t, column=cython.int, line=cython.int)
+        per = 4.0 / self.table.sides[self.table.max_level]
+        x = (self.fusion.origin[0] - self.table.xmin) * per
+        y = (self.fusion.origin[1] - self.table.ymin) * per
+        for i in range(begin, end):
+            if self.table.hits[self.key[i]] == 0xFFFF:
+                continue
+            column = cython.cast(cython.int, self.points[i, 0] * per + x)
+            line = cython.cast(cython.int, self.points[i, 1] * per + y)
+            self.table.hits[self.key[i]] |= 1 << ((column & 3) | (line & 3) << 2)
+
+    @cython.boundscheck(False)
     def _residuals(
         self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record
     ) -> None:
@@ -470,6 +484,7 @@ class ScanUpdate:
         """
         cython.declare(i=cython.Py_ssize_t)
         out = count = 0.0
+        self._record_hits(begin, end)
         points, residual = self._from(begin), self._residual_from(begin)
         division.rest(self.rules, leaf, run, points, residual, self.fusion.origin)
         if run.greatest <= run.raised_by:

@@ -92,6 +92,7 @@ class CellMap:
         low, high: (M,) lowest and highest height that a return has in the leaf, give or take its
             noise, m; NaN where there is none, or no bound. The plane's heights keep to them (see
             ``geometry.bounds``).
+        coverage: (M,) mean share of the 4 x 4 parts of a known finest cell that returns fell on.
         observed: (n, n) [iy, ix], True for finest cells in which a point fell.
         known: (n, n) of these, the cells whose returns are part of what their leaf says: they were
             compared with its plane, or with that of the leaf it was divided from and did not stand
@@ -118,6 +119,7 @@ class CellMap:
     feature: Array
     low: Array
     high: Array
+    coverage: Array
     observed: Mask
     known: Mask
     offset_z: float = float("nan")

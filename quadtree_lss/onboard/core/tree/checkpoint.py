@@ -22,7 +22,7 @@ from quadtree_lss.onboard.core.tree.soundness import sound_planes
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 #: Increases whenever the arrays of `Mapper.export_state` change their meaning.
-FORMAT = 8
+FORMAT = 9
 
 #: Tolerance of a principal minor of a correlation matrix. Fusion leaves this much when the pose
 #: variance is up to 10^18 times the range variance (`geometry.plane.keep_possible`).

@@ -8,7 +8,13 @@ from typing import Any
 import cython
 import numpy as np
 from cython.cimports.libc.math import NAN
-from cython.cimports.quadtree_lss.onboard.core.tree.leaves import INHERITED, MEASURED, LeafTable
+from cython.cimports.quadtree_lss.onboard.core.geometry.morton import encode
+from cython.cimports.quadtree_lss.onboard.core.tree.leaves import (
+    INHERITED,
+    MEASURED,
+    SEEN,
+    LeafTable,
+)
 
 from quadtree_lss.onboard.arrays import Array, Index, Single
 from quadtree_lss.onboard.core.tree.cell_map import SHAPE, CellMap
@@ -25,7 +31,7 @@ def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, 
     ``range_part`` (M, 9) becomes one: what the leaves know is added to what it holds."""
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, m=cython.Py_ssize_t)
     m = rows.shape[0]
-    whole, bits, single = np.empty((3, m), np.uint32), np.empty((2, m), np.uint8), np.empty((5, m))
+    whole, bits, single = np.empty((3, m), np.uint32), np.empty((2, m), np.uint8), np.empty((6, m))
     vectors, covariance, features = np.empty((m, 3)), np.empty((m, 9)), np.empty((m, 5))
     number = cython.declare(cython.uint[:, ::1], whole)
     mark = cython.declare(cython.uchar[:, ::1], bits)
@@ -34,6 +40,9 @@ def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, 
     pose_part = cython.declare(cython.double[:, ::1], covariance)
     bell = cython.declare(cython.double[:, ::1], features)
     own: cython.bint
+    code = cython.declare(cython.Py_ssize_t)
+    hits = cython.declare(cython.uint)
+    down = cython.declare(cython.int)
     with cython.nogil:
         for i in range(rows.shape[0]):
             table.expect(rows[min(i + 4, m - 1)])
@@ -55,6 +64,17 @@ def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, 
             column[2, i] = excepted + unmeasured
             column[3, i] = leaf.low if leaf.low <= leaf.high else NAN
             column[4, i] = leaf.high if leaf.low <= leaf.high else NAN
+            down = 2 * (table.max_level - leaf.level)
+            code = encode(leaf.ix, leaf.iy) << down
+            mapped = covered = 0.0
+            for j in range(code, code + (1 << down)):
+                if table.seen[j] > SEEN:
+                    mapped += 1.0
+                    hits = table.hits[j]
+                    while hits:
+                        hits &= hits - 1
+                        covered += 1.0
+            column[5, i] = covered / (16.0 * max(mapped, 1.0))
             for j in range(3):
                 normal[i, j] = leaf.normal[j] + unknown
             for j in range(9):
@@ -63,7 +83,7 @@ def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, 
             for j in range(5):
                 bell[i, j] = leaf.feature[j]
             bell[i, 4] *= WIDER
-    names = ("z", "roughness", "exception_fraction", "low", "high")
+    names = ("z", "roughness", "exception_fraction", "low", "high", "coverage")
     return {
         "level": bits[0],
         "measured": bits[1].view(np.bool_),

@@ -58,6 +58,8 @@ cdef class LeafTable:
     cdef unsigned char[::1] seen
     cdef readonly object piled
     cdef float[:, ::1] pile
+    cdef readonly object hit_parts
+    cdef unsigned short[::1] hits
     cdef readonly Py_ssize_t count
     cdef readonly Py_ssize_t capacity
     cdef readonly Py_ssize_t max_cells

@@ -99,6 +99,8 @@ class LeafTable:
             from, 3 where one stood out from that.
         piled: (4^max_level, 2) of the finest cells: how far returns lie above that plane, m,
             summed up, and how many.
+        hit_parts: (4^max_level,) uint16: a bit for each of the 4 x 4 parts of a finest cell, set
+            where a return fell.
         count, capacity, max_cells: Leaves, rows, and how many leaves there may be.
     """
 
@@ -113,12 +115,14 @@ class LeafTable:
         self.over = self.leaf_of = np.zeros(finest, dtype=np.int32)
         self.seen = self.observed = np.zeros(finest, dtype=np.uint8)
         self.pile = self.piled = np.zeros((finest, 2), dtype=np.float32)
+        self.hits = self.hit_parts = np.zeros(finest, dtype=np.uint16)
         self.plant()
 
     def plant(self) -> None:
         """Forget all leaves and divide to the minimum level."""
         self.observed[:] = 0
         self.piled[:] = 0.0
+        self.hit_parts[:] = 0
         side = 1 << self.domain.min_level
         iy, ix = np.divmod(np.arange(side * side), side)
         level = np.full(side * side, self.domain.min_level)
@@ -175,6 +179,7 @@ class LeafTable:
         n, east, north = side * parts, east * parts, north * parts
         self.observed[:] = shifted(observed, n, east, north)
         self.piled[:] = shifted(self.piled, n, east, north)
+        self.hit_parts[:] = shifted(self.hit_parts, n, east, north)
 
     def reserve(self, more: cython.Py_ssize_t) -> None:
         """Have room for so many further leaves, as far as ``max_cells`` allows."""
@@ -325,6 +330,7 @@ class LeafTable:
                 if self.seen[code] > SEEN:
                     self.seen[code] = SEEN
                 self.pile[code, 0] = self.pile[code, 1] = 0.0
+                self.hits[code] = 0
         return kept
 
     def forget(self, leaf: Record) -> None:

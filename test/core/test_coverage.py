@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much of the ground returns fell on: the same places seen again tell nothing new."""
+
+import numpy as np
+import pytest
+from core.builders import configured, flat, look, mapped
+from core.scenes import scattered
+
+from quadtree_lss.onboard.core.landing.raster import independent_returns, rasterise
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
+
+CONFIG = configured(noise=0.02)
+GROUND = flat()
+
+
+def returns(mapper):
+    """Of each finest cell, as landing counts them."""
+    raster = rasterise(mapper.snapshot(), CONFIG.lss)
+    return raster.returns[raster.leaf]
+
+
+def test_coverage_is_the_share_of_parts_with_a_return():
+    rng = np.random.default_rng(3)
+    mapper = Mapper(CONFIG)
+    x, y = scattered(rng, 0.0, 0.0, 16.0, 9000)
+    for _ in range(2):
+        look(mapper, GROUND, x, y, rng, 0.02)
+    cells = mapper.snapshot()
+    n = cells.domain.finest_count
+    parts = np.zeros((4 * n, 4 * n), dtype=bool)
+    parts[(y / 16.0 * 4 * n).astype(int), (x / 16.0 * 4 * n).astype(int)] = True
+    hit = parts.reshape(n, 4, n, 4).mean(axis=(1, 3))
+    raster = cells.leaf_raster()
+    shares = [hit[(raster == leaf) & cells.known].mean() for leaf in range(len(cells.level))]
+    np.testing.assert_allclose(cells.coverage, shares, atol=0.03)  # a ray ends beside its place
+
+
+@pytest.mark.parametrize("count", [1, 4, 12, 30])
+def test_returns_follow_from_how_much_they_cover(count):
+    rng = np.random.default_rng(4)
+    thrown = rng.integers(0, 16, (20000, count))
+    covered = (np.bincount((thrown + 16 * np.arange(20000)[:, None]).ravel()) > 0).sum()
+    assert independent_returns(np.array([covered / 320000.0]))[0] == pytest.approx(count, rel=0.06)
+    assert independent_returns(np.array([1.0]))[0] == np.inf
+
+
+def test_views_that_repeat_add_no_returns():
+    """A hover: the same rays thirty times count as once, other rays as often as they are."""
+    x, y = scattered(np.random.default_rng(5), 0.0, 0.0, 16.0, 12000)
+    counts = []
+    for views in (1, 30):
+        rng, mapper = np.random.default_rng(6), Mapper(CONFIG)
+        for _ in range(views):
+            look(mapper, GROUND, x, y, rng, 0.02)
+        counts.append(np.median(returns(mapper)))
+    other = Mapper(CONFIG)
+    rng = np.random.default_rng(7)
+    for _ in range(6):
+        look(other, GROUND, *scattered(rng, 0.0, 0.0, 16.0, 12000), rng, 0.02)
+    once, again = counts
+    assert again < 1.3 * once
+    assert np.median(returns(other)) > 4.0 * once
+
+
+def test_a_gap_between_repeated_returns_is_no_shadow():
+    """Thin ground seen thirty times: an empty cell between its returns is there by chance."""
+    rng, mapper = np.random.default_rng(8), Mapper(CONFIG)
+    x, y = scattered(rng, 0.0, 0.0, 16.0, 6000)
+    for _ in range(30):
+        look(mapper, GROUND, x, y, rng, 0.02)
+    cells = mapper.snapshot()
+    assert 0.6 < cells.known.mean() < 0.95
+    assert rasterise(cells, CONFIG.lss).seen[8:-8, 8:-8].mean() > 0.99
+
+
+def test_forgotten_ground_is_not_covered():
+    mapper = mapped(CONFIG, GROUND)
+    assert mapper.snapshot().coverage.min() > 0.1
+    mapper.reset()
+    assert not mapper.snapshot().coverage.any()
+    assert not mapper.leaves.hit_parts.any()
