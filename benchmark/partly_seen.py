@@ -329,7 +329,7 @@ def posts(seeds: list[int] | None, quick: bool) -> None:
         for seed in seeds or range(5301, 5303 if quick else 5313):
             rng = np.random.default_rng([seed, round(1000 * sway)])
             at, high = rng.uniform(-14.0, 14.0, (60, 2)), rng.uniform(0.32, 0.5, 60)
-            wide = rng.uniform(0.03, 0.1, 60)[:, None]
+            wide = np.full((60, 1), 0.15)
             corners = [at - wide, -np.ones((60, 1)), at + wide, high[:, None]]
             scene, mapper = Scene(boxes=np.hstack(corners)), Mapper(config)
             for k in range(100):

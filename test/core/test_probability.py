@@ -153,7 +153,9 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     raised = square_means(1.0 * ((over > 0.5) & seen & ~tall), reach, reach, size)
     told = square_means(1.0 - np.exp(-density), reach, reach, size)
     share = np.log10((raised + 0.02 / 64.0) / (told + 1.0 / 64.0))
-    np.testing.assert_allclose(found["abundance"], share, atol=0.15)  # found on coarser squares
+    off = np.abs(found["abundance"] - share)  # of squares of several cells, not of single ones
+    assert np.median(off) < 0.03
+    assert np.quantile(off, 0.95) < 0.15
     assert np.ptp(share) > 0.4
 
 
