@@ -253,7 +253,7 @@ def test_an_aim_is_the_weighted_mean_of_the_risk_about_it(spread):
             for w, at in ((along_y, row), (along_x, column))
         )
         expected = along_y @ around[np.ix_(rows, columns)] @ along_x
-        assert found[row, column] == pytest.approx(expected, abs=1e-12)
+        assert found[row, column] == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("sigma", [2.0, 8.0, 100.0])

@@ -14,7 +14,7 @@ where h is the highest ground of a finest cell whose centre lies at (u, v) from 
 The lowest of the resting planes is a concave function of (u, v). So it lies above the pyramid
 through its values at the grid point and at four points east, west, north and south of it, at a
 distance of the greatest |u| + |v| under the vehicle. A comparison with this pyramid excludes most
-cells, four at a time.
+columns of cells by their highest ground, and most cells of the others.
 """
 
 # mypy: disable-error-code="attr-defined"
@@ -27,8 +27,8 @@ from math import radians, tan
 import cython
 import numpy as np
 from cython.cimports.cpython.exc import PyErr_CheckSignals
-from cython.cimports.libc.math import sqrt
-from cython.cimports.quadtree_lss.onboard.core.landing.contact import SPAN
+from cython.cimports.libc.math import fabs, sqrt
+from cython.cimports.quadtree_lss.onboard.core.landing.contact import HEADINGS, SPAN
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask, Single
 from quadtree_lss.onboard.config.limits import YAWS
@@ -95,39 +95,36 @@ class ContactCheck:
         """
         if not needed.any():  # The vehicle may be larger than the domain.
             return Contacts(*np.full((2, *needed.shape), np.nan, dtype=np.float32))
-        changed = self._update_ground(raster, heading)
         domain, radius = raster.domain, 0.5 * self.config.vehicle.diameter
+        self._follow(domain, heading)
+        changed = np.zeros(raster.elevation.shape, dtype=np.uint8)
+        self._kernel.set_ground(raster, self._ground, changed)
         # A pad or cell centre under the vehicle is at most a radius away, so a corner of its cell
         # is, too.
-        near = grown(touching(changed.view(np.uint8)) > 0, radius, domain.finest_size)
-        self._contacts[:, near] = np.nan
+        near = grown(touching(changed) > 0, radius, domain.finest_size)
+        np.copyto(self._contacts, np.float32(np.nan), where=near)
         due = needed & np.isnan(self._contacts[0])
-        self._kernel.update(self._ground, due.view(np.uint8), self._contacts)
-        return Contacts(*np.where(needed, self._contacts, np.float32(np.nan)))
+        self._kernel.update(due.view(np.uint8), self._contacts)
+        found = np.full_like(self._contacts, np.nan)
+        np.copyto(found, self._contacts, where=needed)
+        return Contacts(*found)
 
-    def _update_ground(self, raster: TerrainRaster, heading: float | None) -> Mask:
-        """Lay out the ground of a map, and return the cells (n, n) that changed."""
-        domain, n = raster.domain, raster.domain.finest_count
-        moved = None
+    def _follow(self, domain: Domain, heading: float | None) -> None:
+        """Keep the ground and the contacts inside ``domain``, if they are of this heading."""
+        n, moved = domain.finest_count, None
         if self._computed_for is not None and self._computed_for[1] == heading:
             moved = self._computed_for[0].cells_to(domain)
         if moved is None:
             self._kernel = ContactKernel(self.config, self.limits, domain.finest_size, heading)
-            self._ground = np.full((4, n, n), np.nan)
+            self._ground = np.full((4, n + 2 + -(-SPAN // (n + 2)), n + 2), np.nan)
             self._contacts = np.full((2, n + 1, n + 1), np.nan, dtype=np.float32)
         elif moved != (0, 0):
-            self._ground = carried(self._ground, *moved, np.nan)
+            inside = self._ground[:, 1 : n + 1, 1 : n + 1]
+            inside[:] = carried(inside, *moved, np.nan)
             # Contacts at the border read its cells again in place of those outside.
-            self._ground[:, [0, -1]] = self._ground[:, :, [0, -1]] = np.nan
+            inside[:, [0, -1]] = inside[:, :, [0, -1]] = np.nan
             self._contacts = carried(self._contacts, *moved, np.nan)
         self._computed_for = domain, heading
-        x, y, z = raster.slope_x, raster.slope_y, raster.elevation
-        pad = z + self.config.vehicle.pad_radius * np.sqrt(x * x + y * y)
-        top = z + 0.5 * domain.finest_size * (np.abs(x) + np.abs(y)) + SHAPE * raster.subscale
-        ground = np.stack([pad, x, y, top])
-        changed: Mask = (ground != self._ground).any(axis=0)
-        self._ground = ground
-        return changed
 
     def exceeds_limits(self, contacts: Contacts) -> Mask:
         """Where a contact exceeds the touchdown limits."""
@@ -140,26 +137,26 @@ class ContactKernel:
     """Contact of a vehicle at one grid point after the other.
 
     Attributes:
-        reach: Rows and columns of the disc of finest cells under the vehicle, north or south and
-            east or west of the grid point.
-        half: (2 reach,) half width of the disc in each row, in cells.
-        offset: (2 reach,) centres of these rows, or of columns, from the grid point, m.
-        share: (2 reach,) the same without a sign, over ``corner``.
-        pad_row, pad_column: (4 headings,) cell under each pad, from the one north-east of the grid
-            point.
+        reach: Rows and columns of the disc of finest cells under the vehicle, in each direction.
+        half: (2 reach,) half width of the disc in each row, or in each column, in cells.
+        offset, share: (2 reach,) centres of these rows or columns from the grid point, m, and the
+            same without a sign, over ``corner``.
+        pad_row, pad_column, pad_cell: (4 headings,) cell under each pad, from the one north-east of
+            the grid point; the last in columns of ``ground``.
         pad_x, pad_y: (4 headings,) the pad from the centre of that cell, m.
         cos, sin: (headings,) of the headings, over the radius of the circle of pads, 1/m.
         corner: Distance of the pyramid's corners from the grid point, m.
         width: Cells in a row of ``ground``, which repeats the cells at the border once outside.
-        ground: (4, width^2) of each finest cell: height that a pad at its centre rests on, m,
+        ground: (4, rows x width) of each finest cell: height that a pad at its centre rests on, m,
             slopes in x and y, and highest ground, m.
-        top: Highest ground of each square of 2 x 2 cells, by its south-western cell, m.
-        pad_cell: (4 headings,) cell under each pad, as columns of ``ground`` from the cell
-            north-east of the grid point.
-        pad_z, plane_x, plane_y, plane_z: (4 headings,), (2 headings,) pads and resting planes at
-            the present grid point.
-        z_low, z_east, z_west, z_north, z_south: Heights of the pyramid there, m.
-        bound_x, bound_y: (2 reach,) parts of these that depend on the column and the row, m.
+        highest: (reach + 1, width) highest ground of 0 to reach cells on either side of a row, m.
+        pad_z, plane_x, plane_y, plane_z, steep: Pads, resting planes and the square of the steepest
+            slope at the grid points of a span, one grid point after the other.
+        z_low, z_east, z_west, z_north, z_south: Their pyramids, the corners over the middle, m.
+        excess, most: Bounds of the rise of each column of cells there, and of all, m.
+        rest_x, rest_y, rest_z, bound_y: Resting planes at one grid point, and the part of its
+            pyramid that depends on the row.
+        worst_row, worst_column: Cell in the disc that rises most at the last grid point.
     """
 
     def __init__(
@@ -168,9 +165,11 @@ class ContactKernel:
         radius = 0.5 * config.vehicle.diameter
         under = disc(radius, side)
         self.least_rise, self.most_tilt = limits.least_rise, limits.most_tilt
+        self.pad_radius, self.half_side = config.vehicle.pad_radius, 0.5 * side
         self.reach, self.half = under.reach, under.half
         self.offset = (np.arange(-under.reach, under.reach) + 0.5) * side
-        yaw = np.arange(YAWS) * (0.5 * np.pi / YAWS) if heading is None else np.array([heading])
+        assert HEADINGS == YAWS
+        yaw = np.arange(YAWS) * (0.5 * np.pi / YAWS) if heading is None else np.full(YAWS, heading)
         c, s = np.cos(yaw), np.sin(yaw)
         self.cos, self.sin = c / radius, s / radius
         x, y = radius * np.concatenate([c, -s, -c, s]), radius * np.concatenate([s, c, -s, -c])
@@ -178,48 +177,70 @@ class ContactKernel:
         self.pad_row = np.floor(y / side).astype(np.intp)
         self.pad_x = x - (np.asarray(self.pad_column) + 0.5) * side
         self.pad_y = y - (np.asarray(self.pad_row) + 0.5) * side
-        self.bound_x, self.bound_y = np.empty((2, 2 * under.reach))
         self.corner = float((np.abs(under.x) + np.abs(under.y)).max())
         self.share = np.abs(np.asarray(self.offset)) / self.corner
-        assert len(x) <= 48, "see the .pxd"
+        self.excess = np.empty(2 * under.reach * SPAN)
+        self.bound_y = np.empty(2 * under.reach)
+        self.worst_row = self.worst_column = 0
+
+    @cython.locals(changed=cython.uchar[:, ::1])
+    def set_ground(self, raster: TerrainRaster, ground: Array, changed: Bytes) -> None:
+        """Replace the ``ground`` (4, rows, n + 2) by that of a map, and mark ``changed`` cells."""
+        cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+        elevation = cython.declare(cython.double[:, ::1], raster.elevation)
+        slope_x = cython.declare(cython.double[:, ::1], raster.slope_x)
+        slope_y = cython.declare(cython.double[:, ::1], raster.slope_y)
+        subscale = cython.declare(cython.double[:, ::1], raster.subscale)
+        n: cython.Py_ssize_t = changed.shape[0]
+        self.width, self.ground = n + 2, ground.reshape(4, -1)
+        cells = cython.declare(cython.double[:, :, ::1], ground)
+        values = cython.declare(cython.double[4])
+        half, pad_radius = self.half_side, self.pad_radius
+        shape: cython.double = SHAPE
+        with cython.nogil:
+            for i in range(n):
+                for j in range(n):
+                    z, x, y = elevation[i, j], slope_x[i, j], slope_y[i, j]
+                    pad = z + pad_radius * sqrt(x * x + y * y)
+                    top = z + half * (fabs(x) + fabs(y)) + shape * subscale[i, j]
+                    values[0], values[1], values[2], values[3] = pad, x, y, top
+                    for k in range(4):
+                        changed[i, j] |= values[k] != cells[k, i + 1, j + 1]
+                        cells[k, i + 1, j + 1] = values[k]
+        ground[:, :, 0], ground[:, :, n + 1] = ground[:, :, 1], ground[:, :, n]
+        ground[:, 0], ground[:, n + 1 :] = ground[:, 1], ground[:, n, None]
 
     @cython.locals(due=cython.uchar[:, ::1], contacts=cython.float[:, :, ::1])
-    def update(self, ground: Array, due: Bytes, contacts: Single) -> None:
-        """Compute ``contacts`` (2, n + 1, n + 1), rise and tilt, at ``due`` grid points.
-
-        ``ground`` (4, n, n): pad height, slopes in x and y, highest ground of the finest cells.
-        """
+    def update(self, due: Bytes, contacts: Single) -> None:
+        """Compute ``contacts`` (2, n + 1, n + 1), rise and tilt, at ``due`` grid points."""
         cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, p=cython.Py_ssize_t)
         cython.declare(k=cython.Py_ssize_t, cell=cython.Py_ssize_t)
-        cython.declare(count=cython.Py_ssize_t, some=cython.uchar)
-        n: cython.Py_ssize_t = ground.shape[1]
-        self.width = n + 2
-        # The last span of a row goes on in the next row.
-        around = np.pad(ground, ((0, 0), (1, 2 + SPAN // (n + 2)), (1, 1)), mode="edge")
-        self.ground = around.reshape(4, -1)
-        pairs = np.maximum(self.ground[3, 1:], self.ground[3, :-1])
-        self.top = np.maximum(pairs[n + 2 :], pairs[: -(n + 2)])
-        self.pad_cell = np.asarray(self.pad_row) * (n + 2) + np.asarray(self.pad_column)
-        first: cython.Py_ssize_t = self.reach - 1
-        after: cython.Py_ssize_t = n + 1 - max(np.max(self.pad_row), self.reach - 1)
-        for i in range(first, after):
+        cython.declare(south=cython.Py_ssize_t, north=cython.Py_ssize_t)
+        # The last span of a row may go on beyond it.
+        self.highest = np.full((self.reach + 1, self.width + SPAN), -FAR)
+        self.pad_cell = np.asarray(self.pad_row) * self.width + np.asarray(self.pad_column)
+        for i in np.flatnonzero(np.asarray(due).any(axis=1)):
             with cython.nogil:
-                for k in range((after - first + SPAN - 1) // SPAN):
-                    j = first + k * SPAN
-                    count = min(SPAN, after - j)
-                    some = 0
-                    for p in range(count):
-                        some |= due[i, j + p]
-                    if not some:
+                for k in range(self.reach):
+                    south, north = (i - k) * self.width, (i + k + 1) * self.width
+                    for j in range(self.width):
+                        z = max(self.ground[3, south + j], self.ground[3, north + j])
+                        self.highest[k + 1, j] = max(self.highest[k, j], z)
+                j = 0
+                while j < due.shape[1]:
+                    if not due[i, j]:
+                        j += 1
                         continue
                     cell = (i + 1) * self.width + j + 1
                     self.find_planes(cell)
-                    for p in range(count):
+                    self.bound_rises(j + 1)
+                    for p in range(min(SPAN, due.shape[1] - j)):
                         if due[i, j + p]:
                             contacts[0, i, j + p] = self.least_rise
                             contacts[1, i, j + p] = sqrt(self.steep[p])
                             if contacts[1, i, j + p] <= self.most_tilt:
                                 contacts[0, i, j + p] = self.find_rise(cell + p, p)
+                    j += SPAN
             PyErr_CheckSignals()  # The user can interrupt a large map.
 
     def find_planes(self, cell: cython.Py_ssize_t) -> None:
@@ -229,9 +250,8 @@ class ContactKernel:
         """
         cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, p=cython.Py_ssize_t)
         cython.declare(x=cython.double, y=cython.double, u=cython.double, v=cython.double)
-        headings: cython.Py_ssize_t = self.cos.shape[0]
         corner: cython.double = self.corner
-        for k in range(4 * headings):
+        for k in range(4 * HEADINGS):
             i, u, v = cell + self.pad_cell[k], self.pad_x[k], self.pad_y[k]
             for p in range(SPAN):
                 x, y = self.ground[1, i + p] * u, self.ground[2, i + p] * v
@@ -239,12 +259,12 @@ class ContactKernel:
         for p in range(SPAN):
             self.steep[p], self.z_low[p] = 0.0, FAR
             self.z_east[p] = self.z_west[p] = self.z_north[p] = self.z_south[p] = FAR
-        for k in range(headings):
+        for k in range(HEADINGS):
             cos, sin, i = self.cos[k], self.sin[k], k * SPAN
             for p in range(SPAN):
-                east, north = self.pad_z[i + p], self.pad_z[headings * SPAN + i + p]
-                west = self.pad_z[2 * headings * SPAN + i + p]
-                south = self.pad_z[3 * headings * SPAN + i + p]
+                east, north = self.pad_z[i + p], self.pad_z[HEADINGS * SPAN + i + p]
+                west = self.pad_z[2 * HEADINGS * SPAN + i + p]
+                south = self.pad_z[3 * HEADINGS * SPAN + i + p]
                 z = 0.5 * max(east + west, north + south)
                 # On the diagonal that carries the vehicle both differences are the same.
                 x, y = (east - z) * cos - (north - z) * sin, (east - z) * sin + (north - z) * cos
@@ -259,50 +279,76 @@ class ContactKernel:
                 self.z_south[p] = min(self.z_south[p], z - corner * max(y, v))
                 self.steep[p] = max(self.steep[p], max(x * x + y * y, u * u + v * v))
 
+    def bound_rises(self, column: cython.Py_ssize_t) -> None:
+        """Bound the rise of each column of cells under the vehicle at the grid points of a span.
+
+        ``column``: of the cell north-east of the first grid point, in ``highest``.
+        """
+        cython.declare(j=cython.Py_ssize_t, p=cython.Py_ssize_t, first=cython.Py_ssize_t)
+        cython.declare(half=cython.Py_ssize_t)
+        for p in range(SPAN):
+            self.most[p] = -FAR
+            self.z_east[p] -= self.z_low[p]
+            self.z_west[p] -= self.z_low[p]
+            self.z_north[p] -= self.z_low[p]
+            self.z_south[p] -= self.z_low[p]
+        for j in range(2 * self.reach):
+            half, first = self.half[j], column + j - self.reach
+            share, aside = self.share[j], self.share[self.reach + half - 1]
+            for p in range(SPAN):
+                z = share * (self.z_west[p] if j < self.reach else self.z_east[p])
+                z += aside * min(min(self.z_north[p], self.z_south[p]), 0.0)
+                z = self.highest[half, first + p] - self.z_low[p] - z
+                self.excess[j * SPAN + p] = z
+                self.most[p] = max(self.most[p], z)
+
     def find_rise(self, cell: cython.Py_ssize_t, p: cython.Py_ssize_t) -> cython.double:
         """Greatest rise of ground over the resting planes, m, or ``least_rise`` if that is more.
 
         ``cell``: of the grid point, as for `find_planes`; ``p``: its place in the span.
         """
         cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
-        cython.declare(half=cython.Py_ssize_t, corner=cython.Py_ssize_t)
-        low: cython.double = self.z_low[p]
-        east, west = self.z_east[p] - low, self.z_west[p] - low
-        north, south = self.z_north[p] - low, self.z_south[p] - low
-        for j in range(2 * self.reach):
-            share = self.share[j]
-            self.bound_x[j] = share * (west if j < self.reach else east)
-            self.bound_y[j] = share * (south if j < self.reach else north) + low
+        cython.declare(first=cython.Py_ssize_t)
         rise = self.least_rise
-        for i in range(0, 2 * self.reach, 2):
-            corner = cell + (i - self.reach) * self.width - self.reach
-            half = max(self.half[i], self.half[i + 1])
-            level = min(self.bound_y[i], self.bound_y[i + 1]) + rise
-            for j in range(self.reach - half, self.reach + half, 2):
-                if self.top[corner + j] - min(self.bound_x[j], self.bound_x[j + 1]) > level:
-                    for k in range(4):
-                        rise = self.raise_to(rise, cell, p, i + k // 2, j + k % 2)
-                    level = min(self.bound_y[i], self.bound_y[i + 1]) + rise
+        if self.most[p] <= rise:
+            return rise
+        for k in range(2 * HEADINGS):
+            self.rest_x[k] = self.plane_x[k * SPAN + p]
+            self.rest_y[k] = self.plane_y[k * SPAN + p]
+            self.rest_z[k] = self.plane_z[k // 2 * SPAN + p]
+        for i in range(2 * self.reach):
+            z = self.z_south[p] if i < self.reach else self.z_north[p]
+            self.bound_y[i] = self.z_low[p] + self.share[i] * z
+        first = cell - self.reach * self.width - self.reach
+        # The cell that rises most at a grid point often does so at the next one to the east.
+        i, j = self.worst_row, max(self.worst_column - 1, 0)
+        if self.reach - self.half[j] <= i < self.reach + self.half[j]:
+            rise = max(rise, self.rise_of(first + i * self.width + j, i, j))
+            self.worst_column = j
+        for j in range(2 * self.reach):
+            if self.excess[j * SPAN + p] <= rise:
+                continue
+            bound_x = self.share[j] * (self.z_west[p] if j < self.reach else self.z_east[p])
+            for i in range(self.reach - self.half[j], self.reach + self.half[j]):
+                k = first + i * self.width + j
+                if self.ground[3, k] - bound_x - self.bound_y[i] > rise:
+                    z = self.rise_of(k, i, j)
+                    if z > rise:
+                        rise, self.worst_row, self.worst_column = z, i, j
         return rise
 
-    def raise_to(
-        self,
-        rise: cython.double,
-        cell: cython.Py_ssize_t,
-        p: cython.Py_ssize_t,
-        i: cython.Py_ssize_t,
-        j: cython.Py_ssize_t,
+    def rise_of(
+        self, cell: cython.Py_ssize_t, i: cython.Py_ssize_t, j: cython.Py_ssize_t
     ) -> cython.double:
-        """The greater of ``rise`` and the rise of one cell over the resting planes, m."""
-        cython.declare(k=cython.Py_ssize_t, one=cython.Py_ssize_t)
-        z = self.ground[3, cell + (i - self.reach) * self.width + j - self.reach]
-        inside: cython.bint = self.reach - self.half[i] <= j < self.reach + self.half[i]
-        if not inside or z - self.bound_x[j] - self.bound_y[i] <= rise:
-            return rise
-        u, v, other = self.offset[j], self.offset[i], rise
-        for k in range(self.cos.shape[0]):
-            height, one = z - self.plane_z[k * SPAN + p], 2 * k * SPAN + p
-            rise = max(rise, height - self.plane_x[one] * u - self.plane_y[one] * v)
-            one += SPAN
-            other = max(other, height - self.plane_x[one] * u - self.plane_y[one] * v)
-        return max(rise, other)
+        """Greatest height of one cell in row i and column j of the disc over the planes, m."""
+        k: cython.Py_ssize_t
+        above = cython.declare(cython.double[24])  # 2 HEADINGS
+        z, u, v = self.ground[3, cell], self.offset[j], self.offset[i]
+        for k in range(2 * HEADINGS):
+            above[k] = z - self.rest_z[k] - self.rest_x[k] * u - self.rest_y[k] * v
+        # Halves and not one after the other, so that the compiler vectorises it.
+        for k in range(HEADINGS):
+            above[k] = max(above[k], above[k + HEADINGS])
+        for k in range(HEADINGS // 2):
+            above[k] = max(above[k], above[k + HEADINGS // 2])
+        return max(max(max(above[0], above[1]), max(above[2], above[3])), max(above[4], above[5]))

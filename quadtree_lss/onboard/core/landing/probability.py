@@ -265,12 +265,12 @@ def interpolation_weights(values: Array, knots: Row) -> Array:
 def square_means(values: Single, reach: int) -> Single:
     """Means (F, n + 1, n + 1) over the squares of 2 ``reach`` x 2 ``reach`` cells about each grid
     point, of the part inside the domain; ``values``: (F, n, n) of finest cells."""
-    from scipy.ndimage import uniform_filter1d  # Slow to import.
-
-    out = np.pad(values, ((0, 0), (0, 1), (0, 1)))
-    inside = uniform_filter1d(np.append(np.ones(values.shape[2]), 0.0), 2 * reach, mode="constant")
-    for axis in (1, 2):
-        uniform_filter1d(out, 2 * reach, axis, output=out, mode="constant")
+    count = values.shape[1]
+    out = np.empty((len(values), count + 1, count + 1), dtype=np.float32)
+    sum_squares(values, reach, 1.0 / (2 * reach), out)
+    point = np.arange(count + 1)
+    inside = np.minimum(point + reach, count) - np.maximum(point - reach, 0)
+    inside = inside / (2.0 * reach)
     out /= np.outer(inside, inside)
     return out
 
@@ -283,12 +283,24 @@ def aimed(risk: Array, side: float, dispersion: Dispersion) -> Array:
         side: Between grid points, m.
         dispersion: Of the touchdown about the aim.
     """
-    from scipy.ndimage import gaussian_filter  # Slow to import.
-
-    sigmas = dispersion.y / side, dispersion.x / side
-    reach = tuple(ceil(TAIL * sigma) for sigma in sigmas)
-    safe = gaussian_filter(1.0 - risk, sigmas, mode="constant", radius=reach)
-    return np.asarray(np.clip(1.0 - safe, 0.0, 1.0))
+    out = np.ones(risk.shape)
+    weights = [
+        normal_weights(sigma / side, count)
+        for sigma, count in zip((dispersion.y, dispersion.x), risk.shape, strict=True)
+    ]
+    window = []
+    for axis in (0, 1):
+        reach = len(weights[axis]) // 2
+        found = np.flatnonzero((risk < 1.0).any(axis=1 - axis))
+        if not len(found):
+            return out
+        window.append(slice(max(int(found[0]) - reach, 0), int(found[-1]) + reach + 1))
+    means = np.asarray(risk[tuple(window)], dtype=np.float32)
+    for along in reversed(weights):
+        reach = len(along) // 2
+        means = blur(np.pad(means, ((0, 0), (reach, reach + 3)), constant_values=1.0), along)
+    out[tuple(window)] = np.minimum(means, 1.0)
+    return out
 
 
 def normal_weights(sigma: float, count: int) -> Array:
@@ -473,3 +485,79 @@ def look_up(
                     z = z if z < end else end
                     worse *= 1.0 + exps[cython.cast(cython.Py_ssize_t, z)]
                 out[i, j], cause[i, j] = 1.0 - 1.0 / worse, likeliest
+
+
+@cython.boundscheck(False)
+@cython.locals(values=cython.float[:, ::1])
+def blur(values: Single, weights: Array) -> Single:
+    """Weighted means along each row of padded values, transposed.
+
+    Single precision is enough: no risk is known to a millionth.
+
+    Args:
+        values: (ny, nx + K + 2), of which the last 3 columns do not matter.
+        weights: (K,) what their sum lacks to 1 is the weight of ones farther away.
+
+    Returns:
+        (nx, ny) means.
+    """
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+    cython.declare(a=cython.float, b=cython.float, c=cython.float, d=cython.float)
+    rows: cython.Py_ssize_t = values.shape[0]
+    columns: cython.Py_ssize_t = values.shape[1] - len(weights) - 2
+    beyond: cython.float = 1.0 - np.sum(weights)
+    # Four at a time, so that a sum is stored less often.
+    fours = np.zeros((len(weights) + 3) // 4 * 4, dtype=np.float32)
+    fours[: len(weights)] = weights
+    weight = cython.declare(cython.float[::1], fours)
+    line = cython.declare(cython.float[::1], np.empty(columns, dtype=np.float32))
+    out = cython.declare(cython.float[:, ::1], np.empty((columns, rows), dtype=np.float32))
+    with cython.nogil:
+        for i in range(rows):
+            line[:] = beyond
+            for k in range(0, weight.shape[0], 4):
+                a, b, c, d = weight[k], weight[k + 1], weight[k + 2], weight[k + 3]
+                for j in range(columns):
+                    line[j] += (a * values[i, j + k] + b * values[i, j + k + 1]) + (
+                        c * values[i, j + k + 2] + d * values[i, j + k + 3]
+                    )
+            for j in range(columns):
+                out[j, i] = line[j]
+    return np.asarray(out)
+
+
+@cython.boundscheck(False)
+@cython.locals(values=cython.float[:, :, ::1], out=cython.float[:, :, ::1])
+def sum_squares(
+    values: Single, reach: cython.Py_ssize_t, share: cython.double, out: Single
+) -> None:
+    """Sums over the squares of `square_means`, times ``share`` along each axis.
+
+    ``values``: (F, n, n). ``out``: (F, n + 1, n + 1), set.
+    """
+    cython.declare(f=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    n: cython.Py_ssize_t = values.shape[1]
+    columns = cython.declare(cython.double[::1], np.empty(n))
+    # Zero outside the domain.
+    line = cython.declare(cython.float[::1], np.zeros(n + 2 * reach + 1, dtype=np.float32))
+    with cython.nogil:
+        for f in range(values.shape[0]):
+            columns[:] = 0.0
+            for i in range(1 - reach, n + 1):
+                if i + reach <= n:
+                    for j in range(n):
+                        columns[j] += values[f, i + reach - 1, j]
+                if i > reach:
+                    for j in range(n):
+                        columns[j] -= values[f, i - reach - 1, j]
+                if i < 0:
+                    continue
+                for j in range(n):
+                    line[reach + 1 + j] = share * columns[j]
+                total = 0.0
+                for j in range(reach):
+                    total += line[reach + 1 + j]
+                for j in range(n + 1):
+                    out[f, i, j] = share * total
+                    after: cython.double = line[j + 2 * reach + 1]
+                    total += after - line[j + 1]
