@@ -148,7 +148,7 @@ def test_a_key_that_is_missing_or_a_file_is_told(tmp_path):
 def test_the_shipped_model_says_what_it_was_fitted_to():
     model = risk_model("")
     assert set(model.provenance["families"]) == set(FAMILIES)
-    assert model.numbers <= 156
+    assert model.numbers <= 162
     for name, terms in risk_fit.TERMS.items():
         for curve, term in zip(model.causes[name].curves, terms, strict=True):
             assert (term.sign * np.diff(curve.odds, axis=1) >= 0.0).all()
@@ -241,7 +241,6 @@ def test_what_a_fit_asks_is_what_is_looked_up():
     step = odds(risks(model, asked + half)) - odds(risks(model, asked - half))
     assert np.mean(np.abs(off)) < 0.5 * np.mean(np.abs(step)) + 0.03
     assert abs(off.mean()) < 0.03
-    assert len(LOCAL) == 9
 
 
 @pytest.mark.parametrize("kind", ["mixed", "bare", "cratered", "any"])
