@@ -21,7 +21,7 @@ from replay.test_pose_inputs import OdometryRecorder
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.simulation.simulate import simulate
-from quadtree_lss.onboard.config.settings import RENAMED, parameters
+from quadtree_lss.onboard.config.settings import parameters
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = (".", "docs", "docs/tutorials", "docs/reference", "msg_docs")
@@ -147,7 +147,6 @@ def test_files_that_are_named_exist(page):
 )
 def test_parameters_that_are_named_exist(page):
     names = {row.name for row in parameters()}
-    names |= set(RENAMED) if page.name == "parameters.md" else set()
     sections = {name.partition(".")[0] for name in names}
     for word in re.findall(r"`([a-z_]+\.[a-z_0-9]+)(?::[^`]*)?`", page.read_text()):
         if word.partition(".")[0] in sections - {"map", "lidar", "diagnostics"}:

@@ -163,7 +163,7 @@ def test_the_shipped_model_says_what_it_was_fitted_to():
         ({"vehicle.clearance": 0.05}, "a clearance of"),
         ({"domain.max_level": 5}, "cells of"),
         ({"lidar.range_noise": 0.4}, "a range noise of"),
-        ({"domain.max_level": 5, "lss.assessment": "paper", "lss.ranking": "score"}, ""),
+        ({"domain.max_level": 5, "lss.assessment": "paper"}, ""),
     ],
 )
 def test_a_model_of_another_vehicle_or_map_is_told(changes, said):

@@ -62,9 +62,9 @@ LANDING = {"vehicle_diameter": 2.0, "grid_spacing": 1.0, "sites": 3, "dispersion
 CONFIGS = [
     configured(domain={"max_level": 5}, lss={**LANDING, **more})
     for more in (
-        {"assessment": "probability", "ranking": "probability"},
-        {"assessment": "touchdown", "ranking": "score"},
-        {"assessment": "paper", "ranking": "score"},
+        {"assessment": "probability"},
+        {"assessment": "touchdown"},
+        {"assessment": "paper"},
     )
 ]
 
