@@ -187,7 +187,6 @@ def test_the_executable_of_ros2_run(bag, tmp_path, capsys, monkeypatch):
         *((module, ["replay", "none.mcap"]) for module in ("rosbags", "backports", "lz4")),
         ("trimesh", ["replay", "file.ply"]),
         ("pypcd4", ["replay", "file.pcd"]),
-        ("laspy", ["replay", "file.las"]),
         ("rasterio", ["sites", "file.tif"]),
         ("rasterio", ["export", "results", "--format", "geotiff"]),
         ("trimesh", ["export", "results", "--format", "ply"]),
