@@ -39,12 +39,6 @@ def test_no_event_bounds_the_rate_and_blames_nobody_and_of_no_trial_there_is_non
     assert cells == ("Unsafe", "0 of 0", "–", "–", "–")
 
 
-def test_a_figure_that_a_flight_lacks_is_left_out():
-    line = line_of(Quantity("rms", "RMS", "m"), _records(rms=[0.1, None, 0.3]))
-    assert (line.mean, line.worst, line.worst_flight, line.count) == (0.2, 0.3, 2, 2)
-    assert line.cells()[0] == "RMS [m]"
-
-
 def _line(values, worst="smallest"):
     return line_of(Quantity("rms", "RMS", worst=worst), _records(rms=values))
 

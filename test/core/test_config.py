@@ -92,12 +92,6 @@ def test_a_name_of_before_is_an_error_that_says_what_holds_now(key):
             wrong()
 
 
-def test_a_parameter_of_a_removed_section_is_an_error_that_says_so():
-    with pytest.raises(ConfigError) as caught:
-        config_from_values({"prior": {"file": "dem.tif"}})
-    assert str(caught.value) == "prior.file was removed: it has no effect; delete the line"
-
-
 def test_what_follows_from_other_parameters():
     config = config_from_values({"pose.max_wait": 3.0, "diagnostics.warn_age": 0.5})
     assert (config.pose.queue, config.diagnostics.error_age) == (60, 2.5)

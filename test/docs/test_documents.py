@@ -239,11 +239,6 @@ def test_the_rule_of_nan_is_as_documented(flight, tmp_path):
     assert not grid["safe"][~seen].any()
 
 
-def test_the_picture_is_small():
-    for picture in (ROOT / "docs" / "images").iterdir():
-        assert picture.stat().st_size <= 200_000
-
-
 def test_what_survives_what_is_as_the_tests_that_show_it_say():
     made = runpy.run_path(str(ROOT / "docs" / "survives.py"))
     written = made["TABLE"].search(made["PAGE"].read_text(encoding="utf-8")).group()

@@ -2,7 +2,6 @@
 """Results for other programs, read back by other programs' libraries."""
 
 import json
-import resource
 from dataclasses import replace as changed
 
 import numpy as np
@@ -11,10 +10,9 @@ import yaml
 from replay.recordings import GROUND, write_ros2
 from replay.test_cli import run
 
-from quadtree_lss.desk.commands import results as commands
 from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.exchange.saved import Grid, load_results
-from quadtree_lss.desk.replay.export import FORMATS, LAYERS, export_results
+from quadtree_lss.desk.replay.export import LAYERS, export_results
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.messages.maps import encode_hazards
@@ -176,33 +174,10 @@ def test_the_command_writes_all_of_it(written, tmp_path, capsys):
     assert code == 1 and "replay did not write this folder" in err
 
 
-def test_both_a_system_and_an_origin_is_too_much(written, tmp_path):
-    with pytest.raises(ExchangeError, match="not both"):
-        export_results(written.out, tmp_path, crs="EPSG:32611", origin=(0.0, 0.0))
-
-
 def test_a_folder_that_cannot_be_written_is_named(written, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ExchangeError, match="cannot be written"):
         export_results(written.out, tmp_path / "file", ["map_server"])
-
-
-def test_where_the_disk_is_full_the_files_of_before_stay(written, tmp_path):
-    before = {
-        path: path.read_bytes() for path in export_results(written.out, tmp_path, ["geotiff"])
-    }
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
-        with pytest.raises(ExchangeError, match="tif: cannot be written: File too large"):
-            export_results(written.out, tmp_path, ["geotiff"])
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
-
-
-def test_the_formats_of_the_command_are_those_there_are():
-    assert tuple(FORMATS) == commands.FORMATS
 
 
 def test_an_assessment_without_a_safe_place_is_exported_too(written, tmp_path):
