@@ -199,7 +199,7 @@ def fly(
         topics: What another process listens to.
     """
     args = ["--params-file", str(find_config("morpheus"))]
-    args += ["-p", "qos.scan_reliability:=reliable", *extra]
+    args += ["-p", "qos_overrides./lidar/points.subscription.reliability:=reliable", *extra]
     spawn = multiprocessing.get_context("spawn")
     ready, stop, out = spawn.Event(), spawn.Event(), spawn.Queue()
     with ExitStack() as stack:

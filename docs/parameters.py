@@ -22,8 +22,7 @@ says.
 
 One file serves all nodes and `quadtree-lss replay`. *Live* ones can be set while a node runs
 (`ros2 param set`); the others are read-only after the start. Lengths are m, and a name that ends in
-`_deg` is in degrees. Old names (`lss.vehicle_diameter`, `lss.max_roughness`, `lss.max_slope_deg`,
-`lss.pad_radius`) are still read, with a line.
+`_deg` is in degrees.
 """
 
 

@@ -2,8 +2,6 @@
 """The folder of a campaign."""
 
 import json
-import os
-import subprocess
 
 import pytest
 
@@ -51,22 +49,3 @@ def test_what_is_no_record_of_a_flight_is_named(store, spoil, word):
         store.read(CASES[1])
     assert path.name in str(caught.value)
     assert store.read(CASES[0]) and store.read(CASES[2])
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root mounts")
-def test_a_full_disk_loses_no_record(tmp_path):
-    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(tmp_path)]
-    if subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("nothing can be mounted here")
-    try:
-        store, done = Store(tmp_path), []
-        with pytest.raises(OSError, match="No space left") as caught:
-            for k in range(1000):
-                case = Case(k, "map", "morpheus", k)
-                record = store.write(case, {"safe_found": 0.5 * k})
-                done.append((case, record))
-        assert str(tmp_path) in str(caught.value) and len(done) > 5
-        assert all(store.read(case) == record for case, record in done)
-        assert store.path(Case(len(done), "map", "morpheus", len(done))).exists() is False
-    finally:
-        subprocess.run(["umount", str(tmp_path)], check=True)

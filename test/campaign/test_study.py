@@ -8,12 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from quadtree_lss import build
-from quadtree_lss.lab.campaign.engine import Where, campaign, fly
+from quadtree_lss.lab.campaign.engine import campaign, fly
 from quadtree_lss.lab.campaign.kinds import CampaignError
 from quadtree_lss.lab.campaign.landings import FLY, settings_of
 from quadtree_lss.lab.campaign.store import FILES, key_of
-from quadtree_lss.lab.campaign.study import parse_seeds, read_study, this_build
+from quadtree_lss.lab.campaign.study import parse_seeds, read_study
 from quadtree_lss.lab.evaluation.risk_fit import risk_model_text, unfitted
 from quadtree_lss.onboard.config.parameter import ConfigError
 
@@ -105,15 +104,6 @@ def test_the_key_tells_everything_that_decides_a_flight(study_of, tmp_path):
     assert len(keys) == len(changes) + 1
     (tmp_path / "three").write_text("one")  # the content counts, whatever its name
     assert {key_of(dataclasses.replace(case, **change)) for change in naming("three")} <= keys
-
-
-def test_the_build_is_of_the_risk_model_too(tmp_path, monkeypatch):
-    monkeypatch.setattr(build, "PACKAGE", tmp_path)
-    found = set()
-    for text in ("one", "two"):
-        (tmp_path / "risk.yaml").write_text(text)
-        found.add(this_build.__wrapped__())
-    assert len(found) == 2
 
 
 def test_files_lie_beside_the_study(study_of, tmp_path):
@@ -229,9 +219,8 @@ def test_small_flights_find_hazards():
 @pytest.mark.slow
 @pytest.mark.xdist_group("campaign")
 def test_the_small_study_is_flown(tmp_path):
-    pytest.importorskip("distributed")
     path = next(path for path in STUDIES if path.stem == "small")
-    result = campaign(read_study(path), tmp_path, Where(workers=2))
+    result = campaign(read_study(path), tmp_path, 2)
     assert len(result.records) == 8 and not result.failed
     rules, touchdown = sorted(
         next(line.mean for line in lines if line.quantity.name == "safe_found")

@@ -6,7 +6,6 @@ import pytest
 from scipy.stats import binom
 
 from quadtree_lss.lab.campaign.kinds import Quantity
-from quadtree_lss.lab.campaign.paired import Comparison, _difference
 from quadtree_lss.lab.campaign.store import Record
 from quadtree_lss.lab.campaign.summary import bootstrap, line_of, rate_interval
 
@@ -38,19 +37,6 @@ def test_no_event_bounds_the_rate_and_blames_nobody_and_of_no_trial_there_is_non
     assert line.high == pytest.approx(1.0 - 0.025 ** (1 / 200))
     cells = line_of(UNSAFE, _records(unsafe=[0], judged=[0])).cells()
     assert cells == ("Unsafe", "0 of 0", "–", "–", "–")
-
-
-def test_a_figure_that_a_flight_lacks_is_left_out():
-    line = line_of(Quantity("rms", "RMS", "m"), _records(rms=[0.1, None, 0.3]))
-    assert (line.mean, line.worst, line.worst_flight, line.count) == (0.2, 0.3, 2, 2)
-    assert line.cells()[0] == "RMS [m]"
-
-
-def test_one_pair_tells_no_spread():
-    pairs = [tuple(_records(rms=[0.1, 0.3]))]
-    found = Comparison((_difference(Quantity("rms", "RMS", "m"), pairs),), 0)
-    row = found.table().splitlines()[1]
-    assert row.split()[:6] == ["RMS", "[m]", "0.10", "0.30", "+0.20", "–"]
 
 
 def _line(values, worst="smallest"):

@@ -36,7 +36,7 @@ Array = np.ndarray
 METHODS = ("none", "fit", "covariance", "division", "all")
 
 #: Landing by the probability that the lander fails.
-BY_RISK = {"assessment": "probability", "ranking": "probability"}
+BY_RISK = {"assessment": "probability"}
 #: Lengths that tests set for themselves.
 OWN = ("hazard_growth", "min_separation", "outlier_gate")
 
@@ -99,7 +99,6 @@ def configured(
         "domain.max_level": levels[1],
         **({} if noise is None else {"lidar.range_noise": noise}),
         "lss.assessment": "touchdown",
-        "lss.ranking": "score",
     }
     values = {f"{s}.{key}": value for s, of in sections.items() for key, value in of.items()}
     own = {key: values.pop(f"vehicle.{key}") for key in OWN if f"vehicle.{key}" in values}

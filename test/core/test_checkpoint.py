@@ -107,12 +107,3 @@ def test_inconsistent_states_are_refused_and_the_map_kept(content, spoil):
     with pytest.raises(CheckpointError):
         mapper.import_state(state)
     assert_same(mapper.snapshot(), before)
-
-
-def test_other_archives_are_no_checkpoints(tmp_path):
-    np.savez(tmp_path / "a.npz", x=np.arange(3))
-    with pytest.raises(CheckpointError, match="version"):
-        Mapper(CONFIG).import_state(from_file(io.BytesIO((tmp_path / "a.npz").read_bytes())))
-    np.save(tmp_path / "b.npy", np.arange(3))
-    with pytest.raises(CheckpointError):
-        from_file(io.BytesIO((tmp_path / "b.npy").read_bytes()))

@@ -8,7 +8,6 @@ import re
 import pytest
 
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.onboard.config import settings
 from quadtree_lss.onboard.config.settings import (
     REMOVED,
     Config,
@@ -93,12 +92,6 @@ def test_a_name_of_before_is_an_error_that_says_what_holds_now(key):
             wrong()
 
 
-def test_a_parameter_of_a_removed_section_is_an_error_that_says_so():
-    with pytest.raises(ConfigError) as caught:
-        config_from_values({"prior": {"file": "dem.tif"}})
-    assert str(caught.value) == "prior.file was removed: prior maps are gone; delete the line"
-
-
 def test_what_follows_from_other_parameters():
     config = config_from_values({"pose.max_wait": 3.0, "diagnostics.warn_age": 0.5})
     assert (config.pose.queue, config.diagnostics.error_age) == (60, 2.5)
@@ -139,17 +132,6 @@ def other_value(row: Parameter) -> object:
     if row.type is int:
         return row.default + 1 if row.default < row.high else row.default - 1
     return row.default * 0.99 if row.default else min(row.high, 0.5)
-
-
-def test_old_names_are_read_with_a_line_each_that_is_said_once(caplog, tmp_path):
-    settings.present_name.cache_clear()
-    for name, key in (("old", "lss.vehicle_diameter"), ("new", "vehicle.diameter")):
-        (tmp_path / name).write_text(f"/**: {{ros__parameters: {{{key}: {len(key)}.0}}}}")
-    old, new = tmp_path / "old", tmp_path / "new"
-    assert load_config([old]).vehicle.diameter == 20.0
-    assert load_config([new, old]).lss.vehicle.diameter == 20.0  # the later wins
-    assert load_config([old, new]).vehicle.diameter == 16.0
-    assert caplog.messages == ["lss.vehicle_diameter is vehicle.diameter now"]
 
 
 def test_lengths_follow_from_the_vehicle_unless_they_are_set():

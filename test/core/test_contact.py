@@ -187,7 +187,7 @@ def test_a_vehicle_larger_than_the_domain_has_no_contact(empty):
 )
 def test_unsafe_ground_grows_by_the_set_length_rounded_outwards(growth, reach):
     """Grid points lie 0.5 m apart, so any growth reaches at least the next one."""
-    lss = {"assessment": "touchdown", "ranking": "score", "grid_spacing": 0.5}
+    lss = {"assessment": "touchdown", "grid_spacing": 0.5}
     lander = {"diameter": 2.9, "hazard_growth": 0.0}
     config = configured(domain=SMALL, noise=0.02, vehicle=lander, lss=lss)
 

@@ -9,7 +9,6 @@ from core.scenes import ABOVE, flat, make_pose, pose_covariance, scattered, slop
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
 FINEST_1M = {"min_level": 4, "max_level": 4}
-TWO = np.array([1.0, 3.0])
 
 
 @pytest.mark.parametrize("fit", ["none", "fit"])

@@ -165,9 +165,9 @@ def test_a_checkpoint_carries_the_origin():
         assert stranger.domain == Domain.of(stranger.config.domain)
 
 
-@pytest.mark.parametrize("ranking", ["score", "probability"])
-def test_a_target_is_never_moved_by_a_move(ranking):
-    values = {"lss.ranking": ranking, "vehicle.diameter": 2.0,
+@pytest.mark.parametrize("assessment", ["touchdown", "probability"])
+def test_a_target_is_never_moved_by_a_move(assessment):
+    values = {"lss.assessment": assessment, "vehicle.diameter": 2.0,
               "lss.dispersion": 0.1, "lss.max_risk": 0.1}  # fmt: skip
     config = config_from_values(values, FOLLOWING)
     mapper, selector = Mapper(config), LandingSiteSelector(config)
@@ -226,7 +226,7 @@ def test_ground_at_a_rim_that_came_nearer_is_judged_as_a_new_pass_would():
     config = configured(
         domain={"min_level": 3, "follow": "vehicle"},
         vehicle={"diameter": 1.9},
-        lss={"grid_spacing": 0.25, "assessment": "probability", "ranking": "probability"},
+        lss={"grid_spacing": 0.25, "assessment": "probability"},
     )
     rng, mapper, follower = np.random.default_rng(4), Mapper(config), LandingSiteSelector(config)
     middle = np.array([8.0, 8.0])

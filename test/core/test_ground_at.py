@@ -7,7 +7,6 @@ from core.builders import differentiated, upward_normals
 from core.kernels import plus
 
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.cell_map import height_by_error
@@ -126,13 +125,3 @@ def test_a_matrix_takes_points_where_the_pose_does():
 def test_what_is_no_pose_is_refused(matrix, word):
     with pytest.raises(ValueError, match=word):
         Pose.from_matrix(matrix)
-
-
-def test_objects_say_what_they_are_in_a_line(mapper, cells):
-    found = LandingSiteSelector(CONFIG).assess(cells)
-    for thing in (mapper, cells, found, found.sites, Pose.from_matrix(ABOVE)):
-        text = repr(thing)
-        assert len(text) < 200 and "\n" not in text and type(thing).__name__ in text
-    assert f"{len(cells.level)} leaves" in repr(cells) and "50.000" in repr(Pose.from_matrix(ABOVE))
-    assert len(found.sites) == len(found.sites.score) > 0
-    assert repr(found.sites.of(slice(0))) == "<Sites: none>"

@@ -115,15 +115,6 @@ def test_in_space_groups_of_fewer_than_three_are_isolated(seed, count, size):
     np.testing.assert_array_equal(isolated(points, 1.0), expected)
 
 
-@pytest.mark.parametrize("count", [200, 3000, 40_000])
-def test_usual_distance_of_a_sample_is_that_of_all_points(count):
-    rng = np.random.default_rng(1)
-    points = np.zeros((count, 3))
-    points[:, :2] = rng.uniform(0.0, 10.0, (count, 2))
-    exact = np.median(cKDTree(points).query(points, k=[3])[0])
-    assert usual_distance(points) == pytest.approx(exact, rel=0.2)
-
-
 def test_two_percent_of_strays_leave_hardly_one_behind():
     rng = np.random.default_rng(2)
     ranges = 400.0 + 0.06 * rng.standard_normal((128, 128))

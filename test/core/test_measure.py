@@ -138,13 +138,6 @@ def test_a_strip_tells_its_height_alone(middle, width):
     assert np.sqrt(found.own) < 0.2
 
 
-def test_a_fit_weighs_by_the_noise_at_its_range():
-    of = Rules(configured(lidar={"range_noise": 0.02, "range_noise_per_metre": 1e-3}))
-    cloud, given = tilted(np.random.default_rng(13), 7, 0.0), (2.0, NORMAL, NO_POSE)
-    near, far = (fit(of, cloud - (0.0, 0.0, up), 0.0, 0.0, *given)[0] for up in (20.0, 180.0))
-    assert np.sqrt(far.variance / near.variance) == pytest.approx(0.2 / 0.04, rel=0.01)
-
-
 def test_noise_of_stereo_goes_with_the_square_of_the_depth():
     """And is common to range and depth by the angle between them: seen from beside, too."""
     of = Rules(configured(lidar={"range_noise": 0.02, "stereo_noise": 0.1 / 20.0}))

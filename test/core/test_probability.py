@@ -266,7 +266,7 @@ def test_of_a_wide_dispersion_most_comes_down_beyond_the_map(sigma):
 
 
 def probable(**lss: object) -> LandingSiteSelector:
-    given = {"assessment": "probability", "ranking": "probability", "grid_spacing": 0.25, **lss}
+    given = {"assessment": "probability", "grid_spacing": 0.25, **lss}
     return LandingSiteSelector(configured(domain={"size": 32.0, "max_level": 7}, lss=given))
 
 
@@ -320,8 +320,8 @@ def test_guidance_goes_before_the_configuration(beside_a_rock):
 
 @pytest.mark.parametrize("rule", ["probability", "touchdown"])
 def test_a_heading_counts_for_limits_and_not_for_the_risk_fitted_to_the_worst(beside_a_rock, rule):
-    ranking, heard = "probability" if rule == "probability" else "score", []
-    selector, contacts = probable(assessment=rule, ranking=ranking), ContactCheck.contacts
+    heard: list[float | None] = []
+    selector, contacts = probable(assessment=rule), ContactCheck.contacts
 
     def hear(check, raster, needed, heading=None):
         heard.append(heading)

@@ -14,7 +14,6 @@ from quadtree_lss.onboard.core.geometry import morton
 
 NOISE = 0.05
 LEAVES_4M = {"xmin": 0.0, "ymin": 0.0, "size": 16.0, "min_level": 2, "max_level": 6}
-ROWS = slice(0, 4)
 NEVER = np.inf
 
 

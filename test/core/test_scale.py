@@ -18,8 +18,6 @@ SCALES = (0.1, 0.3, 3.0)
 
 def at_scale(scale: float, assessment: str) -> Config:
     """A lander of 2 m that leans too far on less than its clearance; all lengths scaled alike."""
-    ranking = "probability" if assessment == "probability" else "score"
-    named = {"assessment": assessment, "ranking": ranking}
     return configured(
         domain={"size": 16.0 * scale},
         vehicle={
@@ -29,7 +27,12 @@ def at_scale(scale: float, assessment: str) -> Config:
             "pad_radius": 0.1 * scale,
         },
         lidar={"range_noise": 0.02 * scale, "min_range": 0.1 * scale},
-        lss={**named, "dispersion": 0.4 * scale, "margin": 0.1 * scale, "max_risk": 0.04},
+        lss={
+            "assessment": assessment,
+            "dispersion": 0.4 * scale,
+            "margin": 0.1 * scale,
+            "max_risk": 0.04,
+        },
     )
 
 

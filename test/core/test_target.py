@@ -404,7 +404,7 @@ def lifted(cells, z):
 
 
 def by_risk(**lss):
-    return small(assessment="probability", ranking="probability", **lss)
+    return small(assessment="probability", **lss)
 
 
 def test_land_now_takes_the_best_within_reach_at_once(monkeypatch, with_block):

@@ -139,18 +139,6 @@ def test_waiting_is_bounded_from_arrival_whatever_the_stamps_say():
         assert queue.dropped == {"no_pose": 2}
 
 
-def test_the_queue_is_bounded_in_number_and_the_oldest_goes():
-    buffer = PoseBuffer(SECOND, SECOND)
-    queue = queue_of(buffer, scans=3)
-    for k in range(5):
-        queue.push_scan(k * MS, k, 0)
-    assert len(queue) == 3
-    dropped = [(drop.stamp_ns // MS, drop.reason) for drop in queue.expire(0)]
-    assert dropped == [(0, "queue_full"), (1, "queue_full")]
-    buffer.add(plain_pose(0)), buffer.add(plain_pose(10 * MS))
-    assert [scan for _, scan, _ in queue.pop_ready()] == [2, 3, 4]
-
-
 def test_scans_that_no_pose_can_help_do_not_hold_up_the_others():
     """Nor is a second scan of the same stamp mapped twice."""
     queue = queue_of(buffer_of(1000, 1500, 1600))

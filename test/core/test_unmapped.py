@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from core.builders import BY_RISK, configured, mapped, strip
+from core.builders import configured, mapped, strip
 from core.scenes import flat, slope
 
 from quadtree_lss.onboard.config.settings import LssConfig
@@ -132,15 +132,6 @@ def test_the_target_is_withdrawn_with_a_word_of_its_own(level_ground):
     cells = without(level_ground, [(row, column)])
     found = selector.assess(cells, target=(8.0, 8.0)).selected
     assert found.reason is Reason.UNMAPPED and not found.id
-
-
-def test_what_is_left_of_the_risk_names_it(level_ground):
-    """Sites close to ground not yet mapped, with a wide dispersion."""
-    cells = without(level_ground, np.argwhere(np.indices((64, 64))[1] >= 40))
-    config = configured(lss={**BY_RISK, "dispersion": 1.2, "grid_spacing": SIDE})
-    area = [(6.0, 3.0), (11.0, 3.0), (11.0, 13.0), (6.0, 13.0)]
-    found = LandingSiteSelector(config).assess(cells, area=area)
-    assert any("ground not yet mapped" in reason for reason in found.sites.reasons)
 
 
 def test_heights_keep_to_what_was_measured_there(level_ground):

@@ -60,27 +60,3 @@ def test_every_picture_names_its_command():
     shown = "".join(figure.body for figure in ALL)
     for picture in (ROOT / "docs" / "images").glob("*.png"):
         assert f"images/{picture.name}" in shown, picture.name
-
-
-def test_a_figure_is_made_where_it_stands(tmp_path, monkeypatch):
-    page = tmp_path / "page.md"
-    page.write_text(
-        "before\n<!-- figure: python made.py\nquick; parabola: lidar.*; earlier -->\nold\n"
-        "<!-- end -->\nafter\n<!-- figure: python other.py\nhours; parabola: lidar.*; earlier -->\n"
-        "Earlier build.\n<!-- end -->\n"
-    )
-    (tmp_path / "made.py").write_text("import os\nprint('|', os.environ['TABLES'], '|')\n")
-    (tmp_path / "config").symlink_to(ROOT / "config")
-    (tmp_path / "docs").mkdir()
-    for name in ("make", "figures"):
-        monkeypatch.setitem(FIGURES[name].__globals__, "ROOT", tmp_path)
-    figure, other = FIGURES["figures"]()
-    FIGURES["make"](figure)
-    made, kept = FIGURES["figures"]()
-    assert made.body == "| markdown |\n" and kept == other
-    assert made.hash == parameters_hash("parabola", "lidar.*") and made.made
-    assert page.read_text().startswith("before\n") and "\nafter\n" in page.read_text()
-    FIGURES["write"](made, None)
-    marked, kept = FIGURES["figures"]()
-    assert marked.body == "Earlier build.\n\n| markdown |\n" and kept == other
-    assert marked.hash is None and marked[:5] == made[:5]

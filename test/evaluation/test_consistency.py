@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prefit residuals: their distribution by Monte Carlo, their formula by its definition; of bags."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from core.builders import (
@@ -110,8 +108,7 @@ def test_treating_pose_error_as_independent_is_inconsistent():
 
 
 def test_statistics_are_those_of_equations_17_46_and_61():
-    """Point by point, with a full pose covariance, Mahalanobis distance in three dimensions, and
-    noise that grows with the distance (Eq. 13)."""
+    """Each point, with a full pose covariance and the Mahalanobis distance in three dimensions."""
     rng = np.random.default_rng(3)
     covariance = random_covariances(rng, 1, 6, 0.02)[0]
     mapper = Mapper(configured(domain={"min_level": 2, "max_level": 2}))
@@ -121,14 +118,13 @@ def test_statistics_are_those_of_equations_17_46_and_61():
     x, y = scattered(rng, 0.0, 0.0, 16.0, 50)
     seen = registered(mapper, scan(GROUND, x, y, pose, NOISE, rng), pose)
     cells = mapper.snapshot()
-    found = prefit_statistics(cells, seen, replace(LIDAR, range_noise_per_metre=2e-4))
+    found = prefit_statistics(cells, seen, LIDAR)
     for k, (i, row) in enumerate(zip(found.point, found.row, strict=True)):
         n = cells.normal[row]
         arm = seen.origin + seen.points[i] - (cells.x[row], cells.y[row], cells.z[row])
         ray = seen.points[i] / np.linalg.norm(seen.points[i])
-        distance, residual = np.linalg.norm(seen.points[i]), n @ arm
-        noise = NOISE + 2e-4 * distance
-        (sigma,) = point_covariances(seen.points[i : i + 1] + seen.origin, pose, noise)
+        residual = n @ arm
+        (sigma,) = point_covariances(seen.points[i : i + 1] + seen.origin, pose, NOISE)
         # The predicted point moves along its ray: d r / d(dphi, dd) = u / (n.u) a.
         a = np.r_[tangent_basis(n).T @ arm, -1.0]
         jacobian = np.outer(ray, a) / (n @ ray)

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from evaluation.scores import ground, write_results, write_truth
 
-from quadtree_lss.desk.exchange.saved import Grid
 from quadtree_lss.lab.evaluation.evaluate import evaluate
-from quadtree_lss.lab.evaluation.metrics import fill_holes, seen_at
+from quadtree_lss.lab.evaluation.metrics import fill_holes
 from quadtree_lss.lab.evaluation.results import EvaluationError
 
 
@@ -139,33 +138,11 @@ def test_holes_up_to_two_metres_are_filled(width, filled):
     assert (fill_holes(seen, 0.25) >= seen).all()
 
 
-def test_edge_of_seen_ground_does_not_grow():
-    seen = np.zeros((60, 60), bool)
-    seen[10:40, 15:50] = True
-    np.testing.assert_array_equal(fill_holes(seen, 0.25), seen)
-
-
-@pytest.mark.parametrize("hidden", [(1, 1), (1, 2), (2, 1), (2, 2)])
-def test_a_point_is_seen_if_all_four_grid_points_about_it_are(hidden):
-    axis, hazard = np.arange(4.0), np.zeros((4, 4), np.uint8)
-    hazard[hidden] = 128
-    grid = Grid(x=axis, y=axis, hazard=hazard)
-    middle, corner = np.array([1.5]), np.array([0.5])
-    assert not seen_at(grid, middle, middle)[0, 0]
-    assert seen_at(grid, corner, corner)[0, 0] == (hidden != (1, 1))
-
-
 def test_unsafe_sites_are_counted_among_the_first_five(tmp_path):
     sites = [(-1.0, 0.0), (1.0, 0.0), (-2.0, 0.0), (2.0, 1.0), (3.0, 3.0), (-4.0, 0.0)]
     result = _evaluate(tmp_path, truth={"safe": lambda x, y: x > 0.0}, sites=sites)
     assert result.unsafe_in_top_five == 2
     assert result.sites == 6
-
-
-def test_site_off_the_lattice_is_simulated(tmp_path):
-    cliff = {"elevation": lambda x, y: np.where(x > 0.0, 5.0, 0.0) + 0.0 * y}
-    result = _evaluate(tmp_path, truth=cliff, sites=[(0.1, 0.1), (5.1, 0.1)])
-    assert result.unsafe_in_top_five == 1
 
 
 @pytest.mark.parametrize(
@@ -179,13 +156,6 @@ def test_grid_points_that_do_not_coincide_are_simulated(tmp_path, low, high, spa
     assert result.safe_found == 1.0
     assert result.safe_grid_points == points**2
     assert np.isnan(result.hazardous_found)
-
-
-def test_coarser_grid_is_compared_at_common_grid_points(tmp_path):
-    truth = {"safe": lambda x, y: x > 0.0}
-    result = _evaluate(tmp_path, truth=truth, called_safe=truth["safe"], spacing=0.5).detection
-    assert (result.hazardous_found, result.safe_found) == (1.0, 1.0)
-    assert result.hazardous_grid_points == 17 * 33
 
 
 def test_no_site_at_all(tmp_path):
@@ -307,28 +277,3 @@ def test_missed_places_are_listed_with_what_stands_there(tmp_path):
     assert first.grid_points + second.grid_points == result.detection.missed_grid_points
     assert first.depth == result.detection.missed_depth
     assert first.relief == pytest.approx(0.8, abs=0.15)
-
-
-def test_fixed_resolution_and_two_flights_have_figures_of_their_own(tmp_path):
-    folder, truth = write_results(tmp_path / "run"), write_truth(tmp_path / "truth.npz")
-    cells = dict(np.load(folder / "cells.npz"))
-    keep = cells["level"] == 5
-    cells = {k: v[keep] if len(v.shape) and len(v) == len(keep) else v for k, v in cells.items()}
-    cells["domain"] = np.array([-8.0, -8.0, 16.0, 5, 5])
-    np.savez(folder / "cells.npz", **cells)
-    known = dict(np.load(truth))
-    known["scan_stamp_ns"], known["scan_flight"] = np.arange(99), np.repeat([0, 1], [50, 49])
-    square = np.array([[-4.0, -4.0], [4.0, -4.0], [4.0, 4.0], [-4.0, 4.0]])
-    known["scan_outline"] = np.tile(square, (99, 1, 1))
-    np.savez(truth, **known)
-    names = {f"fig{k}" for k in (10, 11, 18, 20, 22, 24, 25)}
-    assert {path.name.split("_")[0] for path in evaluate(folder, truth).figures} == names
-
-
-def test_scans_of_the_truth_must_match_one_another(tmp_path):
-    folder, truth = write_results(tmp_path / "run"), write_truth(tmp_path / "truth.npz")
-    known = dict(np.load(truth))
-    known["scan_flight"] = np.zeros(7, int)
-    np.savez(truth, **known)
-    with pytest.raises(EvaluationError, match=r"scan_flight has shape \(7,\), expected \(1,\)"):
-        evaluate(folder, truth, figures=False)

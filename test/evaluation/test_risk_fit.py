@@ -10,7 +10,7 @@ import yaml
 from scipy.optimize import minimize
 
 from quadtree_lss.cli import main
-from quadtree_lss.desk.replay.configuration import find_config, load_config
+from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.evaluation import risk_fit, risk_flights
 from quadtree_lss.lab.evaluation.risk_families import FAMILIES, ground
 from quadtree_lss.lab.evaluation.risk_fit import ASKED, Term, fit, risk_model_text, risks, unfitted
@@ -163,7 +163,7 @@ def test_the_shipped_model_says_what_it_was_fitted_to():
         ({"vehicle.clearance": 0.05}, "a clearance of"),
         ({"domain.max_level": 5}, "cells of"),
         ({"lidar.range_noise": 0.4}, "a range noise of"),
-        ({"domain.max_level": 5, "lss.assessment": "paper", "lss.ranking": "score"}, ""),
+        ({"domain.max_level": 5, "lss.assessment": "paper"}, ""),
     ],
 )
 def test_a_model_of_another_vehicle_or_map_is_told(changes, said):
@@ -171,18 +171,6 @@ def test_a_model_of_another_vehicle_or_map_is_told(changes, said):
         changes = changes | {"lidar.range_noise": 0.02}
     found = doubt(load_config(["morpheus"], changes))
     assert said in found and bool(said) == bool(found)
-
-
-def test_config_check_tells_of_a_model_of_another_vehicle(tmp_path, capsys):
-    (tmp_path / "big.yaml").write_text("/**: {ros__parameters: {vehicle: {diameter: 19.0}}}")
-    assert main(["config", "check", str(tmp_path / "big.yaml")]) == 0
-    told = capsys.readouterr()
-    assert "good" in told.out and "8 m, not 19" in told.err
-
-
-def test_the_model_is_no_configuration():
-    with pytest.raises(ConfigError):
-        find_config("flash_lidar")
 
 
 @pytest.mark.parametrize(

@@ -23,16 +23,9 @@ def write(path, points=POINTS):
         np.savez(path, points=points)
     elif path.suffix == ".ply":
         pytest.importorskip("trimesh").PointCloud(flat).export(path)
-    elif path.suffix == ".pcd":
+    else:
         module = pytest.importorskip("pypcd4")
         module.PointCloud.from_xyz_points(flat.astype(np.float32)).save(path)
-    else:
-        laspy = pytest.importorskip("laspy")
-        header = laspy.LasHeader(point_format=3, version="1.2")
-        header.scales, header.offsets = [0.001] * 3, [0.0] * 3
-        data = laspy.LasData(header)
-        data.x, data.y, data.z = flat.T
-        data.write(path)
     return path
 
 
@@ -72,17 +65,15 @@ def test_several_scans_in_one_file(tmp_path):
 
 def test_a_large_cloud_becomes_several_scans(tmp_path, monkeypatch):
     monkeypatch.setattr(clouds, "MOST_POINTS", 10)
-    for suffix in (".npy", ".las"):
-        found, _ = read_clouds(write(tmp_path / f"large{suffix}"))
-        assert [len(part) for part in found] == [10, 10, 4]
-        np.testing.assert_allclose(np.concatenate(found), POINTS.reshape(-1, 3), atol=1e-9)
+    found, _ = read_clouds(write(tmp_path / "large.npy"))
+    assert [len(part) for part in found] == [10, 10, 4]
+    np.testing.assert_array_equal(np.concatenate(found), POINTS.reshape(-1, 3))
 
 
 @pytest.mark.parametrize("suffix", READERS)
 @pytest.mark.parametrize("content", [b"", b"nonsense\n", b"ply\n\x00\xff"])
 def test_what_is_no_cloud_is_one_line(tmp_path, suffix, content):
-    for name in {".ply": ["trimesh"], ".pcd": ["pypcd4"]}.get(suffix, ["laspy"]):
-        pytest.importorskip(name)
+    pytest.importorskip({".ply": "trimesh", ".pcd": "pypcd4"}.get(suffix, "numpy"))
     path = tmp_path / f"bad{suffix}"
     path.write_bytes(content)
     with pytest.raises(ExchangeError, match="bad") as told:

@@ -8,11 +8,10 @@ import pytest
 from report.pages import Page, accessible, in_a_browser, sheets
 
 from quadtree_lss.cli import main
-from quadtree_lss.lab.flight.flight import Flight
 from quadtree_lss.lab.flight.flight_page import write_flight
 from quadtree_lss.lab.flight.fly import flown
 from quadtree_lss.lab.flight.ground import Ground
-from quadtree_lss.lab.flight.settings import Fault, FlightError, flight_settings
+from quadtree_lss.lab.flight.settings import FlightError, flight_settings
 from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
 from quadtree_lss.onboard.core.landing.target import State
 
@@ -129,19 +128,6 @@ WRONG_TIMES = ("nan", "inf", "-1", "60+-3", "60+1e99", "60+nan", "60+0")
 def test_wrong_settings_are_one_clear_error(values, word):
     with pytest.raises(FlightError, match=word):
         flight_settings(values)
-
-
-def test_a_fault_is_read_from_text():
-    assert Fault.read("pose_gap@50+1.5") == Fault("pose_gap", 50.0, 1.5)
-    assert Fault.read("keep_out@12") == Fault("keep_out", 12.0, 3.0)
-
-
-def test_a_second_keep_out_takes_the_place_of_the_first():
-    faults = ("keep_out@110+1", "keep_out@90+1")
-    flight, sent = Flight(SEED, flight_settings({**SHORT, "faults": faults})), []
-    while flight.time < 5.0:
-        sent += [one for one in flight.step() if one.topic == "landing/keep_out"]
-    assert len(sent) == len(flight.failed) == 2
 
 
 def test_the_command_writes_figures_and_page(tmp_path, capsys, monkeypatch):

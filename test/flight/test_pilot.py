@@ -116,10 +116,3 @@ def test_it_waits_at_the_gate_until_it_is_over_the_aim():
     course.fly()
     assert np.hypot(*(course.lander.position[:2] - [3.0, 0.0])) < 0.3
     assert np.hypot(*course.lander.velocity[:2]) < 0.3 and course.lander.tilt_deg < 6.0
-
-
-def test_it_says_nothing_new_when_it_is_low():
-    course = Course()
-    course.fly(2.0).pilot.hear(at(3.0, 0.0))
-    course.below(COMMIT - 1.0)
-    assert course.pilot.area() is None

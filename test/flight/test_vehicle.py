@@ -33,10 +33,6 @@ def test_thrust_and_tilt_change_no_faster_than_they_can():
     assert tilt[-1] == pytest.approx(vehicle.tilt_max_deg)
 
 
-def test_the_engine_is_never_off():
-    assert at_rest(Vehicle(), np.zeros(3), 200).thrust == Vehicle().thrust_min
-
-
 def test_a_command_has_no_effect_before_the_delay():
     thrusts = [at_rest(Vehicle(delay=0.1), [0, 0, 6e3], steps).thrust for steps in (0, 10, 11)]
     assert thrusts[0] == thrusts[1] < thrusts[2]
@@ -53,8 +49,3 @@ def test_hovering_stays_and_burns_by_the_rocket_equation():
     change = vehicle.gravity * seconds
     left = vehicle.mass * np.exp(-change / vehicle.exhaust_speed)
     assert lander.mass == pytest.approx(left, rel=1e-4)
-
-
-def test_without_propellant_it_falls():
-    lander = at_rest(Vehicle(propellant=0.5), steps=300)
-    assert lander.thrust == 0.0 and lander.velocity[2] < -1.0

@@ -58,14 +58,12 @@ from quadtree_lss.onboard.messages.outputs import (
 
 TAKEN = "taken"
 HEIGHT = 25.0
-LANDING = {"vehicle_diameter": 2.0, "grid_spacing": 1.0, "sites": 3, "dispersion": 0.5}
+LANDING = {"grid_spacing": 1.0, "sites": 3, "dispersion": 0.5}
 CONFIGS = [
-    configured(domain={"max_level": 5}, lss={**LANDING, **more})
-    for more in (
-        {"assessment": "probability", "ranking": "probability"},
-        {"assessment": "touchdown", "ranking": "score"},
-        {"assessment": "paper", "ranking": "score"},
+    configured(
+        domain={"max_level": 5}, vehicle={"diameter": 2.0}, lss={**LANDING, "assessment": of}
     )
+    for of in ("probability", "touchdown", "paper")
 ]
 
 

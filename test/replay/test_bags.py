@@ -25,7 +25,6 @@ from replay.recordings import (
 
 from quadtree_lss.desk.bags.bag import Bag, BagError
 from quadtree_lss.desk.bags.compression import zstd
-from quadtree_lss.desk.bags.message_types import type_name
 from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC, choose_topic
 from quadtree_lss.desk.replay.replay import replay as run_replay
 from quadtree_lss.onboard.config.settings import config_from_values
@@ -100,14 +99,6 @@ def test_files_that_were_renamed_or_packed_since_are_found_and_read_once(
     assert content(path) == (reference[1], [])
 
 
-def test_an_unpacked_file_is_found_by_its_packed_name(tmp_path, reference):
-    path = write_ros2(tmp_path / "bag", compression="file")
-    file = storage_file(path)
-    file.with_suffix("").write_bytes(zstd.decompress(file.read_bytes()))
-    file.unlink()
-    assert content(path) == (reference[1], [])
-
-
 def without_index(file):
     intact = file.read_bytes()
     end = struct.pack("<BQI", 15, 4, 0) + struct.pack("<BQQQI", 2, 20, 0, 0, 0)
@@ -170,14 +161,6 @@ def test_types_that_are_not_read_are_named_with_a_remedy(tmp_path):
         run_replay(tmp_path / "bag", None, CONFIG)
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["sensor_msgs/PointCloud2", "sensor_msgs::msg::dds_::PointCloud2_", CLOUD],
-)
-def test_types_are_read_as_ros1_and_dds_name_them(name):
-    assert type_name(name) == CLOUD
-
-
 def test_times_are_in_bag_order_and_may_be_limited(reference):
     path, found = reference
     times = [entry[1] for entry in found]
@@ -219,13 +202,6 @@ def test_what_stands_in_the_write_ahead_log_of_a_killed_recorder_is_read(
     monkeypatch.setattr(os, "access", lambda *_: False)
     with pytest.raises(BagError, match="-wal is not read"):
         content(tmp_path / "killed")
-
-
-def test_a_folder_above_a_bag_names_the_bag(tmp_path, bag):
-    (tmp_path / "flight7" / "notes").mkdir(parents=True)
-    shutil.copytree(bag, tmp_path / "flight7" / "recorded")
-    with pytest.raises(BagError, match=r"no bag: .* in it, but in recorded$"):
-        Bag(tmp_path / "flight7").__enter__()
 
 
 TRUNCATED = [("bag", {}, share) for share in (0.3, 0.6, 0.95)]

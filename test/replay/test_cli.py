@@ -6,7 +6,6 @@ import json
 import re
 import signal
 import subprocess
-import sys
 import time
 
 import numpy as np
@@ -15,8 +14,7 @@ from installed import PREFIX, error_without
 from replay.recordings import write_ros2
 from rosbags.rosbag2 import Writer
 
-from quadtree_lss.cli import main, main_of_ros, without_ros_arguments
-from quadtree_lss.desk.replay.files import new_folder
+from quadtree_lss.cli import main, without_ros_arguments
 
 AREA = ["--set", "domain.xmin=-16.0", "--set", "domain.ymin=-16.0", "--set", "domain.size=32.0"]
 COARSE = [*AREA, "--set", "domain.min_level=3", "--set", "domain.max_level=5"]
@@ -28,7 +26,8 @@ WRONG_FLIGHTS += [("--flights", "1.5"), ("--seed", "-1"), ("--seed", "one")]
 NOT_PUBLISHED = [["--out", "x"], ["--config", "morpheus"], ["--set", "lss.margin=1"]]
 NOT_PUBLISHED += [["--no-report"], ["--record", "x"]]
 NOT_PUBLISHED += [["--rate", value] for value in ("0", "-1", "inf", "nan")]
-UNUSED = [["campaign", "compare", "a", "b", "--out", "x"], ["config", "--node", "/lss_node"]]
+UNUSED = [["campaign", "a", "--out", "x", "--keep", "1", "--rerun", "2"]]
+UNUSED += [["config", "--node", "/lss_node"]]
 UNUSED += [["config", "check", "morpheus", "--set", "lss.margin=1"], ["doctor", "x", "--seconds=3"]]
 UNUSED += [["config", "explain", "lss", "--poses", "x"]]
 FAST = [*COARSE, "--set", "lss.max_gap=3.0", "--set", "lss.max_risk=0.9", "--no-report"]
@@ -47,16 +46,6 @@ def test_a_replay_prints_its_sites_and_is_quiet_otherwise(bag, tmp_path, capsys)
     assert "6 scans mapped" in out and "rank" in out and str(tmp_path) in out
     assert "\npoints " in out and "of 3456 used" in out
     assert all(line.startswith("quadtree-lss: warning:") for line in err.splitlines())
-
-
-def test_a_replay_imports_nothing_that_it_does_not_use(bag, tmp_path):
-    """A short bag takes no longer to map than these take to import."""
-    slow = ["tqdm", "matplotlib", "jsonschema", "rosbags.rosbag2", "rclpy"]
-    arguments = ["replay", str(bag), "--out", str(tmp_path), *FAST]
-    code = f"import sys; from quadtree_lss.cli import main; main({arguments})\n"
-    code += f"print('there:', [name for name in {slow} if name in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.stdout.splitlines()[-1] == "there: []"
 
 
 @pytest.mark.parametrize(
@@ -172,21 +161,12 @@ def test_arguments_of_ros_are_left_out(given, kept):
     assert without_ros_arguments(given) == kept
 
 
-def test_the_executable_of_ros2_run(bag, tmp_path, capsys, monkeypatch):
-    arguments = ["lib/replay_bag", str(bag), "--out", str(tmp_path), *FAST]
-    arguments += ["--ros-args", "-r", "a:=b"]
-    monkeypatch.setattr(sys, "argv", arguments)
-    assert main_of_ros() == 0
-    assert "scans mapped" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("module", "arguments"),
     [
         *((module, ["replay", "none.mcap"]) for module in ("rosbags", "backports", "lz4")),
         ("trimesh", ["replay", "file.ply"]),
         ("pypcd4", ["replay", "file.pcd"]),
-        ("laspy", ["replay", "file.las"]),
         ("rasterio", ["sites", "file.tif"]),
         ("rasterio", ["export", "results", "--format", "geotiff"]),
         ("trimesh", ["export", "results", "--format", "ply"]),
@@ -266,24 +246,6 @@ def test_results_without_a_folder_get_one_by_time_and_a_link(bag, tmp_path, caps
     assert (latest / "config.yaml").exists() and (latest / "summary.json").exists()
 
 
-def test_no_two_runs_of_one_second_share_a_folder(bag, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    first, second = (new_folder(tmp_path / "results") for _ in range(2))
-    assert first != second
-    missing = tmp_path / "missing"
-    for command in ("replay", "sites"):
-        assert run(capsys, command, missing)[0] == 1
-    assert set((tmp_path / "results").iterdir()) == {first, second}
-
-
-def test_a_folder_in_the_place_of_the_link_is_told(bag, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "results" / "latest").mkdir(parents=True)
-    code, _, err = run(capsys, "replay", bag, *FAST)
-    (told,) = (line for line in err.splitlines() if "latest" in line)
-    assert code == 0 and "results/latest does not point at these results" in told
-
-
 def test_a_record_that_cannot_be_written_says_so_plainly(bag, tmp_path, capsys, monkeypatch):
     (tmp_path / "file").write_text("")
     wanted = tmp_path / "file" / "products"
@@ -294,12 +256,6 @@ def test_a_record_that_cannot_be_written_says_so_plainly(bag, tmp_path, capsys, 
     wanted = tmp_path / "full"
     code, _, err = run(capsys, "replay", bag, "--out", tmp_path / "o", *FAST, "--record", wanted)
     assert code == 1 and f"{wanted}: cannot be written: No space left" in err
-
-
-def test_an_error_leaves_no_empty_results_folder(bag, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert run(capsys, "replay", bag, *FAST, "--set", "frames.map=moon")[0] == 1
-    assert not list((tmp_path / "results").iterdir())
 
 
 def test_a_replay_of_no_point_is_no_success(bag, tmp_path, capsys):

@@ -11,7 +11,6 @@ import pytest
 from replay.test_cli import FAST, run
 
 from quadtree_lss.cli import main
-from quadtree_lss.desk.replay.results import aligned
 
 
 def test_words_that_are_not_known_are_named(capsys):
@@ -83,18 +82,3 @@ def test_an_angle_in_radians_is_doubted(tmp_path, capsys):
         file.write_text(f"/**: {{ros__parameters: {{mount.roll_deg: {value}}}}}")
         code, _, err = run(capsys, "config", "check", file)
         assert code == 0 and ("looks like radians: mount.roll_deg" in err) == doubted, value
-
-
-def test_a_table_is_aligned():
-    rows = [["n", "x"], ["1", "-2.50"], ["12", "3.00"]]
-    assert aligned(rows, ">") == [" n      x", " 1  -2.50", "12   3.00"]
-    assert aligned(rows) == ["n       x", "1   -2.50", "12   3.00"]
-    assert aligned(rows, "<") == ["n   x", "1   -2.50", "12  3.00"]
-
-
-def test_the_last_line_names_the_page(bag, tmp_path, capsys):
-    plain = [word for word in FAST if word != "--no-report"]
-    out = run(capsys, "replay", bag, "--out", tmp_path, *plain)[1]
-    assert out.splitlines()[-1] == f"open {tmp_path / 'report.html'}"
-    out = run(capsys, "replay", bag, "--out", tmp_path, *FAST)[1]
-    assert out.splitlines()[-1] == f"results in {tmp_path}"

@@ -141,15 +141,6 @@ def test_info_and_suggest_read_clouds_too(flight, tmp_path, capsys):
     assert code == 0 and json.loads(out)["values"]["lidar.range_noise"] > 0.01
 
 
-def test_names_without_numbers_go_by_the_alphabet(flight, tmp_path, monkeypatch):
-    seen = flight[1]
-    clouds, poses = clouds_and_poses(tmp_path, seen, lambda k, s: f"{'abcdef'[k]}.npy")
-    listed = type(clouds).iterdir
-    monkeypatch.setattr(type(clouds), "iterdir", lambda p: sorted(listed(p), reverse=True))
-    found = [scan.points_lidar for scan in scans(clouds, CONFIG, poses=poses)]
-    np.testing.assert_array_equal(found[1], seen[1].points_lidar)
-
-
 def test_a_folder_beside_a_bag_or_of_results_is_none_of_clouds(flight, tmp_path, capsys):
     np.savez(tmp_path / "truth.npz", x=np.zeros(3))
     (tmp_path / "bag").symlink_to(flight[0])

@@ -15,7 +15,7 @@ from quadtree_lss.desk.replay.differences import compare_results
 from quadtree_lss.desk.replay.elevation_model import rank_sites
 
 VALUES = {"lss.grid_spacing": 0.5, "lidar.range_noise": 0.02, "lss.sites": 3}
-VALUES |= {"lss.assessment": "touchdown", "lss.ranking": "score"}
+VALUES |= {"lss.assessment": "touchdown"}
 CONFIG = load_config((), VALUES)
 
 

@@ -101,14 +101,6 @@ def test_the_command_writes_results_like_a_replay(dem_file, tmp_path, capsys):
     assert len(shown["sites"]) == 5 and shown["posts"] == [161, 121]
 
 
-def test_none_among_the_keep_outs_is_none(dem_file, tmp_path, capsys):
-    options = ["--set", "lss.grid_spacing=1", "--no-report", "--out", tmp_path, "--json"]
-    places = ["--keep-out=0,0 5,0 5,5", "--keep-out=none"]
-    code, out, _ = run(capsys, "sites", dem_file, *options, *places)
-    told = json.loads(out)
-    assert code == 0 and told["sites"] and list(told["landing"]) == ["keep_out"]
-
-
 def test_coarse_posts_are_noted_and_bad_files_are_one_line(tmp_path, capsys):
     x = 2.0 * np.arange(30)
     np.savez(tmp_path / "coarse.npz", x=x, y=x, elevation=np.zeros((30, 30)))

@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """``history.npz``: bounded, in order, and what the scans and answers said."""
 
-import zipfile
-
 import numpy as np
 from replay.recordings import GROUND, write_ros2
 
 from quadtree_lss.desk.exchange.saved import load_results
-from quadtree_lss.desk.replay.files import write_npz
 from quadtree_lss.desk.replay.history import Thinned
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
@@ -67,26 +64,6 @@ def test_passes_are_laid_on_the_last_square_wherever_they_lay(tmp_path):
             np.testing.assert_array_equal(laid[k, :, : nx - east], own[:, east:])
             assert (laid[k, :, nx - east :] == empty).all()
         assert (laid[0] != empty).any()
-
-
-def test_what_does_not_pack_is_stored(tmp_path):
-    rng = np.random.default_rng(1)
-    arrays = {
-        "noise": rng.standard_normal((100, 300)),
-        "zeros": np.zeros(9000, dtype=np.uint8),
-        "number": np.array(7),
-        "empty": np.zeros((0, 3)),
-    }
-    write_npz(tmp_path / "file.npz", arrays)
-    with np.load(tmp_path / "file.npz", allow_pickle=False) as found:
-        assert list(found) == list(arrays)
-        for name, values in arrays.items():
-            assert found[name].dtype == values.dtype
-            np.testing.assert_array_equal(found[name], values)
-    with zipfile.ZipFile(tmp_path / "file.npz") as file:
-        kinds = {entry.filename: entry.compress_type for entry in file.infolist()}
-    assert kinds["noise.npy"] == zipfile.ZIP_STORED
-    assert kinds["zeros.npy"] == zipfile.ZIP_DEFLATED
 
 
 def test_unseen_ground_has_no_probability(tmp_path):

@@ -52,7 +52,7 @@ def fly(moments, every_map):
 
 
 def test_it_ends_where_no_place_is_within_reach():
-    config = configured(lss={"assessment": "probability", "ranking": "probability"})
+    config = configured(lss={"assessment": "probability"})
     cells = mapped(config, flat(3.0)).snapshot()
     passes = Passes(config, lambda: {"vehicle": (20.0, 0.5, 900.0, 8.0)})
     passes.on_answer.append(lambda *_: None if passes.last.number < 50 else pytest.fail("no end"))

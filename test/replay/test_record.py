@@ -243,13 +243,3 @@ def test_each_layer_of_the_grid_map_has_its_values_at_its_places(recorded):
             value = at(last, name, found.x[column], found.y[row])
             expected = np.float32(getattr(found, name)[row, column])
             np.testing.assert_array_equal(value, expected, name)
-
-
-def test_the_definition_of_the_grid_map_is_that_of_ros_2():
-    """Jazzy's grid_map_msgs: the header stands in GridMap, not in its info."""
-    fields = typestore(ros1=False).fielddefs
-    names = [name for name, _ in fields["grid_map_msgs/msg/GridMap"][1]]
-    indices = ["outer_start_index", "inner_start_index"]
-    assert names == ["header", "info", "layers", "basic_layers", "data", *indices]
-    info = [name for name, _ in fields["grid_map_msgs/msg/GridMapInfo"][1]]
-    assert info == ["resolution", "length_x", "length_y", "pose"]

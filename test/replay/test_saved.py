@@ -88,12 +88,6 @@ def without(written, folder, *names):
     return arrays
 
 
-def test_an_older_map_asks_for_another_replay(written, tmp_path):
-    without(written, tmp_path, "observed_cells")
-    with pytest.raises(ResultsError, match="lacks observed_cells: replay the bag again"):
-        load_results(tmp_path).map  # noqa: B018
-
-
 def test_arrays_of_other_sizes_are_no_map(written, tmp_path):
     arrays = without(written, tmp_path)
     for name in ("z", "low", "known_cells", "domain"):
@@ -129,11 +123,3 @@ def test_plots_go_on_the_axes_that_are_given(written):
     line = plot.profile(right, along)
     np.testing.assert_array_equal(line.get_ydata(), along.height)
     figure.savefig(written.out / "plot.png")
-
-
-def test_the_sunny_side_is_bright():
-    x = np.arange(20.0)
-    rising_east = np.tile(0.3 * x, (20, 1))
-    level, lit = plot.relief(np.zeros((20, 20)), 1.0), plot.relief(rising_east, 1.0)
-    dark = plot.relief(-rising_east, 1.0)  # the sun stands in the north-west
-    assert (level == 0.5).all() and (lit > 0.55).all() and (dark < 0.45).all()

@@ -76,7 +76,6 @@ def test_it_keeps_what_is_given_and_asks_for_no_cells_that_no_risk_was_fitted_to
     assert {name: found.values[name] for name in given} == given
     finest = found.values["domain.size"] / 2 ** found.values["domain.max_level"]
     assert finest > 0.99 * diameter / 16.0
-    assert "qos.overload" not in found.values
 
 
 @pytest.mark.parametrize("diameter", [0.6, 3.7, 100.0])

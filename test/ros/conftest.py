@@ -37,7 +37,8 @@ PARAMETERS = """\
     domain: {xmin: -16.0, ymin: -16.0, size: 32.0, min_level: 3, max_level: 6}
     lidar: {range_noise: 0.03}
     lss: {grid_spacing: 0.5, sites: 3}
-    qos: {scan_reliability: reliable, overload: all}
+    qos_overrides./lidar/points.subscription.reliability: reliable
+    diagnostics.warn_age: 5.0  # leave out no scan on a busy computer
     publish.rate: 11.0
 """
 

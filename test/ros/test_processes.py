@@ -58,15 +58,6 @@ def test_a_domain_with_a_participant_is_taken_though_the_first_has_left(tmp_path
             pass
 
 
-def test_environment_of_a_domain_ends_with_it(tmp_path, monkeypatch):
-    monkeypatch.setenv("ROS_DOMAIN_ID", "3")
-    monkeypatch.delenv("ROS_LOG_DIR", raising=False)
-    with local_domain(tmp_path) as domain:
-        assert os.environ["ROS_DOMAIN_ID"] == domain.env["ROS_DOMAIN_ID"] == str(domain.number)
-        assert os.environ["ROS_LOG_DIR"] == str(tmp_path)
-    assert os.environ["ROS_DOMAIN_ID"] == "3" and "ROS_LOG_DIR" not in os.environ
-
-
 def test_what_was_started_ends_with_sigterm_and_at_once_with_another(tmp_path, monkeypatch):
     deaf, before = tmp_path / "deaf", signal.getsignal(signal.SIGTERM)
     deaf.write_text("#!/bin/sh\ntrap '' INT\necho deaf\nexec sleep 100\n")

@@ -131,7 +131,7 @@ def _same(listener, places):
 
 def test_levels_follow_the_age_of_the_data(ros):
     limits = ("-p", "diagnostics.warn_age:=0.5", "-p", "lidar.range_noise:=0.02")
-    limits += ("-p", "lss.assessment:=touchdown", "-p", "lss.ranking:=score")
+    limits += ("-p", "lss.assessment:=touchdown")
     nodes = ("mapping_node", "lss_node")
     for node in nodes:
         ros.start(node, *limits)

@@ -87,15 +87,6 @@ def test_parabola_is_hit_where_its_elevation_says():
         assert np.all(half_way[:, 2] > parabola.elevation_at(half_way[:, 0], half_way[:, 1]))
 
 
-def test_parabola_straight_down_and_its_dem_agree():
-    """Eq. 60."""
-    parabola, down, origin = Parabola(), np.array([[0.0, 0.0, -1.0]]), np.array([30.0, 20.0, 100.0])
-    expected = 100.0 - 3e-3 * (30.0**2 + 20.0**2 - 12.0**2)
-    assert parabola.cast(origin, down)[0] == pytest.approx(expected)
-    assert parabola.terrain().cast(origin, down)[0] == pytest.approx(expected, abs=1e-3)
-    assert parabola.elevation_at(11.9, 0.0) == 0.0
-
-
 def test_rays_that_miss_are_nan():
     terrain = _terrain(lambda x, y: 0.0 * x * y)
     origin = np.array([0.0, 0.0, 10.0])

@@ -109,15 +109,6 @@ def test_truth_has_the_agreed_arrays(morpheus):
     assert truth["safe"].dtype == bool
 
 
-def test_box_was_swept(morpheus):
-    result, rows, truth = morpheus
-    xmin, xmax, ymin, ymax = result.box
-    assert xmax - xmin >= 20.0
-    places = np.concatenate([_places(rows, truth, k).reshape(-1, 3) for k in range(20)])
-    bins = np.arange(xmin, xmax + 0.5), np.arange(ymin, ymax + 0.5)
-    assert np.histogram2d(*places[:, :2].T, bins)[0].min() > 50
-
-
 def test_parabola_poses_bear_the_stamps_of_the_scans(tmp_path):
     result = simulate("parabola", tmp_path / "bag", seed=2, duration=3.0, truth=False)
     rows = _read(tmp_path / "bag")
@@ -190,25 +181,6 @@ def test_options_that_make_no_sense(tmp_path, options):
         simulate(bag_path=tmp_path / "bag", **arguments)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "bag").exists()
-
-
-def test_place_that_cannot_be_written_is_one_clear_line(tmp_path, hill):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(SimulationError, match="cannot"):
-        simulate("descent", tmp_path / "file" / "bag", seed=1, duration=1.0, terrain=hill)
-
-
-def test_a_full_disk_leaves_neither_half_a_bag_nor_half_a_truth(tmp_path, hill, monkeypatch):
-    def write_half(path, **arrays):
-        path.write_bytes(b"PK")
-        raise OSError(28, "No space left on device")
-
-    (tmp_path / "truth.npz").write_text("of another")
-    monkeypatch.setattr(np, "savez_compressed", write_half)
-    how = {"seed": 1, "duration": 1.0, "terrain": hill, "overwrite": True}
-    with pytest.raises(SimulationError, match="No space left"):
-        simulate("descent", tmp_path / "bag", **how)
-    assert [path.read_text() for path in tmp_path.iterdir()] == ["of another"]
 
 
 def test_outlines_go_round_the_points_of_their_scan(morpheus):

@@ -22,8 +22,8 @@ EXAMPLES = """examples:
   quadtree-lss replay flight_bag --out results --start 5 --duration 10 --no-report
   quadtree-lss replay flight_bag --record products      (map and landing topics, for Foxglove)
   quadtree-lss replay products --set lss.margin=1.0     (a bag of maps: ranks sites on its last)
-  quadtree-lss replay clouds --poses poses.tum          (PLY, PCD, LAS, LAZ, NPY, NPZ)
-  quadtree-lss replay survey.laz --config survey.yaml   (a cloud in the map frame, without poses)
+  quadtree-lss replay clouds --poses poses.tum          (PLY, PCD, NPY, NPZ)
+  quadtree-lss replay survey.ply --config survey.yaml   (a cloud in the map frame, without poses)
   quadtree-lss replay flight_bag --publish --rate 0.5   (into running nodes)
   quadtree-lss replay products --publish                (a bag of maps, for lss_node alone)
   quadtree-lss replay flight_bag --publish --namespace lander --remap lidar/points:=/flash/points

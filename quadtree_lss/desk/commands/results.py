@@ -19,7 +19,7 @@ COMPARE_EXAMPLES = """examples:
   quadtree-lss compare before after --json
 
 Compared at the grid points of A. Exit code 1 if they are not of the same ground.
-Against the truth of a simulation: quadtree-lss evaluate A B --truth truth.npz
+Against the truth of a simulation: quadtree-lss evaluate A --truth truth.npz
 """
 
 FORMATS = ("geotiff", "ply", "gltf", "geojson", "map_server")

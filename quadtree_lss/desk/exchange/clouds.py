@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Point clouds in NPY, NPZ, PLY, PCD, LAS and LAZ files, and poses in TUM or CSV files."""
+"""Point clouds in NPY, NPZ, PLY and PCD files, and poses in TUM or CSV files."""
 
 from __future__ import annotations
 
@@ -75,18 +75,6 @@ def _pcd(path: Path) -> Clouds:
     return [_coordinates(path, points)], None
 
 
-def _las(path: Path) -> Clouds:
-    laspy = library("laspy", "LAS and LAZ files")
-    if path.suffix.lower() == ".laz":
-        library("lazrs", "LAZ files")
-    with laspy.open(path) as reader:
-        chunks = [
-            np.column_stack([np.asarray(axis, np.float64) for axis in (c.x, c.y, c.z)])
-            for c in reader.chunk_iterator(MOST_POINTS)
-        ]
-    return chunks or [np.zeros((0, 3))], None
-
-
 def _coordinates(path: Path, array: Array) -> Array:
     """Take the first three columns: x, y, z."""
     if array.ndim not in (2, 3) or array.shape[-1] < 3 or array.dtype.kind not in "fiu":
@@ -101,8 +89,6 @@ READERS: dict[str, Callable[[Path], Clouds]] = {
     ".npz": _npz,
     ".ply": _ply,
     ".pcd": _pcd,
-    ".las": _las,
-    ".laz": _las,
 }
 """By the end of a file's name."""
 TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")

@@ -3,10 +3,6 @@
 
 from __future__ import annotations
 
-import logging
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +13,6 @@ from quadtree_lss.desk.exchange.archives import read_arrays
 from quadtree_lss.desk.exchange.libraries import ExchangeError, library
 from quadtree_lss.desk.exchange.reference import why_not_metric
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.errors import one_line
 
 TIFF = (".tif", ".tiff", ".vrt", ".img", ".asc")
 #: Posts of a model; heights take 8 bytes each, several times.
@@ -110,36 +105,10 @@ def _npz(path: Path) -> ElevationModel:
     return ElevationModel(x, y, z)
 
 
-@contextmanager
-def _complaints() -> Iterator[list[str]]:
-    """What GDAL calls an error and reads on without, as without the part that has the unit."""
-    said: list[str] = []
-    log, hooks = logging.getLogger("rasterio._env"), (sys.excepthook, sys.unraisablehook)
-    level = log.level
-
-    def hear(record: logging.LogRecord) -> bool:
-        text = record.getMessage()
-        if "signalled an error" in text and "PROJ: " not in text:
-            said.append(text.partition("msg=")[2] or text)
-        return record.levelno >= logging.WARNING
-
-    log.addFilter(hear)
-    log.setLevel(logging.INFO)
-    # An error that is no text is printed by either.
-    sys.excepthook = lambda kind, error, traceback: None
-    sys.unraisablehook = lambda of: said.append(str(of.exc_value))
-    try:
-        yield said
-    finally:
-        sys.excepthook, sys.unraisablehook = hooks
-        log.setLevel(level)
-        log.removeFilter(hear)
-
-
 def _raster(path: Path) -> ElevationModel:
     rasterio: Any = library("rasterio", "GeoTIFF files")
     try:
-        with _complaints() as said, rasterio.open(path) as file:
+        with rasterio.open(path) as file:
             transform, crs = file.transform, file.crs
             _bounded(path, file.width, file.height)
             unit = (file.units[0] or "").strip()
@@ -155,9 +124,6 @@ def _raster(path: Path) -> ElevationModel:
                 raise ExchangeError(msg)
             z = file.read(1, masked=True).astype(np.float64).filled(np.nan)
             z = UNITS[unit.lower()] * (file.scales[0] * z + file.offsets[0])
-        if said:
-            msg = f"{path}: is damaged, so that unit or scale may be lost: {one_line(said[0], 200)}"
-            raise ExchangeError(msg)
     except ExchangeError:
         raise
     except Exception as error:  # GDAL's own come through

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
@@ -40,8 +39,6 @@ LAYERS = {
 """Unit and meaning."""
 FAR = 10_000.0
 """Larger coordinates lose centimetres in the 32 bits of a mesh, m."""
-FARTHEST_DEG = 1.0
-"""Largest distance from the area of a coordinate system, deg; UTM zones are used one further."""
 CIRCLE_POINTS = 48
 FREE, OCCUPIED, UNKNOWN = 254, 0, 205  # grey levels of nav2's map_server
 
@@ -66,39 +63,17 @@ def export_results(
 
     Raises:
         ResultsError: the folder does not hold results.
-        ExchangeError: a library is missing, the coordinate system is unknown or not for this place,
-            or a file cannot be written.
+        ExchangeError: a library is missing, the coordinate system is unknown, or a file cannot be
+            written.
     """
     found = results if isinstance(results, Results) else load_results(results)
     told = "" if origin is not None else str(found.summary.get("crs") or "")
     system = reference(crs or told, origin)
-    if crs:
-        check_place(found.grid.x[[0, -1]], found.grid.y[[0, -1]], system)
     folder = found.folder / "exchange" if out is None else Path(out)
     with writing(folder, ExchangeError):
         folder.mkdir(parents=True, exist_ok=True)
         wanted = list(formats) or [name for name in FORMATS if system or name != "geojson"]
         return [path for name in wanted for path in FORMATS[name](found, folder, system)]
-
-
-def check_place(x: Array, y: Array, crs: str) -> None:
-    """Raise `ExchangeError` if places, m, are too far from the area of a coordinate system."""
-    rasterio = library("rasterio", WHAT)
-    system = rasterio.crs.CRS.from_wkt(crs)
-    code = system.to_epsg()
-    known = rasterio.crs.CRS.from_epsg(code) if code else system
-    area = re.search(r"BBOX\[(.*?)\]", known.to_wkt(version="WKT2_2019"))
-    if area is None:
-        return
-    south, west, north, east = map(float, area[1].split(","))
-    longitude, latitude = to_degrees(x, y, crs)
-    inside = (longitude - west) % 360.0 <= ((east - west) % 360.0 or 360.0)
-    aside = np.minimum((longitude - east) % 360.0, (west - longitude) % 360.0)
-    beyond = np.where(inside, 0.0, aside)
-    if not np.max([beyond, south - latitude, latitude - north]) <= FARTHEST_DEG:
-        msg = f"the map lies at latitude {latitude[0]:.2f}, longitude {longitude[0]:.2f} by its"
-        msg += f" coordinate system, which is for {area[1]} (south, west, north, east):"
-        raise ExchangeError(f"{msg} a map about a place has --origin instead")
 
 
 def to_degrees(x: Array, y: Array, crs: str) -> tuple[Array, Array]:

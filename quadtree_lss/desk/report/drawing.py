@@ -89,19 +89,15 @@ def map_axes(axes: Any, title: str, box: Box) -> None:
     axes.add_artist(bar)
 
 
-def mark_sites(
-    axes: Any, places: ArrayLike, radius: float = 0.0, colour: str = SITE_COLOUR, name: str = ""
-) -> list[Any]:
+def mark_sites(axes: Any, places: ArrayLike, radius: float = 0.0) -> list[Any]:
     """Mark ranked places (K, 2 or 3) with their ranks and circles of ``radius`` m."""
     drawn = []
     for rank, (x, y, *_) in enumerate(np.asarray(places, np.float64), start=1):
         if radius > 0.0:
             axes.add_patch(Circle((x, y), radius, fill=False, color="white", linewidth=2.6))
-            ring = Circle((x, y), radius, fill=False, color=colour, linewidth=1.2)
-            if name and rank == 1:
-                ring.set_label(name)
+            ring = Circle((x, y), radius, fill=False, color=SITE_COLOUR, linewidth=1.2)
             axes.add_patch(ring)
-        box = {"boxstyle": "circle,pad=0.2", "facecolor": colour, "edgecolor": "white"}
+        box = {"boxstyle": "circle,pad=0.2", "facecolor": SITE_COLOUR, "edgecolor": "white"}
         text = {"color": "white", "size": 8, "ha": "center", "va": "center", "bbox": box}
         drawn.append(axes.annotate(str(rank), (x, y), annotation_clip=True, **text))
     return drawn

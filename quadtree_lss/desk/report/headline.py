@@ -127,7 +127,7 @@ def trust(content: Results) -> tuple[str, list[Fact]]:
         level, aim = "care", "not computed"
     if not len(content.sites["x"]):
         level, aim = "none", "there is none"
-    fits = not doubts and "probability" in (lss.assessment, lss.ranking)
+    fits = not doubts and lss.ranking == "probability"
     within = "yes" if fits else "no risk is computed"
     if doubts:
         within = f"no: {len(doubts)} in the warnings"

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from quadtree_lss.desk.replay.files import plain, write_bytes, write_csv
+from quadtree_lss.desk.replay.files import plain, write_bytes, write_csv, write_json
 from quadtree_lss.desk.replay.results import aligned
-from quadtree_lss.lab.campaign.kinds import CampaignError, Quantity
-from quadtree_lss.lab.campaign.store import Record, read_record, record_name
+from quadtree_lss.lab.campaign.kinds import Quantity
+from quadtree_lss.lab.campaign.store import Record
 from quadtree_lss.lab.campaign.study import Study
 
 WORST = 5
@@ -185,22 +184,9 @@ def write_summary(result: CampaignResult) -> None:
     """``campaign.json``, ``flights.csv`` and ``campaign.html``."""
     from quadtree_lss.lab.campaign.campaign_page import page
 
-    files = [record_name(record.index, record.key) for record in result.records.values()]
-    text = json.dumps({**result.as_dict(), "files": files}, indent=1, allow_nan=False)
-    write_bytes(result.out / "campaign.json", (text + "\n").encode())
+    write_json(result.out / "campaign.json", result.as_dict())
     _write_flights(result.out / "flights.csv", result.records.values())
     write_bytes(result.out / "campaign.html", page(result).encode())
-
-
-def read_campaign(out: Path) -> tuple[str, dict[int, Record]]:
-    """Kind, and flights that did not fail, of a campaign's folder."""
-    try:
-        content = json.loads((out / "campaign.json").read_text("utf-8"))
-        kind, names = str(content["kind"]), list(content["files"])
-    except (OSError, ValueError, KeyError, TypeError):
-        raise CampaignError(f"{out} is no folder of a campaign") from None
-    records = [read_record(out / "flights" / str(name)) for name in names]
-    return kind, {r.index: r for r in records if not r.error}
 
 
 def _write_flights(path: Path, records: Iterable[Record]) -> None:

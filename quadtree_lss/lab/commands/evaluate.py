@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``quadtree-lss evaluate``: one run or several against the truth; and ``fit-risk``."""
+"""``quadtree-lss evaluate``: one run against the truth; and ``fit-risk``."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.console import ProgressBar
@@ -14,7 +13,6 @@ TEXT = "Score results of a replay against the truth of a simulation."
 EXAMPLES = """examples:
   quadtree-lss evaluate results/latest --truth flight/truth.npz
   quadtree-lss evaluate results/latest --truth flight/truth.npz --bag moved/bag    (for Table 2)
-  quadtree-lss evaluate ff13 ff14 both --truth two/truth.npz --out compared
 
 Many flights at once: quadtree-lss campaign.
 """
@@ -33,13 +31,12 @@ SEEDS = "90000-90219"
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add = common.add_command(commands, "evaluate", _evaluate, TEXT, EXAMPLES).add_argument
-    text = "folder that replay wrote, or several"
-    add("results", type=common.named, metavar="DIR", nargs="+", help=text)
+    add("results", type=common.named, metavar="DIR", help="folder that replay wrote")
     text = "truth.npz of the simulation"
     add("--truth", required=True, type=common.named, metavar="NPZ", help=text)
     text = "the bag that was replayed, for Table 2 (default: where it was when it was replayed)"
     add("--bag", type=common.named, metavar="BAG", help=text)
-    text = "folder for tables and figures (default DIR/evaluation; of several results/<time>)"
+    text = "folder for tables and figures (default DIR/evaluation)"
     add("--out", type=common.named, metavar="DIR", help=text)
     parser = common.add_command(commands, "fit-risk", _fit, FIT, FIT_EXAMPLES)
     add = parser.add_argument
@@ -51,17 +48,11 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> int:
-    from quadtree_lss.lab.evaluation.evaluate import compare, evaluate
+    from quadtree_lss.lab.evaluation.evaluate import evaluate
 
-    first, *others = options.results
-    if others:
-        common.refuse(options, "several DIR", "bag")
     with ProgressBar("consistency", "scans", options.verbose) as bar:
-        how = {"out": options.out, "progress": bar.update}
-        if others:
-            result: Any = compare(options.results, options.truth, **how)
-        else:
-            result = evaluate(first, options.truth, bag=options.bag, **how)
+        where = {"out": options.out, "bag": options.bag}
+        result = evaluate(options.results, options.truth, **where, progress=bar.update)
     common.tell(options, result, f"figures and numbers in {result.out}")
     return common.DONE
 

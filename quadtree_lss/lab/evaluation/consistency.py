@@ -113,8 +113,7 @@ def prefit_statistics(cells: CellMap, scan: RegisteredScan, lidar: LidarConfig) 
     distance = np.linalg.norm(r, axis=1)
     ray = r / distance[:, None]
     cosine = np.maximum(np.abs(_dot(n, ray)), MIN_COSINE)
-    noise = lidar.range_noise + lidar.range_noise_per_metre * distance  # Eq. 13
-    along = noise**2
+    along = lidar.range_noise**2  # Eq. 13
     # Pose part of Eq. 17: J Sigma J^T with J = (I, -[r]_x).
     unit = np.broadcast_to(np.eye(3), (len(r), 3, 3))
     jacobian = np.concatenate([unit, -skew(r)], axis=-1)

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scores of one run or several against the truth: Tables 2 and 3, and figures."""
+"""Scores of one run against the truth: Tables 2 and 3, and figures."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.replay.files import made, new_folder, plain, write_json, writing
+from quadtree_lss.desk.replay.files import plain, write_json, writing
 from quadtree_lss.desk.replay.results import aligned
 from quadtree_lss.lab.evaluation import metrics
 from quadtree_lss.lab.evaluation.consistency import Consistency, consistency
@@ -142,60 +142,6 @@ def evaluate(
     return result
 
 
-@dataclass(frozen=True)
-class ComparisonResult:
-    """Scores by run, and the common figures."""
-
-    runs: dict[str, EvaluationResult]
-    out: Path
-    figures: tuple[Path, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        return {"runs": {name: scores.as_dict() for name, scores in self.runs.items()}}
-
-    def table(self) -> str:
-        """A row per run; elevation RMS without the mean, Table 2 with one degree of freedom."""
-        rows = [{"run": name, **_cells(r)} for name, r in self.runs.items()]
-        lines = aligned([tuple(rows[0]), *(tuple(row.values()) for row in rows)])
-        for note in dict.fromkeys(note for r in self.runs.values() for note in r.notes):
-            names = [name for name, r in self.runs.items() if note in r.notes]
-            lines.append(f"{', '.join(names)}: {note}")
-        return "\n".join(lines)
-
-
-def compare(
-    results_dirs: Sequence[str | Path],
-    truth_path: str | Path,
-    out: str | Path | None = None,
-    *,
-    figures: bool = True,
-    progress: Callable[[int, int], None] | None = None,
-) -> ComparisonResult:
-    """Evaluate several results over one ground into ``out/<name>``, and draw them together into
-    ``out`` (default: a new folder ``results/<time>``). Runs have the names of their directories.
-    Raises `EvaluationError` as `evaluate` does, and for two directories of one name."""
-    names = [Path(directory).resolve().name for directory in results_dirs]
-    folders = dict(zip(names, results_dirs, strict=True))
-    if len(folders) < len(names):
-        raise EvaluationError(f"directories need different names, not {', '.join(names)}")
-    together = Path(out) if out is not None else new_folder(Path("results"))
-    with made(together, EvaluationError):
-        runs = {
-            name: evaluate(folder, truth_path, together / name, figures=figures, progress=progress)
-            for name, folder in folders.items()
-        }
-    drawn: tuple[Path, ...] = ()
-    if figures:
-        from quadtree_lss.lab.evaluation.figures import draw_together
-
-        truth = load_truth(truth_path)
-        results = {name: load_results(folder) for name, folder in folders.items()}
-        drawn = draw_together(together, truth, runs[names[-1]].heights, results)
-    result = ComparisonResult(runs, together, drawn)
-    write_json(together / "evaluation.json", result.as_dict()["runs"])
-    return result
-
-
 def _other_lander(results: Results, truth: Truth) -> list[str]:
     try:
         own = lander_of(results.config).limits
@@ -239,21 +185,6 @@ def _show(value: float, digits: str, unit: str = "") -> str:
 
 def _percent(fraction: float) -> str:
     return _show(100.0 * fraction, ".2f", " %")
-
-
-def _cells(r: EvaluationResult) -> dict[str, str]:
-    below, above = r.consistency.counts.one_degree if r.consistency else (math.nan,) * 2
-    return {
-        "hazardous": _percent(r.detection.hazardous_found),
-        "safe": _percent(r.detection.safe_found),
-        "unsafe sites": f"{r.unsafe_in_top_five} of {len(r.site_verdicts)}",
-        "elevation RMS": _show(r.elevation.rms_mean_removed, ".3f", " m"),
-        "largest": _show(r.elevation.maximum, ".2f", " m"),
-        "leaves": str(r.leaves_estimated),
-        "map time": _show(r.map_s_total, ".2f", " s"),
-        "prefit below": _percent(below),
-        "prefit above": _percent(above),
-    }
 
 
 def score(results: Results, truth: Truth) -> EvaluationResult:

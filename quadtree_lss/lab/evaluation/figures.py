@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter
 
 from quadtree_lss.desk.report import drawing
 from quadtree_lss.desk.report.drawing import Box
-from quadtree_lss.desk.report.palette import SITE_COLOUR, even_limits
+from quadtree_lss.desk.report.palette import even_limits
 from quadtree_lss.lab.evaluation.metrics import ErrorField, Reliability, SafetyField, reliability_of
 from quadtree_lss.lab.evaluation.results import TOP, Results, Truth
 from quadtree_lss.onboard.arrays import Array
@@ -46,7 +46,7 @@ def draw_all(
 ) -> tuple[Path, ...]:
     """Draw all figures of one run. A map of one level gets Figure 10 instead of 9, a map of several
     flights Figure 24 instead of 23."""
-    sites = {"sites": results.positions[:TOP]}
+    sites = results.positions[:TOP]
     stamps = results.timing["stamp_ns"]
     several = np.unique(truth.scan_flight[np.isin(truth.scan_stamp_ns, stamps)]).size > 1
     cells = (
@@ -55,7 +55,7 @@ def draw_all(
     score = "fig24_site_score_of_several_flights" if several else "fig23_site_score"
     figures = {
         cells: _cells_and_scans(results, truth),
-        "fig11_processing_time": processing_time({"map": results.timing["map_ms"]}),
+        "fig11_processing_time": _processing_time(results.timing["map_ms"]),
         "fig18_quadtree_over_truth": _quadtree_over_truth(results.map, truth),
         "fig20_elevation_error": _elevation_error(heights, truth),
         "fig22_classification": _classification(safety, truth, sites),
@@ -67,19 +67,6 @@ def draw_all(
     return _save(folder, figures)
 
 
-def draw_together(
-    folder: Path, truth: Truth, heights: ErrorField, runs: Mapping[str, Results]
-) -> tuple[Path, ...]:
-    """Figures 11 and 25 with several runs in one picture; ``heights`` are the last run's."""
-    sites = {name: run.positions[:TOP] for name, run in runs.items()}
-    times = {name: run.timing["map_ms"] for name, run in runs.items()}
-    figures = {
-        "fig11_processing_time": processing_time(times),
-        "fig25_selected_sites": _selected_sites(heights, truth, sites),
-    }
-    return _save(folder, figures)
-
-
 def verdict_classes(safety: SafetyField) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
     """(ny, nx) of the field: which of `VERDICTS` each grid point is."""
     called, safe = safety.called_safe & safety.seen, safety.truly_safe
@@ -88,20 +75,17 @@ def verdict_classes(safety: SafetyField) -> np.ndarray[tuple[int, ...], np.dtype
     )
 
 
-def processing_time(runs: Mapping[str, Array]) -> Figure:
-    """Time per scan (ms) of one or several runs (Fig. 11)."""
+def _processing_time(map_ms: Array) -> Figure:
+    """Plot the time per scan, ms (Fig. 11)."""
     figure = Figure(figsize=(7.6, 3.8), layout="constrained")
     axes = figure.add_subplot()
-    for colour, (name, map_ms) in zip(RUNS * len(runs), runs.items(), strict=False):
-        label = f"{name}: {1e-3 * map_ms.sum():.2f} s in all"
-        scans = np.arange(1, map_ms.size + 1)
-        axes.plot(scans, map_ms, ".-", lw=0.6, ms=3, color=colour, label=label)
+    axes.plot(np.arange(1, map_ms.size + 1), map_ms, ".-", lw=0.6, ms=3, color=RUNS[0])
     axes.set(xlabel="scan [-]", ylabel="map update [ms]")
-    axes.set_title("Processing time per scan", fontsize="medium")
+    title = f"Processing time per scan, {1e-3 * map_ms.sum():.2f} s in total"
+    axes.set_title(title, fontsize="medium")
     axes.set_ylim(bottom=0.0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(alpha=0.3)
-    axes.legend(fontsize="small")
     return figure
 
 
@@ -178,7 +162,7 @@ def _elevation_error(heights: ErrorField, truth: Truth) -> Figure:
     return figure
 
 
-def _classification(safety: SafetyField, truth: Truth, sites: Mapping[str, Array]) -> Figure:
+def _classification(safety: SafetyField, truth: Truth, sites: Array) -> Figure:
     """Verdict against truth, point by point, with the best sites (Fig. 22)."""
     figure, axes = _map("Classification of terrain and the best sites", _around(truth))
     kind = verdict_classes(safety)
@@ -194,7 +178,7 @@ def _classification(safety: SafetyField, truth: Truth, sites: Mapping[str, Array
     return figure
 
 
-def _score(results: Results, truth: Truth, sites: Mapping[str, Array]) -> Figure:
+def _score(results: Results, truth: Truth, sites: Array) -> Figure:
     """Score of the terrain where landing is allowed, lower is better (Figs. 23, 24)."""
     grid, box = results.grid, _around(truth)
     figure, axes = _map("Site score, lower is better; white: excluded", box)
@@ -205,14 +189,12 @@ def _score(results: Results, truth: Truth, sites: Mapping[str, Array]) -> Figure
     return figure
 
 
-def _selected_sites(heights: ErrorField, truth: Truth, runs: Mapping[str, Array]) -> Figure:
-    """Sites of one or several runs over the mapped elevation (Fig. 25)."""
+def _selected_sites(heights: ErrorField, truth: Truth, sites: Array) -> Figure:
+    """Draw the sites over the mapped elevation (Fig. 25)."""
     figure, axes = _map("Selected landing sites over the mapped terrain", _around(truth))
     estimate = np.where(heights.seen, heights.estimate, np.nan)
     _relief(figure, axes, heights.x, heights.y, estimate, estimate, "estimated elevation [m]")
-    _box_and_sites(axes, truth, runs)
-    if len(runs) > 1:
-        figure.legend(loc="outside lower center", ncols=min(len(runs), 3), fontsize="small")
+    _box_and_sites(axes, truth, sites)
     return figure
 
 
@@ -283,12 +265,9 @@ def _around(truth: Truth) -> Box:
     return xmin - reach, xmax + reach, ymin - reach, ymax + reach
 
 
-def _box_and_sites(axes: Axes, truth: Truth, runs: Mapping[str, Array]) -> None:
-    """The scanned box, and each run's sites with the lander's circle."""
+def _box_and_sites(axes: Axes, truth: Truth, sites: Array) -> None:
+    """Draw the scanned box, and sites with the lander's circle."""
     xmin, xmax, ymin, ymax = truth.box
     box = Rectangle((xmin, ymin), xmax - xmin, ymax - ymin, fill=False, edgecolor="black", lw=0.8)
     axes.add_patch(box)
-    several = len(runs) > 1
-    for colour, (name, sites) in zip(RUNS * len(runs), runs.items(), strict=False):
-        how = (colour, name) if several else (SITE_COLOUR, "")
-        drawing.mark_sites(axes, sites, 0.5 * truth.lander.diameter, *how)
+    drawing.mark_sites(axes, sites, 0.5 * truth.lander.diameter)

@@ -38,7 +38,7 @@ SETTLE, TILT_DEG, SINK = 0.5, 6.0, 2.0
 JUMP = np.array([2.0, 0.0, 1.0])
 SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 #: The paper's rules and score.
-PAPER = {"lss.assessment": "paper", "lss.ranking": "score"}
+PAPER = {"lss.assessment": "paper"}
 
 
 class Sent(NamedTuple):

@@ -67,8 +67,9 @@ def run_live(
     goes to ``folder``; the default of ``given`` is a free ROS domain. Raises `DemoError`: no sites,
     or other publishers; `ProcessError`: a node ended."""
     # Lose no scan on a busy computer: the result is compared with a replay.
-    depth = "qos_overrides./lidar/points.subscription.depth:=500"
-    lossless = ("qos.scan_reliability:=reliable", depth, "pose.max_wait:=10.0", "qos.overload:=all")
+    qos = "qos_overrides./lidar/points.subscription"
+    lossless = (f"{qos}.reliability:=reliable", f"{qos}.depth:=500")
+    lossless += ("pose.max_wait:=10.0", "diagnostics.warn_age:=100.0")
     args = ["--params-file", str(params), *(word for one in lossless for word in ("-p", one))]
     with ExitStack() as stack:
         domain = stack.enter_context(local_domain(folder, given))

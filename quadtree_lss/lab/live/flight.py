@@ -83,7 +83,7 @@ class LiveNodes:
         params.write_text(dump_config(config), encoding="utf-8")
         self._checkpoint.unlink(missing_ok=True)
         self._args = ["--params-file", str(params), "-p", "use_sim_time:=true"]
-        self._args += ["-p", "qos.scan_reliability:=reliable"]
+        self._args += ["-p", "qos_overrides./lidar/points.subscription.reliability:=reliable"]
         self._args += ["-p", f"checkpoint.path:={self._checkpoint}"]
         self._stack, self._folder = stack, folder
         local = stack.enter_context(local_domain(folder, domain))

@@ -173,7 +173,7 @@ def doubt(config: Config) -> str:
     `risk_model`.
     """
     lss, model = config.lss, risk_model(config.lss.risk_model)
-    if "probability" not in (lss.assessment, lss.ranking):
+    if lss.ranking != "probability":
         return ""
     vehicle, cell = lss.vehicle, config.domain.size / 2**config.domain.max_level
     used = {

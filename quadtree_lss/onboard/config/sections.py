@@ -49,9 +49,6 @@ class LidarConfig:
         choices=("points", "depth"),
     )
     range_noise: float = _p(0.06, "standard deviation of a range (Eq. 13)", (1e-4, 10.0), "m")
-    range_noise_per_metre: float = _p(
-        0.0, "what each metre of range adds to this deviation", (0.0, 1.0)
-    )
     stereo_noise: float = _p(
         0.0,
         "what the square of the depth adds, of two cameras: the deviation of a disparity over the"
@@ -172,14 +169,10 @@ class LssConfig:
     assessment: str = _p(
         "probability",
         "what ground is safe: where the risk of landing is at most max_risk; or where the touchdown"
-        " check with its three limits finds nothing; or the paper's avoided features alone",
+        " check with its three limits finds nothing; or only the paper's avoided features. With"
+        " probability sites are ranked by the probability of a safe touchdown if the lander aims"
+        " there, otherwise by the paper's score (Eq. 59)",
         choices=("probability", "touchdown", "paper"),
-    )
-    ranking: str = _p(
-        "probability",
-        "what sites are ranked by: the probability of a safe touchdown if the lander aims there,"
-        " or the paper's score (Eq. 59)",
-        choices=("probability", "score"),
     )
     max_risk: float = _live(
         0.003,
@@ -217,8 +210,7 @@ class LssConfig:
     )
     min_probability: float = _live(
         0.9,
-        "there is no target where a touchdown is less probably safe; if sites are ranked"
-        " by probability",
+        "there is no target where a touchdown is less probably safe; with assessment probability",
         (0.0, 1.0),
     )
     settle_time: float = _live(
@@ -239,6 +231,11 @@ class LssConfig:
     vehicle: VehicleConfig = VehicleConfig()
 
     @property
+    def ranking(self) -> str:
+        """How sites are ranked: by ``probability`` or by the paper's ``score``."""
+        return "probability" if self.assessment == "probability" else "score"
+
+    @property
     def zone(self) -> float:
         """Radius of the landing zone, m."""
         return 0.5 * self.vehicle.diameter + self.margin
@@ -252,23 +249,6 @@ class LssConfig:
     def gap(self) -> float:
         """Ground farther from any that is mapped is unseen, m."""
         return self.vehicle.lengths.max_gap if self.max_gap < 0.0 else self.max_gap
-
-
-@dataclass(frozen=True)
-class QosConfig:
-    """Quality of service of the inputs."""
-
-    scan_reliability: str = _p(
-        "best_effort",
-        "best effort matches any publisher; reliable loses no scan",
-        choices=("best_effort", "reliable"),
-    )
-    overload: str = _p(
-        "newest",
-        "when scans come faster than they can be mapped: newest leaves out old ones, so"
-        " that the map stays younger than diagnostics.warn_age; all maps all, however late",
-        choices=("newest", "all"),
-    )
 
 
 @dataclass(frozen=True)

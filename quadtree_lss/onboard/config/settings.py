@@ -6,7 +6,6 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import functools
-import logging
 import operator
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -24,88 +23,45 @@ from quadtree_lss.onboard.config.sections import LssConfig as LssConfig
 from quadtree_lss.onboard.config.sections import MountConfig as MountConfig
 from quadtree_lss.onboard.config.vehicle import VehicleConfig as VehicleConfig
 
-#: What parameters were called once.
-RENAMED = {
-    "lss.vehicle_diameter": "vehicle.diameter",
-    "lss.max_roughness": "vehicle.clearance",
-    "lss.max_slope_deg": "vehicle.max_slope_deg",
-    "lss.pad_radius": "vehicle.pad_radius",
-}
-
 #: Least level of the coarsest cells of a domain that follows: moved by one it is within a sixteenth
 #: of its side of where it is to be, half of what moves it (`Domain.steps_to`).
 LEAST_STEPS = 3
 
-#: Removed parameters and sections, and what applies instead.
-REMOVED = {
-    **dict.fromkeys(
-        "lidar.outlier_gate mapping.divide_area mapping.residual_clip mapping.roughness_tolerance"
-        " features.min_height features.divide_height features.divide_sigma features.min_volume"
-        " lss.elevation_reference_size lss.touchdown_slope_deg lss.touchdown_roughness"
-        " lss.hazard_distance_cap lss.hazard_growth lss.min_separation".split(),
-        "it follows from the vehicle (config explain vehicle)",
-    ),
-    **dict.fromkeys(
-        ("lidar.disparity_sigma", "lidar.focal_length", "lidar.baseline"),
-        "lidar.stereo_noise is disparity_sigma / (focal_length baseline)",
-    ),
-    **dict.fromkeys(
-        "lss.weight_target lss.weight_slope lss.weight_roughness lss.weight_hazard_distance"
-        " lss.weight_subscale".split(),
-        "the weights of Eq. 58 are fixed",
-    ),
-    "pose.buffer": "poses are kept for 30 s",
-    "pose.max_gap": "between poses more than 1.5 s apart nothing is interpolated",
-    "pose.queue": "20 scans may wait for each second of pose.max_wait, and at least 20",
-    "lidar.noise_model": "it is stereo where lidar.stereo_noise is above 0",
-    "lidar.beam_divergence": "a beam is a line; see lidar.range_noise_per_metre",
-    "lidar.depth_step": "of a depth image some 320 columns are taken",
-    "lidar.depth_raw": "depth images have to be rectified",
-    "lidar.deskew": "a cloud with a time for each point is always taken point by point",
-    "mount.tf": "mount.source tf says the same",
-    "mount.gimbal": "mount.source gimbal says the same",
-    "mapping.fit": "mapping.paper fit is ml",
-    "mapping.covariance": "mapping.paper covariance is independent",
-    "mapping.division": "mapping.paper division is mahalanobis",
-    "mapping.align": "each scan and the map meet at one height",
-    "features.enabled": "features are always estimated",
-    "mapping.division_confidence": "it is fixed at 0.5 standard deviations",
-    "mapping.divide_exceptions": "it is fixed at 1.5 measurements",
-    "mapping.division_min_residuals": "it is fixed at 8",
-    "mapping.min_points": "it is fixed at 3: a plane has as many unknowns",
-    "mapping.slope_prior_points": "it is fixed at 5 points",
-    "mapping.noise_check": "the check costs nothing and is always on",
-    "features.max_sigma_fraction": "it is fixed at 0.3",
-    "features.min_points": "it is fixed at 12",
-    "lss.max_exception_fraction": "it is fixed at 0.05",
-    "lss.touchdown_yaws": "it is fixed at 12 headings",
-    "lss.switch_margin": "it is fixed at 0.01 of probability, or at 0.08 of the score",
-    "lss.settle_share": "it is fixed at 63 %",
-    "lss.target_risk": "it is fixed at 0.001 of probability for each metre",
-    "lss.max_map_age": "sites are withdrawn when no map has come for 30 s",
-    "lss.weight_shadow": "light and shadow are not computed; delete the line",
-    "lss.hysteresis": "the rule by which the target changes is fixed; delete the line",
-    "light": "light and shadow are not computed; delete the line",
-    "prior": "prior maps are gone; delete the line",
-    "publish.diagnostics_rate": "it is fixed at 1 Hz",
-    "checkpoint.interval": "it is fixed at 2 s",
-    "qos.scan_depth": "it is 50; qos_overrides.TOPIC.subscription.depth sets another",
-    "qos.pose_depth": "it is 200; qos_overrides.TOPIC.subscription.depth sets another",
-    "publish.marker_rate": "it is fixed at 1 Hz",
-    "files.root": "no path can be set while a node runs; systemd's ReadWritePaths confines it",
-    "autopilot.baud": "a serial device's is part of autopilot.connection: DEVICE,BAUD",
-    "autopilot.commit_height": "it is a quarter of autopilot.gate_height",
-    "autopilot.control_sigma": "it is fixed at 0.1 m",
-    "autopilot.max_heartbeat_age": "it is fixed at 2.5 s",
-    "autopilot.max_pose_age": "it is fixed at 0.5 s",
-    "autopilot.max_target_age": "it is fixed at 1 s",
-    "autopilot.max_map_age": "it is fixed at 3 s",
-    "autopilot.max_offset": "it is fixed at 0.5 m",
-    "autopilot.max_jump": "it is fixed at 0.5 m",
-    "autopilot.max_wave_offs": "it is fixed at 3",
-    "autopilot.patience": "it is fixed at 60 s",
-    "diagnostics.error_age": "it is five times diagnostics.warn_age",
+#: Removed parameters and sections, by what applies instead.
+_REMOVED = {
+    "vehicle.diameter replaces it": "lss.vehicle_diameter",
+    "vehicle.clearance replaces it": "lss.max_roughness",
+    "vehicle.max_slope_deg replaces it": "lss.max_slope_deg",
+    "vehicle.pad_radius replaces it": "lss.pad_radius",
+    "it follows from the vehicle (config explain vehicle)": "lidar.outlier_gate"
+    " mapping.divide_area mapping.residual_clip mapping.roughness_tolerance features.min_height"
+    " features.divide_height features.divide_sigma features.min_volume"
+    " lss.elevation_reference_size lss.touchdown_slope_deg lss.touchdown_roughness"
+    " lss.hazard_distance_cap lss.hazard_growth lss.min_separation",
+    "lidar.stereo_noise is disparity_sigma / (focal_length baseline)": "lidar.disparity_sigma"
+    " lidar.focal_length lidar.baseline lidar.noise_model",
+    "lidar.range_noise is that of all ranges": "lidar.range_noise_per_metre lidar.beam_divergence",
+    "lss.assessment probability ranks by probability, the others by score": "lss.ranking",
+    "mount.source says the same": "mount.tf mount.gimbal",
+    "mapping.paper says the same": "mapping.fit mapping.covariance mapping.division",
+    "qos_overrides.TOPIC.subscription sets it": "qos.scan_depth qos.pose_depth"
+    " qos.scan_reliability",
+    "a greater diagnostics.warn_age maps later scans": "qos.overload",
+    "DEVICE,BAUD in autopilot.connection sets it": "autopilot.baud",
+    "its value is fixed": "pose.buffer pose.max_gap pose.queue lidar.depth_step lidar.depth_raw"
+    " lidar.deskew mapping.align mapping.division_confidence mapping.divide_exceptions"
+    " mapping.division_min_residuals mapping.min_points mapping.slope_prior_points"
+    " mapping.noise_check features.enabled features.max_sigma_fraction features.min_points"
+    " lss.weight_target lss.weight_slope lss.weight_roughness lss.weight_hazard_distance"
+    " lss.weight_subscale lss.max_exception_fraction lss.touchdown_yaws lss.switch_margin"
+    " lss.settle_share lss.target_risk lss.max_map_age lss.hysteresis publish.diagnostics_rate"
+    " publish.marker_rate checkpoint.interval diagnostics.error_age autopilot.commit_height"
+    " autopilot.control_sigma autopilot.max_heartbeat_age autopilot.max_pose_age"
+    " autopilot.max_target_age autopilot.max_map_age autopilot.max_offset autopilot.max_jump"
+    " autopilot.max_wave_offs autopilot.patience",
+    "it has no effect; delete the line": "light prior lss.weight_shadow files.root",
 }
+REMOVED = {name: reason for reason, names in _REMOVED.items() for name in names.split()}
 
 
 @dataclass(frozen=True)
@@ -120,7 +76,6 @@ class Config:
     mount: MountConfig = field(default_factory=MountConfig)
     mapping: sections.MappingConfig = field(default_factory=sections.MappingConfig)
     lss: LssConfig = field(default_factory=LssConfig)
-    qos: sections.QosConfig = field(default_factory=sections.QosConfig)
     publish: sections.PublishConfig = field(default_factory=sections.PublishConfig)
     diagnostics: DiagnosticsConfig = field(default_factory=DiagnosticsConfig)
     map_file: sections.MapFileConfig = field(default_factory=sections.MapFileConfig)
@@ -164,8 +119,6 @@ def removed(key: str) -> str:
 
 def unknown_parameter(key: str) -> str:
     """What to say of a name that no parameter has: what replaced it, or the nearest one."""
-    if key in RENAMED:
-        return f"{key} is {RENAMED[key]} now"
     if reason := removed(key):
         return f"{key} was removed: {reason}"
     names = [row.name for row in parameters()]
@@ -178,23 +131,14 @@ def still_parameters(values: Mapping[str, object]) -> dict[str, object]:
     return {key: value for key, value in values.items() if not removed(key)}
 
 
-@functools.lru_cache
-def present_name(key: str) -> str:
-    """What a parameter is called now; one line of the log, once, if that is not this."""
-    if key in RENAMED:
-        logging.getLogger(__name__).warning(unknown_parameter(key))
-    return RENAMED.get(key, key)
-
-
 def flatten(values: Mapping[str, object], prefix: str = "") -> dict[str, object]:
-    """Nested or dotted keys to dotted ones, by the names that are theirs now."""
+    """Nested or dotted keys to dotted ones."""
     flat: dict[str, object] = {}
     for key, value in values.items():
-        name = present_name(f"{prefix}{key}")
         if isinstance(value, Mapping):
-            flat.update(flatten(value, f"{name}."))
+            flat.update(flatten(value, f"{prefix}{key}."))
         else:
-            flat[name] = value
+            flat[f"{prefix}{key}"] = value
     return flat
 
 

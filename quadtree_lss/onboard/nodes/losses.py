@@ -108,14 +108,14 @@ class Overload:
         limit = allowance(config, work_ms)
         if now < self._overloaded_until:
             limit = max(SHARE * limit, LEAST_S)
-        if config.qos.overload == "all" or waited <= limit:
+        if waited <= limit:
             self.waits.add(1e3 * waited)
             return True
         self._overloaded_until = now + CALM_S
         self.dropped += 1
         text = (
             f"a scan on '{self._topic}' waited {waited:.2f} s and is left out: scans come faster"
-            " than they can be mapped (qos.overload, diagnostics.warn_age)"
+            " than they can be mapped (diagnostics.warn_age)"
         )
         self._problems.report("overload", text)
         return False

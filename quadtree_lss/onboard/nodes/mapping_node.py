@@ -130,8 +130,7 @@ class MappingNode(BaseNode):
             self.get_logger().error(f"{error}; what it lacks is lost")
 
     def _subscribe(self) -> None:
-        qos = self._config.qos
-        scan_qos = stream(SCAN_DEPTH, reliable=qos.scan_reliability == "reliable")
+        scan_qos = stream(SCAN_DEPTH, reliable=False)
         pose_qos = stream(POSE_DEPTH, reliable=True)
         topic, told = self._topics["scan"], self._gaps.on_publishers
         clouds = self._scan_kind is PointCloud2

@@ -180,7 +180,7 @@ def aim(
 ) -> Aims:
     """Evaluate the points of the user's grid as aims: the risk over where the lander comes down."""
     at_aim, ranks = points.risk, lss.ranking == "probability"
-    if ranks or lss.assessment == "probability":
+    if ranks:
         at_aim = aimed(at_aim, points.raster.domain.finest_size, spread)
     unsafe, safe = at.linear(at_aim), at.everywhere(points.safe)
     score = np.where(safe, at.nearest(points.score), np.nan)

@@ -92,7 +92,7 @@ class LandingSiteSelector:
         self._table: RiskTable | None
         self._check: ContactCheck | None
         self._table, self._check, within = None, None, None
-        if "probability" in (lss.assessment, lss.ranking):
+        if lss.ranking == "probability":
             model = risk_model(lss.risk_model)
             self._table = RiskTable(model, lss, config.lidar.range_noise)
             within = contact_limits(model, lss)

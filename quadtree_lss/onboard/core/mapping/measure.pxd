@@ -25,7 +25,7 @@ cdef struct Run:
     double bias[5]
 
 cdef class Rules:
-    cdef readonly double range_noise, noise_per_metre, stereo
+    cdef readonly double range_noise, stereo
     cdef readonly double ahead_x, ahead_y, ahead_z
     cdef readonly bint ml, independent, mahalanobis
     cdef readonly double division_factor, division_confidence, min_residuals

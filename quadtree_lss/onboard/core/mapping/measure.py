@@ -94,7 +94,6 @@ class Rules:
     def __init__(self, config: Config) -> None:
         mapping, lengths = config.mapping, config.vehicle.lengths
         self.range_noise = config.lidar.range_noise
-        self.noise_per_metre = config.lidar.range_noise_per_metre
         self.stereo = config.lidar.stereo_noise
         self.look(np.zeros(3))
         self.ml = mapping.by_paper("fit")
@@ -329,8 +328,7 @@ def measure(
     cosine = max(cosine, MIN_COSINE)
     if line or count < rules.min_points:
         cosine = max(cosine, -ray_z)
-    deviation = noise + rules.noise_per_metre * distance  # Eq. 13
-    along = deviation * deviation
+    along = noise * noise  # Eq. 13
     run.cosine = cosine
     run.variance = variance = along * cosine * cosine
     if rules.independent:
@@ -354,7 +352,7 @@ def measure(
         misfit = max(run.square - most, 0.0)
     # A plane that noise has turned towards the ray is not free of it.
     lean = max(cosine / up, -ray_z)
-    _bias(run, ray_x, ray_y, deviation, lean, run.alone == 0.0 and not line)
+    _bias(run, ray_x, ray_y, noise, lean, run.alone == 0.0 and not line)
     if run.sloped == 0.0 and leaf.known != NOTHING:
         # Of a strip that is as wide as the noise, place and height err together, along the ray u:
         # a range off by e lifts the plane by e (n.u) / n_z, which is a height of -e cosine / up.
