@@ -327,7 +327,7 @@ class Cover:
     def apply(
         self, rng: np.random.Generator, position: Array, directions: Array, ranges: Array
     ) -> None:
-        """Shorten ranges (N,), m, along directions (N, 3) from a position, and set lost ones NaN."""
+        """Shorten ranges (N,), m, along directions (N, 3) from a position; lost ones become NaN."""
         if not self.height and not self.lost:
             return
         x, y = (position[:2] + ranges[:, None] * directions[:, :2]).T

@@ -90,9 +90,9 @@ class RiskModel:
     - ``roughness``: square root of the mean deviation from the leaves' planes under the lander
       over c; ``relief``: the root mean square there of how far the map's cells rise over the
       ground at the lander's scale, over c (those below it count 0).
-    - ``abundance``: log10 of the share of the well observed ground, in a square of 8 d, where things
-      are that rise by 0.5 to 1 c over the ground at the lander's scale. Where many of these are
-      seen, more are hidden.
+    - ``abundance``: log10 of the share of the well observed ground, in a square of 8 d, where
+      things are that rise by 0.5 to 1 c over the ground at the lander's scale. Where many of these
+      are seen, more are hidden.
     - ``noise``, ``cell``, ``clearance``: log10 of noise / c, of finest cells / c, of c / d;
       ``lean``: of the height under one pad that leans the vehicle too far, over c.
 

@@ -20,13 +20,14 @@ from math import ceil, isfinite, isnan, log10, radians, tan
 
 import cython
 import numpy as np
+from cython.cimports.libc.math import expf, log10f
 from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask, Single
 from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, RiskModel, Row
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.contact import ContactLimits, Contacts
-from quadtree_lss.onboard.core.landing.lattice import GroundPlanes, grown, with_neighbours
+from quadtree_lss.onboard.core.landing.lattice import GroundPlanes, with_neighbours
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 
 #: Side of the square of the ground under the lander, diameters.
@@ -35,8 +36,8 @@ FOOTPRINT = 0.9
 HIGHEST = 5.0
 #: Returns on a square as wide as the least hazard that are as good as none.
 NO_RETURNS = 1e-3
-#: A cell counts as raised between such heights over the ground at the lander's scale, clearances, if
-#: no neighbour is higher: walls, cars and trees do not tell how many rocks are hidden.
+#: A cell counts as raised between such heights over the ground at the lander's scale, clearances,
+#: if no neighbour is higher: walls, cars and trees do not tell how many rocks are hidden.
 RAISED = 0.5, 1.0
 #: Side of the surroundings whose raised cells are counted, diameters.
 AROUND = 8.0
@@ -176,8 +177,6 @@ class RiskTable:
             planes: The ground at the lander's scale.
             contacts: Contacts on the map, where it is judged and beside that.
         """
-        from scipy.ndimage import uniform_filter  # Slow to import.
-
         vehicle, side, cells = self._vehicle, raster.domain.finest_size, raster.cells
         clearance, steep = vehicle.clearance, tan(radians(vehicle.max_slope_deg))
         found = np.empty((len(LOCAL), *contacts.rise.shape), dtype=np.float32)
@@ -185,55 +184,26 @@ class RiskTable:
             # Contacts that were not needed are NaN.
             np.fmax(contact / np.float32(limit), np.float32(self.low[k]), out=found[k])
             found[k + 1] = with_neighbours(found[k])
-        known = ~raster.bridged
         # Returns on a square as wide as the least hazard, of those that their leaf has there.
         returns = (raster.returns * (vehicle.least_hazard / side) ** 2).astype(np.float32)
-        density = uniform_filter(returns[raster.leaf] * known, 3, mode="nearest")
         rough = np.fmax(cells.roughness / (clearance * cells.size**2), 0.0)
         rough = np.minimum(rough, 2.0).astype(np.float32)
-        cell_values = np.empty((3, *known.shape), dtype=np.float32)
-        np.log10(density + np.float32(NO_RETURNS), out=cell_values[0])
-        cell_values[1] = rough[raster.leaf] * known
-        relief = planes.elevation[:-1] + planes.elevation[1:]
-        relief = raster.elevation - 0.25 * (relief[:, :-1] + relief[:, 1:])
-        relief /= clearance
-        np.clip(relief, 0.0, HIGHEST, out=relief)
-        np.multiply(relief, relief, out=cell_values[2], casting="same_kind")
-        cell_values[2] *= raster.seen
-        reach = max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1)
-        means = square_means(cell_values, reach)
+        n, wide = raster.domain.finest_count, AROUND * vehicle.diameter / side
+        block = min(1 << max(int(np.log2(max(wide / 16.0, 1.0))), 0), n)
+        cell_values = np.empty((3, n, n), dtype=np.float32)
+        blocks = np.zeros((2, n // block, n // block), dtype=np.float32)
+        describe_cells(raster, planes.elevation, returns, rough, clearance, cell_values, blocks)
+        means = square_means(cell_values, max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1))
         np.subtract(means[0], np.float32(self._worse(side)), out=found[4])
         np.divide(planes.gradient, steep, out=found[5], casting="same_kind")
         # Rounding can leave the mean of zeros below zero.
         np.sqrt(np.maximum(means[1:], np.float32(0.0)), out=found[6:8])
-        high = grown((relief > RAISED[1]) & known, 1.5 * side, side)
-        raised = (relief > RAISED[0]) & known & ~high
-        found[8] = self._abundance(raised, density, side)
-        return found
-
-    def _abundance(self, raised: Mask, density: Single, side: float) -> Single:
-        """Log10 of the share of raised cells around each grid point, (n + 1, n + 1).
-
-        Cells count by the probability that a return falls on a thing as wide as the least hazard.
-
-        Args:
-            raised: (n, n) finest cells that rise over the ground at the lander's scale.
-            density: (n, n) returns on a square as wide as the least hazard.
-            side: Side of the finest cells, m.
-        """
-        n, wide = len(raised), AROUND * self._vehicle.diameter / side
-        block = 1 << max(int(np.log2(max(wide / 16.0, 1.0))), 0)
-        block = min(block, n)
-        told = 1.0 - np.exp(-density)
-        both = (
-            np.stack([raised, told]).reshape(2, n // block, block, n // block, block).mean((2, 4))
-        )
-        means = square_means(both.astype(np.float32), max(round(0.5 * wide / block), 1))
+        raised, told = square_means(blocks, max(round(0.5 * wide / block), 1)) / block**2
         prior = (PRIOR_AREA / AROUND) ** 2
-        share = (means[0] + prior * PRIOR_SHARE) / (means[1] + prior)
-        level = np.log10(np.maximum(share, np.float32(1e-6)))
-        at = np.minimum((np.arange(n + 1) + block // 2) // block, len(level) - 1)
-        return np.asarray(level[np.ix_(at, at)])
+        share = np.maximum((raised + prior * PRIOR_SHARE) / (told + prior), np.float32(1e-6))
+        place = np.minimum((np.arange(n + 1) + block // 2) // block, n // block)
+        found[8] = np.log10(share)[np.ix_(place, place)]
+        return found
 
     def risk(
         self, raster: TerrainRaster, judged: Mask, planes: GroundPlanes, contacts: Contacts
@@ -254,6 +224,74 @@ class RiskTable:
         out, cause = np.ones(judged.shape), np.zeros(judged.shape, dtype=np.uint8)
         look_up(self, places, judged.view(np.uint8), self._constant[1], out, cause)
         return out, cause
+
+
+@cython.boundscheck(False)
+@cython.locals(corner=cython.double[:, ::1])
+@cython.locals(returns=cython.float[::1], rough=cython.float[::1])
+@cython.locals(clearance=cython.double, out=cython.float[:, :, ::1], blocks=cython.float[:, :, ::1])
+def describe_cells(
+    raster: TerrainRaster,
+    corner: Array,
+    returns: Single,
+    rough: Single,
+    clearance: float,
+    out: Single,
+    blocks: Single,
+) -> None:
+    """Describe each finest cell, and count raised cells by blocks.
+
+    Args:
+        raster: The map.
+        corner: (n + 1, n + 1) ground at the lander's scale at the cells' corners, m.
+        returns: (M,) of leaves on a square as wide as the least hazard.
+        rough: (M,) mean deviation from leaves' planes, clearances.
+        clearance: m.
+        out: (3, n, n), set to log10 of the returns in the mean of 3 x 3 cells, ``rough``, and the
+            squared height over the ground at the lander's scale, clearances.
+        blocks: (2, b, b), to which raised cells are added, and all by the probability that a
+            return falls on a thing as wide as the least hazard.
+    """
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+    cython.declare(up=cython.Py_ssize_t, right=cython.Py_ssize_t)
+    n: cython.Py_ssize_t = out.shape[1]
+    block: cython.Py_ssize_t = n // blocks.shape[1]
+    leaf = cython.declare(cython.Py_ssize_t[:, ::1], raster.leaf)
+    bridged = cython.declare(cython.uchar[:, ::1], raster.bridged.view(np.uint8))
+    seen = cython.declare(cython.uchar[:, ::1], raster.seen.view(np.uint8))
+    elevation = cython.declare(cython.double[:, ::1], raster.elevation)
+    rise = cython.declare(cython.float[:, ::1], np.zeros((n, n), dtype=np.float32))
+    count = cython.declare(cython.float[:, ::1], np.zeros((n, n), dtype=np.float32))
+    none: cython.float = NO_RETURNS
+    highest: cython.double = HIGHEST
+    low: cython.float = RAISED[0]
+    high: cython.float = RAISED[1]
+    with cython.nogil:
+        for i in range(n):
+            for j in range(n):
+                k = leaf[i, j]
+                ground = corner[i, j] + corner[i, j + 1] + corner[i + 1, j] + corner[i + 1, j + 1]
+                over = max((elevation[i, j] - 0.25 * ground) / clearance, 0.0)
+                over = min(over, highest)
+                out[1, i, j] = 0.0
+                out[2, i, j] = over * over * seen[i, j]
+                if not bridged[i, j]:
+                    out[1, i, j] = rough[k]
+                    rise[i, j], count[i, j] = over, returns[k]
+        for i in range(n):
+            for j in range(n):
+                mean: cython.float = 0.0
+                top: cython.float = 0.0
+                for up in range(i - 1, i + 2):
+                    for right in range(j - 1, j + 2):
+                        k = min(max(up, 0), n - 1)
+                        mean += count[k, min(max(right, 0), n - 1)]
+                        top = max(top, rise[k, min(max(right, 0), n - 1)])
+                mean /= 9.0
+                out[0, i, j] = log10f(mean + none)
+                blocks[1, i // block, j // block] += 1.0 - expf(-mean)
+                if rise[i, j] > low and top <= high:
+                    blocks[0, i // block, j // block] += 1.0
 
 
 def interpolation_weights(values: Array, knots: Row) -> Array:
