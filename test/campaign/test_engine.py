@@ -130,7 +130,6 @@ def test_what_was_flown_is_not_flown_again(first, study, tmp_path):
     assert files(tmp_path / "c") == files(first[0].out)  # until it is flown, what was stays
 
 
-@pytest.mark.slow
 def test_what_is_killed_and_resumed_loses_nothing(first, study, tmp_path):
     """With two workers the files are the same as with one."""
     process = start(study, tmp_path, "--workers", 2)

@@ -1,19 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fly a study on the cores of this computer; each flight has a file as its result."""
+"""Fly a study on the cores of this computer: a process and a file for each flight."""
 
 from __future__ import annotations
 
 import contextlib
-import gc
 import itertools
 import json
 import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Collection, Iterator
-from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
+from typing import Any
 
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Figures, kind_of
 from quadtree_lss.lab.campaign.store import Record, Store
@@ -21,8 +20,6 @@ from quadtree_lss.lab.campaign.study import Study
 from quadtree_lss.lab.campaign.summary import CampaignResult, write_summary
 from quadtree_lss.onboard.errors import one_line
 
-SPAWN = multiprocessing.get_context("spawn")
-Process = multiprocessing.context.SpawnProcess
 Progress = Callable[[int, int], None]
 LOOK_S = 0.5
 """Longest time until ``stop`` is asked again, s."""
@@ -94,51 +91,31 @@ def _fly_all(
     failure, in the order in which they end."""
     for name in THREADS:
         os.environ.setdefault(name, "1")
-    idle: list[tuple[Connection, Process]] = []
-    busy: dict[Connection, tuple[Process, Case]] = {}
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([__name__, "quadtree_lss.lab.campaign.mapped"])
+    running: dict[Connection, tuple[Any, Case]] = {}
     try:
         while not stop():
-            for case in itertools.islice(missing, workers - len(busy)):
-                connection, process = idle.pop() if idle else _worker()
-                connection.send(case)
-                busy[connection] = process, case
-            if not busy:
+            for case in itertools.islice(missing, workers - len(running)):
+                ours, theirs = context.Pipe(duplex=False)
+                process = context.Process(target=_fly, args=(case, theirs), daemon=True)
+                process.start()
+                theirs.close()
+                running[ours] = process, case
+            if not running:
                 break
-            for ended in wait(list(busy), LOOK_S):
+            for ended in wait(list(running), LOOK_S):
                 assert isinstance(ended, Connection)
-                process, case = busy.pop(ended)
-                try:
+                process, case = running.pop(ended)
+                found: Figures | str = "the process that flew it died"
+                with contextlib.suppress(EOFError):
                     found = ended.recv()
-                    idle.append((ended, process))
-                except (EOFError, OSError):
-                    found = "the process that flew it died"
+                process.join()
                 yield case, found
     finally:
-        for process in [*(of for _, of in idle), *(of for of, _ in busy.values())]:
+        for process, _ in running.values():
             process.terminate()
             process.join()
-
-
-def _worker() -> tuple[Connection, Process]:
-    """Start a process that flies cases; Ctrl-C is for the parent."""
-    resource_tracker.ensure_running()  # it would unblock the signal
-    ours, theirs = SPAWN.Pipe()
-    process = SPAWN.Process(target=_work, args=(theirs,), daemon=True)
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        process.start()
-    finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    theirs.close()
-    return ours, process
-
-
-def _work(connection: Connection) -> None:
-    """Fly the cases that come, until the parent has ended."""
-    with contextlib.suppress(EOFError, OSError):
-        while True:
-            connection.send(fly(connection.recv()))
-            gc.collect()  # large arrays are in reference cycles
 
 
 def fly(case: Case) -> Figures | str:
@@ -147,3 +124,11 @@ def fly(case: Case) -> Figures | str:
         return kind_of(case.kind).fly(case)
     except Exception as error:  # the other flights continue
         return one_line(f"{type(error).__name__}: {error}")
+
+
+def _fly(case: Case, result: Connection) -> None:
+    """Fly a case in a process of its own and send what `fly` returns."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent
+    found = fly(case)
+    with contextlib.suppress(BrokenPipeError):  # the parent was killed
+        result.send(found)
