@@ -16,8 +16,8 @@ ROS := $(shell test -n "$${ROS_DISTRO-}" && $(PYTHON) -c 'import rclpy' 2>/dev/n
 # It holds the versions that are installed.
 DEPENDENCIES := $(VENV)/.dependencies-$(ROS)
 PACKAGE := $(VENV)/.package
-EXTRAS_wheels := [desk,wheels,exchange,autopilot,docs,test]
-EXTRAS_sourced := [desk,exchange,autopilot,docs,test]
+EXTRAS_wheels := [desk,wheels,exchange,autopilot,campaign,docs,test]
+EXTRAS_sourced := [desk,exchange,autopilot,campaign,docs,test]
 SOURCES := $(shell find quadtree_lss launch rviz foxglove security config examples scripts resource -type f \
     -not -path '*/__pycache__/*' -not -name '*.so') package.xml pyproject.toml setup.py setup.cfg
 
@@ -152,7 +152,7 @@ $(VEHICLE)/.dependencies: constraints.txt Makefile
 $(VEHICLE)/.package: $(VEHICLE)/.dependencies $(SOURCES)
 	@echo 'installing quadtree_lss and the versions of a vehicle into .venv-vehicle'
 	@rm -rf quadtree_lss.egg-info
-	@$(VEHICLE_PIP) -c $(VEHICLE)/.dependencies --no-build-isolation '.[desk,wheels,exchange,autopilot,test]'
+	@$(VEHICLE_PIP) -c $(VEHICLE)/.dependencies --no-build-isolation '.[desk,wheels,exchange,autopilot,campaign,test]'
 	@rm -rf quadtree_lss.egg-info
 	@touch $@
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Campaigns give the same files for any number of workers, after any end."""
+"""Campaigns give the same files for any number of workers, after any end, by any scheduler."""
 
+import contextlib
 import csv
 import json
 import os
@@ -9,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -19,10 +21,11 @@ import pytest
 from quadtree_lss.cli import main
 from quadtree_lss.desk.commands.common import INTERRUPTED
 from quadtree_lss.lab.campaign import engine
-from quadtree_lss.lab.campaign.engine import campaign, flagged
+from quadtree_lss.lab.campaign.engine import Where, campaign, flagged
 from quadtree_lss.lab.campaign.kinds import CampaignError
 from quadtree_lss.lab.campaign.study import read_study
 
+LocalCluster = pytest.importorskip("distributed").LocalCluster
 # One after the other: each has processes of its own.
 pytestmark = pytest.mark.xdist_group("campaign")
 
@@ -63,7 +66,7 @@ def first(study, tmp_path_factory):
     out = tmp_path_factory.mktemp("first")
     steps = []
     progress = {"progress": lambda done, of: steps.append((done, of))}
-    return campaign(read_study(study), out, 1, **progress), steps
+    return campaign(read_study(study), out, Where(workers=1), **progress), steps
 
 
 def files(out):
@@ -118,7 +121,7 @@ def test_what_was_flown_is_not_flown_again(first, study, tmp_path):
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "c" / "flights").iterdir()}
     gone = sorted(before)[5]
     gone.unlink()
-    result = campaign(read_study(study), tmp_path / "c", 1, rerun=[2])
+    result = campaign(read_study(study), tmp_path / "c", Where(workers=1), rerun=[2])
     assert files(tmp_path / "c") == files(first[0].out)
     changed = {p for p, at in before.items() if p.stat().st_mtime_ns != at}
     assert changed == {gone, sorted(before)[2]}
@@ -130,17 +133,22 @@ def test_what_was_flown_is_not_flown_again(first, study, tmp_path):
     assert files(tmp_path / "c") == files(first[0].out)  # until it is flown, what was stays
 
 
-def test_what_is_killed_and_resumed_loses_nothing(first, study, tmp_path):
-    """With two workers the files are the same as with one."""
+@pytest.mark.slow
+@pytest.mark.parametrize("killed", ["campaign", "worker"])
+def test_what_is_killed_loses_nothing(first, study, tmp_path, killed):
+    """A worker, or the campaign, which is resumed: by two the same files as by one."""
     process = start(study, tmp_path, "--workers", 2)
     wait_until(lambda: flown(tmp_path) >= 2)
     children = psutil.Process(process.pid).children(recursive=True)
-    process.kill()
-    process.communicate()
-    assert 2 <= flown(tmp_path) < COUNT
-    psutil.wait_procs(children, timeout=30.0)
-    assert not any(child.is_running() for child in children)
-    process = start(study, tmp_path, "--workers", 2)
+    if killed == "worker":
+        max(children, key=lambda child: child.cpu_times().user).kill()  # one that flies
+    else:
+        process.kill()
+        process.communicate()
+        assert 2 <= flown(tmp_path) < COUNT
+        psutil.wait_procs(children, timeout=30.0)
+        assert not any(child.is_running() for child in children)
+        process = start(study, tmp_path, "--workers", 2)
     _, told = process.communicate(timeout=120)
     assert process.returncode == 0, told
     assert files(tmp_path) == files(first[0].out)
@@ -157,14 +165,86 @@ KIND = Kind(fly, None, "", ["none"], ["half"], (Quantity("safe", "Safe", of="one
 """
 
 
-def test_a_flight_that_kills_its_process_takes_no_other_along(tmp_path, monkeypatch):
+@pytest.mark.slow
+def test_a_flight_that_kills_its_worker_takes_no_other_along(tmp_path, monkeypatch):
     (tmp_path / "deadly.py").write_text(DEADLY)
     monkeypatch.syspath_prepend(tmp_path)
     path = tmp_path / "study.yaml"
     given = "scenario: none\nconditions: {half: [1, 2, 3, 4, 5]}"
     path.write_text(f"kind: deadly:KIND\nflights: 1\n{given}\n")
-    result = campaign(read_study(path), tmp_path / "out", 1)
-    assert result.failed == {1: "the process that flew it died"}
+    result = campaign(read_study(path), tmp_path / "out", Where(workers=1))
+    assert result.failed == {1: "the worker that flew it died, each time it was tried"}
+
+
+@pytest.mark.slow
+def test_a_scheduler_started_separately(first, study, tmp_path):
+    note = tmp_path / "scheduler.json"
+    command = [sys.executable, "-m", "distributed.cli"]
+    options = ["--no-dashboard", "--host", "127.0.0.1", "--port", "0"]
+    scheduler = [f"{command[2]}.dask_scheduler", *options, "--scheduler-file", str(note)]
+    worker = [f"{command[2]}.dask_worker", "--scheduler-file", str(note), "--nthreads", "1"]
+    worker += ["--no-dashboard", "--local-directory", str(tmp_path / "dask")]
+    with contextlib.ExitStack() as stack:
+        for arguments in (scheduler, worker, worker):
+            # Not from the checkout: before Python 3.11 it would come before what is installed.
+            process = subprocess.Popen(
+                [*command[:2], *arguments],
+                cwd=tmp_path,
+                stderr=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+            )
+            stack.callback(process.wait, 30)
+            stack.callback(process.terminate)
+            wait_until(note.exists)
+        address = json.loads(note.read_text())["address"]
+        result = campaign(read_study(study), tmp_path / "out", Where(scheduler_file=str(note)))
+        assert not result.failed
+        assert files(tmp_path / "out") == files(first[0].out)
+        again = Where(scheduler_address=address)
+        campaign(read_study(study), tmp_path / "out", again, rerun=[1])
+        assert files(tmp_path / "out") == files(first[0].out)
+
+
+def test_workers_that_do_not_come_end_it_in_a_line(study, tmp_path, monkeypatch):
+    """Killed while they start, or none at the scheduler."""
+    over = threading.Event()
+
+    def kill():
+        while not over.wait(0.02):
+            for child in psutil.Process().children():
+                with contextlib.suppress(psutil.Error):
+                    if "spawn_main" in " ".join(child.cmdline()):
+                        child.kill()
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    try:
+        with pytest.raises(CampaignError, match="workers could not be started: "):
+            campaign(read_study(study), tmp_path / "out", Where(workers=1))
+    finally:
+        over.set()
+        killer.join()
+    monkeypatch.setattr(engine, "NO_WORKER_S", 1.0)
+    with LocalCluster(n_workers=0, dashboard_address=None) as cluster:
+        where = Where(scheduler_address=cluster.scheduler_address)
+        with pytest.raises(CampaignError, match="no worker for 1 s"):
+            campaign(read_study(study), tmp_path / "out", where)
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_is_lost_ends_it_in_a_line(first, study, tmp_path):
+    """And no flight has failed."""
+    cluster = LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None)
+
+    def progress(done, of):
+        if done == 1:
+            cluster.close()
+
+    with pytest.raises(CampaignError, match="the scheduler is lost"):
+        where = Where(scheduler_address=cluster.scheduler_address)
+        campaign(read_study(study), tmp_path, where, progress=progress)
+    kept = files(tmp_path)
+    assert len(kept) == 1 and kept.items() <= files(first[0].out).items()
 
 
 def test_ctrl_c_keeps_what_is_done(first, study, tmp_path):
@@ -184,7 +264,7 @@ def test_a_failed_flight_is_recorded_and_the_others_go_on(tmp_path):
     text = STUDY.replace("duration: 1", "duration: [1, 0.5]").replace("flights: 4", "flights: 1")
     path = written(tmp_path, text)
     out = tmp_path / "out"
-    result = campaign(read_study(path), out, 1)
+    result = campaign(read_study(path), out, Where(workers=1))
     assert sorted(result.failed) == [2, 3] and "duration" in result.failed[2]
     assert "flight 2 failed" in result.table()
     assert "flight 2" not in result.table().replace("flight 2 failed", "")
@@ -201,6 +281,19 @@ def test_one_folder_has_one_campaign_at_a_time(first, study):
         fcntl.flock(lock, fcntl.LOCK_EX)
         with pytest.raises(CampaignError, match="another campaign"):
             campaign(read_study(study), first[0].out)
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        pytest.param(Where(scheduler_address="tcp://127.0.0.1:9"), marks=pytest.mark.slow),
+        Where(scheduler_file="nowhere.json"),
+        Where(workers=1, scheduler_file="nowhere.json"),
+    ],
+)
+def test_who_is_not_there_is_named(study, tmp_path, where):
+    with pytest.raises(CampaignError):
+        campaign(read_study(study), tmp_path, where)
 
 
 def test_what_is_kept_is_told_as_json_too(study, tmp_path, monkeypatch, capsys):

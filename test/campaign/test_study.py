@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from quadtree_lss.lab.campaign.engine import campaign, fly
+from quadtree_lss.lab.campaign.engine import Where, campaign, fly
 from quadtree_lss.lab.campaign.kinds import CampaignError
 from quadtree_lss.lab.campaign.landings import FLY, settings_of
 from quadtree_lss.lab.campaign.store import FILES, key_of
@@ -219,8 +219,9 @@ def test_small_flights_find_hazards():
 @pytest.mark.slow
 @pytest.mark.xdist_group("campaign")
 def test_the_small_study_is_flown(tmp_path):
+    pytest.importorskip("distributed")
     path = next(path for path in STUDIES if path.stem == "small")
-    result = campaign(read_study(path), tmp_path, 2)
+    result = campaign(read_study(path), tmp_path, Where(workers=2))
     assert len(result.records) == 8 and not result.failed
     rules, touchdown = sorted(
         next(line.mean for line in lines if line.quantity.name == "safe_found")

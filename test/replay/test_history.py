@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """``history.npz``: bounded, in order, and what the scans and answers said."""
 
+
 import numpy as np
 from replay.recordings import GROUND, write_ros2
 

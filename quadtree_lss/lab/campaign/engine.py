@@ -1,46 +1,69 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fly a study on the cores of this computer: a process and a file for each flight."""
+"""Fly a study with Dask: each flight is a task with a file as its result."""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+import gc
 import itertools
 import json
-import multiprocessing
-import os
+import logging
 import signal
+import time
 from collections.abc import Callable, Collection, Iterator
-from multiprocessing.connection import Connection, wait
+from concurrent.futures import CancelledError
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Figures, kind_of
 from quadtree_lss.lab.campaign.store import Record, Store
-from quadtree_lss.lab.campaign.study import Study
+from quadtree_lss.lab.campaign.study import Study, this_build
 from quadtree_lss.lab.campaign.summary import CampaignResult, write_summary
 from quadtree_lss.onboard.errors import one_line
 
 Progress = Callable[[int, int], None]
+#: Dask's workers return freed memory page by page (a sixth of a flight's time), and profile
+#: themselves a hundred times a second; both off.
+SETTINGS = {
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 1 << 30,
+    "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 1 << 30,
+    "distributed.worker.profile.enabled": False,
+}
+LOCAL = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+LOCAL |= {"processes": True, "silence_logs": logging.CRITICAL}
 LOOK_S = 0.5
-"""Longest time until ``stop`` is asked again, s."""
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-"""Numerical libraries use one thread in each process: results do not depend on the computer."""
+#: One class from Python 3.11 on.
+TIMED_OUT = (TimeoutError, asyncio.TimeoutError)
+#: Longest time without a worker, s.
+NO_WORKER_S = 60.0
+
+
+@dataclass(frozen=True)
+class Where:
+    """Number of worker processes on this computer, or the scheduler with the workers."""
+
+    workers: int | None = None
+    scheduler_address: str | None = None
+    scheduler_file: str | None = None
 
 
 def campaign(
     study: Study,
     out: str | Path,
-    workers: int | None = None,
+    where: Where | None = None,
     *,
     rerun: Collection[int] = (),
     rerun_failed: bool = False,
     progress: Progress | None = None,
     stop: Callable[[], bool] | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> CampaignResult:
     """Fly the flights of a study that have no file in ``out``, and those of ``rerun``, and write
-    the summary. ``workers``: flights at a time, by default one for each core; ``stop`` ends it
-    early by returning True. Raises `CampaignError`: the study cannot be flown; KeyboardInterrupt:
-    stopped before a flight was done."""
+    the summary. ``stop`` ends it early by returning True; ``tell`` gets the address of the
+    dashboard. Raises `CampaignError`: Dask is missing, or the study cannot be flown there;
+    KeyboardInterrupt: stopped before a flight was done."""
     store, stopped = Store(out), stop or (lambda: False)
     with store.opened():
         again = {study.case(index).index for index in rerun}
@@ -49,13 +72,16 @@ def campaign(
             record = None if case.index in again else store.read(case)
             if record is not None and not (record.error and rerun_failed):
                 records[case.index] = record
-        missing = (study.case(i) for i in range(study.count) if i not in records)
+        missing = iter(i for i in range(study.count) if i not in records)
         tell_progress = progress or (lambda done, total: None)
         tell_progress(len(records), study.count)
-        for case, found in _fly_all(missing, workers or os.cpu_count() or 1, stopped):
-            figures, error = ({}, found) if isinstance(found, str) else (found, "")
-            records[case.index] = store.write(case, figures, error)
-            tell_progress(len(records), study.count)
+        if len(records) < study.count:
+            with _client(where or Where()) as client:
+                if tell is not None:
+                    tell(f"dashboard: {client.dashboard_link}")
+                for record in _fly_all(client, study, store, missing, stopped):
+                    records[record.index] = record
+                    tell_progress(len(records), study.count)
         interrupted = len(records) < study.count
         if interrupted and not records:
             raise KeyboardInterrupt
@@ -84,51 +110,107 @@ def keep(study: Study, out: str | Path, index: int) -> Path:
     return folder
 
 
-def _fly_all(
-    missing: Iterator[Case], workers: int, stop: Callable[[], bool]
-) -> Iterator[tuple[Case, Figures | str]]:
-    """Fly the cases, ``workers`` at a time; give each with its figures or the reason of its
-    failure, in the order in which they end."""
-    for name in THREADS:
-        os.environ.setdefault(name, "1")
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([__name__, "quadtree_lss.lab.campaign.mapped"])
-    running: dict[Connection, tuple[Any, Case]] = {}
-    try:
-        while not stop():
-            for case in itertools.islice(missing, workers - len(running)):
-                ours, theirs = context.Pipe(duplex=False)
-                process = context.Process(target=_fly, args=(case, theirs), daemon=True)
-                process.start()
-                theirs.close()
-                running[ours] = process, case
-            if not running:
-                break
-            for ended in wait(list(running), LOOK_S):
-                assert isinstance(ended, Connection)
-                process, case = running.pop(ended)
-                found: Figures | str = "the process that flew it died"
-                with contextlib.suppress(EOFError):
-                    found = ended.recv()
-                process.join()
-                yield case, found
-    finally:
-        for process, _ in running.values():
-            process.terminate()
-            process.join()
-
-
 def fly(case: Case) -> Figures | str:
-    """Figures of one flight, or the reason of its failure."""
+    """Figures of one flight on a worker, or the reason of its failure."""
+    if (case.version, case.build) != this_build():
+        return f"the worker has version and build {this_build()}, not {case.version, case.build}"
     try:
-        return kind_of(case.kind).fly(case)
+        figures = kind_of(case.kind).fly(case)
     except Exception as error:  # the other flights continue
         return one_line(f"{type(error).__name__}: {error}")
+    gc.collect()  # large arrays are in reference cycles
+    return figures
 
 
-def _fly(case: Case, result: Connection) -> None:
-    """Fly a case in a process of its own and send what `fly` returns."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent
-    found = fly(case)
-    with contextlib.suppress(BrokenPipeError):  # the parent was killed
-        result.send(found)
+def _fly_all(
+    client: Any, study: Study, store: Store, missing: Iterator[int], stop: Callable[[], bool]
+) -> Iterator[Record]:
+    """Submit one flight per worker at a time: this bounds memory, and Dask gives up tasks that wait
+    at a dying worker."""
+    from dask.distributed import wait
+
+    running: dict[Any, Case] = {}
+    seen = time.monotonic()
+    while not stop():
+        with _answering():
+            threads = sum(client.nthreads().values())
+            if threads:
+                seen = time.monotonic()
+            elif time.monotonic() - seen > NO_WORKER_S:
+                raise CampaignError(f"the scheduler has had no worker for {NO_WORKER_S:.0f} s")
+            for index in itertools.islice(missing, max(threads - len(running), not running)):
+                case, key = study.case(index), f"flight-{index}-{id(store)}"
+                running[client.submit(fly, case, key=key, pure=False)] = case
+            if not running:
+                break
+            with contextlib.suppress(*TIMED_OUT):
+                wait(list(running), timeout=LOOK_S, return_when="FIRST_COMPLETED")
+            ended = {f: _given(f) for f in running if f.done()}
+        for future, found in ended.items():
+            case = running.pop(future)
+            yield store.write(case, *(({}, found) if isinstance(found, str) else (found,)))
+            future.release()
+    for future in running:
+        future.cancel()
+
+
+@contextlib.contextmanager
+def _answering() -> Iterator[None]:
+    """Raise `CampaignError` if the scheduler is lost."""
+    try:
+        yield
+    except (OSError, CancelledError) as error:
+        raise CampaignError("the scheduler is lost; what was flown is kept") from error
+
+
+def _given(future: Any) -> Figures | str:
+    if future.status != "error":
+        return future.result()
+    error = future.exception()
+    if type(error).__name__ == "KilledWorker":  # its text contains addresses
+        return "the worker that flew it died, each time it was tried"
+    return one_line(f"{type(error).__name__}: {error}")
+
+
+@contextlib.contextmanager
+def _client(where: Where) -> Iterator[Any]:
+    try:
+        import dask
+        from dask.distributed import Client
+    except ImportError as error:
+        how = "pip install 'quadtree_lss[campaign]'"
+        raise CampaignError(f"campaigns need Dask: {how}") from error
+    there = {"address": where.scheduler_address, "scheduler_file": where.scheduler_file}
+    there = {name: value for name, value in there.items() if value}
+    if len(there) + bool(where.workers) > 1:
+        raise CampaignError("workers, scheduler_address and scheduler_file exclude one another")
+    if where.scheduler_file and not Path(where.scheduler_file).is_file():
+        raise CampaignError(f"{where.scheduler_file}: no such file")
+    for name in ("distributed", "distributed.client", "asyncio", "tornado"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    with contextlib.ExitStack() as stack:
+        try:
+            if there:
+                client = stack.enter_context(Client(**there, timeout="20s"))
+            else:
+                with _deaf_children(), dask.config.set(SETTINGS):
+                    client = stack.enter_context(Client(n_workers=where.workers, **LOCAL))
+        except (OSError, ValueError, RuntimeError, *TIMED_OUT) as error:
+            which = "no scheduler" if there else "the workers could not be started"
+            msg = f"{which}: {one_line(str(error) or type(error).__name__)}"
+            raise CampaignError(msg) from error
+        yield client
+
+
+@contextlib.contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Let child processes ignore Ctrl-C, which the parent handles."""
+    try:
+        heard = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    except ValueError:  # not the main thread
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, heard)

@@ -8,17 +8,20 @@ import argparse
 from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.console import Interruption, ProgressBar, say, warn
 
-TEXT = "Fly a study of many flights on this computer's cores, with resume."
+TEXT = "Fly a study of many flights on this computer's cores or on a Dask cluster, with resume."
 EXAMPLES = """examples:
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus     (flies what is missing)
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --rerun 17
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --keep 17  (bag, page, …)
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --keep worst
+  quadtree-lss campaign studies/morpheus.yaml --out many --scheduler-address tcp://host:8786
 
 Exit code 3 if some flights failed. Ctrl-C ends it there; what was flown is kept and summed up. A
 second one stops at once.
 """
+
+FLYING = ("rerun", "workers", "scheduler_address", "scheduler_file")
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -27,8 +30,11 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("study", metavar="STUDY.yaml", help="a study")
     text = "folder of the campaign; resumed if it is there"
     add("--out", required=True, type=common.named, metavar="DIR", help=text)
-    text = "flights at a time (default: one for each core)"
-    add("--workers", type=common.whole(1), metavar="N", help=text)
+    where = parser.add_mutually_exclusive_group()
+    text = "processes on this computer (default: one for each core)"
+    where.add_argument("--workers", type=common.whole(1), metavar="N", help=text)
+    where.add_argument("--scheduler-address", metavar="A", help="of a running Dask scheduler")
+    where.add_argument("--scheduler-file", metavar="F", help="that a Dask scheduler wrote")
     add("--rerun", metavar="LIST", help="fly these again, 17 or 3,8-12, or: failed")
     text = "fly these again into DIR/kept, all of it kept: 17 or 3,8-12, or: worst"
     add("--keep", metavar="LIST", help=text)
@@ -36,8 +42,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     if options.keep is not None:
-        common.refuse(options, "--keep, which flies one after the other", "rerun", "workers")
-    from quadtree_lss.lab.campaign.engine import campaign, flagged, keep
+        common.refuse(options, "--keep, which flies one after the other here", *FLYING)
+    from quadtree_lss.lab.campaign.engine import Where, campaign, flagged, keep
     from quadtree_lss.lab.campaign.study import parse_seeds, read_study
 
     study = read_study(options.study)
@@ -52,17 +58,19 @@ def _run(options: argparse.Namespace) -> int:
             common.print_json({"kept": kept})
         return common.DONE
     failed = options.rerun == "failed"
+    where = Where(options.workers, options.scheduler_address, options.scheduler_file)
     then = f"sums up in {options.out} what is done"
     verbose = options.verbose
     with Interruption(then) as interruption, ProgressBar("campaign", "flights", verbose) as bar:
         result = campaign(
             study,
             options.out,
-            options.workers,
+            where,
             rerun=parse_seeds(options.rerun) if options.rerun and not failed else (),
             rerun_failed=failed,
             progress=bar.update,
             stop=interruption.asked,
+            tell=warn,
         )
     common.tell(options, result, f"page and tables in {result.out}")
     if result.interrupted:
