@@ -20,7 +20,6 @@ from math import ceil, isfinite, isnan, log10, radians, tan
 
 import cython
 import numpy as np
-from cython.cimports.libc.math import expf, log10f
 from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask, Single
@@ -190,15 +189,23 @@ class RiskTable:
         rough = np.minimum(rough, 2.0).astype(np.float32)
         n, wide = raster.domain.finest_count, AROUND * vehicle.diameter / side
         block = min(1 << max(int(np.log2(max(wide / 16.0, 1.0))), 0), n)
-        cell_values = np.empty((3, n, n), dtype=np.float32)
-        blocks = np.zeros((2, n // block, n // block), dtype=np.float32)
-        describe_cells(raster, planes.elevation, returns, rough, clearance, cell_values, blocks)
-        means = square_means(cell_values, max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1))
+        cell_values = np.empty((4, n, n), dtype=np.float32)
+        describe_cells(raster, planes.elevation, returns, rough, clearance, cell_values)
+        # By the probability that a return falls on a thing as wide as the least hazard.
+        well_seen = 1.0 - np.exp(-cell_values[0])
+        blocks = [
+            np.add.reduceat(np.add.reduceat(of, np.arange(0, n, block)), np.arange(0, n, block), 1)
+            for of in (cell_values[3], well_seen)
+        ]
+        cell_values[0] = log10(np.e) * np.log(cell_values[0] + np.float32(NO_RETURNS))
+        means = square_means(
+            cell_values[:3], max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1)
+        )
         np.subtract(means[0], np.float32(self._worse(side)), out=found[4])
         np.divide(planes.gradient, steep, out=found[5], casting="same_kind")
         # Rounding can leave the mean of zeros below zero.
         np.sqrt(np.maximum(means[1:], np.float32(0.0)), out=found[6:8])
-        raised, told = square_means(blocks, max(round(0.5 * wide / block), 1)) / block**2
+        raised, told = square_means(np.stack(blocks), max(round(0.5 * wide / block), 1)) / block**2
         prior = (PRIOR_AREA / AROUND) ** 2
         share = np.maximum((raised + prior * PRIOR_SHARE) / (told + prior), np.float32(1e-6))
         place = np.minimum((np.arange(n + 1) + block // 2) // block, n // block)
@@ -229,7 +236,7 @@ class RiskTable:
 @cython.boundscheck(False)
 @cython.locals(corner=cython.double[:, ::1])
 @cython.locals(returns=cython.float[::1], rough=cython.float[::1])
-@cython.locals(clearance=cython.double, out=cython.float[:, :, ::1], blocks=cython.float[:, :, ::1])
+@cython.locals(clearance=cython.double, out=cython.float[:, :, ::1])
 def describe_cells(
     raster: TerrainRaster,
     corner: Array,
@@ -237,9 +244,8 @@ def describe_cells(
     rough: Single,
     clearance: float,
     out: Single,
-    blocks: Single,
 ) -> None:
-    """Describe each finest cell, and count raised cells by blocks.
+    """Describe each finest cell by itself and its neighbours.
 
     Args:
         raster: The map.
@@ -247,25 +253,26 @@ def describe_cells(
         returns: (M,) of leaves on a square as wide as the least hazard.
         rough: (M,) mean deviation from leaves' planes, clearances.
         clearance: m.
-        out: (3, n, n), set to log10 of the returns in the mean of 3 x 3 cells, ``rough``, and the
-            squared height over the ground at the lander's scale, clearances.
-        blocks: (2, b, b), to which raised cells are added, and all by the probability that a
-            return falls on a thing as wide as the least hazard.
+        out: (4, n, n), set to the mean of ``returns`` over 3 x 3 cells, ``rough``, the squared
+            height over the ground at the lander's scale, clearances, and 1 where a cell is raised.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
-    cython.declare(up=cython.Py_ssize_t, right=cython.Py_ssize_t)
+    cython.declare(above=cython.Py_ssize_t, below=cython.Py_ssize_t)
+    cython.declare(before=cython.Py_ssize_t, after=cython.Py_ssize_t)
     n: cython.Py_ssize_t = out.shape[1]
-    block: cython.Py_ssize_t = n // blocks.shape[1]
     leaf = cython.declare(cython.Py_ssize_t[:, ::1], raster.leaf)
     bridged = cython.declare(cython.uchar[:, ::1], raster.bridged.view(np.uint8))
     seen = cython.declare(cython.uchar[:, ::1], raster.seen.view(np.uint8))
     elevation = cython.declare(cython.double[:, ::1], raster.elevation)
+    # Of known cells: height over the ground, and returns; then greatest and sum of three in a row.
     rise = cython.declare(cython.float[:, ::1], np.zeros((n, n), dtype=np.float32))
-    count = cython.declare(cython.float[:, ::1], np.zeros((n, n), dtype=np.float32))
-    none: cython.float = NO_RETURNS
+    tops = cython.declare(cython.float[:, ::1], np.empty((n, n), dtype=np.float32))
+    count = cython.declare(cython.float[::1], np.zeros(n, dtype=np.float32))
+    sums = cython.declare(cython.float[:, ::1], np.empty((n, n), dtype=np.float32))
     highest: cython.double = HIGHEST
     low: cython.float = RAISED[0]
     high: cython.float = RAISED[1]
+    ninth: cython.float = 1.0 / 9.0
     with cython.nogil:
         for i in range(n):
             for j in range(n):
@@ -273,25 +280,21 @@ def describe_cells(
                 ground = corner[i, j] + corner[i, j + 1] + corner[i + 1, j] + corner[i + 1, j + 1]
                 over = max((elevation[i, j] - 0.25 * ground) / clearance, 0.0)
                 over = min(over, highest)
-                out[1, i, j] = 0.0
+                out[1, i, j] = count[j] = 0.0
                 out[2, i, j] = over * over * seen[i, j]
                 if not bridged[i, j]:
                     out[1, i, j] = rough[k]
-                    rise[i, j], count[i, j] = over, returns[k]
-        for i in range(n):
+                    rise[i, j], count[j] = over, returns[k]
             for j in range(n):
-                mean: cython.float = 0.0
-                top: cython.float = 0.0
-                for up in range(i - 1, i + 2):
-                    for right in range(j - 1, j + 2):
-                        k = min(max(up, 0), n - 1)
-                        mean += count[k, min(max(right, 0), n - 1)]
-                        top = max(top, rise[k, min(max(right, 0), n - 1)])
-                mean /= 9.0
-                out[0, i, j] = log10f(mean + none)
-                blocks[1, i // block, j // block] += 1.0 - expf(-mean)
-                if rise[i, j] > low and top <= high:
-                    blocks[0, i // block, j // block] += 1.0
+                before, after = max(j - 1, 0), min(j + 1, n - 1)
+                sums[i, j] = count[before] + count[j] + count[after]
+                tops[i, j] = max(max(rise[i, before], rise[i, j]), rise[i, after])
+        for i in range(n):
+            above, below = max(i - 1, 0), min(i + 1, n - 1)
+            for j in range(n):
+                out[0, i, j] = ninth * (sums[above, j] + sums[i, j] + sums[below, j])
+                top: cython.float = max(max(tops[above, j], tops[i, j]), tops[below, j])
+                out[3, i, j] = rise[i, j] > low and top <= high
 
 
 def interpolation_weights(values: Array, knots: Row) -> Array:
