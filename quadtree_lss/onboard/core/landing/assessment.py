@@ -20,21 +20,6 @@ from quadtree_lss.onboard.core.landing.score import PointAssessment
 from quadtree_lss.onboard.core.landing.target import SETTLE_SHARE, Reason, State
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
-#: Sentences for the reasons that need no figures.
-WHY = {
-    Reason.HOLDS: "no grid point gains more than a divert costs",
-    Reason.FIRST: "first choice",
-    Reason.BETTER: "gains more than the divert costs",
-    Reason.RELEASED: "chosen again on request",
-    Reason.LAND_NOW: "best within reach, on request",
-    Reason.HAZARD: "its ground is a hazard",
-    Reason.UNSEEN: "its ground is not observed any more",
-    Reason.UNMAPPED: "its ground is observed, but not estimated",
-    Reason.KEEP_OUT: "a keep-out touches its zone",
-    Reason.OUTSIDE_AREA: "its zone is not within the landing area",
-    Reason.OUTSIDE_MAP: "its grid point is outside the map",
-    Reason.UNCONFIRMED: "safe ground waits for the confirmation by another assessment",
-}
 #: Greatest share of the judged ground without a return: flights that were fitted have up to 0.02.
 MOST_BRIDGED = 0.05
 
@@ -170,7 +155,7 @@ class LandingAssessment:
         chosen = self.selected
         if not chosen.id:
             return f"no target: {self._why_none()}"
-        why, aims = WHY[chosen.reason], self.sites
+        why, aims = chosen.reason.text, self.sites
         if chosen.state is State.COMMITTED and chosen.reason is Reason.HOLDS:
             why = "the vehicle is committed to it"
         elif chosen.reason is Reason.HOLDS and len(aims) and aims.id[0] != chosen.id:
@@ -188,7 +173,7 @@ class LandingAssessment:
             return f"best grid point {best}, required {least:g} %"
         observed = np.where(self.hazard & hazards.UNSEEN == 0, self.probability, np.nan)
         if lss is None or reason is not Reason.NO_SITE or np.isnan(observed).all():
-            return WHY.get(reason) or self.explanation.partition(": ")[2] or self.explanation
+            return reason.text or self.explanation.partition(": ")[2] or self.explanation
         if self.safe.any():
             return self.explanation
         best = f"best grid point {shown(float(np.nanmax(observed)))}, but none has a risk"

@@ -56,25 +56,34 @@ Place = tuple[int, int]
 
 
 class Reason(IntEnum):
-    """Why the target is this one (below 16), or why there is none."""
+    """Why the target is this one (below 16), or why there is none, and the sentence for it; an
+    empty one needs figures (`assessment.LandingAssessment.why`)."""
 
-    HOLDS = 0
-    FIRST = 1
-    BETTER = 2
-    RELEASED = 3
-    LAND_NOW = 4
-    NOTHING_MAPPED = 16
-    NO_SITE = 17
-    HAZARD = 18
-    UNSEEN = 19
-    KEEP_OUT = 20
-    OUTSIDE_AREA = 21
-    WITHHELD = 22
-    OUTSIDE_MAP = 23
-    UNCONFIRMED = 24
-    UNMAPPED = 25
-    SETTLING = 26
-    UNLIKELY = 27
+    text: str
+
+    def __new__(cls, value: int, text: str) -> Reason:
+        """Make a reason of a number and a sentence."""
+        reason = int.__new__(cls, value)
+        reason._value_, reason.text = value, text
+        return reason
+
+    HOLDS = 0, "no grid point gains more than a divert costs"
+    FIRST = 1, "first choice"
+    BETTER = 2, "gains more than the divert costs"
+    RELEASED = 3, "chosen again on request"
+    LAND_NOW = 4, "best within reach, on request"
+    NOTHING_MAPPED = 16, "nothing is mapped yet"
+    NO_SITE = 17, ""
+    HAZARD = 18, "its ground is a hazard"
+    UNSEEN = 19, "its ground is not observed any more"
+    KEEP_OUT = 20, "a keep-out touches its zone"
+    OUTSIDE_AREA = 21, "its zone is not within the landing area"
+    WITHHELD = 22, ""
+    OUTSIDE_MAP = 23, "its grid point is outside the map"
+    UNCONFIRMED = 24, "safe ground waits for the confirmation by another assessment"
+    UNMAPPED = 25, "its ground is observed, but not estimated"
+    SETTLING = 26, ""
+    UNLIKELY = 27, ""
 
     @property
     def key(self) -> str:
