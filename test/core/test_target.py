@@ -114,6 +114,15 @@ def test_transition(state, asked, column, given, then, to, reason):
     assert found == (then, None if to is None else (0, to), reason)
 
 
+@pytest.mark.parametrize(("steps", "reason"), [(1, Reason.HAZARD), (2, Reason.HOLDS)])
+def test_risky_ground_within_half_of_the_margin_withdraws_the_target(steps, reason):
+    """A margin of two grid points."""
+    lss = dataclasses.replace(LSS, margin=20.0, grid_spacing=10.0)
+    given_ = dataclasses.replace(situation(**RISKY, fault=Reason.HAZARD), lss=lss)
+    given_.ground.risk[0, 1 + steps] = 2.0 * MORE
+    assert given_.transition(State.HOLDS, NOTHING, (10.0, 0.0))[2] is reason
+
+
 def test_each_state_is_entered_and_left():
     steps = {(state, then) for state, _, _, _, then, _, _ in TRANSITIONS}
     for state in State:

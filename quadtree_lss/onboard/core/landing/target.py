@@ -38,8 +38,9 @@ MAX_PLACES = 1000
 #: first, which is the best of many predictions with errors (benchmark/target.py --bias). C: least
 #: cost of a divert: in probability, or in the score 4 m more clearance or 4.6 degrees less slope.
 GAIN = {"probability": (0.5, 0.002), "score": (1.0, 0.08)}
-#: The target stays on ground that is no longer safe enough to be chosen while its risk is at most
-#: this multiple of ``lss.max_risk``: where little ground is safe, its edge moves with each scan.
+#: The target stays on ground that is no longer safe enough to be chosen while the risk within half
+#: of ``lss.margin`` is at most this multiple of ``lss.max_risk``: where little ground is safe, its
+#: edge moves with each scan.
 KEPT = 3.0
 #: Share of the area, or of the domain, that is observed before the first target, unless
 #: ``lss.settle_time`` is over: the first survey of a closed loop observes it (config/flight.yaml).
@@ -348,11 +349,18 @@ class Situation:
         if self.ground.permitted[place]:
             likely = self.is_low or unsafe is None or not unsafe[place] > most
             return None if likely else Reason.UNLIKELY
-        fault, risk = self.why_not(*place), self.ground.risk
+        fault = self.why_not(*place)
         if fault is not Reason.HAZARD or unsafe is None or not unsafe[place] <= most:
             return fault
-        risky = not self.is_low and risk is not None and risk[place] > KEPT * self.lss.max_risk
-        return fault if risky else None
+        return None if self.is_low or self._worst(place) <= KEPT * self.lss.max_risk else fault
+
+    def _worst(self, place: Place) -> float:
+        """Return the greatest risk within half of ``lss.margin``, the target's own without one."""
+        if self.ground.risk is None:
+            return inf
+        steps = round(0.5 * self.lss.margin / self.lss.spacing)
+        row, column = (slice(max(i - steps, 0), i + steps + 1) for i in place)
+        return float(self.ground.risk[row, column].max())
 
     def _land_now(self, held: tuple[float, float] | None) -> tuple[Place | None, Reason]:
         """Keep the target while it is observed and wanted, whatever its risk, unless another one
