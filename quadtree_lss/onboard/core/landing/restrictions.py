@@ -36,10 +36,7 @@ class Restrictions:
 
     def apply(self, cost: Array, x: Array, y: Array, lss: LssConfig) -> str:
         """Exclude grid points (ny, nx), and add the cost of the distance to the preferred place.
-
-        Returns:
-            Why all grid points are excluded; empty if they are not.
-        """
+        Return why all of them are excluded; empty if they are not."""
         why = self.withheld
         try:
             self._exclude(cost, x, y, lss)
@@ -50,7 +47,6 @@ class Restrictions:
         return why
 
     def _exclude(self, cost: Array, x: Array, y: Array, lss: LssConfig) -> None:
-        """Do the same. Raises `ValueError` or `TypeError`: an invalid polygon or target."""
         if self.area is None and not self.keep_outs and self.target is None:
             return
         row, column = np.nonzero(np.isfinite(cost))

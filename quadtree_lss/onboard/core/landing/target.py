@@ -37,7 +37,7 @@ MAX_PLACES = 1000
 #: (S, C) by ranking. S: true gain as a share of the predicted gain of the grid point that ranks
 #: first, which is the best of many predictions with errors (benchmark/target.py --bias). C: least
 #: cost of a divert: in probability, or in the score 4 m more clearance or 4.6 degrees less slope.
-GAIN = {"probability": (0.5, 0.002), "score": (1.0, 0.08)}
+GAIN = {"probability": (0.5, 0.001), "score": (1.0, 0.08)}
 #: The target stays on ground that is no longer safe enough to be chosen while the risk within half
 #: of ``lss.margin`` is at most this multiple of ``lss.max_risk``: where little ground is safe, its
 #: edge moves with each scan.
@@ -63,7 +63,6 @@ class Reason(IntEnum):
     text: str
 
     def __new__(cls, value: int, text: str) -> Reason:
-        """Make a reason of a number and a sentence."""
         reason = int.__new__(cls, value)
         reason._value_, reason.text = value, text
         return reason
@@ -93,26 +92,16 @@ class Reason(IntEnum):
 
 
 class State(IntEnum):
-    """State of the target.
+    """State of the target."""
 
-    NONE: there is none. SETTLING: there is none until enough ground is observed. HOLDS: a better
-    grid point replaces it. COMMITTED: the vehicle is below ``lss.commit_height``; only a hazard or
-    a request changes it. NOW: after a request to land now, the best within reach.
-    """
-
-    NONE = 0
-    SETTLING = 1
-    HOLDS = 2
-    COMMITTED = 3
-    NOW = 4
+    NONE = 0  # there is none
+    SETTLING = 1  # there is none until enough ground is observed
+    HOLDS = 2  # a better grid point replaces it
+    COMMITTED = 3  # the vehicle is below lss.commit_height: only a hazard or a request changes it
+    NOW = 4  # the best within reach, after a request to land now
 
 
-class Request(Enum):
-    """Request for the next assessment."""
-
-    NONE = 0
-    RELEASE = 1
-    LAND_NOW = 2
+Request = Enum("Request", "NONE RELEASE LAND_NOW")
 
 
 class Motion(NamedTuple):
@@ -212,10 +201,8 @@ class Candidates:
 
 @dataclass(frozen=True)
 class Choice:
-    """The target: row and column of its grid point and its number, None and 0 without a target.
-
-    ``best``: without a target, the permitted grid point that ranks first, None without one.
-    """
+    """The target: row and column of its grid point, and its number; None and 0 without a target.
+    ``best``: without a target, the permitted grid point that ranks first, None without one."""
 
     place: Place | None
     id: int
@@ -225,11 +212,8 @@ class Choice:
 
 
 class Places:
-    """Numbers of places, from 1; none is given twice.
-
-    A place keeps its number while the grid point where it was first ranked, or where it became the
-    target, is safe. Grid points within ``reach`` of that one have the same number.
-    """
+    """Numbers of places, from 1; none is given twice. A place keeps its number while the grid point
+    where it was first ranked, or where it became the target, is safe."""
 
     def __init__(self) -> None:
         self._known: dict[int, tuple[float, float]] = {}
@@ -262,28 +246,20 @@ class Places:
 
 @dataclass(frozen=True)
 class Situation:
-    """Inputs of the transition function.
+    """Inputs of the transition function, besides state and request.
 
-    Attributes:
-        ground: Candidates of the assessment.
-        confirmed: (ny, nx) candidates that are probable enough and that the assessment before
-            found safe, too: ground at the edge of the observed part often changes with later scans.
-        lss: Configuration.
-        why_not: Why landing is not permitted at a row and column.
-        why_none: Why landing is not permitted anywhere.
-        descent: Of the vehicle to the target, None if unknown.
-        settled: Enough ground is observed, or the time for it is over.
-        now: Candidates within reach.
+    ``confirmed``: (ny, nx) candidates that are probable enough and that the assessment before found
+    safe, too: ground at the edge of the observed part often changes with later scans.
     """
 
     ground: Candidates
     confirmed: Mask
     lss: LssConfig
-    why_not: Callable[[int, int], Reason]
-    why_none: Reason
-    descent: Descent | None
-    settled: bool
-    now: Candidates | None
+    why_not: Callable[[int, int], Reason]  # why landing is not permitted at a row and column
+    why_none: Reason  # why it is not permitted anywhere
+    descent: Descent | None  # to the target, None if unknown
+    settled: bool  # enough ground is observed, or the time for it is over
+    now: Candidates | None  # those within reach
 
     @property
     def is_low(self) -> bool:
@@ -295,15 +271,10 @@ class Situation:
     ) -> tuple[State, Place | None, Reason]:
         """Return the next state, row and column of the target, and why.
 
-        A lost target is withdrawn; the next assessment chooses another one. State NOW replaces it
-        at once.
-
-        Args:
-            state, held: The state, and x and y of the target, m, after the assessment before.
-            request: What was requested since.
+        A lost target is withdrawn, and the next assessment chooses another one; in state NOW the
+        same assessment does. ``state``, ``held`` (x and y, m): as after the assessment before.
         """
-        now = request is Request.LAND_NOW or state is State.NOW
-        if now and request is not Request.RELEASE:
+        if (state is State.NOW or request is Request.LAND_NOW) and request is not Request.RELEASE:
             return State.NOW, *self._land_now(None if request is Request.LAND_NOW else held)
         if held is None or request is Request.RELEASE:
             place, reason = self._choose(request, held)
@@ -401,12 +372,7 @@ class Situation:
 
 
 class TargetKeeper:
-    """The target from one assessment to the next.
-
-    Attributes:
-        places: Numbers of the places that were target or ranked.
-        held: x and y of the target, m; None without a target.
-    """
+    """The target from one assessment to the next: ``held``, x and y, m, None without a target."""
 
     def __init__(self) -> None:
         self.places = Places()
@@ -451,10 +417,8 @@ class TargetKeeper:
         settled: bool = True,
         now: Candidates | None = None,
     ) -> Choice:
-        """Return the target after one more assessment.
-
-        Args: as of `Situation`; ``reach``: places no farther apart have the same number, m.
-        """
+        """Return the target after one more assessment. Arguments are those of `Situation`;
+        ``reach``: places no farther apart have the same number, m."""
         self.places.forget(ground)
         before, self._before = self._before, ground
         confirmed = np.zeros_like(ground.safe)
