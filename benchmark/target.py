@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """How well the target holds: its changes over simulated flights, judged by the true ground.
 
-Flights of Morpheus, or with ``--drone`` of a drone that comes down from 25 to 5 m in 20 s with its
-preset. True is the probability of a safe touchdown with the dispersion that the nodes are told,
-over the true ground. A change for a better target is in vain if it gains less than 1 %; a
-withdrawal is, if the lander stands safely there. What follows a withdrawal is a change as well, but
-not one for a better target.
+Flights of Morpheus, or with ``--drone`` of a drone that descends from 25 to 5 m in 20 s with its
+preset. The true probability of a safe touchdown is that of the dispersion that the nodes are given,
+over the true ground. A change for a better target is in vain if it gains less than 0.4 %; a
+withdrawal is, if the lander stands safely there. A change that follows a withdrawal is not one for
+a better target. ``--bias`` compares the predicted gain of the grid point that ranks first, over
+those that ranked first before, with the true gain.
 """
 
 from __future__ import annotations
@@ -32,19 +33,22 @@ from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.probability import Dispersion, aimed
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
-from quadtree_lss.onboard.core.landing.target import Reason
+from quadtree_lss.onboard.core.landing.target import Reason, State
 from quadtree_lss.onboard.messages.maps import round_trip
 
 #: Scans between the maps that are assessed, of 20 Hz, or of a drone's 10 Hz; seconds of one.
 MORPHEUS, DRONE = (5, 0.25), (2, 0.2)
 #: Heights of a drone at its start and end, m, and what it takes for that, s.
 HEIGHTS, DURATION = (25.0, 5.0), 20.0
-#: A change over less is none, m; one after so many seconds is late; least gain of true probability.
-FAR, LATE, GAIN = 1.0, 5.0, 0.01
+#: Least distance of a change, m; a change in so many seconds before commitment, or before the end
+#: of the flight, is late; least gain of true probability.
+FAR, LATE, GAIN = 1.0, 8.0, 0.004
 #: Withdrawals that the ground is the reason for.
 LOST = (Reason.HAZARD, Reason.UNSEEN, Reason.UNMAPPED, Reason.UNLIKELY)
 #: Told probabilities of failing between which flights are compared, with ``--told``.
 RISKS = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1)
+#: Predicted gains between which flights are compared, with ``--bias``.
+GAINS = (0.0, 0.001, 0.004, 0.01, 0.02, 0.04, 0.1)
 
 
 def main() -> None:
@@ -55,6 +59,7 @@ def main() -> None:
     parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="of lss")
     parser.add_argument("--drone", action="store_true", help="a drone's flights, with its preset")
     parser.add_argument("--told", action="store_true", help="the best places: told, end, truth")
+    parser.add_argument("--bias", action="store_true", help="gains: predicted and true")
     options = parser.parse_args()
     changes = {
         f"lss__{key}": float(value) for key, _, value in (s.partition("=") for s in options.set)
@@ -70,37 +75,39 @@ def main() -> None:
     n = len(flights)
     moves = [move for flight in flights for move in flight.moves]
     lost = [move for flight in flights for move in flight.lost]
-    missed = np.array([flight.best - flight.last for flight in flights])
+    missed = np.array([flight.first_site - flight.last for flight in flights])
+    late = sum(m.time > f.end - LATE for f in flights for m in f.moves)
     table(
         f"{n} flights",
         ["", "a flight"],
         [
             [f"changes over {FAR:g} m", f"{len(moves) / n:.2f}"],
-            ["- late and over a diameter", f"{sum(m.late for m in moves) / n:.2f}"],
-            [f"- for less than {GAIN:.0%} of true probability", f"{sum(m.vain for m in moves)}"],
+            [f"- in the last {LATE:g} s before commitment or the end", f"{late / n:.2f}"],
+            [f"- for less than {GAIN:.1%} of true probability", f"{sum(m.vain for m in moves)}"],
             ["withdrawn from truly safe ground", f"{sum(m.safe for m in lost) / n:.2f}"],
             ["withdrawn from truly unsafe ground", f"{sum(not m.safe for m in lost) / n:.2f}"],
             ["first target after, s", f"{np.mean([f.first for f in flights]):.1f}"],
             ["last target's true probability", f"{np.mean([f.last for f in flights]):.4f}"],
-            ["the best place's", f"{np.mean([f.best for f in flights]):.4f}"],
-            ["between the two, mean and most", f"{missed.mean():.4f}, {missed.max():.4f}"],
+            ["the first site's", f"{np.mean([f.first_site for f in flights]):.4f}"],
+            ["the best grid point's", f"{np.mean([f.best for f in flights]):.4f}"],
+            ["below the first site's, mean and most", f"{missed.mean():.4f}, {missed.max():.4f}"],
         ],
     )
     if options.told:
         _print_told(np.concatenate([flight.told for flight in flights]))
+    if options.bias:
+        _print_gains(np.concatenate([flight.gains for flight in flights]))
 
 
 @dataclass(frozen=True)
 class Move:
-    """From a target to another, or to none: when, s, how far, m, and what of true probability it
-    gains; ``safe``: the one that is left was truly safe; ``late``: so, and over a diameter;
-    ``follows``: a withdrawal."""
+    """From a target to another, or to none: when, s, how far, m, and the gain of true probability;
+    ``safe``: the one that is left was truly safe; ``follows``: a withdrawal."""
 
     time: float
     away: float
     gain: float
     safe: bool
-    late: bool
     follows: bool = False
 
     @property
@@ -111,15 +118,20 @@ class Move:
 
 @dataclass
 class Tally:
-    """What was seen of one flight; ``told``: (K, 3) risk of the safest aims as told, as told at the
-    end, and in truth."""
+    """Figures of one flight. ``first``: time of the first target, s; ``end``: of commitment, or of
+    the end; ``last``, ``first_site``, ``best``: true probability of the last target, of the first
+    site, and of the best grid point in the scanned area; ``told``: (K, 3) risk of the safest aims
+    as predicted, as predicted at the end, and in truth; ``gains``: (K, 2) predicted and true."""
 
     moves: list[Move] = field(default_factory=list)
     lost: list[Move] = field(default_factory=list)
     first: float = float("nan")
     last: float = 0.0
+    end: float = float("nan")
+    first_site: float = 0.0
     best: float = 0.0
     told: Array = field(default_factory=lambda: np.empty((0, 3)))
+    gains: Array = field(default_factory=lambda: np.empty((0, 2)))
 
     def line(self) -> str:
         """In one line."""
@@ -127,9 +139,8 @@ class Tally:
             f"{m.time:.1f} s {m.away:.0f} m {100 * m.gain:+.1f} %" for m in self.moves
         )
         lost = ", ".join(f"{m.time:.1f} s {'un' * (not m.safe)}safe" for m in self.lost)
-        return (
-            f"changes {moves or 'none'}; lost {lost or 'none'}; {self.last:.4f} of {self.best:.4f}"
-        )
+        of = f"{self.last:.4f} of {self.first_site:.4f}"
+        return f"changes {moves or 'none'}; lost {lost or 'none'}; {of}"
 
 
 class Truth:
@@ -177,6 +188,8 @@ def fly(simulation: Simulation, config: Config, every: int, period: float) -> Ta
     held, withdrawn = None, False
     before = (float("nan"), float("nan"))
     told: list[tuple[tuple[int, int], float]] = []
+    gains: list[tuple[float, float]] = []
+    firsts: set[tuple[int, int]] = set()
     for number, (scan, _, mapper) in enumerate(steps(in_memory(simulation), config), start=1):
         if number % every:
             continue
@@ -191,28 +204,48 @@ def fly(simulation: Simulation, config: Config, every: int, period: float) -> Ta
             tally.best = truth.best
         told += [(at, 1.0 - found.probability[at]) for at in _best_places(found)]
         chosen = found.selected
+        if chosen.state is State.COMMITTED and np.isnan(tally.end):
+            tally.end = now
+        if len(found.sites) and np.isnan(tally.end):
+            site = truth.at(found.sites.position[0])
+            tally.first_site = float(truth.probability[site])
+            gains += _gains(found, truth, site, firsts)
+            firsts.add(site)
         if chosen.id:
             if held is None:
                 tally.first = now
             elif np.hypot(*(chosen.position - held)[:2]) > FAR:
-                move = _move(now, held, chosen.position, truth, config)
+                move = _move(now, held, chosen.position, truth)
                 tally.moves.append(replace(move, follows=withdrawn))
             held, withdrawn = chosen.position, False
         elif held is not None and chosen.reason in LOST:
             withdrawn = True
-            tally.lost.append(_move(now, held, held, truth, config))
+            tally.lost.append(_move(now, held, held, truth))
     assert truth is not None
+    tally.end = now if np.isnan(tally.end) else tally.end
+    tally.gains = np.array(gains).reshape(-1, 2)
     tally.last = 0.0 if held is None else float(truth.probability[truth.at(held)])
     end = 1.0 - found.probability
     tally.told = np.array([(r, end[at], 1.0 - truth.probability[at]) for at, r in told])
     return tally
 
 
-def _move(now: float, start: Array, end: Array, truth: Truth, config: Config) -> Move:
+def _gains(
+    found: LandingAssessment, truth: Truth, site: tuple[int, int], before: set[tuple[int, int]]
+) -> list[tuple[float, float]]:
+    """Predicted and true gain of the first site over permitted grid points that were it before."""
+    pairs = []
+    for held in before - {site}:
+        predicted = float(found.probability[site] - found.probability[held])
+        if np.isfinite(found.score[held]) and predicted > 0.0:
+            pairs.append((predicted, float(truth.probability[site] - truth.probability[held])))
+    return pairs
+
+
+def _move(now: float, start: Array, end: Array, truth: Truth) -> Move:
     a, b = truth.at(start), truth.at(end)
     gain = float(truth.probability[b] - truth.probability[a])
-    away = float(np.hypot(*(end - start)[:2]))
-    return Move(now, away, gain, bool(truth.safe[a]), now > LATE and away > config.vehicle.diameter)
+    return Move(now, float(np.hypot(*(end - start)[:2])), gain, bool(truth.safe[a]))
 
 
 def _best_places(found: LandingAssessment) -> list[tuple[int, int]]:
@@ -242,6 +275,21 @@ def _print_told(told: Array) -> None:
             )
     heads = ["risk told", "aims", "told", "at the end", "true", "end off by", "truth off by"]
     table("the safest aims of 8 m squares", [*heads, "share"], rows)
+
+
+def _print_gains(gains: Array) -> None:
+    rows = []
+    for low, high in zip(GAINS, GAINS[1:], strict=False):
+        some = gains[(gains[:, 0] >= low) & (gains[:, 0] < high)]
+        if len(some):
+            mean = some.mean(axis=0)
+            means = (f"{v:.4f}" for v in mean)
+            rows.append(
+                [f"{low:g} to {high:g}", str(len(some)), *means, f"{mean[1] / mean[0]:.2f}"]
+            )
+    share = float(gains[:, 0] @ gains[:, 1] / (gains[:, 0] @ gains[:, 0]))
+    heads = ["predicted gain", "pairs", "predicted", "true", "ratio"]
+    table(f"the best over those before: {share:.2f} of the predicted gain is true", heads, rows)
 
 
 if __name__ == "__main__":

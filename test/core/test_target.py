@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The target: it stays while landing there is permitted; a number lasts as long as its place."""
+"""The target: its transitions, the rule of the divert, and numbers that last as long as places."""
 
 import dataclasses
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -15,130 +14,153 @@ from hypothesis import strategies as st
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing import sites
+from quadtree_lss.onboard.core.landing.assessment import no_target
 from quadtree_lss.onboard.core.landing.lattice import ground_planes
+from quadtree_lss.onboard.core.landing.probability import shown
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector, ground_covariance
 from quadtree_lss.onboard.core.landing.target import (
+    GAIN,
+    KEPT,
     NEARER,
-    SWITCH,
     Candidates,
     Choice,
     Descent,
     Reason,
+    Request,
+    Situation,
     State,
     TargetKeeper,
 )
 
 NAN = np.nan
 LSS = LssConfig()
-AXIS = np.arange(4.0)
+AXIS = 10.0 * np.arange(4.0)
+HIGH, LOW = Descent(200.0, 4.0), Descent(LSS.commit_height - 1.0, 2.0)
 
 
-def ground(merit, safe=None, axis=AXIS):
-    """A grid of one row."""
-    merit = np.array([merit], dtype=np.float64)
-    safe = np.isfinite(merit) if safe is None else np.array([safe])
-    return Candidates(axis, np.zeros(1), safe, -merit)
+def candidates(unsafe, safe=(1, 1, 1, 1), risk=0.0, axis=AXIS):
+    """A row of grid points with P(unsafe | aim), NaN where landing is not permitted."""
+    unsafe, safe = np.array([unsafe], dtype=np.float64), np.array([safe], dtype=bool)
+    cost = np.where(safe, unsafe, NAN)
+    safe = safe & np.isfinite(unsafe)
+    return Candidates(axis, np.zeros(1), safe, cost, unsafe, np.full(cost.shape, risk))
 
 
-def chosen(keeper: TargetKeeper, seen: Candidates, **others: object) -> Choice:
-    why = {"why_not": lambda *_: Reason.HAZARD, "why_none": Reason.NO_SITE}
-    return keeper.choose(seen, LSS, reach=0.9, **why, **others)
+def situation(unsafe=(0.02,) * 4, *, confirmed=(1, 1, 1, 1), fault=Reason.HAZARD, **given):
+    about = {"descent": HIGH, "settled": True, "now": None}
+    about |= {name: given.pop(name) for name in about.keys() & given.keys()}
+    ground = candidates(unsafe, **given)
+    confirmed = np.array([confirmed], dtype=bool) & ground.likely(LSS.min_probability)
+    return Situation(ground, confirmed, LSS, lambda *_: fault, Reason.NO_SITE, **about)
 
 
-def choose(keeper: TargetKeeper, *seen: Candidates, **others: object) -> Choice:
-    """The last choice over some assessments, by a margin of 0.5."""
-    for each in seen:
-        with mock.patch.dict(SWITCH, {LSS.ranking: 0.5}):
-            choice = chosen(keeper, each, **others)
-    return choice
+NOTHING, RELEASE, NOW = Request.NONE, Request.RELEASE, Request.LAND_NOW
+TWO = (0.02, 0.03, 0.02, 0.02)
+LOST = {"unsafe": (0.02, 0.3, 0.02, 0.02), "safe": (1, 0, 1, 1)}
+RISKY = {"unsafe": (NAN, 0.05, NAN, NAN), "safe": (0, 0, 0, 0)}
+MORE = KEPT * LSS.max_risk
+#: State, request and column of the target before; the situation; state, column and reason after.
+TRANSITIONS = [
+    (State.NONE, NOTHING, None, {"safe": (0, 0, 0, 0)}, State.NONE, None, Reason.NO_SITE),
+    (State.NONE, NOTHING, None, {"settled": False}, State.SETTLING, None, Reason.SETTLING),
+    (State.SETTLING, NOTHING, None, {"unsafe": (0.2,) * 4}, State.NONE, None, Reason.UNLIKELY),
+    (State.SETTLING, NOTHING, None, {"confirmed": (0,) * 4}, State.NONE, None, Reason.UNCONFIRMED),
+    (State.SETTLING, NOTHING, None, {}, State.HOLDS, 0, Reason.FIRST),
+    (State.NONE, NOTHING, None, {"confirmed": (0, 0, 1, 0)}, State.HOLDS, 2, Reason.FIRST),
+    (State.NONE, RELEASE, None, {"settled": False}, State.HOLDS, 0, Reason.FIRST),
+    (State.NONE, NOTHING, None, {"settled": False, "descent": LOW},
+     State.COMMITTED, 0, Reason.FIRST),
+    (State.HOLDS, NOTHING, 1, {"settled": False}, State.HOLDS, 1, Reason.HOLDS),
+    (State.HOLDS, NOTHING, 1, {"unsafe": (0.08, 0.08, 0.08, 0.03)}, State.HOLDS, 3, Reason.BETTER),
+    (State.HOLDS, NOTHING, 1, {"unsafe": (0.05, 0.2, 0.2, 0.2)}, State.NONE, None, Reason.UNLIKELY),
+    (State.HOLDS, NOTHING, 1, LOST, State.NONE, None, Reason.HAZARD),
+    (State.HOLDS, NOTHING, 1, LOST | {"fault": Reason.KEEP_OUT}, State.NONE, None, Reason.KEEP_OUT),
+    (State.HOLDS, NOTHING, 1, RISKY | {"risk": 0.9 * MORE}, State.HOLDS, 1, Reason.HOLDS),
+    (State.HOLDS, NOTHING, 1, RISKY | {"risk": 1.1 * MORE}, State.NONE, None, Reason.HAZARD),
+    (State.HOLDS, NOTHING, 1, RISKY | {"unsafe": (0.02, 0.05, NAN, NAN), "safe": (1, 0, 0, 0)},
+     State.HOLDS, 0, Reason.BETTER),
+    (State.HOLDS, NOTHING, 9, {}, State.NONE, None, Reason.OUTSIDE_MAP),
+    (State.HOLDS, NOTHING, 1, {"descent": LOW}, State.COMMITTED, 1, Reason.HOLDS),
+    (State.HOLDS, RELEASE, 1, {"unsafe": TWO, "settled": False}, State.HOLDS, 0, Reason.RELEASED),
+    (State.HOLDS, NOW, 1, {"now": candidates(TWO)}, State.NOW, 0, Reason.LAND_NOW),
+    (State.COMMITTED, NOTHING, 1, {"unsafe": (0.0, 0.09, 0.0, 0.0), "descent": LOW},
+     State.COMMITTED, 1, Reason.HOLDS),
+    (State.COMMITTED, NOTHING, 1, {"unsafe": (0.0, 0.5, 0.0, 0.0), "descent": LOW},
+     State.COMMITTED, 1, Reason.HOLDS),
+    (State.COMMITTED, NOTHING, 1, RISKY | {"risk": 0.1, "descent": LOW},
+     State.COMMITTED, 1, Reason.HOLDS),
+    (State.COMMITTED, NOTHING, 1, LOST | {"descent": LOW}, State.NONE, None, Reason.HAZARD),
+    (State.COMMITTED, NOTHING, 1, {}, State.HOLDS, 1, Reason.HOLDS),
+    (State.COMMITTED, RELEASE, 1, {"unsafe": TWO, "descent": LOW},
+     State.COMMITTED, 0, Reason.RELEASED),
+    (State.NOW, NOTHING, None, {}, State.NOW, None, Reason.NO_SITE),
+    (State.NOW, NOTHING, None, {"now": candidates(TWO)}, State.NOW, 0, Reason.LAND_NOW),
+    (State.NOW, NOTHING, 1, {"now": candidates((0.02,) * 4)}, State.NOW, 1, Reason.HOLDS),
+    (State.NOW, NOTHING, 1, LOST | {"now": candidates((0.3, 0.3, 0.3, 0.05))},
+     State.NOW, 3, Reason.BETTER),
+    (State.NOW, NOTHING, 1, LOST | {"now": candidates(TWO), "fault": Reason.KEEP_OUT},
+     State.NOW, 0, Reason.LAND_NOW),
+    (State.NOW, NOTHING, 1, {"unsafe": (0.0, 0.09, 0.0, 0.0), "now": candidates((0.0,) * 4),
+                             "descent": LOW}, State.NOW, 1, Reason.HOLDS),
+    (State.NOW, RELEASE, 1, {"unsafe": TWO}, State.HOLDS, 0, Reason.RELEASED),
+]  # fmt: skip
 
 
-def there(column: int, number: int, reason: Reason, state: State = State.HOLDS) -> Choice:
-    """A target in the row."""
-    return Choice((0, column), number, reason, state)
+@pytest.mark.parametrize(("state", "asked", "column", "given", "then", "to", "reason"), TRANSITIONS)
+def test_transition(state, asked, column, given, then, to, reason):
+    held = None if column is None else (10.0 * column, 0.0)
+    found = situation(**given).transition(state, asked, held)
+    assert found == (then, None if to is None else (0, to), reason)
 
 
-def test_ground_seen_for_the_first_time_is_no_target_yet():
-    keeper = TargetKeeper()
-    first = choose(keeper, ground([1, 2, 3, NAN]))
-    assert first == Choice(None, 0, Reason.UNCONFIRMED, best=(0, 2))
-    first = choose(keeper, ground([1, 2, NAN, 9]))
-    assert first == there(1, 1, Reason.FIRST), "the best of what was safe before"
+@pytest.mark.parametrize(("steps", "reason"), [(1, Reason.HAZARD), (2, Reason.HOLDS)])
+def test_risky_ground_within_half_of_the_margin_withdraws_the_target(steps, reason):
+    """A margin of two grid points."""
+    lss = dataclasses.replace(LSS, margin=20.0, grid_spacing=10.0)
+    given_ = dataclasses.replace(situation(**RISKY, fault=Reason.HAZARD), lss=lss)
+    given_.ground.risk[0, 1 + steps] = 2.0 * MORE
+    assert given_.transition(State.HOLDS, NOTHING, (10.0, 0.0))[2] is reason
 
 
-def test_newly_seen_ground_does_not_take_it_over_at_once():
-    keeper, seen = TargetKeeper(), ground([1, 2, NAN, NAN])
-    choose(keeper, seen, seen)
-    assert choose(keeper, ground([1, 2, 9, NAN])).reason is Reason.HOLDS
-    assert choose(keeper, ground([1, 2, 9, NAN])) == there(2, 2, Reason.BETTER)
+@settings(max_examples=200)
+@given(
+    st.lists(st.floats(0.0, 0.1), min_size=4, max_size=4),
+    st.floats(LSS.commit_height, 300.0),
+    st.floats(0.5, 40.0),
+)
+def test_a_divert_needs_more_gain_than_it_costs(unsafe, height, speed):
+    """Against the formula at each grid point."""
+    share, least = GAIN["probability"]
+    given_ = situation(unsafe, descent=Descent(height, speed))
+    left = height - LSS.commit_height
+    reach = min(left, 0.25 * (left / speed) ** 2)
+    away = np.abs(AXIS - AXIS[1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cost = np.where(away < reach, least / (1.0 - away / reach), np.inf)
+    worth = share * (unsafe[1] - np.array(unsafe)) - cost
+    if given_.is_low:
+        worth[:] = -1.0
+    _, place, reason = given_.transition(State.HOLDS, NOTHING, (10.0, 0.0))
+    assert (reason is Reason.BETTER) == (worth.max() > 0.0)
+    assert place == (0, int(np.argmax(worth)) if worth.max() > 0.0 else 1)
 
 
-def test_a_lost_one_is_withdrawn_before_another_comes():
-    keeper, seen = TargetKeeper(), ground([1, 2, 1, 1])
-    choose(keeper, seen, seen)
-    assert choose(keeper, ground([1, NAN, 1, 3])) == Choice(None, 0, Reason.HAZARD, best=(0, 3))
-    assert choose(keeper, ground([1, NAN, 1, 3])) == there(3, 2, Reason.FIRST)
-    assert choose(keeper, ground([NAN] * 4)).reason is Reason.HAZARD
-    assert choose(keeper, ground([NAN] * 4)).reason is Reason.NO_SITE
-    assert choose(keeper, seen, seen).id == 3, "a number is never given twice"
-
-
-def test_a_map_without_its_grid_point_loses_it():
-    keeper, seen = TargetKeeper(), ground([1, 2, 1, 1])
-    choose(keeper, seen, seen)
-    assert choose(keeper, ground([1, 1, 1, 1], axis=AXIS + 0.5)).reason is Reason.OUTSIDE_MAP
-
-
-def test_a_released_one_gives_way_to_the_best():
-    keeper, seen = TargetKeeper(), ground([1, 2, 1, 2.2])
-    choose(keeper, ground([1, 2, 1, 1]), ground([1, 2, 1, 1]), seen)
-    keeper.release()
-    assert choose(keeper, seen) == there(3, 2, Reason.RELEASED)
-    assert choose(keeper, seen).reason is Reason.HOLDS
-
-
-def test_a_place_excluded_by_wish_keeps_its_number():
-    keeper, seen = TargetKeeper(), ground([1, 2, 1, 1])
-    before = choose(keeper, seen, seen)
-    kept_out = ground([1, NAN, 1, 1], safe=[True] * 4)
-    choose(keeper, kept_out, kept_out)
-    keeper.release()
-    assert choose(keeper, seen) == there(before.place[1], before.id, Reason.RELEASED)
-
-
-def unsafe(risks, **others):
-    """Grid points in a row of which the cost is the probability that a touchdown fails."""
-    found = ground([-risk for risk in risks], **others)
-    return dataclasses.replace(found, unsafe=found.cost)
-
-
-def test_a_gain_less_than_it_is_uncertain_by_moves_nothing():
-    for risk, moves in ((0.06, False), (0.02, True)):
-        keeper, seen = TargetKeeper(), unsafe([0.5, 0.08, 0.5, 0.5])
-        choose(keeper, seen, seen)
-        better = unsafe([0.5, 0.08, 0.5, risk])
-        for _ in range(2):
-            choice = chosen(keeper, better)
-        # 0.02 of gain are uncertain by 0.05, 0.06 by 0.041.
-        assert (choice.place == (0, 3)) is moves
-
-
-def test_a_divert_costs_more_the_lower_it_begins():
-    for height, moves in ((200.0, True), (62.0, True), (58.0, False), (41.0, False), (2.0, False)):
-        keeper, wide = TargetKeeper(), AXIS * 10.0
-        seen = ground([1, 1, 1, 0.5], axis=wide)
-        choose(keeper, seen, seen)
-        better = ground([1, 1, 1, 2.0], axis=wide)
-        # 30 m are half of the reach at 59 m of height, where the margin is twice 0.5, and the gain
-        # is 1; at 41 m they are beyond it.
-        descent = Descent(height, 3.8)
-        choice = choose(keeper, better, better, descent=descent)
-        assert (choice.place == (0, 3)) is moves, descent.reach
+def test_a_divert_costs_nothing_more_far_up_and_is_impossible_at_the_height_of_commitment():
+    gains = []
+    for height in (4000.0, 100.0, 60.0, 45.0, LSS.commit_height + 1.0):
+        for gain in np.linspace(0.0, 0.09, 451):
+            found = situation((0.09, 0.09, 0.09, 0.09 - gain), descent=Descent(height, 3.8))
+            if found.transition(State.HOLDS, NOTHING, (20.0, 0.0))[2] is Reason.BETTER:
+                break
+        gains.append(gain)
+    share, least = GAIN["probability"]
+    assert gains == sorted(gains) and gains[-1] == 0.09
+    assert gains[0] == pytest.approx(least / share, abs=3e-4)
 
 
 def test_reach_is_that_of_speeding_up_and_slowing_down_aside():
-    """Checked against the path: half the time at 1 m/s^2, half at -1 m/s^2."""
+    """Against the integrated path: half of the time at 1 m/s^2, half at -1 m/s^2."""
     time, steps = np.linspace(0.0, 8.0, 8001, retstep=True)
     speed = np.cumsum(np.where(time < 4.0, 1.0, -1.0)) * steps
     assert Descent(80.0, 10.0).reach == pytest.approx(np.sum(speed) * steps, rel=2e-3)
@@ -146,79 +168,47 @@ def test_reach_is_that_of_speeding_up_and_slowing_down_aside():
     assert Descent(-1.0, 1.0).reach == 0.0
 
 
-def test_below_the_height_of_commitment_only_a_hazard_takes_it_away():
-    keeper, seen = TargetKeeper(), ground([1, 2, 1, 1])
-    choose(keeper, seen, seen)
-    low = Descent(LSS.commit_height - 1.0, 2.0)
-    better = ground([1, 2, 3, 1])
-    assert choose(keeper, better, better, descent=low) == there(1, 1, Reason.HOLDS, State.COMMITTED)
-    assert choose(keeper, ground([1, NAN, 3, 1]), descent=low).reason is Reason.HAZARD, "no risks"
-    assert choose(keeper, better, descent=low) == there(2, 2, Reason.FIRST, State.COMMITTED)
-
-
-def test_a_risk_that_would_not_be_chosen_is_no_hazard_before_it_is_great():
-    """Above three times what may be chosen it is, and above a tenth when it is committed."""
-    most = 3.0 * LSS.max_risk
-    low = Descent(LSS.commit_height - 1.0, 2.0)
-    for risk, descent, reason in (
-        (0.05, None, Reason.HAZARD),
-        (1.01 * most, None, Reason.HAZARD),
-        (0.99 * most, None, Reason.HOLDS),
-        (0.05, low, Reason.HOLDS),
-        (0.2, low, Reason.HAZARD),
-    ):
-        keeper, seen = TargetKeeper(), unsafe([0.3, 0.01, 0.3, 0.3])
-        choose(keeper, seen, seen)
-        risky = dataclasses.replace(seen, safe=seen.safe & (AXIS != 1.0))
-        risky = dataclasses.replace(risky, cost=np.where(risky.safe, seen.cost, NAN))
-        risky.unsafe[0, 1] = risk
-        assert choose(keeper, risky, descent=descent).reason is reason
-        if risk == 0.99 * most:
-            free = np.array([[-1.0, NAN, 0.3, 0.3]]), np.array([[0.0, risk, 0.3, 0.3]])
-            free = dataclasses.replace(risky, cost=free[0], unsafe=free[1])
-            assert choose(keeper, free).reason is Reason.BETTER, "it gives way all the same"
-
-
-def test_it_waits_until_it_is_settled_or_asked():
-    keeper, seen = TargetKeeper(), ground([1, 2, 1, 1])
-    waits = Choice(None, 0, Reason.SETTLING, State.SETTLING, (0, 1))
-    assert choose(keeper, seen, seen, settled=False) == waits
-    assert choose(keeper, seen) == there(1, 1, Reason.FIRST)
-    assert choose(keeper, seen, settled=False).reason is Reason.HOLDS, "once is enough"
-    low = Descent(LSS.commit_height, 2.0)
-    assert choose(TargetKeeper(), seen, seen, settled=False, descent=low).id == 1
-
-
-def test_an_unlikely_aim_is_no_target():
-    keeper = TargetKeeper()
-    few = unsafe([0.3, 0.2, 0.3, 0.3])
-    assert choose(keeper, few, few) == Choice(None, 0, Reason.UNLIKELY, best=(0, 1))
-    some = unsafe([0.3, 0.2, 0.3, 0.05])
-    assert choose(keeper, some) == there(3, 1, Reason.FIRST)
-    low = Descent(5.0, 2.0)
-    assert choose(keeper, few, descent=low).state is State.COMMITTED, "too low for another"
-    assert choose(keeper, few).reason is Reason.UNLIKELY
+def choose(keeper: TargetKeeper, *unsafe, **given) -> Choice:
+    """Return the last choice over some assessments."""
+    why = {"why_not": lambda *_: Reason.HAZARD, "why_none": Reason.NO_SITE, "reach": 9.0}
+    for each in unsafe:
+        choice = keeper.choose(candidates(each, np.isfinite(each), **given), LSS, **why)
+    return choice
 
 
 @settings(max_examples=200)
-@given(st.lists(st.lists(st.sampled_from([NAN, 0.0, 0.3, 0.6, 0.9, 2.0]), min_size=4, max_size=4)))
-def test_no_change_without_cause(merits):
-    """Held while permitted, changed for the margin, withdrawn when lost, on any ground."""
-    keeper, last = TargetKeeper(), Choice(None, 0, Reason.UNCONFIRMED)
-    for merit in merits:
-        choice = choose(keeper, ground(merit))
+@given(st.lists(st.lists(st.sampled_from([NAN, 0.0, 0.02, 0.05, 0.5]), min_size=4, max_size=4)))
+def test_no_change_without_cause(rows):
+    """On any sequence: confirmed ground, withdrawn when lost, changed only for the gain."""
+    keeper, last, before = TargetKeeper(), Choice(None, 0, Reason.UNCONFIRMED), None
+    share, least = GAIN["probability"]
+    for row in rows:
+        choice = choose(keeper, row)
         assert (choice.place is None) == (choice.reason >= 16) == (choice.id == 0)
         if choice.place is not None:
-            assert np.isfinite(merit[choice.place[1]])
+            assert row[choice.place[1]] <= 0.1 and np.isfinite(before[choice.place[1]])
         if last.place is not None:
-            held = merit[last.place[1]]
-            if np.isnan(held):
+            held = row[last.place[1]]
+            if not held <= 0.1:
                 assert choice.place is None
             elif choice.place != last.place:
-                assert choice.place is not None and merit[choice.place[1]] - held > 0.5
+                assert share * (held - row[choice.place[1]]) > least
+                assert choice.reason is Reason.BETTER and choice.id != last.id
             else:
                 assert choice.id == last.id
-        last = choice
+        last, before = choice, row
+
+
+def test_a_number_is_never_given_twice_and_lasts_as_long_as_safe_ground():
+    keeper, row = TargetKeeper(), (0.03, 0.02, 0.03, 0.03)
+    assert choose(keeper, row, row).id == 1
+    assert choose(keeper, (0.03, NAN, 0.03, 0.02)).reason is Reason.HAZARD
+    assert choose(keeper, (0.03, NAN, 0.03, 0.02)).id == 2
+    assert choose(keeper, row, row).id == 3
+    keeper.release()
+    assert choose(keeper, row) == Choice((0, 1), 3, Reason.RELEASED, State.HOLDS)
+    moved = choose(keeper, row, axis=AXIS + 5.0)
+    assert moved.reason is Reason.OUTSIDE_MAP and moved.best == (0, 1)
 
 
 # ---- of the selector
@@ -265,19 +255,6 @@ def test_the_target_is_the_first_site_and_every_answer_has_a_number(level_ground
     np.testing.assert_array_equal(again.sites.id, found.sites.id)
 
 
-def test_a_preference_for_another_place_does_not_move_the_target_by_a_little(
-    monkeypatch, level_ground
-):
-    monkeypatch.setitem(NEARER, "score", 0.1)
-    selector = LandingSiteSelector(small())
-    before = target_of(selector, level_ground, target=(5.0, 5.0)).selected
-    after = selector.assess(level_ground, target=(5.0, 5.0)).selected
-    assert (after.id, after.reason) == (before.id, Reason.HOLDS)
-    # Asked for another place, it goes there.
-    moved = selector.assess(level_ground, target=(11.0, 11.0)).selected
-    assert moved.reason is Reason.RELEASED and np.hypot(*(moved.position[:2] - 11.0)) < 1.0
-
-
 @pytest.mark.parametrize(
     ("where", "reason", "pending"),
     [
@@ -322,9 +299,11 @@ def test_guidance_that_tells_what_it_can_reach_keeps_its_target(monkeypatch, lev
         area, aim = around(held.position, half), held.position[:2] + 0.3
         found = selector.assess(level_ground, area=area, target=aim).selected
         assert (found.id, found.reason) == (held.id, Reason.HOLDS)
-    # Another area that does not hold its zone takes it away at once.
+    # Another area without its zone, and another preferred place, request another choice.
     other = around(held.position + 4.0, 3.0)
     assert selector.assess(level_ground, area=other).selected.reason is Reason.RELEASED
+    moved = selector.assess(level_ground, target=(4.0, 4.0)).selected
+    assert moved.reason is Reason.RELEASED and np.hypot(*(moved.position[:2] - 4.0)) < 1.0
 
 
 def test_ground_that_turns_out_a_hazard_withdraws_the_target(level_ground, with_block):
@@ -405,6 +384,23 @@ def lifted(cells, z):
 
 def by_risk(**lss):
     return small(assessment="probability", **lss)
+
+
+def test_why_is_one_sentence_for_each_reason(level_ground, with_block):
+    selector = LandingSiteSelector(by_risk(min_probability=0.99))
+    found = target_of(selector, level_ground)
+    assert found.why == f"target 1 ({shown(found.selected.probability)}): first choice"
+    for reason in Reason:
+        none = dataclasses.replace(found, selected=no_target(reason, probability=0.961))
+        assert none.why.startswith("no target: ") and not set("\n_") & set(none.why)
+    none = dataclasses.replace(found, selected=no_target(Reason.UNLIKELY, probability=0.961))
+    assert none.why == "no target: best grid point 96.1 %, required 99 %"
+    none = LandingSiteSelector(by_risk(max_risk=0.0)).assess(with_block)
+    assert none.selected.reason is Reason.NO_SITE
+    assert none.why.endswith("but none has a risk of at most 0 % and 0 m of margin")
+    other = dataclasses.replace(found.sites, id=found.sites.id + 1)
+    other = dataclasses.replace(selector.assess(level_ground), sites=other)
+    assert other.why.endswith("0.0 m away) gains less than the divert costs")
 
 
 def test_land_now_takes_the_best_within_reach_at_once(monkeypatch, with_block):

@@ -59,6 +59,7 @@ class History:
                 "probability": np.nan_to_num(percent, nan=255.0).astype(np.uint8).ravel(),
                 "sites": np.column_stack(ranked),
                 "target": np.array([found.selected.id, *found.selected.position]),
+                "target_why": found.why,
             }
         )
 
@@ -91,6 +92,7 @@ class History:
             "allowed": column("allowed", np.uint8),
             **({"probability": column("probability")} if probability else {}),
             "target": column("target").reshape(-1, 4),
+            "target_why": column("target_why", str),
             "site_answer": np.repeat(np.arange(len(answers)), [len(a["sites"]) for a in answers]),
             "site_id": sites[:, 0].astype(np.int64),
             "site_position": sites[:, 1:4],

@@ -126,6 +126,7 @@ def run_summary(
         "last_stamp_ns": max(stamps, default=None),
         "maps": 1,
         "target": found.selected.id,
+        "target_why": found.why,
         "target_changes": int(found.selected.id > 0),
         "explanation": found.explanation,
         "doubts": found.warnings,

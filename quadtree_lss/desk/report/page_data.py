@@ -200,6 +200,7 @@ def _history(content: Results, columns: Columns, stride: int) -> dict[str, Any] 
         **likely,
         "sites": [_rows(sites[history["site_answer"] == answer]) for answer in shown],
         "targets": _rows(history["target"][shown]),
+        "why": history["target_why"][shown].tolist(),
         "scan_seconds": _seconds(scans, first),
         "position": columns.floats(history["scan_position"]),
         "outline": columns.floats(outline),

@@ -78,13 +78,13 @@ function tableOfTheTime() { // what is kept of the shown answer; at the end, all
     return;
   }
   own.past = true;
-  const [target] = h.targets[k], place = h.sites[k].findIndex(([id]) => id === target) + 1;
+  const [target] = h.targets[k];
   const best = h.sites[k][0];
   headlineOf(...answerOf(h.sites[k].length, best ? best[5] : null), allowedGround(k));
   if (!table) return;
   tableOf(h.sites[k], target);
-  byId("why").innerHTML = `<b>At ${h.seconds[k].toFixed(1)} s</b>: ` + (!target ? "no target" :
-    `the target, dashed on the map, is ${place ? `site ${place}` : "none of the ranked sites"}`);
+  byId("why").innerHTML = `<b>At ${h.seconds[k].toFixed(1)} s</b>: `;
+  byId("why").append(h.why[k]);
 }
 const charts_sites = [], FRAME_MS = 250; // between two frames that play
 // What the slider goes over: the answers, or the samples of a flight.

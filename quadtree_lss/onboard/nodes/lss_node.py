@@ -299,6 +299,7 @@ class LssNode(BaseNode):
                 "target.reason": result.selected.reason.key,
                 "target.state": result.selected.state.name.lower(),
                 "target.probability": result.selected.probability,
+                "target.why": result.why,
                 "seen": result.seen,
                 "explanation": result.explanation,
             }
@@ -309,6 +310,8 @@ class LssNode(BaseNode):
             status.note(WARN, line)
         if count:
             status.note(OK, f"{count} sites; {result.explanation}")
+            if not (result.selected.id or result.pending or result.undecided):
+                status.note(WARN, result.why)
         else:
             reason = result.explanation.removeprefix("no safe site: ")
             status.note(WARN, f"no safe site: {reason}")

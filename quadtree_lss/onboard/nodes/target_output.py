@@ -93,18 +93,15 @@ class TargetOutput:
                 self._publishers[topic].publish(message)
 
     def _log_change(self, result: LandingAssessment) -> None:
-        """A line of the log where the target is another one than before."""
-        selected = result.selected
-        last = 0 if self._result is None else self._result.selected.id
-        if selected.id == last:
-            return
-        if selected.id:
-            why = f"({selected.reason.key}): {selected.site.reasons[0]}"
-            self._logger.info(f"{_text(selected)} {why}")
-        else:
-            self._logger.warning(
-                f"target {last} is withdrawn ({selected.reason.key}): {result.explanation}"
-            )
+        """Log a change of the target, or of the reason why there is none."""
+        selected, before = result.selected, self._result and self._result.selected
+        last = before.id if before else 0
+        if selected.id and selected.id != last:
+            self._logger.info(f"{_text(selected)} ({result.why}): {selected.site.reasons[0]}")
+        elif last and not selected.id:
+            self._logger.warning(f"target {last} is withdrawn: {result.why}")
+        elif not (selected.id or result.undecided or (before and before.reason == selected.reason)):
+            self._logger.warning(result.why)
 
     def _on_release(self) -> str:
         before = self._result
@@ -119,14 +116,14 @@ class TargetOutput:
         if now is None or now is before:
             return f"{text}: the next map decides"
         chosen = now.selected
-        return f"{text}: now {_text(chosen) if chosen.id else f'none, {now.explanation}'}"
+        return f"{text}: now {_text(chosen) if chosen.id else now.why}"
 
     def _on_land_now(self) -> str:
         self._urgent = True
         self._land_now()
         result = self._result
         if result is None or not result.selected.id:
-            why = "nothing is mapped yet" if result is None else result.explanation
+            why = "nothing is mapped yet" if result is None else result.why
             msg = f"no place within reach ({why}); the first that there is will be it"
             raise QuadtreeLssError(msg)
         return f"{_text(result.selected)}, safe with probability {result.selected.probability:.3f}"

@@ -11,12 +11,13 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask, Numbers
 from quadtree_lss.onboard.config.risk import doubt
-from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.grid import GridSampler
+from quadtree_lss.onboard.core.landing.probability import shown
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.landing.score import PointAssessment
-from quadtree_lss.onboard.core.landing.target import Reason, State
+from quadtree_lss.onboard.core.landing.target import SETTLE_SHARE, Reason, State
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 #: Greatest share of the judged ground without a return: flights that were fitted have up to 0.02.
@@ -146,6 +147,37 @@ class LandingAssessment:
     offset_variance: float
     ground: tuple[GridSampler, PointAssessment] | None = None
     warnings: tuple[str, ...] = ()
+    lss: LssConfig | None = None
+
+    @property
+    def why(self) -> str:
+        """Return why the target is this one, or why there is none, in one sentence."""
+        chosen = self.selected
+        if not chosen.id:
+            return f"no target: {self._why_none()}"
+        why, aims = chosen.reason.text, self.sites
+        if chosen.state is State.COMMITTED and chosen.reason is Reason.HOLDS:
+            why = "the vehicle is committed to it"
+        elif chosen.reason is Reason.HOLDS and len(aims) and aims.id[0] != chosen.id:
+            away = float(np.hypot(*(aims.position[0] - chosen.position)[:2]))
+            why = f"site 1 ({shown(aims.probability[0])}, {away:.1f} m away) gains less than the"
+            why += " divert costs"
+        return f"target {chosen.id} ({shown(chosen.probability)}): {why}"
+
+    def _why_none(self) -> str:
+        reason, lss = self.selected.reason, self.lss
+        if reason is Reason.SETTLING:
+            return f"{self.seen:.0%} is observed, required {SETTLE_SHARE:.0%}"
+        if lss is not None and reason is Reason.UNLIKELY:
+            best, least = shown(self.selected.probability), 100.0 * lss.min_probability
+            return f"best grid point {best}, required {least:g} %"
+        observed = np.where(self.hazard & hazards.UNSEEN == 0, self.probability, np.nan)
+        if lss is None or reason is not Reason.NO_SITE or np.isnan(observed).all():
+            return reason.text or self.explanation.partition(": ")[2] or self.explanation
+        if self.safe.any():
+            return self.explanation
+        best = f"best grid point {shown(float(np.nanmax(observed)))}, but none has a risk"
+        return f"{best} of at most {100.0 * lss.max_risk:g} % and {lss.margin:g} m of margin"
 
     @property
     def undecided(self) -> bool:

@@ -21,6 +21,7 @@ from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 from quadtree_lss.onboard.core.landing.probability import Dispersion, aimed
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
+from quadtree_lss.onboard.core.landing.restrictions import Restrictions
 from quadtree_lss.onboard.core.landing.score import PointAssessment
 from quadtree_lss.onboard.core.landing.target import (
     ASIDE,
@@ -28,7 +29,6 @@ from quadtree_lss.onboard.core.landing.target import (
     Candidates,
     Descent,
     Motion,
-    Restrictions,
     lowest,
 )
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -189,7 +189,7 @@ def aim(
     withheld = wanted.apply(cost, at.x, at.y, lss)
     if ranks and (withheld or wanted.area is not None or len(wanted.keep_outs)):
         np.copyto(score, np.nan, where=np.isnan(cost))
-    candidates = Candidates(at.x, at.y, safe, cost, unsafe if ranks else None)
+    candidates = Candidates(at.x, at.y, safe, cost, unsafe if ranks else None, risk)
     return Aims(at, score, 1.0 - unsafe, risk, hazard, candidates, withheld)
 
 

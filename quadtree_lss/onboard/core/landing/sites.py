@@ -41,6 +41,7 @@ from quadtree_lss.onboard.core.landing.probability import (
     remaining_risks,
 )
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
+from quadtree_lss.onboard.core.landing.restrictions import Restrictions
 from quadtree_lss.onboard.core.landing.score import (
     SLACK,
     PointAssessment,
@@ -57,7 +58,6 @@ from quadtree_lss.onboard.core.landing.target import (
     Descent,
     Motion,
     Reason,
-    Restrictions,
     TargetKeeper,
 )
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, height_by_error
@@ -244,6 +244,7 @@ class LandingSiteSelector:
             offset_variance=cells.offset_variance,
             ground=(at, points),
             warnings=warnings,
+            lss=lss,
         )
 
     def _choose(self, ground: Candidates, **situation: Any) -> Choice:

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Restrictions of the landing place: area, keep-outs and a preferred place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from quadtree_lss.onboard.arrays import Array, Mask
+from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.core.geometry.polygons import signed_distance
+from quadtree_lss.onboard.core.landing.target import NEARER, Reason
+
+
+@dataclass(frozen=True)
+class Restrictions:
+    """Where landing is wanted, map frame, m; None for no such restriction.
+
+    A polygon with fewer than three vertices or one that is not finite, or a target that is not
+    finite, excludes all grid points. A polygon that crosses itself follows the even-odd rule.
+
+    Attributes:
+        area: (V, 2) polygon that contains the landing zone.
+        keep_outs: (V, 2) polygons that the zone does not touch.
+        target: (2,) or (3,) preferred place.
+        withheld: Why no site may be given out, such as an unreadable keep-out; empty if none.
+    """
+
+    area: ArrayLike | None = None
+    keep_outs: Sequence[ArrayLike] = ()
+    target: ArrayLike | None = None
+    withheld: str = ""
+
+    def apply(self, cost: Array, x: Array, y: Array, lss: LssConfig) -> str:
+        """Exclude grid points (ny, nx), and add the cost of the distance to the preferred place.
+        Return why all of them are excluded; empty if they are not."""
+        why = self.withheld
+        try:
+            self._exclude(cost, x, y, lss)
+        except (TypeError, ValueError) as error:
+            why = why or str(error)
+        if why:
+            cost[...] = np.nan
+        return why
+
+    def _exclude(self, cost: Array, x: Array, y: Array, lss: LssConfig) -> None:
+        if self.area is None and not self.keep_outs and self.target is None:
+            return
+        row, column = np.nonzero(np.isfinite(cost))
+        left = cost[row, column]
+        if self.area is not None:
+            left[signed_distance(self.area, x[column], y[row]) < lss.zone] = np.nan
+        for polygon in self.keep_outs:
+            left[signed_distance(polygon, x[column], y[row]) > -lss.zone] = np.nan
+        if self.target is not None:
+            goal = np.asarray(self.target, dtype=np.float64)
+            if goal.shape not in ((2,), (3,)) or not np.isfinite(goal[:2]).all():
+                msg = f"a landing target needs two or three finite coordinates, got {self.target!r}"
+                raise ValueError(msg)
+            left += NEARER[lss.ranking] * np.hypot(x[column] - goal[0], y[row] - goal[1])
+        cost[row, column] = left
+
+    def beside(self, x: Array, y: Array) -> str:
+        """Return that the area lies outside of the grid; empty if it does not."""
+        if self.area is None:
+            return ""
+        area = np.array([np.min(self.area, axis=0), np.max(self.area, axis=0)]).T[:2]
+        grid = np.array([x[[0, -1]], y[[0, -1]]])
+        if (area[:, 0] <= grid[:, 1]).all() and (area[:, 1] >= grid[:, 0]).all():
+            return ""
+        texts = (
+            ", ".join(f"{n} {a:g} ... {b:g}" for n, (a, b) in zip("xy", box, strict=True))
+            for box in (area, grid)
+        )
+        return "the landing area, {}, lies outside the domain, {} m".format(*texts)
+
+    def share(self, observed: Mask, x: Array, y: Array) -> float:
+        """Return the observed share of the grid points (ny, nx) in the area, or of all."""
+        if self.area is not None:
+            step = max(len(x) // 64, 1)  # 64 x 64 points give the share to 1 %
+            observed, (xs, ys) = observed[::step, ::step], np.meshgrid(x[::step], y[::step])
+            try:
+                observed = observed[signed_distance(self.area, xs, ys) >= 0.0]
+            except (TypeError, ValueError):
+                return 0.0
+        return float(np.count_nonzero(observed) / observed.size) if observed.size else 0.0
+
+    def fault(self, x: float, y: float, lss: LssConfig) -> Reason | None:
+        """Return why landing is not wanted at a place, None if it is."""
+        if not self.area_holds(x, y, lss):
+            return Reason.OUTSIDE_AREA
+        at = np.array([x]), np.array([y])
+        touched = any(signed_distance(polygon, *at)[0] > -lss.zone for polygon in self.keep_outs)
+        return Reason.KEEP_OUT if touched else None
+
+    def area_holds(self, x: float, y: float, lss: LssConfig) -> bool:
+        """Return whether the area, if there is one, contains the zone around a place."""
+        if self.area is None:
+            return True
+        try:
+            inside = signed_distance(self.area, np.array([x]), np.array([y]))[0]
+        except (TypeError, ValueError):
+            return False
+        return bool(inside >= lss.zone)
+
+    def is_near(self, x: float, y: float, reach: float) -> bool:
+        """Return whether the preferred place is within ``reach`` of this one."""
+        try:
+            goal = np.asarray(self.target, dtype=np.float64)
+            return bool(np.hypot(goal[0] - x, goal[1] - y) <= reach)
+        except (TypeError, ValueError, IndexError):
+            return False
