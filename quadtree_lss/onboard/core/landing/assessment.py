@@ -113,9 +113,11 @@ class LandingAssessment:
         now: (4,) x, y, z, m, and probability of a safe touchdown, as of ``probability``: the best
             place within reach at this moment (see `grid.within_reach`), NaN if there is none.
         x, y: (nx,), (ny,) of the grid points, m.
-        hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown, 16 uncertain (there
-            the lander stands on the map, yet is too likely not to), 64 seen but not yet mapped (128
-            too), 128 unseen.
+        hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown (a touchdown here, or
+            within ``lss.margin``, fails or has too great a risk), 16 uncertain (its risk is the
+            only reason: the lander stands on the map), 32 unobserved ground under the vehicle, 64
+            observed but not estimated (128 too), 128 unobserved. Landing is allowed exactly where
+            none of 8, 32 and 128 is set; with the paper's rules also 1, 2 and 4 exclude.
         safe: (ny, nx) landing centred here is allowed by the ground itself.
         score: (ny, nx) Eq. 59, NaN where excluded (unsafe, keep-out, outside the landing area).
         probability: (ny, nx) of a safe touchdown if the lander aims there, with the dispersion.

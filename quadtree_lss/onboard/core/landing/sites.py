@@ -29,7 +29,6 @@ from quadtree_lss.onboard.core.landing.grid import (
     Aims,
     GridSampler,
     aim,
-    best_points,
     users_grid,
     within_reach,
 )
@@ -40,6 +39,7 @@ from quadtree_lss.onboard.core.landing.probability import (
     contact_limits,
     remaining_risks,
 )
+from quadtree_lss.onboard.core.landing.ranking import ranked_points
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.onboard.core.landing.score import (
     SLACK,
@@ -214,8 +214,9 @@ class LandingSiteSelector:
             settled=settled,
             now=here,
         )
-        apart = lss.vehicle.lengths.min_separation
-        best = best_points(aims.candidates.cost, at.x, lss.sites, apart)
+        sites, apart = aims.candidates, lss.vehicle.lengths.min_separation
+        steps = apart / (at.x[1] - at.x[0]) if len(at.x) > 1 else 0.0
+        best = ranked_points(sites.cost, sites.unsafe, sites.clearance, steps, lss.sites)
         ranked = [*zip(*best, strict=True)]
         places = ranked if choice.place is None else [*ranked, choice.place]
         found = self._describe(points, aims, spread, places)

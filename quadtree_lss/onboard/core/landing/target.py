@@ -31,13 +31,11 @@ from numpy.typing import ArrayLike
 from quadtree_lss.onboard.arrays import Array, Mask, Numbers
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry.polygons import signed_distance
+from quadtree_lss.onboard.core.landing.ranking import MODEL_ERROR, best_among_equals, lowest
 from quadtree_lss.onboard.core.tree.domain import carried
 
 #: Places that are remembered; of more the oldest are forgotten.
 MAX_PLACES = 1000
-#: Deviation of the truth from what is told of a probability p, as a share of 1 - p: of the safest
-#: places on maps of simulated flights (benchmark/target.py --told).
-DOUBT = 0.5
 #: Ground under the target, or beside it, that is found less safe than to be chosen is a hazard if
 #: touchdown fails with so many times ``lss.max_risk``.
 KEPT = 3.0
@@ -260,6 +258,8 @@ class Candidates:
             ground or for where landing is wanted.
         unsafe: (ny, nx) probability that touchdown fails if the lander aims there; NaN or None if
             nobody asked for it.
+        clearance: (ny, nx) how far the landing zone may move until it touches excluded ground, m;
+            None if unknown.
     """
 
     x: Array
@@ -267,6 +267,7 @@ class Candidates:
     safe: Mask
     cost: Array
     unsafe: Array | None = None
+    clearance: Array | None = None
 
     @cached_property
     def permitted(self) -> Mask:
@@ -473,7 +474,8 @@ class TargetKeeper:
         elif not seen_again.any():
             return none(Reason.UNCONFIRMED)
         else:
-            place = lowest(np.where(seen_again, ground.cost, inf))
+            cost = np.where(seen_again, ground.cost, nan)
+            place = best_among_equals(cost, ground.unsafe, ground.clearance)
         state = State.COMMITTED if committed else State.HOLDS
         return self._keep(ground, place, reason, reach, state, why_none)
 
@@ -533,7 +535,7 @@ class TargetKeeper:
             cost = ground.unsafe[held]
         least = SWITCH[lss.ranking]
         if ground.unsafe is not None:  # no doubt is less than that of the one held
-            least += DOUBT * np.nan_to_num(ground.unsafe[held])
+            least += MODEL_ERROR * np.nan_to_num(ground.unsafe[held])
         lower = np.flatnonzero(allowed & (ground.cost < cost - least))
         if not len(lower):
             return None
@@ -546,12 +548,6 @@ class TargetKeeper:
             margin = np.where(part < 1.0, margin / np.maximum(1.0 - part, 1e-9), inf)
         if ground.unsafe is not None:
             doubt = np.hypot(ground.unsafe[row, column], ground.unsafe[held])
-            margin += DOUBT * np.nan_to_num(doubt)
+            margin += MODEL_ERROR * np.nan_to_num(doubt)
         best = int(np.argmax(gain - margin))
         return (int(row[best]), int(column[best])) if gain[best] > margin[best] else None
-
-
-def lowest(values: Array) -> tuple[int, int]:
-    """Return row and column of the lowest value, of equal ones the first."""
-    row, column = divmod(int(np.argmin(values)), values.shape[1])
-    return row, column
