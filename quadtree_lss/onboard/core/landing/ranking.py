@@ -43,17 +43,23 @@ def best_among_equals(
         clearance: (ny, nx) how far the landing zone may move until it touches excluded ground, m;
             None if unknown.
     """
-    finite = np.fmin(cost, inf)
-    best = lowest(finite)
-    if not np.isfinite(finite[best]):
+    return _best(np.fmin(cost, inf), unsafe, clearance)
+
+
+def _best(cost: Array, unsafe: Array | None, clearance: Array | None) -> tuple[int, int] | None:
+    """As `best_among_equals`, without NaN in ``cost``."""
+    best = lowest(cost)
+    if not np.isfinite(cost[best]):
         return None
     if unsafe is None or clearance is None:
         return best
     risk = float(unsafe[best])
     error = max(EQUAL_RISKS * risk, LEAST_RISK) - risk
-    equals = np.flatnonzero(finite <= finite[best] + max(error, 0.0))
-    first = np.lexsort((finite.flat[equals], -clearance.flat[equals]))[0]
-    row, column = divmod(int(equals[first]), cost.shape[1])
+    equals = np.flatnonzero(cost <= cost[best] + error)
+    room = clearance.ravel()[equals]
+    clearest = equals[room == room.max()]
+    first = clearest[np.argmin(cost.ravel()[clearest])]
+    row, column = divmod(int(first), cost.shape[1])
     return row, column
 
 
@@ -73,7 +79,7 @@ def ranked_points(
     """
     left = np.fmin(cost, inf)
     best: list[tuple[int, int]] = []
-    while len(best) < count and (place := best_among_equals(left, unsafe, clearance)):
+    while len(best) < count and (place := _best(left, unsafe, clearance)):
         south, west = (max(index - int(steps), 0) for index in place)
         around = left[south : place[0] + int(steps) + 1, west : place[1] + int(steps) + 1]
         row, column = np.ogrid[: around.shape[0], : around.shape[1]]
