@@ -65,3 +65,7 @@ def test_each_rank_is_the_best_among_equals_of_what_the_ranks_before_leave():
         near = (row - place[0]) ** 2 + (column - place[1]) ** 2 < 16.0
         assert not np.isnan(left[place])
         left[near] = np.nan
+
+
+def test_risks_that_differ_by_more_than_a_hundredth_are_not_equal():
+    assert first([0.27, 0.45], [0.4, 1.4]) == 0

@@ -101,6 +101,17 @@ def test_the_margin_keeps_off_points_that_fail_the_touchdown_check(cells, margin
     assert failed.any()
 
 
+@pytest.mark.parametrize("assessment", ["touchdown", "probability"])
+@pytest.mark.parametrize("margin", [0.0, 0.7])
+@pytest.mark.parametrize("spacing", [0.5, 0.35])
+def test_hazard_tells_exactly_where_landing_is_excluded(cells, assessment, margin, spacing):
+    config = small(assessment=assessment, margin=margin, grid_spacing=spacing, max_risk=0.1)
+    found = assess(cells, config)
+    excluding = hazards.TOUCHDOWN | hazards.PARTLY_UNOBSERVED | hazards.UNSEEN
+    np.testing.assert_array_equal(found.safe, found.hazard & excluding == 0)
+    assert (found.hazard & hazards.PARTLY_UNOBSERVED).any()
+
+
 def densities(cells: CellMap, config: Config) -> np.ndarray:
     """Eq. 58 without the distance term on the finest cells, by the paper's leaf slopes."""
     leaf, lss = cells.leaf_raster(), config.lss
@@ -242,7 +253,7 @@ def test_reasons_give_a_sites_figures_and_the_limit_that_decided(cells, assessme
     sites = assess(cells, config).sites
     assert len(sites.reasons) == len(sites.score) > 0
     for k, reason in enumerate(sites.reasons):
-        assert f"slope {sites.slope_deg[k]:.1f} deg of {limit}," in reason
+        assert f"slope {sites.slope_deg[k]:.1f}° of {limit:g}°," in reason
         assert f"{sites.hazard_distance[k]:.1f} m clear" in reason
         assert f"{sites.roughness[k]:.3f} m" in reason
         high = sites.subscale_height[k]

@@ -140,7 +140,7 @@ def test_what_is_left_of_the_risk_names_it(level_ground):
     config = configured(lss={**BY_RISK, "dispersion": 1.2, "grid_spacing": SIDE})
     area = [(6.0, 3.0), (11.0, 3.0), (11.0, 13.0), (6.0, 13.0)]
     found = LandingSiteSelector(config).assess(cells, area=area)
-    assert any("ground not yet mapped" in reason for reason in found.sites.reasons)
+    assert any("observed but not estimated" in reason for reason in found.sites.reasons)
 
 
 def test_heights_keep_to_what_was_measured_there(level_ground):

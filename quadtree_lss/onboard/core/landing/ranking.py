@@ -20,6 +20,13 @@ MODEL_ERROR = 0.5
 EQUAL_RISKS = (1.0 + (1.0 - (1.0 - MODEL_ERROR**2) ** 2) ** 0.5) / (1.0 - MODEL_ERROR**2)
 #: ... or, however small u is, up to this risk: probabilities are shown as at most 99.99 %.
 LEAST_RISK = 1e-4
+#: The error is that of safe ground: risks that differ by more than this are never equal.
+MOST_DIFFERENCE = 0.01
+
+
+def equal_up_to(risk: float) -> float:
+    """Return the highest risk that is equal to a risk."""
+    return min(max(EQUAL_RISKS * risk, LEAST_RISK), risk + MOST_DIFFERENCE)
 
 
 def lowest(values: Array) -> tuple[int, int]:
@@ -54,8 +61,7 @@ def _best(cost: Array, unsafe: Array | None, clearance: Array | None) -> tuple[i
     if unsafe is None or clearance is None:
         return best
     risk = float(unsafe[best])
-    error = max(EQUAL_RISKS * risk, LEAST_RISK) - risk
-    equals = np.flatnonzero(cost <= cost[best] + error)
+    equals = np.flatnonzero(cost <= cost[best] + equal_up_to(risk) - risk)
     room = clearance.ravel()[equals]
     clearest = equals[room == room.max()]
     first = clearest[np.argmin(cost.ravel()[clearest])]

@@ -293,8 +293,8 @@ class LandingSiteSelector:
         if lss.assessment == "touchdown":
             limit = vehicle.lengths.touchdown_slope_deg
         reasons = (
-            f"{risk}slope {slope:.1f} deg of {limit:g}, {clear:.1f} m clear of hazards and unseen "
-            f"ground, roughness {roughness:.3f} m, "
+            f"{risk}slope {slope:.1f}° of {limit:g}°, {clear:.1f} m clear of hazards and "
+            f"unobserved ground, roughness {roughness:.3f} m, "
             + (
                 f"features up to {feature:.2f} m"
                 if feature >= vehicle.lengths.negligible
