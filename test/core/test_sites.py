@@ -2,6 +2,8 @@
 """Landing sites: what is safe, how it is scored and ranked, and what is said when nothing is."""
 
 import dataclasses
+import sys
+import types
 from unittest import mock
 
 import numpy as np
@@ -463,3 +465,14 @@ def test_planes_without_a_measurement_are_no_ground(level_ground, assessment, na
     assert not found.safe.any() and (found.risk == 1.0).all()
     unmapped = hazards.UNMAPPED if name == "known" else 0
     assert (found.hazard == hazards.UNSEEN | unmapped).all()
+
+
+def test_sites_are_columns_a_table_and_a_dataframe(cells, monkeypatch):
+    found = assess(cells, small())
+    columns = found.sites.columns()
+    assert {len(values) for values in columns.values()} == {len(found.sites)}
+    np.testing.assert_array_equal(columns["x"], found.sites.position[:, 0])
+    assert found._repr_html_().count("<tr>") == len(found.sites) + 1
+    pandas = types.SimpleNamespace(DataFrame=dict)
+    monkeypatch.setitem(sys.modules, "pandas", pandas)
+    assert found.sites.to_dataframe().keys() == columns.keys()

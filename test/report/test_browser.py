@@ -204,7 +204,8 @@ def test_the_slider_shows_the_map_growing(result, browse):
         const h = data.history, last = h.seconds.length - 1;
         const unseen = k => { const { canvas } = picture("landing", k), none = rgb(UNSEEN.colour);
           const d = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
-          let n = 0; for (let i = 0; i < d.length; i += 4) n += none.every((v, c) => v === d[i + c]);
+          let n = 0;
+          for (let i = 0; i < d.length; i += 4) n += none.every((v, c) => v === d[i + c]);
           return n; };
         move("instant", 0);
         tellTest("at", [view.answer, byId("clock").textContent]);
@@ -383,7 +384,8 @@ def test_the_first_picture_tells_excluded_allowed_and_how_good_apart(browse):
           (states[state] = states[state] || []).push([grey(c), c.join()]);
         }
         tellTest("states", Object.fromEntries(Object.entries(states).map(([state, all]) =>
-          [state, [all.every(([g]) => g), all.some(([g]) => g), new Set(all.map(p => p[1])).size]])));
+          [state, [all.every(([g]) => g), all.some(([g]) => g),
+                   new Set(all.map(p => p[1])).size]])));
         tellTest("first", view.layer);
         tellTest("limit", [layer.mark, data.limit.risk, layer.limits]);
         tellTest("legend", byId("legend").textContent);
@@ -416,7 +418,8 @@ def test_a_click_gives_options_of_the_command_line(browse):
         click(x + 3, y + 4, true); tellTest("distance", words());
         click(x, y + 4, true); tellTest("area", words());
         const pixels = () => { drawNow(); return map.toDataURL(); };
-        const with_ = pixels(); press("Escape"); tellTest("gone", [words().length, with_ !== pixels()]);
+        const marked = pixels(); press("Escape");
+        tellTest("gone", [words().length, marked !== pixels()]);
     """)
     (target,), x, y = told["target"]
     option, value = target.split()

@@ -26,6 +26,10 @@ SAMPLE, WORTH_PACKING = 1 << 14, 0.85
 """An array is compressed if a sample of its bytes shrinks to less than this share."""
 
 
+class OutsideInput(QuadtreeLssError):
+    """An argument, such as a time or a place, lies outside of the recording or model."""
+
+
 class ReplayError(QuadtreeLssError):
     """The bag gave no map, or the results cannot be written."""
 

@@ -51,16 +51,15 @@ class History:
         sites = found.sites
         ranked = sites.id, sites.position, sites.score, sites.probability
         seen = found.hazard & UNSEEN == 0
-        exponent = np.log10(np.maximum(np.where(seen, found.risk, np.nan), 10.0**-LEAST_DECADES))
+        risk = np.where(seen, found.risk, np.nan)
+        kept = np.rint(-STEPS * np.log10(np.maximum(risk, 10.0**-LEAST_DECADES)))
         self._answers.add(
             {
                 "stamp_ns": found.stamp_ns,
                 "corner": (found.x[0], found.y[0]),
                 "seen": np.packbits(seen),
                 "allowed": np.packbits(found.safe),
-                "risk": np.nan_to_num(np.rint(-STEPS * exponent), nan=255.0)
-                .astype(np.uint8)
-                .ravel(),
+                "risk": np.nan_to_num(kept, nan=255.0).astype(np.uint8).ravel(),
                 "sites": np.column_stack(ranked),
                 "target": np.array([found.selected.id, *found.selected.position]),
             }
@@ -76,8 +75,8 @@ class History:
         self._scans.add((scan.stamp_ns, scan.pose.position.copy(), outline))
 
     def arrays(self, *, risk: bool = True) -> dict[str, NDArray[Any]]:
-        """The content of the file, map frame, m. ``risk``: include that of each grid point, which is
-        most of the file."""
+        """The content of the file, map frame, m. ``risk``: include that of each grid point, most of
+        the file."""
         scans, answers = self._scans.all(), self._answers.all()
         sites = np.concatenate([a["sites"] for a in answers]) if answers else np.zeros((0, 6))
         outlines = np.array([edge for _, _, edge in scans])

@@ -79,6 +79,9 @@ class ReplayResult:
         where = "" if self.out is None else f", in {self.out}"
         return f"<ReplayResult: {len(self.timings)} scans{part}{where}; {self.assessment}>"
 
+    def _repr_html_(self) -> str:
+        return self.assessment._repr_html_()
+
     def as_dict(self) -> dict[str, Any]:
         """The summary with the ranked sites, in JSON types."""
         sites = self.assessment.sites

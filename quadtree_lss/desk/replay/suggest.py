@@ -19,6 +19,7 @@ from quadtree_lss.desk.replay.stream import Part, Progress, ReplayError, Stream
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import (
+    DEFAULTS,
     LEAST_STEPS,
     Config,
     config_from_values,
@@ -64,7 +65,7 @@ class Suggestion:
 
 def suggest_config(
     bag: str | Path,
-    config: Config,
+    config: Config = DEFAULTS,
     *,
     scan_topic: str | None = None,
     pose_topic: str | None = None,

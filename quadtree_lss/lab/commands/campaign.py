@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.console import Interruption, ProgressBar, say, warn
@@ -29,7 +30,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = common.add_command(commands, "campaign", _run, TEXT, EXAMPLES)
     add = parser.add_argument
     add("what", nargs="+", metavar="STUDY.yaml", help="a study; or: compare DIR DIR")
-    text = "folder of the campaign; resumed if it is there"
+    text = "folder of the campaign (default campaigns/STUDY); resumed if it is there"
     add("--out", type=common.named, metavar="DIR", help=text)
     where = parser.add_mutually_exclusive_group()
     text = "processes on this computer (default: one for each core)"
@@ -50,8 +51,9 @@ def _run(options: argparse.Namespace) -> int:
         common.refuse(options, "compare, which flies and writes nothing", "out", *FLYING, "keep")
         common.tell(options, compare_campaigns(*options.what[1:]))
         return common.DONE
-    if len(options.what) != 1 or options.out is None:
-        options.parser.error("one STUDY.yaml and --out are required")
+    if len(options.what) != 1:
+        options.parser.error("one STUDY.yaml is required")
+    options.out = options.out or Path("campaigns", Path(options.what[0]).stem)
     if options.keep is not None:
         common.refuse(options, "--keep, which flies one after the other here", *FLYING)
     from quadtree_lss.lab.campaign.engine import Where, campaign, flagged, keep

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -57,6 +58,35 @@ class Sites:
     def of(self, rows: slice) -> Sites:
         """Some of them."""
         return Sites(*(getattr(self, column.name)[rows] for column in fields(self)))
+
+    def columns(self) -> dict[str, Any]:
+        """Columns by name as in ``sites.csv``, and the ``reason`` of each site."""
+        places = {axis: self.position[:, k] for k, axis in enumerate("xyz")}
+        normals = {f"n{axis}": self.normal[:, k] for k, axis in enumerate("xyz")}
+        names = "score slope_deg roughness hazard_distance subscale_height id probability".split()
+        values = {name: getattr(self, name) for name in names}
+        rank = np.arange(1, len(self) + 1)
+        return {"rank": rank, **places, **normals, **values, "reason": list(self.reasons)}
+
+    def to_dataframe(self) -> Any:
+        """Return the columns as a ``pandas.DataFrame``; pandas must be installed."""
+        import pandas
+
+        return pandas.DataFrame(self.columns())
+
+    def _repr_html_(self) -> str:
+        """Return a table for notebooks."""
+        shown = {"x": ".2f", "y": ".2f", "z": ".2f", "probability": ".4f", "slope_deg": ".1f"}
+        shown |= {"hazard_distance": ".1f", "reason": ""}
+        columns = self.columns()
+        head = "".join(f"<th>{name}</th>" for name in ("rank", *shown))
+        rows = "".join(
+            f"<tr><td>{k + 1}</td>"
+            + "".join(f"<td>{format(columns[name][k], form)}</td>" for name, form in shown.items())
+            + "</tr>"
+            for k in range(len(self))
+        )
+        return f"<table><tr>{head}</tr>{rows}</table>"
 
     def __len__(self) -> int:
         return len(self.score)
@@ -157,6 +187,10 @@ class LandingAssessment:
     def __repr__(self) -> str:
         ny, nx = self.score.shape
         return f"<LandingAssessment: {nx} x {ny} grid points; {self.explanation}; {self.sites}>"
+
+    def _repr_html_(self) -> str:
+        """Return the explanation and the table of sites for notebooks."""
+        return f"<p>{self.explanation}</p>{self.sites._repr_html_()}"
 
     def _layer(self, values: Callable[..., Array]) -> Array:
         out = np.full(self.score.shape, np.nan)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask, keep_memory
 from quadtree_lss.onboard.config.risk import risk_model
-from quadtree_lss.onboard.config.settings import Config, LssConfig
+from quadtree_lss.onboard.config.settings import DEFAULTS, Config, LssConfig
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.assessment import (
     LandingAssessment,
@@ -80,7 +80,7 @@ class LandingSiteSelector:
     again only where the ground changed.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config = DEFAULTS) -> None:
         self._target = TargetKeeper()
         self._number = 0
         keep_memory()
