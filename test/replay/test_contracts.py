@@ -110,9 +110,9 @@ def test_messages_have_these_topics_and_types(folder):
 
 
 def test_the_truth_of_a_simulation_has_these_arrays(tmp_path):
-    simulate("descent", tmp_path / "bag", seed=1, duration=0.3)
+    simulate("descent", tmp_path / "bag", seed=1, duration=1.0)
     with np.load(tmp_path / "truth.npz") as arrays:
-        assert set(arrays.files) == set(TRUTH.split())
+        assert set(TRUTH.split()) <= set(arrays.files)
 
 
 def test_commands_and_configurations_have_these_names():

@@ -70,7 +70,7 @@ class Sites:
 
     def to_dataframe(self) -> Any:
         """Return the columns as a ``pandas.DataFrame``; pandas must be installed."""
-        import pandas
+        import pandas  # type: ignore[import-untyped]
 
         return pandas.DataFrame(self.columns())
 

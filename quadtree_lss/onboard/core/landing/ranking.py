@@ -17,7 +17,7 @@ from quadtree_lss.onboard.arrays import Array, Index
 #: safest grid points on maps of simulated flights (benchmark/target.py --told).
 MODEL_ERROR = 0.5
 #: Two risks u <= v are equal if v - u <= MODEL_ERROR * hypot(u, v): up to v = 2.2 u ...
-EQUAL_RISKS = (1.0 + (1.0 - (1.0 - MODEL_ERROR**2) ** 2) ** 0.5) / (1.0 - MODEL_ERROR**2)
+EQUAL_RISKS: float = (1.0 + (1.0 - (1.0 - MODEL_ERROR**2) ** 2) ** 0.5) / (1.0 - MODEL_ERROR**2)
 #: ... or, however small u is, up to this risk: probabilities are shown as at most 99.99 %.
 LEAST_RISK = 1e-4
 #: The error is that of safe ground: risks that differ by more than this are never equal.
