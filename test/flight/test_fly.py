@@ -205,7 +205,7 @@ def test_a_flight_is_gone_over(text, in_browser):
         document.querySelectorAll("#decisions tbody tr")[last].click();
         tellTest("there", [momentTime(), f.decisions[last][0]]);
         const [kind, begin] = f.faults[0]; moment(sampleAt(begin + 0.5));
-        view.sites = view.allowed = view.relief = false;
+        view.sites = view.excluded = view.relief = false;
         view.x = f.x[view.moment]; view.y = f.y[view.moment]; view.scale = 200; drawNow();
         const red = () => { drawNow();
           const d = map.getContext("2d").getImageData(0, 0, map.width, map.height).data;
@@ -242,7 +242,7 @@ def test_a_moment_has_its_view_reach_and_target_on_the_map_and_in_space(text, in
         const rows = document.querySelectorAll("#targets tbody tr");
         rows[0].click(); tellTest("target", [momentTime(), Number(rows[0].cells[0].textContent),
           rows[0].cells[1].textContent]);
-        view.sites = view.allowed = view.relief = false; fit();
+        view.sites = view.excluded = view.relief = false; fit();
         const drawn = () => { drawNow(); return [...map.getContext("2d").getImageData(
           0, 0, map.width, map.height).data].join(); };
         const differs = (without, back) => { const was = drawn(); without(); const now = drawn();

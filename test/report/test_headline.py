@@ -157,6 +157,9 @@ def test_ranks_are_explained_by_probability_and_room():
     assert words([0.9995, 0.9996], [4.7, 0.5])[0] == "as probable as any, most room"
     assert words([np.nan, np.nan], [1.0, 1.0]) == ["lowest score", "higher score"]
     assert words([], []) == []
+    table = {"probability": np.array([0.99, 0.9]), "hazard_distance": np.array([1.0, 2.0])}
+    near = headline.rank_reasons(table, wanted=True)
+    assert near == ["near the wanted place", "farther from the wanted place"]
 
 
 def test_ground_is_allowed_and_only_a_touchdown_is_safe(text):

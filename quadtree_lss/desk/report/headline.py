@@ -262,8 +262,9 @@ def _facts(content: Results, moment: Moment, found: Areas) -> list[Fact]:
     return facts
 
 
-def rank_reasons(sites: Mapping[str, Array]) -> list[str]:
-    """Why each site ranks where it does, in few words (see ``landing.ranking``)."""
+def rank_reasons(sites: Mapping[str, Array], wanted: bool = False) -> list[str]:
+    """Why each site ranks where it does, in few words (see ``landing.ranking``). ``wanted``: sites
+    near a wanted place rank before others."""
     probability, clear = sites.get("probability"), sites["hazard_distance"]
     if probability is None or not len(clear) or np.isnan(probability).any():
         return ["lowest score"] * (len(clear) > 0) + ["higher score"] * (len(clear) - 1)
@@ -271,8 +272,11 @@ def rank_reasons(sites: Mapping[str, Array]) -> list[str]:
     words = ["as probable as any, most room" if risks.min() < risks[0] else "most probable"]
     for k in range(1, len(risks)):
         less_room = risks[k] <= equal_up_to(risks[k - 1]) and clear[k] <= clear[k - 1]
-        words.append(f"as probable as {k}, less room" if less_room else f"less probable than {k}")
-    return words[: len(risks)]
+        less = "farther from the wanted place" if wanted else f"less probable than {k}"
+        words.append(f"as probable as {k}, less room" if less_room else less)
+    if wanted:
+        words[0] = "near the wanted place"
+    return words
 
 
 def few(value: float) -> str:

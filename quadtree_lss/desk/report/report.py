@@ -69,7 +69,8 @@ def page(
     level, answer, ground, facts = verdict(content)
     known = np.isfinite(sites.get("probability", np.array([]))).any()
     shown_columns = [row for row in SITES if row[2] != ("score" if known else "probability")]
-    why, rated = rank_reasons(sites), ratings(content, last_moment(content))
+    wanted = "target" in summary.get("landing", {})
+    why, rated = rank_reasons(sites, wanted), ratings(content, last_moment(content))
     marks = (
         nearest_miss(content) and "? the nearest miss",
         largest_circle(content) and "the dashed circle the largest one of clear ground",

@@ -74,7 +74,7 @@ def fly_live(
     with ExitStack() as stack:
         nodes = LiveNodes(stack, config, folder, domain)
         fly(flight, nodes, progress)
-        cells, wishes = nodes.map(), nodes.wishes
+        cells, wishes, sites = nodes.map(), nodes.wishes, nodes.sites
     last = None
     if cells is not None:  # as lss_node assessed it; only the target depends on what was before
         last = LandingSiteSelector(config).assess(cells, **wishes.arguments())
@@ -83,7 +83,7 @@ def fly_live(
     figures |= {"restarts": restarts, "others": sorted(nodes.others)}
     if nodes.others:
         figures["outcome"] = "disturbed"
-    targets, told = tuple(nodes.targets), {"landing": wishes.as_lists()}
+    targets, told = tuple(nodes.targets), {"landing": wishes.as_lists(), "published_sites": sites}
     told |= {"target": targets[-1].id if targets else 0, "target_changes": len(targets)}
     return Flown(flight, figures, last, cells, None, targets, told, nodes.heard)
 
@@ -199,10 +199,11 @@ class LiveNodes:
         self.others |= {*strangers(self._node, dict.fromkeys(SPOKEN, 1) | heard)}
 
     @property
-    def sites(self) -> Array:
-        """(K, 3) of the last ``landing/sites``, m."""
-        poses = self._listener.newest[SITES].poses
-        return np.array([(p.position.x, p.position.y, p.position.z) for p in poses]).reshape(-1, 3)
+    def sites(self) -> list[list[float]]:
+        """Places (K, 3) of the last ``landing/sites``, m."""
+        newest = self._listener.newest.get(SITES)
+        places = [] if newest is None else [pose.position for pose in newest.poses]
+        return [[p.x, p.y, p.z] for p in places]
 
     def _note(self, message: Any) -> None:
         said = status_from_message(message)
