@@ -5,6 +5,7 @@ Each command of ``quadtree-lss`` is one of these functions and returns a result 
 """
 
 from quadtree_lss.desk.bags.bag import Bag, BagError
+from quadtree_lss.desk.exchange.dem import ElevationModel
 from quadtree_lss.desk.exchange.saved import Grid, Results, ResultsError, load_results
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.differences import Comparison, compare_results
@@ -31,6 +32,7 @@ __all__ = [
     "Comparison",
     "Config",
     "ConfigError",
+    "ElevationModel",
     "Grid",
     "Ground",
     "LandingAssessment",

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# PYTHON_ARGCOMPLETE_OK
 """Command line ``quadtree-lss``: a shell around functions that can be imported as well.
 
 Exit codes: 0 done, 1 error, 2 usage, 3 done in part (damaged input), 130 interrupted.
@@ -11,6 +12,7 @@ import io
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import quadtree_lss
@@ -27,6 +29,7 @@ from quadtree_lss.desk.commands.common import (
     print_json,
 )
 from quadtree_lss.desk.commands.console import first_line, quiet, say
+from quadtree_lss.desk.replay.files import OutsideInput
 from quadtree_lss.lab.commands import campaign, evaluate, fly
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -47,7 +50,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):  # names of files may be no text of the terminal's
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        options = _parser().parse_args(arguments)
+        options, unknown = _parser().parse_known_args(arguments)
+        if unknown:
+            options.parser.unknown(unknown)
         run: Callable[[argparse.Namespace], int] = options.run
         with quiet(getattr(options, "quiet", False), getattr(options, "json", False)):
             code = run(options)
@@ -83,7 +88,8 @@ def _print_no_more() -> None:
 def _told(error: Exception) -> tuple[int, str]:
     """Exit code and line of an error."""
     if isinstance(error, QuadtreeLssError):
-        return USAGE if isinstance(error, UsageError) else ERROR, f"error: {error}"
+        usage = isinstance(error, (UsageError, OutsideInput))
+        return USAGE if usage else ERROR, f"error: {error}"
     if isinstance(error, (OSError, MemoryError)):
         return ERROR, f"error: {first_line(error)}"
     lacks = str(getattr(error, "name", "")).partition(".")[0]
@@ -120,9 +126,14 @@ def _parser() -> argparse.ArgumentParser:
     )
     version = f"quadtree_lss {quadtree_lss.__version__} ({build.name()})"
     parser.add_argument("--version", action="version", version=version)
+    parser.meant = {"help": "quadtree-lss --help, or COMMAND --help"}
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for command in (*DESK, *LAB):
         command.add(commands)
+    with suppress(ImportError):  # completes words in shells, where it is installed
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
     return parser
 
 

@@ -123,6 +123,7 @@ def profile(axes: Any, along: Profile, *, sigmas: float = 3.0, **line: Any) -> A
 
 def _hazards(axes: Any, grid: Any, bits: Bytes) -> Any:
     from matplotlib.colors import BoundaryNorm, ListedColormap
+    from matplotlib.patches import Patch
 
     kind = np.zeros(bits.shape, dtype=np.int64)
     for place, (bit, _, _) in reversed(list(enumerate(HAZARDS, start=1))):
@@ -130,6 +131,9 @@ def _hazards(axes: Any, grid: Any, bits: Bytes) -> Any:
     colours = [CLEAR_COLOUR, *(colour for _, _, colour in HAZARDS)]
     norm = BoundaryNorm(np.arange(-0.5, len(colours)), len(colours))
     shown = {"cmap": ListedColormap(colours), "norm": norm, "interpolation": "nearest"}
+    names = ["none", *(name for _, name, _ in HAZARDS)]
+    drawn = [Patch(facecolor=colours[k], label=names[k]) for k in np.unique(kind)]
+    axes.legend(handles=drawn, fontsize="x-small")
     return axes.imshow(kind, origin="lower", extent=extent(grid.x, grid.y), **shown)
 
 

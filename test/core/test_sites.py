@@ -2,6 +2,8 @@
 """Landing sites: what is safe, how it is scored and ranked, and what is said when nothing is."""
 
 import dataclasses
+import sys
+import types
 from unittest import mock
 
 import numpy as np
@@ -93,12 +95,23 @@ def test_leaves_with_many_exceptions_are_kept_off(level_ground, assessment):
 
 @pytest.mark.parametrize("margin", [0.0, 0.7, 1.3])
 def test_the_margin_keeps_off_points_that_fail_the_touchdown_check(cells, margin):
+    failed = assess(cells, small(margin=0.0)).hazard & hazards.TOUCHDOWN > 0
     found = assess(cells, small(margin=margin))
-    failed = found.hazard & hazards.TOUCHDOWN > 0
     away = 0.5 * distance_transform_edt(~failed) > max(margin, 1e-9)
     inside = to_edge(*np.meshgrid(found.x, found.y)) > RADIUS + margin
     np.testing.assert_array_equal(found.safe, inside & away)
     assert failed.any()
+
+
+@pytest.mark.parametrize("assessment", ["touchdown", "probability"])
+@pytest.mark.parametrize("margin", [0.0, 0.7])
+@pytest.mark.parametrize("spacing", [0.5, 0.35])
+def test_hazard_tells_exactly_where_landing_is_excluded(cells, assessment, margin, spacing):
+    config = small(assessment=assessment, margin=margin, grid_spacing=spacing, max_risk=0.1)
+    found = assess(cells, config)
+    excluding = hazards.TOUCHDOWN | hazards.PARTLY_UNOBSERVED | hazards.UNSEEN
+    np.testing.assert_array_equal(found.safe, found.hazard & excluding == 0)
+    assert (found.hazard & hazards.PARTLY_UNOBSERVED).any()
 
 
 def densities(cells: CellMap, config: Config) -> np.ndarray:
@@ -242,7 +255,7 @@ def test_reasons_give_a_sites_figures_and_the_limit_that_decided(cells, assessme
     sites = assess(cells, config).sites
     assert len(sites.reasons) == len(sites.score) > 0
     for k, reason in enumerate(sites.reasons):
-        assert f"slope {sites.slope_deg[k]:.1f} deg of {limit}," in reason
+        assert f"slope {sites.slope_deg[k]:.1f}° of {limit:g}°," in reason
         assert f"{sites.hazard_distance[k]:.1f} m clear" in reason
         assert f"{sites.roughness[k]:.3f} m" in reason
         high = sites.subscale_height[k]
@@ -260,7 +273,8 @@ def test_level_ground_is_safe_wherever_the_zone_fits(level_ground, assessment):
     np.testing.assert_allclose(found.sites.position[:, 2], 3.0, atol=0.02)
     assert (found.sites.hazard_distance <= to_edge(*found.sites.position[:, :2].T)).all()
     assert (found.sites.hazard_distance > 1.0).all()  # the middle of 16 m is best
-    assert not found.hazard.any()
+    partly = np.where(inside, 0, hazards.PARTLY_UNOBSERVED)
+    np.testing.assert_array_equal(found.hazard, partly)
 
 
 @pytest.mark.parametrize("assessment", ["paper", "touchdown", "probability"])
@@ -451,3 +465,14 @@ def test_planes_without_a_measurement_are_no_ground(level_ground, assessment, na
     assert not found.safe.any() and (found.risk == 1.0).all()
     unmapped = hazards.UNMAPPED if name == "known" else 0
     assert (found.hazard == hazards.UNSEEN | unmapped).all()
+
+
+def test_sites_are_columns_a_table_and_a_dataframe(cells, monkeypatch):
+    found = assess(cells, small())
+    columns = found.sites.columns()
+    assert {len(values) for values in columns.values()} == {len(found.sites)}
+    np.testing.assert_array_equal(columns["x"], found.sites.position[:, 0])
+    assert found._repr_html_().count("<tr>") == len(found.sites) + 1
+    pandas = types.SimpleNamespace(DataFrame=dict)
+    monkeypatch.setitem(sys.modules, "pandas", pandas)
+    assert found.sites.to_dataframe().keys() == columns.keys()

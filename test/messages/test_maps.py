@@ -190,12 +190,12 @@ def test_bounds_that_none_can_be_are_refused(cells, low, high):
 
 
 def test_unseen_ground_may_be_hazardous_too(cells):
-    """What is both is a hazard; unseen alone, or not yet mapped, is unknown."""
+    """Ground with both bits is a hazard; ground with bits of unknown ground only is unknown."""
     config = configured(domain={"xmin": -7.3, "ymin": 102.4}, vehicle={"diameter": 2.0})
     assessment = LandingSiteSelector(config).assess(cells)
-    bits = np.array([[0, 1, 128, 129, 192, 193]], dtype=np.uint8)
+    bits = np.array([[0, 1, 128, 129, 192, 193, 32, 40]], dtype=np.uint8)
     values = maps.encode_hazards(dataclasses.replace(assessment, hazard=bits))
-    assert values.tolist() == [[0, 100, -1, 100, -1, 100]]
+    assert values.tolist() == [[0, 100, -1, 100, -1, 100, -1, 100]]
 
 
 def test_score_of_no_safe_ground_is_all_excluded():

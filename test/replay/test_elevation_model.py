@@ -5,9 +5,12 @@ import json
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from replay.test_cli import run
 
+from quadtree_lss import plot
 from quadtree_lss.desk.exchange.dem import ElevationModel
+from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.replay import elevation_model
 from quadtree_lss.desk.replay.configuration import load_config
@@ -114,3 +117,20 @@ def test_coarse_posts_are_noted_and_bad_files_are_one_line(tmp_path, capsys):
     np.savez(tmp_path / "degrees.npz", x=1e-5 * x, y=1e-5 * x, elevation=np.zeros((30, 30)))
     code, _, err = run(capsys, "sites", tmp_path / "degrees.npz", "--out", tmp_path / "none")
     assert code == 1 and "not in degrees" in err
+
+
+@pytest.mark.parametrize(
+    ("x", "shape", "word"), [([0, 1, 2], (4, 4), "belong"), ([0, 1, 5, 6], (4, 4), "equal steps")]
+)
+def test_arrays_that_are_no_elevation_model_are_refused(x, shape, word):
+    with pytest.raises(ExchangeError, match=word):
+        ElevationModel(np.array(x, float), np.arange(4.0), np.zeros(shape))
+
+
+def test_without_a_configuration_and_a_folder_hazards_have_a_legend():
+    result = rank_sites(model())
+    axes = Figure().add_subplot()
+    plot.layer(axes, result.assessment, "hazard")
+    names = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert {"none", "unobserved ground under the vehicle"} <= set(names)
+    assert "<table>" in result._repr_html_()

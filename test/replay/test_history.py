@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``history.npz``: bounded, in order, and what the scans and answers said."""
 
-
 import numpy as np
 from replay.recordings import GROUND, write_ros2
 
@@ -40,9 +39,10 @@ def test_it_tells_where_the_lidar_was_and_looked(tmp_path):
         np.testing.assert_array_equal(bits[-1].reshape(shape), seen)
         allowed = np.unpackbits(history["allowed"][-1], count=shape[0] * shape[1]) > 0
         np.testing.assert_array_equal(allowed.reshape(shape), result.assessment.safe)
-        likely = np.where(seen, np.rint(100.0 * result.assessment.probability), 255)
-        np.testing.assert_array_equal(history["probability"][-1].reshape(shape), likely)
-        assert np.all((history["probability"] < 255) == bits)
+        kept = history["risk"][-1].reshape(shape)
+        risk = np.maximum(result.assessment.risk, 1e-4)
+        np.testing.assert_allclose(10.0 ** (kept[seen] / -60.0), risk[seen], rtol=0.02)
+        assert np.all((history["risk"] < 255) == bits)
         last = history["site_answer"] == len(history["answer_stamp_ns"]) - 1
         np.testing.assert_allclose(history["site_position"][last], result.assessment.sites.position)
         assert history["target"][-1, 0] == result.assessment.selected.id
@@ -57,7 +57,7 @@ def test_passes_are_laid_on_the_last_square_wherever_they_lay(tmp_path):
     assert last.xmin > 0.0 and corner[0, 0] < 0.0
     np.testing.assert_array_equal(corner[-1], (last.xmin, last.ymin))
     every, (ny, nx) = np.arange(len(corner)), result.assessment.hazard.shape
-    for name, empty in (("seen", 0), ("probability", 255)):
+    for name, empty in (("seen", 0), ("risk", 255)):
         laid = content.then(name, every)
         for k, east in enumerate(np.rint((last.xmin - corner[:, 0]) / 0.5).astype(int).tolist()):
             own = content.history[name][k]

@@ -11,7 +11,7 @@ from report.pages import accessible, in_a_browser, sheets
 
 from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.replay.replay import replay
-from quadtree_lss.desk.report.headline import trust
+from quadtree_lss.desk.report.headline import verdict
 from quadtree_lss.onboard.config.settings import config_from_values
 
 pytestmark = in_a_browser
@@ -33,6 +33,7 @@ def test_the_first_screen_holds_map_table_and_answer(result, browse):
           document.querySelector(".verdict").getBoundingClientRect().bottom));
         tellTest("high", innerHeight);
         tellTest("wide", root.scrollWidth <= innerWidth);
+        fit();
         tellTest("fits", [extent.x0, extent.x1].map(px).concat([extent.y0, extent.y1].map(py)));
         tellTest("size", [width(), height()]);
         tellTest("layers", [...byId("layer").options].map(o => o.value));
@@ -42,7 +43,7 @@ def test_the_first_screen_holds_map_table_and_answer(result, browse):
         const edge = e => getComputedStyle(e).borderLeftColor;
         tellTest("edges", [edge(document.querySelector(".verdict")), edge(facts[0])]);
     """)
-    level, facts = trust(load_results(result.out))
+    level, _, _, facts = verdict(load_results(result.out))
     assert told["trust"] == [[fact.name, fact.value, fact.level] for fact in facts]
     colours = {"good": "rgb(0, 158, 115)", "care": "rgb(230, 159, 0)", "none": "rgb(213, 94, 0)"}
     assert told["edges"] == [colours[level], colours[facts[0].level]]
@@ -51,8 +52,8 @@ def test_the_first_screen_holds_map_table_and_answer(result, browse):
     wide, high = told["size"]
     assert 0 < left < right <= wide and 0 <= top < bottom <= high
     assert right - left > 0.85 * (wide - 46) or bottom - top > 0.85 * (high - 30)
-    assert told["layers"][0] == "probability"
-    assert {"allowed", "elevation"} < set(told["layers"])
+    assert told["layers"][0] == "landing"
+    assert {"aim", "hazards", "elevation"} < set(told["layers"])
 
 
 def test_the_pointer_tells_values_and_layers_differ(result, best, browse):
@@ -92,6 +93,7 @@ def test_mouse_fingers_and_window(browse):
     told = browse("""
         const wheel = deltaY => { const e = new WheelEvent("wheel", { deltaY, clientX: 400,
           clientY: 400, cancelable: true }); map.dispatchEvent(e); return e.defaultPrevented; };
+        fit();
         tellTest("scrolls", !wheel(100));   // all is seen: the page goes on
         const before = view.scale;
         tellTest("zooms", wheel(-200) && view.scale > before);
@@ -196,59 +198,53 @@ def test_a_section_shows_the_planes_along_its_line(result, best, browse):
     assert told["cursor"] == pytest.approx([x, y], abs=0.05)
 
 
-def test_the_slider_shows_the_map_growing(browse):
+def test_the_slider_shows_the_map_growing(result, browse):
+    """Ground, headline, facts and table are those of the shown assessment."""
     told = browse("""
         const h = data.history, last = h.seconds.length - 1;
-        const grey = k => { const { canvas } = picture("allowed", k);
+        const unseen = k => { const { canvas } = picture("landing", k), none = rgb(UNSEEN.colour);
           const d = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
-          let n = 0; for (let i = 0; i < d.length; i += 4) n += d[i] === 0xbb && d[i + 1] === 0xbb;
+          let n = 0;
+          for (let i = 0; i < d.length; i += 4) n += none.every((v, c) => v === d[i + c]);
           return n; };
         move("instant", 0);
         tellTest("at", [view.answer, byId("clock").textContent]);
-        tellTest("unseen", [grey(0), grey(last)]);
-        // Of each grid point: unseen, or how probable and allowed or not, as the history has it.
-        const times = [0, last >> 1].map(k => { setInstant(k); const likely = LAYERS.probability;
-          const drawn = picture("probability", k).canvas.getContext("2d");
-          return [...Array(grid.nx * grid.ny).keys()].filter(i => i % 7 === 0).every(i => {
-            const p = probabilityAt(i, k), want = colour(likely, p);
-            const row = grid.ny - 1 - Math.floor(i / grid.nx);
-            const got = drawn.getImageData(i % grid.nx, row, 1, 1).data;
-            return Number.isNaN(p) === laterThan(i, k) &&
-              want.every((v, c) => v === got[c]); }); });
-        tellTest("drawn", times);
-        const end = grid.probability.reduce((sum, v, i) => sum + (Number.isNaN(v) ? 0 :
-          Math.abs(v - probabilityAt(i, last)) > 0.51), 0);
-        tellTest("differing", end);
+        tellTest("unseen", [unseen(0), unseen(last)]);
+        // Risks of the history agree with those at the end.
+        tellTest("differing", grid.risk.reduce((sum, v, i) => sum + (Number.isNaN(v) ? 0 :
+          Math.abs(Math.max(v, -4) - riskAt(i, last)) > 0.02), 0));
+        const said = () => [...document.querySelectorAll("#facts div")].map(f =>
+          [...f.children].map(c => c.textContent).concat(f.className));
+        const all = () => [byId("verdict").className, byId("verdict").textContent, said(),
+                           byId("sites").textContent];
         setInstant(last);
-        const whole = byId("sites").textContent;
-        setInstant(last >> 1);
-        const body = byId("sites").tBodies[0], then = h.sites[last >> 1];
+        const whole = all(), middle = last >> 1;
+        setInstant(middle);
+        const body = byId("sites").tBodies[0], then = h.sites[middle];
         tellTest("rows", [body.rows.length, then.length]);
         tellTest("first", [...body.rows[0].cells].map(c => c.textContent));
         tellTest("then", then[0]);
         tellTest("why", byId("why").textContent);
+        tellTest("shown", [...all().slice(0, 3), h.verdicts[middle], h.seconds[middle]]);
         setLayer("elevation"); tellTest("note", byId("legend").textContent);
-        setLayer("allowed"); tellTest("share", byId("legend").textContent);
-        await until(() => charts_sites[0].legend.idx === last >> 1);
+        setLayer("landing"); tellTest("share", byId("legend").textContent);
         setInstant(last); tellTest("end", view.answer);
-        tellTest("same", byId("sites").textContent === whole);
+        tellTest("same", JSON.stringify(all()) === JSON.stringify(whole));
         tellTest("again", byId("why").textContent);
-        tellTest("curves", charts_sites[0].data.length);
-        const y = charts_sites[0].scales.y;
-        tellTest("range", [y.min, y.max]);
     """)
-    assert told["drawn"] == [True, True] and told["differing"] == 0
+    assert told["differing"] == 0
     assert told["rows"][0] == told["rows"][1] > 0
-    _, x, y, z, score, share = told["then"]
-    assert told["first"][:4] == ["1", *(f"{value:.2f}" for value in (x, y, z))]
-    assert float(told["first"][4]) == pytest.approx(100 * share, abs=0.06)
-    assert float(told["first"][5]) == pytest.approx(score, abs=6e-4)
+    _, x, y, _, _, share = told["then"]
+    assert told["first"][:3] == ["1", f"{x:.2f}", f"{y:.2f}"]
+    assert float(told["first"][3]) == pytest.approx(100 * share, abs=0.06)
+    name, words, facts, then, seconds = told["shown"]
+    assert name == f"verdict {then['level']}" and facts == then["facts"]
+    assert words == f"At {seconds:.1f} s. {then['answer']} {then['ground']}"
     assert told["why"].startswith("At ") and told["again"].startswith("Site 1")
     assert "values at the end" in told["note"] and "allowed" in told["share"]
-    assert told["same"] and told["range"][1] <= 100.0
-    assert told["range"][1] - told["range"][0] >= 0.999
+    assert told["same"]
     assert told["at"][0] == 0 and "site" in told["at"][1] and told["end"] == -1
-    assert told["unseen"][0] >= told["unseen"][1] and told["curves"] > 1
+    assert told["unseen"][0] >= told["unseen"][1]
 
 
 def test_it_is_dark_where_that_is_wanted(browse):
@@ -357,37 +353,100 @@ def test_a_click_on_a_marker_selects_its_site(browse):
     assert told["beside"] == told["dragged"] == told["clicked"] and told["tapped"][:2] == [0, "1"]
 
 
-def test_allowed_ground_is_outlined_on_every_layer(browse):
-    """Except on the layer that shows only allowed ground."""
+def test_excluded_ground_is_hatched_on_every_layer(browse):
     told = browse("""
-        const green = rgb(data.colours.safe), found = {};
-        view.relief = view.sites = false; zoom(3);
-        const count = () => { drawNow(); const d = map.getContext("2d").getImageData(0, 0,
-            map.width, map.height).data; let n = 0;
-          const is = i => green.every((v, c) => Math.abs(d[i + c] - v) < 4);
-          for (let i = 0; i < d.length; i += 4) n += is(i);
+        const found = {};
+        view.relief = view.sites = false; fit();
+        const dark = () => { drawNow(); const d = map.getContext("2d").getImageData(
+            0, 0, map.width, map.height).data; let n = 0;
+          for (let i = 0; i < d.length; i += 4) n += d[i] + d[i + 1] + d[i + 2];
           return n; };
         for (const name of Object.keys(LAYERS)) { setLayer(name);
-          const on = count(); view.allowed = false;
-          found[name] = [on, count()]; view.allowed = true; }
+          const on = dark(); view.excluded = false; const off = dark(); view.excluded = true;
+          legend(); found[name] = [on < off, byId("legend").textContent.includes("xcluded")]; }
         tellTest("found", found);
-        const inner = (i, j) => grid.safe[j * grid.nx + i] && i >= 0 && i < grid.nx;
-        let own = 0; // of the end, at the domain's edge too
-        for (let j = 0; j < grid.ny; j++) for (let i = 0; i <= grid.nx; i++) {
-          own += !inner(i, j) !== !inner(i - 1, j); }
-        tellTest("end", [allowedEdges(-1).filter(([x0, , x1]) => x0 === x1).length, own]);
+        const { canvas } = excludedMask(-1);
+        const d = canvas.getContext("2d").getImageData(0, 0, grid.nx, grid.ny).data;
+        tellTest("mask", [...grid.safe].every((safe, i) => {
+          const row = grid.ny - 1 - Math.floor(i / grid.nx), at = 4 * (row * grid.nx + i % grid.nx);
+          return (d[at + 3] > 0) === (!safe && !(grid.hazard[i] & UNSEEN.bit)); }));
     """)
-    found = told["found"]
-    on, off = found.pop("allowed")
-    assert on == off
-    assert all(on > off + 50 for on, off in found.values()), found
-    assert told["end"][0] == told["end"][1] > 0
+    assert told["mask"] and all(all(pair) for pair in told["found"].values()), told["found"]
+
+
+def test_the_first_picture_tells_excluded_allowed_and_how_good_apart(browse):
+    """Grey or blue where landing is not allowed, colours up to the limit where it is."""
+    told = browse("""
+        view.relief = view.excluded = view.sites = false;
+        const layer = LAYERS.landing, states = {}, grey = ([r, g, b]) => r === g && g === b;
+        for (let i = 0; i < grid.nx * grid.ny; i++) {
+          const state = stateAt(i, -1), c = stateColour(layer, i, -1);
+          (states[state] = states[state] || []).push([grey(c), c.join()]);
+        }
+        tellTest("states", Object.fromEntries(Object.entries(states).map(([state, all]) =>
+          [state, [all.every(([g]) => g), all.some(([g]) => g),
+                   new Set(all.map(p => p[1])).size]])));
+        tellTest("first", view.layer);
+        tellTest("limit", [layer.mark, data.limit.risk, layer.limits]);
+        tellTest("legend", byId("legend").textContent);
+        const best = Math.min(...layer.values.filter((v, i) => grid.safe[i]));
+        const worst = Math.max(...layer.values.filter((v, i) => grid.safe[i]));
+        tellTest("within", [best, worst]);
+        tellTest("start", [isWhole(), sites.every(s => px(s.x) > MARGIN.left && px(s.x) < width() &&
+          py(s.y) > 0 && py(s.y) < height() - MARGIN.bottom)]);
+    """)
+    assert told["first"] == "landing"
+    grey = {state: every for state, (every, _, _) in told["states"].items()}
+    assert grey.pop("1", True) and {"0", "2", "3"} <= grey.keys() and not any(grey.values())
+    assert told["states"]["2"][2] == told["states"]["3"][2] == 1
+    mark, risk, limits = told["limit"]
+    assert mark == pytest.approx(np.log10(risk)) and limits == [-4.0, 0.0]
+    assert told["within"][1] <= mark + 1e-3
+    words = ("allowed", "excluded: unobserved ground under the vehicle", "unobserved")
+    assert all(word in told["legend"] for word in words)
+    assert told["start"][1]
+
+
+def test_a_click_gives_options_of_the_command_line(browse):
+    told = browse("""
+        const click = (x, y, shiftKey = false) => { at("pointerdown", px(x), py(y));
+          at("pointerup", px(x), py(y), { shiftKey }); };
+        view.sites = false; fit();
+        const words = () => [...byId("command").children].map(c => c.textContent);
+        const { x0, x1, y0, y1 } = extent, x = (x0 + x1) / 2, y = (y0 + y1) / 2;
+        click(x, y); tellTest("target", [words(), x, y]);
+        click(x + 3, y + 4, true); tellTest("distance", words());
+        click(x, y + 4, true); tellTest("area", words());
+        const pixels = () => { drawNow(); return map.toDataURL(); };
+        const marked = pixels(); press("Escape");
+        tellTest("gone", [words().length, marked !== pixels()]);
+    """)
+    (target,), x, y = told["target"]
+    option, value = target.split()
+    assert option == "--target"
+    assert np.allclose([float(v) for v in value.split(",")], [x, y], atol=0.1)
+    (distance,) = told["distance"]
+    assert float(distance.split()[0]) == pytest.approx(5.0, abs=0.1)
+    area, keep_out, _ = told["area"]
+    assert area.startswith("--area '") and keep_out.startswith("--keep-out '")
+    assert len(area.split("'")[1].split()) == 3 and told["gone"] == [0, True]
+
+
+def test_opacity_and_the_second_layer_show_what_they_say(browse):
+    told = browse("""
+        setLayer("slope"); setBeside("elevation"); await until(() => second.clientWidth);
+        const pixels = canvas => { drawNow(); return canvas.toDataURL(); };
+        for (let k = 0; k < 3; k++) pixels(map);
+        const full = pixels(map); move("opacity", 0.3); tellTest("faded", full !== pixels(map));
+        tellTest("range", inUnit(LAYERS.elevation, LAYERS.elevation.limits[0]));
+    """)
+    assert told["faded"] and told["range"]
 
 
 def test_bright_is_good_on_every_layer_that_knows_a_good(browse):
     told = browse("""
         const light = ([r, g, b]) => 0.2126 * r + 0.7152 * g + 0.0722 * b;
-        const good = { probability: 1, slope: 0, score: 0, deviation: 0, roughness: 0 };
+        const good = { aim: 0, slope: 0, score: 0, deviation: 0, roughness: 0 };
         tellTest("found", Object.entries(good).map(([name, end]) => {
           const layer = LAYERS[name], { limits } = layer;
           const [best, worst] = [limits[end], limits[1 - end]].map(v => light(colour(layer, v)));
@@ -396,30 +455,15 @@ def test_bright_is_good_on_every_layer_that_knows_a_good(browse):
     assert all(good > bad + 50 for _, good, bad in told["found"]), told["found"]
 
 
-def test_past_moments_show_the_past(browse):
-    """In headline, columns and tooltip; the run's own come back."""
+def test_the_pointer_tells_what_is_kept_of_past_moments(browse):
     told = browse("""
-        const words = () => [byId("verdict").className, byId("verdict").textContent];
-        const columns = () => [...byId("sites").rows[1].cells].filter(c => c.offsetWidth).length;
         const there = () => { at("pointermove", px(sites[0].x) + 20, py(sites[0].y));
-          return shown(); };
-        tellTest("end", [words(), columns(), Object.keys(there())]);
-        setInstant(0); tellTest("past", [words(), columns(), Object.keys(there())]);
-        const h = data.history, first = h.sites[0];
-        tellTest("then", [h.seconds[0], first.length, first.length ? first[0][5] : null]);
-        setInstant(h.seconds.length - 1); tellTest("again", [words(), columns()]);
+          return Object.keys(shown()); };
+        tellTest("end", there());
+        setInstant(0); tellTest("past", there());
     """)
-    (verdict, words), columns, rows = told["past"]
-    seconds, number, share = told["then"]
-    assert words.startswith(f"At {seconds:.1f} s. ") and "Landing is allowed on" in words
-    assert "No landing site" in words if not number else f"{100 * share:.1f} %" in words
-    assert columns == 6 < told["end"][1] and verdict.split()[0] == "verdict"
-    assert (
-        set(rows)
-        <= {"place", "probability", "landing", "ground"}
-        < set(told["end"][2]) | {"ground"}
-    )
-    assert told["again"] == told["end"][:2]
+    kept = {"place", "fails here", "landing", "ground"}
+    assert set(told["past"]) <= kept < set(told["end"]) | {"ground"}
 
 
 @pytest.mark.slow

@@ -27,19 +27,21 @@ def without_sites(content, hazard):
 
 
 def test_the_share_is_of_the_seen_ground(content):
-    found = headline.areas(content)
+    found = headline.areas(content, headline.last_moment(content))
     size = content.config.domain.size
     assert 0.0 < found.allowed < found.seen <= size**2
     everything = changed(
         content, grid={**content.grid, "hazard": np.zeros_like(content.grid["hazard"])}
     )
-    assert headline.areas(everything).seen == pytest.approx(size**2)
-    words, ground = headline.headline(content)
-    assert f"at the best of {len(content.sites['x'])} sites" in words
+    assert headline.areas(everything, headline.last_moment(everything)).seen == pytest.approx(
+        size**2
+    )
+    _, words, ground, _ = headline.verdict(content)
+    assert f"site 1, the best of {len(content.sites['x'])}, succeeds" in words
     share = 100 * found.allowed / found.seen
-    assert f"allowed on {share:.0f} % of the {found.seen:,.0f} m² seen" in ground
+    assert f"allowed on {share:.0f} % of the {found.seen:,.0f} m² observed" in ground
     why = content.reasons[0].partition(": ")[2]  # without its probability, which the words have
-    assert f" m. {why[:1].upper()}{why[1:]}. Landing is" in ground
+    assert f" m: {why}. Landing is" in ground
 
 
 def test_little_is_not_nothing():
@@ -59,34 +61,37 @@ def test_no_site_names_the_largest_circle_and_what_ends_it(content):
         circle.radius == pytest.approx(1.2, abs=content.grid.spacing) and circle.limit == "hazards"
     )
     unseen = without_sites(content, np.where(away < 1.2, 0, 128).astype(np.uint8))
-    assert headline.largest_circle(unseen).limit == "unseen ground"
+    assert headline.largest_circle(unseen).limit == "unobserved ground"
     unmapped = without_sites(content, np.where(away < 1.2, 0, 192).astype(np.uint8))
-    assert headline.largest_circle(unmapped).limit == "ground not yet mapped"
-    more = headline.areas(unmapped).unmapped
-    assert f"; {more:,.0f} m² more are seen, not yet mapped" in headline.headline(unmapped)[1]
-    words, text = headline.headline(found)
+    assert headline.largest_circle(unmapped).limit == "ground observed but not estimated"
+    more = headline.areas(unmapped, headline.last_moment(unmapped)).unmapped
+    said = headline.verdict(unmapped).ground
+    assert f"; {more:,.0f} m² more are observed but not estimated" in said
+    _, words, text, _ = headline.verdict(found)
     assert words == "No landing site." and text.startswith(headline.shortfall(found))
     assert headline.shortfall(found) and "othing fits" not in text
     nothing = without_sites(content, np.full_like(content.grid["hazard"], 128))
-    assert headline.headline(nothing)[1] == "Nothing fits."
+    assert headline.verdict(nothing).ground == "Nothing fits."
     assert "Largest circle of clear ground" in text and "are needed" in text
 
 
-def test_the_nearest_miss_is_the_most_level_or_the_likeliest(content):
+def test_the_nearest_miss_is_the_most_level_or_has_the_least_risk(content):
     slope = np.full(content.grid["hazard"].shape, 12.0)
     slope[30, 20] = 9.5
+    config = config_from_values({"lss.max_risk": 0.0018}, content.config)
     found = without_sites(content, np.full_like(content.grid["hazard"], 8))
     grid = {k: v for k, v in found.grid.items() if k not in ("probability", "risk")}
-    found = changed(found, grid={**grid, "slope_deg": slope})
+    found = changed(found, config=config, grid={**grid, "slope_deg": slope})
     miss = headline.nearest_miss(found)
     assert (miss.x, miss.y) == (content.grid["x"][20], content.grid["y"][30])
-    assert "9.5 deg" in miss.why
-    likely = np.full(slope.shape, 0.1)
-    likely[25, 35] = 0.4
-    found = changed(found, grid={**found.grid, "probability": likely})
+    assert "9.5°" in miss.why
+    risk = np.full(slope.shape, 0.9)
+    risk[25, 35] = 0.006
+    grid = {**found.grid, "probability": 1.0 - risk, "risk": risk}
+    found = changed(found, grid=grid)
     miss = headline.nearest_miss(found)
     assert (miss.x, miss.y) == (content.grid["x"][35], content.grid["y"][25])
-    assert miss.why == "probability 40 %"
+    assert miss.why == "risk 0.6 %, the limit is 0.18 %"
 
 
 def test_where_there_are_sites_nothing_is_missed(content):
@@ -97,29 +102,64 @@ def test_no_probability_is_rounded_to_certainty(content):
     sure = {**content.sites, "probability": np.full_like(content.sites["x"], 1.0 - 1e-9)}
     reasons = {**content.summary, "reasons": ["level"] * len(sure["x"])}
     found = changed(content, sites=sure, summary=reasons)
-    assert "99.99 % at the best of" in headline.headline(found)[0]
+    assert "succeeds with 99.99 %" in headline.verdict(found).answer
 
 
 @pytest.mark.parametrize(
-    ("best", "doubts", "level", "words"),
+    ("best", "doubts", "around", "level", "words"),
     [
-        (0.995, [], "good", "Good: 99.5 % at the best of 5 sites."),
-        (0.995, ["another lander"], "care", "With care: 99.5 % at the best of 5 sites."),
-        (0.93, [], "care", "With care: 93.0 % at the best of 5 sites."),
-        (0.2, [], "none", "None is good enough: 20.0 % at the best of 5 sites, and a target needs"),
+        (
+            0.995,
+            [],
+            1.0,
+            "good",
+            "Good: a touchdown at site 1, the best of 5, succeeds with 99.5 %.",
+        ),
+        (0.995, ["another lander"], 1.0, "care", "does not fit"),
+        (0.995, [], 0.01, "care", "of the ground within"),
+        (0.93, [], 1.0, "care", "succeeds with 93.0 %, but that is less than 99.0 %"),
+        (0.2, [], 1.0, "none", "Not good enough: a touchdown at site 1, the best of 5, succeeds"),
     ],
 )
-def test_sites_are_as_good_as_the_probability_of_the_best(content, best, doubts, level, words):
+def test_a_rating_is_of_probability_surroundings_and_model(
+    content, best, doubts, around, level, words
+):
     sites = {name: np.resize(values, 5) for name, values in content.sites.items()}
     sites["probability"] = np.linspace(best, best - 0.1, 5)
     summary = {**content.summary, "doubts": doubts, "reasons": ["level"] * 5}
-    found = changed(content, sites=sites, summary=summary)
-    assert headline.trust(found)[0] == level and headline.headline(found)[0].startswith(words)
-    facts = {fact.name: fact for fact in headline.trust(found)[1]}
-    assert facts["within the fit"].level == ("care" if doubts else "good")
-    assert facts["best aim"].level == ("good" if best > 0.99 else level)
+    safe = np.full(content.grid["safe"].shape, around == 1.0)
+    x, y = sites["x"][0], sites["y"][0]
+    safe |= (content.grid.x == x) & (content.grid.y == y)[:, None]
+    grid = {**content.grid, "safe": safe}
+    found = changed(content, sites=sites, summary=summary, grid=grid)
+    told = headline.verdict(found)
+    assert told.level == level and words in told.answer
+    facts = {fact.name: fact for fact in told.facts}
+    assert facts["risk model"].level == ("care" if doubts else "good")
+    assert facts["allowed around site 1"].level == ("good" if around == 1.0 else "care")
+    assert headline.ratings(found, headline.last_moment(found))[0][0] == level
     shown = page(found)
-    assert f'class="verdict {level}"' in shown and f"<dd>{facts['best aim'].value}</dd>" in shown
+    assert f'class="verdict {level}"' in shown
+    for fact in told.facts:
+        assert f"<dd>{fact.value}</dd>" in shown
+
+
+def test_ranks_are_explained_by_probability_and_room():
+    def words(probability, clear):
+        table = {"probability": np.array(probability), "hazard_distance": np.array(clear)}
+        return headline.rank_reasons(table)
+
+    assert words([0.9996, 0.9995, 0.998], [4.7, 0.5, 9.0]) == [
+        "most probable",
+        "as probable as 1, less room",
+        "less probable than 2",
+    ]
+    assert words([0.9995, 0.9996], [4.7, 0.5])[0] == "as probable as any, most room"
+    assert words([np.nan, np.nan], [1.0, 1.0]) == ["lowest score", "higher score"]
+    assert words([], []) == []
+    table = {"probability": np.array([0.99, 0.9]), "hazard_distance": np.array([1.0, 2.0])}
+    near = headline.rank_reasons(table, wanted=True)
+    assert near == ["near the wanted place", "farther from the wanted place"]
 
 
 def test_ground_is_allowed_and_only_a_touchdown_is_safe(text):
@@ -148,5 +188,5 @@ def test_without_a_site_the_limit_is_named_and_by_how_much(content):
     level = {**found.grid, "risk": np.zeros(hazard.shape), "slope_deg": np.full(hazard.shape, 13.0)}
     found = changed(found, grid=level)
     over = 13.0 - content.config.vehicle.max_slope_deg
-    assert f"{over:.1f} deg over the limit" in headline.shortfall(found)
-    assert headline.shortfall(found) in headline.headline(found)[1]
+    assert f"{over:.1f}° over the limit" in headline.shortfall(found)
+    assert headline.shortfall(found) in headline.verdict(found).ground

@@ -102,7 +102,7 @@ def test_bounds_of_the_leaves_are_embedded_where_there_are_any(content):
 def test_ground_not_yet_mapped_has_a_word_and_a_colour_of_its_own(content):
     """Before what is merely unseen: the first that applies is drawn."""
     names = [kind["name"] for kind in unpacked(content)[0]["hazards"]]
-    assert names[:2] == ["seen, not yet mapped", "unseen"]
+    assert names[:2] == ["observed but not estimated", "unobserved"]
 
     def words(figure):
         return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
@@ -110,9 +110,9 @@ def test_ground_not_yet_mapped_has_a_word_and_a_colour_of_its_own(content):
     hazard = content.grid["hazard"].copy()
     hazard[20:30, 20:30] = 192
     figure = hazard_figure(changed(content, grid={**content.grid, "hazard": hazard}))
-    assert words(figure).count("seen, not yet mapped") == 2
+    assert words(figure).count("observed but not estimated") == 2
     none = changed(content, grid={**content.grid, "hazard": hazard & 63})
-    assert "seen, not yet mapped" not in words(hazard_figure(none))
+    assert "observed but not estimated" not in words(hazard_figure(none))
 
 
 def test_roughness_is_shown_by_area_whatever_the_size_of_the_leaf(content):

@@ -5,16 +5,18 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import difflib
 import json
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NoReturn, TypeVar
 
 from quadtree_lss.desk.commands.console import first_line
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.config.settings import Config, ConfigError
 from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -39,8 +41,32 @@ class Parser(argparse.ArgumentParser):
         super().__init__(*args, **named)
         self._negative_number_matcher = re.compile(r"-\.?\d")
 
+    #: Other words that users try, and what they mean.
+    meant: Mapping[str, str] = MappingProxyType({})
+
     def error(self, message: str) -> NoReturn:
+        wrong = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
+        if wrong:
+            word, choices = wrong[1], re.findall(r"[\w-]+", wrong[2])
+            near = self.meant.get(word) or nearest(word, choices)
+            message = f"there is no {word!r}; " + (
+                f"try {near}" if near else f"choose from {wrong[2]}"
+            )
         raise UsageError(f"{message} ({self.prog} --help)")
+
+    def unknown(self, words: Sequence[str]) -> NoReturn:
+        """Report arguments that this command does not know, with the nearest that it does."""
+        found = {
+            word: nearest(word.partition("=")[0], self._option_string_actions) for word in words
+        }
+        near = ", ".join(word for word in found.values() if word)
+        hint = f"; the nearest is {near}" if near else ""
+        self.error(f"unrecognized arguments: {' '.join(words)}{hint}")
+
+
+def nearest(word: str, words: Iterable[str]) -> str:
+    """Return the word that is spelt most like another one; empty if none is."""
+    return next(iter(difflib.get_close_matches(word, [*words], 1)), "")
 
 
 def add_command(
@@ -149,7 +175,10 @@ def overrides(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def chosen_config(options: argparse.Namespace) -> Config:
-    return load_config(options.config, overrides(options), origin="--set")
+    try:
+        return load_config(options.config, overrides(options), origin="--set")
+    except ConfigError as error:
+        options.parser.error(f"{error}")
 
 
 def add_landing_options(parser: argparse._ActionsContainer, default: str) -> None:

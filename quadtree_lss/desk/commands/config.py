@@ -17,6 +17,7 @@ from quadtree_lss.desk.replay.configuration import (
     find_config,
     load_config,
     scalar_text,
+    shipped_configs,
     slow,
 )
 from quadtree_lss.onboard.config import settings
@@ -40,22 +41,42 @@ EXAMPLES = """examples:
   quadtree-lss config suggest flight_bag > flight.yaml  (domain, noise, cell sizes from its data)
   quadtree-lss config suggest bag --vehicle 0.6,0.08    (for a drone that clears 8 cm)
 
-ACTION is print (the default), check, explain or suggest.
+Without an ACTION the configuration is printed.
 """
 
 
+CHECK = "Check parameter files: all errors of each; exit code 1 if there is one."
+EXPLAIN = "Explain parameters or whole sections, and the lengths that follow from the vehicle."
+SUGGEST = "Suggest domain, noise and cell sizes for a bag, as a parameter file."
+
+
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = common.add_command(commands, "config", _run, TEXT, EXAMPLES)
-    add = parser.add_argument
-    add("action", nargs="?", choices=ACTIONS, default="print", metavar="ACTION")
-    text = "files to check; keys or sections to explain; the bag to suggest for"
-    add("names", nargs="*", metavar="NAME", help=text)
+    parser = common.add_command(commands, "config", _print, TEXT, EXAMPLES)
+    shipped = {name: f"config --config {name}" for name in shipped_configs()}
+    parser.meant = {**shipped, "print": "config without an action"}
+    _add_values(parser)
+    actions = parser.add_subparsers(metavar="ACTION", help="check, explain or suggest")
+    check = common.add_command(actions, "check", _check, CHECK, EXAMPLES)
+    check.add_argument("names", nargs="+", metavar="FILE", help="files to check")
+    text = "check that the files are for this node, /uav1/lss_node"
+    check.add_argument("--node", default="", metavar="NAME", help=text)
+    explain = common.add_command(actions, "explain", _explain, EXPLAIN, EXAMPLES)
+    explain.add_argument("names", nargs="+", metavar="NAME", help="keys or sections")
+    _add_values(explain)
+    suggest = common.add_command(actions, "suggest", _suggest, SUGGEST, EXAMPLES)
+    suggest.add_argument("bag", type=common.named, metavar="BAG", help=common.CLOUDS)
+    common.add_topics(suggest)
+    _add_values(suggest)
+    for command in (check, explain, suggest):  # an option before the action counts, too
+        for option in command._actions:
+            if option.dest in ("quiet", "verbose", "json", "config", "set", "vehicle"):
+                option.default = argparse.SUPPRESS
+
+
+def _add_values(parser: argparse.ArgumentParser) -> None:
     common.add_config_options(parser)
-    common.add_topics(parser)
-    text = "check: the files are for this node, /uav1/lss_node"
-    add("--node", default="", metavar="NAME", help=text)
     text = "for a vehicle of this diameter and clearance, m, with pads in proportion"
-    add("--vehicle", type=vehicle, metavar="D,C", help=text)
+    parser.add_argument("--vehicle", type=vehicle, metavar="D,C", help=text)
 
 
 def vehicle(text: str) -> dict[str, float]:
@@ -69,15 +90,6 @@ def vehicle(text: str) -> dict[str, float]:
     pad = float(f"{usual.pad_radius * diameter / usual.diameter:.3g}")
     values = {"vehicle.diameter": diameter, "vehicle.clearance": clearance}
     return {**values, "vehicle.pad_radius": pad}
-
-
-def _run(options: argparse.Namespace) -> int:
-    if options.action != "print" and not options.names:
-        options.parser.error(f"config {options.action}: name at least one")
-    unused = ["config", "set", "vehicle"] if options.action == "check" else ["node"]
-    unused += common.TOPICS if options.action != "suggest" else ()
-    common.refuse(options, f"config {options.action}", *unused)
-    return ACTIONS[options.action](options)
 
 
 def _chosen(options: argparse.Namespace) -> Config:
@@ -95,8 +107,6 @@ def _explain(options: argparse.Namespace) -> int:
 
 
 def _print(options: argparse.Namespace) -> int:
-    if options.names:
-        options.parser.error(f"config print takes no names, got {' '.join(options.names)}")
     config = _chosen(options)
     text = dump_config(config, comments=True)
     common.show(options, settings.values_from_config(config), text.removesuffix("\n"))
@@ -128,12 +138,10 @@ def _suggest(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.info import inspect_bag
     from quadtree_lss.desk.replay.suggest import suggest_config
 
-    if len(options.names) != 1:
-        options.parser.error("config suggest takes one bag")
     config, how = _chosen(options), common.given(options, *common.TOPICS)
     with ProgressBar("suggest", "s", options.verbose) as bar:
-        found = suggest_config(options.names[0], config, **how, progress=bar.update)
-        info = inspect_bag(options.names[0], config, **how, diagnose=True, progress=bar.update)
+        found = suggest_config(options.bag, config, **how, progress=bar.update)
+        info = inspect_bag(options.bag, config, **how, diagnose=True, progress=bar.update)
     suggested = found.values.items()
     others = [f for f in info.findings if not (f.settings or {"": 0}).items() <= suggested]
     notes = [*found.notes, *(f"Wrong: {finding.line}" for finding in others if finding.mend)]
@@ -228,6 +236,3 @@ def rule(name: str) -> str:
     share = item.default / getattr(VehicleConfig(), of) ** power
     given = of if of in Lengths.__dataclass_fields__ else f"vehicle.{of}"
     return f"{share:.3g} x {given}" + (f"^{power}" if power > 1 else "")
-
-
-ACTIONS = {"print": _print, "check": _check, "explain": _explain, "suggest": _suggest}

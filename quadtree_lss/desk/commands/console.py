@@ -55,10 +55,11 @@ def quiet(on: bool, json: bool = False) -> Iterator[None]:
 
 class ProgressBar:
     """A progress bar on stderr, if that is a terminal or ``verbose``. ``unit``: plural, or ``s``
-    for seconds of a bag."""
+    for seconds of a bag. ``after``: what is done when all units are."""
 
-    def __init__(self, what: str, unit: str, verbose: bool) -> None:
+    def __init__(self, what: str, unit: str, verbose: bool, after: str = "") -> None:
         self._bar: Any = None
+        self._after = after
         if not _Quiet.on and (verbose or sys.stderr.isatty()):
             from tqdm import tqdm  # takes long to import
 
@@ -74,6 +75,8 @@ class ProgressBar:
 
     def update(self, done: float, total: float) -> None:
         if self._bar is not None:
+            if self._after and done >= total:
+                self._bar.bar_format, self._bar.desc = "{desc} …", self._after
             self._bar.total, self._bar.n = total, done
             self._bar.refresh()
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 
 from quadtree_lss.desk.commands import common
-from quadtree_lss.desk.commands.console import ProgressBar
+from quadtree_lss.desk.commands.console import ProgressBar, warn
 
 TEXT = "Show what a bag contains and whether it is ready to replay."
 EXAMPLES = """examples:
@@ -62,6 +62,7 @@ def _doctor(options: argparse.Namespace) -> int:
         common.refuse(options, "doctor without a bag", "poses")
         with common.of_ros("doctor without a bag"):
             from quadtree_lss.desk.player.listen import listen
+        warn(f"listening for {options.seconds:g} s to what is published now")
         bag = listen(options.seconds)
     else:
         common.refuse(options, "a bag", "seconds")

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -79,14 +80,17 @@ def _run(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.files import made
     from quadtree_lss.desk.replay.replay import replay
 
+    if is_model(options.bag):
+        options.parser.error(f"{options.bag} is an elevation model: quadtree-lss sites ranks on it")
     config, out = common.chosen_config(options), _folder(options)
     report = "" if options.no_report else ", draws the report"
+    after = "ranking sites and writing results" + (" and the report" if report else "")
     then = f"ranks sites on what is mapped so far{report} and writes it into {out}"
     how = common.given(options, *common.TOPICS, "start", "duration", "record")
     how |= {"report": not options.no_report, "landing": common.landing_of(options)}
     with (
         console.Interruption(then) as interruption,
-        console.ProgressBar("replay", "s", options.verbose) as bar,
+        console.ProgressBar("replay", "s", options.verbose, after) as bar,
         made(out, QuadtreeLssError),
     ):
         how |= {"progress": bar.update, "stop": interruption.asked}
@@ -103,6 +107,18 @@ def _run(options: argparse.Namespace) -> int:
         console.warn("the bag is damaged: everything readable was processed")
         return common.IN_PART
     return common.DONE
+
+
+def is_model(path: Path) -> bool:
+    """Whether a file is an elevation model and not a bag or a point cloud."""
+    if path.suffix.lower() != ".npz" or not path.is_file():
+        return path.suffix.lower() in (".tif", ".tiff")
+    from quadtree_lss.desk.exchange.archives import read_arrays
+
+    names = {"x", "y", "elevation"}
+    with suppress(QuadtreeLssError):
+        return names <= read_arrays(path, names).keys()
+    return False
 
 
 def _folder(options: argparse.Namespace) -> Path:
@@ -128,9 +144,13 @@ def _sites(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.elevation_model import rank_sites
     from quadtree_lss.desk.replay.files import made
 
+    if options.dem.is_dir() or options.dem.suffix in (".mcap", ".db3", ".bag"):
+        options.parser.error(f"{options.dem} is no elevation model: quadtree-lss replay reads bags")
     config, out = common.chosen_config(options), _folder(options)
     how = {"report": not options.no_report, "landing": common.landing_of(options)}
-    with made(out, QuadtreeLssError):
+    bar = console.ProgressBar("sites", "s", options.verbose, "ranking sites, writing the results")
+    with made(out, QuadtreeLssError), bar:
+        bar.update(1, 1)
         result = rank_sites(options.dem, out, config, **how)
     _tell(options, result, out, "note")
     return common.DONE

@@ -38,6 +38,17 @@ class ElevationModel:
     elevation: Array
     crs: str = ""
 
+    def __post_init__(self) -> None:
+        """Raises `ExchangeError`: the shapes do not agree, or x and y are not even."""
+        x, y, z = (np.asarray(of) for of in (self.x, self.y, self.elevation))
+        if x.ndim != 1 or y.ndim != 1 or z.shape != (y.size, x.size):
+            msg = f"elevation {z.shape} does not belong to x {x.shape} and y {y.shape}"
+            raise ExchangeError(msg)
+        step = (x[-1] - x[0]) / (x.size - 1) if x.size > 1 else 0.0
+        even = all(np.allclose(np.diff(axis), step, rtol=1e-3, atol=1e-9) for axis in (x, y))
+        if x.size > 1 and not (even and step > 0.0):
+            raise ExchangeError("x and y must ascend in equal steps, both alike")
+
     @property
     def spacing(self) -> float:
         """Distance of neighbouring posts, m."""
@@ -93,16 +104,11 @@ def _npz(path: Path) -> ElevationModel:
         msg = f"{path}: an elevation model has the arrays x, y and elevation, of real numbers"
         raise ExchangeError(msg)
     x, y, z = (np.asarray(arrays[name], np.float64) for name in ("x", "y", "elevation"))
-    if x.ndim != 1 or y.ndim != 1 or z.shape != (y.size, x.size) or min(x.size, y.size) < 2:
-        msg = f"{path}: elevation {z.shape} does not belong to x {x.shape} and y {y.shape}"
-        raise ExchangeError(msg)
     _bounded(path, x.size, y.size)
-    step = float(x[-1] - x[0]) / (x.size - 1)
-    even = all(np.allclose(np.diff(axis), step, rtol=1e-3, atol=1e-9) for axis in (x, y))
-    if not (even and step > 0.0):
-        msg = f"{path}: x and y must ascend in equal steps, both alike"
-        raise ExchangeError(msg)
-    return ElevationModel(x, y, z)
+    try:
+        return ElevationModel(x, y, z)
+    except ExchangeError as error:
+        raise ExchangeError(f"{path}: {error}") from None
 
 
 def _raster(path: Path) -> ElevationModel:

@@ -217,10 +217,10 @@ class Results:
         return _arrays(path) if path.exists() else {}
 
     def then(self, name: str, answers: NDArray[np.intp]) -> NDArray[np.uint8]:
-        """A layer of the history at some assessments, (A, ny, nx), bits or per cent, moved to the
+        """A layer of the history at some assessments, (A, ny, nx), bits or risks, moved to the
         last grid because the domain may have followed the vehicle."""
         shape, rows = self.grid["hazard"].shape, self.history[name][answers]
-        fill = 255 if name == "probability" else 0
+        fill = 255 if name == "risk" else 0
         if not fill:
             rows = np.unpackbits(rows, axis=1, count=shape[0] * shape[1])
         found: NDArray[np.uint8] = rows.reshape(-1, *shape)

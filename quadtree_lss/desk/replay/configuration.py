@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from difflib import get_close_matches
 from pathlib import Path
 
 import yaml
@@ -76,14 +77,19 @@ def find_config(path: str | os.PathLike[str]) -> Path:
     given = Path(path)
     if given.is_file():
         return given
+    shipped = shipped_configs()
+    if given.parent in (Path("."), Path("config")) and given.name.removesuffix(".yaml") in shipped:
+        return shipped[given.name.removesuffix(".yaml")]
+    near = get_close_matches(given.stem, shipped, 1)
+    names = f"did you mean {near[0]}?" if near else f"shipped: {', '.join(shipped) or 'none'}"
+    raise ConfigError(f"no configuration file {str(path)!r} ({names})")
+
+
+def shipped_configs() -> dict[str, Path]:
+    """Shipped configurations by name, in alphabetical order."""
     prefixes = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
-    places = (Path(p, "share/quadtree_lss/config") for p in (sys.prefix, *prefixes))
-    shipped = [file for place in places for file in sorted(place.glob("*.yaml"))]
-    named = [file for file in shipped if file.name == given.name or file.stem == given.name]
-    if named and given.parent in (Path("."), Path("config")):
-        return named[0]
-    names = ", ".join(sorted({file.stem for file in shipped}))
-    raise ConfigError(f"no configuration file {str(path)!r} (shipped: {names or 'none'})")
+    places = (Path(p, "share/quadtree_lss/config") for p in (*prefixes, sys.prefix))
+    return {file.stem: file for place in places for file in sorted(place.glob("*.yaml"))}
 
 
 def slow(config: Config) -> str:

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.desk.exchange.dem import ElevationModel, read_dem
+from quadtree_lss.desk.replay.files import OutsideInput
 from quadtree_lss.desk.replay.results import ReplayResult, run_summary, write_results
-from quadtree_lss.onboard.config.settings import Config, config_from_values
+from quadtree_lss.onboard.config.settings import DEFAULTS, Config, config_from_values
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -25,8 +26,8 @@ MOST_CELLS, MOST_POINTS = 1 << 10, 2000
 
 def rank_sites(
     dem: str | Path | ElevationModel,
-    out: str | Path | None,
-    config: Config,
+    out: str | Path | None = None,
+    config: Config = DEFAULTS,
     *,
     report: bool = True,
     landing: Mapping[str, ArrayLike | None] | None = None,
@@ -36,8 +37,8 @@ def rank_sites(
     A leaf is a cell between posts, or several of them if there are more than 1024 x 1024. An area
     crops the model. ``config``: ``lss`` is used, and ``lidar.range_noise`` as the posts' standard
     deviation. ``out``, ``report`` and ``landing`` as in `replay.replay`. Raises `ExchangeError`:
-    not an elevation model; `ConfigError`: the configuration does not fit the model's size;
-    `ReplayError`: the results cannot be written.
+    not an elevation model; `OutsideInput`: the target is outside of it; `ConfigError`: the
+    configuration does not fit the model's size; `ReplayError`: the results cannot be written.
     """
     began = time.perf_counter()
     name = "" if isinstance(dem, ElevationModel) else str(Path(dem).resolve())
@@ -48,6 +49,11 @@ def rank_sites(
         room = 0.5 * config.lss.vehicle.diameter + config.lss.margin + 2.0 * model.spacing
         part = model.within(corners.min(axis=0) - room, corners.max(axis=0) + room)
         model = part if min(len(part.x), len(part.y)) >= 3 else model
+    if "target" in wanted:
+        x, y = np.asarray(wanted["target"], np.float64)[:2]
+        if not (model.x[0] <= x <= model.x[-1] and model.y[0] <= y <= model.y[-1]):
+            extent = f"x {model.x[0]:g} to {model.x[-1]:g}, y {model.y[0]:g} to {model.y[-1]:g} m"
+            raise OutsideInput(f"the target {x:g},{y:g} is outside the model: {extent}")
     cells, block = cells_of(model, config.lidar.range_noise)
     names = ("xmin", "ymin", "size", "min_level", "max_level")
     own: dict[str, Any] = {f"domain.{name}": getattr(cells.domain, name) for name in names}

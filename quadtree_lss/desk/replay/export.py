@@ -223,12 +223,12 @@ def _geojson(results: Results, folder: Path, crs: str) -> list[Path]:
 
 def _map_server(results: Results, folder: Path, crs: str) -> list[Path]:
     """Write images (PGM) and YAML files for the mode ``trinary``."""
-    grid, seen = results.grid, results.grid.seen
+    grid, seen, hazard = results.grid, results.grid.seen, results.grid["hazard"]
+    unknown = np.where(hazard > 0, UNKNOWN, FREE)
     maps = {
-        "hazards": np.where((grid["hazard"] & IDENTIFIED) > 0, OCCUPIED, FREE),
+        "hazards": np.where((hazard & IDENTIFIED) > 0, OCCUPIED, unknown),
         "landing": np.where(grid["safe"], FREE, OCCUPIED),
     }
-    maps["hazards"][~seen & (maps["hazards"] == FREE)] = UNKNOWN
     maps["landing"][~seen & (maps["landing"] == OCCUPIED)] = UNKNOWN
     written = []
     for name, values in maps.items():

@@ -21,6 +21,10 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 
+class OutsideInput(QuadtreeLssError):
+    """An argument, such as a time or a place, lies outside of the recording or model."""
+
+
 class ReplayError(QuadtreeLssError):
     """The bag gave no map, or the results cannot be written."""
 

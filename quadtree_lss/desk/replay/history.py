@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment
 from quadtree_lss.onboard.messages.intake import ReadyScan
-from quadtree_lss.onboard.messages.maps import known_probability
 
 ANSWERS, SCANS = 240, 4000
 """Largest numbers of assessments and scans that are kept."""
+LEAST_DECADES, STEPS = 4.0, 60.0
+"""The risk r is kept as -STEPS * log10(r), down to r = 10^-LEAST_DECADES: to 4 %."""
 _EVERY = 16
 _ANGLES = np.arange(12) * (2.0 * np.pi / 12)
 _DIRECTIONS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
@@ -49,14 +50,16 @@ class History:
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
         sites = found.sites
         ranked = sites.id, sites.position, sites.score, sites.probability
-        percent = np.rint(100.0 * known_probability(found))
+        seen = found.hazard & UNSEEN == 0
+        risk = np.where(seen, found.risk, np.nan)
+        kept = np.rint(-STEPS * np.log10(np.maximum(risk, 10.0**-LEAST_DECADES)))
         self._answers.add(
             {
                 "stamp_ns": found.stamp_ns,
                 "corner": (found.x[0], found.y[0]),
-                "seen": np.packbits(found.hazard & UNSEEN == 0),
+                "seen": np.packbits(seen),
                 "allowed": np.packbits(found.safe),
-                "probability": np.nan_to_num(percent, nan=255.0).astype(np.uint8).ravel(),
+                "risk": np.nan_to_num(kept, nan=255.0).astype(np.uint8).ravel(),
                 "sites": np.column_stack(ranked),
                 "target": np.array([found.selected.id, *found.selected.position]),
                 "target_why": found.why,
@@ -72,9 +75,9 @@ class History:
         outline = ground[(ground @ _DIRECTIONS.T).argmax(axis=0)]
         self._scans.add((scan.stamp_ns, scan.pose.position.copy(), outline))
 
-    def arrays(self, *, probability: bool = True) -> dict[str, NDArray[Any]]:
-        """The content of the file, map frame, m. ``probability``: include that of each grid point,
-        which is most of the file."""
+    def arrays(self, *, risk: bool = True) -> dict[str, NDArray[Any]]:
+        """The content of the file, map frame, m. ``risk``: include that of each grid point, most of
+        the file."""
         scans, answers = self._scans.all(), self._answers.all()
         sites = np.concatenate([a["sites"] for a in answers]) if answers else np.zeros((0, 6))
         outlines = np.array([edge for _, _, edge in scans])
@@ -90,7 +93,7 @@ class History:
             "answer_corner": column("corner").reshape(-1, 2),
             "seen": column("seen", np.uint8),
             "allowed": column("allowed", np.uint8),
-            **({"probability": column("probability")} if probability else {}),
+            **({"risk": column("risk")} if risk else {}),
             "target": column("target").reshape(-1, 4),
             "target_why": column("target_why", str),
             "site_answer": np.repeat(np.arange(len(answers)), [len(a["sites"]) for a in answers]),

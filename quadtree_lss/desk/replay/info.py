@@ -24,7 +24,7 @@ from quadtree_lss.desk.replay.heard import Finding, Heard, setting
 from quadtree_lss.desk.replay.results import points_line, points_warning
 from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Part, Progress, Stream, rate
 from quadtree_lss.desk.replay.suggest import SCANS, Seen
-from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.config.settings import DEFAULTS, Config
 from quadtree_lss.onboard.core.sensing.register import register
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.errors import one_line
@@ -155,7 +155,7 @@ class BagInfo:
 
 def inspect_bag(
     bag: str | Path | Bag,
-    config: Config,
+    config: Config = DEFAULTS,
     *,
     scan_topic: str | None = None,
     pose_topic: str | None = None,

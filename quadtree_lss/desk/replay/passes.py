@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import cache
-from math import hypot, inf, nan
+from math import hypot, inf
 from typing import Any, NamedTuple
 
 from quadtree_lss.onboard.config.settings import Config
@@ -22,14 +22,22 @@ LAST_PASSES = 4
 
 
 class TargetChange(NamedTuple):
-    """A row of ``selected.csv``: a new target, or none (``id`` 0, NaN)."""
+    """A row of ``selected.csv``: a new target, or none (``id`` 0, NaN). ``probability``: as in
+    ``landing/status``."""
 
     stamp_ns: int
     id: int
     x: float
     y: float
     z: float
+    probability: float
     reason: str
+
+    def follows(self, last: TargetChange | None) -> bool:
+        """Whether it is another target than the last one, has moved, or was withdrawn."""
+        if last is None or not last.id:
+            return self.id > 0
+        return self.id != last.id or hypot(self.x - last.x, self.y - last.y) >= ROUNDING
 
 
 class Passes:
@@ -120,11 +128,9 @@ class Passes:
 
     def _note(self, found: LandingAssessment) -> None:
         """Add a row if the target is another one, has moved or was withdrawn."""
-        x, y, z = found.selected.position.tolist()
-        row = TargetChange(found.stamp_ns, found.selected.id, x, y, z, found.selected.reason.key)
-        last = self.changes[-1] if self.changes else TargetChange(0, 0, nan, nan, nan, "")
-        moved = hypot(row.x - last.x, row.y - last.y) >= ROUNDING
-        if row.id != last.id or (row.id and moved):
+        of, (x, y, z) = found.selected, found.selected.position.tolist()
+        row = TargetChange(found.stamp_ns, of.id, x, y, z, of.probability, of.reason.key)
+        if row.follows(self.changes[-1] if self.changes else None):
             self.changes.append(row)
 
 

@@ -20,7 +20,7 @@ from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.desk.replay.results import ReplayResult, points_line, run_summary, write_results
 from quadtree_lss.desk.replay.run import Run
 from quadtree_lss.desk.replay.stream import LandingTopics, MapPairs, Part, Progress, Stream
-from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.config.settings import DEFAULTS, Config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.messages.intake import ReadyScan
 from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
@@ -28,8 +28,8 @@ from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
 
 def replay(
     bag: str | Path | Bag,
-    out: str | Path | None,
-    config: Config,
+    out: str | Path | None = None,
+    config: Config = DEFAULTS,
     *,
     scan_topic: str | None = None,
     pose_topic: str | None = None,
@@ -133,7 +133,7 @@ def replay(
 
 def scans(
     bag: str | Path | Bag,
-    config: Config,
+    config: Config = DEFAULTS,
     *,
     scan_topic: str | None = None,
     pose_topic: str | None = None,
@@ -159,7 +159,7 @@ class Step(NamedTuple):
     mapper: Mapper
 
 
-def steps(bag: str | Path | Bag, config: Config, **options: Any) -> Iterator[Step]:
+def steps(bag: str | Path | Bag, config: Config = DEFAULTS, **options: Any) -> Iterator[Step]:
     """Map a bag scan by scan; ``step.mapper.snapshot()`` is the map so far. Arguments and errors
     are those of `scans`."""
     mapper = Mapper(config)

@@ -79,6 +79,9 @@ class ReplayResult:
         where = "" if self.out is None else f", in {self.out}"
         return f"<ReplayResult: {len(self.timings)} scans{part}{where}; {self.assessment}>"
 
+    def _repr_html_(self) -> str:
+        return self.assessment._repr_html_()
+
     def as_dict(self) -> dict[str, Any]:
         """The summary with the ranked sites, in JSON types."""
         sites = self.assessment.sites
@@ -167,7 +170,7 @@ def write_results(
         files.write_npz(out / "grid.npz", grid_of(result.assessment))
         timings = ([*row[:-1], f"{row.map_ms:.4f}"] for row in result.timings)
         files.write_csv(out / "timing.csv", ScanTiming._fields, timings)
-        files.write_npz(out / "history.npz", (history or History()).arrays(probability=report))
+        files.write_npz(out / "history.npz", (history or History()).arrays(risk=report))
         files.write_bytes(out / "config.yaml", dump_config(config).encode())
         files.write_json(out / "summary.json", result.summary)
         _remove_report(out)

@@ -16,7 +16,7 @@ from quadtree_lss.desk.bags import message_types as types
 from quadtree_lss.desk.bags import topics
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.recorded_file import RawMessage
-from quadtree_lss.desk.replay.files import ReplayError
+from quadtree_lss.desk.replay.files import OutsideInput
 from quadtree_lss.onboard.config.settings import (
     Config,
     LssConfig,
@@ -56,12 +56,12 @@ class Part(NamedTuple):
     @classmethod
     def of(cls, bag: Bag, start: float = 0.0, duration: float | None = None) -> Part:
         """Make a part that begins ``start`` s after the first message of an open bag and lasts
-        ``duration`` s or until the end. Raises `ReplayError`: it lies outside the bag."""
+        ``duration`` s or until the end. Raises `OutsideInput`: it lies outside the bag."""
         length = (bag.end_ns - bag.start_ns) / SECOND_NS
         if not 0.0 <= start <= length:
-            raise ReplayError(f"--start {start:g} s is outside the bag's {length:.3f} s")
+            raise OutsideInput(f"--start {start:g} s is outside the bag's {length:.3f} s")
         if duration is not None and not 0.0 < duration < math.inf:
-            raise ReplayError(f"--duration {duration:g} s is not positive and finite")
+            raise OutsideInput(f"--duration {duration:g} s is not positive and finite")
         first, end = bag.start_ns + round(start * SECOND_NS), bag.end_ns + 1
         if duration is not None:
             end = min(end, first + round(duration * SECOND_NS))

@@ -15,10 +15,12 @@ from scipy.spatial import cKDTree
 
 from quadtree_lss.desk.bags.cloud_files import open_recording
 from quadtree_lss.desk.replay.configuration import dump_values
-from quadtree_lss.desk.replay.stream import Part, Progress, ReplayError, Stream
+from quadtree_lss.desk.replay.files import ReplayError
+from quadtree_lss.desk.replay.stream import Part, Progress, Stream
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.risk import doubt
 from quadtree_lss.onboard.config.settings import (
+    DEFAULTS,
     LEAST_STEPS,
     Config,
     config_from_values,
@@ -64,7 +66,7 @@ class Suggestion:
 
 def suggest_config(
     bag: str | Path,
-    config: Config,
+    config: Config = DEFAULTS,
     *,
     scan_topic: str | None = None,
     pose_topic: str | None = None,

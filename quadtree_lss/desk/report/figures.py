@@ -24,7 +24,7 @@ def figures(content: Results) -> dict[str, Figure]:
     _layer(axes, content, grid["elevation"], "elevation", "elevation, m")
     drawing.mark_sites(axes, content.positions)
     found["slope"], axes = _map("Slope at the lander's scale", content)
-    label = f"slope, deg (limit {limit:g} in white; grey: unseen)"
+    label = f"slope, deg (limit {limit:g} in white; grey: unobserved)"
     limits = palette.slope_limits(slope, content.config.lss)
     bar = _layer(axes, content, slope, "slope", label, limits=limits)
     bar.ax.axhline(limit, color="white")
@@ -92,7 +92,7 @@ def _layer(axes: Any, content: Results, values: Array, kind: str, label: str, **
     grid = content.grid
     style |= {"heights": grid["elevation"], "unknown": NONE_COLOUR}
     drawn = drawing.layer(axes, grid.x, grid.y, values, kind, **style)
-    label += "" if "grey" in label else " (grey: unseen)"
+    label += "" if "grey" in label else " (grey: unobserved)"
     return axes.figure.colorbar(drawn, ax=axes, label=label, shrink=0.85, extend="both")
 
 
@@ -132,7 +132,7 @@ def _classes(axes: Any, content: Results, kind: Any, names: list[tuple[str, str]
     legend = []
     for number, (name, colour) in enumerate(names):
         share = 100.0 * np.count_nonzero((kind == number) & grid.seen) / seen
-        label = name if name in ("unseen", palette.UNMAPPED_NAME) else f"{name} {share:.1f} %"
+        label = name if name in ("unobserved", palette.UNMAPPED_NAME) else f"{name} {share:.1f} %"
         if name != palette.UNMAPPED_NAME or grid.unmapped.any():
             legend.append(Patch(facecolor=colour, edgecolor="black", linewidth=0.4, label=label))
     return legend

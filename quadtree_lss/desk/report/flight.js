@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // A flight over its map: path, reach, decisions, faults, height and speed, touchdown. Its moments are samples.
 "use strict";
-const MARK = "#e69f00", FAILED = "#d55e00", PATH = "#004c8c";
+const flightCharts = [], MARK = "#e69f00", FAILED = "#d55e00", PATH = "#004c8c";
 const sampleAt = t => { // the last one until a time of flight
   const times = data.flight.time, k = times.findIndex(v => v > t + 1e-3);
   return k < 0 ? times.length - 1 : Math.max(k - 1, 0);
@@ -21,7 +21,7 @@ function moment(i) { // the map and its sites as they were then, and the lander
   for (const row of eventRows()) {
     row.style.opacity = Number(row.cells[0].textContent) <= momentTime() + 0.05 ? 1 : 0.4;
   }
-  for (const chart of charts_sites) chart.redraw(false);
+  for (const chart of flightCharts) chart.redraw(false);
   if (space) space.update();
   draw();
 }
@@ -33,8 +33,7 @@ function startFlight() {
     const a = Math.max(k - 1, 0), b = Math.min(k + 1, f.time.length - 1);
     return Math.hypot(f.x[b] - f.x[a], f.y[b] - f.y[a], f.z[b] - f.z[a]) / (f.time[b] - f.time[a] || 1);
   });
-  Object.assign(frames, { last: f.time.length - 1, step: 2, at: () => view.moment, go: moment,
-                          ofAnswer: k => sampleAt(data.history.seconds[k] + f.before) });
+  Object.assign(frames, { last: f.time.length - 1, step: 2, at: () => view.moment, go: moment });
   view.moment = frames.last;
   const marks = u => { // faults as bars, decisions as lines, the shown moment
     const c = u.ctx, { top, height: high } = u.bbox, at = t => u.valToPos(t - f.before, "x", true);
@@ -48,9 +47,9 @@ function startFlight() {
   };
   const curves = [["height, m", f.height, " m", 0], ["speed, m/s", f.speed, " m/s", 2]];
   const room = document.createElement("div");
-  byId("chart-sites").before(room);
+  byId("time").append(room);
   for (const [label, values, unit, tone] of curves) {
-    charts_sites.push(plot(room, 110, {
+    flightCharts.push(plot(room, 110, {
       series: [{ label: "time", value: second_s }, curve(label, CURVES[tone], unit)],
       scales: { x: { time: false } }, axes: [{ label: "time, s" }, { label }], legend: { show: false },
       hooks: { draw: [marks] }, cursor: { sync: { key: "flight" },

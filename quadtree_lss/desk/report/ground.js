@@ -32,7 +32,8 @@ function gridPointAt(x, y) {
   return i >= 0 && j >= 0 && i < grid.nx && j < grid.ny ? j * grid.nx + i : -1;
 }
 const UNSEEN = data.hazards.find(h => h.bit === 128);
-const UNMAPPED = data.hazards.find(h => h.bit === 64); // seen, but nobody knows: it is unseen, too
+const UNMAPPED = data.hazards.find(h => h.bit === 64); // observed, not estimated: it has both bits
+const PARTLY_UNOBSERVED = data.hazards.find(h => h.bit === 32);
 function seenAt(x, y) {
   const i = gridPointAt(x, y);
   return i >= 0 && !(grid.hazard[i] & UNSEEN.bit);

@@ -7,6 +7,7 @@ Ground is *allowed* by the risk at a grid point; an aim point has a *probability
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from datetime import datetime, timezone
 from typing import NamedTuple
 
@@ -16,14 +17,17 @@ from scipy.ndimage import distance_transform_edt
 from quadtree_lss.desk.exchange.saved import Results
 from quadtree_lss.desk.report.palette import excluding, slope_limit
 from quadtree_lss.onboard.arrays import Array, Mask
+from quadtree_lss.onboard.core.landing.hazards import PARTLY_UNOBSERVED
 from quadtree_lss.onboard.core.landing.probability import shown
-from quadtree_lss.onboard.core.landing.target import SETTLE_SHARE
+from quadtree_lss.onboard.core.landing.ranking import equal_up_to
 from quadtree_lss.onboard.messages.intake import noise_notice
 
 GOOD = 0.99
-"""Least probability of a good aim: one landing in a hundred fails."""
-LEVELS = {"good": "Good", "care": "With care", "none": "None is good enough"}
-"""Levels of trust in the best aim."""
+"""Least probability of a good site: one landing in a hundred fails."""
+AROUND = 0.5
+"""Least share of allowed ground within a vehicle's diameter of a good site."""
+LEVELS = {"good": "Good", "care": "With care", "none": "Not good enough"}
+"""Levels of trust in a site."""
 
 
 class Areas(NamedTuple):
@@ -35,7 +39,7 @@ class Areas(NamedTuple):
 
 
 class Circle(NamedTuple):
-    """The largest circle of observed ground without excluding hazards; ``limit`` ends it."""
+    """The largest circle of observed ground without hazards; ``limit`` ends it."""
 
     x: float
     y: float
@@ -51,48 +55,47 @@ class NearestMiss(NamedTuple):
     why: str
 
 
-def areas(content: Results) -> Areas:
+def areas(content: Results, moment: Moment) -> Areas:
     """Areas that are observed, allowed, and observed but not estimated."""
     x, y = (np.full(len(content.grid[name]), content.grid.spacing) for name in "xy")
     x[[0, -1]] *= 0.5  # the outer points are on the edge of the map
     y[[0, -1]] *= 0.5
     each = y[:, None] * x
-    of = (content.grid.seen, content.grid["safe"], content.grid.unmapped)
-    return Areas(*(float(each[part].sum()) for part in of))
+    return Areas(*(float(each[part].sum()) for part in moment[:3]))
 
 
 def largest_circle(content: Results) -> Circle | None:
     """The largest clear circle; None if landing is allowed somewhere, or no ground is clear."""
     grid = content.grid
-    hazardous = (grid["hazard"] & excluding(content.config.lss.assessment)) > 0
+    bits = excluding(content.config.lss.assessment) & ~PARTLY_UNOBSERVED
+    hazardous = (grid["hazard"] & bits) > 0
     clear = grid.seen & ~hazardous
-    if grid["safe"].any() or not clear.any():
-        return None
     room = _room(clear, grid.spacing)
+    if grid["safe"].any() or room.max() < 0.5 * content.zone:
+        return None
     row, column = np.unravel_index(np.argmax(room), room.shape)
     radius = float(room[row, column])
     away = np.hypot(grid["x"] - grid["x"][column], (grid["y"] - grid["y"][row])[:, None])
     edge = ~clear & (away < radius + 1.5 * grid.spacing)
     unseen, blocked = np.count_nonzero(edge & ~grid.seen), np.count_nonzero(edge & hazardous)
-    limit = "hazards" if blocked > unseen else "unseen ground" if unseen else "the map's edge"
+    limit = "hazards" if blocked > unseen else "unobserved ground" if unseen else "the map's edge"
     if unseen >= blocked and 2 * np.count_nonzero(edge & grid.unmapped) > unseen:
-        limit = "ground not yet mapped"
+        limit = "ground observed but not estimated"
     return Circle(float(grid["x"][column]), float(grid["y"][row]), radius, limit)
 
 
 def nearest_miss(content: Results) -> NearestMiss | None:
-    """The most probable, else the most level grid point with room for a zone; None if none."""
+    """The grid point with room for a zone that has the least risk, else slope; None if none."""
     grid, lss = content.grid, content.config.lss
     room = _room(grid.seen, grid.spacing) >= content.zone
-    best, word = np.nanargmin, "slope {:.1f} deg, but a hazard within the zone"
-    values = grid["slope_deg"]
+    word, values = "slope {:.1f}°, but a hazard within the zone", grid["slope_deg"]
     if content.probability is not None:
-        best, word = np.nanargmax, "probability {:.0f} %"
-        values = 100.0 * content.probability
+        word = f"risk {{:.2g}} %, the limit is {100.0 * lss.max_risk:.2g} %"
+        values = 100.0 * grid["risk"]
     values = np.where(room, values, np.nan)
     if lss.assessment == "paper" or grid["safe"].any() or not np.isfinite(values).any():
         return None
-    row, column = np.unravel_index(best(values), values.shape)
+    row, column = np.unravel_index(np.nanargmin(values), values.shape)
     why = word.format(values[row, column])
     return NearestMiss(float(grid["x"][column]), float(grid["y"][row]), why)
 
@@ -104,76 +107,176 @@ def _room(mask: Mask, spacing: float) -> Array:
 
 
 class Fact(NamedTuple):
-    """A fact for the level of trust; ``level``: a key of `LEVELS`, or empty."""
+    """A fact about the best site or the run; ``level``: a key of `LEVELS`, or empty."""
 
     name: str
     value: str
     level: str = ""
 
 
-def best_probability(content: Results) -> float:
-    """Probability of the best aim; NaN without a site or if not computed."""
-    found = content.sites.get("probability", np.zeros(0))
-    return float(found[0]) if len(found) else float("nan")
+class Moment(NamedTuple):
+    """What an assessment found: masks (ny, nx) of the grid and the ranked sites, best first.
+
+    Attributes:
+        position: (K, 2) or (K, 3), map frame, m.
+        probability: (K,), NaN if not computed.
+        target: (2,) the target on ``landing/selected``, None without one.
+    """
+
+    seen: Mask
+    allowed: Mask
+    unmapped: Mask
+    position: Array
+    probability: Array
+    target: Array | None
 
 
-def trust(content: Results) -> tuple[str, list[Fact]]:
-    """A key of `LEVELS` for the best aim, and the facts behind it."""
-    lss, summary, best = content.config.lss, content.summary, best_probability(content)
-    doubts = list(summary.get("doubts", ()))
-    level = "none" if best < lss.min_probability else "good" if best >= GOOD else "care"
-    aim = f"{shown(best)}: {LEVELS[level].lower()}"
-    if np.isnan(best):
-        level, aim = "care", "not computed"
-    if not len(content.sites["x"]):
-        level, aim = "none", "there is none"
-    fits = not doubts and lss.ranking == "probability"
-    within = "yes" if fits else "no risk is computed"
-    if doubts:
-        within = f"no: {len(doubts)} in the warnings"
-    noise, ratio = content.config.lidar.range_noise, summary.get("range_noise_ratio")
-    noisy = ratio is not None and noise_notice(ratio, content.config) is not None
-    seen, cells = float(np.mean(content.grid.seen)), content.config.domain
-    finest, coarsest = (cells.size / 2.0**k for k in (cells.max_level, cells.min_level))
-    facts = [
-        Fact("best aim", aim, level),
-        Fact("within the fit", within, "good" if fits else "care"),
-        Fact("cells", f"{finest:.3g} to {coarsest:.3g} m"),
-        Fact(
-            "range noise, seen / set",
-            f"{'–' if ratio is None else format(noise * ratio, '.3g')} / {noise:.3g} m",
-            "care" if noisy else "",
-        ),
-        Fact("area seen", f"{100.0 * seen:.0f} %", "care" if seen < SETTLE_SHARE else ""),
-        Fact("dispersion, 1 σ", " × ".join(f"{s:.3g}" for s in content.dispersion) + " m"),
-    ]
-    if lss.assessment == "probability":
-        facts.append(Fact("risk allowed at a place", f"{100.0 * lss.max_risk:.3g} %"))
-    return "care" if level == "good" and not fits else level, facts
+class Verdict(NamedTuple):
+    """The result: a key of `LEVELS`, a headline, details, and the facts behind them."""
+
+    level: str
+    answer: str
+    ground: str
+    facts: list[Fact]
 
 
-def headline(content: Results) -> tuple[str, str]:
-    """The result in few words, and details."""
-    found, sites = areas(content), content.sites
+def last_moment(content: Results) -> Moment:
+    """The assessment that the sites are of."""
+    grid, sites = content.grid, content.sites
+    none = np.full(len(sites["x"]), np.nan)
+    probability = np.asarray(sites.get("probability", none), np.float64)
+    masks = grid.seen, grid["safe"], grid.unmapped
+    return Moment(*masks, content.positions, probability, last_target(content))
+
+
+def last_target(content: Results) -> Array | None:
+    """(2,) of the last target; None if there was none, or it was withdrawn."""
+    known = [content.selected[name] for name in ("id", "x", "y")]
+    if not len(known[0]) or not known[0][-1]:
+        return None
+    return np.array([float(known[1][-1]), float(known[2][-1])])
+
+
+def allowed_around(content: Results, moment: Moment) -> Array:
+    """Share (K,) of the grid points within a vehicle's diameter of each site that are allowed."""
+    x, y, reach = content.grid.x, content.grid.y, content.config.vehicle.diameter
+    found = np.zeros(len(moment.position))
+    for k, (at_x, at_y) in enumerate(moment.position[:, :2]):
+        columns = slice(*np.searchsorted(x, [at_x - reach, at_x + reach]))
+        rows = slice(*np.searchsorted(y, [at_y - reach, at_y + reach]))
+        near = np.hypot(x[columns] - at_x, (y[rows] - at_y)[:, None]) <= reach
+        found[k] = np.mean(moment.allowed[rows, columns][near]) if near.any() else 0.0
+    return found
+
+
+def ratings(content: Results, moment: Moment) -> list[tuple[str, str]]:
+    """Level of each site (a key of `LEVELS`) and what speaks against it, or an empty text.
+
+    A site is good if its probability is at least `GOOD`, at least `AROUND` of the ground around it
+    is allowed, and the risk model fits the case.
+    """
+    lss, warnings = content.config.lss, content.summary.get("doubts", ())
+    reach, found = content.config.vehicle.diameter, []
+    shares = allowed_around(content, moment)
+    for probability, share in zip(moment.probability, shares, strict=True):
+        level, against = "good", []
+        if np.isnan(probability):
+            level = "care"
+        elif probability < lss.min_probability:
+            level, against = "none", [f"a target needs {shown(lss.min_probability)}"]
+        elif probability < GOOD:
+            level, against = "care", [f"that is less than {shown(GOOD)}"]
+        if share < AROUND:
+            level = "none" if level == "none" else "care"
+            against += [
+                f"only {few(100.0 * share)} % of the ground within {reach:.3g} m is allowed"
+            ]
+        if warnings:
+            level = "none" if level == "none" else "care"
+            against += ["the risk model does not fit this case (see the warnings)"]
+        found.append((level, "; ".join(against)))
+    return found
+
+
+def verdict(content: Results, moment: Moment | None = None) -> Verdict:
+    """The result of an assessment, by default of the last one."""
+    at_end, moment = moment is None, moment or last_moment(content)
+    found, number = areas(content, moment), len(moment.position)
     percent = few(100.0 * found.allowed / (found.seen or 1.0))
-    ground = f"Landing is allowed on {percent} % of the {few(found.seen)} m² seen"
+    ground = f"Landing is allowed on {percent} % of the {few(found.seen)} m² observed"
     if found.allowed:
         ground += f": {few(found.allowed)} m²"
     if found.unmapped >= 0.5:
-        ground += f"; {few(found.unmapped)} m² more are seen, not yet mapped"
-    number, best = len(sites["x"]), best_probability(content)
+        ground += f"; {few(found.unmapped)} m² more are observed but not estimated"
+    facts = _facts(content, moment, found)
     if not number:
-        return "No landing site.", _without(content, ground)
-    of = f"the best of {number} sites" if number > 1 else "the one site"
-    level, words = trust(content)[0], f"no probability is computed of {of}"
-    if np.isfinite(best):
-        words = f"{shown(best)} at {of}"
-        if level == "none":
-            words += f", and a target needs {shown(content.config.lss.min_probability)}"
-    x, y, z = (f"{sites[name][0]:.2f}" for name in "xyz")
-    why = re.sub(r"^probability [^:]*: ", "", content.reasons[0])
-    place = f"At x {x}, y {y}, z {z} m. {why[:1].upper()}{why[1:]}. {ground}."
-    return f"{LEVELS[level]}: {words}.", place
+        details = _without(content, ground) if at_end else f"{ground}."
+        return Verdict("none", "No landing site.", details, facts)
+    (level, against), best = ratings(content, moment)[0], float(moment.probability[0])
+    of = f"site 1, the best of {number}," if number > 1 else "the only site"
+    words = f"a touchdown at {of} succeeds with {shown(best)}"
+    if np.isnan(best):
+        words = f"the risk at {of} is not computed"
+    answer = f"{LEVELS[level]}: {words}{', but ' + against if against else ''}."
+    place = ", ".join(f"{n} {v:.2f}" for n, v in zip("xyz", moment.position[0], strict=False))
+    details = f"Site 1 is at {place} m. {ground}."
+    if at_end:
+        why = re.sub(r"^probability [^:;]*[:;] ", "", content.reasons[0])
+        details = f"Site 1 is at {place} m: {why}. {ground}."
+    return Verdict(level, answer, details, facts)
+
+
+def _facts(content: Results, moment: Moment, found: Areas) -> list[Fact]:
+    lss, vehicle, summary = content.config.lss, content.config.vehicle, content.summary
+    facts, warnings = [], len(summary.get("doubts", ()))
+    if len(moment.position):
+        best, share = float(moment.probability[0]), float(allowed_around(content, moment)[0])
+        level = "none" if best < lss.min_probability else "good" if best >= GOOD else "care"
+        aim = ("not computed", "care") if np.isnan(best) else (shown(best), level)
+        near = f"{few(100.0 * share)} % within {vehicle.diameter:.3g} m"
+        facts = [
+            Fact("success at site 1", *aim),
+            Fact("allowed around site 1", near, "good" if share >= AROUND else "care"),
+        ]
+    if "probability" in (lss.assessment, lss.ranking):
+        fits = (
+            (f"does not fit: {warnings} in the warnings", "care") if warnings else ("fits", "good")
+        )
+        facts.append(Fact("risk model", *fits))
+    if lss.assessment == "probability":
+        facts.append(Fact("risk limit of a place", f"{100.0 * lss.max_risk:.3g} %"))
+    spread = " × ".join(f"{s:.3g}" for s in dict.fromkeys(content.dispersion))
+    facts.append(Fact("touchdown dispersion, 1 σ", f"{spread} m"))
+    if moment.target is not None:
+        (x, y), away = moment.target, np.hypot(*(moment.position[:, :2] - moment.target).T)
+        near = np.flatnonzero(away < 0.5 * vehicle.diameter)
+        facts.append(
+            Fact("target", f"site {near[0] + 1}" if len(near) else f"x {x:.2f}, y {y:.2f}")
+        )
+    facts.append(Fact("ground observed", f"{few(found.seen)} m²"))
+    ratio, noise = summary.get("range_noise_ratio"), content.config.lidar.range_noise
+    if ratio is not None:
+        level = "" if noise_notice(ratio, content.config) is None else "care"
+        told = f"{noise * ratio:.3g} m, set to {noise:.3g} m"
+        facts.append(Fact("range noise, 1 σ", told, level))
+    return facts
+
+
+def rank_reasons(sites: Mapping[str, Array], wanted: bool = False) -> list[str]:
+    """Why each site ranks where it does, in few words (see ``landing.ranking``). ``wanted``: sites
+    near a wanted place rank before others."""
+    probability, clear = sites.get("probability"), sites["hazard_distance"]
+    if probability is None or not len(clear) or np.isnan(probability).any():
+        return ["lowest score"] * (len(clear) > 0) + ["higher score"] * (len(clear) - 1)
+    risks = 1.0 - np.asarray(probability, np.float64)
+    words = ["as probable as any, most room" if risks.min() < risks[0] else "most probable"]
+    for k in range(1, len(risks)):
+        less_room = risks[k] <= equal_up_to(risks[k - 1]) and clear[k] <= clear[k - 1]
+        less = "farther from the wanted place" if wanted else f"less probable than {k}"
+        words.append(f"as probable as {k}, less room" if less_room else less)
+    if wanted:
+        words[0] = "near the wanted place"
+    return words
 
 
 def few(value: float) -> str:
@@ -203,8 +306,8 @@ def shortfall(content: Results) -> str:
     slope = float(np.nanmin(content.grid["slope_deg"][fits], initial=90.0))
     limit_deg = slope_limit(lss)
     if slope > limit_deg:
-        over = f"{slope - limit_deg:.1f} deg over the limit of {limit_deg:.1f} deg"
-        return f"The most level place has {slope:.1f} deg, {over}"
+        over = f"{slope - limit_deg:.1f}° over the limit of {limit_deg:.1f}°"
+        return f"The most level place has {slope:.1f}°, {over}"
     circle = largest_circle(content)
     if circle is None or circle.radius >= need:
         return ""

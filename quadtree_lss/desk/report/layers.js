@@ -1,64 +1,67 @@
 // SPDX-License-Identifier: Apache-2.0
 // The layers: values, units, colours, legends.
 "use strict";
-const UNKNOWN = [205, 205, 205];
+const UNKNOWN = [195, 212, 238], LANDING = "landing";
 const LAYERS = {}; // by name, in the order of the list
 const hazardNames = bits =>
   data.hazards.filter(h => bits & h.bit).map(h => h.name).join(", ") || "none";
 const isUnknown = h => h.name === UNSEEN.name || h.name === UNMAPPED.name;
 const excludes = h => isUnknown(h) || (data.excluding & h.bit);
-const centred = "Judged for the lander's centre: a site's circle is the ground it needs, and may " +
-  "reach over ground where another landing would fail. ";
+// State of a grid point in the k-th assessment, or the last one (-1): it decides the first picture.
+const ALLOWED = 0, EXCLUDED = 1, PARTLY = 2, UNOBSERVED = 3, UNESTIMATED = 4;
+function stateAt(i, k) {
+  if (k >= 0) return laterThan(i, k) ? UNOBSERVED : allowedAt(i, k) ? ALLOWED : EXCLUDED;
+  const bits = grid.hazard[i];
+  return bits & UNMAPPED.bit ? UNESTIMATED : bits & UNSEEN.bit ? UNOBSERVED :
+    grid.safe[i] ? ALLOWED : bits & PARTLY_UNOBSERVED.bit ? PARTLY : EXCLUDED;
+}
 
 function makeLayers() {
-  const partly = grid.hazard.some(bits => bits & UNMAPPED.bit);
-  const notKnown = partly ? "unseen or not yet mapped" : UNSEEN.name;
   const onGrid = (name, title, unit, values, map, none, more = {}) =>
     (LAYERS[name] = { title, unit, of: "grid", values, limits: values.limits, map, none, ...more });
   const onLeaves = (name, title, unit, values, limits) => (LAYERS[name] =
     { title, unit, of: "fine", at: k => values[fine.leaf[k]], limits, map: "deviation",
       none: "no estimate" });
+  const chance = { power: 10, percent: true, map: "score" };
+  const how = grid.risk || grid.score;
+  onGrid(LANDING, grid.risk ? "Where to land: chance that a touchdown here fails" :
+    "Where to land: score, lower is better", "", how, "score", UNSEEN.name,
+    { ofTime: true, states: true, ...(grid.risk && { ...chance, mark: Math.log10(data.limit.risk),
+      markName: "limit (lss.max_risk)" }) });
   for (const layer of data.layers) {
     LAYERS[layer.name] = { ...layer, of: "grid", limits: layer.values.limits, map: layer.kind,
                            none: "not known" };
   }
-  if (grid.probability) {
-    onGrid("probability", "Probability of a safe touchdown", "%", grid.probability, "probability",
-           notKnown, { ofTime: true, note: "If the lander is aimed here, with its dispersion. A site's " +
-             "circle is the ground it needs; aiming elsewhere in it may succeed less often." });
+  if (grid.aim) {
+    onGrid("aim", "Chance of failure if aimed here", "", grid.aim, "score", UNSEEN.name,
+      { ...chance, mark: Math.log10(data.limit.good), markName: "good",
+        note: "With the dispersion of the touchdown. Sites are ranked by this." });
   }
-  LAYERS.allowed = {
-    title: "Where landing is allowed", of: "grid", values: grid.safe, note: centred, ofTime: true,
-    value: i => (grid.hazard[i] & UNMAPPED.bit ? 3 : grid.hazard[i] & UNSEEN.bit ? 2 :
-      grid.safe[i] ? 0 : 1),
-    classes: [
-      { name: "allowed", colour: data.colours.safe },
-      { name: "excluded", colour: data.colours.excluded }, { ...UNSEEN },
-      { ...UNMAPPED },
-    ],
-  };
   LAYERS.elevation = { title: "Elevation of the map's planes", unit: "m", of: "fine",
-    at: k => fine.z[k], limits: limitsOf(fine.z), map: "elevation", none: notKnown };
+    at: k => fine.z[k], limits: limitsOf(fine.z), map: "elevation", none: UNSEEN.name };
   const filled = data.hazards.filter(excludes), lines = data.hazards.filter(h => !excludes(h));
   LAYERS.hazards = {
-    title: "Hazards by kind", of: "grid", outlines: lines,
+    title: "Why landing is excluded", of: "grid", outlines: lines,
     classes: [{ name: "none", colour: data.colours.clear }, ...filled],
     value: i => filled.findIndex(h => grid.hazard[i] & h.bit) + 1,
-    note: (data.centred ? centred : "") + (lines.length ? "Outlines do not exclude landing. " : ""),
+    note: "Judged for the vehicle's centre. " +
+      (lines.length ? "Outlines do not exclude landing. " : ""),
   };
-  onGrid("slope", "Slope at the lander's scale", "deg", grid.slope, "slope", notKnown,
-         { mark: grid.slope.mark });
-  onGrid("score", "Score, lower is better", "", grid.score, "score", "excluded");
+  onGrid("slope", "Slope at the lander's scale", "°", grid.slope, "slope", UNSEEN.name,
+         { mark: grid.slope.mark, markName: "limit" });
+  if (grid.risk) onGrid("score", "Score, lower is better", "", grid.score, "score", "excluded");
   const sizes = [leaves.max_level, leaves.min_level].map(l => Math.log2(leafSize(l)));
   if (leaves.deviation) {
-    onLeaves("deviation", "Deviation of the height, 1 σ", "m", leaves.deviation,
+    onLeaves("deviation", "Standard deviation of the height", "m", leaves.deviation,
              leaves.deviation.limits);
+    onLeaves("relative", "… without the common pose error", "m", leaves.relative,
+             leaves.relative.limits);
     onLeaves("roughness", "Roughness (distance from the plane)", "m", leaves.roughness,
              leaves.roughness.limits);
   }
-  onLeaves("cells", "Size of the cells (log scale)", "m",
+  onLeaves("cells", "Size of the cells", "m",
            Float64Array.from(leaves.level, l => Math.log2(leafSize(l))), sizes);
-  LAYERS.cells.log = true;
+  LAYERS.cells.power = 2;
 }
 function limitsOf(values) { // 1 and 99 %
   const known = Float64Array.from(values).filter(v => !Number.isNaN(v)).sort();
@@ -69,108 +72,144 @@ function limitsOf(values) { // 1 and 99 %
 function colour(layer, value) {
   if (Number.isNaN(value) || value === undefined) return UNKNOWN;
   const [low, high] = layer.limits, table = data.maps[layer.map];
-  const k = 3 * Math.round(255 * clamp((value - low) / (high - low || 1), 0, 1));
+  // The first picture: colours up to the limit, beyond it grey.
+  const share = clamp((value - low) / (high - low || 1), 0, 1);
+  const limit = layer.states && layer.mark !== undefined ? (layer.mark - low) / (high - low) : 1;
+  if (share > limit + 1e-9) return greyAt(share, limit);
+  const k = 3 * Math.round(255 * clamp(share / limit, 0, 1));
   return [table[k], table[k + 1], table[k + 2]];
 }
+const greyAt = (share, limit) => new Array(3).fill(
+  Math.round(170 - 90 * clamp((share - limit) / (1 - limit || 1), 0, 1)));
+function stateColour(layer, i, k) {
+  const state = stateAt(i, k), value = k < 0 ? layer.values[i] : riskAt(i, k);
+  if (state === UNOBSERVED) return rgb(UNSEEN.colour);
+  if (state === UNESTIMATED) return rgb(UNMAPPED.colour);
+  if (state === PARTLY) return rgb(PARTLY_UNOBSERVED.colour);
+  const [low, high] = layer.limits, limit = layer.mark === undefined ? high : layer.mark;
+  if (Number.isNaN(value)) return state === ALLOWED ? colour(layer, low) : greyAt(1, 0);
+  if (state === ALLOWED) return colour(layer, Math.min(value, limit));
+  return greyAt(clamp((value - low) / (high - low || 1), 0, 1), (limit - low) / (high - low || 1));
+}
 const painted = {};
-function picture(name, k = -1) { // canvas of a layer, of the last answer or the k-th one
-  const key = `${name} ${k}`, layer = LAYERS[name];
-  if (painted[key]) return painted[key];
-  for (const old of Object.keys(painted)) if (!old.endsWith(" -1")) delete painted[old];
-  const ofFine = layer.of === "fine", nx = ofFine ? fine.n : grid.nx, ny = ofFine ? nx : grid.ny;
+function canvasOf(nx, ny, colourOf) { // a picture with a pixel per value, row of least y last
   const canvas = document.createElement("canvas");
   canvas.width = nx; canvas.height = ny;
   const context = canvas.getContext("2d"), image = context.createImageData(nx, ny);
-  const colours = layer.classes && layer.classes.map(c => rgb(c.colour));
-  const gone = k < 0 ? () => false : ofFine ? i => laterThan(gridUnder(i), k) : i => laterThan(i, k);
-  const unseen = rgb(UNSEEN.colour);
   for (let j = 0; j < ny; j++) for (let i = 0; i < nx; i++) {
-    const from = j * nx + i, to = 4 * ((ny - 1 - j) * nx + i);
-    let c;
-    if (gone(from)) c = colours ? unseen : UNKNOWN;
-    else if (name === "allowed" && k >= 0) c = colours[allowedAt(from, k) ? 0 : 1];
-    else if (name === "probability" && k >= 0) c = colour(layer, probabilityAt(from, k));
-    else if (colours) c = colours[layer.value ? layer.value(from) : layer.values[from]];
-    else c = colour(layer, ofFine ? layer.at(from) : layer.values[from]);
-    image.data[to] = c[0]; image.data[to + 1] = c[1]; image.data[to + 2] = c[2];
-    image.data[to + 3] = 255;
+    const to = 4 * ((ny - 1 - j) * nx + i), [r, g, b, a = 255] = colourOf(j * nx + i);
+    image.data[to] = r; image.data[to + 1] = g; image.data[to + 2] = b; image.data[to + 3] = a;
   }
   context.putImageData(image, 0, 0);
-  const half = grid.spacing / 2;
-  const box = ofFine ? [leaves.xmin, leaves.ymin, leaves.size, leaves.size] :
-    [grid.xmin - half, grid.ymin - half, nx * grid.spacing, ny * grid.spacing];
-  return (painted[key] = { canvas, box });
+  return canvas;
+}
+const gridBox = () => [grid.xmin - grid.spacing / 2, grid.ymin - grid.spacing / 2,
+                       grid.nx * grid.spacing, grid.ny * grid.spacing];
+function kept(key, make) { // of moments that are not shown any more nothing is kept
+  if (!painted[key]) {
+    for (const old of Object.keys(painted)) if (!old.endsWith(" -1")) delete painted[old];
+    painted[key] = make();
+  }
+  return painted[key];
+}
+function picture(name, k = -1) { // canvas of a layer, of the last assessment or the k-th one
+  return kept(`${name} ${k}`, () => {
+    const layer = LAYERS[name], ofFine = layer.of === "fine";
+    const colours = layer.classes && layer.classes.map(c => rgb(c.colour));
+    const gone = k < 0 ? () => false : ofFine ? i => laterThan(gridUnder(i), k) : i => laterThan(i, k);
+    const colourOf = layer.states ? i => stateColour(layer, i, k) : i => (gone(i) ? UNKNOWN :
+      colours ? colours[layer.value ? layer.value(i) : layer.values[i]] :
+      colour(layer, ofFine ? layer.at(i) : layer.values[i]));
+    return ofFine ? { canvas: canvasOf(fine.n, fine.n, colourOf),
+                      box: [leaves.xmin, leaves.ymin, leaves.size, leaves.size] } :
+      { canvas: canvasOf(grid.nx, grid.ny, colourOf), box: gridBox() };
+  });
+}
+function excludedMask(k = view.answer) { // opaque where observed ground is excluded
+  return kept(`excluded ${k}`, () => ({ box: gridBox(), canvas: canvasOf(grid.nx, grid.ny, i => {
+    const state = stateAt(i, k);
+    return [0, 0, 0, state === EXCLUDED || state === PARTLY ? 255 : 0];
+  }) }));
 }
 function gridUnder(k) {
   return gridPointAt(leaves.xmin + (k % fine.n + 0.5) * fine.size,
                      leaves.ymin + (Math.floor(k / fine.n) + 0.5) * fine.size);
 }
 let relief = null;
-function reliefPicture(k = -1) { // of what was seen by the k-th answer, or at last
+function reliefPicture(k = -1) { // of what was observed by the k-th assessment, or the last one
   if (relief && relief.k === k) return relief;
-  const canvas = document.createElement("canvas"), n = canvas.width = canvas.height = fine.n;
-  const context = canvas.getContext("2d"), image = context.createImageData(n, n);
-  for (let j = 0; j < n; j++) for (let i = 0; i < n; i++) {
-    const to = 4 * ((n - 1 - j) * n + i);
-    const from = j * n + i, gone = k >= 0 && laterThan(gridUnder(from), k);
-    image.data.fill(gone ? 128 : fine.shade[from], to, to + 3);
-    image.data[to + 3] = 255;
-  }
-  context.putImageData(image, 0, 0);
+  const canvas = canvasOf(fine.n, fine.n, i =>
+    new Array(3).fill(k >= 0 && laterThan(gridUnder(i), k) ? 128 : fine.shade[i]));
   return (relief = { k, canvas, box: [leaves.xmin, leaves.ymin, leaves.size, leaves.size] });
 }
 
 // ---- legend ------------------------------------------------------------------------------------
+const swatch = (style, name, value = "") =>
+  `<span class="key"><i style="${style}"></i>${name}<b>${value}</b></span>`;
+const HATCHED = "background:repeating-linear-gradient(135deg,#333 0 1px,#aaa 1px 4px)";
+function areas(count, classOf) { // m2 of each class; at the edge of the grid, half a cell
+  const found = new Array(count).fill(0), { nx, ny } = grid;
+  for (let j = 0; j < ny; j++) for (let i = 0; i < nx; i++) {
+    const weight = (i % (nx - 1) ? 1 : 0.5) * (j % (ny - 1) ? 1 : 0.5);
+    found[classOf(j * nx + i)] += weight * grid.spacing ** 2;
+  }
+  return found;
+}
+function stateKeys() { // of the first picture, with areas
+  const found = areas(5, i => stateAt(i, view.answer)), style = {
+    [ALLOWED]: "background:linear-gradient(90deg," + [0, 0.5, 1].map(s => { const l = LAYERS[LANDING];
+      const top = l.mark === undefined ? l.limits[1] : l.mark;
+      return `rgb(${colour(l, l.limits[0] + s * (top - l.limits[0]))})`; }) + ")",
+    [EXCLUDED]: HATCHED, [PARTLY]: `background:repeating-linear-gradient(135deg,#333 0 1px,${PARTLY_UNOBSERVED.colour} 1px 4px)`,
+    [UNOBSERVED]: `background:${UNSEEN.colour}`, [UNESTIMATED]: `background:${UNMAPPED.colour}` };
+  const names = ["allowed", "excluded", "excluded: " + PARTLY_UNOBSERVED.name, UNSEEN.name, UNMAPPED.name];
+  return found.map((area, k) => (area ? swatch(style[k], names[k], `${few(area)} m²`) : "")).join("");
+}
 function legend() {
   const layer = LAYERS[view.layer], box = byId("legend");
   const note = (layer.note || "") + (view.answer < 0 || layer.ofTime ? "" :
-    " Ground seen by the shown time, with its values at the end.");
-  const swatch = (style, name, value) =>
-    `<span class="key"><i style="${style}"></i>${name}<b>${value}</b></span>`;
+    " Ground observed by the shown time, with its values at the end.");
+  const hatch = view.excluded ? swatch(HATCHED, "hatched: landing excluded") : "";
+  box.innerHTML = layer.classes ? "" : "<canvas></canvas>";
   if (layer.classes) {
-    const counts = new Array(layer.classes.length).fill(0), { nx, ny } = grid;
-    for (let j = 0; j < ny; j++) for (let i = 0; i < nx; i++) { // at the edge, half a cell
-      const weight = (i % (nx - 1) ? 1 : 0.5) * (j % (ny - 1) ? 1 : 0.5), k = j * nx + i;
-      counts[layer.ofTime && view.answer >= 0 ? allowedClass(k, view.answer) :
-        layer.value ? layer.value(k) : layer.values[k]] += weight;
-    }
-    const seen = counts.reduce((sum, c, i) =>
-      sum + (isUnknown(layer.classes[i]) ? 0 : c), 0);
-    const each = grid.spacing ** 2;
-    const share = (k, i) => (isUnknown(k) ? `${Math.round(counts[i] * each)} m²` :
-      `${(100 * counts[i] / (seen || 1)).toFixed(1)} % · ${Math.round(counts[i] * each)} m²`);
+    const found = areas(layer.classes.length, layer.value || (k => layer.values[k]));
     box.innerHTML = layer.classes.map((k, i) =>
-      (counts[i] ? swatch(`background:${k.colour}`, k.name, share(k, i)) : "")).join("") +
+      (found[i] ? swatch(`background:${k.colour}`, k.name, `${few(found[i])} m²`) : "")).join("") +
       (layer.outlines || []).map(k =>
-        swatch(`border:2px solid ${k.colour}`, k.name, "outline")).join("") +
-      `<p class="note">${note} Shares are of the seen ground.</p>`;
-    return;
-  }
-  box.innerHTML = "<canvas></canvas>" + swatch(`background:rgb(${UNKNOWN})`, layer.none, "") +
-    (note ? `<p class="note">${note}</p>` : "");
-  const canvas = box.firstChild, c = fitCanvas(canvas), w = canvas.clientWidth - 24;
-  const [low, high] = layer.limits;
+        swatch(`border:2px solid ${k.colour}`, k.name, "outline")).join("") + hatch;
+  } else box.innerHTML += layer.states ? stateKeys() :
+    swatch(`background:rgb(${UNKNOWN})`, layer.none) + hatch;
+  box.innerHTML += note && `<p class="note">${note}</p>`;
+  if (!layer.classes) scale(box.firstChild, layer);
+}
+function scale(canvas, layer) { // colours with round numbers, and the mark of a limit
+  const c = fitCanvas(canvas), w = canvas.clientWidth - 24, [low, high] = layer.limits;
+  const at = v => 12 + w * (v - low) / (high - low || 1);
   for (let p = 0; p < w; p++) {
     c.fillStyle = `rgb(${colour(layer, low + (high - low) * p / (w - 1))})`;
     c.fillRect(12 + p, 0, 1.5, 14);
   }
   c.fillStyle = ink("--ink"); c.font = "11px system-ui, sans-serif"; c.textBaseline = "top";
+  const tell = (v, text, y) => {
+    const half = c.measureText(text).width / 2;
+    c.textAlign = "center"; c.fillText(text, clamp(at(v), half, w + 24 - half), y);
+  };
   const marks = ticks(layer);
   marks.forEach((v, i) => {
-    const p = 12 + w * (v - low) / (high - low || 1);
-    const unit = i === marks.length - 1 && layer.unit ? " " + layer.unit : "";
-    const text = (layer.log ? short(2 ** v) : short(v)) + unit, half = c.measureText(text).width / 2;
-    c.fillRect(p - 0.5, 14, 1, 4);
-    c.textAlign = "center";
-    c.fillText(text, clamp(p, half, w + 24 - half), 20);
+    c.fillRect(at(v) - 0.5, 14, 1, 4);
+    tell(v, inUnit(layer, v) + (i === marks.length - 1 && layer.unit ? " " + layer.unit : ""), 20);
   });
+  if (layer.mark === undefined || layer.mark > high) return;
+  c.fillRect(at(layer.mark) - 1, 0, 2, 36);
+  tell(layer.mark, `${layer.markName} ${inUnit(layer, layer.mark)}${layer.unit}`, 36);
 }
-function ticks(layer) { // round numbers; of sizes, powers of two
+function inUnit(layer, v) { // per cent, or the value itself
+  const value = layer.power ? layer.power ** v : v;
+  return layer.percent ? `${short(100 * value)} %` : short(value);
+}
+function ticks(layer) { // round numbers; on logarithmic scales, powers
   const [low, high] = layer.limits;
-  if (layer.mark !== undefined) {
-    return layer.mark < 0.93 * high ? [low, layer.mark, high] : [low, high];
-  }
-  const step = layer.log ? Math.ceil((high - low) / 6) || 1 : nice((high - low) / 4);
+  const step = layer.power ? Math.ceil((high - low) / 6) || 1 : nice((high - low) / 4);
   const found = [];
   for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) {
     found.push(k * step);

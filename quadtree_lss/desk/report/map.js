@@ -2,7 +2,8 @@
 // The map: one view of the ground, drawn on one or two panes that move together.
 "use strict";
 const view = { x: 0, y: 0, scale: 1, layer: "", beside: "", mode: "map", site: -1, answer: -1, moment: 0,
-               sites: true, relief: true, allowed: true, leaves: false, track: false, cursor: null, line: null };
+               sites: true, relief: true, excluded: true, leaves: false, track: false, cursor: null, line: null, opacity: 1,
+               picks: [] };
 const map = byId("map"), second = byId("map-2");
 const MARGIN = { left: 46, bottom: 30 };
 let extent, whole = 1;
@@ -19,6 +20,17 @@ function wholeScale() {
 function fit() { // all seen ground
   view.x = (extent.x0 + extent.x1) / 2; view.y = (extent.y0 + extent.y1) / 2;
   view.scale = whole = wholeScale();
+  draw();
+}
+function fitSites() { // the view at the start: all sites, or all observed ground
+  fit();
+  if (!sites.length) return;
+  const room = 5 * data.zone, xs = sites.map(s => s.x), ys = sites.map(s => s.y);
+  const box = [Math.max(Math.min(...xs) - room, extent.x0), Math.min(Math.max(...xs) + room, extent.x1),
+               Math.max(Math.min(...ys) - room, extent.y0), Math.min(Math.max(...ys) + room, extent.y1)];
+  view.x = (box[0] + box[1]) / 2; view.y = (box[2] + box[3]) / 2;
+  view.scale = Math.max(whole, Math.min((width() - MARGIN.left) / (box[1] - box[0]),
+                                        (height() - MARGIN.bottom) / (box[3] - box[2])));
   draw();
 }
 const isWhole = () => view.scale <= whole * 1.001;
@@ -67,7 +79,9 @@ function drawPane(canvas, name) {
   c.beginPath(); c.rect(MARGIN.left, 0, width(), height() - MARGIN.bottom); c.clip();
   c.fillStyle = ink("--void"); c.fillRect(0, 0, width(), height());
   c.imageSmoothingEnabled = false;
+  c.globalAlpha = view.opacity;
   place(c, picture(name, view.answer));
+  c.globalAlpha = 1;
   if (view.relief) {
     [c.globalCompositeOperation, c.globalAlpha] = reliefOf(layer);
     c.imageSmoothingEnabled = true;
@@ -75,14 +89,13 @@ function drawPane(canvas, name) {
     c.globalAlpha = 1; c.globalCompositeOperation = "source-over";
   }
   for (const kind of layer.outlines || []) drawOutline(c, kind.colour, edges(kind.name, hazardAt(kind)));
-  if (view.allowed && name !== "allowed") {
-    drawOutline(c, "#fff", allowedEdges(), 2.2); drawOutline(c, data.colours.safe, allowedEdges());
-  }
+  if (view.excluded) hatch(c, name);
   if (view.leaves) drawLeaves(c);
   drawWishes(c);
   if (view.track || view.answer >= 0) drawScans(c);
   if (data.flight) drawFlight(c);
   if (view.sites) drawSites(c);
+  drawPicks(c);
   if (view.line) drawLine(c);
   drawScaleBar(c);
   if (view.cursor) drawCursor(c);
@@ -95,13 +108,31 @@ const reliefOf = layer => (layer.map === "elevation" ? ["hard-light", 0.45] : ["
 function place(c, { canvas, box: [x, y, w, h] }) {
   c.drawImage(canvas, px(x), py(y + h), w * view.scale, h * view.scale);
 }
+const tile = document.createElement("canvas");
+function hatch(c, name) { // lines over excluded ground, of one width at every zoom
+  const ratio = c.getTransform().a, canvas = document.createElement("canvas");
+  canvas.width = width() * ratio; canvas.height = height() * ratio;
+  const own = canvas.getContext("2d"), side = tile.width = tile.height = Math.round(7 * ratio);
+  const line = tile.getContext("2d");
+  line.lineWidth = 0.9 * ratio;
+  line.strokeStyle = name === LANDING ? "rgba(0,0,0,.55)" : "rgba(0,0,0,.4)";
+  for (const shift of [-side, 0, side]) {
+    line.moveTo(shift, side); line.lineTo(shift + side, 0);
+  }
+  line.stroke();
+  own.setTransform(ratio, 0, 0, ratio, 0, 0);
+  own.imageSmoothingEnabled = false;
+  place(own, excludedMask());
+  own.setTransform(1, 0, 0, 1, 0, 0);
+  own.globalCompositeOperation = "source-in";
+  own.fillStyle = own.createPattern(tile, "repeat");
+  own.fillRect(0, 0, canvas.width, canvas.height);
+  c.drawImage(canvas, 0, 0, width(), height());
+}
 const outlines = {};
 const hazardAt = kind => i => (grid.hazard[i] & kind.bit) > 0 && !(grid.hazard[i] & UNSEEN.bit);
-const allowedEdges = (k = view.answer) =>
-  edges(`allowed ${k}`, i => (k < 0 ? grid.safe[i] : allowedClass(i, k) === 0));
 function edges(name, at) { // x0, y0, x1, y1 of each side of a grid point that has it to one without
   if (outlines[name]) return outlines[name];
-  for (const old of Object.keys(outlines)) if (/^allowed \d/.test(old)) delete outlines[old];
   const found = [], { nx, ny, spacing: s } = grid;
   const has = (i, j) => i >= 0 && j >= 0 && i < nx && j < ny && Boolean(at(j * nx + i));
   for (let j = 0; j <= ny; j++) for (let i = 0; i <= nx; i++) {
@@ -111,14 +142,14 @@ function edges(name, at) { // x0, y0, x1, y1 of each side of a grid point that h
   }
   return (outlines[name] = found);
 }
-function drawOutline(c, colour, sides, wider = 0) {
+function drawOutline(c, colour, sides) {
   const left = mx(0), right = mx(width()), low = my(height()), high = my(0);
   c.beginPath();
   for (const [x0, y0, x1, y1] of sides) {
     if (x1 < left || x0 > right || y1 < low || y0 > high) continue;
     c.moveTo(px(x0), py(y0)); c.lineTo(px(x1), py(y1));
   }
-  c.strokeStyle = colour; c.lineWidth = wider + clamp(view.scale * grid.spacing / 5, 0.8, 2); c.stroke();
+  c.strokeStyle = colour; c.lineWidth = clamp(view.scale * grid.spacing / 5, 0.8, 2); c.stroke();
 }
 function drawLeaves(c) {
   const left = mx(MARGIN.left), right = mx(width()), top = my(0);

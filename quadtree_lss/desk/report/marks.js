@@ -15,6 +15,10 @@ function badge(c, x, y, text, chosen) {
   c.fillStyle = chosen ? ink("--paper") : "#fff"; c.font = "bold 12px system-ui, sans-serif";
   c.textAlign = "center"; c.textBaseline = "middle"; c.fillText(text, p, q + 0.5);
 }
+function drawTarget(c, x, y) {
+  ring(c, x, y, 1.12 * data.zone, [4, 4]);
+  box(c, "target", px(x) + 0.8 * data.zone * view.scale, py(y) - 0.8 * data.zone * view.scale - 20);
+}
 function drawSites(c) {
   if (view.answer >= 0) {
     data.history.sites[view.answer].forEach(([, x, y], k, all) => {
@@ -22,13 +26,14 @@ function drawSites(c) {
       ring(c, rx, ry, data.zone); badge(c, rx, ry, all.length - k, false);
     });
     const [id, x, y] = data.history.targets[view.answer];
-    if (id) { ring(c, x, y, 1.12 * data.zone, [4, 4]); }
+    if (id) drawTarget(c, x, y);
     return;
   }
   for (const site of [...sites].reverse()) {
     ring(c, site.x, site.y, data.zone);
     badge(c, site.x, site.y, site.rank, site.rank - 1 === view.site);
   }
+  if (data.target) drawTarget(c, ...data.target);
   if (data.circle) ring(c, data.circle.x, data.circle.y, data.circle.radius, [5, 4]);
   if (data.miss) { ring(c, data.miss.x, data.miss.y, data.zone, [2, 4]); badge(c, data.miss.x, data.miss.y, "?"); }
 }
@@ -71,12 +76,20 @@ function drawScans(c) { // where the lidar was above, and what it saw until the 
   c.stroke();
   if (last && view.answer >= 0) { c.lineWidth = 2.5; outline(last - 1); }
 }
+function drawPicks(c) { // places that were clicked, for a command line
+  if (view.picks.length > 1) shape(c, view.picks.map(p => [p.x, p.y]), "#7a00a8");
+  for (const { x, y } of view.picks) {
+    c.beginPath(); c.arc(px(x), py(y), 4, 0, 7); c.fillStyle = "#7a00a8"; c.fill();
+    c.strokeStyle = "#fff"; c.lineWidth = 1.5; c.stroke();
+  }
+}
 function drawLine(c) {
   const [a, b] = view.line;
   c.strokeStyle = "#fff"; c.lineWidth = 4; c.beginPath();
   c.moveTo(px(a.x), py(a.y)); c.lineTo(px(b.x), py(b.y)); c.stroke();
   c.strokeStyle = "#c00000"; c.lineWidth = 2; c.stroke();
   badge(c, a.x, a.y, "A"); badge(c, b.x, b.y, "B");
+  box(c, `${Math.hypot(b.x - a.x, b.y - a.y).toFixed(2)} m`, (px(a.x) + px(b.x)) / 2, (py(a.y) + py(b.y)) / 2);
 }
 function drawCursor(c) {
   const p = Math.round(px(view.cursor.x)) + 0.5, q = Math.round(py(view.cursor.y)) + 0.5;
@@ -86,11 +99,19 @@ function drawCursor(c) {
     c.moveTo(0, q); c.lineTo(p - 6, q); c.moveTo(p + 6, q); c.lineTo(width(), q); c.stroke();
   }
 }
-function drawTitle(c, layer) {
+function box(c, text, x, y) { // words on the map, from their middle on to the right
   c.font = "600 13px system-ui, sans-serif"; c.textAlign = "left"; c.textBaseline = "top";
-  const text = layer.title + (layer.unit ? `, ${layer.unit}` : "");
-  c.fillStyle = ink("--panel"); c.fillRect(MARGIN.left + 8, 8, c.measureText(text).width + 12, 20);
-  c.fillStyle = ink("--ink"); c.fillText(text, MARGIN.left + 14, 11);
+  c.fillStyle = ink("--panel"); c.fillRect(x, y, c.measureText(text).width + 12, 20);
+  c.fillStyle = ink("--ink"); c.fillText(text, x + 6, y + 3);
+}
+function drawTitle(c, layer) { // of the second pane: name, unit and range of its colours
+  const range = layer.classes ? "" : `: ${layer.limits.map(v => inUnit(layer, v)).join(" … ")} ${layer.unit || ""}`;
+  box(c, layer.title + range, MARGIN.left + 8, 8);
+  if (layer.classes) return;
+  for (let p = 0; p < 120; p++) {
+    c.fillStyle = `rgb(${colour(layer, layer.limits[0] + (layer.limits[1] - layer.limits[0]) * p / 119)})`;
+    c.fillRect(MARGIN.left + 14 + p, 30, 1.5, 10);
+  }
 }
 function drawScaleBar(c) {
   const length = nice(110 / view.scale), p = length * view.scale;

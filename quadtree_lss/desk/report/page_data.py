@@ -9,12 +9,22 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from quadtree_lss.desk.exchange.saved import Results
 from quadtree_lss.desk.report import palette
-from quadtree_lss.desk.report.headline import GOOD, LEVELS, largest_circle, nearest_miss
+from quadtree_lss.desk.report.headline import (
+    GOOD,
+    Moment,
+    largest_circle,
+    last_moment,
+    last_target,
+    nearest_miss,
+    ratings,
+    verdict,
+)
 from quadtree_lss.desk.report.pages import Columns
+from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, peak
 
 MAX_GRID_POINTS = 250_000  # embedded; larger grids are thinned
@@ -53,22 +63,15 @@ def page_data(content: Results, layers: Sequence[Layer] = ()) -> tuple[dict[str,
         "lander": {"radius": 0.5 * config.vehicle.diameter, "pad": config.vehicle.pad_radius},
         "circle": circle and circle._asdict(),
         "miss": miss and miss._asdict(),
+        "target": None if (target := last_target(content)) is None else target.tolist(),
         "landing": content.summary.get("landing") or {},
-        "trust": {
-            "words": LEVELS,
-            "good": GOOD,
-            "least": config.lss.min_probability,
-            "doubted": bool(content.summary.get("doubts")),
-        },
+        "limit": {"risk": config.lss.max_risk, "good": 1.0 - GOOD},
         "history": _history(content, columns, stride),
         "timing": _timing(content),
         "hazards": [{"bit": b, "name": name, "colour": c} for b, name, c in palette.HAZARDS],
         "excluding": palette.excluding(config.lss.assessment),
-        "centred": config.lss.assessment != "paper",
         "colours": {
             "clear": palette.CLEAR_COLOUR,
-            "excluded": palette.EXCLUDED_COLOUR,
-            "safe": palette.SAFE_COLOUR,
             "site": palette.SITE_COLOUR,
         },
         "maps": {
@@ -104,9 +107,17 @@ def _grid(content: Results, columns: Columns) -> dict[str, Any]:
     for name in ("hazard", "safe"):
         found[name] = columns.whole(part(name), "u1")
     if content.probability is not None:
-        percent = 100.0 * part("probability")
-        found["probability"] = columns.quantised(percent, least=5e-3, limits=(0.0, 100.0))
+        known = np.where(grid.seen, grid["risk"], np.nan)[::stride, ::stride]
+        for name, values in (("risk", known), ("aim", 1.0 - part("probability"))):
+            found[name] = columns.quantised(
+                _exponents(values), limits=_exponents([0.0, 1.0]).tolist()
+            )
     return found
+
+
+def _exponents(chances: ArrayLike) -> Array:
+    """Decimal logarithms of chances, at least that of ``LEAST_SHOWN``."""
+    return np.asarray(np.log10(np.maximum(chances, palette.LEAST_SHOWN)))
 
 
 def _layer(layer: Layer, columns: Columns, stride: int) -> dict[str, Any]:
@@ -133,6 +144,7 @@ def _leaves(cells: CellMap, columns: Columns) -> dict[str, Any]:
     estimated = np.isfinite(cells.z)
     with np.errstate(invalid="ignore"):
         deviation = np.where(estimated, np.sqrt(cells.covariance[:, 2, 2]), np.nan)
+        relative = np.where(estimated, np.sqrt(cells.covariance_range[:, 2, 2]), np.nan)
         slopes = np.where(estimated[:, None], -cells.normal[:, :2] / cells.normal[:, 2:], np.nan)
     rough = cells.roughness / cells.size**2  # Eq. 55 by area: distance from the plane
     shown = np.isfinite(cells.feature[:, 0])
@@ -147,6 +159,7 @@ def _leaves(cells: CellMap, columns: Columns) -> dict[str, Any]:
         "slope_x": columns.quantised(slopes[:, 0]),
         "slope_y": columns.quantised(slopes[:, 1]),
         "deviation": columns.quantised(deviation, limits=palette.top_limit(deviation)),
+        "relative": columns.quantised(relative, limits=palette.top_limit(relative)),
         "roughness": columns.quantised(rough, limits=palette.top_limit(rough)),
         "exceptions": columns.quantised(cells.exception_fraction, "u1"),
         "feature": columns.quantised(height),
@@ -157,9 +170,16 @@ def _leaves(cells: CellMap, columns: Columns) -> dict[str, Any]:
 
 def _sites(content: Results) -> list[dict[str, Any]]:
     names = [name for name in content.sites if name not in ("rank", "nx", "ny", "nz")]
+    rated = ratings(content, last_moment(content))
     return [
-        {"rank": k + 1, **{n: _json(content.sites[n][k]) for n in names}, "reason": reason}
-        for k, reason in enumerate(content.reasons)
+        {
+            "rank": k + 1,
+            **{n: _json(content.sites[n][k]) for n in names},
+            "reason": reason,
+            "level": level,
+            "against": against,
+        }
+        for k, (reason, (level, against)) in enumerate(zip(content.reasons, rated, strict=True))
     ]
 
 
@@ -178,26 +198,37 @@ def _history(content: Results, columns: Columns, stride: int) -> dict[str, Any] 
     first = int(min(scans.min(initial=answers[mapped[0]]), answers[mapped].min()))
     shown = mapped[np.unique(np.linspace(0, len(mapped) - 1, MAX_ANSWERS).round().astype(int))]
 
+    masks = {name: content.then(name, shown).astype(bool) for name in ("seen", "allowed")}
+
     def packed(name: str) -> NDArray[Any]:
-        bits = content.then(name, shown)[:, ::stride, ::stride]
+        bits = masks[name][:, ::stride, ::stride]
         return np.packbits(bits.reshape(len(shown), -1), axis=1)
 
     # Differences between assessments are nearly all zero and compress well.
     seen = packed("seen")
     seen[1:] ^= seen[:-1].copy()
     likely = {}
-    if "probability" in history:
-        found = content.then("probability", shown)[:, ::stride, ::stride]
-        likely["probability"] = columns.whole(np.diff(found, axis=0, prepend=np.uint8(0)), "u1")
+    if "risk" in history:
+        found = content.then("risk", shown)[:, ::stride, ::stride]
+        likely["risk"] = columns.whole(np.diff(found, axis=0, prepend=np.uint8(0)), "u1")
     names = ("site_id", "site_position", "site_score", "site_probability")
     sites = np.column_stack([history[name] for name in names])
     outline = history["scan_outline"]
+
+    def verdict_then(k: int, answer: int) -> dict[str, Any]:
+        then = sites[history["site_answer"] == answer]
+        layers = masks["seen"][k], masks["allowed"][k], np.zeros_like(masks["seen"][k])
+        target = history["target"][answer]
+        place = target[1:3] if target[0] else None
+        return verdict(content, Moment(*layers, then[:, 1:4], then[:, 5], place))._asdict()
+
     return {
         "first_ns": first,
         "seconds": _seconds(answers[shown], first),
         "seen": columns.whole(seen, "u1"),
         "allowed": columns.whole(packed("allowed"), "u1"),
         **likely,
+        "verdicts": [verdict_then(k, int(answer)) for k, answer in enumerate(shown)],
         "sites": [_rows(sites[history["site_answer"] == answer]) for answer in shown],
         "targets": _rows(history["target"][shown]),
         "why": history["target_why"][shown].tolist(),

@@ -9,15 +9,17 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.sections import LssConfig
-from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
+from quadtree_lss.onboard.core.landing.hazards import PARTLY_UNOBSERVED, UNMAPPED, UNSEEN
 
-UNSEEN_COLOUR = "#bbbbbb"
-UNMAPPED_NAME, UNMAPPED_COLOUR = "seen, not yet mapped", "#8c8ca6"
+UNSEEN_COLOUR = "#c3d4ee"
+UNMAPPED_NAME, UNMAPPED_COLOUR = "observed but not estimated", "#8c8ca6"
+PARTLY_NAME, PARTLY_COLOUR = "unobserved ground under the vehicle", "#9db1cc"
 UNKNOWN = UNSEEN | UNMAPPED
 # Bit, name and colour of hazards; the first that applies is drawn.
 HAZARDS = (
     (UNMAPPED, UNMAPPED_NAME, UNMAPPED_COLOUR),
-    (UNSEEN, "unseen", UNSEEN_COLOUR),
+    (UNSEEN, "unobserved", UNSEEN_COLOUR),
+    (PARTLY_UNOBSERVED, PARTLY_NAME, PARTLY_COLOUR),
     (8, "touchdown", "#e69f00"),
     (4, "exception", "#56b4e9"),
     (1, "slope", "#d55e00"),
@@ -43,11 +45,13 @@ KINDS = {
     "risk": "score",
 }
 """Kind of each layer whose name is not a kind."""
+LEAST_SHOWN = 1e-4
+"""Chances of failure are shown on a logarithmic scale from here to 1."""
 
 
 def excluding(assessment: str) -> int:
     """Bits of the hazards that exclude landing."""
-    return 8 | 4 | 2 | 1 if assessment == "paper" else 8 | 4
+    return PARTLY_UNOBSERVED | (4 | 2 | 1 if assessment == "paper" else 8)
 
 
 def slope_limit(lss: LssConfig) -> float:

@@ -45,7 +45,7 @@ function tellSite(k) { // its row, its reasons
   byId("why").innerHTML = "";
   if (site) {
     byId("why").innerHTML = `<b>Site ${site.rank}</b>: `;
-    byId("why").append(site.reason);
+    byId("why").append(site.reason + (site.against ? `. Against it: ${site.against}` : ""));
   }
 }
 function choose(k, going = true) { // a site: its row, its reasons, its place
@@ -74,7 +74,7 @@ function rows() {
 }
 
 // ---- the address -------------------------------------------------------------------------------
-const SHOWN = ["sites", "relief", "allowed", "leaves", "track"];
+const SHOWN = ["sites", "relief", "excluded", "leaves", "track"];
 let remembering = 0;
 function address() {
   const words = { layer: view.layer, x: view.x.toFixed(2), y: view.y.toFixed(2),
@@ -133,9 +133,10 @@ function panel() {
     byId(`show-${name}`).onchange = e => {
       view[name] = e.target.checked;
       if (space) space.update();
-      draw();
+      legend(); draw();
     };
   }
+  byId("opacity").oninput = e => { view.opacity = Number(e.target.value); draw(); };
   byId("theme").onclick = () => setTheme(isDark() ? "light" : "dark");
   byId("link").onclick = async () => {
     const link = location.href.split("#")[0] + "#" + address();

@@ -10,13 +10,15 @@ function values(x, y) {
     rows.push(["ground", hit ? UNMAPPED.name : UNSEEN.name]);
   }
   else {
-    const share = grid.probability && (k < 0 ? grid.probability[i] : probabilityAt(i, k));
-    if (grid.probability) rows.push(["probability", shareText(share) + " %"]);
-    rows.push(["landing", (k < 0 ? grid.safe[i] : allowedAt(i, k)) ? "allowed" : "not allowed"]);
+    const risk = grid.risk && (k < 0 ? grid.risk[i] : riskAt(i, k));
+    rows.push(["landing", (k < 0 ? grid.safe[i] : allowedAt(i, k)) ? "allowed" : "excluded"]);
+    if (grid.risk) rows.push(["fails here", chanceText(risk)]);
+    if (grid.aim && k < 0) rows.push(["fails if aimed here", chanceText(grid.aim[i])]);
     if (k >= 0) return rows; // of the rest, what was known then is not kept
     const h = heightAt(x, y), s = r >= 0 && leaves.deviation ? leaves.deviation[r] : NaN;
     rows.push(["height", Number.isNaN(s) ? withUnit(h, 2, "m") :
       `${h.toFixed(3)} ± ${s.toFixed(3)} m`]);
+    if (r >= 0 && leaves.relative) rows.push(["± without pose error", withUnit(leaves.relative[r], 3, "m")]);
     rows.push(["slope", `${withUnit(grid.slope[i], 1, "°")}, lander's scale`]);
     rows.push(["hazard", hazardNames(grid.hazard[i])]);
     rows.push(["score", Number.isNaN(grid.score[i]) ? "excluded" : grid.score[i].toFixed(4)]);
@@ -43,6 +45,7 @@ function values(x, y) {
   }
   return rows;
 }
+const chanceText = v => (Number.isNaN(v) ? "–" : v <= -4 ? "≤ 0.01 %" : `${short(100 * 10 ** v)} %`);
 const tooltip = byId("tooltip");
 function tell(x, y, canvas = map) { // at the place, and the crosshair on every pane
   const frame = byId("frame").getBoundingClientRect(), own = canvas.getBoundingClientRect();
@@ -67,6 +70,21 @@ function silent() {
   pointAt(NaN, NaN); draw();
 }
 
+function command() { // what the picked places are on the command line
+  const places = view.picks.map(({ x, y }) => `${x.toFixed(2)},${y.toFixed(2)}`), box = byId("command");
+  const far = view.picks.slice(1).map((p, k) => Math.hypot(p.x - view.picks[k].x, p.y - view.picks[k].y));
+  const way = `${short(far.reduce((sum, d) => sum + d, 0))} m along the places`;
+  const words = places.length < 2 ? [`--target ${places[0]}`] : places.length < 3 ? [way] :
+    [`--area '${places.join(" ")}'`, `--keep-out '${places.join(" ")}'`, way];
+  box.innerHTML = places.length ? "" : box.dataset.hint;
+  if (places.length) for (const word of words) {
+    box.append(Object.assign(document.createElement("code"), { textContent: word }), " ");
+  }
+}
+function mark(p, q, more) { // a place of the command line; with shift, one more
+  view.picks = [...(more ? view.picks : []), { x: mx(p), y: my(q) }];
+  command(); draw();
+}
 function pick(p, q) { // the site whose marker is there
   if (!view.sites || view.answer >= 0) return false;
   const k = sites.findIndex(s => Math.hypot(px(s.x) - p, py(s.y) - q) <= 13);
@@ -83,7 +101,9 @@ function watch(canvas) {
   });
   const drop = () => { held = null; };
   canvas.addEventListener("pointerup", e => {
-    if (held && held.moved < 4 && view.mode === "map") pick(e.offsetX, e.offsetY);
+    if (held && held.moved < 4 && view.mode === "map" && !pick(e.offsetX, e.offsetY)) {
+      mark(e.offsetX, e.offsetY, e.shiftKey);
+    }
     drop();
   });
   canvas.addEventListener("pointercancel", drop);
@@ -146,7 +166,7 @@ function keys(e) {
   const move = (dx, dy) => onMap && (() => { view.x += dx * step; view.y += dy * step; draw(); });
   const doing = { "+": () => zoom(1.4), "=": () => zoom(1.4), "-": () => zoom(1 / 1.4), 0: fit,
     1: () => setMode("map"), 3: () => setMode("scene"), x: () => setMode("section"),
-    l: nextLayer, Escape: () => { silent(); if (view.mode === "section") setMode("map"); },
+    l: nextLayer, Escape: () => { silent(); view.picks = []; command(); draw(); if (view.mode === "section") setMode("map"); },
     ArrowLeft: move(-1, 0), ArrowRight: move(1, 0), ArrowUp: move(0, 1), ArrowDown: move(0, -1),
     Enter: onMap && (() => tell(view.x, view.y)) }[e.key];
   if (!doing || (view.mode === "scene" && "+=-0".includes(e.key))) return;

@@ -12,26 +12,39 @@ import numpy as np
 from quadtree_lss.desk.exchange.saved import Results, load_results
 from quadtree_lss.desk.report.drawing import png, small
 from quadtree_lss.desk.report.figures import figures, hazard_figure
-from quadtree_lss.desk.report.headline import headline, largest_circle, nearest_miss, trust, when
+from quadtree_lss.desk.report.headline import (
+    LEVELS,
+    largest_circle,
+    last_moment,
+    nearest_miss,
+    rank_reasons,
+    ratings,
+    verdict,
+    when,
+)
 from quadtree_lss.desk.report.page_data import Layer, page_data
 from quadtree_lss.desk.report.pages import Columns, render
 from quadtree_lss.onboard.config.settings import parameters, values_from_config
 from quadtree_lss.onboard.core.landing.probability import shown
 
-ROOM = "how far the zone may move until it touches a hazard or unseen ground"
+ROOM = "how far the zone may move until it touches excluded or unobserved ground"
 FEATURE = "greatest height of a feature smaller than a cell in the zone"
 SITES = (
     ("x", "m", "x", "{:.2f}", "place, map frame"),
     ("y", "m", "y", "{:.2f}", "place, map frame"),
-    ("z", "m", "z", "{:.2f}", "where the pads rest, map frame"),
-    ("probability", "%", "probability", "", "probability of a safe touchdown if aimed here"),
+    ("success", "%", "probability", "", "probability of a safe touchdown if aimed here"),
     ("score", "", "score", "{:.3f}", "mean over the landing zone, lower is better"),
+    ("room", "m", "hazard_distance", "{:.1f}", ROOM),
     ("slope", "°", "slope_deg", "{:.1f}", "slope at the lander's scale"),
-    ("clear", "m", "hazard_distance", "{:.1f}", ROOM),
     ("rough", "m", "roughness", "{:.3f}", "greatest mean deviation from the planes in the zone"),
     ("feature", "m", "subscale_height", "{:.2f}", FEATURE),
 )
 """Columns of the table of sites: heading, unit, name in ``sites.csv``, format, meaning."""
+RANK = (
+    "ranks here as",
+    "",
+    "equal: within the error of the risk model; then more room ranks first",
+)
 
 
 def report_files(folder: str | Path) -> dict[str, bytes]:
@@ -53,10 +66,11 @@ def page(
     data, columns = page_data(content, layers)
     data |= {} if also is None else also(data, columns)
     summary, config, sites = content.summary, content.config, content.sites
-    answer, ground = headline(content)
-    level, facts = trust(content)
+    level, answer, ground, facts = verdict(content)
     known = np.isfinite(sites.get("probability", np.array([]))).any()
-    shown_columns = [row for row in SITES if row[2] != "probability" or known]
+    shown_columns = [row for row in SITES if row[2] != ("score" if known else "probability")]
+    wanted = "target" in summary.get("landing", {})
+    why, rated = rank_reasons(sites, wanted), ratings(content, last_moment(content))
     marks = (
         nearest_miss(content) and "? the nearest miss",
         largest_circle(content) and "the dashed circle the largest one of clear ground",
@@ -72,11 +86,12 @@ def page(
         "picture_of_map": small(png(hazard_figure(content), dpi=60)),
         "ground": ground,
         "warnings": [*summary.get("losses", ()), *summary.get("warnings", ())],
-        "head": [(word, unit, meaning) for word, unit, _, _, meaning in shown_columns],
+        "head": [*((word, unit, meaning) for word, unit, _, _, meaning in shown_columns), RANK],
         "rows": [
-            [_cell(name, sites[name][k], form) for _, _, name, form, _ in shown_columns]
+            [*(_cell(name, sites[name][k], form) for _, _, name, form, _ in shown_columns), why[k]]
             for k in range(len(sites["x"]))
         ],
+        "levels": [(level, LEVELS[level]) for level, _ in rated],
         "drawn": list(filter(None, marks)),
         "reasons": content.reasons,
         "timed": len(content.timing["map_ms"]) > 0,
@@ -89,7 +104,9 @@ def page(
         "columns": columns.text(),
         "data": data,
     }
-    return render(template, **(shown_values | values))
+    shown_values |= values
+    data["verdict"] = {name: shown_values[name] for name in ("level", "answer", "ground", "facts")}
+    return render(template, **shown_values)
 
 
 def short_name(bag: str) -> str:
@@ -124,6 +141,14 @@ def _run(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _input(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    if "posts" in summary:
+        low, high = summary["height_range"]
+        return [
+            ("elevation model", summary["bag"]),
+            ("posts", "{} × {}, {:g} m apart".format(*summary["posts"], summary["post_spacing"])),
+            ("heights", f"{low:.2f} to {high:.2f} m"),
+            ("coordinate system", summary["crs"] or "not known"),
+        ]
     topics = ", ".join(filter(None, (summary["scan_topic"], summary["pose_topic"])))
     rates = (summary["scan_rate"], summary["pose_rate"])
     recorded = ["" if rate is None else f", recorded at {rate:.2f} Hz" for rate in rates]
@@ -134,7 +159,7 @@ def _input(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     ]
     rows = [
         ("bag", f"{summary['bag']}, {summary['duration']:.2f} s"),
-        ("topics", topics or "map topics alone"),
+        ("topics", topics or "map topics only"),
         *(scans if topics else ()),
         ("messages rejected", _counts(summary["messages_rejected"])),
     ]

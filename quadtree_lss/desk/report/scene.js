@@ -93,6 +93,7 @@ class Space {
     this.marks.traverse(o => { if (o.geometry) o.geometry.dispose(); });
     this.marks.clear();
     if (view.sites) this.drawSites();
+    this.drawScale();
     if (view.track || view.answer >= 0) this.drawTrack();
     if (data.flight) flightInSpace(this);
     if (going && sites[view.site]) this.approach(sites[view.site]);
@@ -144,13 +145,35 @@ class Space {
       for (const r of [1, 0.985, 0.97]) this.circle(site.x, site.y, r * data.zone, 0x111111);
       this.circle(site.x, site.y, 1.02 * data.zone, 0xffffff);
       this.line([this.on(site.x, site.y), top], chosen ? 0x0b5fa5 : 0x1c1c1c);
-      const label = new T.Sprite(new T.SpriteMaterial({ map: this.badge(site.rank, chosen),
-        sizeAttenuation: false, depthTest: false }));
-      label.scale.setScalar(0.034);
-      label.position.copy(top);
-      this.marks.add(label);
-      if (chosen) this.drawLander(site);
+      this.label(this.badge(site.rank, chosen), top);
+      if (chosen && !data.flight) this.drawLander(site); // a flight has one
     }
+  }
+  label(map, place, wide = 1) {
+    const T = THREE, found = new T.Sprite(new T.SpriteMaterial({ map, sizeAttenuation: false,
+      depthTest: false }));
+    found.scale.set(0.034 * wide, 0.034, 1);
+    found.position.copy(place);
+    this.marks.add(found);
+  }
+  drawScale() { // a bar of a round length along x, and an arrow to the north (y)
+    const length = nice((extent.x1 - extent.x0) / 5), tip = length / 6, up = 0.3;
+    const x = extent.x0, y = extent.y0, ink = 0xc00000, z = this.z0 + up;
+    const at = (u, v) => this.at(x + u, y + v, z);
+    this.line([at(0, tip), at(0, 0), at(length, 0), at(length, tip)], ink);
+    this.line([at(0, 0), at(0, length), at(-tip / 2, length - tip), at(0, length), at(tip / 2, length - tip)], ink);
+    this.label(this.words(`${plain(length, length)} m`), at(length / 2, -tip), 2.5);
+    this.label(this.words("north"), at(0, length + tip), 2.5);
+  }
+  words(text) {
+    const canvas = document.createElement("canvas"), c = canvas.getContext("2d");
+    canvas.width = 160; canvas.height = 64;
+    c.fillStyle = "rgba(255,255,255,.85)"; c.fillRect(0, 8, 160, 48);
+    c.fillStyle = "#c00000"; c.font = "bold 34px system-ui, sans-serif";
+    c.textAlign = "center"; c.textBaseline = "middle"; c.fillText(text, 80, 33);
+    const map = new THREE.CanvasTexture(canvas);
+    map.colorSpace = THREE.SRGBColorSpace;
+    return map;
   }
   badge(text, chosen) {
     const canvas = document.createElement("canvas"), c = canvas.getContext("2d");

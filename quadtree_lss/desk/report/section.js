@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A cross-section along a line of the map: the cells' planes with their deviation, and the truth.
+// A cross-section along a line of the map: the cells' planes, their standard deviation without the
+// pose error, which is common to all of them, and the truth.
 "use strict";
 const SAMPLES = 800;
 let profile = null;
@@ -22,7 +23,7 @@ function sampled() { // distance, height, its deviation, truth
   for (let k = 0; k <= SAMPLES; k++) {
     const x = a.x + (b.x - a.x) * k / SAMPLES, y = a.y + (b.y - a.y) * k / SAMPLES;
     const r = leafAt(x, y), i = gridPointAt(x, y), h = seenAt(x, y) ? heightAt(x, y) : NaN;
-    const s = r >= 0 && leaves.deviation ? leaves.deviation[r] : NaN;
+    const s = r >= 0 && leaves.relative ? leaves.relative[r] : NaN;
     const known = v => (Number.isNaN(v) ? null : v);
     const row = [length * k / SAMPLES, known(h), known(h + s), known(h - s),
                  truth && i >= 0 ? known(truth.values[i]) : null];
@@ -38,7 +39,7 @@ function drawSection() {
   const none = { stroke: "transparent", points: { show: false }, value: told(" m"), spanGaps: false };
   const series = [{ label: "from A", value: (u, v) => (v === null ? "" : v.toFixed(2) + " m") },
     curve("height", CURVES[0], " m", { spanGaps: false, width: 2 }),
-    { ...none, label: "+ 1 σ" }, { ...none, label: "− 1 σ" }];
+    { ...none, label: "+ 1 σ, relative" }, { ...none, label: "− 1 σ, relative" }];
   if (columns.length > 4) series.push(curve("truth", CURVES[1], " m", { spanGaps: false }));
   profile = plot(byId("section"), 170, {
     series, bands: [{ series: [2, 3], fill: "rgba(0,114,178,.25)" }],

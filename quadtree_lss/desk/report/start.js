@@ -8,17 +8,17 @@ function again() { // after a change of size or of what it is shown on
 async function start() {
   unpackAll(await inflate(byId("columns").textContent), data);
   layOut();
-  const likely = data.history && data.history.probability, all = grid.nx * grid.ny;
+  const likely = data.history && data.history.risk, all = grid.nx * grid.ny;
   if (likely) for (let i = all; i < likely.length; i++) likely[i] += likely[i - all]; // they are changes
   const seen = data.history && data.history.seen, row = Math.ceil(all / 8);
   if (seen) for (let i = row; i < seen.length; i++) seen[i] ^= seen[i - row];
   extent = seenBox();
   makeLayers();
-  view.layer = data.flight && grid.probability ? "probability" : Object.keys(LAYERS)[0];
+  view.layer = data.layers.length && !data.flight ? data.layers[0].name : LANDING;
   panel();
   watch(map); watch(second);
   byId("layer").value = view.layer;
-  fit(); legend();
+  fitSites(); legend();
   timeline(); startFlight(); timing();
   choose(sites.length ? 0 : -1, false);
   recall();

@@ -21,6 +21,8 @@ from quadtree_lss.lab.campaign.study import Study
 
 WORST = 5
 """Flights that are listed."""
+FEW = 20
+"""Flights of which the bootstrap's interval of the mean holds it in fewer than 93 of 100 cases."""
 
 
 class Line(NamedTuple):
@@ -76,9 +78,14 @@ def line_of(quantity: Quantity, records: Sequence[Record]) -> Line:
 
 
 def bootstrap(values: NDArray[np.float64]) -> tuple[float, float]:
-    """95 % interval of the mean of values (n,) by the bootstrap; NaN for fewer than two values."""
+    """95 % interval of the mean of values (n,) by the bootstrap; of fewer than `FEW` by Student's
+    distribution, because the bootstrap's would be too narrow; NaN for fewer than two values."""
     if values.size < 2:
         return float("nan"), float("nan")
+    if values.size < FEW:
+        error = float(values.std(ddof=1)) / values.size**0.5
+        reach = float(stats.t.ppf(0.975, values.size - 1)) * error
+        return float(values.mean()) - reach, float(values.mean()) + reach
     how = {"method": "percentile", "batch": max(500_000 // values.size, 1)}
     found = stats.bootstrap((values,), np.mean, n_resamples=2000, random_state=0, **how)
     return float(found.confidence_interval.low), float(found.confidence_interval.high)
@@ -146,6 +153,7 @@ class CampaignResult:
         for quantity in self.study.what.quantities:
             least = 0.0 if quantity.of is not None else float("-inf")
             rated = [(badness(quantity, r), r) for r in flown(self.records.values())]
+            least = max(least, min((bad for bad, _ in rated), default=least))  # the best are none
             ranked = sorted((-bad, r.index, r) for bad, r in rated if bad > least)[:WORST]
             found.append((quantity, [(k, number(r, quantity.name)) for _, k, r in ranked]))
         return found

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from quadtree_lss.desk.commands import common
 from quadtree_lss.desk.commands.console import Interruption, ProgressBar, say, warn
@@ -28,8 +29,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = common.add_command(commands, "campaign", _run, TEXT, EXAMPLES)
     add = parser.add_argument
     add("study", metavar="STUDY.yaml", help="a study")
-    text = "folder of the campaign; resumed if it is there"
-    add("--out", required=True, type=common.named, metavar="DIR", help=text)
+    text = "folder of the campaign (default campaigns/STUDY); resumed if it is there"
+    add("--out", type=common.named, metavar="DIR", help=text)
     where = parser.add_mutually_exclusive_group()
     text = "processes on this computer (default: one for each core)"
     where.add_argument("--workers", type=common.whole(1), metavar="N", help=text)
@@ -41,6 +42,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
+    options.out = options.out or Path("campaigns", Path(options.study).stem)
     if options.keep is not None:
         common.refuse(options, "--keep, which flies one after the other here", *FLYING)
     from quadtree_lss.lab.campaign.engine import Where, campaign, flagged, keep

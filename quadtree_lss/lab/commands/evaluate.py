@@ -40,7 +40,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--out", type=common.named, metavar="DIR", help=text)
     parser = common.add_command(commands, "fit-risk", _fit, FIT, FIT_EXAMPLES)
     add = parser.add_argument
-    add("--out", required=True, type=common.named, metavar="YAML", help="file to write")
+    text = "file to write (default risk_model.yaml)"
+    add("--out", type=common.named, default=Path("risk_model.yaml"), metavar="YAML", help=text)
     add("--seeds", default=SEEDS, metavar="LIST", help=f"of the flights (default {SEEDS})")
     add("--families", metavar="LIST", help="of flights, of those that the docs list (all)")
     common.add_config_options(parser)

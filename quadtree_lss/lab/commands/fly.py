@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quadtree_lss.desk.commands import common, console
@@ -59,7 +60,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("scenario", choices=SCENARIOS, help="which flight")
     text = "of terrain and noise (default 1)"
     add("--seed", type=common.whole(0), default=1, metavar="N", help=text)
-    add("--out", required=True, type=common.named, metavar="BAG", help="bag to write")
+    text = "bag to write (default SCENARIO_SEED/bag)"
+    add("--out", type=common.named, metavar="BAG", help=text)
     add("--duration", type=common.positive, metavar="D", help="seconds of flight")
     add("--terrain", type=common.named, metavar="DEM", help=TERRAIN)
     add("--range-noise", type=common.not_negative, metavar="M", help="one sigma of a range, m")
@@ -73,7 +75,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add = common.add_command(commands, "fly", _fly, TEXT, EXAMPLES).add_argument
     text = "of ground, start, navigation, lidar"
     add("--seed", type=common.whole(0), default=1, metavar="N", help=text)
-    add("--out", required=True, type=common.named, metavar="DIR", help="folder for the results")
+    text = "folder for the results (default results/<time>)"
+    add("--out", type=common.named, metavar="DIR", help=text)
     text = "without ROS: the nodes' functions, called in the flight's own time"
     add("--lockstep", action="store_true", help=text)
     text = "by the nodes; by the paper's rules; straight to the planned point; by the true ground"
@@ -88,11 +91,12 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 
 
 def _fly(options: argparse.Namespace) -> int:
-    from quadtree_lss.desk.replay.files import made, write_json
+    from quadtree_lss.desk.replay.files import made, new_folder, write_json
     from quadtree_lss.lab.flight.flight_page import headline, write_flight
     from quadtree_lss.lab.flight.fly import flown
     from quadtree_lss.lab.flight.settings import flight_settings
 
+    options.out = options.out or new_folder(Path("results"))
     given = {
         "avoidance": options.avoidance,
         "terrain": str(options.terrain or ""),
@@ -141,6 +145,7 @@ def _live(options: argparse.Namespace, settings: FlightSettings, progress: Progr
 def _simulate(options: argparse.Namespace) -> int:
     from quadtree_lss.lab.simulation.simulate import simulate
 
+    options.out = options.out or Path(f"{options.scenario}_{options.seed}", "bag")
     then = f"closes {options.out} and writes truth.npz for what was flown so far"
     verbose, how = options.verbose, common.given(options, *GIVEN)
     with (

@@ -103,12 +103,12 @@ def figures_of(seed: int, flight: Flight, last: LandingAssessment | None) -> dic
 
 
 def map_said(last: LandingAssessment, x: float, y: float) -> str:
-    """Class of a place in an assessment: safe, margin, unsafe, unseen or unmapped."""
+    """Class of a place in an assessment, as listed in docs/topics_and_files.md."""
     at = int(abs(last.y - y).argmin()), int(abs(last.x - x).argmin())
     hazard = int(last.hazard[at])
     if hazard & UNSEEN:
         return "unmapped" if hazard & UNMAPPED else "unseen"
-    return "unsafe" if hazard & TOUCHDOWN else "safe" if last.safe[at] else "margin"
+    return "unsafe" if hazard & TOUCHDOWN else "safe" if last.safe[at] else "partly_unobserved"
 
 
 class LockstepNodes:

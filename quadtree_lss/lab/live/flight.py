@@ -16,6 +16,7 @@ from std_srvs.srv import Trigger
 
 from quadtree_lss.desk.player.player import PlayError, wait_for_subscribers
 from quadtree_lss.desk.replay.configuration import dump_config
+from quadtree_lss.desk.replay.passes import TargetChange
 from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent, flight_config
 from quadtree_lss.lab.flight.fly import Flown, figures_of, fly
 from quadtree_lss.lab.flight.settings import FlightSettings
@@ -25,9 +26,20 @@ from quadtree_lss.lab.simulation.recording import CLOUD, POSE, Messages
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages import landing_inputs
-from quadtree_lss.onboard.messages.outputs import map_from_messages
+from quadtree_lss.onboard.messages.clouds import stamp_ns
+from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
+from quadtree_lss.onboard.messages.outputs import (
+    CELLS,
+    OBSERVED,
+    SELECTED,
+    SITES,
+    STATUS,
+    map_from_messages,
+    status_from_message,
+)
 from quadtree_lss.onboard.nodes.qos import latched, stream
 from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
 
@@ -35,7 +47,6 @@ WISHES = ("dispersion", "area", "keep_out", "target")
 KINDS = {"nav/pose": POSE, "lidar/points": CLOUD}
 KINDS |= {f"landing/{name}": landing_inputs.TYPES[name] for name in WISHES}
 SPOKEN = ("/clock", *KINDS)
-CELLS, OBSERVED, SELECTED = "map/cells", "map/observed", "landing/selected"
 HEARD = {CELLS: "mapping", OBSERVED: "mapping", SELECTED: "lss"}
 """Topics by the node that publishes them."""
 PATIENCE_S = 30.0
@@ -63,19 +74,24 @@ def fly_live(
     with ExitStack() as stack:
         nodes = LiveNodes(stack, config, folder, domain)
         fly(flight, nodes, progress)
-        cells = nodes.map()
-    last = None if cells is None else LandingSiteSelector(config).assess(cells)
+        cells, wishes, sites = nodes.map(), nodes.wishes, nodes.sites
+    last = None
+    if cells is not None:  # as lss_node assessed it; only the target depends on what was before
+        last = LandingSiteSelector(config).assess(cells, **wishes.arguments())
     figures = figures_of(seed, flight, last)
     restarts = sum(nodes.starts.values()) - len(nodes.starts)
     figures |= {"restarts": restarts, "others": sorted(nodes.others)}
     if nodes.others:
         figures["outcome"] = "disturbed"
-    return Flown(flight, figures, last, cells, heard=nodes.heard)
+    targets, told = tuple(nodes.targets), {"landing": wishes.as_lists(), "published_sites": sites}
+    told |= {"target": targets[-1].id if targets else 0, "target_changes": len(targets)}
+    return Flown(flight, figures, last, cells, None, targets, told, nodes.heard)
 
 
 class LiveNodes:
     """Both nodes as processes that end with ``stack`` or are started again. ``starts``: by node.
-    ``others``: topics with other publishers, and their nodes."""
+    ``others``: topics with other publishers, and their nodes. ``wishes``: what guidance asked for
+    last. ``targets``: changes of the target in ``landing/status``."""
 
     def __init__(self, stack: ExitStack, config: Config, folder: Path, domain: int | None) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -88,7 +104,7 @@ class LiveNodes:
         self._stack, self._folder = stack, folder
         local = stack.enter_context(local_domain(folder, domain))
         self._env = local.env
-        topics = {topic: TOPICS[topic] for topic in (CELLS, OBSERVED)}
+        topics = {topic: TOPICS[topic] for topic in (CELLS, OBSERVED, SITES)}
         self._listener = stack.enter_context(Listener(local.number, topics, "flight"))
         node = self._node = self._listener.node
         self._make = Messages(TYPES, packed, config.frames.map)
@@ -103,7 +119,9 @@ class LiveNodes:
         }
         self._service = node.create_client(Trigger, "lss_node/land_now")
         self._said: list[Array | None] = []
+        self.wishes, self.targets = LandingWishes(config.frames.map), list[TargetChange]()
         node.create_subscription(TOPICS[SELECTED], SELECTED, self._hear, latched())
+        node.create_subscription(TOPICS[STATUS], STATUS, self._note, latched())
         refuse_company(node, dict.fromkeys(SPOKEN, 1) | dict.fromkeys(HEARD, 0))
         self.starts = {"mapping": 0, "lss": 0}
         self.heard: list[tuple[int, Array | None]] = []
@@ -122,7 +140,12 @@ class LiveNodes:
 
     def take(self, sent: Sent, now_ns: int) -> None:
         """Publishes a message."""
-        self._publishers[sent.topic].publish(sent.message(self._make))
+        message = sent.message(self._make)
+        if sent.topic.startswith("landing/"):
+            self.wishes.take(sent.topic.removeprefix("landing/"), message)
+        elif sent.topic == "nav/pose":
+            self.wishes.navigation.take(message)
+        self._publishers[sent.topic].publish(message)
 
     def work(self, now_ns: int) -> list[Array | None]:
         """Tells the time, waits for its moment, and returns what was said until then."""
@@ -152,9 +175,10 @@ class LiveNodes:
         self._nodes[node] = self._start(node)
 
     def map(self) -> CellMap | None:
-        """The last one; its halves come one after the other, with one stamp."""
+        """The last one, when its sites are there; its parts come one after the other, with one
+        stamp."""
         heard = self._listener
-        heard.wait_for(lambda: heard.stamp(CELLS) == heard.stamp(OBSERVED), timeout=2.0)
+        heard.wait_for(lambda: len({heard.stamp(of) for of in (CELLS, OBSERVED, SITES)}) == 1, 2.0)
         if heard.stamp(CELLS) != heard.stamp(OBSERVED) or CELLS not in heard.newest:
             return None
         return map_from_messages(heard.newest[CELLS], heard.newest[OBSERVED])
@@ -173,6 +197,21 @@ class LiveNodes:
                 self._nodes[name] = self._start(name)
         heard = {topic: self.starts[name] for topic, name in HEARD.items()}
         self.others |= {*strangers(self._node, dict.fromkeys(SPOKEN, 1) | heard)}
+
+    @property
+    def sites(self) -> list[list[float]]:
+        """Places (K, 3) of the last ``landing/sites``, m."""
+        newest = self._listener.newest.get(SITES)
+        places = [] if newest is None else [pose.position for pose in newest.poses]
+        return [[p.x, p.y, p.z] for p in places]
+
+    def _note(self, message: Any) -> None:
+        said = status_from_message(message)
+        x, y, z, share = (float(said[name]) for name in ("x", "y", "z", "probability"))
+        stamp, reason = stamp_ns(message.header), Reason(said["reason"]).key
+        row = TargetChange(stamp, int(said["id"]), x, y, z, share, reason)
+        if row.follows(self.targets[-1] if self.targets else None):
+            self.targets.append(row)
 
     def _hear(self, message: Any) -> None:
         place = message.pose.pose.position

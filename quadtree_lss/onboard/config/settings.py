@@ -223,3 +223,7 @@ def _cannot_follow(config: Config | SimpleNamespace) -> Iterator[str]:
             f"domain.follow moves the domain by {step:g} m, which is no multiple of"
             f" lss.grid_spacing = {spacing:g} m: set that to {step / parts:.12g}"
         )
+
+
+#: The configuration without any file.
+DEFAULTS = Config()

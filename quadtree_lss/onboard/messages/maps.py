@@ -276,10 +276,10 @@ def decode_observed(values: NDArray[np.int8]) -> tuple[Mask, Mask]:
     return values > 0, values > SEEN
 
 
-_HAZARD_VALUES = np.tile(np.array([0, *[100] * 0x3F], dtype=np.int8), 4)
-_HAZARD_VALUES[0x40::0x40] = -1
-"""Of ``landing/hazards`` by the bits of a grid point; 0x80 alone is unseen ground, with 0x40 ground
-that is seen but not yet mapped."""
+_HAZARD_VALUES = np.full(256, 100, dtype=np.int8)
+_HAZARD_VALUES[0x20::0x20] = -1  # only bits of ground that is not known
+_HAZARD_VALUES[0] = 0
+"""Of ``landing/hazards`` by the bits of a grid point."""
 
 
 def encode_hazards(assessment: LandingAssessment) -> NDArray[np.int8]:

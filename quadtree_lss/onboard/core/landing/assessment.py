@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -58,6 +59,35 @@ class Sites:
     def of(self, rows: slice) -> Sites:
         """Some of them."""
         return Sites(*(getattr(self, column.name)[rows] for column in fields(self)))
+
+    def columns(self) -> dict[str, Any]:
+        """Columns by name as in ``sites.csv``, and the ``reason`` of each site."""
+        places = {axis: self.position[:, k] for k, axis in enumerate("xyz")}
+        normals = {f"n{axis}": self.normal[:, k] for k, axis in enumerate("xyz")}
+        names = "score slope_deg roughness hazard_distance subscale_height id probability".split()
+        values = {name: getattr(self, name) for name in names}
+        rank = np.arange(1, len(self) + 1)
+        return {"rank": rank, **places, **normals, **values, "reason": list(self.reasons)}
+
+    def to_dataframe(self) -> Any:
+        """Return the columns as a ``pandas.DataFrame``; pandas must be installed."""
+        import pandas  # type: ignore[import-untyped]
+
+        return pandas.DataFrame(self.columns())
+
+    def _repr_html_(self) -> str:
+        """Return a table for notebooks."""
+        shown = {"x": ".2f", "y": ".2f", "z": ".2f", "probability": ".4f", "slope_deg": ".1f"}
+        shown |= {"hazard_distance": ".1f", "reason": ""}
+        columns = self.columns()
+        head = "".join(f"<th>{name}</th>" for name in ("rank", *shown))
+        rows = "".join(
+            f"<tr><td>{k + 1}</td>"
+            + "".join(f"<td>{format(columns[name][k], form)}</td>" for name, form in shown.items())
+            + "</tr>"
+            for k in range(len(self))
+        )
+        return f"<table><tr>{head}</tr>{rows}</table>"
 
     def __len__(self) -> int:
         return len(self.score)
@@ -114,9 +144,11 @@ class LandingAssessment:
         now: (4,) x, y, z, m, and probability of a safe touchdown, as of ``probability``: the best
             place within reach at this moment (see `grid.within_reach`), NaN if there is none.
         x, y: (nx,), (ny,) of the grid points, m.
-        hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown, 16 uncertain (there
-            the lander stands on the map, yet is too likely not to), 64 seen but not yet mapped (128
-            too), 128 unseen.
+        hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown (a touchdown here, or
+            within ``lss.margin``, fails or has too great a risk), 16 uncertain (its risk is the
+            only reason: the lander stands on the map), 32 unobserved ground under the vehicle, 64
+            observed but not estimated (128 too), 128 unobserved. Landing is allowed exactly where
+            none of 8, 32 and 128 is set; with the paper's rules also 1, 2 and 4 exclude.
         safe: (ny, nx) landing centred here is allowed by the ground itself.
         score: (ny, nx) Eq. 59, NaN where excluded (unsafe, keep-out, outside the landing area).
         probability: (ny, nx) of a safe touchdown if the lander aims there, with the dispersion.
@@ -187,6 +219,10 @@ class LandingAssessment:
     def __repr__(self) -> str:
         ny, nx = self.score.shape
         return f"<LandingAssessment: {nx} x {ny} grid points; {self.explanation}; {self.sites}>"
+
+    def _repr_html_(self) -> str:
+        """Return the explanation and the table of sites for notebooks."""
+        return f"<p>{self.explanation}</p>{self.sites._repr_html_()}"
 
     def _layer(self, values: Callable[..., Array]) -> Array:
         out = np.full(self.score.shape, np.nan)

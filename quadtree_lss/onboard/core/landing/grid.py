@@ -29,7 +29,6 @@ from quadtree_lss.onboard.core.landing.target import (
     Candidates,
     Descent,
     Motion,
-    lowest,
 )
 from quadtree_lss.onboard.core.tree.domain import Domain
 
@@ -38,30 +37,6 @@ TIE = 1e-5
 #: Most grid points per side that are evaluated where no ground is safe.
 COARSE = 128
 Kind = TypeVar("Kind", bound=np.generic)
-
-
-def best_points(score: Array, x: Array, count: int, separation: float) -> tuple[Index, Index]:
-    """Return rows and columns of the lowest scores, each ``separation`` from those before.
-
-    Args:
-        score: (ny, nx), NaN where excluded; of equal ones the south-western comes first.
-        x: (nx,) of the grid points, evenly spaced, alike in x and y, m.
-        count: Most points wanted.
-        separation: Least distance of any two, m.
-    """
-    left = np.fmin(score, np.inf)
-    steps = separation / (x[1] - x[0]) if len(x) > 1 else 0.0
-    best: list[tuple[int, int]] = []
-    while len(best) < count and np.isfinite(left[place := lowest(left)]):
-        south, west = (max(index - int(steps), 0) for index in place)
-        around = left[south : place[0] + int(steps) + 1, west : place[1] + int(steps) + 1]
-        row, column = np.ogrid[: around.shape[0], : around.shape[1]]
-        apart = (row + south - place[0]) ** 2 + (column + west - place[1]) ** 2
-        around[apart < steps**2] = np.inf
-        left[place] = np.inf
-        best.append(place)
-    found = np.array(best, dtype=np.intp).reshape(-1, 2)
-    return found[:, 0], found[:, 1]
 
 
 class GridSampler:
@@ -189,7 +164,9 @@ def aim(
     withheld = wanted.apply(cost, at.x, at.y, lss)
     if ranks and (withheld or wanted.area is not None or len(wanted.keep_outs)):
         np.copyto(score, np.nan, where=np.isnan(cost))
-    candidates = Candidates(at.x, at.y, safe, cost, unsafe if ranks else None, risk)
+    clearance = at.nearest(points.clearance)
+    unsafe_aim = unsafe if ranks else None
+    candidates = Candidates(at.x, at.y, safe, cost, unsafe_aim, risk, clearance)
     return Aims(at, score, 1.0 - unsafe, risk, hazard, candidates, withheld)
 
 

@@ -15,7 +15,10 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 #: A leaf with a larger share of exceptions is a hazard. Since rocks divide leaves, few are left:
 #: finest ones, and all where the map is full.
 MAX_EXCEPTION_FRACTION = 0.05
-SLOPE, ELEVATION, EXCEPTION, TOUCHDOWN, UNCERTAIN, UNMAPPED, UNSEEN = 1, 2, 4, 8, 16, 64, 128
+SLOPE, ELEVATION, EXCEPTION, TOUCHDOWN, UNCERTAIN = 1, 2, 4, 8, 16
+#: The ground point is observed, but the landing zone about it is not: it cannot be judged.
+PARTLY_UNOBSERVED = 32
+UNMAPPED, UNSEEN = 64, 128
 FEATURE = SLOPE | ELEVATION | EXCEPTION
 #: Bits that say what is wrong with the ground. The others say that nobody knows: ground that is
 #: seen but not yet mapped has both of them.

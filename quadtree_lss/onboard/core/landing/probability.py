@@ -377,8 +377,8 @@ class Remainder:
             "obstacle": "an obstacle",
             "slope": "too steep a slope",
             "hidden": "what the map may not show",
-            "unseen": "unseen ground",
-            "unmapped": "ground not yet mapped",
+            "unseen": "unobserved ground",
+            "unmapped": "ground observed but not estimated",
         }[self.kind]
         if self.probability >= 0.9999:
             return share

@@ -97,6 +97,8 @@ class PointAssessment:
         hazard: Bits of ``hazards``.
         safe: Landing there is allowed by the ground.
         score: Eq. 59.
+        clearance: How far the landing zone may move until it touches excluded ground, m; negative
+            where landing is excluded. Capped.
         roughness: (M,) of the leaves, Eq. 55's volume over the area, m.
         spoiled: What the zone must keep off: finest cells (n, n) by the paper's rules, grid points
             at which the lander fails with the touchdown check ...
@@ -111,6 +113,7 @@ class PointAssessment:
     hazard: Bytes
     safe: Mask
     score: Array
+    clearance: Array
     roughness: Array
     spoiled: Mask
     reach: float
@@ -157,13 +160,18 @@ def assess_points(
             stands = contacts.rise <= vehicle.clearance
             stands &= contacts.tilt <= tan(radians(vehicle.max_slope_deg))
             hazard |= (fails & stands) * np.uint8(hazards.UNCERTAIN)
-        hazard |= spoiled * np.uint8(hazards.TOUCHDOWN)
         safe = ~grown(spoiled, lss.margin, side)
+        hazard |= ~safe * np.uint8(hazards.TOUCHDOWN)
         # Ground that spoils a landing lies about a radius from the points it makes unsafe.
         near, reach = distance_from(spoiled, side, cap - (1.0 - SLACK) * radius), lss.margin
         near += radius
         of_slope, of_leaves = WEIGHT_SLOPE, np.zeros(len(cells.level))
-    safe &= around.room >= (1.0 - SLACK) * zone
+    judged = around.room >= (1.0 - SLACK) * zone
+    safe &= judged
+    partly = ~judged & (hazard & hazards.UNSEEN == 0)
+    hazard |= partly * np.uint8(hazards.PARTLY_UNOBSERVED)
+    clearance = np.minimum(near, around.room)
+    clearance -= zone
     # Eq. 55 is a volume and grows with the leaf: over its area it is a height.
     rough = cells.roughness / cells.size**2
     rough[np.isnan(rough)] = 0.0
@@ -176,7 +184,18 @@ def assess_points(
     over = disc(min(zone, 0.5 * cells.domain.size), side)
     score = disc_means(density, over, raster.seen)
     return PointAssessment(
-        raster, around, contacts, risk, cause, hazard, safe, score, rough, spoiled, reach
+        raster,
+        around,
+        contacts,
+        risk,
+        cause,
+        hazard,
+        safe,
+        score,
+        clearance,
+        rough,
+        spoiled,
+        reach,
     )
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask, keep_memory
 from quadtree_lss.onboard.config.risk import risk_model
-from quadtree_lss.onboard.config.settings import Config, LssConfig
+from quadtree_lss.onboard.config.settings import DEFAULTS, Config, LssConfig
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.assessment import (
     LandingAssessment,
@@ -29,7 +29,6 @@ from quadtree_lss.onboard.core.landing.grid import (
     Aims,
     GridSampler,
     aim,
-    best_points,
     users_grid,
     within_reach,
 )
@@ -40,6 +39,7 @@ from quadtree_lss.onboard.core.landing.probability import (
     contact_limits,
     remaining_risks,
 )
+from quadtree_lss.onboard.core.landing.ranking import ranked_points
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
 from quadtree_lss.onboard.core.landing.restrictions import Restrictions
 from quadtree_lss.onboard.core.landing.score import (
@@ -80,7 +80,7 @@ class LandingSiteSelector:
     again only where the ground changed.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config = DEFAULTS) -> None:
         self._target = TargetKeeper()
         self._number = 0
         keep_memory()
@@ -214,8 +214,9 @@ class LandingSiteSelector:
             settled=settled,
             now=here,
         )
-        apart = lss.vehicle.lengths.min_separation
-        best = best_points(aims.candidates.cost, at.x, lss.sites, apart)
+        sites, apart = aims.candidates, lss.vehicle.lengths.min_separation
+        steps = apart / (at.x[1] - at.x[0]) if len(at.x) > 1 else 0.0
+        best = ranked_points(sites.cost, sites.unsafe, sites.clearance, steps, lss.sites)
         ranked = [*zip(*best, strict=True)]
         places = ranked if choice.place is None else [*ranked, choice.place]
         found = self._describe(points, aims, spread, places)
@@ -293,8 +294,8 @@ class LandingSiteSelector:
         if lss.assessment == "touchdown":
             limit = vehicle.lengths.touchdown_slope_deg
         reasons = (
-            f"{risk}slope {slope:.1f} deg of {limit:g}, {clear:.1f} m clear of hazards and unseen "
-            f"ground, roughness {roughness:.3f} m, "
+            f"{risk}slope {slope:.1f}° of {limit:g}°, {clear:.1f} m clear of hazards and "
+            f"unobserved ground, roughness {roughness:.3f} m, "
             + (
                 f"features up to {feature:.2f} m"
                 if feature >= vehicle.lengths.negligible

@@ -27,6 +27,7 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Mask, Numbers
 from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.core.landing.ranking import best_among_equals
 from quadtree_lss.onboard.core.tree.domain import carried
 
 if TYPE_CHECKING:
@@ -145,6 +146,8 @@ class Candidates:
         cost: (ny, nx) lower is better; NaN where the ground or a restriction excludes landing.
         unsafe: (ny, nx) P(unsafe | aim); None with ranking by score.
         risk: (ny, nx) predicted risk of a touchdown exactly there, None if unknown.
+        clearance: (ny, nx) how far the landing zone may move until it touches excluded ground, m;
+            None if unknown.
     """
 
     x: Array
@@ -153,6 +156,7 @@ class Candidates:
     cost: Array
     unsafe: Array | None = None
     risk: Array | None = None
+    clearance: Array | None = None
 
     @cached_property
     def permitted(self) -> Mask:
@@ -166,9 +170,7 @@ class Candidates:
 
     def first(self, cost: Array) -> Place | None:
         """Return the same by another cost (ny, nx), NaN or infinite where excluded."""
-        finite = np.fmin(cost, inf)
-        place = lowest(finite)
-        return place if finite[place] < inf else None
+        return best_among_equals(cost, self.unsafe, self.clearance)
 
     def likely(self, least: float) -> Mask:
         """Return (ny, nx) where landing is permitted and succeeds with probability ``least``."""
@@ -434,9 +436,3 @@ class TargetKeeper:
             self._id = self.places.number(*self.held, reach)
         self.places.pin(self._id, *self.held)
         return Choice(place, self._id, reason, self._state)
-
-
-def lowest(values: Array) -> Place:
-    """Return row and column of the lowest value, of equal ones the first."""
-    row, column = divmod(int(np.argmin(values)), values.shape[1])
-    return row, column

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array, Points
-from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.config.settings import DEFAULTS, Config
 from quadtree_lss.onboard.core.mapping.alignment import (
     JUMP,
     LEAST_LIFT,
@@ -119,7 +119,7 @@ class Mapper:
     later stamps), 0 if nothing is mapped.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config = DEFAULTS) -> None:
         self.config = config
         self.leaves = LeafTable(Domain.of(config.domain), config.mapping.max_cells)
         self._area: tuple[float, float] | None = None
@@ -170,7 +170,14 @@ class Mapper:
     def update(self, points_lidar: Points, pose: Pose, sweep: Sweep | None = None) -> ScanReport:
         """Map one scan of points (H, W, 3) organised or (N, 3), lidar axes (z boresight), m, of
         which rows that are not finite are no returns, from the lidar's pose at its stamp; ``sweep``
-        is how the lidar moved while it took the scan, None if at once."""
+        is how the lidar moved while it took the scan, None if at once. Raises `TypeError`: the pose
+        is no `Pose`; `ValueError`: the points have another shape."""
+        if not isinstance(pose, Pose):
+            kind = type(pose).__name__
+            raise TypeError(f"pose is of type {kind}; Pose.from_matrix(matrix, stamp_ns) makes one")
+        if np.ndim(points_lidar) not in (2, 3) or np.shape(points_lidar)[-1] != 3:
+            shape = np.shape(points_lidar)
+            raise ValueError(f"points_lidar has shape {shape}; it needs (N, 3) or (H, W, 3)")
         if not self.stamp_ns or self.config.domain.follow == "area":
             self._follow(pose)  # there is nothing to drop yet, or no pose decides
         if pose.stamp_ns < self.stamp_ns - JUMP_NS:
