@@ -54,21 +54,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     common.add_topics(parser)
     text = "check: the files are for this node, /uav1/lss_node"
     add("--node", default="", metavar="NAME", help=text)
-    text = "for a vehicle of this diameter and clearance, m, with pads in proportion"
-    add("--vehicle", type=vehicle, metavar="D,C", help=text)
-
-
-def vehicle(text: str) -> dict[str, float]:
-    """``0.6,0.08`` as values of the vehicle, with pads in proportion."""
-    try:
-        diameter, clearance = (float(part) for part in text.split(","))
-    except ValueError:
-        msg = f"'{text}' is not a diameter and a clearance D,C in m"
-        raise argparse.ArgumentTypeError(msg) from None
-    usual = VehicleConfig()
-    pad = float(f"{usual.pad_radius * diameter / usual.diameter:.3g}")
-    values = {"vehicle.diameter": diameter, "vehicle.clearance": clearance}
-    return {**values, "vehicle.pad_radius": pad}
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -80,15 +65,11 @@ def _run(options: argparse.Namespace) -> int:
     return ACTIONS[options.action](options)
 
 
-def _chosen(options: argparse.Namespace) -> Config:
-    return settings.config_from_values(options.vehicle or {}, common.chosen_config(options))
-
-
 def _explain(options: argparse.Namespace) -> int:
     rows = [row for name in options.names for row in explain(name)]
     texts = [explain_text(row) for row in rows]
     if any(row.name.startswith("vehicle.") for row in rows):
-        texts.append(lengths_text(_chosen(options).vehicle))
+        texts.append(lengths_text(common.chosen_config(options).vehicle))
     told = {row.name: parameter_as_dict(row) for row in rows}
     common.show(options, told, "\n\n".join(texts))
     return common.DONE
@@ -97,7 +78,7 @@ def _explain(options: argparse.Namespace) -> int:
 def _print(options: argparse.Namespace) -> int:
     if options.names:
         options.parser.error(f"config print takes no names, got {' '.join(options.names)}")
-    config = _chosen(options)
+    config = common.chosen_config(options)
     text = dump_config(config, comments=True)
     common.show(options, settings.values_from_config(config), text.removesuffix("\n"))
     return common.DONE
@@ -130,14 +111,13 @@ def _suggest(options: argparse.Namespace) -> int:
 
     if len(options.names) != 1:
         options.parser.error("config suggest takes one bag")
-    config, how = _chosen(options), common.given(options, *common.TOPICS)
+    (bag,) = options.names
+    config, how = common.chosen_config(options), common.given(options, *common.TOPICS)
     with ProgressBar("suggest", "s", options.verbose) as bar:
-        found = suggest_config(options.names[0], config, **how, progress=bar.update)
-        info = inspect_bag(options.names[0], config, **how, diagnose=True, progress=bar.update)
-    suggested = found.values.items()
-    others = [f for f in info.findings if not (f.settings or {"": 0}).items() <= suggested]
-    notes = [*found.notes, *(f"Wrong: {finding.line}" for finding in others if finding.mend)]
-    found = dataclasses.replace(found, notes=tuple(notes))
+        info = inspect_bag(bag, config, **how, diagnose=True, progress=bar.update)
+        found = info.suggestion or suggest_config(bag, config, **how)  # raises the reason
+    notes = [f"Fault: {finding.line}" for finding in info.findings if finding.fix]
+    found = dataclasses.replace(found, notes=(*found.notes, *notes))
     common.show(options, found.as_dict(), found.text().removesuffix("\n"))
     for note in found.notes[1:]:
         warn(note)
