@@ -30,9 +30,6 @@ if TYPE_CHECKING:
 
 MOST_CONTRADICTING, LEAST_MAPPED = 0.05, 0.95
 """Most points that contradict the map and least scans that are mapped in a sound bag, as shares."""
-MOST_APART = 2.0
-"""Most that scans of a sound bag differ, as a multiple of the scatter of each scan alone and of the
-standard deviation that the poses claim."""
 BETTER = 0.8
 """A fix leaves at most this share of the contradicting points, the leaves or their roughness."""
 FITTED = ("domain.", "lidar.range_noise", "lss.grid_spacing")
@@ -43,7 +40,8 @@ UNREADABLE = {"times_unreasonable", "times_unknown"}
 
 class Trial(NamedTuple):
     """A bag that was mapped with ``config`` and ``lag_s`` added to the clouds' stamps: ``reports``
-    on the scans and mean ``roughness`` of the map, m. ``failure``: why there is no suggestion."""
+    on the scans, mean ``roughness`` of the map, m, and ``gap`` between scans and map beyond what
+    the poses claim, m. ``failure``: why there is no suggestion."""
 
     config: Config
     lag_s: float
@@ -51,6 +49,7 @@ class Trial(NamedTuple):
     tf_mounts: Mapping[str, Pose]
     reports: list[ScanReport]
     roughness: float
+    gap: float | None
     suggestion: Suggestion | None
     failure: str
 
@@ -74,11 +73,7 @@ class Trial(NamedTuple):
         """How far scans disagree, m; None if they agree."""
         heights = [abs(r.offset) for r in self.reports if r.dropped.get("contradiction")]
         found = [np.median(heights)] if self.share > MOST_CONTRADICTING else []
-        if (flight := self.recording.flight(self.config.lidar)) is not None:
-            cost = flight.disagreement(flight.origins, flight.turns)[0]
-            if MOST_APART * max(flight.scatter_alone(), flight.claimed()) < cost < np.inf:
-                found.append(cost)
-        return float(max(found)) if found else None
+        return float(max(found + [self.gap or 0.0])) if found or self.gap else None
 
     def improves_on(self, other: Trial) -> bool:
         """Whether scans agree clearly better, or the map is clearly simpler or smoother."""
@@ -123,7 +118,8 @@ def try_config(
             reports.append(mapper.update(scan.points_lidar, scan.pose, scan.sweep))
     cells = mapper.snapshot()
     rough = float(np.nanmean(cells.roughness[cells.measured])) if cells.measured.any() else 0.0
-    found = recording, stream.tf_mounts, reports, rough, suggestion, failure
+    gap = (mapper.pose_gap() or [None])[0]
+    found = recording, stream.tf_mounts, reports, rough, gap, suggestion, failure
     return Trial(config, lag_s, *found)
 
 

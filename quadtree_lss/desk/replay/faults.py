@@ -12,6 +12,7 @@ from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.desk.replay.configuration import scalar_text
@@ -29,22 +30,17 @@ from quadtree_lss.onboard.messages.lost_points import LOOKING_DOWN, NED_FROM_ENU
 
 BETTER, NOISES = 0.4, 3.0
 """A correction leaves at most this share of a disagreement of at least this many range noises."""
-ALIKE, JUMPY = 10.0, 0.3
-"""Scans without common ground disagree if their heights scatter by this share of the range; with
-the correction they must agree within so many range noises."""
 MOST_ABOVE, CORRECTED_ABOVE = 0.5, 0.05
 """Most points above the lidar, as a share: of a sound flight among houses, and after a fix."""
 LAGS, FINER_LAGS = np.linspace(-0.5, 0.5, 21), np.linspace(-0.04, 0.04, 9)
 """Lags to try, s, and those to try about the best one."""
-LEAST_LAG, LAG_GAIN = 0.03, 0.8
-"""Least lag, s, and most of the disagreement that may remain without it."""
+LEAST_LAG, GAIN = 0.03, 0.8
+"""Least lag, s, and most of the disagreement that may remain without a lag or an angle."""
 SWEPT = 1.6
 """Scans that still differ by so many times their own scatter were taken while the lidar moved."""
-LEVEL_DEG, LEAST_DEG, SIGMAS, CALM_DEG = 3.0, 2.0, 3.0, 5.0
-"""Standard deviation of the mean slope of the ground; least angle of a mount that is off, also in
-standard deviations; a flight is too calm if such an angle of more than the last is not found."""
-GROUNDS = 5.0
-"""Number of independent slopes in a flight: neighbouring scans see the same ground."""
+LEAST_DEG, CALM_DEG, ATTEMPTS = 2.0, 5.0, 60
+"""Least angle of a mount that is off; an angle that a flight must show, or it is too calm; most
+angles to try."""
 STEEP_DEG = 12.0
 """A mean slope from which on z of the map is probably not up."""
 FAR_M, ZIGZAG, LEAST_ZIGZAG_M = 1e5, 5.0, 0.05
@@ -209,8 +205,7 @@ def _find_common_fault(
     cost, above = flight.disagreement(flight.origins, flight.turns)
     noise = config.lidar.range_noise
     sound = above <= MOST_ABOVE and flight.used().mean() > IN_RANGE
-    disagrees = cost > NOISES * noise if np.isfinite(cost) else flight.scatter() > JUMPY
-    if sound and not disagrees:
+    if sound and not NOISES * noise < cost < np.inf:
         return None
     best, least = None, np.inf
     for correction in _list_corrections(flight, config, tf_mounts):
@@ -225,8 +220,7 @@ def _find_common_fault(
         if over <= CORRECTED_ABOVE and left < 0.8 * least:
             best, least = fault, left
     said = [f"{100 * above:.0f} % of the ground lies above the lidar"] * (above > MOST_ABOVE)
-    limit = BETTER * cost if np.isfinite(cost) else ALIKE * noise
-    if best is not None and (not sound or least < limit):
+    if best is not None and (not sound or least < BETTER * cost):
         far = f"by {cost:.2g} m" if np.isfinite(cost) else "entirely"
         said.append(f"scans disagree {far}, and by {least:.2g} m without this fault")
         return best._replace(text=f"{best.text}: {', '.join(said)}")
@@ -237,8 +231,13 @@ def _find_common_fault(
 
 def _find_tilt(flight: Flight) -> list[Finding]:
     """Find a mean slope that is rather one of the map's axes."""
-    up = np.einsum("kij,kj->i", flight.turns, flight.normals)
-    slope = float(np.degrees(np.arctan2(np.hypot(up[0], up[1]), up[2])))
+    used = flight.used()
+    if used.mean() <= IN_RANGE:
+        return []
+    scan = flight.scan[used]
+    placed = np.einsum("nij,nj->ni", flight.turns[scan], flight.points[used]) + flight.origins[scan]
+    normal = np.linalg.eigh(np.cov(placed.T))[1][:, 0]
+    slope = float(np.degrees(np.arccos(min(abs(normal[2]), 1.0))))
     if slope < STEEP_DEG:
         return []
     text = f"the ground slopes by {slope:.0f} deg on average; if it does not, z of the map is not"
@@ -256,7 +255,7 @@ def _find_lag(flight: Flight, period: float) -> list[Finding]:
     cost, near = costs[len(LAGS) // 2], LAGS[int(np.argmin(costs))] + FINER_LAGS
     costs = [flight.disagreement_with_lag(lag, chosen) for lag in near]
     least, lag = min(costs), float(near[int(np.argmin(costs))])
-    if not np.isfinite(cost) or abs(lag) < LEAST_LAG or least > LAG_GAIN * cost:
+    if not np.isfinite(cost) or abs(lag) < LEAST_LAG or least > GAIN * cost:
         return []
     gain = f"scans disagree by {cost:.2g} m, and by {least:.2g} m with the poses of then"
     if 0.0 < lag < period and least > SWEPT * flight.scatter_alone():
@@ -271,46 +270,35 @@ def _find_lag(flight: Flight, period: float) -> list[Finding]:
 
 
 def _find_mount_angle(flight: Flight, config: Config) -> list[Finding]:
-    """Find roll and pitch of the mount with which the ground keeps its slope and is about level.
-
-    Unknown are a small turn d of the lidar about two axes across the mean normal and the slope s of
-    the ground. Each scan k, of normal m_k in lidar axes, says R_k (m_k + d x m_k) = (s, 1).
-    """
+    """Find the turn of the lidar about two axes across its view with which scans agree best."""
     if config.mount.source == "gimbal":
         return []
-    seen = flight.normals.any(axis=1)
-    turns, normals = flight.turns[seen], flight.normals[seen]
-    across = np.linalg.svd(normals.mean(axis=0)[None])[2][1:]
-    design = np.zeros((len(turns), 3, 4))
-    design[:, :, :2] = turns @ np.stack([np.cross(axis, normals) for axis in across], axis=-1)
-    design[:, 0, 2] = design[:, 1, 3] = -1.0
-    wanted = [0.0, 0.0, 1.0] - np.einsum("kij,kj->ki", turns, normals)
-    prior = np.diag(np.radians([20.0, 20.0, LEVEL_DEG, LEVEL_DEG]) ** -2.0)
-    scatter = 0.02
-    for _ in range(3):  # the scatter of the slopes follows from the fit, and weights it
-        weight = GROUNDS / len(turns) / scatter**2
-        covariance = np.linalg.inv(prior + weight * np.einsum("kij,kil->jl", design, design))
-        unknown = covariance @ (weight * np.einsum("kij,ki->j", design, wanted))
-        misfit = np.linalg.norm(design @ unknown - wanted, axis=1)
-        scatter = max(1.2 * float(np.median(misfit)), 0.002)
-    angle = float(np.degrees(np.linalg.norm(unknown[:2])))
-    sigma_deg = float(np.degrees(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])))
-    if angle < max(LEAST_DEG, SIGMAS * sigma_deg):
-        if SIGMAS * sigma_deg < CALM_DEG:
+    across = np.linalg.svd(flight.points.mean(axis=0)[None])[2][1:]
+
+    def disagreement(angles: Array) -> float:
+        return flight.disagreement(flight.origins, flight.turns @ exp(angles @ across))[0]
+
+    calm = np.radians(CALM_DEG)
+    cost, *costs = (
+        disagreement(calm * np.array(a)) for a in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
+    )
+    if not np.isfinite(cost):
+        return []
+    simplex = calm * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    how = {"initial_simplex": simplex, "maxfev": ATTEMPTS, "xatol": 1e-3, "fatol": 0.01 * cost}
+    fit = minimize(disagreement, simplex[0], method="Nelder-Mead", options=how)
+    angle, turn = float(np.degrees(np.linalg.norm(fit.x))), exp(fit.x @ across)
+    if angle < LEAST_DEG or fit.fun > GAIN * cost:
+        if min(max(costs[:2]), max(costs[2:])) * GAIN > cost:
             return []
         text = "the flight is too calm to find a short lag, or a mount that is off by"
-        text += f" {SIGMAS * sigma_deg:.0f} deg: turn and sway the vehicle while you record"
+        text += f" {CALM_DEG:g} deg: turn and sway the vehicle while you record"
         return [Finding("calm", text)]
-    turn = exp(unknown[:2] @ across)
-    corrected = flight.disagreement(flight.origins, flight.turns @ turn)[0]
-    cost = flight.disagreement(flight.origins, flight.turns)[0]
-    if not np.isfinite(corrected) or LAG_GAIN * corrected > cost:
-        return []  # hills in a long narrow view: the correction takes the scans apart
     mount = flight.mounts[0] @ turn @ cloud_turn(config.mount).T
     angles = np.round(Rotation.from_matrix(mount).as_euler("xyz", degrees=True), 1)
     roll, pitch, yaw = (float(a) for a in np.where(angles == -180.0, 180.0, angles))
-    text = f"the lidar looks {angle:.1f} deg (standard deviation {sigma_deg:.1f}) off its mount:"
-    text += " the ground turns with the vehicle, or is far from level"
+    text = f"the lidar looks {angle:.1f} deg off its mount: scans disagree by {cost:.2g} m, and by"
+    text += f" {fit.fun:.2g} m without that"
     if config.mount.source == "tf":
         fix = f"correct /tf_static: roll, pitch, yaw {roll:.1f}, {pitch:.1f}, {yaw:.1f} deg"
         return [Finding("mount_angle", text, fix)]

@@ -101,7 +101,7 @@ class Flight:
 
     ``points`` are (N, 3), lidar axes; ``scan`` (N,) is the scan of each. Of K scans, ``positions``
     and ``body`` are those of the body, ``arms`` and ``mounts`` of the lidar on it, ``origins`` and
-    ``turns`` of the lidar in the map, ``normals`` of the ground in lidar axes, upward.
+    ``turns`` of the lidar in the map.
     """
 
     def __init__(self, scans: list[_Scan], path: _Path, lidar: LidarConfig) -> None:
@@ -112,26 +112,11 @@ class Flight:
         back = turn.transpose(0, 2, 1)
         self.arms = np.einsum("kij,kj->ki", back, [scan.pose.position for scan in scans] - at)
         self.mounts = back @ np.array([scan.pose.rotation_map_lidar for scan in scans])
-        self._variances = np.array([np.diag(scan.pose.covariance) for scan in scans])
         self._path, self.times, self.last = path, 1e-9 * middles, float(path.times[-1])
         self.positions, self.body = path.interpolate(self.times)
         self.origins, self.turns = place_lidar(self.positions, self.body, self.arms, self.mounts)
         self.ranges = np.linalg.norm(self.points, axis=1)
         self._limits, self._own = (lidar.min_range, lidar.max_range), np.zeros(len(self.scan), bool)
-        self.range, self.normals = 0.0, np.zeros((len(scans), 3))
-        self._measure()
-
-    def _measure(self) -> None:
-        """Set the median range and the normals of the scans."""
-        used = self.used()
-        if used.mean() <= IN_RANGE:
-            used = ~self._own
-        self.range = float(np.median(self.ranges[used]))
-        for k in range(len(self.times)):
-            points = self.points[used & (self.scan == k)]
-            if len(points) >= FEWEST:
-                axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
-                self.normals[k] = axes[2] * (1.0 if self.turns[k, 2] @ axes[2] >= 0.0 else -1.0)
 
     def used(self, scale: float = 1.0) -> NDArray[np.bool_]:
         """Return which points, in metres after ``scale``, the map uses."""
@@ -144,7 +129,7 @@ class Flight:
         share and their greatest range, m; None if there are none, or nearer ground would be lost.
         """
         used = self.used()
-        near = used & (self.ranges < NEAR * self.range)
+        near = used & (self.ranges < NEAR * np.median(self.ranges[used])) if used.any() else used
         if not near.any():
             return None
         voxel = np.floor(self.points[near] / VOXEL_M).astype(np.int64)
@@ -154,7 +139,8 @@ class Flight:
         own[near] = hits[voxel] >= RECURRING * len(self.times)
         if not own.any():
             return None
-        heights, others = self._heights(), used & ~own
+        heights = np.einsum("nj,nj->n", self.turns[self.scan][:, 2], self.points)
+        others = used & ~own
         ground = np.full(len(self.times), np.nan)
         for k in np.unique(self.scan[others]):
             ground[k] = np.median(heights[others & (self.scan == k)])
@@ -163,12 +149,7 @@ class Flight:
         if np.mean(aloft[own]) < 0.8 or np.mean(self.ranges[others] < 1.1 * farthest) > 0.02:
             return None
         self._own = own
-        self._measure()
         return own.sum() / used.sum(), farthest
-
-    def _heights(self) -> Array:
-        """Heights of the points over the lidar, m."""
-        return np.asarray(np.einsum("nj,nj->n", self.turns[self.scan][:, 2], self.points))
 
     def disagreement_with_lag(self, lag: float, chosen: NDArray[np.bool_]) -> float:
         """Disagreement of the chosen scans with the poses ``lag`` s later, m."""
@@ -200,7 +181,7 @@ class Flight:
         near = np.asarray(cKDTree(placed[:, :2]).query(placed[few, :2], k=NEIGHBOURS)[1])
         common = np.sum(scan[near] != scan[few, None], axis=1) >= others
         if common.mean() < OVERLAP:
-            return np.inf, above  # see `scatter`
+            return np.inf, above
         x, y, z = np.moveaxis(placed[near[common]] - placed[few][common, None], -1, 0)
         return float(np.sqrt(np.median(variance_about_planes(x, y, z)))), above
 
@@ -208,17 +189,6 @@ class Flight:
         """`disagreement` of each scan with itself, m: scans that agree differ by no more."""
         apart = FAR_APART_M * np.arange(len(self.times))[:, None] * [1.0, 0.0, 0.0]
         return self.disagreement(self.origins + apart, self.turns, others=0)[0]
-
-    def claimed(self) -> float:
-        """Median standard deviation of heights that the covariances of the poses claim, m."""
-        square = self._variances[:, 2] + self.range**2 * self._variances[:, 3:].max(axis=1)
-        return float(np.sqrt(np.median(square)))
-
-    def scatter(self) -> float:
-        """Standard deviation of the scans' median heights, as a share of the range."""
-        used, z = self.used(), self._heights() + self.origins[self.scan, 2]
-        heights = [np.median(z[used & (self.scan == k)]) for k in np.unique(self.scan[used])]
-        return float(np.std(heights)) / self.range
 
 
 def place_lidar(positions: Array, body: Array, arms: Array, mounts: Array) -> tuple[Array, Array]:
