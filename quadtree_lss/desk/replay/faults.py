@@ -255,10 +255,11 @@ def _find_lag(flight: Flight, period: float) -> list[Finding]:
     cost, near = costs[len(LAGS) // 2], LAGS[int(np.argmin(costs))] + FINER_LAGS
     costs = [flight.disagreement_with_lag(lag, chosen) for lag in near]
     least, lag = min(costs), float(near[int(np.argmin(costs))])
-    if not np.isfinite(cost) or abs(lag) < LEAST_LAG or least > GAIN * cost:
+    alone = flight.scatter_alone()
+    if not alone < cost < np.inf or abs(lag) < LEAST_LAG or least > GAIN * cost:
         return []
     gain = f"scans disagree by {cost:.2g} m, and by {least:.2g} m with the poses of then"
-    if 0.0 < lag < period and least > SWEPT * flight.scatter_alone():
+    if 0.0 < lag < period and least > SWEPT * alone:
         text = f"points have no times, and those of a scan span about {2.0 * lag:.2g} s: {gain}"
         return [
             Finding("times_missing", text, "send the time of each point (docs/messages/inputs.md)")
@@ -288,8 +289,9 @@ def _find_mount_angle(flight: Flight, config: Config) -> list[Finding]:
     how = {"initial_simplex": simplex, "maxfev": ATTEMPTS, "xatol": 1e-3, "fatol": 0.01 * cost}
     fit = minimize(disagreement, simplex[0], method="Nelder-Mead", options=how)
     angle, turn = float(np.degrees(np.linalg.norm(fit.x))), exp(fit.x @ across)
-    if angle < LEAST_DEG or fit.fun > GAIN * cost:
-        if min(max(costs[:2]), max(costs[2:])) * GAIN > cost:
+    alone = flight.scatter_alone()
+    if angle < LEAST_DEG or fit.fun > GAIN * cost or cost < alone:
+        if min(max(costs[:2]), max(costs[2:])) * GAIN > max(cost, alone):
             return []
         text = "the flight is too calm to find a short lag, or a mount that is off by"
         text += f" {CALM_DEG:g} deg: turn and sway the vehicle while you record"
