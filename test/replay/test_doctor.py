@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes that integrators make, each made from one good flight and named with its mend."""
+"""Faults of integrators, each made from one good flight and found with its fix."""
 
 import dataclasses
 import json
@@ -106,8 +106,8 @@ def permuted(place, turn):
     return turn.as_quat()[[3, 0, 1, 2]]
 
 
-#: What is done, with which configuration, what is found and what its mend says.
-MISTAKES = {
+#: Change of the flight, configuration, key of the finding and part of its fix.
+FAULTS = {
     "poses in another frame": ({"frame": "odom"}, MOUNTED, "pose_frame", "frames.map: odom"),
     "NED poses of an FRD body": (
         {
@@ -141,7 +141,7 @@ MISTAKES = {
         BASE, "axes", "mount.axes: optical_to_flu",
     ),
     "a forgotten mount": ({}, BASE, "mount", "roll_deg: 180"),
-    "a mount too many": (LIDAR_POSES, MOUNTED, "mount", "leave out"),
+    "a mount too many": (LIDAR_POSES, MOUNTED, "mount", "remove"),
     "clouds in mm": ({"scale": 1000.0}, MOUNTED, "units", "0.001"),
     "clouds in cm": ({"scale": 100.0}, MOUNTED, "units", "0.01"),
     "poses in mm": (
@@ -149,7 +149,7 @@ MISTAKES = {
     ),
     "clouds in the map": (
         {"cloud": lambda points, place, turn: turn.apply(points) + place},
-        MOUNTED, "map_cloud", "own axes",
+        MOUNTED, "map_cloud", "--scan-topic",
     ),
     "clouds stamped since boot": ({"scan_clock": -1.7e9}, MOUNTED, "clocks", "lidar/points"),
     "poses stamped since boot": ({"pose_clock": -1.7e9}, MOUNTED, "clocks", "nav/pose"),
@@ -184,14 +184,14 @@ MISTAKES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", MISTAKES)
-def test_each_mistake_is_named_with_its_mend(name, tmp_path):
-    change, values, key, mend = MISTAKES[name]
+@pytest.mark.parametrize("name", FAULTS)
+def test_each_fault_is_found_with_its_fix(name, tmp_path):
+    change, values, key, fix = FAULTS[name]
     path = dataclasses.replace(Good(), **change).write(tmp_path / "bag")
     found = inspect_bag(path, config_from_values(values), diagnose=True).findings
-    wrong = [finding for finding in found if finding.mend]
+    wrong = [finding for finding in found if finding.fix]
     assert [finding.key for finding in wrong] == [key], found
-    assert mend in wrong[0].mend
+    assert fix in wrong[0].fix
     if key == "mount_angle":
         told = wrong[0].settings
         mount = Rotation.from_euler("xyz", list(told.values()), degrees=True)
@@ -218,7 +218,7 @@ def test_nothing_is_wrong_with_a_good_flight(name, tmp_path):
     change, values = GOOD[name]
     path = dataclasses.replace(Good(), **change).write(tmp_path / "bag")
     info = inspect_bag(path, config_from_values(values), diagnose=True)
-    assert info.works and not [f for f in info.findings if f.mend], info.findings
+    assert info.works and not [f for f in info.findings if f.fix], info.findings
     assert ("calm" in {f.key for f in info.findings}) == (name == "hardly any motion")
 
 
@@ -232,7 +232,7 @@ def test_nothing_is_wrong_with_one_that_looks_straight_down_and_the_command_says
     assert code == 0 and last.startswith("nothing is wrong with /lidar/points and /nav/pose: 20 of")
     assert len(notes) == 1 and notes[0].startswith("note:  the flight is too calm")
     code, out, _ = run(capsys, "doctor", path, *settings, "--set", "frames.map=odom")
-    assert code == 1 and "mend:  frames.map: map" in out
+    assert code == 1 and "fix:   frames.map: map" in out
     code, out, _ = run(capsys, "doctor", path, *settings, "--set", "frames.map=odom", "--json")
     found = json.loads(out)
     assert found["findings"][0]["settings"] == {"frames.map": "map"}
@@ -257,7 +257,7 @@ def test_hills_in_a_long_narrow_view_are_no_mount(tmp_path, monkeypatch):
     path = Good().write(tmp_path / "bag")
     values = {**MOUNTED, "domain": {**DOMAIN, "xmin": -64.0, "ymin": -64.0, "size": 128.0}}
     info = inspect_bag(path, config_from_values(values), diagnose=True)
-    assert info.works and not [f for f in info.findings if f.mend], info.findings
+    assert info.works and not [f for f in info.findings if f.fix], info.findings
 
 
 def test_a_damaged_bag_is_not_called_sound(tmp_path, capsys):
@@ -301,7 +301,7 @@ def test_returns_of_the_vehicle_are_named_and_hide_no_mount(off, tmp_path):
     path = dataclasses.replace(Good(), cloud=with_legs).write(tmp_path / "bag")
     config = config_from_values({**MOUNTED, "mount.pitch_deg": -off})
     info = inspect_bag(path, config, diagnose=True)
-    found = {finding.key: finding for finding in info.findings if finding.mend}
+    found = {finding.key: finding for finding in info.findings if finding.fix}
     assert found.keys() == {"own_returns"} | ({"mount_angle"} if off else set())
     assert "close by" in found["own_returns"].text
     assert 0.8 < found["own_returns"].settings["lidar.min_range"] < 1.2
@@ -316,7 +316,7 @@ def test_the_verdict_of_scans_that_disagree_is_no_good_one(tmp_path, capsys):
     assert "no common fault explains it" in last and "% of the points contradict the map" in last
     cloud = dataclasses.replace(Good(), scan_times=np.full(20, 3.0)).write(tmp_path / "one_stamp")
     code, out, _ = run(capsys, "doctor", cloud, *settings)
-    assert code == 1 and out.splitlines()[-1].startswith("19 of 20 scans dropped: one stamp")
+    assert code == 1 and out.splitlines()[-1].startswith("19 of 20 scans dropped: all carry")
 
 
 def test_scans_that_see_no_common_ground_prove_no_unit(tmp_path):
@@ -342,8 +342,8 @@ def test_a_map_whose_z_is_not_up_is_named(tmp_path):
 
 
 def test_suggest_says_what_is_wrong_too(tmp_path, capsys):
-    change, values, _, mend = MISTAKES["clouds FLU, poses optical"]
+    change, values, _, fix = FAULTS["clouds FLU, poses optical"]
     path = dataclasses.replace(Good(), **change).write(tmp_path / "bag")
     settings = [word for key, value in values.items() for word in ("--set", f"{key}={value}")]
     code, out, err = run(capsys, "config", "suggest", path, *settings)
-    assert code == 0 and mend in out and mend in err
+    assert code == 0 and fix in out and fix in err

@@ -41,7 +41,7 @@ def test_some_seconds_of_live_topics_are_looked_at(ros, frame, code):
             listener.until(send, timeout=60.0)
             out, err = doctor.communicate()
     assert doctor.returncode == code, err
-    expected = "nothing is wrong with /lidar/points" if code == 0 else "mend:  frames.map: map"
+    expected = "nothing is wrong with /lidar/points" if code == 0 else "fix:   frames.map: map"
     assert expected in out, out + err
 
 

@@ -17,6 +17,7 @@ from typing import Any, NoReturn, TypeVar
 from quadtree_lss.desk.commands.console import first_line
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.config.settings import Config, ConfigError
+from quadtree_lss.onboard.config.vehicle import VehicleConfig
 from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -157,6 +158,8 @@ def add_config_options(parser: argparse._ActionsContainer) -> None:
     add("--config", metavar="YAML", help=text, **several)
     text = "set one parameter, for instance lss.margin=1.0; wins over every file"
     add("--set", metavar="KEY=VALUE", help=text, **several)
+    text = "diameter and clearance of the vehicle, m, with pads in proportion; wins over every file"
+    add("--vehicle", type=vehicle, default={}, metavar="D,C", help=text)
 
 
 def overrides(options: argparse.Namespace) -> dict[str, Any]:
@@ -174,9 +177,23 @@ def overrides(options: argparse.Namespace) -> dict[str, Any]:
     return found
 
 
-def chosen_config(options: argparse.Namespace) -> Config:
+def vehicle(text: str) -> dict[str, float]:
+    """Type of an option: ``0.6,0.08``, diameter and clearance, as parameters of the vehicle."""
     try:
-        return load_config(options.config, overrides(options), origin="--set")
+        diameter, clearance = (float(part) for part in text.split(","))
+    except ValueError:
+        msg = f"'{text}' is not a diameter and a clearance D,C in m"
+        raise argparse.ArgumentTypeError(msg) from None
+    usual = VehicleConfig()
+    pad = float(f"{usual.pad_radius * diameter / usual.diameter:.3g}")
+    values = {"vehicle.diameter": diameter, "vehicle.clearance": clearance}
+    return {**values, "vehicle.pad_radius": pad}
+
+
+def chosen_config(options: argparse.Namespace) -> Config:
+    values = options.vehicle | overrides(options)
+    try:
+        return load_config(options.config, values, origin="--vehicle and --set")
     except ConfigError as error:
         options.parser.error(f"{error}")
 

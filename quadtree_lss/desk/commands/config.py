@@ -54,7 +54,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = common.add_command(commands, "config", _print, TEXT, EXAMPLES)
     shipped = {name: f"config --config {name}" for name in shipped_configs()}
     parser.meant = {**shipped, "print": "config without an action"}
-    _add_values(parser)
+    common.add_config_options(parser)
     actions = parser.add_subparsers(metavar="ACTION", help="check, explain or suggest")
     check = common.add_command(actions, "check", _check, CHECK, EXAMPLES)
     check.add_argument("names", nargs="+", metavar="FILE", help="files to check")
@@ -62,52 +62,29 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     check.add_argument("--node", default="", metavar="NAME", help=text)
     explain = common.add_command(actions, "explain", _explain, EXPLAIN, EXAMPLES)
     explain.add_argument("names", nargs="+", metavar="NAME", help="keys or sections")
-    _add_values(explain)
+    common.add_config_options(explain)
     suggest = common.add_command(actions, "suggest", _suggest, SUGGEST, EXAMPLES)
     suggest.add_argument("bag", type=common.named, metavar="BAG", help=common.CLOUDS)
     common.add_topics(suggest)
-    _add_values(suggest)
+    common.add_config_options(suggest)
     for command in (check, explain, suggest):  # an option before the action counts, too
         for option in command._actions:
             if option.dest in ("quiet", "verbose", "json", "config", "set", "vehicle"):
                 option.default = argparse.SUPPRESS
 
 
-def _add_values(parser: argparse.ArgumentParser) -> None:
-    common.add_config_options(parser)
-    text = "for a vehicle of this diameter and clearance, m, with pads in proportion"
-    parser.add_argument("--vehicle", type=vehicle, metavar="D,C", help=text)
-
-
-def vehicle(text: str) -> dict[str, float]:
-    """``0.6,0.08`` as values of the vehicle, with pads in proportion."""
-    try:
-        diameter, clearance = (float(part) for part in text.split(","))
-    except ValueError:
-        msg = f"'{text}' is not a diameter and a clearance D,C in m"
-        raise argparse.ArgumentTypeError(msg) from None
-    usual = VehicleConfig()
-    pad = float(f"{usual.pad_radius * diameter / usual.diameter:.3g}")
-    values = {"vehicle.diameter": diameter, "vehicle.clearance": clearance}
-    return {**values, "vehicle.pad_radius": pad}
-
-
-def _chosen(options: argparse.Namespace) -> Config:
-    return settings.config_from_values(options.vehicle or {}, common.chosen_config(options))
-
-
 def _explain(options: argparse.Namespace) -> int:
     rows = [row for name in options.names for row in explain(name)]
     texts = [explain_text(row) for row in rows]
     if any(row.name.startswith("vehicle.") for row in rows):
-        texts.append(lengths_text(_chosen(options).vehicle))
+        texts.append(lengths_text(common.chosen_config(options).vehicle))
     told = {row.name: parameter_as_dict(row) for row in rows}
     common.show(options, told, "\n\n".join(texts))
     return common.DONE
 
 
 def _print(options: argparse.Namespace) -> int:
-    config = _chosen(options)
+    config = common.chosen_config(options)
     text = dump_config(config, comments=True)
     common.show(options, settings.values_from_config(config), text.removesuffix("\n"))
     return common.DONE
@@ -138,14 +115,12 @@ def _suggest(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.info import inspect_bag
     from quadtree_lss.desk.replay.suggest import suggest_config
 
-    config, how = _chosen(options), common.given(options, *common.TOPICS)
+    config, how = common.chosen_config(options), common.given(options, *common.TOPICS)
     with ProgressBar("suggest", "s", options.verbose) as bar:
-        found = suggest_config(options.bag, config, **how, progress=bar.update)
         info = inspect_bag(options.bag, config, **how, diagnose=True, progress=bar.update)
-    suggested = found.values.items()
-    others = [f for f in info.findings if not (f.settings or {"": 0}).items() <= suggested]
-    notes = [*found.notes, *(f"Wrong: {finding.line}" for finding in others if finding.mend)]
-    found = dataclasses.replace(found, notes=tuple(notes))
+        found = info.suggestion or suggest_config(options.bag, config, **how)  # raises the reason
+    notes = [f"Fault: {finding.line}" for finding in info.findings if finding.fix]
+    found = dataclasses.replace(found, notes=(*found.notes, *notes))
     common.show(options, found.as_dict(), found.text().removesuffix("\n"))
     for note in found.notes[1:]:
         warn(note)

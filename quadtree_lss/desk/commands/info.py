@@ -15,14 +15,14 @@ EXAMPLES = """examples:
 
 Exit code 1 if it cannot be replayed, for the reasons printed as problems.
 """
-DOCTOR = "Say what is wrong with clouds and poses, live or in a bag, and the line that mends it."
+DOCTOR = "Find faults of clouds and poses, live or in a bag, and the setting that fixes each one."
 DOCTOR_EXAMPLES = """examples:
   quadtree-lss doctor --config vehicle.yaml             (the topics that are live now, ten seconds)
   quadtree-lss doctor flight_bag --config vehicle.yaml
 
-Frames, axes, units, quaternions, clocks, lag, mount, rates and covariances. The bag is mapped as it
-is and with each setting that is named; the last line says what came of it. Move the vehicle while
-you record: without motion some faults look alike. Exit code 1 if something is wrong.
+Checks frames, axes, units, quaternions, clocks, lag, mount, rates and covariances. Maps the bag as
+it is and with each setting that it prints; the last line is the verdict. Move the vehicle while you
+record: without motion some faults look alike. Exit code 1 if there is a fault.
 """
 
 
@@ -68,19 +68,19 @@ def _doctor(options: argparse.Namespace) -> int:
         common.refuse(options, "a bag", "seconds")
     with ProgressBar("doctor", "s", options.verbose) as bar:
         info = inspect_bag(bag, config, **how, diagnose=True, progress=bar.update)
-    wrong = [finding for finding in info.findings if finding.mend or finding.fatal]
-    notes = [finding for finding in info.findings if finding not in wrong]
-    wrong.sort(key=lambda finding: not finding.mend)  # what has none mostly follows from the others
-    none = "as above" if wrong and wrong[0].mend else "none known"
-    told = [finding for finding in wrong if finding.text != info.verdict]
-    lines = [f"wrong: {finding.text}\nmend:  {finding.mend or none}" for finding in told]
+    faults = [finding for finding in info.findings if finding.fix or finding.fatal]
+    notes = [finding for finding in info.findings if finding not in faults]
+    faults.sort(key=lambda finding: not finding.fix)  # the others mostly follow from these
+    none = "as above" if faults and faults[0].fix else "none known"
+    told = [finding for finding in faults if finding.text != info.verdict]
+    lines = [f"fault: {finding.text}\nfix:   {finding.fix or none}" for finding in told]
     lines += [f"note:  {finding.text}" for finding in notes]
     lines += [f"damaged: {text}" for text in info.losses]
     good = "nothing is wrong with the maps" if info.works else "nothing can be mapped: see above"
     lines.append(info.verdict or good)
-    findings = [finding._asdict() for finding in (*wrong, *notes)]
+    findings = [finding._asdict() for finding in (*faults, *notes)]
     content = {"findings": findings, "losses": info.losses, "verdict": info.verdict}
     common.show(options, content, "\n".join(lines))
-    if wrong:
+    if faults:
         return common.ERROR
     return common.IN_PART if info.losses else common.DONE

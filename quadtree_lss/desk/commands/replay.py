@@ -157,7 +157,18 @@ def _sites(options: argparse.Namespace) -> int:
 
 
 def _publish(options: argparse.Namespace) -> int:
-    offline = ("out", "config", "set", "poses", "no_report", "record", "area", "keep_out", "target")
+    offline = (
+        "out",
+        "config",
+        "set",
+        "vehicle",
+        "poses",
+        "no_report",
+        "record",
+        "area",
+        "keep_out",
+        "target",
+    )
     common.refuse(options, "--publish: the nodes map and rank the sites", *offline)
     with common.of_ros("--publish"):
         from quadtree_lss.desk.player.player import play

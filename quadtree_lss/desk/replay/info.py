@@ -6,8 +6,8 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,12 @@ from quadtree_lss.desk.bags.bag import Bag, BagError
 from quadtree_lss.desk.bags.cloud_files import open_recording
 from quadtree_lss.desk.bags.message_types import POSE_TYPES, SCAN_TYPES
 from quadtree_lss.desk.bags.recorded_file import RawMessage
-from quadtree_lss.desk.replay.diagnosis import diagnosed
+from quadtree_lss.desk.replay.diagnosis import diagnose as diagnose_bag
+from quadtree_lss.desk.replay.faults import Finding, make_setting
 from quadtree_lss.desk.replay.files import plain
-from quadtree_lss.desk.replay.heard import Finding, Heard, setting
 from quadtree_lss.desk.replay.results import points_line, points_warning
 from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Part, Progress, Stream, rate
-from quadtree_lss.desk.replay.suggest import SCANS, Seen
+from quadtree_lss.desk.replay.suggest import Suggestion
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config
 from quadtree_lss.onboard.core.sensing.register import register
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -91,8 +91,8 @@ class BagInfo:
     ``kind`` is what it would read: ``scans``, ``maps`` or ``nothing``; of two topics, empty if not
     found. Some scans could be mapped (``scans_with_pose``, with ``points``), others not
     (``scans_dropped``, by reason), and so it is with the former's points. ``findings`` say what is
-    wrong, with what mends it, and what to know; ``losses`` what cannot be read, one line each;
-    ``verdict`` of a diagnosis, in one line, is in the end what a replay would show.
+    wrong, with the fix, and what to know; ``losses`` what cannot be read, one line each;
+    a diagnosis adds its ``verdict``, in one line, and what it suggests.
     """
 
     path: str
@@ -109,6 +109,7 @@ class BagInfo:
     findings: list[Finding] = field(default_factory=list)
     losses: list[str] = field(default_factory=list)
     verdict: str = ""
+    suggestion: Suggestion | None = None
 
     @property
     def problems(self) -> list[str]:
@@ -129,7 +130,9 @@ class BagInfo:
         """In JSON types."""
         told = {"works": self.works, "problems": self.problems, "notes": self.notes}
         found = {"findings": [finding._asdict() for finding in self.findings]}
-        content: dict[str, Any] = plain(told | asdict(self) | found)
+        known = asdict(replace(self, suggestion=None))
+        del known["suggestion"]
+        content: dict[str, Any] = plain(told | known | found)
         return content
 
     def table(self) -> str:
@@ -180,7 +183,7 @@ def inspect_bag(
             stream = Stream(opened, config, scan_topic, pose_topic, adapt=diagnose)
         except BagError as error:
             if pairs is None:
-                info.findings.append(Finding("topics", str(error), MENDS["topics"], fatal=True))
+                info.findings.append(Finding("topics", str(error), FIXES["topics"], fatal=True))
             else:
                 info.kind = "maps"
                 text = "maps and no scans: replay ranks landing sites on the last map, `replay"
@@ -188,12 +191,9 @@ def inspect_bag(
         else:
             info.kind = "scans"
             info.scan_topic, info.pose_topic = stream.scans, stream.poses
-            heard, seen = Heard(), Seen(config)
-            hear = heard.add if diagnose else None
-            texts = _read(info, opened, stream, seen, hear, progress)
+            texts = _read(info, opened, stream, progress)
             if diagnose:
-                heard.mount, heard.tf_mounts = stream.intake.mount, stream.tf_mounts
-                diagnosed(info, opened, stream, heard, seen, texts, how)
+                diagnose_bag(info, opened, stream.config, texts, how)
         # Of clouds and poses that are not read: what they may be chosen by.
         kinds, times = (*SCAN_TYPES, *POSE_TYPES), defaultdict(list)
         unread = [t for t in info.topics if t.first_stamp_ns is None and t.type in kinds]
@@ -211,12 +211,9 @@ def _read(
     info: BagInfo,
     bag: Bag,
     stream: Stream,
-    seen: Seen,
-    also: Callable[[str, Any], None] | None,
     progress: Progress | None,
 ) -> dict[str, str]:
-    """What messages say, and where their points lie; the intake's notices by their keys. ``also``
-    hears each message."""
+    """Read the messages and where their points lie; return the intake's notices by their keys."""
     intake, config = stream.intake, stream.config
     domain = Domain.of(config.domain)
     dropped: Counter[str] = Counter()
@@ -224,7 +221,6 @@ def _read(
     why = ""
     headers: dict[str, list[tuple[Any, ...]]] = defaultdict(list)
     texts: dict[str, str] = {}
-    every = max(next(t.count for t in bag.topics if t.name == stream.scans) // SCANS, 1)
 
     def note() -> None:
         for notice in intake.notices():
@@ -234,15 +230,12 @@ def _read(
         if what in ("cloud", "pose"):
             with contextlib.suppress(MessageError):  # counted and told by the intake
                 headers[message.topic].append(_header(msg, message.received_ns))
-        if also is not None:
-            also(what, msg)
 
     stream.hear = hear
     for message in Part.of(bag).messages(bag, stream.topics, progress):
         stream.take(message)
         for ready in intake.ready(message.received_ns):
             info.scans_with_pose += 1
-            seen.add(ready, every)
             if config.domain.follow == "vehicle":
                 domain = domain.moved(*domain.steps_to(*ready.pose.position[:2].tolist()))
             scan, lost = register(ready.points_lidar, ready.pose, config.lidar, domain, ready.sweep)
@@ -263,13 +256,13 @@ def _read(
     info.findings += _judge(info, texts, rare)
     if frame := stream.settings.get("frames.map"):
         text, values = f"poses are in frame '{frame}', not in frames.map", {"frames.map": frame}
-        info.findings.append(setting("pose_frame", text, values))
+        info.findings.append(make_setting("pose_frame", text, values))
     warning = points_warning(info.points, dropped, domain, missed_at, why)
     if warning is not None:
         elsewhere = max(dropped, key=dropped.__getitem__) == "outside"
-        mend = MENDS["outside"] if elsewhere else ""
+        fix = FIXES["outside"] if elsewhere else ""
         fatal = info.points == dropped.total()
-        info.findings.append(Finding("outside", warning, mend, fatal))
+        info.findings.append(Finding("outside", warning, fix, fatal))
     return texts
 
 
@@ -288,7 +281,7 @@ def _header(msg: Any, received_ns: int) -> tuple[Any, ...]:
     return *told, msg.width * msg.height, layout
 
 
-MENDS = {
+FIXES = {
     "pose_quaternion": "publish unit quaternions x, y, z, w; no rotation is x, y, z: 0, w: 1",
     "pose_attitude": "publish the attitude's covariance in rad^2, or zeros where it is unknown",
     "pose_covariance": "publish a symmetric covariance without negative eigenvalues, m and rad",
@@ -298,7 +291,7 @@ MENDS = {
     "times_unknown": "name the field as one that is known (docs/messages/inputs.md)",
     "times_unreasonable": "send times in ns, us, ms or s from the stamp, or the same for all",
 }
-"""What mends that which the intake tells, by its keys."""
+"""Fixes by the key of a finding or of the intake's notice."""
 
 
 def _judge(info: BagInfo, texts: dict[str, str], rare: set[str]) -> list[Finding]:
@@ -322,27 +315,27 @@ def _judge(info: BagInfo, texts: dict[str, str], rare: set[str]) -> list[Finding
         between = max(first - end, begin - last) / SECOND_NS
         if between > 0.0:
             text = f"stamps of scans and poses do not overlap, {between:.3f} s lie between them"
-            mend = "record poses from before the first scan until after the last"
+            fix = "record poses from before the first scan until after the last"
             # Wrong is the clock that is not that of reception.
             off = max(scans, poses, key=lambda topic: abs(topic.delay))
             if 2.0 * abs(off.delay) > between:
                 text += ": different clocks?"
                 late = f"{abs(off.delay):.1f} s {'before' if off.delay > 0.0 else 'after'}"
-                mend = f"stamp {off.name} by the clock of the other:"
-                mend += f" its stamps are {late} their reception"
-            found.append(Finding("clocks", text, mend, fatal=True))
+                fix = f"stamp {off.name} by the clock of the other:"
+                fix += f" its stamps are {late} their reception"
+            found.append(Finding("clocks", text, fix, fatal=True))
     wrong_frame = lacks and "pose_frame" in texts and len(poses.frames) == 1
     for key, text in texts.items():
-        mend = MENDS.get(key, "") if key not in rare else ""
+        fix = FIXES.get(key, "") if key not in rare else ""
         if key == "pose_frame" and wrong_frame:
-            mend = f"frames.map: {next(iter(poses.frames))}"
+            fix = f"frames.map: {next(iter(poses.frames))}"
         fatal = lacks and not key.startswith("times_")
-        found.append(Finding(key, f"{key}: {text}", mend, fatal=fatal))
+        found.append(Finding(key, f"{key}: {text}", fix, fatal=fatal))
     if lacks and not texts:
         found.append(Finding("no_pose", "no scan has a pose at its stamp", fatal=True))
     if poses.rate < scans.rate:
         gap = GAP_NS / SECOND_NS
         text = f"poses come at {poses.rate:.1f} Hz, scans at {scans.rate:.1f} Hz: interpolation"
-        mend = "raise the poses' rate above the scans'" if poses.rate * gap < 1.0 else ""
-        found.append(Finding("rate", f"{text} over up to {gap:g} s", mend))
+        fix = "raise the poses' rate above the scans'" if poses.rate * gap < 1.0 else ""
+        found.append(Finding("rate", f"{text} over up to {gap:g} s", fix))
     return found

@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.cloud_files import open_recording
 from quadtree_lss.desk.replay.configuration import dump_values
 from quadtree_lss.desk.replay.files import ReplayError
@@ -28,17 +30,22 @@ from quadtree_lss.onboard.config.settings import (
 )
 from quadtree_lss.onboard.messages.intake import ReadyScan
 
-#: Of a bag so many scans are looked at, and so many points of each.
+#: Number of scans of a bag, and of points of each, that are used.
 SCANS, POINTS = 60, 1500
-#: Neighbours of a return, itself among them, that the plane is laid through.
+#: Neighbours of a return, itself among them, through which a plane is fitted.
 NEIGHBOURS = 9
-#: Sides of the finest cell: so many times the distance of returns (a plane takes three of one scan)
-#: and the range noise, at least; and so many in the vehicle's diameter, at most and at least.
+#: Least side of the finest cell, in distances of returns (a plane takes three of one scan) and in
+#: range noises; most and least number of finest cells in the vehicle's diameter.
 SPACINGS, NOISES, MOST_CELLS, LEAST_CELLS = 1.75, 4.0, 16.0, 6.5
-#: The lower three tenths of chi square of six degrees, over six: smooth ground decides.
+#: Share of the ground that a scan sees, the densest, in which returns are no farther apart.
+DENSEST = 0.3
+#: Finest cells may be so much larger than wanted, so that the domain fits the data.
+SLACK = 1.4
+#: Quantile of the variance about a plane and that of chi square of six degrees over six: smooth
+#: ground decides.
 QUANTILE, AT_QUANTILE = 0.3, 0.638
-#: Of a level: rather finer than coarser, where the wanted cell lies between two.
-FINER = 0.2
+#: Planes that are steeper are facades and trees; with fewer others, as a share, all count.
+STEEPEST_DEG, LEAST_LEVEL = 30.0, 0.1
 #: Ranges that are the same, relative; so many at the greatest are no returns, as a share.
 SAME, MANY = 1e-5, 0.02
 #: Levels between the coarsest and the finest cells.
@@ -65,7 +72,7 @@ class Suggestion:
 
 
 def suggest_config(
-    bag: str | Path,
+    bag: str | Path | Bag,
     config: Config = DEFAULTS,
     *,
     scan_topic: str | None = None,
@@ -88,8 +95,10 @@ def suggest_config(
         causes = [notice.text for notice in stream.intake.notices()]
         if not seen.places:
             why = causes[0] if causes else "no scan has a pose and a return"
-            mend = f"quadtree-lss doctor {shlex.quote(str(bag))} looks for why"
-            raise ReplayError(f"{bag}: nothing to suggest from: {why}; {mend}")
+            raise ReplayError(
+                f"{bag}: nothing to suggest from: {why};"
+                f" quadtree-lss doctor {shlex.quote(str(bag))} looks for why"
+            )
         return seen.suggestion(Path(opened.path), stream.settings, stream.notes)
 
 
@@ -124,10 +133,14 @@ class Seen:
         placed = points @ scan.pose.rotation_map_lidar.T + scan.pose.position
         few = slice(None, None, max(len(points) // POINTS, 1))
         self.places.append(placed[few])
-        low, high = np.percentile(placed[:, :2], [10.0, 90.0], axis=0)
-        area = float(np.prod(high - low)) / 0.64
-        self._spacing.append(math.sqrt(area / len(points)))
-        variance = _scatter(points / ranges[:, None], ranges, few)
+        third = cKDTree(placed[:, :2]).query(placed[few, :2], k=[4])[0][:, 0]
+        area = np.sort(math.pi / 3.0 * third**2)  # of ground for each return
+        within = np.searchsorted(np.cumsum(area), DENSEST * area.sum())
+        self._spacing.append(math.sqrt(area[int(within)]))
+        rays = points / ranges[:, None]
+        near = np.asarray(cKDTree(rays).query(rays[few], k=NEIGHBOURS)[1])
+        variance, level = _scatter(rays, ranges, few, near), _are_level(placed[near])
+        variance = variance[level] if level.mean() > LEAST_LEVEL else variance
         self._noise.append(math.sqrt(float(np.quantile(variance, QUANTILE)) / AT_QUANTILE))
 
     def suggestion(
@@ -136,7 +149,7 @@ class Seen:
         """Values for the scans of a bag, with the ``settings`` and ``notes`` of its stream. Raises
         `ReplayError`: all returns are of one place."""
         config = config_from_values(settings, self._config)
-        noise = max(float(f"{np.median(self._noise):.2g}"), 1e-3)
+        noise = max(float(f"{np.quantile(self._noise, QUANTILE):.2g}"), 1e-3)  # without dust
         spacing = float(np.median(self._spacing))
         low, high = np.percentile(np.concatenate(self.places)[:, :2], [0.5, 99.5], axis=0)
         middle, side = 0.5 * (low + high), 1.04 * float(np.max(high - low))
@@ -145,10 +158,10 @@ class Seen:
         vehicle, by_data = config.vehicle, max(SPACINGS * spacing, NOISES * noise)
         least, most = vehicle.diameter / MOST_CELLS, vehicle.diameter / LEAST_CELLS
         wanted = min(max(by_data, least), most)
-        level = math.floor(min(math.log2(side / wanted) + FINER + 0.5, math.log2(side / least)))
         lowest = 0 if config.domain.follow == "none" else LEAST_STEPS
+        level = math.ceil(math.log2(side / min(SLACK * wanted, most)))
         level = min(max(level, lowest), 10)
-        finest = math.ceil(1000.0 * side / 2**level) / 1000.0
+        finest = math.ceil(1000.0 * max(side / 2**level, wanted)) / 1000.0
         size = finest * 2**level
         corner = np.round(2.0 * (middle - 0.5 * size)) / 2.0
         domain = replace(config.domain, size=size, min_level=max(level - LEVELS, lowest))
@@ -160,7 +173,6 @@ class Seen:
             "domain.size": round(size, 6),
             "domain.min_level": domain.min_level,
             "domain.max_level": level,
-            "lidar.range_noise": noise,
             "lss.grid_spacing": grid,
         }
         coarse = size / 2**domain.min_level
@@ -176,7 +188,7 @@ class Seen:
             "mount.source": "/tf_static leads from the poses' frame to the scans'",
             "domain.xmin": f"99 % of the returns lie in x {x}, y {y} m",
             "domain.max_level": sizes,
-            "lidar.range_noise": "scatter of neighbouring returns where the ground is smoothest",
+            "lidar.range_noise": "scatter of neighbouring returns on the smoothest level ground",
         }
         usual = values_from_config(Config())
         given = {
@@ -184,7 +196,8 @@ class Seen:
             for name, value in values_from_config(config).items()
             if name.startswith("vehicle.") or value != usual[name]
         }
-        found = config_from_values(values := given | values, config)
+        values = {"lidar.range_noise": noise} | given | values
+        found = config_from_values(values, config)
         notes = [f"Suggested for {bag} from {len(self.places)} of its {self._scans} scans.", *notes]
         if by_data > most:
             notes.append(
@@ -196,18 +209,29 @@ class Seen:
         return Suggestion(values, reasons, tuple(notes))
 
 
-def _scatter(rays: Array, ranges: Array, chosen: slice) -> Array:
-    """Variance of ranges about a plane through each chosen return and its neighbours, m^2.
-    ``rays``: (N, 3) unit vectors. ``ranges``: (N,) m. ``chosen``: of the returns."""
-    near = cKDTree(rays).query(rays[chosen], k=NEIGHBOURS)[1]
+def _are_level(placed: Array) -> NDArray[np.bool_]:
+    """Whether the planes through groups of points (N, K, 3) in the map are about level."""
+    placed = placed - placed.mean(axis=1, keepdims=True)
+    axes = np.linalg.eigh(np.einsum("nki,nkj->nij", placed, placed))[1]
+    return np.asarray(np.abs(axes[:, 2, 0]) > math.cos(math.radians(STEEPEST_DEG)))
+
+
+def _scatter(rays: Array, ranges: Array, chosen: slice, near: NDArray[np.intp]) -> Array:
+    """Variance of ranges about planes through the chosen returns and their neighbours, m^2.
+    ``rays``: (N, 3) unit vectors. ``ranges``: (N,) m. ``near``: (M, K) neighbours of the chosen."""
     middle = rays[chosen]
     first = np.cross(middle, np.where(np.abs(middle[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]]))
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(middle, first)
-    across = [np.einsum("kni,ki->kn", rays[near], axis) for axis in (first, second)]
-    design = np.stack([np.ones(near.shape), *across], axis=-1)
-    scale = np.abs(design).max(axis=(1,), keepdims=True)
+    x, y = (np.einsum("kni,ki->kn", rays[near], axis) for axis in (first, second))
+    return variance_about_planes(x, y, ranges[near])
+
+
+def variance_about_planes(x: Array, y: Array, values: Array) -> Array:
+    """Variance (N,) of groups of values about a + b x + c y; all are (N, K)."""
+    design = np.stack([np.ones_like(x), x, y], axis=-1)
+    scale = np.abs(design).max(axis=1, keepdims=True)
     orthogonal, _ = np.linalg.qr(design / np.where(scale > 0.0, scale, 1.0))
-    values = ranges[near] - ranges[near].mean(axis=1, keepdims=True)
+    values = values - values.mean(axis=1, keepdims=True)
     fitted = np.einsum("knj,kj->kn", orthogonal, np.einsum("knj,kn->kj", orthogonal, values))
-    return np.asarray(np.sum((values - fitted) ** 2, axis=1) / (NEIGHBOURS - 3))
+    return np.asarray(np.sum((values - fitted) ** 2, axis=1) / (values.shape[1] - 3))
