@@ -4,18 +4,23 @@ by name. Time runs faster than real; what counts is where the vehicle truly is."
 
 import math
 import socket
+import sys
 import threading
 import time
+from collections import Counter
 from contextlib import suppress
 
 import numpy as np
 from autopilot_model import LOITER, Autopilot
+from fuzz.cases import damaged, random_of_autopilot
 
 from quadtree_lss.onboard.autopilot.controller import Controller
 from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, dialect
 from quadtree_lss.onboard.autopilot.seen import Target
 from quadtree_lss.onboard.config.sections import AutopilotConfig
 
+TURNS_M = 1.2
+"""What the vehicle falls until it climbs, by its speed at the lie."""
 FAST = {"gate_height": 5.0, "descent_speed": 1.5, "touchdown_speed": 0.5, "transit_speed": 4.0}
 
 
@@ -125,6 +130,9 @@ class Others(threading.Thread):
                     )
                 self.sent += 1
             time.sleep(0.002)
+
+    def send(self, content):
+        self._sockets[0].send(content)
 
     def __enter__(self):
         self.start()
@@ -256,3 +264,96 @@ SCENARIOS = {
     )
 }  # fmt: skip
 """Each brings a ride to its lie; from then on the vehicle must not come down, nor climb away."""
+
+
+def hostile(rng, mavlink, now_ns):
+    """Bytes of one message, of anything, from the vehicle's system or another."""
+    says = mavlink.MAVLink(None, srcSystem=int(rng.choice([7, 7, 7, 1, 255])), srcComponent=1)
+    content = random_of_autopilot(rng, mavlink, now_ns)
+    if rng.random() < 0.2:
+        content = mavlink.MAVLink_extended_sys_state_message(0, int(rng.integers(0, 5)))
+    content = content.pack(says)
+    return damaged(content, rng) if rng.random() < 0.1 else content
+
+
+def attack(seed, count):
+    """One ride amid ``count`` hostile messages, half of them from the autopilot's own address: by
+    how much the vehicle sank, m, after its target was withdrawn, and a line that tells of it."""
+    rng, mavlink = np.random.default_rng(seed), dialect().mavlink
+    with Ride(place=(1.0, -1.0, 6.0), may_command="arming") as ride:
+        begins = rng.uniform(0.8, 6.0)
+        ride.below(begins).target = None
+        height = ride.model.lowest = ride.height
+        with Others(ride, [b""], 0) as others:
+            for number in range(count):
+                content = hostile(rng, mavlink, round(1e9 * ride.model._clock()))
+                with suppress(OSError):
+                    if number % 2:
+                        ride.model._link.write(content)
+                    else:
+                        others.send(content)
+                if number % 20 == 0:
+                    ride.step()
+        ride.on(4.0)
+        sank = height - ride.model.lowest
+        told = f"seed {seed}: from {height:.1f} m, lowest {ride.model.lowest:.1f}, {ride.states}"
+        assert ride.order is not None and not ride.model.commands, told
+        return sank, told
+
+
+def poses_lost(ride):
+    ride.model.frozen = True
+    ride.on(3.0).model.frozen = False
+
+
+def link_cut(ride):
+    ride.model.cut = True
+    ride.on(4.0).model.cut = False
+
+
+def keep_out_over_the_target(ride):
+    ride.target = None
+    ride.on(1.5).target = np.array([4.0, 2.0, 0.0])
+
+
+FAULTS = [poses_lost, link_cut, keep_out_over_the_target, *SCENARIOS.values()]
+
+
+def fault_landing(seed):
+    """A landing with a fault at a random height: where it ends, ``landed``, ``pilot``, ``flies`` or
+    ``unsafe``, and a line that tells of it."""
+    rng = np.random.default_rng(seed)
+    fault = FAULTS[seed % len(FAULTS)]
+    with Ride(place=(1.0, -1.0, 6.0), may_command="arming") as ride:
+        if fault.__name__ not in SCENARIOS:
+            ride.below(rng.uniform(0.8, 4.9))
+        fault(ride)
+        ride.model.claims = None
+        with suppress(AssertionError):
+            ride.until(lambda: not ride.model.armed or ride.state in ("give_up", "pilot"), 30.0)
+        landed, target = ride.model.landed_at, ride.target
+        ends = ride.state if ride.state in ("give_up", "pilot") else "flies"
+        if landed is not None:
+            near = target is not None and np.hypot(*(landed - target)[:2]) < 0.5
+            ends = "landed" if near else "unsafe"
+        return ends, f"{fault.__name__}, seed {seed}: {ends} at {ride.model.enu}, {ride.states}"
+
+
+def main():
+    """``messages 200000 4000``: so many hostile messages, so many to a ride, and what they did;
+    ``landings 60``: so many landings with a fault."""
+    if sys.argv[1] == "landings":
+        results = [fault_landing(seed) for seed in range(int(sys.argv[2]))]
+        print(*(told for ends, told in results if ends == "unsafe"), sep="\n")
+        print(Counter(ends for ends, _ in results))
+        return
+    total, each = map(int, sys.argv[2:])
+    results = [attack(seed, each) for seed in range(total // each)]
+    for sank, told in results:
+        if sank > TURNS_M:
+            print(told)
+    print(f"{total} messages in {len(results)} rides, sank by at most {max(results)[0]:.2f} m")
+
+
+if __name__ == "__main__":
+    main()

@@ -6,13 +6,11 @@ import pytest
 
 pytest.importorskip("pymavlink")
 from autopilot_model import LOITER
-from lying_peer import FAST, SCENARIOS, Others, Ride, beat
+from lying_peer import FAST, SCENARIOS, TURNS_M, Others, Ride, attack, beat
 
 from quadtree_lss.onboard.autopilot.link import ARDUPILOT, PX4
 
 pytestmark = pytest.mark.xdist_group("autopilot")
-TURNS_M = 1.2
-"""What the vehicle falls until it climbs, by its speed at the lie."""
 
 
 OF_PX4 = [(name, PX4) for name in SCENARIOS if "contact" in name]
@@ -109,3 +107,9 @@ def test_a_word_of_the_ground_is_old_after_some_seconds():
         assert ride.state == "pilot" and ride.controller.link.landed is None
         ride.model.claims = None
         ride.within("transit")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_hostile_messages_do_not_lower_a_vehicle_without_a_target(seed):
+    sank, told = attack(seed, 2000)
+    assert sank < TURNS_M, told
