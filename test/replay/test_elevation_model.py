@@ -8,6 +8,7 @@ import pytest
 from replay.test_cli import run
 
 from quadtree_lss.desk.exchange.dem import ElevationModel
+from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.replay import elevation_model
 from quadtree_lss.desk.replay.configuration import load_config
@@ -122,3 +123,10 @@ def test_coarse_posts_are_noted_and_bad_files_are_one_line(tmp_path, capsys):
     np.savez(tmp_path / "degrees.npz", x=1e-5 * x, y=1e-5 * x, elevation=np.zeros((30, 30)))
     code, _, err = run(capsys, "sites", tmp_path / "degrees.npz", "--out", tmp_path / "none")
     assert code == 1 and "not in degrees" in err
+
+
+def test_a_strip_whose_square_is_too_large_is_refused_by_name(tmp_path):
+    path = tmp_path / "strip.npz"
+    np.savez(path, x=np.arange(9000.0), y=np.arange(4.0), elevation=np.zeros((4, 9000)))
+    with pytest.raises(ExchangeError, match=r"strip.npz: 9000 x 4 posts lie in a square"):
+        rank_sites(path, None, CONFIG)

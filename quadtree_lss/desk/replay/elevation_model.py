@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.desk.exchange.dem import ElevationModel, read_dem
+from quadtree_lss.desk.exchange.dem import MOST_POSTS, ElevationModel, read_dem
+from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.replay.results import ReplayResult, run_summary, write_results
 from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
@@ -48,6 +49,11 @@ def rank_sites(
         room = 0.5 * config.lss.vehicle.diameter + config.lss.margin + 2.0 * model.spacing
         part = model.within(corners.min(axis=0) - room, corners.max(axis=0) + room)
         model = part if min(len(part.x), len(part.y)) >= 3 else model
+    long, across = max(len(model.x), len(model.y)), min(len(model.x), len(model.y))
+    if long**2 > MOST_POSTS:
+        msg = f"{name or 'elevation model'}: {long} x {across} posts lie in a square of {long}^2;"
+        msg += f" {MOST_POSTS} posts is the most (an area, or gdal_translate -srcwin, cuts it)"
+        raise ExchangeError(msg)
     cells, block = cells_of(model, config.lidar.range_noise)
     names = ("xmin", "ymin", "size", "min_level", "max_level")
     own: dict[str, Any] = {f"domain.{name}": getattr(cells.domain, name) for name in names}

@@ -204,13 +204,9 @@ def _client(where: Where) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _deaf_children() -> Iterator[None]:
-    """Let child processes ignore Ctrl-C, which the parent handles."""
-    try:
-        heard = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    except ValueError:  # not the main thread
-        yield
-        return
+    """Keep Ctrl-C from child processes, which inherit that; the parent gets it afterwards."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, heard)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
