@@ -3,8 +3,6 @@
 
 import numpy as np
 import pytest
-
-pytest.importorskip("pymavlink")
 from autopilot_model import LOITER
 from lying_peer import FAST, SCENARIOS, TURNS_M, Others, Ride, attack, beat
 

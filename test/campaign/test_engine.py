@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from distributed import LocalCluster
 
 from quadtree_lss.cli import main
 from quadtree_lss.desk.commands.common import INTERRUPTED
@@ -26,7 +27,6 @@ from quadtree_lss.lab.campaign.engine import Where, campaign, flagged
 from quadtree_lss.lab.campaign.kinds import CampaignError
 from quadtree_lss.lab.campaign.study import read_study
 
-LocalCluster = pytest.importorskip("distributed").LocalCluster
 # One after the other: each has processes of its own.
 pytestmark = pytest.mark.xdist_group("campaign")
 

@@ -7,8 +7,6 @@ import time
 
 import numpy as np
 import pytest
-
-pytest.importorskip("pymavlink")
 from autopilot_model import LOITER, Autopilot
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped

@@ -6,8 +6,6 @@ from contextlib import ExitStack
 
 import psutil
 import pytest
-
-pytest.importorskip("rclpy")
 import rclpy
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.context import Context
