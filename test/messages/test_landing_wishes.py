@@ -32,6 +32,7 @@ def test_polygons_that_cannot_be_used_take_no_memory():
     assert kept < 10e6, "less than ten messages"
     wrong = wishes.use_frame("map")
     assert len(wrong) == 200 and "5000 vertices" in wishes.withheld
+    assert "and 197 more" in wishes.withheld and len(wishes.withheld) < 1000
 
 
 def test_what_was_heard_before_the_maps_frame_is_known_counts_by_its_frame():

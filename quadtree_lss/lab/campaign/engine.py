@@ -178,8 +178,7 @@ def _client(where: Where) -> Iterator[Any]:
         import dask
         from dask.distributed import Client
     except ImportError as error:
-        how = "pip install 'quadtree_lss[campaign]'"
-        raise CampaignError(f"campaigns need Dask: {how}") from error
+        raise CampaignError("campaigns need Dask: pip install distributed bokeh") from error
     there = {"address": where.scheduler_address, "scheduler_file": where.scheduler_file}
     there = {name: value for name, value in there.items() if value}
     if len(there) + bool(where.workers) > 1:

@@ -76,7 +76,7 @@ def dialect() -> Any:
     try:
         from pymavlink import mavutil
     except ImportError:
-        msg = "autopilot_node needs pymavlink: pip install 'quadtree_lss[autopilot]'"
+        msg = "autopilot_node needs pymavlink: pip install pymavlink pyserial"
         raise ConfigError(msg) from None
     return mavutil
 

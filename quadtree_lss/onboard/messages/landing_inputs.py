@@ -38,6 +38,9 @@ KNOWN_HEADING, WIDEST = np.radians(15.0), 100.0
 MAX_VERTICES, LONGEST_NAME = 1000, 256
 """More are taken for a damaged message; so much is kept of the name of a frame."""
 
+TOLD = 3
+"""So many inputs that cannot be used are named in a line."""
+
 SPEED_S = 0.5
 """Over which the vehicle's speed is taken."""
 
@@ -195,7 +198,9 @@ class LandingWishes:
     @property
     def withheld(self) -> str:
         """Why no site may be given out, empty if nothing speaks against it."""
-        return "; ".join(why for name, why in self.unusable.items() if topic_of(name) in BINDING)
+        whys = [why for name, why in self.unusable.items() if topic_of(name) in BINDING]
+        more = len(whys) - TOLD
+        return "; ".join(whys[:TOLD] + ([f"and {more} more"] if more > 0 else []))
 
     def arguments(self) -> dict[str, Any]:
         """Keyword arguments of ``LandingSiteSelector.assess``."""
