@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
@@ -204,6 +205,7 @@ def _client(where: Where) -> Iterator[Any]:
 @contextlib.contextmanager
 def _deaf_children() -> Iterator[None]:
     """Keep Ctrl-C from child processes, which inherit that; the parent gets it afterwards."""
+    resource_tracker.ensure_running()  # its start would lift the block
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield
