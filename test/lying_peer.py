@@ -30,7 +30,7 @@ class Ride:
     A test calls `until` and `on`, and changes the model, the target or the configuration between.
     """
 
-    def __init__(self, place=(3.0, -2.0, 7.0), kind=ARDUPILOT, pace=4.0, **parameters):
+    def __init__(self, place=(3.0, -2.0, 7.0), kind=ARDUPILOT, pace=3.0, **parameters):
         self.model = Autopilot(kind, place, pace=pace).__enter__()
         config = AutopilotConfig(**{**FAST, **parameters, "connection": self.model.connection})
         self._pace, self._began, self._zero = pace, time.time(), time.monotonic()
@@ -81,7 +81,7 @@ class Ride:
         self.step()
         return time.monotonic() - began
 
-    def until(self, condition, seconds=60.0):
+    def until(self, condition, seconds=180.0):
         end = self.now() + seconds
         while not condition():
             assert self.now() < end, (self.states, self.model.enu, self.order, self.model.texts)

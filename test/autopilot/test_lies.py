@@ -17,7 +17,7 @@ OF_PX4 = [(name, PX4) for name in SCENARIOS if "contact" in name]
 @pytest.mark.parametrize(("scenario", "kind"), [*((s, ARDUPILOT) for s in SCENARIOS), *OF_PX4])
 def test_a_lie_neither_lowers_the_vehicle_nor_leads_it_away(scenario, kind):
     # PX4 leaves offboard after half a second of its time without a set-point.
-    pace = 2.0 if kind == PX4 else 4.0
+    pace = 2.0 if kind == PX4 else 3.0
     with Ride(kind=kind, pace=pace, may_command="arming") as ride:
         SCENARIOS[scenario](ride)
         height = ride.model.lowest = ride.height
@@ -36,12 +36,12 @@ def test_a_lie_neither_lowers_the_vehicle_nor_leads_it_away(scenario, kind):
 def test_nobody_but_the_autopilot_is_heard_or_answered():
     """A second vehicle with the same system id says that it is disarmed and in another mode; many
     say one byte."""
-    with Ride() as ride:
+    with Ride(pace=1.0) as ride:
         ride.handed_over().within("transit")
         twin = [beat(mode=LOITER, base=1), b"\xfd"]
         with Others(ride, twin, 1000, senders=200) as others:
             ride.within("touchdown")
-        assert ride.states[-4:] == ["transit", "descend", "commit", "touchdown"]
+        assert "pilot" not in ride.states[1:]
         assert others.sent > 1000 and not others.heard
 
 
