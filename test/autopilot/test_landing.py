@@ -243,7 +243,7 @@ def test_the_pilots_switch_ends_it_at_once(state):
     assert flight.order.state == PILOT
     assert flight.order.point is None and flight.order.target is None
     flight.ours, flight.jump, flight.target = True, 0.0, None
-    flight.step()
+    flight.until(in_state(WAIT), landing.STEADY_S + 0.5)
     assert flight.order.state == WAIT and flight.landing.wave_offs == 0
     np.testing.assert_allclose(flight.order.point, flight.goal)
 

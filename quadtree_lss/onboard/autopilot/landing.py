@@ -49,6 +49,8 @@ vehicle comes down by as many metres, to ground that nobody has looked at since.
 JUMP_M = 0.5
 """A greater jump of the position, against its own velocity, ends the landing: the map lies
 elsewhere, by more than a target may be missed by."""
+STEADY_S = 2.0
+"""A place that jumped more recently is not held: it may be wrong."""
 WAVE_OFFS = 3
 """After more the pilot has to take over: what goes wrong four times, will not go right."""
 PATIENCE_S = 60.0
@@ -79,6 +81,7 @@ class Landing:
     def __init__(self, config: AutopilotConfig) -> None:
         self._config = config
         self._contact = GroundContact()
+        self._jumped_at = -np.inf
         self._begin(PILOT, "not in the mode that follows set-points", 0.0)
         self._reset()
 
@@ -107,6 +110,8 @@ class Landing:
         self._contact.update(seen, ground_z, self._point)
         if self._contact.made and self.state not in (PILOT, TOUCHDOWN):
             self._touch(seen)
+        if seen.jump > JUMP_M:
+            self._jumped_at = seen.now
         if seen.jump > JUMP_M and self.state != PILOT:
             self._shift(seen, f"navigation jumped by {seen.jump:.1f} m: the map lies elsewhere now")
         if seen.heartbeat_age > HEARTBEAT_S:
@@ -121,7 +126,8 @@ class Landing:
                 return self._press(seen)
             self._lift(seen)
         if self.state in (PILOT, TOUCHDOWN):
-            if seen.landed is not False or seen.pose_age > POSE_S:
+            steady = seen.now - self._jumped_at >= STEADY_S
+            if seen.landed is not False or seen.pose_age > POSE_S or not steady:
                 return self._wait_for_air(seen)
             self._reset()
             self._home = seen.position.copy()
@@ -175,6 +181,8 @@ class Landing:
     def _wait_for_air(self, seen: Seen) -> Order:
         """Nothing is commanded: to stay where it was once seen is to fly."""
         text = f"the pose is {seen.pose_age:.1f} s old"
+        if seen.pose_age <= POSE_S:
+            text = f"navigation jumped less than {STEADY_S:g} s ago"
         if seen.landed is not False:
             text = "on the ground" if seen.landed else "on the ground or not: nothing says so"
         self._begin(PILOT, text, seen.now)
