@@ -49,7 +49,11 @@ class Autopilot(threading.Thread):
         deaf: Commands that it does not hear before it hears one.
         body_velocity: ODOMETRY has it along the body's axes, else north, east, down as PX4's own.
         heard: Systems that sent something.
+        knows_velocity: Else LOCAL_POSITION_NED has none.
         pace: Seconds of its own that pass in one of this computer.
+        claims: What it says of the ground instead of the truth: landed_state, or None.
+        commands: Modes and disarming that it was asked for.
+        lowest: Its least height since somebody set it, m.
     """
 
     def __init__(self, kind, place_enu, ground=0.0, speed=4.0, pace=1.0):
@@ -67,6 +71,8 @@ class Autopilot(threading.Thread):
         self.goal = self.position.copy()
         self.port = free_port()
         self.takes_off = self.hears_nothing = False
+        self.knows_velocity = True
+        self.claims, self.commands, self.lowest = None, [], np.inf
         self._rates, self._sink = {}, 0.0
         self._landed = self._down
         self._end = threading.Event()
@@ -87,12 +93,16 @@ class Autopilot(threading.Thread):
             return self._switch(mode)
 
     def __enter__(self):
-        mavutil = dialect()
-        self._link = mavutil.mavlink_connection(
-            f"udpout:127.0.0.1:{self.port}", source_system=7, source_component=1
-        )
+        self.moves_port()
         self.start()
         return self
+
+    def moves_port(self):
+        """Speaks from another address from now on."""
+        with self._lock:
+            self._link = dialect().mavlink_connection(
+                f"udpout:127.0.0.1:{self.port}", source_system=7, source_component=1
+            )
 
     def __exit__(self, *_):
         self._end.set()
@@ -120,8 +130,9 @@ class Autopilot(threading.Thread):
                         self._landed |= finds or not self.armed
                         self._landed &= self._down
                         state = 3 if self.takes_off else 2 - self._landed
+                        state = state if self.claims is None else self.claims
                         pending.append((now, [("extended_sys_state", (0, state))]))
-                    if steps % 50 == 0:
+                    if steps % (20 if 0 in self._rates else 50) == 0:
                         bits = 1 | 128 * self.armed
                         beat = (2, self.kind, bits, self.mode, 4)
                         pending.append((now, [("heartbeat", beat)]))
@@ -162,7 +173,8 @@ class Autopilot(threading.Thread):
             return [("odometry", values)] if 331 in self._rates else []
         said = []
         if 32 in self._rates:
-            said.append(("local_position_ned", (round(1e3 * at), *place, *self.velocity)))
+            velocity = self.velocity if self.knows_velocity else np.full(3, np.nan)
+            said.append(("local_position_ned", (round(1e3 * at), *place, *velocity)))
         if 31 in self._rates:
             said.append(("attitude_quaternion", (round(1e3 * at), *q, 0.0, 0.0, 0.0)))
         return said
@@ -185,10 +197,12 @@ class Autopilot(threading.Thread):
         elif kind == "COMMAND_LONG" and message.command == 511:
             self._rates[int(message.param1)] = message.param2
         elif kind == "COMMAND_LONG" and message.command == 176:
+            self.commands.append(message.param2)
             px4 = int(message.param2) << 16 | int(message.param3) << 24
             self._switch(px4 if self.kind == PX4 else int(message.param2))
-        elif kind == "COMMAND_LONG" and message.command == 400 and self._down:
-            self.armed = bool(message.param1)
+        elif kind == "COMMAND_LONG" and message.command == 400:
+            self.commands.append("disarm")
+            self.armed &= not self._down
         elif kind == "SET_POSITION_TARGET_LOCAL_NED":
             self._on_point(message, now)
         elif kind == "LANDING_TARGET" and message.position_valid:
@@ -202,9 +216,9 @@ class Autopilot(threading.Thread):
         self.points.append((now, place))
         self._sink = message.vz if sinks else 0.0
         if self.mode == FOLLOWS[self.kind]:
-            self.goal = place
+            self.goal = place - self.shift
             # PX4 takes off for what is not below it; its noise sees to the rest.
-            self._landed &= self.kind == ARDUPILOT or place[2] > self.position[2]
+            self._landed &= self.kind == ARDUPILOT or self.goal[2] > self.position[2]
 
     def _on_target(self, message, now):
         """In the frame, and with the distance, that its precision landing takes."""
@@ -236,6 +250,7 @@ class Autopilot(threading.Thread):
         wanted = np.clip(1.5 * (self.goal - self.position), -self.speed, self.speed)
         self.velocity += (wanted - self.velocity) * STEP_S / 0.15
         self.position += self.velocity * STEP_S
+        self.lowest = min(self.lowest, -self.position[2])
         if -self.position[2] <= self.ground:
             self.position[2] = -self.ground
             self.velocity[:] = 0.0

@@ -7,7 +7,7 @@ service does with a description: declare arguments, run opaque functions, collec
 
 import runpy
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -45,19 +45,6 @@ class FindPackageShare(Record):
         return str(PREFIX / "share" / self.args[0])
 
 
-class PathJoinSubstitution(Record):
-    """Joined parts, texts or substitutions."""
-
-    def perform(self, context: Context) -> str:
-        (parts,) = self.args
-        return str(Path(*(p if isinstance(p, str) else p.perform(context) for p in parts)))
-
-
-def matches_action(action: Any) -> Callable[[Any], bool]:
-    """True for that action."""
-    return lambda other: other is action
-
-
 def kept(*names: str) -> dict[str, Any]:
     """Classes of these names that only keep what they are given."""
     return {name: type(name, (Record,), {}) for name in names}
@@ -73,12 +60,8 @@ MODULES: dict[str, dict[str, Any]] = {
         "DeclareLaunchArgument", "EmitEvent", "LogInfo", "OpaqueFunction", "RegisterEventHandler"
     ),
     "launch.event_handlers": kept("OnProcessExit"),
-    "launch.events": {"matches_action": matches_action},
     "launch.events.process": kept("ProcessExited", "ShutdownProcess"),
-    "launch.substitutions": {
-        "LaunchConfiguration": LaunchConfiguration,
-        "PathJoinSubstitution": PathJoinSubstitution,
-    },
+    "launch.substitutions": {"LaunchConfiguration": LaunchConfiguration},
     "launch_ros": {},
     "launch_ros.actions": kept("Node"),
     "launch_ros.substitutions": {"FindPackageShare": FindPackageShare},

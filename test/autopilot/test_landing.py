@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from quadtree_lss.onboard.autopilot import landing
-from quadtree_lss.onboard.autopilot.landing import Landing, Seen, Target, target_of
+from quadtree_lss.onboard.autopilot import seen as limits
+from quadtree_lss.onboard.autopilot.landing import Landing
+from quadtree_lss.onboard.autopilot.seen import Seen, Target, target_of
 from quadtree_lss.onboard.config.sections import AutopilotConfig
 from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.messages.maps import STATUS_FIELDS
@@ -27,6 +29,8 @@ class Flight:
         self.ours = self.armed = True
         self.target, self.target_age, self.map_age, self.why = SITE, 0.2, 0.3, "withdrawn"
         self.heartbeat_age, self.pose_age, self.jump = 0.3, 0.02, 0.0
+        self.says, self.offset, self.ground = None, math.nan, GROUND
+        self.landed, self.landed_at = False, 0.0
         self.wind, self.seen = np.zeros(3), (self.position, self.velocity)
         self.states, self.order, self.goal = [], None, None
 
@@ -37,12 +41,16 @@ class Flight:
     def step(self):
         target = None
         if self.target is not None:
-            target = Target(self.target, self.target_age, self.map_age)
-        if self.pose_age <= landing.POSE_S:
+            target = Target(self.target, self.target_age, self.map_age, self.offset)
+        if self.pose_age <= limits.POSE_S:
             self.seen = self.position.copy(), self.velocity.copy()
+        down = bool(self.position[2] <= self.ground + 1e-6)
+        landed = down if self.says is None else self.says
+        if landed is not self.landed:
+            self.landed, self.landed_at = landed, self.now
         seen = Seen(
-            self.now, self.ours, self.armed, self.height <= 1e-6, self.heartbeat_age, self.pose_age,
-            *self.seen, self.jump, target, self.why,
+            self.now, self.ours, self.armed, landed, self.now - self.landed_at, self.heartbeat_age,
+            self.pose_age, *self.seen, self.jump, target, self.why,
         )  # fmt: skip
         self.order = self.landing.step(seen)
         # Where it is to sink, PX4 may take it for landed and stop its motors.
@@ -56,8 +64,11 @@ class Flight:
         for _ in range(10):
             wanted = np.zeros(3) if self.goal is None else 1.5 * (self.goal - self.position)
             self.velocity += (np.clip(wanted, -4.0, 4.0) + self.wind - self.velocity) * 0.06
+            if down and self.landed:  # ArduCopter does not lift off by a set-point
+                self.velocity[:] = 0.0
             self.position += 0.01 * self.velocity
-            self.position[2] = max(self.position[2], GROUND)
+            if self.position[2] <= self.ground:
+                self.position[2], self.velocity[:], down = self.ground, 0.0, True
         self.now += 0.1
 
     def until(self, condition, seconds=90.0):
@@ -161,7 +172,7 @@ def test_an_old_map_stops_a_descent_but_not_who_has_committed(age):
 def test_an_old_pose_stops_where_the_vehicle_was_last_seen():
     flight = Flight().until(below(4.0))
     place = flight.seen[0]
-    flight.pose_age = landing.POSE_S + 0.01
+    flight.pose_age = limits.POSE_S + 0.01
     flight.step()
     assert flight.order.state == HOLD
     np.testing.assert_array_equal(flight.order.point, place)
@@ -181,15 +192,15 @@ def test_whoever_came_down_without_a_link_or_a_pose_stays_down():
     flight.heartbeat_age = landing.HEARTBEAT_S + 0.1
     assert flight.on(2.0).height == 0.0, "to the last set-point, which is below the ground"
     flight.heartbeat_age = 0.1
-    assert flight.on(2.0).order.state == TOUCHDOWN and flight.height == 0.0
+    assert flight.on(limits.STILL_S + 0.5).order.state == TOUCHDOWN and flight.height == 0.0
     assert flight.order.point[2] < GROUND and WAVE_OFF not in flight.states
-    for fault in ({"pose_age": landing.POSE_S + 0.1}, {"jump": landing.JUMP_M + 0.1}):
+    for fault in ({"pose_age": limits.POSE_S + 0.1}, {"jump": landing.JUMP_M + 0.1}):
         flight = Flight().until(below(1e-6))
         for name, value in fault.items():
             setattr(flight, name, value)
         assert flight.on(1.0).order.state == TOUCHDOWN
     flight = Flight().until(below(4.0))
-    for pose_age in (landing.POSE_S + 0.1, landing.POSE_S + 0.1, 0.02):  # it came down unseen
+    for pose_age in (limits.POSE_S + 0.1, limits.POSE_S + 0.1, 0.02):  # it came down unseen
         flight.position[2], flight.pose_age = GROUND, pose_age
         flight.velocity[:] = 0.0
         flight.step()
@@ -205,7 +216,7 @@ def test_whoever_touches_the_ground_as_it_is_waved_off_stays_there(fault):
     flight.step()
     assert flight.order.state in (WAVE_OFF, GIVE_UP)
     flight.position[2], flight.velocity[:], flight.jump = GROUND, 0.0, 0.0
-    assert flight.on(2.0).order.state == TOUCHDOWN and flight.height == 0.0
+    assert flight.on(limits.STILL_S + 0.5).order.state == TOUCHDOWN and flight.height == 0.0
 
 
 def test_without_heartbeats_nothing_is_commanded_and_then_it_climbs():
@@ -232,7 +243,7 @@ def test_the_pilots_switch_ends_it_at_once(state):
     assert flight.order.state == PILOT
     assert flight.order.point is None and flight.order.target is None
     flight.ours, flight.jump, flight.target = True, 0.0, None
-    flight.step()
+    flight.until(in_state(WAIT), landing.STEADY_S + 0.5)
     assert flight.order.state == WAIT and flight.landing.wave_offs == 0
     np.testing.assert_allclose(flight.order.point, flight.goal)
 
@@ -277,7 +288,7 @@ def test_beside_the_target_it_does_not_come_down():
     flight.wind = np.array([1.5, 0.0, 0.0])  # it is blown a metre off, and stays so
     flight.on(3.0)
     height = flight.height
-    assert np.hypot(*flight.position[:2]) > landing.OFFSET_M
+    assert np.hypot(*flight.position[:2]) > limits.OFFSET_M
     assert flight.on(20.0).height > height - 0.3 and flight.order.state == DESCEND
     flight.wind[:] = 0.0
     flight.until(in_state(COMMIT))

@@ -12,8 +12,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-pytest.importorskip("pymavlink")
 from autopilot_model import LOITER, PX4_HOLD, Autopilot
 
 from quadtree_lss.onboard.autopilot import link as module

@@ -17,15 +17,16 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from distributed import LocalCluster
 
 from quadtree_lss.cli import main
 from quadtree_lss.desk.commands.common import INTERRUPTED
+from quadtree_lss.desk.replay.files import locked
 from quadtree_lss.lab.campaign import engine
 from quadtree_lss.lab.campaign.engine import Where, campaign, flagged
 from quadtree_lss.lab.campaign.kinds import CampaignError
 from quadtree_lss.lab.campaign.study import read_study
 
-LocalCluster = pytest.importorskip("distributed").LocalCluster
 # One after the other: each has processes of its own.
 pytestmark = pytest.mark.xdist_group("campaign")
 
@@ -275,12 +276,18 @@ def test_a_failed_flight_is_recorded_and_the_others_go_on(tmp_path):
 
 
 def test_one_folder_has_one_campaign_at_a_time(first, study):
-    import fcntl
-
-    with (first[0].out / ".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        with pytest.raises(CampaignError, match="another campaign"):
+    with locked(first[0].out, CampaignError):
+        with pytest.raises(CampaignError, match="another program writes there"):
             campaign(read_study(study), first[0].out)
+
+
+def test_ctrl_c_is_not_lost_while_workers_start(study, tmp_path):
+    process = start(study, tmp_path, "--workers", 1)
+    wait_until((tmp_path / "flights").exists)
+    time.sleep(1.0)
+    os.killpg(process.pid, signal.SIGINT)
+    process.communicate(timeout=120)
+    assert process.returncode == INTERRUPTED and flown(tmp_path) < COUNT
 
 
 @pytest.mark.parametrize(

@@ -83,7 +83,7 @@ def test_heights_are_what_the_band_says(tmp_path, crs, unit, metres):
         ({"bands": 2}, "gray, "),
         ({"dtype": "complex64"}, "complex64"),
         ({"width": 200_000, "height": 90_000, "values": None, "sparse_ok": True}, "is the most"),
-        ({"values": np.where(Z > 5.0, -3.4e38, Z)}, "no data must be declared"),
+        ({"values": np.where(Z > 5.0, -3.4e6, Z)}, "no data must be declared"),
         ({"crs": 'LOCAL_CS["site",UNIT["foot",0.3048]]'}, "units of foot"),
     ],
 )
@@ -134,3 +134,30 @@ def test_other_files_are_no_elevation_model(tmp_path):
         read_dem(tmp_path / "dem.txt")
     with pytest.raises(ExchangeError, match="no such file"):
         read_dem(tmp_path / "none.tif")
+
+
+@pytest.mark.parametrize("nothing", [-9999.0, -32768.0, 3.4028234663852886e38, -1.7e308])
+@pytest.mark.parametrize("kind", ["npz", "tif"])
+def test_values_that_are_no_data_without_saying_so_are_no_ground(tmp_path, kind, nothing):
+    values, path = Z.copy(), tmp_path / f"dem.{kind}"
+    values[1, 2] = nothing
+    if kind == "npz":
+        np.savez(path, x=X, y=Y, elevation=values)
+    else:
+        band(path, values)
+    heights = read_dem(path).elevation
+    assert np.isnan(heights[1, 2]) and np.isfinite(heights).sum() == Z.size - 1
+
+
+def test_a_file_is_read_by_the_drivers_of_elevation_models_alone(tmp_path):
+    """A virtual raster opens what it names: other files, pipes, addresses."""
+    source = band(tmp_path / "real.tif")
+    virtual = f"""<VRTDataset rasterXSize="7" rasterYSize="5"><VRTRasterBand dataType="Float64"
+      band="1"><SimpleSource><SourceFilename>{source}</SourceFilename><SourceBand>1</SourceBand>
+      </SimpleSource></VRTRasterBand></VRTDataset>"""
+    service = """<GDAL_WMS><Service name="TMS"><ServerUrl>http://127.0.0.1:9/${x}</ServerUrl>
+      </Service></GDAL_WMS>"""
+    for text in (virtual, service):
+        (tmp_path / "dem.tif").write_text(text)
+        with pytest.raises(ExchangeError, match="cannot be read"):
+            read_dem(tmp_path / "dem.tif")

@@ -31,9 +31,10 @@ from fuzz.cases import extreme, one_of
 from messages import samples
 
 from quadtree_lss.onboard.autopilot import landing as autopilot
-from quadtree_lss.onboard.autopilot.frames import Jumps, Nav
-from quadtree_lss.onboard.autopilot.landing import Seen, Target, target_of
-from quadtree_lss.onboard.autopilot.link import ARDUPILOT, PX4, Link
+from quadtree_lss.onboard.autopilot.controller import Controller
+from quadtree_lss.onboard.autopilot.frames import Nav
+from quadtree_lss.onboard.autopilot.link import ARDUPILOT, PX4
+from quadtree_lss.onboard.autopilot.seen import Seen, Target, target_of
 from quadtree_lss.onboard.config.limits import pass_seconds
 from quadtree_lss.onboard.config.sections import AutopilotConfig
 from quadtree_lss.onboard.config.settings import Config, ConfigError, config_from_values, parameters
@@ -304,23 +305,24 @@ class Vehicle:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
             self.there = probe.getsockname()
-        self.link = Link(f"udpin:127.0.0.1:{self.there[1]}", lambda: self.now)
+        config = AutopilotConfig(connection=f"udpin:127.0.0.1:{self.there[1]}")
+        self.controller = Controller(config, lambda: self.now, lambda: 1e-9 * self.now)
+        self.link = self.controller.link
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.autopilot = mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
-        self.landing, self.jumps = autopilot.Landing(AutopilotConfig()), Jumps()
         self.intake = Intake(config_from_values({"pose.source": "odometry"}, CONFIGS[0]))
         self.sent = self.poses = self.octets = 0
         self.heard: Counter[str] = Counter()
-        receive = self.link._port.recv_msg
+        parse = self.link._port.mav.parse_char
 
-        def counted() -> Any:
-            message = receive()
+        def counted(piece: bytes) -> Any:
+            message = parse(piece)
             if message is not None:
                 self.heard["messages"] += 1
                 self.heard["octets"] += len(message.get_msgbuf())
             return message
 
-        self.link._port.recv_msg = counted
+        self.link._port.mav.parse_char = counted
         kind_of = int(one_of(rng, [PX4, ARDUPILOT]))
         beat = mavlink.MAVLink_heartbeat_message(2, kind_of, 129, 4, 4, 3)
         asked = self.now - 10**5
@@ -340,7 +342,7 @@ class Vehicle:
             self.octets += self.socket.sendto(content, self.there)
             select([self.link._port.port], [], [], 60.0)  # the system may take its time
         with np.errstate(all="raise", under="ignore"):
-            navs = self.link.poll()
+            navs = self.controller.poll()
             for nav in navs:
                 self.fly(nav)
         self.poses += len(navs)
@@ -349,25 +351,17 @@ class Vehicle:
         return TAKEN if navs else next(iter(gone), "not yet a message")
 
     def fly(self, nav: Nav) -> None:
-        link, place = self.link, nav.position
-        header = samples.pose(nav.stamp_ns, place.tolist(), nav.quaternion.tolist())
+        header = samples.pose(nav.stamp_ns, nav.position.tolist(), nav.quaternion.tolist())
         if nav.covariance is not None:
             header.pose.covariance = nav.covariance.ravel()
         header.child_frame_id = "body"
         self.intake.on_pose(header)
-        target = Target(np.array([2.0, 1.0, 0.0]), 0.1, 0.1)
-        age, jump = 1e-9 * (self.now - nav.stamp_ns), self.jumps.size(nav)
-        now = 1e-9 * self.now
-        seen = Seen(
-            now, link.follows, link.armed, link.landed, 0.1, abs(age), place, nav.velocity, jump,
-            target, "",
-        )  # fmt: skip
-        order = self.landing.step(seen)
-        if order.point is not None:
-            assert np.isfinite(order.point).all()
-            link.fly_to(order.point, order.sink)
-        link.show_target(target.place, nav)
-        link.tell(order.text, warn=False)
+        target = Target(np.array([2.0, 1.0, 0.0]), 0.1, 0.1, 0.0)
+        order = self.controller.step(target, "")
+        if order is not None:
+            assert order.point is None or np.isfinite(order.point).all()
+            self.link.tell(order.text, warn=False)
+        self.link.show_target(target.place, nav)
 
     def close(self, told: Counter[str]) -> None:
         """No byte and no message is lost count of, and what was said of the vehicle's poses is what
@@ -565,7 +559,7 @@ class Told(Landing):
             target, why = target_of(np.array([8.0, 8.0, 0.0]), status, 0.1, 0.1)
             place = np.array([8.0, 8.0, HEIGHT])
             seen = Seen(
-                self.now, True, True, False, 0.1, 0.1, place, np.zeros(3), 0.0, target, why
+                self.now, True, True, False, 9.0, 0.1, 0.1, place, np.zeros(3), 0.0, target, why
             )  # fmt: skip
             order = self.landing.step(seen)
         assert order.point is None or np.isfinite(order.point).all()

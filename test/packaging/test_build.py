@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The core is compiled, of the sources beside it, and what is not is refused in one line."""
 
+import ast
 import importlib
 import os
 import shutil
@@ -80,3 +81,17 @@ def test_without_binaries_nothing_is_imported(copy):
     done = run(IMPORT, copy)
     assert done.returncode == 1
     assert "not compiled for Python" in done.stderr.splitlines()[-1]
+
+
+def test_no_kernel_has_a_negative_index():
+    """Kernels are compiled without wraparound: what such an index means is left to the container,
+    and NumPy 2.5 refuses it."""
+    found = []
+    for path in build.kernels(INSTALLED):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Subscript):
+                parts = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
+                negative = [isinstance(getattr(part, "op", None), ast.USub) for part in parts]
+                if any(negative):
+                    found.append(f"{path.name}:{node.lineno} {ast.unparse(node)}")
+    assert not found and len(list(build.kernels(INSTALLED))) > 20

@@ -154,6 +154,7 @@ def exits(monkeypatch):
 
     def telling(**given: str) -> Any:
         entities, context = built(LAUNCH, monkeypatch, **given)
+        context.launch_configurations.clear()  # as of an including file's scope that has ended
         nodes = {entity.name: entity for entity in entities if isinstance(entity, Node)}
         said = next(e.args[0].on_exit for e in entities if isinstance(e, RegisterEventHandler))
 
@@ -208,7 +209,7 @@ def test_each_node_has_an_enclave_of_its_own_if_asked_for(make):
 @pytest.mark.parametrize(("code", "final"), [(0, False), (1, False), (-9, False), (2, True)])
 def test_a_wrong_configuration_is_not_tried_again(make, code, final):
     nodes, others = make()
-    context = Context({"respawn": "true"})
+    context = Context({})
     handlers = [e.args[0] for e in others if isinstance(e, RegisterEventHandler)]
     assert {handler.target_action.name for handler in handlers} == set(nodes)
     for handler in handlers:

@@ -176,7 +176,6 @@ def test_a_missing_library_is_one_line_with_its_remedy(capsys, bag, tmp_path, mo
         run(capsys, "replay", bag, "--out", tmp_path / "results", *FAST)
     told = error_without(module, *arguments, cwd=tmp_path)
     assert re.search(rf"\b{module}\b.* is not installed.*pip install", told), told
-    assert arguments[1] == "none.mcap" or "quadtree_lss[exchange]" in told, told
 
 
 @pytest.mark.parametrize("arguments", [["doctor"], ["replay", "none.mcap", "--publish"]])

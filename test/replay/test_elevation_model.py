@@ -134,3 +134,10 @@ def test_without_a_configuration_and_a_folder_hazards_have_a_legend():
     names = [text.get_text() for text in axes.get_legend().get_texts()]
     assert {"none", "unobserved ground under the vehicle"} <= set(names)
     assert "<table>" in result._repr_html_()
+
+
+def test_a_strip_whose_square_is_too_large_is_refused_by_name(tmp_path):
+    path = tmp_path / "strip.npz"
+    np.savez(path, x=np.arange(9000.0), y=np.arange(4.0), elevation=np.zeros((4, 9000)))
+    with pytest.raises(ExchangeError, match=r"strip.npz: 9000 x 4 posts lie in a square"):
+        rank_sites(path, None, CONFIG)

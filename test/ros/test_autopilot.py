@@ -2,12 +2,11 @@
 """``autopilot_node`` as a process, between a model of an autopilot and what lss_node says."""
 
 import math
+import os
 import time
 
 import numpy as np
 import pytest
-
-pytest.importorskip("pymavlink")
 from autopilot_model import LOITER, Autopilot
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped
@@ -270,3 +269,26 @@ def test_two_that_send_a_target_and_a_node_without_an_autopilot(ros, scene):
     flight.until("touchdown")
     answer = ros.call(flight.listener, "/autopilot_node/land")
     assert not answer.success and "may_command" in answer.message
+
+
+def test_hostile_targets_do_not_lower_the_vehicle(scene):
+    """Places that are none, statuses of any bytes, at a thousand a second: HOSTILE sends more."""
+    flight, rng = scene(place=(0.0, 0.0, 4.5)), np.random.default_rng(1)
+    flight.handed_over().below(3.5).silent = True
+    flight.until("wave_off").until("hold")
+    flight.model.lowest, height = np.inf, flight.model.enu[2]
+    for _ in range(int(os.environ.get("HOSTILE", "1000"))):
+        place = rng.choice([math.nan, math.inf, -1e300, 1e9, 3.0], 3)
+        place[rng.integers(3)] = rng.choice([math.nan, math.inf, 1e30])
+        turn = rng.choice([0.0, 1.0, math.nan], 4)
+        selected = MAKE.pose(int(rng.integers(2**62)), place, turn, np.full((6, 6), place[0]))
+        selected.header.frame_id = str(rng.choice(["map", "", "odom", "x" * 300]))
+        record = np.frombuffer(rng.bytes(STATUS_FIELDS.itemsize), STATUS_FIELDS)
+        status = MAKE.cloud(record.repeat(int(rng.integers(0, 3))), 0)
+        status.point_step = int(rng.choice([status.point_step, 0, 1, 2**31]))
+        flight._selected.publish(selected)
+        flight._status.publish(status)
+        flight.listener.wait_for(lambda: False, timeout=0.001)
+    told = len(flight.node.output())
+    assert flight.model.lowest > height - 0.5 and flight.states[-1] in ("hold", "give_up")
+    assert flight.node.process.poll() is None and told < 200_000

@@ -7,8 +7,6 @@ from contextlib import ExitStack
 import numpy as np
 import psutil
 import pytest
-
-pytest.importorskip("rclpy")
 import rclpy
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.context import Context

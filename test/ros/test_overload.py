@@ -103,3 +103,17 @@ def all_accounted(values):
     dropped = sum(number for key, number in found.items() if key.startswith("scans.dropped."))
     total = found.get("scans", 0) + found.get("scans.waiting", 0) + dropped
     return found.get("scan.received") == total == 120
+
+
+def test_silent_scans_of_a_known_publisher_name_what_best_effort_can_carry():
+    config = load_config((), {})
+    assert "net.core.rmem_max" in losses.best_effort_hint(config, 1)
+    assert not losses.best_effort_hint(config, 0)
+    reliable = load_config((), {"qos.scan_reliability": "reliable"})
+    assert not losses.best_effort_hint(reliable, 1)
+
+
+def test_a_line_of_the_log_has_an_end():
+    lines = []
+    Problems(SimpleNamespace(warning=lines.append)).report("reason", "x" * 100_000)
+    assert len(lines[0]) < 1100

@@ -124,3 +124,18 @@ def test_live_parameters_change_and_others_do_not(context):
         (done,) = node.set_parameters([Parameter(name, value=value)])
         assert not done.successful and why in done.reason
     assert held.config.lss.margin == 1.5 and len(seen) == 1
+
+
+def test_a_live_change_is_refused_by_a_node_in_which_it_has_no_effect(context):
+    node = make_node(context)
+    held = NodeParameters(node, kind="mapping_node")
+    for name, value, owner in (
+        ("lss.margin", 2.0, "lss_node"),
+        ("autopilot.reach", 9.0, "autopilot"),
+    ):
+        (done,) = node.set_parameters([Parameter(name, value=value)])
+        assert not done.successful and f"has an effect in {owner}" in done.reason
+    margin = held.config.lss.margin
+    done = node.set_parameters([Parameter("lss.margin", value=margin)])  # of a file that is loaded
+    done += node.set_parameters([Parameter("diagnostics.warn_age", value=2.0)])
+    assert all(one.successful for one in done) and held.config.diagnostics.warn_age == 2.0

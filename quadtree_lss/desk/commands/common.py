@@ -110,7 +110,9 @@ def of_ros(what: str) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        msg = f"{what} needs ROS 2 (rclpy), which cannot be imported: {first_line(error)}"
+        missing = (error.name or "rclpy").partition(".")[0]
+        lack = "ROS 2 (rclpy)" if missing == "rclpy" else missing
+        msg = f"{what} needs {lack}, which cannot be imported: {first_line(error)}"
         raise QuadtreeLssError(msg) from None
 
 

@@ -96,7 +96,7 @@ def _run(options: argparse.Namespace) -> int:
         how |= {"progress": bar.update, "stop": interruption.asked}
         result = replay(options.bag, out, config, **how)
     _tell(options, result, out, "warning")
-    if result.interrupted:
+    if result.interrupted or interruption.asked():
         console.say(f"interrupted: results are of the first {result.summary['duration']:.1f} s")
         return common.INTERRUPTED
     bag = shlex.quote(str(options.bag))

@@ -14,7 +14,12 @@ from quadtree_lss.desk.exchange.libraries import ExchangeError, library
 from quadtree_lss.desk.exchange.reference import why_not_metric
 from quadtree_lss.onboard.arrays import Array
 
-TIFF = (".tif", ".tiff", ".vrt", ".img", ".asc")
+#: GDAL's driver by suffix; others would open further files and addresses that a file names.
+DRIVERS = {".tif": "GTiff", ".tiff": "GTiff", ".img": "HFA", ".asc": "AAIGrid"}
+#: Values by which files say "no data" without declaring it.
+NO_DATA = (-9999.0, -32768.0)
+#: So do all of at least this size, near the largest of single precision.
+NO_DATA_FROM = 1e38
 #: Posts of a model; heights take 8 bytes each, several times.
 MOST_POSTS = 1 << 26
 #: No ground of any body is so far from its datum, m: a value that means no data.
@@ -73,8 +78,8 @@ def read_dem(path: Path) -> ElevationModel:
         msg = f"{path}: {'a folder, not a file' if path.is_dir() else 'there is no such file'}"
         raise ExchangeError(msg)
     read = _npz if path.suffix.lower() == ".npz" else _raster
-    if read is _raster and path.suffix.lower() not in TIFF:
-        msg = f"{path}: not an elevation model (.npz {' '.join(TIFF)})"
+    if read is _raster and path.suffix.lower() not in DRIVERS:
+        msg = f"{path}: not an elevation model (.npz {' '.join(DRIVERS)})"
         raise ExchangeError(msg)
     model = read(path)
     if min(len(model.x), len(model.y)) < 3 or not np.isfinite(model.elevation).any():
@@ -105,16 +110,22 @@ def _npz(path: Path) -> ElevationModel:
         raise ExchangeError(msg)
     x, y, z = (np.asarray(arrays[name], np.float64) for name in ("x", "y", "elevation"))
     _bounded(path, x.size, y.size)
+    z = _known(z)
     try:
         return ElevationModel(x, y, z)
     except ExchangeError as error:
         raise ExchangeError(f"{path}: {error}") from None
 
 
+def _known(z: Array) -> Array:
+    """Heights with NaN where they say that there are none."""
+    return np.where(np.isin(z, NO_DATA) | (np.abs(z) >= NO_DATA_FROM), np.nan, z)
+
+
 def _raster(path: Path) -> ElevationModel:
     rasterio: Any = library("rasterio", "GeoTIFF files")
     try:
-        with rasterio.open(path) as file:
+        with rasterio.open(path, driver=DRIVERS[path.suffix.lower()]) as file:
             transform, crs = file.transform, file.crs
             _bounded(path, file.width, file.height)
             unit = (file.units[0] or "").strip()
@@ -128,7 +139,7 @@ def _raster(path: Path) -> ElevationModel:
             if unit.lower() not in UNITS:
                 msg = f"{path}: heights are in '{unit}', which is no known unit of length"
                 raise ExchangeError(msg)
-            z = file.read(1, masked=True).astype(np.float64).filled(np.nan)
+            z = _known(file.read(1, masked=True).astype(np.float64).filled(np.nan))
             z = UNITS[unit.lower()] * (file.scales[0] * z + file.offsets[0])
     except ExchangeError:
         raise

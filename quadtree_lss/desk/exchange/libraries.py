@@ -20,5 +20,5 @@ def library(name: str, what: str) -> Any:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         lack = (error.name or name).partition(".")[0]
-        msg = f"{what} need {lack}, which is not installed: pip install 'quadtree_lss[exchange]'"
+        msg = f"{what} need {lack}, which is not installed: pip install {lack}"
         raise ExchangeError(msg) from None

@@ -5,6 +5,7 @@ one and a failed run keeps the earlier ones."""
 from __future__ import annotations
 
 import csv
+import fcntl
 import io
 import json
 import os
@@ -23,6 +24,10 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 
 class OutsideInput(QuadtreeLssError):
     """An argument, such as a time or a place, lies outside of the recording or model."""
+
+
+FORMULA = tuple("=+-@\t\r")
+"""Beginnings of formulas in spreadsheets."""
 
 
 class ReplayError(QuadtreeLssError):
@@ -75,8 +80,19 @@ def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) 
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
-    writer.writerows(rows)
+    writer.writerows([_cell(value) for value in row] for row in rows)
     write_bytes(path, text.getvalue().encode())
+
+
+def _cell(value: Any) -> Any:
+    """A text that a spreadsheet would take for a formula gets an apostrophe; a number does not."""
+    if not isinstance(value, str) or not value.startswith(FORMULA):
+        return value
+    try:
+        float(value)
+    except ValueError:
+        return f"'{value}"
+    return value
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -107,6 +123,24 @@ def made(folder: Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
         with suppress(OSError):  # not empty: somebody else's files
             folder.rmdir()
         raise
+
+
+@contextmanager
+def locked(folder: Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
+    """Context in which nobody else writes into a folder, which is made; ``kind``: as of `writing`.
+    The folder itself is locked, so there is no file that could be a link to another's."""
+    with writing(folder, kind):
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        with suppress(OSError):  # a file system without locks
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise kind(f"{folder}: another program writes there") from None
+        yield
+    finally:
+        os.close(handle)
 
 
 def link_latest(folder: Path) -> Path | None:

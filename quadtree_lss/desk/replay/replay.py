@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.cloud_files import open_recording
-from quadtree_lss.desk.replay.files import ReplayError, made
+from quadtree_lss.desk.replay.files import ReplayError, locked, made
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.desk.replay.results import ReplayResult, points_line, run_summary, write_results
@@ -77,6 +77,7 @@ def replay(
         topics = LandingTopics(wishes, opened, part.start_ns)
         if folder is not None:
             stack.enter_context(made(folder, ReplayError))
+            stack.enter_context(locked(folder, ReplayError))
         history = History()
         passes = Passes(config, wishes.arguments)
         passes.on_answer.append(history.landing)

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
@@ -178,8 +179,7 @@ def _client(where: Where) -> Iterator[Any]:
         import dask
         from dask.distributed import Client
     except ImportError as error:
-        how = "pip install 'quadtree_lss[campaign]'"
-        raise CampaignError(f"campaigns need Dask: {how}") from error
+        raise CampaignError("campaigns need Dask: pip install distributed bokeh") from error
     there = {"address": where.scheduler_address, "scheduler_file": where.scheduler_file}
     there = {name: value for name, value in there.items() if value}
     if len(there) + bool(where.workers) > 1:
@@ -204,13 +204,10 @@ def _client(where: Where) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _deaf_children() -> Iterator[None]:
-    """Let child processes ignore Ctrl-C, which the parent handles."""
-    try:
-        heard = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    except ValueError:  # not the main thread
-        yield
-        return
+    """Keep Ctrl-C from child processes, which inherit that; the parent gets it afterwards."""
+    resource_tracker.ensure_running()  # its start would lift the block
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, heard)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

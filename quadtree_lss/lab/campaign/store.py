@@ -6,7 +6,6 @@ Names and contents have the number of the flight and a hash of everything that d
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 from collections.abc import Iterator
@@ -15,7 +14,7 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 
-from quadtree_lss.desk.replay.files import plain, write_bytes, writing
+from quadtree_lss.desk.replay.files import locked, plain, write_bytes, writing
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Value
 
 MOST_FLIGHTS = 1_000_000
@@ -69,14 +68,9 @@ class Store:
     @contextmanager
     def opened(self) -> Iterator[None]:
         """Lock the folder against other campaigns."""
-        with writing(self.out, CampaignError):
-            self._flights.mkdir(parents=True, exist_ok=True)
-            lock = (self.out / ".lock").open("w")
-        with lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                raise CampaignError(f"{self.out}: another campaign runs there") from None
+        with locked(self.out, CampaignError):
+            with writing(self.out, CampaignError):
+                self._flights.mkdir(exist_ok=True)
             yield
 
     def path(self, case: Case) -> Path:
@@ -98,6 +92,8 @@ class Store:
 def read_record(path: Path) -> Record:
     """Read a flight's file. Raises `CampaignError`: it is malformed or a copy."""
     try:
+        if not path.is_file():  # nobody may ever write into a named pipe
+            raise ValueError
         record = Record(**json.loads(path.read_text(encoding="utf-8")))
         name = record_name(record.index, record.key)
     except (OSError, ValueError, TypeError, RecursionError):

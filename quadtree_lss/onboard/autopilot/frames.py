@@ -29,7 +29,7 @@ class Nav(NamedTuple):
         stamp_ns: By this computer's clock.
         position: (3,) m.
         quaternion: (4,) x, y, z, w; takes forward, left, up to the map's axes.
-        velocity: (3,) of the map's axes, m/s; NaN if it is not known.
+        velocity: (3,) of the map's axes, m/s.
         covariance: (6, 6) of place and of the rotation about the map's fixed axes, m and rad;
             None where the autopilot does not say.
         own_ns: The stamp by the autopilot's clock.
@@ -123,19 +123,24 @@ class RemoteClock:
         return min(self._exchanges, key=lambda one: (one[0], -one[1]))
 
 
+EXPLAINS_S = 3.0
+"""Velocity explains no more of a gap: without new set-points the vehicle flies for two seconds."""
+
+
 class Jumps:
-    """Whether navigation moved otherwise than by its own velocity, as a position reset does."""
+    """Finds motion that navigation's own velocity does not explain, as of a position reset."""
 
     def __init__(self) -> None:
         self._last: Nav | None = None
 
     def size(self, nav: Nav) -> float:
-        """How far this place is from where the last one's velocity leads, m; 0 if unknown."""
+        """Return how far this place is from all that the velocities before and after explain since
+        the last pose, along each axis, m; 0 for the first pose."""
         last, self._last = self._last, nav
-        # By its own clock: what this one knows of it changes, and is no motion.
-        dt = 0.0 if last is None else 1e-9 * (nav.own_ns - last.own_ns)
-        if last is None or not 0.0 < dt < 1.0:
+        if last is None:
             return 0.0
-        way = 0.5 * dt * (last.velocity + nav.velocity)
-        away = float(np.linalg.norm(nav.position - last.position - way))
-        return away if np.isfinite(away) else 0.0
+        # By its own clock: corrections of its offset are no motion. It goes back if it restarts.
+        dt = min(max(1e-9 * (nav.own_ns - last.own_ns), 0.0), EXPLAINS_S)
+        ways = dt * np.array([last.velocity, nav.velocity, np.zeros(3)])
+        moved = nav.position - last.position
+        return float(np.linalg.norm(moved - np.clip(moved, ways.min(axis=0), ways.max(axis=0))))

@@ -7,16 +7,20 @@ at a clock: whoever calls `Landing.step` some ten times a second does.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.autopilot.seen import (
+    OFFSET_M,
+    POSE_S,
+    GroundContact,
+    MapHeight,
+    Seen,
+    Target,
+)
 from quadtree_lss.onboard.config.sections import AutopilotConfig
-from quadtree_lss.onboard.core.landing.target import Reason, State
-from quadtree_lss.onboard.messages.poses import MAX_POSITION
 
 PILOT, WAIT, CLIMB, TRANSIT, DESCEND = "pilot", "wait", "climb", "transit", "descend"
 COMMIT, TOUCHDOWN, HOLD = "commit", "touchdown", "hold"
@@ -25,13 +29,9 @@ STATES = (PILOT, WAIT, CLIMB, TRANSIT, DESCEND, COMMIT, TOUCHDOWN, HOLD, WAVE_OF
 LOW = (DESCEND, COMMIT)
 """Below the gate: what is lost here, is answered by a climb."""
 
-MAYBE_DOWN = (*LOW, HOLD, WAVE_OFF, GIVE_UP)
-"""Where "on the ground" ends the landing: it came down without a link or beside its plan."""
-
 LEAD_S, LEAD_M = 2.0, 0.5
 """A set-point goes ahead of the vehicle by what it flies in so long, and this: an autopilot that
 hears no more stays at the last one."""
-REASONS = {int(reason): reason.key for reason in Reason}
 THROUGH_M = 1.0
 """Below the ground the last set-points lead, so that the vehicle presses on it."""
 AT_M, SLOW_M_S = 1.0, 1.0
@@ -40,20 +40,17 @@ COMMIT_SHARE = 0.25
 """Of the gate's height: below it the vehicle comes down for good, 2 m over the ground from 8 m."""
 HEARTBEAT_S = 2.5
 """Without a younger heartbeat nothing is commanded: both autopilots send one a second."""
-POSE_S = 0.5
-"""With an older pose, by its stamp, the vehicle only holds: they are asked for at 50 Hz."""
 TARGET_S = 1.0
 """A target that was not repeated for longer counts as withdrawn: lss_node says it again every
 0.4 s (``nodes.target_output``), so two may be lost."""
 MAP_S = 3.0
 """A target on an older map counts as withdrawn, until the vehicle commits: in three seconds the
 vehicle comes down by as many metres, to ground that nobody has looked at since."""
-OFFSET_M = 0.5
-"""The vehicle descends only so near beside the target, and commits within half of it; a target that
-moves farther is another one. Four times what ArduCopter misses one by (``docs/autopilot.md``)."""
 JUMP_M = 0.5
 """A greater jump of the position, against its own velocity, ends the landing: the map lies
 elsewhere, by more than a target may be missed by."""
+STEADY_S = 2.0
+"""A place that jumped more recently is not held: it may be wrong."""
 WAVE_OFFS = 3
 """After more the pilot has to take over: what goes wrong four times, will not go right."""
 PATIENCE_S = 60.0
@@ -61,60 +58,12 @@ PATIENCE_S = 60.0
 back has one again after 20 s (``docs/autopilot.md``)."""
 
 
-class Target(NamedTuple):
-    """Where to land: a place (3,) in the map by navigation's height, m; ``age`` since it was last
-    said, and since the newest scan of its map, s; NaN if that cannot be known."""
-
-    place: Array
-    age: float
-    map_age: float
-
-
-def target_of(place: Array, status: np.void, age: float, since: float) -> tuple[Target | None, str]:
-    """What lss_node says, by navigation's height; else why there is none. ``place``: (3,) of
-    ``landing/selected``. ``status``: the record of ``landing/status``. ``age``, ``since``: of the
-    older of the two, and since the latter came, s."""
-    offset = float(status["offset_z"])
-    place = place + (0.0, 0.0, offset if math.isfinite(offset) else 0.0)
-    if not (np.abs(place) <= MAX_POSITION).all():
-        return None, f"there is no target: {REASONS.get(int(status['reason']), 'unknown')}"
-    # Who has to land now, lands by the map that there is.
-    map_age = 0.0 if status["state"] == State.NOW else float(status["age"]) + since
-    return Target(place, age, map_age), ""
-
-
-class Seen(NamedTuple):
-    """What is known at a moment.
-
-    Attributes:
-        now: Of a steady clock, s.
-        ours: Whether the autopilot is in the mode in which it follows set-points.
-        armed, landed: As it says.
-        heartbeat_age, pose_age: Since the last heartbeat and the last pose's stamp, s.
-        position, velocity: (3,) in the map, m and m/s.
-        jump: By which navigation's place jumped since the last step, m.
-        target: None while there is none.
-        why: Why there is none.
-    """
-
-    now: float
-    ours: bool
-    armed: bool
-    landed: bool
-    heartbeat_age: float
-    pose_age: float
-    position: Array
-    velocity: Array
-    jump: float
-    target: Target | None
-    why: str
-
-
 @dataclass(frozen=True)
 class Order:
     """What to do, one of `STATES`, and why. ``point``: (3,) set-point in the map, m; None: nothing
     is to be commanded. ``target``: the one that landing goes by; None while landing anywhere is out
     of the question. ``sink``: how fast it comes down to the ground and presses on it, else 0, m/s.
+    ``settles``: it stands where it was to land, so that its motors may stop.
     """
 
     state: str
@@ -122,6 +71,7 @@ class Order:
     point: Array | None
     target: Target | None
     sink: float = 0.0
+    settles: bool = False
 
 
 class Landing:
@@ -130,6 +80,8 @@ class Landing:
 
     def __init__(self, config: AutopilotConfig) -> None:
         self._config = config
+        self._contact = GroundContact()
+        self._jumped_at = -np.inf
         self._begin(PILOT, "not in the mode that follows set-points", 0.0)
         self._reset()
 
@@ -138,12 +90,15 @@ class Landing:
         self._point: Array | None = None
         self._place: Array | None = None  # of the target that is descended to
         self._home = np.zeros(3)  # where the pilot handed over
+        self._gate_height = self._config.gate_height
         self._gate_z = -np.inf
+        self._map_height = MapHeight()
         self._then = 0.0
         self._left = False
+        self._shifted = ""
 
     def configure(self, config: AutopilotConfig) -> None:
-        """Other limits, from the next step on."""
+        """Other limits from the next step on; another gate once the vehicle is not below it."""
         self._config = config
 
     def _begin(self, state: str, text: str, now: float) -> None:
@@ -151,10 +106,14 @@ class Landing:
 
     def step(self, seen: Seen) -> Order:
         """The order of this moment."""
-        down = seen.landed and self.state in MAYBE_DOWN
-        if seen.jump > JUMP_M and self.state not in (PILOT, TOUCHDOWN) and not down:
-            text = f"navigation jumped by {seen.jump:.1f} m: the map lies elsewhere now"
-            self._give_up(seen, text)
+        ground_z = None if self._place is None else float(self._place[2])
+        self._contact.update(seen, ground_z, self._point)
+        if self._contact.made and self.state not in (PILOT, TOUCHDOWN):
+            self._touch(seen)
+        if seen.jump > JUMP_M:
+            self._jumped_at = seen.now
+        if seen.jump > JUMP_M and self.state != PILOT:
+            self._shift(seen, f"navigation jumped by {seen.jump:.1f} m: the map lies elsewhere now")
         if seen.heartbeat_age > HEARTBEAT_S:
             if self.state != PILOT:
                 self._halt(seen, f"no heartbeat for {seen.heartbeat_age:.1f} s")
@@ -162,20 +121,19 @@ class Landing:
         if not seen.ours or not seen.armed:
             self._leave(seen)
             return Order(self.state, self._text, None, None)
-        if down:
-            self._begin(TOUCHDOWN, "on the ground", seen.now)
-        if self.state == TOUCHDOWN and not self._left:  # it goes on pressing on the ground
-            if seen.landed:  # where a newer pose may show it
-                self._point = seen.position - (0.0, 0.0, THROUGH_M)
-            return Order(TOUCHDOWN, self._text, self._point, None, self._config.touchdown_speed)
+        if self.state == TOUCHDOWN and not self._left:
+            if self._contact.made:
+                return self._press(seen)
+            self._lift(seen)
         if self.state in (PILOT, TOUCHDOWN):
-            if seen.landed or seen.pose_age > POSE_S:  # to stay where it was once seen is to fly
-                old = f"the pose is {seen.pose_age:.1f} s old"
-                self._begin(PILOT, "on the ground" if seen.landed else old, seen.now)
-                return Order(PILOT, self._text, None, None)
+            steady = seen.now - self._jumped_at >= STEADY_S
+            if seen.landed is not False or seen.pose_age > POSE_S or not steady:
+                return self._wait_for_air(seen)
             self._reset()
             self._home = seen.position.copy()
             self._begin(WAIT, "the autopilot follows set-points", seen.now)
+        if self.state not in LOW:
+            self._gate_height = self._config.gate_height
         dt = min(max(seen.now - self._then, 0.0), 0.5) if self._point is not None else 0.0
         self._then = seen.now
         target, why = self._usable(seen)
@@ -185,6 +143,58 @@ class Landing:
         self._point = point
         target = None if self.state == GIVE_UP or seen.pose_age > POSE_S else target
         return Order(self.state, self._text, point.copy(), target, sink)
+
+    def stay(self, seen: Seen) -> Array | None:
+        """A set-point (3,) that changes nothing, for an autopilot that wants some before it follows
+        them; None while it is not known whether the vehicle stands on the ground, where PX4 takes
+        off for any point that does not lie below it."""
+        contact = self._contact
+        if contact.rests and contact.place is not None:
+            return contact.place - (0.0, 0.0, THROUGH_M)
+        return seen.position if seen.landed is False or contact.refuted else None
+
+    def _over(self, seen: Seen) -> float:
+        """The height over the ground that the vehicle descended to, infinite if it did not, m."""
+        return np.inf if self._place is None else float(seen.position[2] - self._place[2])
+
+    def _touch(self, seen: Seen) -> None:
+        over, text = self._over(seen), "on the ground"
+        if over > AT_M:
+            text += " elsewhere than planned: pilot, take over"
+        self._begin(TOUCHDOWN, text, seen.now)
+
+    def _press(self, seen: Seen) -> Order:
+        """On the ground: presses on it, where a newer pose may show it, until the motors stop."""
+        self._point = seen.position - (0.0, 0.0, THROUGH_M)
+        settles = self._contact.rests and self._over(seen) <= AT_M
+        sink = self._config.touchdown_speed
+        return Order(TOUCHDOWN, self._text, self._point, None, sink, settles)
+
+    def _lift(self, seen: Seen) -> None:
+        """In the air again: goes on down to the target if that is still below, else up."""
+        self._begin(COMMIT, "in the air again", seen.now)
+        if self._shifted:
+            self._shift(seen, self._shifted)
+        elif self._over(seen) > AT_M:
+            self._wave_off(seen, self._text)
+
+    def _wait_for_air(self, seen: Seen) -> Order:
+        """Nothing is commanded: to stay where it was once seen is to fly."""
+        text = f"the pose is {seen.pose_age:.1f} s old"
+        if seen.pose_age <= POSE_S:
+            text = f"navigation jumped less than {STEADY_S:g} s ago"
+        if seen.landed is not False:
+            text = "on the ground" if seen.landed else "on the ground or not: nothing says so"
+        self._begin(PILOT, text, seen.now)
+        return Order(PILOT, self._text, None, None)
+
+    def _shift(self, seen: Seen, why: str) -> None:
+        """Where the map lies by navigation is not known any more."""
+        if self.state == TOUCHDOWN:
+            self._shifted = why
+            return
+        self._place = None
+        self._give_up(seen, why)
 
     def _leave(self, seen: Seen) -> None:
         """Somebody else flies, or nobody does any more."""
@@ -229,7 +239,11 @@ class Landing:
             self._begin(HOLD, why, now)
             self._point = None
         if target is not None:
-            self._fly_on(seen, target)
+            shift = self._map_height.shift(now, target)
+            if shift > OFFSET_M:
+                self._shift(seen, f"the map's height changed by {shift:.1f} m at once")
+            else:
+                self._fly_on(seen, target)
         elif self.state in (WAIT, HOLD):
             self._text = why
             if now - self._since > PATIENCE_S:
@@ -239,8 +253,8 @@ class Landing:
 
     def _fly_on(self, seen: Seen, target: Target) -> None:
         """The next state while there is a target."""
-        config, now, place = self._config, seen.now, target.place
-        gate_z = place[2] + config.gate_height
+        now, place = seen.now, target.place
+        gate_z = place[2] + self._gate_height
         off = float(np.hypot(*(place - seen.position)[:2]))
         if self.state in LOW and self._place is not None:
             if np.hypot(*(place - self._place)[:2]) > OFFSET_M:
@@ -259,7 +273,7 @@ class Landing:
         if self.state == TRANSIT and off < OFFSET_M and still and above:
             self._place = place.copy()
             self._begin(DESCEND, "over the target", now)
-        low = seen.position[2] - place[2] < COMMIT_SHARE * config.gate_height + LEAD_M
+        low = seen.position[2] - place[2] < COMMIT_SHARE * self._gate_height + LEAD_M
         if self.state == DESCEND and low and off < 0.5 * OFFSET_M:
             self._begin(COMMIT, "close over the target", now)
 
@@ -280,7 +294,8 @@ class Landing:
             self._give_up(seen, f"{why}, for {PATIENCE_S:g} s")
 
     def _give_up(self, seen: Seen, why: str) -> None:
-        """Up to the gate and stay, until the pilot has taken over."""
+        """Up to the gate, by no more than its height, and stay until the pilot takes over."""
+        self._gate_z = min(self._gate_z, seen.position[2] + self._gate_height)
         if self.state != GIVE_UP:
             self._begin(GIVE_UP, f"pilot, take over: {why}", seen.now)
             self._point = None if seen.pose_age <= POSE_S else self._point
@@ -293,10 +308,10 @@ class Landing:
         if self.state in (WAVE_OFF, CLIMB, GIVE_UP):
             goal[2] = max(point[2], self._gate_z)
         elif self.state == TRANSIT and target is not None:
-            goal = target.place + (0.0, 0.0, config.gate_height)
+            goal = target.place + (0.0, 0.0, self._gate_height)
         elif self.state in LOW and target is not None:
             down = config.descent_speed
-            floor = target.place[2] + COMMIT_SHARE * config.gate_height
+            floor = target.place[2] + COMMIT_SHARE * self._gate_height
             if self.state == COMMIT:
                 down, floor = config.touchdown_speed, target.place[2] - THROUGH_M
             beside = np.hypot(*(target.place - position)[:2]) > OFFSET_M

@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from itertools import pairwise
 from typing import Any
@@ -45,6 +45,16 @@ PLACE_ALONE = 0b0000_1101_1111_1000
 SINKS = PLACE_ALONE ^ 0b10_0000
 """The same with a speed down, without which PX4 does not look for the ground."""
 LOCAL_NED, BODY_FRD = 1, 12
+PEER_S = 5.0
+"""An autopilot that was silent for longer may speak from another address."""
+MOST_MESSAGES, POLL_S = 200, 0.02
+"""One call of `Link.poll` takes no more messages, and works no longer: both autopilots send some
+120 messages in a second, and it is called a hundred times."""
+PIECE, MOST_PIECES, TELLS = 65536, 2000, 600
+"""Bytes of one read; reads that one call drops after it took all that it may; bytes in which a
+stranger has to say that it is an autopilot."""
+SAYS_S = 2.5
+"""An older word of whether it is on the ground counts for nothing: it comes five times a second."""
 BAUD = 921600
 """Of a serial device, where its connection names no other."""
 ONBOARD_COMPUTER, SEVERITY = 191, {True: 4, False: 6}
@@ -53,7 +63,7 @@ TEXT = 50
 """Most characters of a message of text."""
 DAMAGED = -1
 """Number that pymavlink gives to bytes which are no message."""
-WRONG = frozenset("damaged clock position attitude stamp order".split())
+WRONG = frozenset("damaged clock position velocity attitude stamp order".split())
 """Why a message cannot be used: no bytes of one, before the autopilot's clock is known, …"""
 PASSED = "passed_over"
 MOST_NS = 2**31 * 10**9
@@ -66,20 +76,21 @@ def dialect() -> Any:
     try:
         from pymavlink import mavutil
     except ImportError:
-        msg = "autopilot_node needs pymavlink: pip install 'quadtree_lss[autopilot]'"
+        msg = "autopilot_node needs pymavlink: pip install pymavlink pyserial"
         raise ConfigError(msg) from None
     return mavutil
 
 
 class Link:
-    """One autopilot at the other end; the first that is heard is the one that counts.
+    """One autopilot at the other end; the first that is heard is the one that counts. By UDP only
+    its address is heard and answered, until it has been silent for `PEER_S`.
 
     ``clock`` is this computer's time, ns, which poses are stamped by; ``now`` a steady one, s, of
     what is due, of ``heard``, when the last heartbeat came, and of ``answered``, when the last
-    answer did. ``kind`` is ``ARDUPILOT``, ``PX4`` or None before the first, and ``landed`` is None
-    until it says. ``heard_of`` counts messages that told a ``pose``, ``half`` of one, the vehicle's
-    ``state``, or nothing: those that were ``passed_over``, of others or without a meaning here;
-    ``refused`` those that could not be used, by reason. Together these are all.
+    answer did. ``kind`` is ``ARDUPILOT``, ``PX4`` or None before the first. ``heard_of`` counts
+    messages that told a ``pose``, ``half`` of one, the vehicle's ``state``, or nothing: those that
+    were ``passed_over``, of others or without a meaning here; ``refused`` those that could not be
+    used, by reason. Together these are all, but for the reads of a ``backlog`` that was dropped.
     Raises `ConfigError`: no pymavlink, or what is no connection; `QuadtreeLssError`: it cannot be
     opened at present.
     """
@@ -90,24 +101,13 @@ class Link:
         clock: Callable[[], int],
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        mavutil = dialect()
-        device, _, rate = connection.partition(",")
-        # Of the system that most autopilots are until it is heard: 255 is a ground station's.
-        options = {"source_component": ONBOARD_COMPUTER, "source_system": 1, "autoreconnect": True}
-        try:
-            options |= {"baud": int(rate or BAUD), "retries": 1}  # it sleeps between more
-            self._port = mavutil.mavlink_connection(device, **options)
-            if hasattr(self._port, "baud"):  # a serial device
-                self._port.port.exclusive = True
-                self._port.write = self._write
-        except (OSError, ValueError, OverflowError, IndexError, ImportError) as error:
-            msg = f"autopilot.connection = {connection!r} cannot be opened: {error}"
-            later = isinstance(error, OSError)  # a device that comes: another start may help
-            raise (QuadtreeLssError if later else ConfigError)(msg) from None
+        self._connection = connection
+        self._port = self._opened()
         self._clock, self._now = clock, now
         self.kind: int | None = None
         self.mode, self.armed = -1, False
-        self.landed: bool | None = None
+        self._landed: bool | None = None
+        self._landed_since = 0.0
         self._takes_off = False
         self.heard = self.answered = -np.inf
         self.remote = RemoteClock()
@@ -119,6 +119,7 @@ class Link:
         self._attitudes: list[tuple[int, Array]] = []
         self._positions: list[tuple[int, Array, Array]] = []
         self._last_nav = self._last_state = -np.inf
+        self._peer: Any = None
         self._newest, self._told = 0, 0
 
     @property
@@ -127,6 +128,35 @@ class Link:
         would break off."""
         return self.kind is not None and self.mode == FOLLOWS[self.kind] and not self._takes_off
 
+    @property
+    def landed(self) -> bool | None:
+        """Whether it says that it is on the ground; None if it has not said so lately."""
+        return self._landed if self._now() - self._last_state <= SAYS_S else None
+
+    @property
+    def landed_for(self) -> float:
+        """Since when it has said nothing else, s."""
+        return self._now() - self._landed_since
+
+    def _opened(self) -> Any:
+        mavutil = dialect()
+        device, _, rate = self._connection.partition(",")
+        # Of the system that most autopilots are until it is heard: 255 is a ground station's.
+        options = {"source_component": ONBOARD_COMPUTER, "source_system": 1, "autoreconnect": True}
+        try:
+            options |= {"baud": int(rate or BAUD), "retries": 1}  # it sleeps between more
+            port = mavutil.mavlink_connection(device, **options)
+            if hasattr(port, "baud"):  # a serial device
+                port.port.exclusive = True
+                port.write = self._write
+            elif hasattr(port, "destination_addr") and hasattr(port, "udp_server"):
+                port.port.connect(port.destination_addr)  # nobody else is heard
+        except (OSError, ValueError, OverflowError, IndexError, ImportError) as error:
+            msg = f"autopilot.connection = {self._connection!r} cannot be opened: {error}"
+            later = isinstance(error, OSError)  # a device that comes: another start may help
+            raise (QuadtreeLssError if later else ConfigError)(msg) from None
+        return port
+
     def close(self) -> None:
         with suppress(AttributeError):  # there is none to a TCP peer that has gone
             self._port.close()
@@ -134,7 +164,7 @@ class Link:
     def poll(self) -> list[Nav]:
         """Takes what has come, says what is due; new poses, oldest first."""
         navs: list[Nav] = []
-        while (message := self._receive()) is not None:
+        for message in self._messages():
             told = self._take(message)
             if isinstance(told, Nav):
                 navs.append(told)
@@ -152,10 +182,13 @@ class Link:
                 self._asked.append(self._clock())
                 self._say("timesync", 0, self._asked[-1])
             last = min(self._last_nav, self._last_state)
-            if now - last > 1.0 and self._is_due("ask", ASK_S, now):
+            if (now - last > 1.0 or not self._due["ask"]) and self._is_due("ask", ASK_S, now):
                 for number in STREAMS[self.kind]:
                     self._command(SET_INTERVAL, number, 1e6 / POSE_HZ)
-                self._command(SET_INTERVAL, EXTENDED, 1e6 / STATE_HZ)
+                for number in (EXTENDED, HEARTBEAT):
+                    self._command(SET_INTERVAL, number, 1e6 / STATE_HZ)
+        if self._peer is not None and now - self.heard > PEER_S:
+            self._find_anew()
         return navs
 
     def fly_to(self, point: Array, sink: float = 0.0) -> None:
@@ -232,10 +265,58 @@ class Link:
         self._due[what] = now + period
         return True
 
-    def _receive(self) -> Any:
+    def _messages(self) -> Iterator[Any]:
+        """What came, as far as there is time for it; drops the rest."""
+        end, taken, parse = time.thread_time() + POLL_S, 0, self._port.mav.parse_char
+        while (piece := self._read()) is not None:
+            message = parse(piece)
+            while message is not None:
+                yield message
+                taken += 1
+                message = parse(b"") if taken < MOST_MESSAGES else None
+            if taken >= MOST_MESSAGES or time.thread_time() > end:
+                self._drop()
+                return
+
+    def _drop(self) -> None:
+        self._port.mav.buf, self._port.mav.buf_index = bytearray(), 0
+        for _ in range(MOST_PIECES):
+            if self._read() is None:
+                break
+            self.refused["backlog"] += 1
+
+    def _read(self) -> bytes | None:
+        """Bytes that came; none of another than the autopilot; None if there are no more."""
         with suppress(OSError):
-            return None if self._is_away() else self._port.recv_msg()
+            if self._is_away():
+                return None
+            if not getattr(self._port, "udp_server", False):
+                return self._port.recv(PIECE) or None
+            piece, address = self._port.port.recvfrom(PIECE)
+            if self._peer is None and self._speaks(piece):
+                self._peer, self._port.clients = address, {address}
+                self._port.port.connect(address)  # nobody else is queued
+            if address == self._peer:
+                return bytes(piece)
+            self.heard_of[PASSED] += 1
+            return b""
         return None
+
+    def _speaks(self, piece: bytes) -> bool:
+        """Whether an autopilot that counts speaks here."""
+        says = dialect().mavlink.MAVLink(None)
+        says.robust_parsing = True
+        return any(
+            message.get_msgId() == HEARTBEAT and self._counts(message)
+            for message in says.parse_buffer(piece[:TELLS]) or ()
+        )
+
+    def _find_anew(self) -> None:
+        """Listens to every address again, as the autopilot may have got another one."""
+        with suppress(QuadtreeLssError):
+            self._port.close()
+            self._port, self._peer = self._opened(), None
+            self._port.mav.srcSystem = self._system
 
     def _take(self, message: Any) -> Nav | str:
         """Takes one message: the pose that is known by it, or what it is instead."""
@@ -251,10 +332,13 @@ class Link:
             self.answered = self._now()
             return "state"
         if number == EXTENDED:
-            self._last_state = self._now()
             if message.landed_state:  # 0: it does not know
-                self.landed = message.landed_state == ON_GROUND
+                landed = message.landed_state == ON_GROUND
+                if landed is not self.landed:
+                    self._landed_since = self._now()
+                self._landed = landed
                 self._takes_off = message.landed_state == TAKING_OFF
+                self._last_state = self._now()
             return "state"
         if number == ODOMETRY and message.frame_id == LOCAL_NED:
             return self._on_odometry(message)
@@ -270,18 +354,21 @@ class Link:
         return PASSED
 
     def _on_heartbeat(self, message: Any) -> str:
-        known = message.autopilot in FOLLOWS and message.type in COPTERS
-        if not known or message.get_srcComponent() != 1:
+        if not self._counts(message):
             return PASSED
         if self.kind is None:
             self.kind, self._system = message.autopilot, message.get_srcSystem()
             self._port.mav.srcSystem = self._system
-        if message.get_srcSystem() != self._system:
-            return PASSED
         self.heard = self._now()
         self.mode = message.custom_mode
         self.armed = bool(message.base_mode & ARMED)
         return "state"
+
+    def _counts(self, message: Any) -> bool:
+        """Whether a heartbeat is the autopilot's, or of one while there is none yet."""
+        known = message.autopilot in FOLLOWS and message.type in COPTERS
+        same = (message.autopilot, message.get_srcSystem()) == (self.kind, self._system)
+        return known and message.get_srcComponent() == 1 and (same or self.kind is None)
 
     def _on_odometry(self, message: Any) -> Nav | str:
         place = np.array([message.x, message.y, message.z])
@@ -311,8 +398,10 @@ class Link:
         if offset is None:
             return "clock"
         stamp = at_ns + offset
-        if not (np.abs(place) <= MOST_HEIGHT).all() or (np.abs(velocity) > MOST_HEIGHT).any():
+        if not (np.abs(place) <= MOST_HEIGHT).all():
             return "position"
+        if not (np.abs(velocity) <= MOST_HEIGHT).all():
+            return "velocity"
         if not abs(length - 1.0) < 0.05:
             return "attitude"
         if not 0 <= stamp < MOST_NS:

@@ -301,7 +301,7 @@ class AutopilotConfig:
     """How autopilot_node lands by a MAVLink autopilot."""
 
     connection: str = _p(
-        "udpin:0.0.0.0:14550",
+        "udpin:127.0.0.1:14550",
         "the autopilot's MAVLink: udpin:ADDRESS:PORT, udpout:ADDRESS:PORT, tcp:ADDRESS:PORT, or a"
         " serial device, at 921600 baud or as DEVICE,BAUD says",
     )

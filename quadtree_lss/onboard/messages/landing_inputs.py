@@ -35,8 +35,11 @@ BINDING = (AREA, KEEP_OUT, KEEP_OUTS)
 KNOWN_HEADING, WIDEST = np.radians(15.0), 100.0
 """Deviation of a heading that counts as known, rad; greatest deviation of a touchdown, m."""
 
-MAX_VERTICES = 1000
-"""More are taken for a damaged message."""
+MAX_VERTICES, LONGEST_NAME = 1000, 256
+"""More are taken for a damaged message; so much is kept of the name of a frame."""
+
+TOLD = 3
+"""So many inputs that cannot be used are named in a line."""
 
 SPEED_S = 0.5
 """Over which the vehicle's speed is taken."""
@@ -103,6 +106,8 @@ DECODE = {
     TARGET: target_from_message,
     DISPERSION: dispersion_from_message,
 }
+WHAT = {topic: topic for topic in TYPES} | dict.fromkeys((AREA, KEEP_OUT, KEEP_OUTS), "polygon")
+"""What a message of a topic is called."""
 
 
 class LandingWishes:
@@ -119,7 +124,7 @@ class LandingWishes:
     Attributes:
         values: What holds by name, None if nothing was asked for.
         unusable: Why the last message of a name cannot be used, where it cannot.
-        heard: The last message by name.
+        heard: The last message by name: its frame, and its content or why that is unusable.
         navigation: Of the vehicle.
     """
 
@@ -131,7 +136,7 @@ class LandingWishes:
         for number, polygon in enumerate(self.values.pop(KEEP_OUTS, None) or (), 1):
             self.values[f"{KEEP_OUTS}/{number}"] = polygon
         self.unusable: dict[str, str] = {}
-        self.heard: dict[str, Any] = {}
+        self.heard: dict[str, tuple[str, Array | MessageError | None]] = {}
         self.navigation = Navigation()
 
     def take(self, topic: str, msg: Any) -> None:
@@ -142,19 +147,30 @@ class LandingWishes:
         name = name_of(topic, msg)
         full = topic == KEEP_OUTS and name not in self.heard
         full &= sum(topic_of(of) == KEEP_OUTS for of in self.heard) >= MAX_KEEP_OUTS
-        if not full:
-            self.heard[name] = msg
+        frame = str(msg.header.frame_id)[:LONGEST_NAME]
+        content: Array | MessageError | None
         try:
-            frame = msg.header.frame_id if self._frame is None else self._frame
-            value = DECODE[topic](msg, frame)
-            if full and value is not None:
-                raise MessageError("number", f"there are {MAX_KEEP_OUTS} already")
+            content = DECODE[topic](msg, msg.header.frame_id)
+        except MessageError as error:  # which holds the message, by its traceback
+            content = MessageError(error.reason, str(error))
+        if full and content is not None:
+            content = MessageError("number", f"there are {MAX_KEEP_OUTS} already")
+        if not full:
+            self.heard[name] = frame, content
+        self._use(name, frame, content)
+
+    def _use(self, name: str, frame: str, content: Array | MessageError | None) -> None:
+        topic = topic_of(name)
+        try:
+            check_frame(frame, frame if self._frame is None else self._frame, WHAT[topic])
+            if isinstance(content, MessageError):
+                raise MessageError(content.reason, str(content))
         except MessageError as error:
             self.refuse(name, error)
             raise
-        self.values[name] = value
+        self.values[name] = content
         self.unusable.pop(name, None)
-        if topic == KEEP_OUTS and value is None and self._frame is not None:
+        if topic == KEEP_OUTS and content is None and self._frame is not None:
             del self.values[name]
             self.heard.pop(name, None)
 
@@ -163,10 +179,10 @@ class LandingWishes:
         wrong: dict[str, MessageError] = {}
         if frame != self._frame:
             self._frame = frame
-            for name, msg in list(self.heard.items()):
+            for name, heard in list(self.heard.items()):
                 self.values[name] = None
                 try:
-                    self.take(topic_of(name), msg)
+                    self._use(name, *heard)
                 except MessageError as error:
                     wrong[name] = error
         return wrong
@@ -182,7 +198,9 @@ class LandingWishes:
     @property
     def withheld(self) -> str:
         """Why no site may be given out, empty if nothing speaks against it."""
-        return "; ".join(why for name, why in self.unusable.items() if topic_of(name) in BINDING)
+        whys = [why for name, why in self.unusable.items() if topic_of(name) in BINDING]
+        more = len(whys) - TOLD
+        return "; ".join(whys[:TOLD] + ([f"and {more} more"] if more > 0 else []))
 
     def arguments(self) -> dict[str, Any]:
         """Keyword arguments of ``LandingSiteSelector.assess``."""

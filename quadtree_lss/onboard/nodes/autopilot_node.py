@@ -20,23 +20,18 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.autopilot.frames import Jumps, Nav
+from quadtree_lss.onboard.autopilot.controller import Controller
+from quadtree_lss.onboard.autopilot.frames import Nav
 from quadtree_lss.onboard.autopilot.landing import (
     GIVE_UP,
     HEARTBEAT_S,
     HOLD,
     PILOT,
-    POSE_S,
-    THROUGH_M,
-    TOUCHDOWN,
     WAVE_OFF,
-    Landing,
     Order,
-    Seen,
-    Target,
-    target_of,
 )
-from quadtree_lss.onboard.autopilot.link import PX4, Link
+from quadtree_lss.onboard.autopilot.link import PX4
+from quadtree_lss.onboard.autopilot.seen import Target, target_of
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -73,19 +68,20 @@ class AutopilotNode(BaseNode):
         self._now: Callable[[], float] = time.monotonic
         if self.get_parameter("use_sim_time").value:  # a simulator may be slower than its time
             self._now = lambda: 1e-9 * self._clock_ns()
-        self._link = Link(link.connection, self._clock_ns, self._now)
-        self._landing, self._jumps = Landing(link), Jumps()
-        self._nav: Nav | None = None
-        self._jump = 0.0
+        self._controller = Controller(link, self._clock_ns, self._now)
+        self._link = self._controller.link
         self._order = Order(PILOT, "no heartbeat yet", None, None)
         self._selected: tuple[float, Array] | None = None
         self._status: tuple[float, Any] | None = None
         effect = "no target is flown to while there is more than one"
-        topic = self.resolve_topic_name(SELECTED)
-        self._sources = Publishers(topic, "target_publishers", effect, self._problems)
-        kind, heard = PoseWithCovarianceStamped, self._sources.changed
+        self._sources = {
+            topic: Publishers(self.resolve_topic_name(topic), reason, effect, self._problems)
+            for topic, reason in ((SELECTED, "target_publishers"), (STATUS, "status_publishers"))
+        }
+        kind, heard = PoseWithCovarianceStamped, self._sources[SELECTED].changed
         subscribe(self, kind, SELECTED, self._on_selected, latched(), heard)
-        subscribe(self, PointCloud2, STATUS, self._on_status, latched())
+        heard = self._sources[STATUS].changed
+        subscribe(self, PointCloud2, STATUS, self._on_status, latched(), heard)
         if link.odometry:
             self._odometry = advertise(self, Odometry, ODOMETRY, stream(50, reliable=True))
         self._area = advertise(self, PolygonStamped, AREA, latched())
@@ -111,7 +107,7 @@ class AutopilotNode(BaseNode):
         super().destroy_node()
 
     def _reconfigure(self, config: Config) -> None:
-        self._landing.configure(config.autopilot)
+        self._controller.configure(config.autopilot)
 
     def _on_selected(self, message: Any) -> None:
         place = message.pose.pose.position
@@ -132,15 +128,14 @@ class AutopilotNode(BaseNode):
         """What lss_node says, by navigation's height; else why there is none."""
         if self._selected is None or self._status is None:
             return None, "nothing was heard of lss_node yet"
-        if self._sources.number > 1:
-            return None, f"{self._sources.number} nodes send landing/selected"
+        for topic, sources in self._sources.items():
+            if sources.number > 1:
+                return None, f"{sources.number} nodes send {topic}"
         (at, place), (told_at, status) = self._selected, self._status
         return target_of(place, status, now - min(at, told_at), now - told_at)
 
     def _poll(self) -> None:
-        for nav in self._link.poll():
-            self._jump = max(self._jump, self._jumps.size(nav))
-            self._nav = nav
+        for nav in self._controller.poll():
             if self._config.autopilot.odometry:
                 self._odometry.publish(self._odometry_message(nav))
 
@@ -161,46 +156,24 @@ class AutopilotNode(BaseNode):
         return message
 
     def _step(self) -> None:
-        now, link, nav = self._now(), self._link, self._nav
+        self._poll()  # a pilot who took over meanwhile gets no set-point
         waits_for(lack := self._lacks())
-        if nav is None or link.landed is None:
+        began = self._controller.landing.state
+        order = self._controller.step(*self._target(self._now()))
+        if order is None or self._controller.nav is None:
             self._tell(Order(PILOT, f"waiting for {lack}", None, None))
             return
-        pose_age = 1e-9 * (self._clock_ns() - nav.stamp_ns)
-        target, why = self._target(now)
-        seen = Seen(
-            now, link.follows, link.armed, link.landed, now - link.heard, abs(pose_age),
-            nav.position, nav.velocity, self._jump, target, why,
-        )  # fmt: skip
-        self._jump = 0.0
-        began = self._landing.state
-        order = self._landing.step(seen)
-        fresh = seen.heartbeat_age <= HEARTBEAT_S and seen.pose_age <= POSE_S
-        if order.point is not None:
-            link.fly_to(order.point, order.sink)
-        elif link.kind == PX4 and fresh and order.state == PILOT:
-            # Without a stream it does not go into offboard; and takes off for what is not below it.
-            link.fly_to(nav.position - (0.0, 0.0, THROUGH_M * link.landed))
-        if order.target is not None:
-            link.show_target(order.target.place, nav)
-        may = self._config.autopilot.may_command
-        if order.state == TOUCHDOWN and order.point is not None and may != "nothing":
-            link.settle(disarm=may == "arming")
         if order.state != began:
-            self._on_change(order, nav)
+            self._on_change(order, self._controller.nav)
         self._tell(order)
 
     def _lacks(self) -> str:
         """What there is not yet of all that a landing takes, empty after it came."""
-        if self._link.kind is None:
-            connection = self._config.autopilot.connection
-            return f"the heartbeat of an autopilot on {connection}"
-        if self._nav is None:
-            return "a pose of the autopilot"
-        if self._link.landed is None:
-            return "EXTENDED_SYS_STATE of the autopilot: whether it is on the ground"
+        if lack := self._controller.lack:
+            return lack
         if self._selected is None or self._status is None:
-            return f"{SELECTED} and {STATUS} (publishers known: {self._sources.number})"
+            known = self._sources[SELECTED].number
+            return f"{SELECTED} and {STATUS} (publishers known: {known})"
         return ""
 
     def _on_change(self, order: Order, nav: Nav) -> None:
@@ -245,13 +218,13 @@ class AutopilotNode(BaseNode):
         status = DiagnosticStatus(level=LEVELS.get(order.state, OK), name="landing")
         status.message = f"{order.state}: {order.text}"
         values: dict[str, object] = {"state": order.state, "text": order.text}
-        values["wave_offs"] = self._landing.wave_offs
-        if self._nav is not None:
-            for axis, value in zip("xyz", self._nav.position, strict=True):
+        values["wave_offs"] = self._controller.landing.wave_offs
+        if (nav := self._controller.nav) is not None:
+            for axis, value in zip("xyz", nav.position, strict=True):
                 values[axis] = f"{value:.3f}"
             if order.target is not None:
-                height = self._nav.position[2] - order.target.place[2]
-                away = np.hypot(*(self._nav.position - order.target.place)[:2])
+                height = nav.position[2] - order.target.place[2]
+                away = np.hypot(*(nav.position - order.target.place)[:2])
                 values |= {"height": f"{height:.2f}", "offset": f"{away:.2f}"}
         status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
         self._state.publish(status)
@@ -272,7 +245,7 @@ class AutopilotNode(BaseNode):
             status.note(WARN, f"waiting for {lack}")
         heard = self._now() - self._link.heard
         status.add({"autopilot.kind": {None: "none", PX4: "px4"}.get(self._link.kind, "ardupilot")})
-        status.add({"heartbeat.age_s": heard, "target.publishers": self._sources.number})
+        status.add({"heartbeat.age_s": heard, "target.publishers": self._sources[SELECTED].number})
         status.add({f"autopilot.heard.{what}": n for what, n in self._link.heard_of.items()})
         status.add({f"autopilot.refused.{why}": n for why, n in self._link.refused.items()})
         if heard > HEARTBEAT_S:

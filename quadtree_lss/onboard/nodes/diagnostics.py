@@ -36,7 +36,7 @@ class Problems:
     def report(self, reason: str, text: str, number: int = 1) -> None:
         """Count ``number``, and say so if this reason was not heard of lately."""
         self.counts[reason] += number
-        self.latest = text
+        self.latest = text = one_line(text)
         now = time.monotonic()
         told_at, told_count = self._told.get(reason, (-self._interval, 0))
         if now - told_at < self._interval:

@@ -109,8 +109,9 @@ def _run(name: str) -> int:
     threading.Thread(target=_waiting[-1].watch, daemon=True).start()
     try:
         main: Callable[[], int] = import_module(f"quadtree_lss.onboard.nodes.{name}").main
-    except QuadtreeLssError as error:  # the core is not compiled, or of other sources
-        print(f"error: {error}", file=sys.stderr)
+    except (QuadtreeLssError, ImportError) as error:
+        # The core is not compiled, or of other sources; or a package of ROS is missing.
+        print(f"error: {name} cannot start: {' '.join(str(error).split())}", file=sys.stderr)
         return 1
     try:
         return main()

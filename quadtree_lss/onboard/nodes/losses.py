@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.nodes.diagnostics import WARN, Durations, Problems, Status
@@ -67,6 +68,20 @@ class ScanGaps:
                 " effort, or more than the middleware queues (50) were waiting"
             )
             self._problems.report("scan_lost", text, missing)
+
+
+def best_effort_hint(config: Config, publishers: int) -> str:
+    """What to set if scans are sent and none comes; empty without a publisher or if it is set."""
+    if config.qos.scan_reliability != "best_effort" or not publishers:
+        return ""
+    try:
+        limit = int(Path("/proc/sys/net/core/rmem_max").read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        return ""
+    return (
+        f"; best effort loses scans of more than {limit} bytes (net.core.rmem_max): set"
+        " qos.scan_reliability to reliable"
+    )
 
 
 SHARE = 0.25

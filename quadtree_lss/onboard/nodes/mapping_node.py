@@ -41,7 +41,7 @@ from quadtree_lss.onboard.nodes.diagnostics import (
 from quadtree_lss.onboard.nodes.entry import waits_for
 from quadtree_lss.onboard.nodes.executor import WhenWanted, arrived, steady_timer
 from quadtree_lss.onboard.nodes.files import MapFileError
-from quadtree_lss.onboard.nodes.losses import Overload, Publishers, ScanGaps
+from quadtree_lss.onboard.nodes.losses import Overload, Publishers, ScanGaps, best_effort_hint
 from quadtree_lss.onboard.nodes.map_files import Checkpoints, load, save
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, cell_markers
 from quadtree_lss.onboard.nodes.node_runner import BaseNode, run
@@ -240,7 +240,9 @@ class MappingNode(BaseNode):
         silent = [self._topics[what] for what, of in self._arrived.items() if not of.count]
         if silent:
             known = "'{}' (publishers known: {})".format
-            return " and ".join(known(name, self.count_publishers(name)) for name in silent)
+            text = " and ".join(known(name, self.count_publishers(name)) for name in silent)
+            publishers = self._gaps.publishers.number * (self._topics["scan"] in silent)
+            return text + best_effort_hint(self._config, publishers)
         gone = [f"{n} dropped: {why}" for why, n in self._intake.dropped.items() if n]
         waiting = f"{len(self._intake.queue)} wait for a pose at their stamp"
         return f"a scan that can be mapped ({', '.join([waiting, *gone])})"

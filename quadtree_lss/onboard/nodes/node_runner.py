@@ -65,7 +65,7 @@ class BaseNode(Node):
 
     def __init__(self, name: str) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
-        self._settings = NodeParameters(self, self._reconfigure)
+        self._settings = NodeParameters(self, self._reconfigure, name)
         self._problems = Problems(self.get_logger())
         self._build, self._problems_told = build.name(), 0
         self._statuses = self.create_publisher(

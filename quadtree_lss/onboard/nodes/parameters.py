@@ -32,6 +32,8 @@ from quadtree_lss.onboard.config.settings import (
 )
 
 QOS = "qos_overrides."
+LIVE_OF = {"vehicle": "lss_node", "lss": "lss_node", "autopilot": "autopilot_node"}
+"""The node in which live changes of a section have an effect; those of others have one in each."""
 ROS_TOPICS = ("/clock", "/parameter_events", "/rosout")
 
 #: What may be overridden of a topic's QoS, and the words for it; none for a number.
@@ -102,6 +104,7 @@ class NodeParameters:
     Args:
         node: Its overrides are checked, then every row of the table is declared on it.
         changed: Called with the new configuration after live parameters were set.
+        kind: The program, as ``lss_node``: live parameters of another one cannot be changed.
 
     Attributes:
         config: As it is now.
@@ -112,7 +115,9 @@ class NodeParameters:
             contradict one another, a parameter file of the command line that is for other nodes.
     """
 
-    def __init__(self, node: Node, changed: Callable[[Config], None] | None = None) -> None:
+    def __init__(
+        self, node: Node, changed: Callable[[Config], None] | None = None, kind: str = ""
+    ) -> None:
         for option, path in itertools.pairwise(sys.argv):
             if option == "--params-file":
                 check_reaches(path, node.get_fully_qualified_name())
@@ -131,7 +136,7 @@ class NodeParameters:
             node.declare_parameter(
                 row.name, values[row.name], descriptor(row), ignore_override=True
             )
-        self._changed = changed
+        self._changed, self._kind = changed, kind
         node.add_pre_set_parameters_callback(_converted)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
@@ -151,9 +156,15 @@ class NodeParameters:
 
     def _check(self, changes: Iterable[RosParameter]) -> SetParametersResult:
         try:
-            self._with(changes)
+            values = values_from_config(self._with(changes))
         except ConfigError as error:
             return SetParametersResult(successful=False, reason=str(error))
+        now = values_from_config(self.config)
+        for name in [item.name for item in changes if item.name in now]:
+            owner = LIVE_OF.get(name.partition(".")[0], self._kind)
+            if self._kind and owner != self._kind and values[name] != now[name]:
+                reason = f"{name} has an effect in {owner}, not in {self._kind}: set it there"
+                return SetParametersResult(successful=False, reason=reason)
         return SetParametersResult(successful=True)
 
     def _apply(self, changes: Iterable[RosParameter]) -> None:

@@ -131,7 +131,7 @@ class RiskTable:
         }
         self.low = np.array([at[0] for at in steps.values()])
         self.last = np.array([len(at) - 1.0 for at in steps.values()])
-        self.per = self.last / [at[-1] - at[0] for at in steps.values()]
+        self.per = self.last / [high - low for low, high in spans.values()]
         tables, terms, first = [], [], 0
         for number, name in enumerate(CAUSES):
             for curve in model.causes[name].curves:

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lies of an autopilot, and of others who speak MAVLink, that must not bring the vehicle down."""
+
+import numpy as np
+import pytest
+from autopilot_model import LOITER
+from lying_peer import FAST, SCENARIOS, TURNS_M, Others, Ride, attack, beat
+
+from quadtree_lss.onboard.autopilot.link import ARDUPILOT, PX4
+
+pytestmark = pytest.mark.xdist_group("autopilot")
+
+
+OF_PX4 = [(name, PX4) for name in SCENARIOS if "contact" in name]
+
+
+@pytest.mark.parametrize(("scenario", "kind"), [*((s, ARDUPILOT) for s in SCENARIOS), *OF_PX4])
+def test_a_lie_neither_lowers_the_vehicle_nor_leads_it_away(scenario, kind):
+    # PX4 leaves offboard after half a second of its time without a set-point.
+    pace = 2.0 if kind == PX4 else 3.0
+    with Ride(kind=kind, pace=pace, may_command="arming") as ride:
+        SCENARIOS[scenario](ride)
+        height = ride.model.lowest = ride.height
+        place = ride.model.enu
+        ride.on(9.0)
+        told = f"{ride.states} {ride.model.texts}"
+        assert ride.model.lowest > max(height - TURNS_M, 0.05), told
+        assert ride.height < height + FAST["gate_height"] + 1.0, told
+        assert np.hypot(*(ride.model.enu - place)[:2]) < 3.0, told
+        assert not ride.model.commands, "nothing but set-points"
+        assert ride.state in ("give_up", "hold", "pilot"), told
+        if "reset" in scenario or "drops" in scenario:
+            assert ride.state == "give_up", told
+
+
+def test_nobody_but_the_autopilot_is_heard_or_answered():
+    """A second vehicle with the same system id says that it is disarmed and in another mode; many
+    say one byte."""
+    with Ride(pace=1.0) as ride:
+        ride.handed_over().within("transit")
+        twin = [beat(mode=LOITER, base=1), b"\xfd"]
+        with Others(ride, twin, 1000, senders=200) as others:
+            ride.within("touchdown")
+        assert "pilot" not in ride.states[1:]
+        assert others.sent > 1000 and not others.heard
+
+
+@pytest.mark.parametrize(
+    "pieces",
+    [[beat(system=9)], [beat() * 2000], [b"\xfd\xff" * 30000]],
+    ids=["few", "many", "noise"],
+)
+def test_set_points_keep_their_rate_among_thousands_of_foreign_messages(pieces):
+    with Ride(pace=1.0) as ride:
+        ride.handed_over().within("transit", "descend").target = None
+        ride.within("hold", "wave_off").on(1.0)
+        points = len(ride.model.points)
+        with Others(ride, pieces, 5000 if len(pieces[0]) < 99 else 50, senders=9):
+            ride.on(4.0)
+        assert len(ride.model.points) - points > 0.9 * 40
+
+
+def test_what_the_autopilots_own_address_floods_with_is_dropped():
+    with Ride(pace=1.0) as ride:
+        ride.handed_over()
+        for _ in range(200):
+            ride.model._link.write(beat(system=9) * 2000)
+            ride.on(0.005)
+        took = max(ride.timed() for _ in range(50))
+        assert took < 0.1 and ride.controller.link.refused["backlog"] > 0
+        ride.within("transit", "descend", "commit")
+
+
+def test_an_autopilot_that_was_silent_is_heard_at_its_new_address():
+    with Ride() as ride:
+        ride.handed_over().model.cut = True
+        ride.on(6.0).model.moves_port()
+        ride.model.cut = False
+        ride.until(lambda: ride.controller.link.heard > ride.now() - 1.0).within("touchdown")
+
+
+def test_no_set_point_after_the_heartbeat_that_tells_of_the_pilot():
+    with Ride() as ride:
+        ride.below(4.0).model.switch(LOITER)
+        switched = ride.model._now
+        ride.on(3.0)
+        late = [at - switched for at, _ in ride.model.points if at > switched]
+        assert ride.state == "pilot" and (not late or max(late) < 0.5), late
+
+
+def test_a_pose_without_a_velocity_is_none():
+    with Ride() as ride:
+        ride.handed_over().within("transit").model.knows_velocity = False
+        ride.within("hold")
+        assert ride.controller.link.refused["velocity"] > 0
+
+
+def test_a_word_of_the_ground_is_old_after_some_seconds():
+    with Ride() as ride:
+        ride.until(lambda: ride.controller.link.landed is False).model.claims = 1
+        ride.until(lambda: ride.controller.link.landed).model.claims = 0  # it does not know
+        ride.handed_over().on(1.0)
+        assert ride.state == "pilot"
+        ride.until(lambda: ride.controller.link.landed is None).on(1.0)
+        assert ride.state == "pilot" and ride.controller.link.landed is None
+        ride.model.claims = None
+        ride.within("transit")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_hostile_messages_do_not_lower_a_vehicle_without_a_target(seed):
+    sank, told = attack(seed, 2000)
+    assert sank < TURNS_M, told
