@@ -106,11 +106,9 @@ def all_accounted(values):
 
 
 def test_silent_scans_of_a_known_publisher_name_what_best_effort_can_carry():
-    config = load_config((), {})
-    assert "net.core.rmem_max" in losses.best_effort_hint(config, 1)
-    assert not losses.best_effort_hint(config, 0)
-    reliable = load_config((), {"qos.scan_reliability": "reliable"})
-    assert not losses.best_effort_hint(reliable, 1)
+    hint = losses.best_effort_hint("/lidar/points")
+    assert "net.core.rmem_max" in hint
+    assert "qos_overrides./lidar/points.subscription.reliability" in hint
 
 
 def test_a_line_of_the_log_has_an_end():

@@ -40,8 +40,8 @@ async function loadLibrary(id) { // a library that not every visit needs
 }
 
 // ---- small things ------------------------------------------------------------------------------
-const known = {};
-const rgb = hex => (known[hex] = known[hex] || [1, 3, 5].map(k => parseInt(hex.slice(k, k + 2), 16)));
+const coloursKnown = {};
+const rgb = hex => (coloursKnown[hex] = coloursKnown[hex] || [1, 3, 5].map(k => parseInt(hex.slice(k, k + 2), 16)));
 const clamp = (v, low, high) => Math.min(Math.max(v, low), high);
 function nice(about) { // 1, 2 or 5 times a power of ten
   const power = 10 ** Math.floor(Math.log10(about)), m = about / power;

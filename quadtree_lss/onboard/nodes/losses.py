@@ -70,17 +70,15 @@ class ScanGaps:
             self._problems.report("scan_lost", text, missing)
 
 
-def best_effort_hint(config: Config, publishers: int) -> str:
-    """What to set if scans are sent and none comes; empty without a publisher or if it is set."""
-    if config.qos.scan_reliability != "best_effort" or not publishers:
-        return ""
+def best_effort_hint(topic: str) -> str:
+    """What to set if scans are sent on a topic and none comes by best effort."""
     try:
         limit = int(Path("/proc/sys/net/core/rmem_max").read_text(encoding="ascii"))
     except (OSError, ValueError):
         return ""
     return (
         f"; best effort loses scans of more than {limit} bytes (net.core.rmem_max): set"
-        " qos.scan_reliability to reliable"
+        f" qos_overrides.{topic}.subscription.reliability to reliable"
     )
 
 

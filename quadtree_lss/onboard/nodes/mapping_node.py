@@ -12,6 +12,7 @@ from typing import Any
 
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
@@ -134,7 +135,8 @@ class MappingNode(BaseNode):
         pose_qos = stream(POSE_DEPTH, reliable=True)
         topic, told = self._topics["scan"], self._gaps.on_publishers
         clouds = self._scan_kind is PointCloud2
-        subscribe(self, self._scan_kind, topic, self._on_scan, scan_qos, told, raw=clouds)
+        scans = subscribe(self, self._scan_kind, topic, self._on_scan, scan_qos, told, raw=clouds)
+        self._best_effort = scans.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT
         if self._scan_kind is Image:
             subscribe(
                 self, CameraInfo, CAMERA, self._intake.on_camera_info, stream(1, reliable=False)
@@ -241,8 +243,9 @@ class MappingNode(BaseNode):
         if silent:
             known = "'{}' (publishers known: {})".format
             text = " and ".join(known(name, self.count_publishers(name)) for name in silent)
-            publishers = self._gaps.publishers.number * (self._topics["scan"] in silent)
-            return text + best_effort_hint(self._config, publishers)
+            topic = self._topics["scan"]
+            sent = self._best_effort and topic in silent and self._gaps.publishers.number
+            return text + (best_effort_hint(topic) if sent else "")
         gone = [f"{n} dropped: {why}" for why, n in self._intake.dropped.items() if n]
         waiting = f"{len(self._intake.queue)} wait for a pose at their stamp"
         return f"a scan that can be mapped ({', '.join([waiting, *gone])})"
