@@ -29,9 +29,8 @@ from quadtree_lss.desk.commands.common import (
     print_json,
 )
 from quadtree_lss.desk.commands.console import first_line, quiet, say
-from quadtree_lss.desk.replay.files import OutsideInput
 from quadtree_lss.lab.commands import campaign, evaluate, fly
-from quadtree_lss.onboard.errors import QuadtreeLssError
+from quadtree_lss.onboard.errors import OutsideInput, QuadtreeLssError
 
 # No part of ROS, and not in every Ubuntu: the nodes do without.
 OF_BAGS = ("rosbags", "backports", "lz4", "apsw", "ruamel")

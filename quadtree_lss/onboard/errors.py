@@ -26,3 +26,7 @@ class QuadtreeLssError(Exception):
 
     def __init__(self, text: object = "") -> None:
         super().__init__(one_line(text))
+
+
+class OutsideInput(QuadtreeLssError):
+    """An argument, such as a time or a place, lies outside of the recording or model."""

@@ -419,7 +419,7 @@ def test_land_now_takes_the_best_within_reach_at_once(monkeypatch, with_block):
     assert found.now[3] >= found.selected.probability > 0.99
     away = np.hypot(found.x - 4.0, found.y[:, None] - 4.0)
     within = np.where((away <= 3.0) & np.isfinite(found.score), found.probability, 0.0)
-    assert found.now[3] == within.max()
+    assert found.now[3] == pytest.approx(within.max(), abs=1e-4)  # clearance decides between equals
     selector.release()
     assert selector.assess(with_block, vehicle=low).selected.reason is Reason.RELEASED
 

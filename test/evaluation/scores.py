@@ -84,6 +84,7 @@ def write_results(
         feature=np.full((x.size, 5), np.nan),
         low=np.full(x.size, low),
         high=np.full(x.size, high),
+        coverage=np.ones(x.size),
         observed=np.ones((32, 32), bool),
         known=np.ones((32, 32), bool),
     )

@@ -140,7 +140,7 @@ def test_each_mistake_gives_one_clear_line(write, text, words):
 
 
 def test_missing_and_unreadable_files(tmp_path):
-    assert "shipped: " in message(tmp_path / "none.yaml")
+    assert "shipped: " in message(tmp_path / "unlike.yaml")
     assert "none" in message("none")
     binary = tmp_path / "binary.yaml"
     binary.write_bytes(b"\xff\xfe\x00\x81")

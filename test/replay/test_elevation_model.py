@@ -113,7 +113,7 @@ def test_coarse_posts_are_noted_and_bad_files_are_one_line(tmp_path, capsys):
     code, _, err = run(capsys, "sites", tmp_path / "none.npz", "--out", tmp_path / "none")
     assert code == 1 and "no such file" in err and not (tmp_path / "none").exists()
     code, _, err = run(capsys, "sites", tmp_path, "--out", tmp_path / "none")
-    assert code == 1 and "a folder" in err
+    assert code == 2 and "is no elevation model" in err
     np.savez(tmp_path / "degrees.npz", x=1e-5 * x, y=1e-5 * x, elevation=np.zeros((30, 30)))
     code, _, err = run(capsys, "sites", tmp_path / "degrees.npz", "--out", tmp_path / "none")
     assert code == 1 and "not in degrees" in err

@@ -167,7 +167,7 @@ def test_the_command_writes_all_of_it(written, tmp_path, capsys):
     code, out, _ = run(capsys, "export", written.out, *place, "--json", "-q")
     assert json.loads(out)["files"] == [str(written.out / "exchange" / "sites.geojson")]
     code, _, err = run(capsys, "export", written.out, "--format", "geotif")
-    assert code == 2 and "'geotiff'" in err
+    assert code == 2 and "try geotiff" in err
     code, _, err = run(capsys, "export", written.out, "--crs", "EPSG:nonsense")
     assert code == 1 and "is not a coordinate reference system" in err and err.count("\n") == 1
     code, _, err = run(capsys, "export", tmp_path)

@@ -13,6 +13,7 @@ from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.files import ReplayError
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.errors import OutsideInput
 
 CONFIG = config_from_values(GROUND)
 FILES = set("history.npz sites.csv selected.csv cells.npz".split())
@@ -66,7 +67,7 @@ def test_cells_hold_the_contract_and_the_slope_that_was_flown_over(result):
     expected = dict.fromkeys(flat, (m,))
     expected |= {"covariance": (m, 3, 3), "feature": (m, 5), "domain": (5,)}
     expected |= {"covariance_pose": (m, 3, 3), "observed_cells": (64, 64)}
-    expected |= {"low": (m,), "high": (m,), "known_cells": (64, 64)}
+    expected |= {"low": (m,), "high": (m,), "coverage": (m,), "known_cells": (64, 64)}
     expected |= {"offset": (2,), "stamp_ns": ()}
     assert shapes == expected
     assert cells["measured"].dtype == np.bool_
@@ -100,11 +101,11 @@ def test_tables_hold_the_contract(result):
     assert ",".join(header) == f"{names}probability"
     assert [int(row[0]) for row in rows] == list(range(1, len(rows) + 1))
     safe = [float(row[13]) for row in rows]
-    # Of equally probable sites the score decides.
-    assert max(b - a for a, b in zip(safe, safe[1:], strict=False)) < 1e-5
+    # Of sites that are equal within the error of the risk model clearance decides.
+    assert max(b - a for a, b in zip(safe, safe[1:], strict=False)) < 0.01
     assert 0.5 < min(safe) and max(safe) <= 1.0
     header, rows = columns(result.out / "selected.csv")
-    assert ",".join(header) == "stamp_ns,id,x,y,z,reason"
+    assert ",".join(header) == "stamp_ns,id,x,y,z,probability,reason"
     assert [row[-1] for row in rows] == ["first"] and rows[0][1] != "0"
     header, rows = columns(result.out / "timing.csv")
     assert ",".join(header) == "stamp_ns,points,points_used,leaves,divisions,map_ms"
@@ -194,7 +195,7 @@ def test_a_part_of_the_bag(bag, tmp_path):
     "limits", [{"start": -1.0}, {"start": 1e4}, {"start": float("nan")}, {"duration": 0.0}]
 )
 def test_parts_that_are_none(bag, tmp_path, limits):
-    with pytest.raises(ReplayError, match="--"):
+    with pytest.raises(OutsideInput, match="--"):
         replay(bag, tmp_path / "out", CONFIG, report=False, **limits)
     assert not (tmp_path / "out").exists()
 

@@ -12,9 +12,9 @@ from sensor_msgs.msg import PointCloud2
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.player.player import PlayError, play
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.desk.replay.files import ReplayError
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.live.processes import program
+from quadtree_lss.onboard.errors import OutsideInput
 
 pytestmark = pytest.mark.xdist_group("ros_faults")
 
@@ -122,7 +122,7 @@ def test_a_bag_of_maps_is_played_into_lss_node_alone(ros):
 def test_parts_and_rates_that_make_no_sense_are_told(ros):
     write_bag(ros.folder / "flight", 1)
     for limits in ({"start": 1e9}, {"duration": float("inf")}, {"duration": 0.0}):
-        with pytest.raises(ReplayError, match="--"):
+        with pytest.raises(OutsideInput, match="--"):
             play(ros.folder / "flight", **limits)
     for rate in (0.0, float("inf")):
         with pytest.raises(PlayError, match=f"rate {rate:g}"):

@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.desk.exchange.dem import MOST_POSTS, ElevationModel, read_dem
 from quadtree_lss.desk.exchange.libraries import ExchangeError
-from quadtree_lss.desk.replay.files import OutsideInput
 from quadtree_lss.desk.replay.results import ReplayResult, run_summary, write_results
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config, config_from_values
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.errors import OutsideInput
 from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
 
 #: Largest numbers of leaves and of grid points along a side.

@@ -21,11 +21,6 @@ from numpy.typing import NDArray
 
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-
-class OutsideInput(QuadtreeLssError):
-    """An argument, such as a time or a place, lies outside of the recording or model."""
-
-
 FORMULA = tuple("=+-@\t\r")
 """Beginnings of formulas in spreadsheets."""
 

@@ -16,7 +16,6 @@ from quadtree_lss.desk.bags import message_types as types
 from quadtree_lss.desk.bags import topics
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.recorded_file import RawMessage
-from quadtree_lss.desk.replay.files import OutsideInput
 from quadtree_lss.onboard.config.settings import (
     Config,
     LssConfig,
@@ -26,7 +25,7 @@ from quadtree_lss.onboard.config.settings import (
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.transforms import FixedTransforms
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.errors import one_line
+from quadtree_lss.onboard.errors import OutsideInput, one_line
 from quadtree_lss.onboard.messages import outputs
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.onboard.messages.extrinsics import add_transforms

@@ -161,7 +161,7 @@ class Seen:
         lowest = 0 if config.domain.follow == "none" else LEAST_STEPS
         level = math.ceil(math.log2(side / min(SLACK * wanted, most)))
         level = min(max(level, lowest), 10)
-        finest = math.ceil(1000.0 * max(side / 2**level, wanted)) / 1000.0
+        finest = math.ceil(1000.0 * side / 2**level) / 1000.0
         size = finest * 2**level
         corner = np.round(2.0 * (middle - 0.5 * size)) / 2.0
         domain = replace(config.domain, size=size, min_level=max(level - LEVELS, lowest))

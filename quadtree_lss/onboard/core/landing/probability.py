@@ -335,7 +335,7 @@ def aimed(risk: Array, side: float, dispersion: Dispersion) -> Array:
         found = np.flatnonzero((risk < 1.0).any(axis=1 - axis))
         if not len(found):
             return out
-        window.append(slice(max(int(found[0]) - reach, 0), int(found[-1]) + reach + 1))
+        window.append(slice(max(int(found[0]) - reach, 0), int(found[len(found) - 1]) + reach + 1))
     means = np.asarray(risk[tuple(window)], dtype=np.float32)
     for along in reversed(weights):
         reach = len(along) // 2
