@@ -28,7 +28,7 @@ def test_one_line_says_what_runs_and_one_that_it_works(ros):
         for words in (
             f"quadtree_lss {quadtree_lss.__version__} ({build.name()})",
             "lidar.range_noise=0.03, lss.grid_spacing=0.5, lss.sites=3, ",
-            f"publish.rate=11.0 (from {ros.params})",
+            f"publish.rate=11.0, diagnostics.warn_age=5.0 (from {ros.params})",
             "lidar.max_range=900.0 (from command line)",
             "domain x -16 ... 16, y -16 ... 16 m in frame 'map', cells 4 ... 0.5 m",
             "vehicle of 3.7 m diameter, margin 0 m",
