@@ -106,7 +106,8 @@ def test_tables_hold_the_contract(result):
     assert 0.5 < min(safe) and max(safe) <= 1.0
     header, rows = columns(result.out / "selected.csv")
     assert ",".join(header) == "stamp_ns,id,x,y,z,probability,reason"
-    assert [row[-1] for row in rows] == ["first"] and rows[0][1] != "0"
+    reasons = [row[-1] for row in rows]
+    assert reasons[0] == "first" and set(reasons[1:]) <= {"better"} and rows[0][1] != "0"
     header, rows = columns(result.out / "timing.csv")
     assert ",".join(header) == "stamp_ns,points,points_used,leaves,divisions,map_ms"
     assert [int(row[0]) for row in rows] == [
