@@ -580,7 +580,7 @@ def sum_squares(
     n: cython.Py_ssize_t = values.shape[1]
     columns = cython.declare(cython.double[::1], np.empty(n))
     # Zero outside the domain.
-    line = cython.declare(cython.float[::1], np.zeros(n + 2 * reach + 1, dtype=np.float32))
+    line = cython.declare(cython.float[::1], np.zeros(n + 2 * reach + 2, dtype=np.float32))
     with cython.nogil:
         for f in range(values.shape[0]):
             columns[:] = 0.0
