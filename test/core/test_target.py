@@ -125,7 +125,7 @@ def test_risky_ground_within_half_of_the_margin_withdraws_the_target(steps, reas
 
 @settings(max_examples=200)
 @given(
-    st.lists(st.floats(0.0, 0.1), min_size=4, max_size=4),
+    st.lists(st.floats(0.0, 0.099), min_size=4, max_size=4),
     st.floats(LSS.commit_height, 300.0),
     st.floats(0.5, 40.0),
 )
