@@ -6,7 +6,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from core.builders import configured, mapped
+from core.builders import configured, flat, look, make_pose, mapped
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.stats import norm
@@ -23,12 +23,14 @@ from quadtree_lss.onboard.core.landing.probability import (
     aimed,
     contact_limits,
     heading_word,
+    height_noise,
     normal_weights,
     shown,
 )
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.score import look_around
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
 Array = NDArray[np.float64]
 
@@ -126,7 +128,13 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     count = np.bincount(raster.leaf[seen], minlength=len(cells.level))
     with np.errstate(divide="ignore"):
         independent = -16.0 * np.log(1.0 - cells.coverage)
-    returns = np.minimum(cells.count / np.maximum(count, 1), independent)[raster.leaf]
+    returns = np.minimum(cells.count / np.maximum(count, 1), independent)
+    estimated = np.isfinite(cells.z)
+    heights = np.full(len(cells.level), np.inf)
+    heights[estimated] = 1.0 / np.linalg.inv(cells.covariance_range[estimated])[:, 2, 2]
+    share = np.clip(heights * cells.count / 0.06**2, 1e-3, 1.0)
+    assert np.median(share) < 1.0
+    returns = (returns / share)[raster.leaf]
     density = np.pad(np.where(seen, returns * (c / side) ** 2, 0.0), 1, mode="edge")
     density = sliding_window_view(density, (3, 3)).mean(axis=(2, 3))
     known = np.log10(density + 1e-3)
@@ -134,10 +142,6 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     expected = square_means(known, under, under, size)
     expected -= 3.0 * np.log10(side / c / 0.85)  # noise is 0.2 clearances
     np.testing.assert_allclose(found["seen"], expected, atol=1e-4)
-    noisy = RiskTable(MODEL, config.lss, 0.12).features(*given)
-    np.testing.assert_allclose(  # four times the returns would tell as much
-        noisy[LOCAL.index("seen")], expected - np.log10(4.0), atol=1e-4
-    )
     rough = np.nan_to_num(cells.roughness / cells.size**2)[raster.leaf] / c * seen
     rough = np.sqrt(square_means(rough, under, under, size))
     np.testing.assert_allclose(found["roughness"], rough, atol=1e-4)
@@ -214,6 +218,7 @@ def test_ground_that_no_return_is_from_raises_the_risk(rough_ground):
     leaves, none = np.ones(len(cells.level)), np.full(len(cells.level), np.nan)
     flat = replace(cells, z=leaves, normal=np.outer(leaves, [0.0, 0.0, 1.0]), low=none, high=none)
     flat = replace(flat, roughness=0.0 * leaves, feature=np.full_like(cells.feature, np.nan))
+    flat = replace(flat, covariance_range=np.full_like(cells.covariance_range, np.nan))
     table, drawn = RiskTable(risk_model(""), config.lss, 0.06), np.random.default_rng(9)
     order, inner = drawn.random(cells.known.shape), np.s_[24:-12, 40:-12]
     told = []
@@ -412,3 +417,22 @@ def test_a_heading_that_is_no_number_is_any():
 def test_a_dispersion_of_next_to_nothing_is_none(sigma):
     weights = normal_weights(sigma / 0.25, 40)
     assert weights.sum() == weights[len(weights) // 2] == 1.0
+
+
+@pytest.mark.parametrize("elevation_deg", [90.0, 30.0, 8.0])
+def test_noise_of_heights_follows_angle_of_incidence(elevation_deg):
+    """The variance of heights over that of ranges is the squared sine of the ray's elevation."""
+    rng, config = np.random.default_rng(3), configured(levels=(2, 4), noise=0.05)
+    angle = np.radians(elevation_deg)
+    pose = make_pose((8.0 - 60.0 * np.cos(angle), 8.0, 60.0 * np.sin(angle)))
+    x, y = rng.uniform(0.0, 16.0, (2, 4000))
+    mapper = Mapper(config)
+    look(mapper, flat(), x, y, rng, noise=0.05, pose=pose)
+    share = height_noise(mapper.snapshot(), 0.05)
+    np.testing.assert_allclose(np.median(share), np.sin(angle) ** 2, rtol=0.3)
+
+
+def test_noise_of_heights_is_that_of_ranges_where_there_is_no_plane():
+    cells = mapped(configured(), flat()).snapshot()
+    unknown = replace(cells, covariance_range=np.full_like(cells.covariance_range, np.nan))
+    np.testing.assert_array_equal(height_noise(unknown, 0.05), 1.0)
