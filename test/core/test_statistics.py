@@ -138,3 +138,12 @@ def test_a_scan_that_divides_cells_tells_the_noise_once():
         report = look(mapper, lambda x, y: 0.5 * (x > 5.1), *places, rng, 0.05)
     assert report.leaves > 16
     assert report.noise_ratio == pytest.approx(1.0, abs=0.05)
+
+
+def test_noise_ratio_is_that_of_level_ground():
+    """Most points are on a bank of 45 degrees that is rough."""
+    rng, mapper = np.random.default_rng(17), Mapper(configured(noise=0.05))
+    x, y = scattered(rng, 0.0, 0.0, 16.0, 30_000)
+    rough = rng.normal(0.0, 0.5, len(x))
+    bank = lambda x, y: np.where(x > 5.0, x - 5.0 + rough[: len(x)], 0.0)  # noqa: E731
+    assert look(mapper, bank, x, y, rng, 0.05).noise_ratio == pytest.approx(1.0, abs=0.1)

@@ -323,8 +323,8 @@ class Mapper:
     def _check_noise(self, ratio: Array) -> None:
         """Running mean of observed over configured range noise.
 
-        Each scan gives the median over its points of the residual's standard deviation about the
-        own fit of the cell they came to rest in, over what the configured range noise makes of it.
+        Each scan gives the median over its points on level ground of the residual's standard
+        deviation about their cell's own plane, over what the configured range noise makes of it.
         On planar ground that is one; rough ground raises some cells, not the median while most of
         the ground is smooth at the size of a leaf.
         """

@@ -37,8 +37,10 @@ PILED = cython.declare(cython.double, 4.0)
 #: Of the mean square that a plane leaves out, what planes half as wide leave out: residuals go with
 #: the width.
 LESS = cython.declare(cython.double, 0.25)
-#: Points of a scan in a cell that tell the range noise.
+#: Points of a scan in a cell that tell the range noise, and the least z of its normal (30 degrees
+#: of slope): facades and trees tell nothing.
 NOISE_POINTS = cython.declare(cython.double, 8.0)
+LEVEL = cython.declare(cython.double, 0.866)
 #: A plane is higher or lower at no cell's centre, m.
 HIGHEST = cython.declare(cython.double, HEIGHTS)
 
@@ -533,7 +535,7 @@ class ScanUpdate:
         self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record
     ) -> None:
         """Points came to rest: residuals, and the leaf's feature."""
-        if run.points >= NOISE_POINTS:
+        if run.points >= NOISE_POINTS and leaf.normal[2] >= LEVEL:
             self.ratios[self.rested] = sqrt(run.square / run.variance)
             self.weights[self.rested] = run.points
             self.rested += 1
