@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The closed loop over ground of which a twentieth to a tenth is safe: is a place found there?
+"""The closed loop over ground of which 3 to 10 % is safe: is a place found there?
 
 Made fields of 6 to 12 degrees root mean square slope, a tenth to a quarter of them under rocks; of
 a seed the first that has such a share of safe ground in the candidate area. A flight counts if
@@ -28,7 +28,7 @@ from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.simulation.scenarios import Conditions
 
 #: Share of the candidate area that is truly safe; room about a place that a flight counts for, m.
-SHARE, ROOM = (0.05, 0.10), 1.0
+SHARE, ROOM = (0.03, 0.10), 1.0
 #: What fields are drawn from: root mean square slope, degrees, and the share that rocks cover.
 SLOPES, ROCKS = (6.0, 12.0), (0.1, 0.25)
 

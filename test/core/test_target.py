@@ -73,7 +73,8 @@ TRANSITIONS = [
      State.COMMITTED, 0, Reason.FIRST),
     (State.HOLDS, NOTHING, 1, {"settled": False}, State.HOLDS, 1, Reason.HOLDS),
     (State.HOLDS, NOTHING, 1, {"unsafe": (0.08, 0.08, 0.08, 0.03)}, State.HOLDS, 3, Reason.BETTER),
-    (State.HOLDS, NOTHING, 1, {"unsafe": (0.05, 0.2, 0.2, 0.2)}, State.NONE, None, Reason.UNLIKELY),
+    (State.HOLDS, NOTHING, 1, {"unsafe": (0.05, 0.2, 0.2, 0.2)}, State.HOLDS, 0, Reason.BETTER),
+    (State.HOLDS, NOTHING, 1, {"unsafe": (0.2,) * 4}, State.NONE, None, Reason.UNLIKELY),
     (State.HOLDS, NOTHING, 1, LOST, State.NONE, None, Reason.HAZARD),
     (State.HOLDS, NOTHING, 1, LOST | {"fault": Reason.KEEP_OUT}, State.NONE, None, Reason.KEEP_OUT),
     (State.HOLDS, NOTHING, 1, RISKY | {"risk": 0.9 * MORE}, State.HOLDS, 1, Reason.HOLDS),
@@ -189,8 +190,8 @@ def test_no_change_without_cause(rows):
             assert row[choice.place[1]] <= 0.1 and np.isfinite(before[choice.place[1]])
         if last.place is not None:
             held = row[last.place[1]]
-            if not held <= 0.1:
-                assert choice.place is None
+            if choice.place is None:
+                assert not held <= 0.1
             elif choice.place != last.place:
                 assert share * (held - row[choice.place[1]]) > least
                 assert choice.reason is Reason.BETTER and choice.id != last.id

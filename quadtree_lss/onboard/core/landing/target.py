@@ -307,14 +307,15 @@ class Situation:
         place = self.ground.at(*held)
         if place is None:
             return None, Reason.OUTSIDE_MAP
-        if (fault := self._fault(place)) is not None:
+        fault = self._fault(place)
+        if fault not in (None, Reason.UNLIKELY):
             return None, fault
         if not self.is_low:
             descent, commit = self.descent, self.lss.commit_height
             left = None if descent is None else Descent(descent.height - commit, descent.speed)
             if better := self._better(self.ground, self.confirmed, place, left):
                 return better, Reason.BETTER
-        return place, Reason.HOLDS
+        return (place, Reason.HOLDS) if fault is None else (None, fault)
 
     def _fault(self, place: Place) -> Reason | None:
         """Return why the target cannot stay, None if it can."""
