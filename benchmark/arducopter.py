@@ -353,7 +353,6 @@ class Flight:
         self._kind = kind
         self._draw = np.random.default_rng(seed)
         made = Conditions().ground("drone", self._draw)
-        assert made is not None
         self.terrain = Terrain(made.x, made.y, made.elevation - np.median(made.elevation))
         self._lidar = FlashLidar(60.0, pixels=120, range_noise=0.02)
         self._height = float(self._draw.uniform(1.0, 7.0))  # at which the fault begins

@@ -148,7 +148,7 @@ class Truth:
     ``best``: the most likely in the area that is to be scanned."""
 
     def __init__(self, simulation: Simulation, found: LandingAssessment, config: Config) -> None:
-        dem, lander = simulation.legs[0].plan.truth, lander_of(config)
+        dem, lander = simulation.legs[0].plan.terrain, lander_of(config)
         self.x, self.y = found.x, found.y
         self.safe: Mask = safety_map(dem, self.x, self.y, lander)
         spread = Dispersion.of(None, config.lss)

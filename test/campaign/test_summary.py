@@ -7,7 +7,7 @@ from scipy.stats import binom
 
 from quadtree_lss.lab.campaign.kinds import Quantity
 from quadtree_lss.lab.campaign.store import Record
-from quadtree_lss.lab.campaign.summary import bootstrap, line_of, rate_interval
+from quadtree_lss.lab.campaign.summary import line_of, mean_interval, rate_interval
 
 
 def _records(**columns):
@@ -54,7 +54,7 @@ def test_interval_holds_the_mean_about_as_often_as_it_says():
     generator = np.random.default_rng(3)
     inside = 0
     for _ in range(200):
-        low, high = bootstrap(generator.normal(5.0, 2.0, 20))
+        low, high = mean_interval(generator.normal(5.0, 2.0, 20))
         inside += low <= 5.0 <= high
     assert 0.87 <= inside / 200 <= 0.99
 

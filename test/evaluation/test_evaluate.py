@@ -30,8 +30,6 @@ def test_a_map_that_is_perfect_but_for_a_constant_offset(tmp_path):
     assert np.isnan(result.detection.hazardous_found)
     assert result.unsafe_in_top_five == 0
     assert (result.leaves, result.leaves_estimated) == (544, 544)
-    assert result.map_ms_median == 50.0
-    assert result.map_s_total == pytest.approx(99 * 50.0 * 1e-3)
 
 
 def test_error_is_weighted_by_area(tmp_path):
@@ -40,7 +38,6 @@ def test_error_is_weighted_by_area(tmp_path):
     error = _evaluate(tmp_path, truth=truth).elevation
     assert error.mean_absolute == pytest.approx(0.5, abs=0.02)
     assert error.rms_mean_removed == pytest.approx(0.5, abs=0.02)
-    assert error.maximum_mean_removed == pytest.approx(0.5, abs=0.02)
 
 
 def test_unseen_ground_is_not_scored_for_elevation(tmp_path):
@@ -191,7 +188,7 @@ def test_risk_is_held_against_the_truth(tmp_path):
     assert result.risk.brier == pytest.approx(squares / points)
     numbers = json.loads((result.out / "evaluation.json").read_text())
     assert numbers["risk"]["brier"] == result.risk.brier and "Brier" in result.table()
-    papers = {f"fig{k}" for k in ("09", 11, 18, 20, 22, 23, 25)}
+    papers = {"fig18", "fig20", "fig22"}
     assert {path.name.split("_")[0] for path in result.figures} == {"reliability.png", *papers}
 
 
@@ -239,9 +236,8 @@ def test_numbers_that_do_not_exist_are_dashes(tmp_path):
     result = evaluate(folder, write_truth(tmp_path / "truth.npz"), figures=False)
     table = result.table()
     assert "nan" not in table
-    for row in ("RMS with the mean removed", "Map update, median / 99 %", "Landing site selection"):
-        line = next(line for line in table.splitlines() if row in line)
-        assert line.split()[-1] == "-"
+    line = next(line for line in table.splitlines() if "RMS with the mean removed" in line)
+    assert line.split()[-1] == "-"
 
 
 def test_map_somewhere_else(tmp_path):
@@ -258,22 +254,5 @@ def test_site_beyond_the_true_terrain_is_unknown_not_unsafe(tmp_path):
     sites = [(0.0, 0.0), (9.9, 0.0), (10.1, 0.0), (40.0, 0.0)]
     result = _evaluate(tmp_path, sites=sites)
     assert result.site_verdicts == ("safe", "safe", "unknown", "unknown")
-    assert (result.unsafe_in_top_five, result.unknown_in_top_five) == (0, 2)
+    assert result.unsafe_in_top_five == 0
     assert "rank 3, 4 beyond the true terrain" in result.table()
-
-
-def test_missed_places_are_listed_with_what_stands_there(tmp_path):
-    def rocks(x, y):
-        near = np.hypot(x - 3.0, y + 2.0) < 0.3
-        return ground(x, y) + np.where(near, 0.8, 0.0)
-
-    def safe(x, y):
-        return (np.hypot(x - 3.0, y + 2.0) > 1.1) & (np.hypot(x + 6.0, y - 6.0) > 0.3)
-
-    result = _evaluate(tmp_path, truth={"elevation": rocks, "safe": safe})
-    first, second = result.missed
-    assert (first.x, first.y) == pytest.approx((3.0, -2.0), abs=0.01)
-    assert (second.x, second.y) == pytest.approx((-6.0, 6.0), abs=0.01)
-    assert first.grid_points + second.grid_points == result.detection.missed_grid_points
-    assert first.depth == result.detection.missed_depth
-    assert first.relief == pytest.approx(0.8, abs=0.15)

@@ -3,7 +3,6 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -47,15 +46,6 @@ def test_processes_that_ask_at_once_get_domains_of_their_own(tmp_path, monkeypat
             assert domain.number == numbers[0]
         for other in others[1:]:
             other.communicate()
-
-
-def test_a_domain_with_a_participant_is_taken_though_the_first_has_left(tmp_path, monkeypatch):
-    monkeypatch.setattr(processes, "DOMAINS", [SPARE[0]])
-    third = processes.FIRST_PORT + processes.PORTS_PER_DOMAIN * SPARE[0] + 14
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
-        participant.bind(("", third))
-        with pytest.raises(ProcessError), local_domain(tmp_path):
-            pass
 
 
 def test_what_was_started_ends_with_sigterm_and_at_once_with_another(tmp_path, monkeypatch):

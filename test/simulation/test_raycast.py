@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from quadtree_lss.lab.simulation.lidar import FlashLidar
-from quadtree_lss.lab.simulation.terrain import Parabola, Terrain
+from quadtree_lss.lab.simulation.terrain import Terrain, parabola
 from quadtree_lss.lab.simulation.trajectory import look_at
 
 
@@ -72,21 +72,6 @@ def test_first_hit_is_the_least_root_of_all_cells(seed):
     assert 100 < np.isfinite(found).sum() < len(found)
 
 
-def test_parabola_is_hit_where_its_elevation_says():
-    parabola = Parabola()
-    generator = np.random.default_rng(4)
-    for origin in ([100.0, -100.0, 500.0], [0.0, 0.0, 20.0], [5.0, -5.0, 60.0]):
-        origin = np.array(origin)
-        directions = _fan(origin, [55.0, 55.0, 0.0] * generator.uniform(-1.0, 1.0, (4000, 3)))
-        points = origin + parabola.cast(origin, directions)[:, None] * directions
-        np.testing.assert_allclose(
-            points[:, 2], parabola.elevation_at(points[:, 0], points[:, 1]), atol=1e-9
-        )
-        # The surface is convex: from above, a straight line meets it only once.
-        half_way = origin + 0.5 * (points - origin)
-        assert np.all(half_way[:, 2] > parabola.elevation_at(half_way[:, 0], half_way[:, 1]))
-
-
 def test_rays_that_miss_are_nan():
     terrain = _terrain(lambda x, y: 0.0 * x * y)
     origin = np.array([0.0, 0.0, 10.0])
@@ -114,12 +99,12 @@ def test_beams_follow_the_lidar_frame():
 
 
 def test_noise_outliers_and_dropouts():
-    parabola = Parabola()
+    ground = parabola()
     position, target = np.array([0.0, 0.0, 100.0]), np.array([10.0, 0.0, 0.0])
     rotation = look_at(position, target)
     lidar = FlashLidar(field_of_view_deg=10.0, range_noise=0.08, outliers=0.1, dropouts=0.2)
-    scan = lidar.scan(parabola, position, rotation, np.random.default_rng(5))
-    error = np.linalg.norm(scan, axis=-1) - lidar.true_ranges(parabola, position, rotation)
+    scan = lidar.scan(ground, position, rotation, np.random.default_rng(5))
+    error = np.linalg.norm(scan, axis=-1) - lidar.true_ranges(ground, position, rotation)
     count = error.size
     lost = np.isnan(error).mean()
     assert abs(lost - 0.2) < 4.0 * np.sqrt(0.2 * 0.8 / count)

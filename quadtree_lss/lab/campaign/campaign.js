@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every flight of a campaign as a point of any two quantities; a click tells of one and where it is.
+// Each flight of a campaign as a point of any two quantities; a click shows its figures and the command that keeps it.
 "use strict";
-const { columns, indices, seeds, groups, colours, titles, page, command } = data;
-const canvas = byId("scatter"), kept = JSON.parse(byId("kept").textContent);
+const { columns, indices, seeds, groups, colours, titles, command } = data;
+const canvas = byId("scatter");
 const chosen = { x: "", y: "", flight: -1 };
 const EDGE = { left: 56, right: 14, top: 10, bottom: 40 };
 const known = name => Array.from(columns[name]).filter(v => !Number.isNaN(v));
@@ -51,7 +51,7 @@ function drawScatter() {
     }
   });
 }
-function pickFlight(index) { // its figures, and its page or the command that flies it again
+function pickFlight(index) { // show its figures and the command that flies it again
   const k = indices.indexOf(index), box = byId("flight");
   box.textContent = "";
   if (k < 0) { box.textContent = "There is no such flight."; return; }
@@ -59,11 +59,7 @@ function pickFlight(index) { // its figures, and its page or the command that fl
   byId("number").value = index;
   const head = box.appendChild(document.createElement("p"));
   head.append(`Flight ${index}, seed ${seeds[k]}: `);
-  const folder = String(index).padStart(6, "0");
-  const where = head.appendChild(document.createElement(kept.includes(folder) ? "a" : "code"));
-  if (kept.includes(folder)) {
-    where.href = `kept/${folder}/${page}`; where.textContent = "open its page";
-  } else where.textContent = `${command} ${index}`;
+  head.appendChild(document.createElement("code")).textContent = `${command} ${index}`;
   const table = box.appendChild(document.createElement("table"));
   table.className = "plain";
   for (const name of Object.keys(titles)) {

@@ -63,12 +63,11 @@ class Quantity:
 @dataclass(frozen=True)
 class Kind:
     """How to fly a case, and its figures. ``fly`` may raise `QuadtreeLssError`; ``keep`` writes all
-    results with a ``page`` into a folder. The campaign's page first shows the figure ``first``
-    (empty: the first mean) over figures in ``by`` or varied by the study."""
+    results into a folder. The campaign's page begins with the figure ``first`` (empty: the first
+    mean) over a figure of ``by`` or one that the study varies."""
 
     fly: Callable[[Case], Figures]
     keep: Callable[[Case, Path], None]
-    page: str
     scenarios: Collection[str]
     conditions: Collection[str]
     quantities: tuple[Quantity, ...]

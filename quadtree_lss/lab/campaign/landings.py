@@ -51,7 +51,6 @@ def keep(case: Case, folder: Path) -> None:
 FLY = Kind(
     fly=fly,
     keep=keep,
-    page="flight.html",
     scenarios=AVOIDANCE,
     conditions=CONDITIONS,
     quantities=(

@@ -14,9 +14,10 @@ from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.campaign.kinds import Case, Figures, Kind, Quantity
-from quadtree_lss.lab.evaluation.evaluate import EvaluationResult, evaluate, score
+from quadtree_lss.lab.evaluation.evaluate import evaluate
 from quadtree_lss.lab.evaluation.results import Results, Truth, results_of, truth_of
 from quadtree_lss.lab.evaluation.risk_flights import lander_of
+from quadtree_lss.lab.evaluation.score import EvaluationResult, score
 from quadtree_lss.lab.simulation.lidar import StereoCamera
 from quadtree_lss.lab.simulation.recording import DEPTH_TYPES, POSE, POSE_TOPIC, TYPES
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions
@@ -47,13 +48,12 @@ def fly_in_memory(
     """Results and truth of a simulated flight, bit-identical to those through a bag."""
     simulation = Simulation(scenario, seed, **conditions)
     results = results_of(replay(in_memory(simulation), None, config, report=False))
-    return results, truth_of(simulation.truth("bag", lander_of(config)))
+    return results, truth_of(simulation.truth(lander_of(config)))
 
 
 def figures(scores: EvaluationResult, results: Results, truth: Truth) -> Figures:
     detection, elevation = scores.detection, scores.elevation
     judged = [verdict for verdict in scores.site_verdicts if verdict != "unknown"]
-    largest = scores.missed[0] if scores.missed else None
     rise_y, rise_x = np.gradient(truth.elevation, truth.y, truth.x)
     found: dict[str, float | int | None] = {
         "hazardous_found": 100.0 * detection.hazardous_found,
@@ -63,7 +63,6 @@ def figures(scores: EvaluationResult, results: Results, truth: Truth) -> Figures
         "missed_grid_points": detection.missed_grid_points,
         "hazardous_grid_points": detection.hazardous_grid_points,
         "missed_depth": detection.missed_depth,
-        **{f"missed_{k}": getattr(largest, k, None) for k in ("x", "y", "relief")},
         "sites": scores.sites,
         "unsafe_in_top_five": scores.unsafe_in_top_five,
         "judged_in_top_five": len(judged),
@@ -99,7 +98,6 @@ def keep(case: Case, folder: Path) -> None:
 MAP = Kind(
     fly=fly,
     keep=keep,
-    page="evaluation/report.html",
     scenarios=tuple(SCENARIOS),
     conditions=CONDITIONS,
     quantities=(

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_closing, distance_transform_edt, label
+from scipy.ndimage import binary_closing, distance_transform_edt
 
 from quadtree_lss.desk.exchange.saved import Grid
 from quadtree_lss.desk.replay.results import aligned
@@ -33,7 +33,10 @@ SiteVerdict = Literal["safe", "unsafe", "unknown"]
 
 @dataclass(frozen=True)
 class ElevationError:
-    """Estimate minus truth (m) over seen terrain, sampled evenly in area."""
+    """Estimate minus truth (m) over observed terrain, sampled evenly in area.
+
+    ``without_estimate``: fraction of the observed finest cells that have no estimate.
+    """
 
     mean_absolute: float
     rms: float
@@ -41,10 +44,8 @@ class ElevationError:
     mean: float
     mean_absolute_mean_removed: float
     rms_mean_removed: float
-    maximum_mean_removed: float
     samples: int
     without_estimate: float
-    """Fraction of the finest cells in which a point fell that have no estimate."""
 
 
 @dataclass(frozen=True)
@@ -102,18 +103,6 @@ class SafetyField:
         return self.scored & ~self.truly_safe & self.called_safe & self.seen
 
 
-@dataclass(frozen=True)
-class MissedPlace:
-    """A patch of hazardous ground called safe: centre, grid points, depth within hazardous ground,
-    and height of the highest post that the lander can touch above the median (m)."""
-
-    x: float
-    y: float
-    grid_points: int
-    depth: float
-    relief: float
-
-
 def seen_at(grid: Grid, x: Array, y: Array) -> Mask:
     """Whether all grid points around each of the points x (n,), y (m,) are seen: (m, n)."""
     unseen = (~grid.seen).astype(np.float64)
@@ -140,18 +129,21 @@ def elevation_field(cells: CellMap, grid: Grid, truth: Truth) -> ErrorField:
 
 
 def elevation_error(field: ErrorField) -> ElevationError:
-    """Statistics of an error field; NaN where nothing was seen."""
+    """Statistics of an error field; NaN where nothing was observed."""
     error = field.error[np.isfinite(field.error)]
     if not error.size:
-        return ElevationError(*[float("nan")] * 7, 0, field.without_estimate)
-
-    def sizes(of: Array) -> tuple[float, float, float]:
-        size = np.abs(of)
-        return float(size.mean()), float(np.sqrt(np.square(of).mean())), float(size.max())
-
-    mean = float(error.mean())
-    values = *sizes(error), mean, *sizes(error - mean)
-    return ElevationError(*values, error.size, field.without_estimate)
+        return ElevationError(*[float("nan")] * 6, 0, field.without_estimate)
+    mean, size, within = float(error.mean()), np.abs(error), error - error.mean()
+    return ElevationError(
+        mean_absolute=float(size.mean()),
+        rms=float(np.sqrt(np.square(error).mean())),
+        maximum=float(size.max()),
+        mean=mean,
+        mean_absolute_mean_removed=float(np.abs(within).mean()),
+        rms_mean_removed=float(np.sqrt(np.square(within).mean())),
+        samples=error.size,
+        without_estimate=field.without_estimate,
+    )
 
 
 def fill_holes(seen: Mask, spacing: float) -> Mask:
@@ -247,20 +239,6 @@ def site_verdicts(sites: Array, truth: Truth) -> tuple[SiteVerdict, ...]:
             known[k], safe[k] = True, truth.safe[j, i]
     words: tuple[SiteVerdict, ...] = ("unknown", "unsafe", "safe")
     return tuple(words[k] for k in known * (1 + safe))
-
-
-def missed_places(field: SafetyField, truth: Truth) -> tuple[MissedPlace, ...]:
-    """Connected patches of hazardous ground called safe, the largest first."""
-    patch, count = label(field.missed, np.ones((3, 3), int))
-    depth, reach, places = _depth(field), truth.lander.reach, []
-    for k in range(1, count + 1):
-        j, i = np.nonzero(patch == k)
-        x, y = float(field.x[i].mean()), float(field.y[j].mean())
-        near_x, near_y = np.abs(truth.x - x) <= reach, np.abs(truth.y - y) <= reach
-        ground = truth.elevation[np.ix_(near_y, near_x)]
-        relief = float(ground.max() - np.median(ground))
-        places.append(MissedPlace(x, y, j.size, float(depth[j, i].max()), relief))
-    return tuple(sorted(places, key=lambda place: -place.grid_points))
 
 
 @dataclass(frozen=True)

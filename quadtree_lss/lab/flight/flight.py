@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.lab.flight.gimbal import Gimbal, quaternion
+from quadtree_lss.lab.flight.gimbal import Gimbal
 from quadtree_lss.lab.flight.ground import Ground, start
 from quadtree_lss.lab.flight.pilot import Pilot
 from quadtree_lss.lab.flight.settings import FlightSettings
@@ -102,7 +102,7 @@ class Flight:
         config = flight_config(settings, self.ground)
         flown, commit = (settings.vehicle, settings.rules, planned), config.lss.commit_height
         self.pilot = Pilot(*flown, avoid=avoid, commit_height=commit)
-        self.looks = avoid
+        self.scanning = avoid
         self.gimbal = Gimbal(settings.plan, FIELD_OF_VIEW_DEG, planned, self.ground.half)
         wrong = settings.range_noise, settings.outliers, settings.dropouts
         self._lidar = FlashLidar(FIELD_OF_VIEW_DEG, 128, *wrong)
@@ -135,7 +135,7 @@ class Flight:
             self.lander.command(thrust)
             self._sample()
         self._fail(float(position[2] - self.pilot.aim[2]))
-        sent = list(self._sense(position, velocity)) if self.looks else []
+        sent = list(self._sense(position, velocity)) if self.scanning else []
         self.lander.step(TICK)
         self._ticks += 1
         self._end()
@@ -200,7 +200,7 @@ class Flight:
         rotation = self.gimbal.rotation()
         self._seen_from = (self.lander.position.copy(), rotation)
         if "pose_gap" not in self.active:
-            xyzw = quaternion(rotation)
+            xyzw = Rotation.from_matrix(rotation).as_quat()
             yield Sent("nav/pose", self.stamp_ns, (position, xyzw, self._covariance))
         looking = not pilot.committed and pilot.mode not in ("terminal", "abort")
         if self._ticks % SCAN_EVERY == 1 and looking and "lidar_gap" not in self.active:

@@ -12,9 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from quadtree_lss.desk.exchange.dem import ElevationModel
 from quadtree_lss.desk.exchange.saved import Results, load_results
-from quadtree_lss.desk.replay.elevation_model import rank_sites
 from quadtree_lss.desk.replay.files import write_bytes, write_csv, write_json, write_npz
 from quadtree_lss.desk.replay.results import ReplayResult, run_summary, write_results
 from quadtree_lss.desk.report import drawing
@@ -32,21 +30,21 @@ from quadtree_lss.lab.flight.fly import Flown, flight_config
 from quadtree_lss.lab.flight.ground import GRID, Ground
 from quadtree_lss.lab.flight.pilot import Decision
 from quadtree_lss.lab.simulation.safety import LandingGear
-from quadtree_lss.onboard.config.settings import config_from_values, still_parameters
 
 PATH, SCANS, UNSAFE, PLACE, DOWN = "#0072b2", "#56b4e9", "#d55e00", "#e69f00", "#009e73"
 
 
 def write_flight(out: Path, flown: Flown) -> None:
-    """Write figures, record, decisions, picture and page, and the map like a replay's results.
-    Raises `OSError`: ``out`` cannot be written."""
+    """Write figures, record, decisions and picture; of a flight with a map also a replay's results
+    and the page. Raises `OSError`: ``out`` cannot be written."""
     write_json(out / "touchdown.json", flown.figures)
     flight = flown.flight
     _write_csv(out / "flight.csv", flight.samples[0]._fields, flight.samples)
     _write_csv(out / "decisions.csv", Decision._fields, flight.pilot.decisions)
     picture = drawing.png(figure(flown), dpi=110)
     write_bytes(out / "flight.png", picture)
-    write_bytes(out / "flight.html", _page(out, flown, picture).encode())
+    if flown.cells is not None and flown.last is not None:
+        write_bytes(out / "flight.html", _page(_write_map(out, flown), flown, picture).encode())
 
 
 def figure(flown: Flown) -> Figure:
@@ -76,9 +74,9 @@ def _above(axes: Axes, flown: Flown) -> None:
     path = np.array([(s.x, s.y) for s in flight.samples])
     axes.plot(*path.T, color=PATH, lw=2, label="path")
     axes.plot(x, y, "x", color="black", ms=9, mew=2, label="planned point")
-    told = [d for d in flight.pilot.decisions if d.what in ("target", "divert")]
-    if told:
-        places = np.array([(d.x, d.y) for d in told])
+    targets = [d for d in flight.pilot.decisions if d.what in ("target", "divert")]
+    if targets:
+        places = np.array([(d.x, d.y) for d in targets])
         axes.plot(*places.T, "o", color=PLACE, mec="black", label="targets flown to")
     axes.plot(*path[-1], "*", color=DOWN, ms=14, mec="black", label="end")
     axes.legend(fontsize="x-small", loc="lower right")
@@ -130,12 +128,10 @@ def headline(flown: Flown) -> str:
     )
 
 
-def _page(out: Path, flown: Flown, picture: bytes) -> str:
-    """The page of the flight's results, with the flight."""
+def _page(content: Results, flown: Flown, picture: bytes) -> str:
+    """Render the page of the flight's results, with the flight."""
     flight, figures = flown.flight, flown.figures
-    content = _content(out, flown)
     down = figures["outcome"] == "touchdown"
-    note = "" if flown.cells is not None else " The map is the true ground: the flight made none."
     words, _, ground = headline(flown).partition(": ")[2].partition(" after ")
     return page(
         content,
@@ -144,7 +140,7 @@ def _page(out: Path, flown: Flown, picture: bytes) -> str:
         also=lambda data, columns: {"flight": _flight_data(data, columns, flown)},
         title=f"Flight, seed {figures['seed']}",
         answer=f"{words[:1].upper()}{words[1:]}.",
-        ground=f"After {ground}.{note}",
+        ground=f"After {ground}.",
         level="good" if down and figures["safe"] else "none",
         picture_of_map=drawing.small(picture),
         decisions=[
@@ -162,22 +158,14 @@ def _page(out: Path, flown: Flown, picture: bytes) -> str:
     )
 
 
-def _content(out: Path, flown: Flown) -> Results:
-    """The map of the flight, written as the results of a replay; without one, the true ground."""
-    flight = flown.flight
+def _write_map(out: Path, flown: Flown) -> Results:
+    """Write the map of the flight as the results of a replay, and read them."""
+    flight, cells, last = flown.flight, flown.cells, flown.last
+    assert cells is not None and last is not None
     config = flight_config(flight.settings, flight.ground)
     bag = f"flight of seed {flown.figures['seed']}"
-    if flown.cells is None or flown.last is None:
-        t, middle = flight.ground.terrain, flight.ground.planned[:2]
-        half = 0.5 * config.domain.size
-        model = ElevationModel(t.x, t.y, t.elevation).within(middle - half, middle + half)
-        result = rank_sites(model, None, config)
-        config = config_from_values(still_parameters(result.summary["config"]))
-        result.summary["bag"] = bag
-    else:
-        known = {"bag": bag, "duration": flight.time, **flown.told}
-        summary = run_summary(flown.cells, flown.last, config, **known)
-        result = ReplayResult(out, flown.cells, flown.last, (), summary, flown.targets)
+    summary = run_summary(cells, last, config, bag=bag, duration=flight.time, **flown.summary)
+    result = ReplayResult(out, cells, last, (), summary, flown.targets)
     write_results(out, result, config, False, flown.history)
     if flown.history is not None:
         write_npz(out / "history.npz", flown.history.arrays())
@@ -222,5 +210,5 @@ def _flight_data(data: dict[str, Any], columns: Columns, flown: Flown) -> dict[s
 
 
 def _write_csv(path: Path, header: Any, rows: Any) -> None:
-    told = ([f"{v:.6g}" if isinstance(v, float) else v for v in row] for row in rows)
-    write_csv(path, header, told)
+    texts = ([f"{v:.6g}" if isinstance(v, float) else v for v in row] for row in rows)
+    write_csv(path, header, texts)

@@ -27,18 +27,18 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.intake import Intake
 from quadtree_lss.onboard.messages.landing_inputs import AREA, LandingWishes
 
+#: Period at which ``landing/selected`` is repeated, as by lss_node.
 REPEAT_NS = 400_000_000
-"""``landing/selected`` is said again so often, as by lss_node."""
-OUTSIDE = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapping"}
-"""Faults that hit a node."""
+#: Faults that kill a node.
+KILLS = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapping"}
 
 
 @dataclass(frozen=True)
 class Flown:
     """A flight that has ended: its final state and record, figures (``docs/topics_and_files.md``),
     and the last assessment, None without nodes. If recorded: ``cells``, the map at the end, its
-    ``history``, changes of the target, and ``told``, values for the summary. ``heard``: ticks and
-    answers (None: no target) of a live flight, which repeat it without ROS."""
+    ``history``, changes of the target, and values for the ``summary``. ``heard``: ticks and answers
+    (None: no target) of a live flight, which repeat it without ROS."""
 
     flight: Flight
     figures: dict[str, Any]
@@ -46,7 +46,7 @@ class Flown:
     cells: CellMap | None = None
     history: History | None = None
     targets: tuple[TargetChange, ...] = ()
-    told: dict[str, Any] = field(default_factory=dict)
+    summary: dict[str, Any] = field(default_factory=dict)
     heard: Sequence[tuple[int, Array | None]] = ()
 
 
@@ -61,7 +61,7 @@ def flown(
     """Fly a seed; ``record`` keeps what the page shows. ``ground``: of this seed, if made before.
     ``progress`` gets the seconds flown."""
     flight = Flight(seed, settings, ground)
-    if not flight.looks:
+    if not flight.scanning:
         fly(flight, None, progress)
         return Flown(flight, figures_of(seed, flight, None), None)
     config, history = flight_config(settings, flight.ground), History() if record else None
@@ -80,7 +80,7 @@ def fly(flight: Flight, nodes: Any, progress: Callable[[float], None] | None) ->
             now = set(flight.active)
             if "land_now" in now - before:
                 nodes.land_now()
-            for kind, node in OUTSIDE.items():
+            for kind, node in KILLS.items():
                 if kind in now - before:
                     nodes.kill(node)
                 elif kind in before - now:
@@ -180,9 +180,9 @@ class LockstepNodes:
     def recorded(self, found: Flown) -> Flown:
         """Add the final map, its assessment, and values for the summary."""
         self._passes.finish(found.flight.stamp_ns, self.mapper.snapshot)
-        told = {"landing": self._wishes.as_lists(), "range_noise_ratio": self._noise_ratio}
+        summary = {"landing": self._wishes.as_lists(), "range_noise_ratio": self._noise_ratio}
         last, cells, targets = self._passes.last, self._passes.cells, tuple(self.targets)
-        record = {"history": self.history, "targets": targets, "told": told}
+        record = {"history": self.history, "targets": targets, "summary": summary}
         return replace(found, last=last, cells=cells, **record)
 
     def kill(self, node: str) -> None:

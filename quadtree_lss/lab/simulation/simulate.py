@@ -97,7 +97,7 @@ def simulate(
         if not simulation.legs[0].scans:
             raise KeyboardInterrupt
         if truth_path is not None:
-            arrays = simulation.truth(path.name, lander)
+            arrays = simulation.truth(lander)
             beside = path.parent / f".{TRUTH_NAME}"
             try:
                 np.savez_compressed(beside, **arrays)  # type: ignore[arg-type]
