@@ -140,7 +140,6 @@ def show_found(fields: list[Hemispheres], state: np.ndarray) -> None:
         + ["centre cm", "95 %", "in 10 cm"],
         rows,
     )
-    print("height off: median of (estimate / radius - 1); 'in': share of those found")
 
 
 def percent(share: np.ndarray) -> str:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CPU time of one scan update by flight, by points and by leaves; memory of a leaf.
+"""CPU time of one scan update by flight, by points and by leaves, with everything on.
 
-For comparison, mean heights on a fixed grid are computed in three ways (`common/heights.py`) from
-the same scans in the same run. Exceptions, roughness and subscale features are all on.
+For comparison, mean heights on a fixed grid are computed in two ways (`common/heights.py`) from the
+same scans in the same run.
 """
 
 from __future__ import annotations

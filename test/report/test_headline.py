@@ -49,30 +49,20 @@ def test_little_is_not_nothing():
     assert [headline.few(value) for value in said] == list(said.values())
 
 
-def test_no_site_names_the_largest_circle_and_what_ends_it(content):
-    """Clear ground about one place only: a disc of 1.2 m in touchdown hazards."""
+def test_without_a_site_ground_without_an_estimate_is_told(content):
     x, y = np.meshgrid(content.grid["x"], content.grid["y"])
     row, column = (n // 2 for n in x.shape)
     away = np.hypot(x - x[row, column], y - y[row, column])
-    found = without_sites(content, np.where(away < 1.2, 0, 8).astype(np.uint8))
-    circle = headline.largest_circle(found)
-    assert (circle.x, circle.y) == (x[row, column], y[row, column])
-    assert (
-        circle.radius == pytest.approx(1.2, abs=content.grid.spacing) and circle.limit == "hazards"
-    )
-    unseen = without_sites(content, np.where(away < 1.2, 0, 128).astype(np.uint8))
-    assert headline.largest_circle(unseen).limit == "unobserved ground"
     unmapped = without_sites(content, np.where(away < 1.2, 0, 192).astype(np.uint8))
-    assert headline.largest_circle(unmapped).limit == "ground observed but not estimated"
     more = headline.areas(unmapped, headline.last_moment(unmapped)).unmapped
     said = headline.verdict(unmapped).ground
     assert f"; {more:,.0f} m² more are observed but not estimated" in said
+    found = without_sites(content, np.where(away < 1.2, 0, 8).astype(np.uint8))
     _, words, text, _ = headline.verdict(found)
     assert words == "No landing site." and text.startswith(headline.shortfall(found))
     assert headline.shortfall(found) and "othing fits" not in text
     nothing = without_sites(content, np.full_like(content.grid["hazard"], 128))
     assert headline.verdict(nothing).ground == "Nothing fits."
-    assert "Largest circle of clear ground" in text and "are needed" in text
 
 
 def test_the_nearest_miss_is_the_most_level_or_has_the_least_risk(content):
@@ -95,7 +85,7 @@ def test_the_nearest_miss_is_the_most_level_or_has_the_least_risk(content):
 
 
 def test_where_there_are_sites_nothing_is_missed(content):
-    assert headline.nearest_miss(content) is None and headline.largest_circle(content) is None
+    assert headline.nearest_miss(content) is None
 
 
 def test_no_probability_is_rounded_to_certainty(content):
