@@ -36,12 +36,12 @@ def edited(**new):
 @pytest.mark.parametrize(
     ("spoil", "word"),
     [
-        (edited(index="1"), "no record"),
-        (edited(index=2), "but of 000002-"),
-        (edited(more=1), "no record"),
-        (lambda text: text[: len(text) // 2], "no record"),
-        (lambda text: b"", "no record"),
-        (lambda text: b"[" * 100_000, "no record"),
+        (edited(index="1"), "not the record"),
+        (edited(index=2), "not the record"),
+        (edited(more=1), "not the record"),
+        (lambda text: text[: len(text) // 2], "not the record"),
+        (lambda text: b"", "not the record"),
+        (lambda text: b"[" * 100_000, "not the record"),
     ],
 )
 def test_what_is_no_record_of_a_flight_is_named(store, spoil, word):
@@ -57,7 +57,7 @@ def test_a_pipe_in_place_of_a_record_or_a_link_in_place_of_a_lock_does_no_harm(s
     path, other = store.path(CASES[1]), store.out.parent / "other"
     path.unlink()
     os.mkfifo(path)
-    with pytest.raises(CampaignError, match="no record"):
+    with pytest.raises(CampaignError, match="not the record"):
         store.read(CASES[1])
     other.write_text("of somebody else")
     (store.out / ".lock").symlink_to(other)

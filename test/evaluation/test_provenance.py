@@ -51,7 +51,7 @@ def name_truth(path, **entries):
 
 
 def score(results, truth, **options):
-    return evaluate(results, truth, figures=False, **options)
+    return evaluate(results, truth, page=False, **options)
 
 
 def refused(results, truth, word, **options):

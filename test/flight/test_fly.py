@@ -15,7 +15,7 @@ from quadtree_lss.lab.flight.settings import FlightError, flight_settings
 from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
 from quadtree_lss.onboard.core.landing.target import State
 
-SHORT = {"slant_range": 260.0, "speed": 26.0, "half": 8.0, "scatter": 3.0, "plan": {"survey": 3.0}}
+SHORT = {"slant_range": 260.0, "speed": 26.0, "half": 8.0, "scatter": 3.0, "survey": 3.0}
 SEED = 40049
 
 
@@ -118,10 +118,9 @@ WRONG_TIMES = ("nan", "inf", "-1", "60+-3", "60+1e99", "60+nan", "60+0")
         ({"speeed": 3.0}, "speeed"),
         ({"faults": ("meteor@50",)}, "meteor"),
         ({"faults": ("pose_gap",)}, "KIND@HEIGHT"),
-        ({"vehicle": {"wings": 2}}, "vehicle"),
         ({"half": -3.0}, "half must be between 2 and 10000, not -3"),
         ({"outliers": "many"}, "outliers must be between 0 and 1, not many"),
-        ({"plan": {"survey": 0.0}}, "survey must be"),
+        ({"survey": 0.0}, "survey must be"),
         *(({"faults": (f"kill_mapping@{when}",)}, "from 0 to") for when in WRONG_TIMES),
     ],
 )

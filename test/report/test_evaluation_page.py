@@ -10,7 +10,7 @@ from report.pages import Page, accessible, in_a_browser, sheets
 
 from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.lab.evaluation.evaluate import evaluate
-from quadtree_lss.lab.evaluation.figures import VERDICTS
+from quadtree_lss.lab.evaluation.evaluation_page import VERDICTS
 from quadtree_lss.lab.evaluation.results import load_truth
 
 

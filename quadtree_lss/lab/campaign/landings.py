@@ -23,8 +23,6 @@ def settings_of(case: Case) -> FlightSettings:
     given["terrain"] = given.get("terrain") or ""
     if "rocks" in given:
         given["rock_abundance"] = given.pop("rocks")
-    if "survey" in given:
-        given["plan"] = {"survey": given.pop("survey")}
     return flight_settings(given)
 
 
@@ -57,7 +55,7 @@ FLY = Kind(
         Quantity("safe", "Safe touchdowns", worst="smallest", of="one"),
         Quantity("unsafe", "Unsafe touchdowns", of="one"),
         Quantity("aborted", "Flights without touchdown", of="one"),
-        Quantity("doubted", "Flights with doubts of their risks", of="one"),
+        Quantity("doubted", "Flights with warnings about their risks", of="one"),
         Quantity("unsafe_known", "Unsafe where the map had said so", of="one"),
         Quantity("error", "Touchdown from the aim", "m", 3),
         Quantity("from_planned", "Touchdown from the planned point", "m", 1),

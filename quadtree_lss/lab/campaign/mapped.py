@@ -7,8 +7,6 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from quadtree_lss.desk.bags.bag import MessageBag, Topic
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.files import plain
@@ -54,14 +52,11 @@ def fly_in_memory(
 def figures(scores: EvaluationResult, results: Results, truth: Truth) -> Figures:
     detection, elevation = scores.detection, scores.elevation
     judged = [verdict for verdict in scores.site_verdicts if verdict != "unknown"]
-    rise_y, rise_x = np.gradient(truth.elevation, truth.y, truth.x)
     found: dict[str, float | int | None] = {
         "hazardous_found": 100.0 * detection.hazardous_found,
         "safe_found": 100.0 * detection.safe_found,
         "precision": 100.0 * detection.precision,
         "unseen_box": 100.0 * detection.unseen_box,
-        "missed_grid_points": detection.missed_grid_points,
-        "hazardous_grid_points": detection.hazardous_grid_points,
         "missed_depth": detection.missed_depth,
         "sites": scores.sites,
         "unsafe_in_top_five": scores.unsafe_in_top_five,
@@ -73,16 +68,13 @@ def figures(scores: EvaluationResult, results: Results, truth: Truth) -> Figures
         "doubted": int(bool(results.summary["doubts"])),
         "rms_mean_removed": elevation.rms_mean_removed,
         "mean_absolute": elevation.mean_absolute,
-        "mean_error": elevation.mean,
         "maximum": elevation.maximum,
         "leaves": scores.leaves_estimated,
         "scans": int(results.timing["stamp_ns"].size),
         "noise_ratio": results.summary["range_noise_ratio"],
         "truly_safe": 100.0 * float(truth.safe.mean()),
-        "true_slope_deg": float(np.degrees(np.arctan(np.median(np.hypot(rise_x, rise_y))))),
+        "brier": None if scores.risk is None else scores.risk.brier,
     }
-    for name in ("brier", "log_score"):  # of a map without risks there are none
-        found[name] = getattr(scores.risk, name, None)
     whole: Figures = plain(found)
     return whole
 
@@ -107,7 +99,7 @@ MAP = Kind(
         Quantity("unsafe_in_top_five", "Unsafe sites in the top five", of="judged_in_top_five"),
         Quantity("unsafe_first", "Unsafe first site", of="judged_first"),
         Quantity("without_site", "Flights without a site", of="one"),
-        Quantity("doubted", "Flights with doubts of their risks", of="one"),
+        Quantity("doubted", "Flights with warnings about their risks", of="one"),
         Quantity("brier", "Brier score of the risk", "", 4),
         Quantity("rms_mean_removed", "Elevation RMS, mean removed", "m", 4),
         Quantity("mean_absolute", "Elevation error, mean absolute", "m", 4),
@@ -117,5 +109,5 @@ MAP = Kind(
         Quantity("leaves", "Leaves with an estimate", "", 0),
     ),
     first="safe_found",
-    by=("truly_safe", "true_slope_deg", "noise_ratio", "mean_error"),
+    by=("truly_safe", "noise_ratio"),
 )

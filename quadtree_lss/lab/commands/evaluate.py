@@ -36,7 +36,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--truth", required=True, type=common.named, metavar="NPZ", help=text)
     text = "the bag that was replayed, for Table 2 (default: where it was when it was replayed)"
     add("--bag", type=common.named, metavar="BAG", help=text)
-    text = "folder for tables and figures (default DIR/evaluation)"
+    text = "folder for scores and page (default DIR/evaluation)"
     add("--out", type=common.named, metavar="DIR", help=text)
     parser = common.add_command(commands, "fit-risk", _fit, FIT, FIT_EXAMPLES)
     add = parser.add_argument
@@ -54,7 +54,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     with ProgressBar("consistency", "scans", options.verbose) as bar:
         where = {"out": options.out, "bag": options.bag}
         result = evaluate(options.results, options.truth, **where, progress=bar.update)
-    common.tell(options, result, f"figures and numbers in {result.out}")
+    common.tell(options, result, f"page and numbers in {result.out}")
     return common.DONE
 
 

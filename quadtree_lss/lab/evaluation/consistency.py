@@ -154,8 +154,6 @@ def _check_scan(report: ScanReport, points: int, used: int, leaves: int) -> None
     processor a few leaves differ, where a statistic is at a threshold."""
     same = (report.points, report.points_used) == (points, used)
     if not same or abs(report.leaves - leaves) > 2 + leaves // 100:
-        raise EvaluationError(
-            f"the bag holds other scans than were mapped: after that of {report.stamp_ns} ns"
-            f" {report.points_used} of {report.points} points are used and there are"
-            f" {report.leaves} leaves, by timing.csv {used} of {points} and {leaves}"
-        )
+        msg = f"the bag holds other scans than were mapped: at {report.stamp_ns} ns there are"
+        msg += f" {report.points_used} points and {report.leaves} leaves, in timing.csv"
+        raise EvaluationError(f"{msg} {used} and {leaves}")

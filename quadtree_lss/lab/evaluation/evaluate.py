@@ -33,13 +33,13 @@ def evaluate(
     *,
     bag: str | Path | None = None,
     consistency: bool = True,
-    figures: bool = True,
+    page: bool = True,
     progress: Progress | None = None,
 ) -> EvaluationResult:
     """Score results of ``replay`` against ``truth.npz``.
 
-    Writes ``evaluation.json`` and, with ``figures``, ``report.html`` and PNG figures into ``out``
-    (default: ``results_dir/evaluation``). For Table 2 (``consistency``) the ``bag``, by default the
+    Writes ``evaluation.json`` and, with ``page``, ``report.html`` into ``out`` (default:
+    ``results_dir/evaluation``). For Table 2 (``consistency``) the ``bag``, by default the
     one that ``summary.json`` names, is mapped again; ``progress(done, total)`` counts its scans.
 
     Raises `EvaluationError`: a file is missing or malformed, results, truth and bag are not of one
@@ -56,12 +56,9 @@ def evaluate(
     with writing(folder, EvaluationError):
         folder.mkdir(parents=True, exist_ok=True)
     result = replace(result, out=folder, notes=tuple(notes))
-    if figures:
+    if page:
         from quadtree_lss.lab.evaluation.evaluation_page import evaluation_page  # matplotlib
-        from quadtree_lss.lab.evaluation.figures import draw_all
 
-        drawn = draw_all(folder, results, truth, result.heights, result.safety)
-        result = replace(result, figures=drawn)
         try:
             text = evaluation_page(results.folder, truth, result)
             (folder / "report.html").write_text(text, encoding="utf-8")

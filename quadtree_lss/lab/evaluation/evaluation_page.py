@@ -11,9 +11,26 @@ from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.report.page_data import Layer
 from quadtree_lss.desk.report.palette import colour_limits, even_limits
 from quadtree_lss.desk.report.report import page, short_name
-from quadtree_lss.lab.evaluation.figures import VERDICTS, verdict_classes
+from quadtree_lss.lab.evaluation.metrics import SafetyField
 from quadtree_lss.lab.evaluation.results import Truth
 from quadtree_lss.lab.evaluation.score import EvaluationResult, percent
+
+#: Verdicts on grid points, in colours of Okabe and Ito's palette.
+VERDICTS = (
+    ("safe, found", "#56b4e9"),
+    ("hazard, found", "#7f7f7f"),
+    ("safe, called hazardous", "#f0e442"),
+    ("hazard, MISSED", "#d55e00"),
+    ("unseen", "#dddddd"),
+)
+
+
+def verdict_classes(safety: SafetyField) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    """(ny, nx) of the field: which of `VERDICTS` each grid point is."""
+    called, safe = safety.called_safe & safety.seen, safety.truly_safe
+    return np.select(
+        [~safety.scored, safe & called, ~safe & ~called, safe & ~called], [4, 0, 1, 2], 3
+    )
 
 
 def evaluation_page(folder: Path, truth: Truth, result: EvaluationResult) -> str:

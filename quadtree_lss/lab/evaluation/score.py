@@ -17,11 +17,11 @@ from quadtree_lss.lab.evaluation.results import TOP, EvaluationError, Results, T
 
 @dataclass(frozen=True)
 class EvaluationResult:
-    """Scores of one run, and the files written.
+    """Scores of one run.
 
     ``site_verdicts``: of the first five ranks. ``risk`` and ``consistency`` are None without risks
-    and without a bag. ``notes``: parts that could not be computed or checked. ``heights``,
-    ``safety``: the compared fields.
+    and without a bag. ``notes``: parts that could not be computed or checked. ``safety``: the
+    compared grid points. ``out``: folder of the files.
     """
 
     elevation: metrics.ElevationError
@@ -31,11 +31,9 @@ class EvaluationResult:
     risk: metrics.Reliability | None
     leaves: int
     leaves_estimated: int
-    heights: metrics.ErrorField
     safety: metrics.SafetyField
     consistency: Consistency | None = None
     out: Path = Path()
-    figures: tuple[Path, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -43,8 +41,8 @@ class EvaluationResult:
         return self.site_verdicts.count("unsafe")
 
     def as_dict(self) -> dict[str, Any]:
-        arrays = ("heights", "safety", "out", "figures")
-        kept = {key: plain(value) for key, value in asdict(self).items() if key not in arrays}
+        omitted = ("safety", "out")
+        kept = {key: plain(value) for key, value in asdict(self).items() if key not in omitted}
         return {**kept, "unsafe_in_top_five": self.unsafe_in_top_five}
 
     def table(self) -> str:
@@ -89,15 +87,13 @@ def score(results: Results, truth: Truth) -> EvaluationResult:
     if min(safety.scored.size, results.grid.x.size - 1) < 1:
         msg = "has a single grid point, or does not overlap the scanned box of the truth"
         raise EvaluationError(f"the map in {results.folder} {msg}")
-    heights = metrics.elevation_field(results.map, results.grid, truth)
     return EvaluationResult(
-        elevation=metrics.elevation_error(heights),
+        elevation=metrics.elevation_error(results.map, results.grid, truth),
         detection=metrics.detection(safety),
         sites=len(results.positions),
         site_verdicts=metrics.site_verdicts(results.positions[:TOP], truth),
         risk=metrics.reliability_of(safety),
         leaves=results.map.level.size,
         leaves_estimated=int(results.map.estimated.sum()),
-        heights=heights,
         safety=safety,
     )

@@ -33,6 +33,8 @@ GUIDE_EVERY, SCAN_EVERY, ASK_EVERY = 10, 5, 100
 SCAN_AFTER = 0.0037
 START_NS = 1_700_000_000 * 10**9
 FIELD_OF_VIEW_DEG = 1.0
+#: Longest flight, s.
+LONGEST = 150.0
 #: Limits of a soft touchdown: m/s across, tilt in degrees, m/s down.
 SETTLE, TILT_DEG, SINK = 0.5, 6.0, 2.0
 JUMP = np.array([2.0, 0.0, 1.0])
@@ -171,7 +173,7 @@ class Flight:
         }
 
     def _errors(self, generator: np.random.Generator) -> None:
-        times = TICK * np.arange(round(self.settings.longest / TICK) + 2)
+        times = TICK * np.arange(round(LONGEST / TICK) + 2)
         still = np.zeros((times.size, 3)), np.broadcast_to(np.eye(3), (times.size, 3, 3))
         found = DriftingNavigation().estimate(generator, times, *still)
         self._offset, self._tilt = found.positions, found.rotations
@@ -243,7 +245,7 @@ class Flight:
             self.outcome = "touchdown"
         elif self.pilot.mode == "abort":
             self.outcome = "aborted"
-        elif self.time >= self.settings.longest:
+        elif self.time >= LONGEST:
             self.outcome = "time"
         if self.outcome:
             self._sample()

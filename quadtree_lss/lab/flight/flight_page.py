@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 
 from quadtree_lss.desk.exchange.saved import Results, load_results
 from quadtree_lss.desk.replay.files import write_bytes, write_csv, write_json, write_npz
@@ -29,7 +27,6 @@ from quadtree_lss.lab.flight.flight import START_NS
 from quadtree_lss.lab.flight.fly import Flown, flight_config
 from quadtree_lss.lab.flight.ground import GRID, Ground
 from quadtree_lss.lab.flight.pilot import Decision
-from quadtree_lss.lab.simulation.safety import LandingGear
 
 PATH, SCANS, UNSAFE, PLACE, DOWN = "#0072b2", "#56b4e9", "#d55e00", "#e69f00", "#009e73"
 
@@ -48,12 +45,10 @@ def write_flight(out: Path, flown: Flown) -> None:
 
 
 def figure(flown: Flown) -> Figure:
-    """Ground with scans and targets, and touchdown with the pads."""
-    whole = Figure(figsize=(13.0, 6.0), layout="constrained")
-    whole.suptitle(headline(flown), fontsize="medium")
-    left, right = whole.subplots(1, 2)
-    _above(left, flown)
-    _touchdown(right, flown)
+    """Draw the true ground from above, with path, scans and targets."""
+    whole = Figure(figsize=(7.5, 7.0), layout="constrained")
+    whole.suptitle(headline(flown), fontsize="medium", wrap=True)
+    _above(whole.subplots(), flown)
     return whole
 
 
@@ -61,7 +56,13 @@ def _above(axes: Axes, flown: Flown) -> None:
     flight = flown.flight
     ground = flight.ground
     x, y, half = *ground.planned[:2], ground.half + 3.0
-    _terrain(axes, ground, x, y, half)
+    terrain = ground.terrain
+    rows, columns = np.abs(terrain.y - y) <= half, np.abs(terrain.x - x) <= half
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), autoscale_on=False)
+    z = terrain.elevation[np.ix_(rows, columns)]
+    shown = drawing.layer(axes, terrain.x[columns], terrain.y[rows], z)
+    axes.figure.colorbar(shown, ax=axes, label="elevation [m]", shrink=0.8)
     at_x, at_y, room = ground.safe
     unsafe = np.where(room > 0.0, 0.0, 1.0)
     if 0.0 < unsafe.mean() < 1.0:
@@ -81,38 +82,6 @@ def _above(axes: Axes, flown: Flown) -> None:
     axes.plot(*path[-1], "*", color=DOWN, ms=14, mec="black", label="end")
     axes.legend(fontsize="x-small", loc="lower right")
     axes.set_title("ground in truth, unsafe places hatched", fontsize="medium")
-
-
-def _touchdown(axes: Axes, flown: Flown) -> None:
-    """The lander's circle and pads at two headings on the true ground."""
-    ground, lander = flown.flight.ground, LandingGear()
-    x, y = flown.figures["x"], flown.figures["y"]
-    shown = _terrain(axes, ground, x, y, 4.0)
-    if shown is not None:
-        axes.figure.colorbar(shown, ax=axes, label="elevation [m]", shrink=0.8)
-    radius = 0.5 * lander.diameter
-    axes.add_patch(Circle((x, y), radius, fill=False, color="white", lw=1.5))
-    for k in range(8):
-        angle = 0.25 * np.pi * k
-        pad = (x + radius * np.cos(angle), y + radius * np.sin(angle))
-        style = "-" if k % 2 == 0 else ":"
-        axes.add_patch(Circle(pad, lander.pad_radius, fill=False, color="white", lw=2, ls=style))
-    aim = flown.flight.pilot.aim
-    axes.plot(aim[0], aim[1], "+", color=PLACE, ms=14, mew=2.5)
-    axes.plot(x, y, "*", color=DOWN, ms=13, mec="black")
-    axes.set_title("touchdown on the true ground; + is the aim", fontsize="medium")
-
-
-def _terrain(axes: Axes, ground: Ground, x: float, y: float, half: float) -> ScalarMappable | None:
-    """Axes about a place, with the true ground; None if there is none."""
-    terrain = ground.terrain
-    rows, columns = np.abs(terrain.y - y) <= half, np.abs(terrain.x - x) <= half
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), autoscale_on=False)
-    if rows.sum() < 2 or columns.sum() < 2:
-        return None
-    z = terrain.elevation[np.ix_(rows, columns)]
-    return drawing.layer(axes, terrain.x[columns], terrain.y[rows], z)
 
 
 def headline(flown: Flown) -> str:

@@ -29,6 +29,8 @@ from quadtree_lss.onboard.messages.landing_inputs import AREA, LandingWishes
 
 #: Period at which ``landing/selected`` is repeated, as by lss_node.
 REPEAT_NS = 400_000_000
+#: Delay from an assessment to guidance, ns.
+DELAY_NS = 60_000_000
 #: Faults that kill a node.
 KILLS = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapping"}
 
@@ -65,7 +67,7 @@ def flown(
         fly(flight, None, progress)
         return Flown(flight, figures_of(seed, flight, None), None)
     config, history = flight_config(settings, flight.ground), History() if record else None
-    nodes = LockstepNodes(config, settings.answer_delay, history)
+    nodes = LockstepNodes(config, history)
     fly(flight, nodes, progress)
     found = Flown(flight, figures_of(seed, flight, nodes.last), nodes.last)
     return nodes.recorded(found) if record else found
@@ -113,13 +115,11 @@ def map_said(last: LandingAssessment, x: float, y: float) -> str:
 
 class LockstepNodes:
     """mapping_node and lss_node without transport. A killed node loses its memory, not latched
-    messages. ``answer_delay``: from an assessment to guidance, s; ``last``: the last assessment
-    that guidance heard."""
+    messages. ``last``: the last assessment that guidance got."""
 
-    def __init__(self, config: Config, answer_delay: float, history: History | None = None) -> None:
+    def __init__(self, config: Config, history: History | None = None) -> None:
         self._config = config
         self._make = Messages(typestore(ros1=False).types, frame=config.frames.map)
-        self._delay_ns = round(1e9 * answer_delay)
         self._wishes = LandingWishes(config.frames.map)
         self._checkpoint: Any = None
         self._checkpoint_ns = 0
@@ -172,7 +172,7 @@ class LockstepNodes:
         return [said.selected.position.copy() if said.selected.id else None]
 
     def _answer(self, now_ns: int, found: LandingAssessment) -> None:
-        self._waiting.append((now_ns + self._delay_ns, found))
+        self._waiting.append((now_ns + DELAY_NS, found))
 
     def land_now(self) -> None:
         self._passes.land_now()

@@ -140,7 +140,7 @@ def demonstrate(out: Path, seed: int) -> bool:
     agree = sites and not cells
     print("   The same map and the same sites." if agree else "   THEY DIFFER.")
     print("6. A lander flies the last 260 m by landing/selected, over DDS", flush=True)
-    short = {"slant_range": 260.0, "speed": 26.0, "half": 12.0, "plan": {"survey": 4.0}}
+    short = {"slant_range": 260.0, "speed": 26.0, "half": 12.0, "survey": 4.0}
     nodes = out / "lander" / "nodes"
     flown = fly_live(seed, flight_settings(short), nodes, domain=given_domain())
     write_flight(out / "lander", flown)

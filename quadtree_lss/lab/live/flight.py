@@ -69,12 +69,12 @@ def fly_live(
     with ExitStack() as stack:
         nodes = LiveNodes(stack, config, folder, domain)
         fly(flight, nodes, progress)
-        cells, wishes, sites = nodes.map(), nodes.wishes, nodes.sites
+        cells, wishes = nodes.map(), nodes.wishes
     last = None
     if cells is not None:  # as lss_node assessed it; only the target depends on the maps before
         last = LandingSiteSelector(config).assess(cells, **wishes.arguments())
     figures = figures_of(seed, flight, last)
-    targets, more = tuple(nodes.targets), {"landing": wishes.as_lists(), "published_sites": sites}
+    targets, more = tuple(nodes.targets), {"landing": wishes.as_lists()}
     more |= {"target": targets[-1].id if targets else 0, "target_changes": len(targets)}
     return Flown(flight, figures, last, cells, None, targets, more, nodes.heard)
 
@@ -173,13 +173,6 @@ class LiveNodes:
     def _start(self, name: str) -> NodeProcess:
         log = self._folder / f"{name}_{time.monotonic_ns()}.txt"
         return self._stack.enter_context(NodeProcess(f"{name}_node", self._args, self._env, log))
-
-    @property
-    def sites(self) -> list[list[float]]:
-        """Places (K, 3) of the last ``landing/sites``, m."""
-        newest = self._listener.newest.get(SITES)
-        places = [] if newest is None else [pose.position for pose in newest.poses]
-        return [[p.x, p.y, p.z] for p in places]
 
     def _note(self, message: Any) -> None:
         said = status_from_message(message)
