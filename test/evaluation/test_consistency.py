@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prefit residuals: their distribution by Monte Carlo, their formula by its definition; of bags."""
+"""Prefit residuals: their distribution by Monte Carlo, their formula by its definition."""
 
 import numpy as np
 import pytest
@@ -17,19 +17,14 @@ from core.builders import (
     slope,
 )
 from core.kernels import tangent_basis
-from replay.recordings import write_ros2
 from scipy.special import gammainc
 
-from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.evaluation.consistency import (
     HIGH,
     LOW,
     Counts,
-    consistency,
     prefit_statistics,
 )
-from quadtree_lss.lab.evaluation.results import EvaluationError
-from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing import lidar
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan, register
@@ -146,54 +141,3 @@ def test_only_points_of_measured_leaves_are_compared():
     assert (everywhere.points[found.point, 0] + everywhere.origin[0] < 8.0).all()
     assert len(found.residual) == np.count_nonzero(half)
     np.testing.assert_array_equal(cells.z, before)
-
-
-SMALL = {
-    "domain.xmin": -30.0,
-    "domain.ymin": -30.0,
-    "domain.size": 60.0,
-    "domain.min_level": 3,
-    "domain.max_level": 4,
-    "lidar.range_noise": 0.03,
-}
-
-
-@pytest.fixture(scope="module")
-def parabola(tmp_path_factory):
-    """The first scans of Section VI's flight, three seeds."""
-    folder = tmp_path_factory.mktemp("parabola")
-    return [
-        simulate("parabola", folder / f"{seed}", seed=seed, duration=12.0, truth=False).bag_path
-        for seed in (201, 202, 203)
-    ]
-
-
-def test_section_vi_is_consistent_with_its_seeds_pooled(parabola):
-    """39 poses, each of which moves a whole scan: the shares are known to a few per cent."""
-    config = load_config(["parabola"])
-    parts = [consistency(bag, config) for bag in parabola]
-    assert sum(part.scans for part in parts) == 39
-    together = sum((part.counts for part in parts), Counts())
-    assert max(together.shares) < 0.1
-
-
-def test_a_wrong_range_noise_is_seen(tmp_path):
-    """Poses are nearly exact, so the residuals are the range noise's, a third of the assumed."""
-    bag = write_ros2(tmp_path / "bag")
-    seen: list[int] = []
-    found = consistency(bag, load_config((), SMALL), progress=seen.append)
-    assert seen == list(range(1, found.scans + 1))
-    right = found.counts
-    # Leaves that were seen in part claim more than they are off by.
-    assert 0.015 < right.shares[0] < 0.08
-    assert right.shares[1] == pytest.approx(0.025, abs=0.01)
-    wrong = consistency(bag, load_config((), {**SMALL, "lidar.range_noise": 0.09})).counts
-    assert wrong.shares[0] > 0.06
-    assert wrong.shares[1] < 0.001
-    assert wrong.points == pytest.approx(right.points, rel=0.05)
-
-
-def test_ground_seen_once_cannot_be_judged(tmp_path):
-    bag = write_ros2(tmp_path / "bag", scans=1)
-    with pytest.raises(EvaluationError, match="on mapped ground"):
-        consistency(bag, load_config((), SMALL))

@@ -27,7 +27,7 @@ def evaluated(result, tmp_path_factory):
     for name in ("scan_position", "scan_quaternion_xyzw"):
         arrays[name] = np.repeat(arrays[name], count, axis=0)
     np.savez(folder / "truth.npz", **arrays | {"scan_stamp_ns": truth.scan_stamp_ns})
-    found = evaluate(result.out, folder / "truth.npz", folder / "out", consistency=False)
+    found = evaluate(result.out, folder / "truth.npz", folder / "out")
     return found, truth, (folder / "out" / "report.html").read_text()
 
 

@@ -44,7 +44,7 @@ function drawScatter() {
   places().forEach((at, k) => {
     if (!at) return;
     const own = indices[k] === chosen.flight;
-    c.beginPath(); c.arc(...at, own ? 7 : 3.5, 0, 7);
+    c.beginPath(); c.arc(...at, own ? 8 : 5, 0, 7);
     c.globalAlpha = own ? 1 : 0.7; c.fillStyle = colours[groups[k] % colours.length]; c.fill(); c.globalAlpha = 1;
     if (own || data.bad[k]) {
       c.strokeStyle = ink(own ? "--ink" : "--bad"); c.lineWidth = 2.5; c.stroke(); c.lineWidth = 1;

@@ -12,6 +12,8 @@ from quadtree_lss.lab.campaign.summary import CampaignResult, Line, badness, num
 
 #: Colours of combinations, of Okabe and Ito's palette.
 COLOURS = ("#e69f00", "#0072b2", "#cc79a7", "#009e73", "#d55e00", "#56b4e9")
+#: Headings of the worst flights.
+RANKS = ("worst", "second", "third", "fourth", "fifth")
 
 
 def page(result: CampaignResult) -> str:
@@ -24,7 +26,7 @@ def page(result: CampaignResult) -> str:
     titles = {name: name.replace("_", " ") for name in (*study.varied, *kind.by)}
     titles |= {q.name: q.title for q in kind.quantities}
     means = (q.name for q in kind.quantities if q.of is None)
-    judged = kind.quantities[0]
+    judged, worst = kind.quantities[0], [(q, pairs) for q, pairs in result.worst() if pairs]
     keep = f"quadtree-lss campaign STUDY.yaml --out {shlex.quote(str(result.out))} --keep"
     return render(
         "lab/campaign/campaign.html",
@@ -34,10 +36,10 @@ def page(result: CampaignResult) -> str:
         legend=[(name, COLOURS[k % len(COLOURS)]) for k, (name, _) in enumerate(result.lines)],
         lines=[(name, [line.cells() for line in lines]) for name, lines in result.lines],
         keep=keep,
+        ranks=RANKS[: max((len(pairs) for _, pairs in worst), default=0)],
         worst=[
             (q.title, [(f"{v:.{q.digits if q.of is None else 0}f}", k) for k, v in pairs])
-            for q, pairs in result.worst()
-            if pairs
+            for q, pairs in worst
         ],
         failed=result.failed,
         data={

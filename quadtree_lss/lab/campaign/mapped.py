@@ -84,7 +84,7 @@ def keep(case: Case, folder: Path) -> None:
     given |= {"seed": case.seed, "overwrite": True, "lander": lander_of(config)}
     simulate(case.scenario, folder / "bag", **given)
     replay(folder / "bag", folder / "results", config)
-    evaluate(folder / "results", folder / "truth.npz", folder / "evaluation", consistency=False)
+    evaluate(folder / "results", folder / "truth.npz", folder / "evaluation")
 
 
 MAP = Kind(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prefit residuals of a bag against the map's covariances (Table 2; Eq. 46, 61-63).
+"""Prefit residuals of a scan against the map's covariances (Table 2; Eq. 46, 61-63).
 
 Eq. 61 compares a measured point with the point of the plane on the same ray, so that the residual
 has one degree of freedom. It is tested against chi_1, not against the paper's chi_3.
@@ -7,22 +7,16 @@ has one degree of freedom. It is tested against chi_1, not against the paper's c
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import astuple, dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy.stats import chi
 
-from quadtree_lss.desk.replay.replay import scans
-from quadtree_lss.desk.replay.results import aligned
-from quadtree_lss.lab.evaluation.results import COLUMNS, EvaluationError, Results
 from quadtree_lss.onboard.arrays import Array, Index
-from quadtree_lss.onboard.config.settings import Config, LidarConfig
+from quadtree_lss.onboard.config.settings import LidarConfig
 from quadtree_lss.onboard.core.geometry.morton import squeezed
 from quadtree_lss.onboard.core.geometry.rotations import skew
-from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
-from quadtree_lss.onboard.core.sensing.register import RegisteredScan, register
+from quadtree_lss.onboard.core.sensing.register import RegisteredScan
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 #: Acceptance interval of |residual| / sigma (Eq. 62, 63): the central 95 % of chi_1.
@@ -92,68 +86,3 @@ def prefit_statistics(cells: CellMap, scan: RegisteredScan, lidar: LidarConfig) 
 def _dot(one: Array, other: Array) -> Array:
     """Dot products (N,) of vectors (N, k)."""
     return np.asarray(np.einsum("ni,ni->n", one, other))
-
-
-@dataclass(frozen=True)
-class Consistency:
-    """Prefit residuals of a bag with so many mapped ``scans``."""
-
-    counts: Counts
-    scans: int
-
-    def table(self) -> str:
-        below, above = self.counts.shares
-        row = ("outside the 95 % interval", *(f"{v:.2%}" for v in (below, above, below + above)))
-        return "\n".join(aligned([("Prefit residuals", "below", "above", "both"), row]))
-
-
-def consistency(
-    bag: str | Path,
-    config: Config,
-    *,
-    results: Results | None = None,
-    scan_topic: str | None = None,
-    pose_topic: str | None = None,
-    progress: Callable[[int], None] | None = None,
-) -> Consistency:
-    """Map a bag as ``replay`` does; compare the points of each scan with the map before it.
-
-    With ``results``, map only their scans. ``progress`` gets the number of mapped scans. Raises
-    `BagError`: the bag cannot be read or its topics are ambiguous; `EvaluationError`: no point fell
-    on mapped ground, or the scans are not those of the results.
-    """
-    rows: dict[int, list[int]] = {}
-    area = None
-    if results is not None:
-        area = (results.summary.get("landing") or {}).get("area")
-        columns = (results.timing[name].tolist() for name in COLUMNS)
-        rows = {stamp: row for stamp, *row in zip(*columns, strict=True)}
-    counts, number, mapper = Counts(), 0, Mapper(config)
-    for scan in scans(bag, config, scan_topic=scan_topic, pose_topic=pose_topic):
-        if rows and scan.stamp_ns not in rows:
-            continue
-        registered, _ = register(*scan[1:3], config.lidar, mapper.domain, scan.sweep)
-        counts += prefit_statistics(mapper.snapshot(), registered, config.lidar).counts()
-        mapper.look_at(area)
-        report = mapper.update(scan.points_lidar, scan.pose, scan.sweep)
-        if rows:
-            _check_scan(report, *rows[report.stamp_ns])
-        number += 1
-        if progress is not None:
-            progress(number)
-    if number < len(rows):
-        missing = f"{len(rows) - number} of the {len(rows)} scans that were mapped"
-        raise EvaluationError(f"{bag} lacks {missing}")
-    if not counts.points:
-        raise EvaluationError(f"{bag}: no point of {number} scans fell on mapped ground")
-    return Consistency(counts, number)
-
-
-def _check_scan(report: ScanReport, points: int, used: int, leaves: int) -> None:
-    """Raise `EvaluationError` if a scan and its map are not those of ``timing.csv``. On another
-    processor a few leaves differ, where a statistic is at a threshold."""
-    same = (report.points, report.points_used) == (points, used)
-    if not same or abs(report.leaves - leaves) > 2 + leaves // 100:
-        msg = f"the bag holds other scans than were mapped: at {report.stamp_ns} ns there are"
-        msg += f" {report.points_used} points and {report.leaves} leaves, in timing.csv"
-        raise EvaluationError(f"{msg} {used} and {leaves}")

@@ -124,13 +124,6 @@ def load_results(directory: str | Path) -> Results:
         raise EvaluationError(f"{folder}: {msg}: {error}") from error
 
 
-def recorded_bag(results: Results) -> Path | None:
-    """The bag that ``summary.json`` names, if it exists."""
-    name = results.summary.get("bag")
-    bag = Path(name) if isinstance(name, str) and name else None
-    return bag if bag is not None and bag.is_absolute() and bag.exists() else None
-
-
 def check_truth(results: Results, truth: Truth, truth_path: Path) -> None:
     """Raise `EvaluationError` unless the truth is of the flight that was mapped: it must know the
     stamp of each mapped scan, and have the same seed where both name one."""

@@ -11,7 +11,6 @@ from typing import Any
 from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.desk.replay.results import aligned
 from quadtree_lss.lab.evaluation import metrics
-from quadtree_lss.lab.evaluation.consistency import Consistency
 from quadtree_lss.lab.evaluation.results import TOP, EvaluationError, Results, Truth
 
 
@@ -19,9 +18,8 @@ from quadtree_lss.lab.evaluation.results import TOP, EvaluationError, Results, T
 class EvaluationResult:
     """Scores of one run.
 
-    ``site_verdicts``: of the first five ranks. ``risk`` and ``consistency`` are None without risks
-    and without a bag. ``notes``: parts that could not be computed or checked. ``safety``: the
-    compared grid points. ``out``: folder of the files.
+    ``site_verdicts``: of the first five ranks. ``risk``: None without risks. ``notes``: parts that
+    could not be checked. ``safety``: the compared grid points. ``out``: folder of the files.
     """
 
     elevation: metrics.ElevationError
@@ -32,7 +30,6 @@ class EvaluationResult:
     leaves: int
     leaves_estimated: int
     safety: metrics.SafetyField
-    consistency: Consistency | None = None
     out: Path = Path()
     notes: tuple[str, ...] = ()
 
@@ -61,11 +58,11 @@ class EvaluationResult:
             (f"Truly unsafe sites in the top {TOP}", self._unsafe_sites()),
             ("Leaves with an estimate / all", f"{self.leaves_estimated} / {self.leaves}"),
         ]
-        tables = [part.table() for part in (self.risk, self.consistency) if part is not None]
+        parts = ["\n".join(self.notes)] if self.notes else []
         if self.risk is not None:
             rows.append(("Brier score of the risk", f"{self.risk.brier:.4f}"))
-        notes = ["\n".join(self.notes)] if self.notes else []
-        return "\n\n".join(["\n".join(aligned(rows, "<")), *tables, *notes])
+            parts.insert(0, self.risk.table())
+        return "\n\n".join(["\n".join(aligned(rows, "<")), *parts])
 
     def _unsafe_sites(self) -> str:
         text = f"{self.unsafe_in_top_five} of {len(self.site_verdicts)}"
@@ -82,7 +79,7 @@ def percent(fraction: float) -> str:
 
 
 def score(results: Results, truth: Truth) -> EvaluationResult:
-    """Score results without Table 2. Raises `EvaluationError`: map and truth do not overlap."""
+    """Score results against the truth. Raises `EvaluationError`: map and truth do not overlap."""
     safety = metrics.safety_field(results.grid, truth)
     if min(safety.scored.size, results.grid.x.size - 1) < 1:
         msg = "has a single grid point, or does not overlap the scanned box of the truth"
