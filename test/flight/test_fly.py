@@ -135,7 +135,7 @@ def test_the_command_writes_figures_and_page(tmp_path, capsys, monkeypatch):
     assert code == 0 and "touchdown" in capsys.readouterr().out
     figures = json.loads((out / "touchdown.json").read_text())
     assert {"safe", "x", "y", "error", "propellant", "diverts"} <= figures.keys()
-    assert (out / "flight.png").exists() and not (out / "flight.html").exists()  # there is no map
+    assert (out / "decisions.csv").exists() and not (out / "flight.html").exists()  # no map
     assert main(["fly", "--lockstep", "--fault", "x@1", "--out", str(out)]) == 1
     monkeypatch.setattr("quadtree_lss.lab.flight.fly.flown", None)  # nothing is flown for nothing
     assert main(["fly", "--lockstep", "--out", str(out / "flight.csv" / "none")]) == 1

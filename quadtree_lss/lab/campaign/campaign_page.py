@@ -23,9 +23,9 @@ def page(result: CampaignResult) -> str:
     note += f", {len(result.failed)} failed" if result.failed else ""
     combination = [record.index % len(study.combinations) for record in flights]
     present, columns = sorted(set(combination)), Columns()
-    titles = {name: name.replace("_", " ") for name in (*study.varied, *kind.by)}
+    titles = {name: name.replace("_", " ") for name in study.varied}
     titles |= {q.name: q.title for q in kind.quantities}
-    means = (q.name for q in kind.quantities if q.of is None)
+    means = [q.name for q in kind.quantities if q.of is None]
     judged, worst = kind.quantities[0], [(q, pairs) for q, pairs in result.worst() if pairs]
     keep = f"quadtree-lss campaign STUDY.yaml --out {shlex.quote(str(result.out))} --keep"
     return render(
@@ -53,7 +53,7 @@ def page(result: CampaignResult) -> str:
                 for name in titles
             },
             "bad": [judged.of is not None and badness(judged, r) > 0.0 for r in flights],
-            "first": [next(iter((*kind.by, *titles))), kind.first or next(means, "")],
+            "first": [*means[-1:], *means[:1]],
             "command": keep,
         },
         columns=columns.text(),

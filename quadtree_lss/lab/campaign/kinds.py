@@ -63,16 +63,13 @@ class Quantity:
 @dataclass(frozen=True)
 class Kind:
     """How to fly a case, and its figures. ``fly`` may raise `QuadtreeLssError`; ``keep`` writes all
-    results into a folder. The campaign's page begins with the figure ``first`` (empty: the first
-    mean) over a figure of ``by`` or one that the study varies."""
+    results into a folder."""
 
     fly: Callable[[Case], Figures]
     keep: Callable[[Case, Path], None]
     scenarios: Collection[str]
     conditions: Collection[str]
     quantities: tuple[Quantity, ...]
-    first: str = ""
-    by: tuple[str, ...] = ()
 
 
 def kind_of(name: str) -> Kind:

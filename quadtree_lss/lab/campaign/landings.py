@@ -65,6 +65,4 @@ FLY = Kind(
         Quantity("last_divert_time", "Time of the last divert", "s", 1),
         Quantity("time", "Time of flight", "s", 1),
     ),
-    first="propellant",
-    by=("from_planned", "diverts"),
 )

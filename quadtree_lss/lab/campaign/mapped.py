@@ -107,7 +107,6 @@ MAP = Kind(
         Quantity("missed_depth", "Deepest missed grid point", "m", 2),
         Quantity("unseen_box", "Scanned box out of the score", "%", 2),
         Quantity("leaves", "Leaves with an estimate", "", 0),
+        Quantity("truly_safe", "Truly safe ground", "%", 1, "smallest"),
     ),
-    first="safe_found",
-    by=("truly_safe", "noise_ratio"),
 )

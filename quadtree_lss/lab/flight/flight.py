@@ -83,7 +83,7 @@ class Flight:
 
     Attributes:
         outcome: Empty in flight, then ``touchdown``, ``aborted`` or ``time``.
-        samples, outlines: Ten a second; edges of the field of view on the ground, two a second.
+        samples: Ten a second.
         active: Current faults with their ends, s; ``failed``: all faults with begin and end.
         areas: (V, 2) polygons of reachable ground, with their times, s.
     """
@@ -115,7 +115,6 @@ class Flight:
         self.areas: list[tuple[float, Array]] = []
         self.outcome = ""
         self.samples: list[Sample] = []
-        self.outlines: list[Array] = []
         self._asked: dict[str, bytes] = {}
         self._seen_from = (np.zeros(3), np.eye(3))
 
@@ -228,8 +227,6 @@ class Flight:
         # Navigation's attitude error turns the true boresight.
         turn = self._tilt[self._ticks].T @ turn
         points = self._lidar.scan(self.ground.terrain, place, turn, self._noise)
-        if self._ticks // SCAN_EVERY % 10 == 0:
-            self.outlines.append(self._lidar.outline(self.ground.terrain, place, turn))
         stamp = self.stamp_ns - round((TICK - SCAN_AFTER) * 1e9)
         return Sent("lidar/points", stamp, points)
 

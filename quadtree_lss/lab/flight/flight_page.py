@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flight as a picture, and as the page of its map: path, diverts, faults, touchdown."""
+"""The page of a flight: that of its map, with path, diverts, faults and touchdown."""
 
 from __future__ import annotations
 
@@ -7,13 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from quadtree_lss.desk.exchange.saved import Results, load_results
 from quadtree_lss.desk.replay.files import write_bytes, write_csv, write_json, write_npz
 from quadtree_lss.desk.replay.results import ReplayResult, run_summary, write_results
-from quadtree_lss.desk.report import drawing
 from quadtree_lss.desk.report.page_data import Layer
 from quadtree_lss.desk.report.pages import Columns
 from quadtree_lss.desk.report.palette import (
@@ -28,60 +25,16 @@ from quadtree_lss.lab.flight.fly import Flown, flight_config
 from quadtree_lss.lab.flight.ground import GRID, Ground
 from quadtree_lss.lab.flight.pilot import Decision
 
-PATH, SCANS, UNSAFE, PLACE, DOWN = "#0072b2", "#56b4e9", "#d55e00", "#e69f00", "#009e73"
-
 
 def write_flight(out: Path, flown: Flown) -> None:
-    """Write figures, record, decisions and picture; of a flight with a map also a replay's results
-    and the page. Raises `OSError`: ``out`` cannot be written."""
+    """Write figures, record and decisions; of a flight with a map also a replay's results and the
+    page. Raises `OSError`: ``out`` cannot be written."""
     write_json(out / "touchdown.json", flown.figures)
     flight = flown.flight
     _write_csv(out / "flight.csv", flight.samples[0]._fields, flight.samples)
     _write_csv(out / "decisions.csv", Decision._fields, flight.pilot.decisions)
-    picture = drawing.png(figure(flown), dpi=110)
-    write_bytes(out / "flight.png", picture)
     if flown.cells is not None and flown.last is not None:
-        write_bytes(out / "flight.html", _page(_write_map(out, flown), flown, picture).encode())
-
-
-def figure(flown: Flown) -> Figure:
-    """Draw the true ground from above, with path, scans and targets."""
-    whole = Figure(figsize=(7.5, 7.0), layout="constrained")
-    whole.suptitle(headline(flown), fontsize="medium", wrap=True)
-    _above(whole.subplots(), flown)
-    return whole
-
-
-def _above(axes: Axes, flown: Flown) -> None:
-    flight = flown.flight
-    ground = flight.ground
-    x, y, half = *ground.planned[:2], ground.half + 3.0
-    terrain = ground.terrain
-    rows, columns = np.abs(terrain.y - y) <= half, np.abs(terrain.x - x) <= half
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), autoscale_on=False)
-    z = terrain.elevation[np.ix_(rows, columns)]
-    shown = drawing.layer(axes, terrain.x[columns], terrain.y[rows], z)
-    axes.figure.colorbar(shown, ax=axes, label="elevation [m]", shrink=0.8)
-    at_x, at_y, room = ground.safe
-    unsafe = np.where(room > 0.0, 0.0, 1.0)
-    if 0.0 < unsafe.mean() < 1.0:
-        axes.contourf(at_x, at_y, unsafe, levels=[0.5, 1.5], colors="none", hatches=["////"])
-        axes.contour(at_x, at_y, unsafe, levels=[0.5], colors=UNSAFE, linewidths=0.6)
-    for k, outline in enumerate(flight.outlines):
-        label = "every 0.5 s: edge of the lidar's view" if k == 0 else None
-        closed = np.vstack([outline, outline[:1]])
-        axes.plot(*closed.T, color=SCANS, lw=0.7, alpha=0.8, label=label)
-    path = np.array([(s.x, s.y) for s in flight.samples])
-    axes.plot(*path.T, color=PATH, lw=2, label="path")
-    axes.plot(x, y, "x", color="black", ms=9, mew=2, label="planned point")
-    targets = [d for d in flight.pilot.decisions if d.what in ("target", "divert")]
-    if targets:
-        places = np.array([(d.x, d.y) for d in targets])
-        axes.plot(*places.T, "o", color=PLACE, mec="black", label="targets flown to")
-    axes.plot(*path[-1], "*", color=DOWN, ms=14, mec="black", label="end")
-    axes.legend(fontsize="x-small", loc="lower right")
-    axes.set_title("ground in truth, unsafe places hatched", fontsize="medium")
+        write_bytes(out / "flight.html", _page(_write_map(out, flown), flown).encode())
 
 
 def headline(flown: Flown) -> str:
@@ -97,7 +50,7 @@ def headline(flown: Flown) -> str:
     )
 
 
-def _page(content: Results, flown: Flown, picture: bytes) -> str:
+def _page(content: Results, flown: Flown) -> str:
     """Render the page of the flight's results, with the flight."""
     flight, figures = flown.flight, flown.figures
     down = figures["outcome"] == "touchdown"
@@ -111,7 +64,6 @@ def _page(content: Results, flown: Flown, picture: bytes) -> str:
         answer=f"{words[:1].upper()}{words[1:]}.",
         ground=f"After {ground}.",
         level="good" if down and figures["safe"] else "none",
-        picture_of_map=drawing.small(picture),
         decisions=[
             (f"{d.time:.1f}", f"{d.height:.1f}", d.what, f"{d.x:.2f}", f"{d.y:.2f}")
             for d in flight.pilot.decisions

@@ -6,7 +6,7 @@ Without transport, in the flight's time: `Intake`, `Mapper` and `Passes`, as in 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -39,8 +39,7 @@ KILLS = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mappin
 class Flown:
     """A flight that has ended: its final state and record, figures (``docs/topics_and_files.md``),
     and the last assessment, None without nodes. If recorded: ``cells``, the map at the end, its
-    ``history``, changes of the target, and values for the ``summary``. ``heard``: ticks and answers
-    (None: no target) of a live flight, which repeat it without ROS."""
+    ``history``, changes of the target, and values for the ``summary``."""
 
     flight: Flight
     figures: dict[str, Any]
@@ -49,7 +48,6 @@ class Flown:
     history: History | None = None
     targets: tuple[TargetChange, ...] = ()
     summary: dict[str, Any] = field(default_factory=dict)
-    heard: Sequence[tuple[int, Array | None]] = ()
 
 
 def flown(

@@ -76,12 +76,12 @@ def fly_live(
     figures = figures_of(seed, flight, last)
     targets, more = tuple(nodes.targets), {"landing": wishes.as_lists()}
     more |= {"target": targets[-1].id if targets else 0, "target_changes": len(targets)}
-    return Flown(flight, figures, last, cells, None, targets, more, nodes.heard)
+    return Flown(flight, figures, last, cells, None, targets, more)
 
 
 class LiveNodes:
     """Both nodes as processes that end with ``stack``. ``wishes``: the last inputs of guidance.
-    ``targets``: changes of the target in ``landing/status``. ``heard``: ticks and answers."""
+    ``targets``: changes of the target in ``landing/status``."""
 
     def __init__(self, stack: ExitStack, config: Config, folder: Path, domain: int | None) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -113,7 +113,6 @@ class LiveNodes:
         node.create_subscription(TOPICS[SELECTED], SELECTED, self._hear, latched())
         node.create_subscription(TOPICS[STATUS], STATUS, self._note, latched())
         refuse_others(node, dict.fromkeys(("/clock", *KINDS), 1) | dict.fromkeys(TOPICS, 0))
-        self.heard: list[tuple[int, Array | None]] = []
         self._down: set[str] = set()
         self._nodes = {name: self._start(name) for name in ("mapping", "lss")}
         try:
@@ -145,7 +144,6 @@ class LiveNodes:
             self._nodes[name].check()
         count = len(self._said)
         said, self._said[:count] = self._said[:count], []
-        self.heard += [(tick, one) for one in said]
         return said
 
     def land_now(self) -> None:

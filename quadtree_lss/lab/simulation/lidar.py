@@ -13,17 +13,8 @@ from scipy.ndimage import uniform_filter
 from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.arrays import Array
 
-#: Beams per side of the outline of a field of view.
-OUTLINE = 8
 #: Largest error of a false return, m.
 WRONG = 10.0
-
-
-def _beams(azimuth: Array, elevation: Array) -> Array:
-    """Unit directions (..., 3) in the lidar frame: Eq. 14 with ρ = 1."""
-    azimuth, elevation = np.broadcast_arrays(azimuth, elevation)
-    level = np.cos(elevation)
-    return np.stack([np.sin(azimuth) * level, np.sin(-elevation), np.cos(azimuth) * level], axis=-1)
 
 
 @cache
@@ -33,7 +24,12 @@ def pixel_beams(width_deg: float, height_deg: float, columns: int, rows: int) ->
         np.radians(angle) * ((np.arange(count) + 0.5) / count - 0.5)
         for angle, count in ((width_deg, columns), (height_deg, rows))
     )
-    beams = _beams(across[None, :], -down[:, None])
+    azimuth, elevation = np.meshgrid(across, -down)
+    level = np.cos(elevation)
+    # Eq. 14 with ρ = 1.
+    beams = np.stack(
+        [np.sin(azimuth) * level, np.sin(-elevation), np.cos(azimuth) * level], axis=-1
+    )
     beams.setflags(write=False)
     return beams
 
@@ -53,16 +49,6 @@ class FlashLidar:
         """Unit beam directions (pixels, pixels, 3) in the lidar frame (Eq. 14 with ρ = 1)."""
         side, count = self.field_of_view_deg, self.pixels
         return pixel_beams(side, side, count, count)
-
-    def outline(self, terrain: Terrain, position_map: Array, rotation_map_lidar: Array) -> Array:
-        """Edge of the field of view on the ground, map frame: (4·OUTLINE, 2) m; NaN = no hit."""
-        half = 0.5 * np.radians(self.field_of_view_deg)
-        along = np.linspace(-half, half, OUTLINE, endpoint=False)
-        azimuth = np.concatenate([along, np.full(OUTLINE, half), -along, np.full(OUTLINE, -half)])
-        elevation = np.roll(azimuth, OUTLINE)
-        directions_map = _beams(azimuth, elevation) @ rotation_map_lidar.T
-        ranges = terrain.cast(position_map, directions_map)
-        return np.asarray((position_map + ranges[:, None] * directions_map)[:, :2])
 
     def true_ranges(
         self, terrain: Terrain, position_map: Array, rotation_map_lidar: Array
@@ -92,8 +78,7 @@ class FlashLidar:
 @dataclass(frozen=True)
 class StereoCamera(FlashLidar):
     """Depths along z like a RealSense D455's, in whole millimetres. Gaussian noise of disparities
-    is averaged over 3 x 3 pixels; half of the pixels at an edge get a depth in between. The outline
-    is that of the smaller field of view."""
+    is averaged over 3 x 3 pixels; half of the pixels at an edge get a depth in between."""
 
     field_of_view_deg: float = 64.0
     columns: int = 640
