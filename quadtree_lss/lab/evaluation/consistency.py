@@ -19,7 +19,7 @@ from quadtree_lss.onboard.core.geometry.rotations import skew
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
-#: Acceptance interval of |residual| / sigma (Eq. 62, 63): the central 95 % of chi_1.
+#: Acceptance interval of |residual| / sigma (Eq. 62, Eq. 63): the central 95 % of chi_1.
 LOW, HIGH = (float(bound) for bound in chi(1).interval(0.95))
 #: Lower bound of a variance, m^2.
 LEAST_VARIANCE = 1e-12
