@@ -1,12 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The site: `make docs`, and rosdoc2 by rosdoc2.yaml. Nothing is loaded from elsewhere."""
 
-import argparse
 import os
 import re
-from pathlib import Path
-
-os.environ["COLUMNS"] = "100"  # of the commands' help
 
 project = "quadtree_lss"
 copyright = "quadtree_lss contributors, Apache-2.0"
@@ -56,18 +52,6 @@ def move_links(app, page, source):
     source[0] = re.sub(r"(?<!!)\[([^][]*)\]\((?!\w+:|#)([^)\s]+)\)", moved, source[0])
 
 
-def write_commands(app):
-    """reference/commands.md, from the parser that reads them."""
-    from quadtree_lss import cli
-
-    parser = cli._parser()
-    commands = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-    text = f"# Commands\n\n`quadtree-lss COMMAND`. {cli.EXIT_CODES}\n"
-    for name, command in commands.choices.items():
-        text += f"\n## {name}\n\n```text\n{command.format_help().strip()}\n```\n"
-    Path(app.srcdir, "reference", "commands.md").write_text(text, encoding="utf-8")
-
-
 def mathml(block):
     """Formulas as the browser's own MathML: no script, no network."""
     from docutils import nodes
@@ -90,7 +74,6 @@ def level_captions(app, page, template, context, doctree):
 
 def setup(app):
     app.connect("source-read", move_links)
-    app.connect("builder-inited", write_commands)
     app.connect("html-page-context", level_captions, priority=900)
     app.add_html_math_renderer("mathml", (mathml(False), None), (mathml(True), None))
 

@@ -13,16 +13,14 @@ from quadtree_lss.lab.simulation.simulate import simulate
 
 PICTURES = {
     "quadtree.png": "evaluation/fig18_quadtree_over_truth.png",
-    "planes.png": "figures/elevation.png",
     "hazards.png": "figures/hazards.png",
-    "classification.png": "evaluation/fig22_classification.png",
 }
 SCANNED = {"domain.xmin": -16.0, "domain.ymin": -16.0, "domain.size": 32.0}
 SCANNED |= {"domain.min_level": 3, "domain.max_level": 7}  # the same cells: 4 ... 0.25 m
 
 
 def main() -> None:
-    """Four seconds of Section VII's flight over a field that nothing was chosen by."""
+    """Draw the pictures from four seconds of a flight of Section VII."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--figure", type=Path, required=True, help="folder")
     parser.add_argument("--seed", type=int, default=121)

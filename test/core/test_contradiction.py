@@ -114,8 +114,8 @@ def test_a_few_wrong_poses_in_a_row_do_not_win_and_neither_do_many_that_disagree
 
 @pytest.mark.survives(
     "a scan that contradicts the map",
-    "ten in a row that agree with each other win: the map is lifted to them whole "
-    "([mapping.md](mapping.md#errors-that-persist-and-poses-that-are-wrong))",
+    "after ten consecutive, mutually consistent rejected scans the map is shifted to match them "
+    "([mapping](mapping.md#alignment))",
 )
 def test_many_that_agree_win_and_what_was_mapped_goes_with_them():
     flight = Flight(scans=5)

@@ -24,7 +24,7 @@ from quadtree_lss.lab.simulation.simulate import simulate
 from quadtree_lss.onboard.config.settings import parameters
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = (".", "docs", "docs/tutorials", "docs/reference", "msg_docs")
+FOLDERS = (".", "docs", "docs/tutorials", "docs/reference", "msg_docs", "studies")
 PAGES = sorted(path for folder in FOLDERS for path in (ROOT / folder).glob("*.md"))
 MARKED = re.compile(
     r"<!-- test: (shell|python)([^>]*)-->\n```\w+\n(.*?)```(?:\n\n```text\n(.*?)```)?", re.DOTALL
@@ -171,7 +171,7 @@ def test_pages_that_code_and_configurations_name_exist():
 
 
 def test_the_table_of_equations_leads_from_each_to_functions_and_to_code_that_names_it():
-    text, found = (ROOT / "docs" / "how_it_works.md").read_text(), set()
+    text, found = (ROOT / "studies" / "RESULTS.md").read_text(), set()
     for row in re.findall(r"^\| Eq\..*$", text, re.MULTILINE):
         code = ""
         for file, functions in re.findall(r"`([\w/]+\.py)`((?: `\w+`,?)*)", row):
@@ -203,6 +203,12 @@ def test_every_name_in_the_files_is_documented(flight, tmp_path):
         section = re.search(rf"^##+ {re.escape(title)}\n(.*?)^##", page, re.DOTALL | re.MULTILINE)
         documented = re.findall(r"`(\w+)`", section[1])
         assert set(written) <= set(documented), (title, set(written) - set(documented))
+
+
+def test_the_page_of_the_commands_is_up_to_date():
+    written = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    remedy = "python docs/commands.py > docs/commands.md"
+    assert written == runpy.run_path(str(ROOT / "docs" / "commands.py"))["commands_page"](), remedy
 
 
 def test_keys_of_the_diagnostics_are_documented():
