@@ -25,7 +25,7 @@ suppress_warnings = ["config.cache"]
 # Pages link to each other as they lie in the repository. Here the layouts of messages are in
 # messages/, what concerns the project is in project/, and sources are named only.
 PLACES = {"msg_docs/": "messages/", "docs/": ""}
-PROJECT = ("README", "CONTRIBUTING", "QUALITY_DECLARATION", "CHANGELOG")
+PROJECT = ("CONTRIBUTING", "QUALITY_DECLARATION", "CHANGELOG")
 PLACES |= {f"{name}.": f"project/{name}." for name in PROJECT}
 
 # What figures.py reads, for people to read as well.
@@ -45,7 +45,6 @@ def move_links(app, page, source):
                 return f"[{label}]({up}{path.replace(place, here, 1)})"
         return label
 
-    source[0] = source[0].replace("](docs/images/", "](../images/")  # of the README
     source[0] = FIGURE.sub(r"\n*Made by `\1`; \2*\n", source[0])
     if page == "messages/README":  # whose table names them all
         source[0] += "\n```{toctree}\n:hidden:\n:glob:\n[a-z]*\n```\n"

@@ -243,10 +243,3 @@ def test_the_rule_of_nan_is_as_documented(flight, tmp_path):
     np.testing.assert_array_equal(np.isfinite(grid["slope_deg"]), seen)
     np.testing.assert_array_equal(np.isfinite(grid["score"]), grid["safe"])
     assert not grid["safe"][~seen].any()
-
-
-def test_what_survives_what_is_as_the_tests_that_show_it_say():
-    made = runpy.run_path(str(ROOT / "docs" / "survives.py"))
-    written = made["TABLE"].search(made["PAGE"].read_text(encoding="utf-8")).group()
-    assert written == made["table"](), "python docs/survives.py writes it"
-    assert written.count("\n") > 30 and "| `lss_node` killed | " in written
