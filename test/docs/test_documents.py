@@ -96,7 +96,7 @@ def test_the_drone_of_the_tutorial_is_checked_and_its_hover_is_replayed(tmp_path
     page = (ROOT / "docs/tutorials/drone.md").read_text()
     copied, check, _, look = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
     (added,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
-    good, _, _ = re.findall(r"```text\n(.*?)```", page, re.DOTALL)
+    good, _ = re.findall(r"```text\n(.*?)```", page, re.DOTALL)
     with recording(tmp_path / "hover", LevelBody) as recorder:
         hovering(recorder, pose_topics=LevelBody.odometry)
 
