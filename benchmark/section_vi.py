@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Section VI of the paper: quadtree against fixed resolution, on the same scans.
 
-Seeds are ones that no tuning saw (docs/evidence.md lists those it did).
+Seeds are ones that no tuning used (studies/RESULTS.md lists those).
 """
 
 from __future__ import annotations

@@ -7,22 +7,17 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from PIL import Image
 
 from quadtree_lss.api import load_config, replay
 from quadtree_lss.desk.report import drawing
 from quadtree_lss.desk.report.palette import colour_limits
-from quadtree_lss.lab.evaluation.evaluation_page import VERDICTS, verdict_classes
 from quadtree_lss.lab.evaluation.results import load_results, load_truth
-from quadtree_lss.lab.evaluation.score import score
 from quadtree_lss.lab.simulation.simulate import simulate
 
 PICTURES = {
     "quadtree.png": "quadtree.png",
-    "planes.png": "figures/elevation.png",
     "hazards.png": "figures/hazards.png",
-    "classification.png": "classification.png",
 }
 SCANNED = {"domain.xmin": -16.0, "domain.ymin": -16.0, "domain.size": 32.0}
 SCANNED |= {"domain.min_level": 3, "domain.max_level": 7}  # the same cells: 4 ... 0.25 m
@@ -42,22 +37,6 @@ def quadtree(results, truth):
     return figure
 
 
-def classification(results, truth):
-    """Verdicts against the truth, with the best sites (the paper's Fig. 22)."""
-    safety, (xmin, xmax, ymin, ymax) = score(results, truth).safety, truth.box
-    figure, axes = _map("Classification of terrain and the best sites", (xmin, xmax, ymin, ymax))
-    kind = verdict_classes(safety)
-    drawing.classes(axes, safety.x, safety.y, kind, [colour for _, colour in VERDICTS])
-    shares = 100.0 * np.bincount(kind.ravel(), minlength=len(VERDICTS)) / kind.size
-    handles = [
-        Patch(facecolor=colour, edgecolor="black", label=f"{label} {share:.2f} %")
-        for (label, colour), share in zip(VERDICTS, shares, strict=True)
-    ]
-    drawing.mark_sites(axes, results.positions[:5], 0.5 * truth.lander.diameter)
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize="small")
-    return figure
-
-
 def _map(title, box):
     figure = Figure(figsize=(7.6, 6.6), layout="constrained")
     axes = figure.add_subplot()
@@ -66,7 +45,7 @@ def _map(title, box):
 
 
 def main() -> None:
-    """Four seconds of Section VII's flight over a field that nothing was chosen by."""
+    """Draw the pictures from four seconds of a flight of Section VII."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--figure", type=Path, required=True, help="folder")
     parser.add_argument("--seed", type=int, default=121)
@@ -76,10 +55,7 @@ def main() -> None:
         simulate("morpheus", folder / "bag", seed=arguments.seed, duration=4.0)
         replay(folder / "bag", folder / "out", load_config(["morpheus"], SCANNED))
         results, truth = load_results(folder / "out"), load_truth(folder / "truth.npz")
-        pictures = {"quadtree": quadtree(results, truth)}
-        pictures["classification"] = classification(results, truth)
-        for picture, figure in pictures.items():
-            (folder / "out" / f"{picture}.png").write_bytes(drawing.png(figure))
+        (folder / "out" / "quadtree.png").write_bytes(drawing.png(quadtree(results, truth)))
         for picture, source in PICTURES.items():
             with Image.open(folder / "out" / source) as image:
                 small = image.convert("RGB").resize([3 * side // 4 for side in image.size])

@@ -202,8 +202,8 @@ def test_every_study_can_be_flown(path):
 
 
 def test_the_documents_have_every_study_with_its_flights():
-    text = (STUDIES[0].parents[1] / "docs" / "campaigns.md").read_text("utf-8")
-    told = re.findall(r"studies/(\w+)\.yaml\) \| ([\d,]+) \|", text)
+    text = (STUDIES[0].parent / "RESULTS.md").read_text("utf-8")
+    told = re.findall(r"\((\w+)\.yaml\) \| ([\d,]+) \|", text)
     flights = {name: int(count.replace(",", "")) for name, count in told}
     assert flights == {path.stem: read_study(path).count for path in STUDIES}
 

@@ -41,15 +41,6 @@ def keeping(ros):
     return path, ("-p", f"checkpoint.path:={path}")
 
 
-@pytest.mark.survives(
-    "ended by SIGINT, SIGTERM or SIGHUP",
-    "the state is written first, and the next start goes on from there; `~/reset` begins anew",
-)
-@pytest.mark.survives(
-    "`mapping_node` killed",
-    "started again, it takes up its checkpoint and publishes it; what came since the last one is "
-    "lost",
-)
 def test_killed_mapping_node_takes_up_its_checkpoint(ros):
     """The sensors stay and are heard by the successor, as on a vehicle."""
     path, args = keeping(ros)
@@ -92,11 +83,6 @@ def _stamp_in(path):
     return mapper.stamp_ns
 
 
-@pytest.mark.survives(
-    "disk full, path not writable",
-    "mapping goes on; `problems.checkpoint` counts, one line in five seconds, until the checkpoint "
-    "can be written",
-)
 def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
     path, args = keeping(ros)
     mapping = ros.start("mapping_node", *args)
@@ -128,9 +114,6 @@ def test_a_checkpoint_that_cannot_be_removed_does_not_hold_up_a_reset(ros):
         assert "is a folder" in mapping.output()
 
 
-@pytest.mark.survives(
-    "ended by SIGINT, SIGTERM or SIGHUP", "a state that cannot be written is an error in the log"
-)
 def test_a_last_checkpoint_that_fails_is_told(ros):
     """However lately another one was told."""
     folder = ros.folder / "disk"
@@ -147,13 +130,6 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
     assert "is lost" in last and "[ERROR]" in last
 
 
-@pytest.mark.survives(
-    "a scan ends in an error of the program",
-    "left out: ERROR in the diagnostics with the reason, the traceback in the log, "
-    "`problems.scan_failed`; the next one is mapped<br>it may have changed half of the map, so "
-    "that of the checkpoint is taken; without one the map goes on if its figures are sound, or "
-    "begins anew",
-)
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):
     """Whatever it was, the map that it happened to may be half changed."""

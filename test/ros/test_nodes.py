@@ -119,11 +119,6 @@ def test_incompatible_qos_is_told_with_its_remedy(ros):
     assert "'/lidar/points'" in mapping.output()
 
 
-@pytest.mark.survives(
-    "misspelt key, impossible value or name; `mount.source: tf` without `tf2_msgs`",
-    "one line, exit code 78; not started again by the launch file, nor by systemd with "
-    "`RestartPreventExitStatus=2 78`",
-)
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node"])
 def test_unknown_parameter_is_an_error_that_names_the_nearest(ros, name):
     node = ros.start(name, "-p", "domain.max_levle:=7")

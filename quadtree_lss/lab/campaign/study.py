@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A study: which flights there are. Read from a YAML file; see ``docs/campaigns.md``."""
+"""A study: which flights there are. Read from a YAML file; see ``studies/RESULTS.md``."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ class FlightError(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of one of `FAULTS` (``docs/closed_loop.md``) that begins at a height over the aim, m,
+    """A fault of one of `FAULTS` (``studies/RESULTS.md``) that begins at a height over the aim, m,
     and lasts some seconds; a keep-out lasts until the next one, ``land_now`` for good."""
 
     kind: str
