@@ -145,7 +145,7 @@ FAULTS = {
     "clouds in mm": ({"scale": 1000.0}, MOUNTED, "units", "0.001"),
     "clouds in cm": ({"scale": 100.0}, MOUNTED, "units", "0.01"),
     "poses in mm": (
-        {"place": lambda place, turn: 1000.0 * place}, MOUNTED, "outside", "config suggest",
+        {"place": lambda place, turn: 1000.0 * place}, MOUNTED, "pose_units", "0.001",
     ),
     "clouds in the map": (
         {"cloud": lambda points, place, turn: turn.apply(points) + place},

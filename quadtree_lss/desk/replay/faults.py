@@ -46,6 +46,8 @@ STEEP_DEG = 12.0
 FAR_M, ZIGZAG, LEAST_ZIGZAG_M = 1e5, 5.0, 0.05
 """Least coordinates of a geographic grid; poses of two publishers alternate by so many steps and by
 more than the last."""
+JUMP, LEAST_JUMP_M = 5.0, 0.1
+"""Least speed of a jump of the poses, as a multiple of those before and after it, and least step."""
 PITCHED_DOWN = exp([0.0, 0.5 * np.pi, 0.0])
 """Rotation of a lidar that looks along x of a level body and is pitched down."""
 
@@ -94,8 +96,9 @@ def find_faults(
 
 
 def find_pose_faults(poses: list[tuple[int, Array, Array]]) -> list[Finding]:
-    """Find poses of two publishers on one topic, and coordinates of a geographic grid."""
-    positions = np.array([position for _, position, _ in sorted(poses, key=lambda pose: pose[0])])
+    """Find poses of two publishers on one topic, jumps, and coordinates of a geographic grid."""
+    poses = sorted(poses, key=lambda pose: pose[0])
+    positions, stamps = np.array([pose[1] for pose in poses]), np.array([pose[0] for pose in poses])
     if len(positions) < 8:
         return []
     leaps = np.linalg.norm(positions[1:-1] - 0.5 * (positions[:-2] + positions[2:]), axis=1)
@@ -103,11 +106,21 @@ def find_pose_faults(poses: list[tuple[int, Array, Array]]) -> list[Finding]:
     if leap > max(ZIGZAG * step, LEAST_ZIGZAG_M):
         text = f"poses alternate between two paths {leap:.2g} m apart: two publishers?"
         return [Finding("two_paths", text, "record each on its own topic and choose one of them")]
+    found = []
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    speeds = steps / np.maximum(1e-9 * np.diff(stamps), 1e-6)
+    usual = np.maximum(speeds[:-2], speeds[2:])
+    jumps = 1 + np.flatnonzero((speeds[1:-1] > JUMP * usual) & (steps[1:-1] > LEAST_JUMP_M))
+    if len(jumps):
+        k = jumps[np.argmax(steps[jumps])]
+        text = f"poses jump {len(jumps)} times, by {steps[k]:.2g} m at {1e-9 * stamps[k]:.3f} s,"
+        found.append(Finding("jump", f"{text} as after a loop closure or a new GNSS solution"))
     x, y, _ = np.median(positions, axis=0)
-    if max(abs(x), abs(y)) < FAR_M:
-        return []
-    text = f"poses are about x {x:.0f}, y {y:.0f} m, as in UTM: the domain must lie there, as"
-    return [Finding("far", f"{text} `config suggest` writes it, and the results will, too")]
+    if max(abs(x), abs(y)) > FAR_M:
+        text = f"poses are about x {x:.0f}, y {y:.0f} m, as in UTM: the domain must lie there, as"
+        text += " `config suggest` writes it, and the results will, too"
+        found.append(Finding("far", text))
+    return found
 
 
 class _Correction(NamedTuple):
@@ -163,7 +176,8 @@ def _list_corrections(
         found.append(_Correction(fault, origins, b @ m, scale))
         fix = f"send metres: positions times {scale:g}"
         fault = Finding("pose_units", f"poses are in {unit}", fix)
-        found.append(_Correction(fault, scale * p + origins - p, b @ m))
+        if not abs(np.log(flight.unit_of_heights() / scale)) > np.log(2.0):
+            found.append(_Correction(fault, scale * p + origins - p, b @ m))
     return [*found, advise("map_cloud", np.zeros_like(p), np.tile(np.eye(3), (len(p), 1, 1)))]
 
 
@@ -205,11 +219,14 @@ def _find_common_fault(
     cost, above = flight.disagreement(flight.origins, flight.turns)
     noise = config.lidar.range_noise
     sound = above <= MOST_ABOVE and flight.used().mean() > IN_RANGE
-    if sound and not NOISES * noise < cost < np.inf:
+    apart = not np.isfinite(cost)  # no common ground: only a unit of the poses can explain that
+    if sound and (cost <= NOISES * noise or apart and np.isnan(flight.unit_of_heights())):
         return None
     best, least = None, np.inf
     for correction in _list_corrections(flight, config, tf_mounts):
         fault, origins, turns, scale = correction
+        if sound and apart and fault.key != "pose_units":
+            continue
         if flight.used(scale).mean() <= IN_RANGE:
             continue
         if sound and scale != 1.0 and cost < 30.0 * noise:

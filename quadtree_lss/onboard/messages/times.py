@@ -15,6 +15,7 @@ Other drivers use these names with other units. A unit is only believed if the t
 
 from __future__ import annotations
 
+import re
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -30,6 +31,8 @@ FIELDS = (
     *("point_time_offset", "point_time", "relative_time", "stamps", "timestamps", "ts", "t_us"),
     *("time_us", "timestamp_ns", "timestamp_us", "time_ns", "t_ns"),
 )
+#: Names of fields that may hold times as well.
+LIKE_TIME = re.compile(r"time|stamp|(^|_)(d?t|ts|[mun]?secs?|nanosecs?)($|_)", re.IGNORECASE)
 #: `sensor_msgs/PointField` datatypes of a time.
 TYPES = {5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 #: Times farther from the stamp than this are taken for wrong, ns.
@@ -61,7 +64,7 @@ def offsets_from_cloud(
     the field; ``unreasonable`` if the times do not span a scan near the stamp in any unit."""
     field = next((f for name in FIELDS for f in msg.fields if f.name == name), None)
     if field is None:
-        other = [f.name for f in msg.fields if "time" in f.name or "stamp" in f.name]
+        other = [f.name for f in msg.fields if LIKE_TIME.search(f.name)]
         if not other:
             return None
         text = f"cloud field '{other[0]}' may hold times and is not known: the scan is taken as of"
