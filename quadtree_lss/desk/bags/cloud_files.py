@@ -26,7 +26,7 @@ from quadtree_lss.onboard.messages.outputs import MessageMaker
 ABOVE, ATTITUDE_SIGMA = 2000.0, 1e-6
 LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
 SECOND_NS = 10**9
-_UNITS_NS = (1, 10**3, 10**6, 10**9)
+UNITS_NS = (1, 10**3, 10**6, 10**9)
 ROUNDED_NS = 1000
 """Rounding of a stamp in seconds."""
 OURS = ("truth.npz", "cells.npz", "grid.npz", "history.npz")
@@ -127,17 +127,17 @@ def _stamps(path: Path, files: list[Path], table: PoseTable | None) -> list[int]
     """From the names if these are times within the poses', else by the poses' order."""
     if table is None:
         return [(k + 1) * SECOND_NS // 10 for k in range(len(files))]
-    known = table.stamp_ns
-    texts = [re.findall(r"\d+(?:\.\d+)?", file.stem) for file in files]
-    numbers = [Decimal(found[-1]) for found in texts if found]
-    if len(set(numbers)) == len(files):
-        tries = [[round(n * unit) for n in numbers] for unit in _UNITS_NS]
-        inside = [sum(known[0] <= t <= known[-1] for t in times) for times in tries]
-        fit = [t for t, n in zip(tries, inside, strict=True) if n == max(inside) > 0.5 * len(files)]
-        # From 0 s on, small numbers are within the poses in any unit, and may be no times at all.
-        if len(fit) == 1 or fit and len(files) != len(known):
-            return [_near(known, t) for t in fit[-1]]
-    if len(files) == len(known):
+    known, same = table.stamp_ns, len(files) == len(table.stamp_ns)
+    texts = [re.findall(r"\d+(?:\.\d+)?", file.stem)[-1:] for file in files]
+    numbers = {Decimal(text[0]) for text in texts if text}
+    units = UNITS_NS if len(numbers) == len(files) else ()
+    tries = [[round(Decimal(text[0]) * unit) for text in texts] for unit in units]
+    inside = [sum(known[0] <= t <= known[-1] for t in times) for times in tries]
+    fit = [t for t, n in zip(tries, inside, strict=True) if n == max(inside) > 0.5 * len(files)]
+    # From 0 s on, small numbers are within the poses in any unit, and may be no times at all.
+    if len(fit) == 1 or fit and not same:
+        return [_near(known, t) for t in fit[-1]]
+    if same:
         return known.tolist()
     msg = f"{path}: which pose belongs to which cloud? The names hold no times between those of the"
     msg += f" poses ({1e-9 * known[0]:.3f} ... {1e-9 * known[-1]:.3f} s), and"

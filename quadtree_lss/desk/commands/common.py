@@ -226,8 +226,7 @@ def polygon(text: str) -> list[list[float]] | None:
     """Type of an option: ``'0,0 9,0 9,9'``, or ``none``."""
     corners = _numbers(text)
     if corners is not None and len(corners) < 3:
-        msg = f"'{text}' has {len(corners)} corners; a polygon has three or more"
-        raise argparse.ArgumentTypeError(msg)
+        raise argparse.ArgumentTypeError(f"'{text}' has {len(corners)} corners; 3 are the least")
     return corners
 
 

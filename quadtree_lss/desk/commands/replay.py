@@ -26,7 +26,6 @@ EXAMPLES = """examples:
   quadtree-lss replay clouds --poses poses.tum          (PLY, PCD, NPY, NPZ)
   quadtree-lss replay survey.ply --config survey.yaml   (a cloud in the map frame, without poses)
   quadtree-lss replay flight_bag --publish --rate 0.5   (into running nodes)
-  quadtree-lss replay products --publish                (a bag of maps, for lss_node alone)
   quadtree-lss replay flight_bag --publish --namespace lander --remap lidar/points:=/flash/points
   quadtree-lss replay flight_bag --area='-9,-9 9,-9 9,9 -9,9' --keep-out=none --target=3,-4
 
@@ -157,18 +156,7 @@ def _sites(options: argparse.Namespace) -> int:
 
 
 def _publish(options: argparse.Namespace) -> int:
-    offline = (
-        "out",
-        "config",
-        "set",
-        "vehicle",
-        "poses",
-        "no_report",
-        "record",
-        "area",
-        "keep_out",
-        "target",
-    )
+    offline = "out config set vehicle poses no_report record area keep_out target".split()
     common.refuse(options, "--publish: the nodes map and rank the sites", *offline)
     with common.of_ros("--publish"):
         from quadtree_lss.desk.player.player import play

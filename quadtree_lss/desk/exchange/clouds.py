@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Callable
 from decimal import Decimal
@@ -114,33 +113,30 @@ def read_poses(path: Path) -> PoseTable:
     except (OSError, UnicodeDecodeError) as error:
         msg = f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'it is not text'}"
         raise ExchangeError(msg) from None
-    lines = [line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"]
-    comma = bool(lines) and "," in lines[0]
-    rows = list(csv.reader(lines)) if comma else [line.split() for line in lines]
+    lines = [line.partition("#")[0].replace(",", " ").split() for line in text.splitlines()]
+    rows = [row for row in lines if row]
     header = list(TUM)
-    if rows and not re.match(r"\s*[-+]?\.?\d", rows[0][0]):
-        header = [name.strip() for name in rows.pop(0)]
+    if rows and not re.match(r"[-+]?\.?\d", rows[0][0]):
+        header = rows.pop(0)
     clock = "stamp_ns" if "stamp_ns" in header else "stamp"
-    lack = [name for name in TUM[1:] if name not in header]
-    if lack or clock not in header:
-        lack = lack or ["stamp_ns"]
-        msg = f"{path}: lacks {', '.join(lack)}: poses are lines of TUM ({' '.join(TUM)}) or CSV"
-        raise ExchangeError(msg)
-    if not rows:
-        raise ExchangeError(f"{path}: there is no pose in it")
-    stamps, values = [], []
-    known_covariance = set(COVARIANCE) <= set(header)
+    lack = [name for name in (clock, *TUM[1:]) if name not in header]
+    if lack or not rows:
+        why = f"lacks {', '.join(lack)}" if lack else "there is no pose in it"
+        raise ExchangeError(f"{path}: {why}: poses are lines of TUM ({' '.join(TUM)}) or CSV")
+    covariances = [name for name in COVARIANCE if name in header]
+    unit = 1 if clock == "stamp_ns" else 10**9
+    found: list[tuple[int, list[float]]] = []
     for number, row in enumerate(rows, start=1):
         cells = dict(zip(header, row, strict=False))
         try:
-            exact = Decimal(cells[clock].strip())
-            stamps.append(np.int64(int(exact if clock == "stamp_ns" else exact * 10**9)))
-            wanted = (*TUM[1:], *COVARIANCE[: 36 * known_covariance])
-            values.append([float(cells[name]) for name in wanted])
+            values = [float(cells[name]) for name in (*TUM[1:], *covariances)]
+            found.append((int(Decimal(cells[clock]) * unit), values))
         except (ValueError, KeyError, ArithmeticError):
             msg = f"{path}: pose {number} is not a row of numbers: {' '.join(row)[:80]}"
             raise ExchangeError(msg) from None
-    order = np.argsort(stamps, kind="stable")
-    table = np.array(values)[order]
-    covariance = table[:, 7:] if known_covariance else np.zeros((len(table), 36))
-    return PoseTable(np.array(stamps, np.int64)[order], table[:, :3], table[:, 3:7], covariance)
+    found.sort(key=lambda pose: pose[0])
+    table = np.array([values for _, values in found])
+    known = len(covariances) == len(COVARIANCE)
+    covariance = table[:, 7:] if known else np.zeros((len(table), 36))
+    stamps = np.array([stamp for stamp, _ in found], np.int64)
+    return PoseTable(stamps, table[:, :3], table[:, 3:7], covariance)

@@ -30,7 +30,7 @@ BETTER = 0.8
 """A fix leaves at most this share of the contradicting points, the leaves or their roughness."""
 DISAGREEING = {
     "frames": "send the clouds of each lidar on a topic of its own",
-    "jump": "take an odometry without jumps, or replay the parts between them (--start, --duration)",
+    "jump": "take poses without jumps, or replay the parts between them (--start, --duration)",
 }
 """Fixes of findings that are faults if scans disagree, by their key."""
 FITTED = ("domain.", "lidar.range_noise", "lss.grid_spacing")
@@ -187,17 +187,13 @@ def _conclude(info: BagInfo, first: Trial, best: Trial, domain: DomainConfig) ->
     """Set the verdict on the bag as it is and with the fixes. ``domain``: as it was asked for."""
     mapped, apart = len(first.reports), first.apart
     total = mapped + sum(info.scans_dropped.values()) - first.repeats
+    found = info.findings
     if apart is not None:
-        info.findings = [
-            finding._replace(fix=DISAGREEING.get(finding.key, finding.fix))
-            for finding in info.findings
-            if finding.key not in ("calm", "tilt")
-        ]
-    if any(finding.fix and finding.key != "outside" for finding in info.findings):
-        info.findings = [  # a consequence
-            finding._replace(fix=finding.fix if finding.key != "outside" else "")
-            for finding in info.findings
-        ]
+        found = [f._replace(fix=DISAGREEING.get(f.key, f.fix)) for f in found]
+        found = [f for f in found if f.key not in ("calm", "tilt")]
+    if any(f.fix and f.key != "outside" for f in found):  # which explains it
+        found = [f._replace(fix=f.fix * (f.key != "outside")) for f in found]
+    info.findings = found
     faults = sum(bool(finding.fix) for finding in info.findings) or len(info.problems)
     above = f"see the {f'{faults} faults' if faults > 1 else 'fault'} above"
     figures = f"{mapped} of {total} scans mapped, {first.text}"

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.spatial.transform import Rotation
 
 from quadtree_lss.desk.replay.configuration import scalar_text
 from quadtree_lss.desk.replay.flight import IN_RANGE, Flight, place_lidar
+from quadtree_lss.desk.replay.stream import mount_values
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config, MountConfig
 from quadtree_lss.onboard.core.geometry.rotations import (
@@ -47,9 +47,13 @@ FAR_M, ZIGZAG, LEAST_ZIGZAG_M = 1e5, 5.0, 0.05
 """Least coordinates of a geographic grid; poses of two publishers alternate by so many steps and by
 more than the last."""
 JUMP, LEAST_JUMP_M = 5.0, 0.1
-"""Least speed of a jump of the poses, as a multiple of those before and after it, and least step."""
+"""Least speed of a jump of the poses, as a multiple of those around it, and least step."""
 PITCHED_DOWN = exp([0.0, 0.5 * np.pi, 0.0])
 """Rotation of a lidar that looks along x of a level body and is pitched down."""
+
+
+TfMounts = Mapping[str, tuple[Pose, dict[str, Any]]]
+"""Mounts that transforms allow, and the settings that use them, by the frame of the body."""
 
 
 class Finding(NamedTuple):
@@ -76,11 +80,10 @@ def make_setting(key: str, text: str, settings: dict[str, Any]) -> Finding:
 
 
 def find_faults(
-    flight: Flight, config: Config, tf_mounts: Mapping[str, Pose], period: float
+    flight: Flight, config: Config, tf_mounts: TfMounts, period: float
 ) -> list[Finding]:
-    """Compare the scans with each other. ``tf_mounts``: mounts that ``/tf_static`` allows, by the
-    frame of the body. ``period``: time from scan to scan if points have no times, s; 0 if they
-    have, NaN if these cannot be read: then no lag is looked for."""
+    """Compare the scans with each other. ``period``: time from scan to scan if points have no
+    times, s; 0 if they have, NaN if these cannot be read: then no lag is looked for."""
     fault, found = _find_common_fault(flight, config, tf_mounts), []
     if fault is None and (own := flight.leave_out_own()) is not None:
         share, farthest = own
@@ -152,9 +155,7 @@ ADVICE = {
 """Texts and fixes of faults that no parameter fixes."""
 
 
-def _list_corrections(
-    flight: Flight, config: Config, tf_mounts: Mapping[str, Pose]
-) -> list[_Correction]:
+def _list_corrections(flight: Flight, config: Config, tf_mounts: TfMounts) -> list[_Correction]:
     """List the common faults, the likelier first."""
     p, b, m, origins = flight.positions, flight.body, flight.mounts, flight.origins
     found = _list_mounts(flight, config, tf_mounts)
@@ -181,16 +182,15 @@ def _list_corrections(
     return [*found, advise("map_cloud", np.zeros_like(p), np.tile(np.eye(3), (len(p), 1, 1)))]
 
 
-def _list_mounts(
-    flight: Flight, config: Config, tf_mounts: Mapping[str, Pose]
-) -> list[_Correction]:
+def _list_mounts(flight: Flight, config: Config, tf_mounts: TfMounts) -> list[_Correction]:
     """List faults of the mount and the axes of the clouds."""
     p, b, origins = flight.positions, flight.body, flight.origins
     own = flight.mounts @ cloud_turn(config.mount).T
     found = []
-    for frame, mount in tf_mounts.items():
-        text = f"poses are of '{frame}', to which /tf_static mounts the lidar"
-        fault = make_setting("mount_tf", text, {"mount.source": "tf", "frames.body": frame})
+    for frame, (mount, settings) in tf_mounts.items():
+        fault = make_setting(
+            "mount_tf", f"poses are of '{frame}', on which /tf has the lidar", settings
+        )
         arm, turn = np.broadcast_to(mount.position, p.shape), mount.rotation_map_lidar
         found.append(_Correction(fault, *place_lidar(p, b, arm, np.broadcast_to(turn, b.shape))))
     for name, turn in AXES.items():
@@ -212,9 +212,7 @@ def _list_mounts(
     return found
 
 
-def _find_common_fault(
-    flight: Flight, config: Config, tf_mounts: Mapping[str, Pose]
-) -> Finding | None:
+def _find_common_fault(flight: Flight, config: Config, tf_mounts: TfMounts) -> Finding | None:
     """Find the fault of axes, frames or units without which scans agree clearly better."""
     cost, above = flight.disagreement(flight.origins, flight.turns)
     noise = config.lidar.range_noise
@@ -314,12 +312,10 @@ def _find_mount_angle(flight: Flight, config: Config) -> list[Finding]:
         text += f" {CALM_DEG:g} deg: turn and sway the vehicle while you record"
         return [Finding("calm", text)]
     mount = flight.mounts[0] @ turn @ cloud_turn(config.mount).T
-    angles = np.round(Rotation.from_matrix(mount).as_euler("xyz", degrees=True), 1)
-    roll, pitch, yaw = (float(a) for a in np.where(angles == -180.0, 180.0, angles))
+    values = mount_values(flight.arms[0], mount, digits=1)
     text = f"the lidar looks {angle:.1f} deg off its mount: scans disagree by {cost:.2g} m, and by"
     text += f" {fit.fun:.2g} m without that"
     if config.mount.source == "tf":
-        fix = f"correct /tf_static: roll, pitch, yaw {roll:.1f}, {pitch:.1f}, {yaw:.1f} deg"
-        return [Finding("mount_angle", text, fix)]
-    values = {"mount.roll_deg": roll, "mount.pitch_deg": pitch, "mount.yaw_deg": yaw}
-    return [make_setting("mount_angle", text, values)]
+        return [make_setting("mount_angle", text, {"mount.source": "fixed", **values})]
+    angles = {name: value for name, value in values.items() if name.endswith("_deg")}
+    return [make_setting("mount_angle", text, angles)]

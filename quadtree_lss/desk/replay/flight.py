@@ -186,14 +186,10 @@ class Flight:
     ) -> tuple[float, float]:  # fmt: skip
         """How far scans lie from common ground, m, and the share of points above the lidar.
 
-        The median standard deviation of neighbouring points of several scans about a plane;
-        infinite if scans do not overlap.
-
-        Args:
-            origins, turns: (K, 3) and (K, 3, 3) of the lidar in the map.
-            scale: Factor that takes points to metres.
-            chosen: Scans to compare, None for all.
-            others: Least number of neighbours of other scans.
+        The median standard deviation of neighbouring points of several scans (at least ``others``
+        of other ones) about a plane; infinite if scans do not overlap. ``origins``, ``turns``:
+        (K, 3) and (K, 3, 3) of the lidar; ``scale``: takes points to metres; ``chosen``: scans to
+        compare, None for all.
         """
         used = self.used(scale) if chosen is None else self.used(scale) & chosen[self.scan]
         if np.count_nonzero(used) < NEIGHBOURS:

@@ -26,7 +26,7 @@ from quadtree_lss.onboard.config.settings import DEFAULTS, Config
 from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.intake import GAP_NS
 
-COPIES, ISOLATED = 0.1, 0.05
+COPIES, ISOLATED = 0.1, 0.1
 """Least shares of repeated clouds and of isolated points that are told."""
 
 

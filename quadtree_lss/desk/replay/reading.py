@@ -40,11 +40,12 @@ class Header(NamedTuple):
 class Reading:
     """The scans of an open bag, mapped.
 
-    ``headers``: of clouds and poses, by topic; ``repeats``, ``copies``: clouds with the points of an
-    earlier one, with its stamp or another one; ``notices``: texts of the intake by key; ``reports``: of the mapper, for each
-    scan; ``dropped``: points by reason; ``missed_at``: centre of the first scan that missed the
-    domain; ``roughness``: of the map, m; ``gap``: between scans and map beyond what the poses
-    claim, m. ``lag_s`` is added to the clouds' stamps.
+    ``headers``: of clouds and poses, by topic; ``repeats``, ``copies``: clouds with the points of
+    an earlier one, with its stamp or another one; ``notices``: texts of the intake by key;
+    ``reports``: of the mapper on each scan; ``dropped``: points by reason; ``missed_at``: centre of
+    the first scan outside the domain; ``roughness``: of the map, m; ``gap``: between scans and map
+    beyond what the poses claim, m; ``losses``: a line for each unreadable part. ``lag_s`` is added
+    to the clouds' stamps.
     """
 
     def __init__(

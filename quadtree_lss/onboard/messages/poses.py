@@ -42,11 +42,11 @@ def pose_from_message(
     """Pose of the lidar (or body) in the map frame.
 
     Where the covariance says "unknown" (see `covariance_flaw`), the two sigmas (m and degrees,
-    each axis) take its place. ``msg`` is like ``geometry_msgs/PoseWithCovarianceStamped`` or ``nav_msgs/Odometry``, of which the
-    velocity is not used; its header's frame must be ``map_frame``, a leading slash aside; its
-    covariance is of (x, y, z, rotation about that frame's fixed axes), m and rad. Raises
-    `MessageError`: reason ``frame``, ``stamp``, ``position``, ``quaternion``, ``covariance`` or
-    ``attitude``.
+    each axis) take its place. ``msg`` is like ``geometry_msgs/PoseWithCovarianceStamped`` or
+    ``nav_msgs/Odometry``, of which the velocity is not used; its header's frame must be
+    ``map_frame``, a leading slash aside; its covariance is of (x, y, z, rotation about that frame's
+    fixed axes), m and rad. Raises `MessageError`: reason ``frame``, ``stamp``, ``position``,
+    ``quaternion``, ``covariance`` or ``attitude``.
     """
     check_frame(msg.header.frame_id, map_frame, "pose")
     position = _position(msg.pose.pose.position, "pose position")

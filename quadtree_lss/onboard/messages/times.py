@@ -31,7 +31,7 @@ FIELDS = (
     *("point_time_offset", "point_time", "relative_time", "stamps", "timestamps", "ts", "t_us"),
     *("time_us", "timestamp_ns", "timestamp_us", "time_ns", "t_ns"),
 )
-#: Names of fields that may hold times as well.
+#: Names of fields that hold times as well if there is only one of them.
 LIKE_TIME = re.compile(r"time|stamp|(^|_)(d?t|ts|[mun]?secs?|nanosecs?)($|_)", re.IGNORECASE)
 #: `sensor_msgs/PointField` datatypes of a time.
 TYPES = {5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -64,12 +64,15 @@ def offsets_from_cloud(
     the field; ``unreasonable`` if the times do not span a scan near the stamp in any unit."""
     field = next((f for name in FIELDS for f in msg.fields if f.name == name), None)
     if field is None:
-        other = [f.name for f in msg.fields if LIKE_TIME.search(f.name)]
+        other = [f for f in msg.fields if LIKE_TIME.search(f.name)]
         if not other:
             return None
-        text = f"cloud field '{other[0]}' may hold times and is not known: the scan is taken as of"
-        text += f" one time; known are {', '.join(FIELDS)}"
-        raise MessageError("unknown", text)
+        if len(other) > 1:
+            names = "', '".join(f.name for f in other)
+            text = f"cloud fields '{names}' may hold times and are not known: the scan is taken as"
+            text += f" of one time; known are {', '.join(FIELDS)}"
+            raise MessageError("unknown", text)
+        field = other[0]
     kind = TYPES.get(int(field.datatype))
     if kind is None:
         text = f"cloud field '{field.name}' has datatype {field.datatype}, which is no time's"
