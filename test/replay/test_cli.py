@@ -17,6 +17,8 @@ from installed import PREFIX, error_without
 from replay.recordings import write_ros2
 from rosbags.rosbag2 import Writer
 
+import quadtree_lss
+from quadtree_lss import start
 from quadtree_lss.cli import main, without_ros_arguments
 
 AREA = ["--set", "domain.xmin=-16.0", "--set", "domain.ymin=-16.0", "--set", "domain.size=32.0"]
@@ -203,6 +205,19 @@ def interrupted(bag, out):
     assert "stopping: ranks sites" in told and f"into {out} (Ctrl-C again" in told
     assert rest and "Traceback" not in err
     return process.returncode, shown, err
+
+
+def test_interrupting_the_start_is_one_line(monkeypatch, capsys):
+    class Interrupted:
+        def find_spec(self, name, path=None, target=None):
+            if name == "quadtree_lss.cli":
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "quadtree_lss.cli")
+    monkeypatch.delattr(quadtree_lss, "cli")
+    monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
+    assert start.main(["replay", "bag"]) == 130
+    assert capsys.readouterr().err == "quadtree-lss: interrupted\n"
 
 
 def test_interrupting_keeps_what_was_computed(tmp_path):

@@ -32,9 +32,9 @@ KINDS = {
 OUTPUTS = (*(f"/{name}" for name in TOPIC_TYPES), "/landing/dispersion")
 """Ends of topics that have the type of an input but are outputs of our nodes or of guidance."""
 
-COVERED, SELDOM = 0.9, 0.5
-"""Share of the scans with poses around them, and rate up to that of the scans, of the most that any
-pose topic has: with less a topic is passed over."""
+COVERED, SELDOM, SELDOM_NAMED = 0.9, 0.5, 0.2
+"""Share of the scans with poses around them, and rate up to that of the scans, also of a topic of
+the nodes' name, of the most that any pose topic has: with less a topic is passed over."""
 CONVERSIONS = {
     "/PoseStamped": "copy PoseStamped into PoseWithCovarianceStamped with a covariance of zeros:"
     " docs/connecting.md has the script for a bag",
@@ -109,7 +109,7 @@ def choose_pose_topic(
     seldom = {
         name: rate
         for name, (share, rate) in rates.items()
-        if share < COVERED * most or (rate < SELDOM * best and name not in order)
+        if share < COVERED * most or rate < (SELDOM_NAMED if name in order else SELDOM) * best
     }
     topic, kind = _choose(bag, None, order, "--pose-topic", seldom)
     passed = ", ".join(f"{name} ({rate:.2g} Hz)" for name, rate in seldom.items())
