@@ -114,6 +114,15 @@ def test_a_field_with_another_name_holds_times_if_it_is_the_only_one(name):
         offsets_from_cloud(msg, STAMP, points_from_cloud(msg))
 
 
+def test_a_field_of_zeros_does_not_hide_another_one():
+    msg = cloud(np.ones((64, 3)), times=("time", "f4", OFFSETS))
+    zeros = copy(msg.fields[3])
+    msg.fields[3].name, zeros.name, zeros.offset = "timestamp", "t", 0
+    msg.fields.append(zeros)  # the same for all: x
+    offsets, *_ = offsets_from_cloud(msg, STAMP, points_from_cloud(msg))
+    np.testing.assert_allclose(offsets, OFFSETS * 1e9, atol=8)
+
+
 @pytest.mark.parametrize("length", [0.4, 0.9])
 def test_slow_scans_are_known_by_their_period(length):
     seconds = np.linspace(0.0, length, 64)

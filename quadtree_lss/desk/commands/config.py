@@ -63,7 +63,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     explain.add_argument("names", nargs="+", metavar="NAME", help="keys or sections")
     common.add_config_options(explain)
     suggest = common.add_command(actions, "suggest", _suggest, SUGGEST, EXAMPLES)
-    suggest.add_argument("bag", type=common.named, metavar="BAG", help=common.CLOUDS)
+    suggest.add_argument("bag", type=common.named, metavar="BAG", help=common.BAG)
     common.add_topics(suggest)
     common.add_config_options(suggest)
     for command in (check, explain, suggest):  # an option before the action counts, too

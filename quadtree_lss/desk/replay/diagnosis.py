@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from quadtree_lss.desk.bags.bag import Bag
-from quadtree_lss.desk.bags.cloud_files import NO_POSES, open_recording
+from quadtree_lss.desk.bags.bag import Bag, open_bag
 from quadtree_lss.desk.replay.faults import Finding, find_faults, find_pose_faults, make_setting
 from quadtree_lss.desk.replay.reading import UNREADABLE_TIMES, Reading
 from quadtree_lss.desk.replay.stream import Progress, Stream
@@ -85,7 +84,7 @@ def try_config(
     progress: Progress | None = None,
 ) -> Trial:
     """Map a bag with a configuration; if its domain is the default one, with what is suggested.
-    ``how``: topics and poses as of `replay.replay`. ``lag_s``: time to add to the clouds' stamps.
+    ``how``: topics as of `replay.replay`. ``lag_s``: time to add to the clouds' stamps.
     """
     config, suggestion, failure = asked, None, "no return lies in the lidar's range"
     try:
@@ -95,8 +94,8 @@ def try_config(
             config = config_from_values({k: v for k, v in values if k.startswith(FITTED)}, asked)
     except QuadtreeLssError as error:
         failure = str(error)
-    with open_recording(bag, how["poses"], config.frames.map) as opened:
-        stream = Stream(opened, config, how["scan_topic"], how["pose_topic"])
+    with open_bag(bag) as opened:
+        stream = Stream(opened, config, **how, adapt=True)
         trial = Trial(opened, stream, lag_s, progress)
     trial.suggestion, trial.failure = suggestion, failure
     return trial
@@ -108,12 +107,11 @@ def diagnose(
     """Add to ``info`` the faults that mapping an open bag confirms, what to suggest with their
     settings, and the verdict. ``how``: as of `try_config`."""
     source: str | Bag = info.path if Path(info.path).exists() else bag
-    made_up = NO_POSES in bag.notes
     first = try_config(source, asked, how, progress=progress)
     info.add(first)
-    before = best = _State(first, asked, _find(first, asked, made_up))
+    before = best = _State(first, asked, _find(first, asked))
     fixes: list[Finding] = []
-    while fixed := _fix(source, best, how, made_up):
+    while fixed := _fix(source, best, how):
         fault, best = fixed
         fixes.append(fault)
     if first.used and best.trial.apart is not None:  # the fixes do not explain it
@@ -133,7 +131,7 @@ class _State(NamedTuple):
 
 
 def _fix(
-    bag: str | Path | Bag, state: _State, how: Mapping[str, Any], made_up: bool
+    bag: str | Path | Bag, state: _State, how: Mapping[str, Any]
 ) -> tuple[Finding, _State] | None:
     """Return the first fault of which the fix improves the map, and the state with it."""
     for fault in (fault for fault in state.found if fault.settings or fault.lag_s):
@@ -141,7 +139,7 @@ def _fix(
         trial = try_config(bag, asked, how, state.trial.lag_s + fault.lag_s)
         if trial.improves_on(state.trial):
             told = fault._replace(text=f"{fault.text}; with the fix {trial.text}")
-            return told, _State(trial, asked, _find(trial, asked, made_up))
+            return told, _State(trial, asked, _find(trial, asked))
     return None
 
 
@@ -161,16 +159,14 @@ def _match_noise(
     return trial if matched else best
 
 
-def _find(trial: Trial, asked: Config, made_up: bool) -> list[Finding]:
-    """Find faults in a bag that was mapped. ``made_up``: there are no recorded poses."""
+def _find(trial: Trial, asked: Config) -> list[Finding]:
+    """Find faults in a bag that was mapped."""
     found, lidar, recording = [], trial.config.lidar, trial.recording
     most = trial.suggestion.values.get("lidar.max_range") if trial.suggestion else None
     if most is not None and most < lidar.max_range:
         text = "many returns are at one greatest range: rays without a return"
         found.append(make_setting("max_range", text, {"lidar.max_range": most}))
         lidar = replace(lidar, max_range=most)
-    if made_up:
-        return found
     # Faults of frames make the noise appear larger.
     lidar = replace(lidar, range_noise=min(lidar.range_noise, asked.lidar.range_noise))
     found += find_pose_faults(recording.poses)

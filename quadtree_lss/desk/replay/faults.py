@@ -140,7 +140,7 @@ ADVICE = {
     "map_cloud": (
         "clouds are in the map frame already",
         "choose clouds in the lidar's axes by --scan-topic (of FAST-LIO: /cloud_registered_body),"
-        " or replay files of these clouds: without --poses they are taken as in the map",
+        " or take these back to them by their poses (docs/connecting.md)",
     ),
     "ned": (
         "poses are in north, east, down; the map is east, north, up",

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.bags.bag import Bag, BagError
-from quadtree_lss.desk.bags.cloud_files import open_recording
+from quadtree_lss.desk.bags.bag import Bag, BagError, open_bag
 from quadtree_lss.desk.replay.diagnosis import diagnose as diagnose_bag
 from quadtree_lss.desk.replay.faults import Finding, make_setting
 from quadtree_lss.desk.replay.files import plain
@@ -165,15 +164,14 @@ def inspect_bag(
     *,
     scan_topic: str | None = None,
     pose_topic: str | None = None,
-    poses: str | Path | None = None,
     diagnose: bool = False,
     progress: Progress | None = None,
 ) -> BagInfo:
     """Read and map a bag as a replay would; the arguments are those of `replay.replay`.
     ``diagnose``: also look for faults, and try the setting that fixes each one
     (`diagnosis.diagnose`). Raises `BagError`: there is nothing to read."""
-    how = {"scan_topic": scan_topic, "pose_topic": pose_topic, "poses": poses}
-    with open_recording(bag, poses, config.frames.map) as opened:
+    how = {"scan_topic": scan_topic, "pose_topic": pose_topic}
+    with open_bag(bag) as opened:
         seconds = (opened.end_ns - opened.start_ns) / SECOND_NS
         topics = [
             TopicInfo(t.name, t.type, t.count, t.count / seconds if seconds else float("nan"))

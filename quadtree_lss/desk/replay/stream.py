@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
+import warnings
 from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -111,18 +112,14 @@ class Stream:
         self.notes = [note] * bool(note)
         self.settings: dict[str, Any] = {}
         self.tf_mounts: dict[str, tuple[Pose, dict[str, Any]]] = {}
-        transforms = [
-            name
-            for name in topics.candidates(bag, types.TRANSFORMS_TYPE)
-            if name.endswith(topics.TRANSFORMS_TOPIC)
-        ]
-        mountable = config.mount == MountConfig()
+        transforms = topics.candidates(bag, types.TRANSFORMS_TYPE)
+        mountable = bool(transforms) and config.mount == MountConfig()
         first = self._first(self.poses, self.pose_type) if adapt or mountable else None
         if adapt and first is not None and first.header.frame_id.strip("/"):
             frame = first.header.frame_id.lstrip("/")
             self.settings |= {"frames.map": frame} if frame != config.frames.map else {}
         if mountable and first is not None:
-            self.settings |= self._mount_of_tf(config, first, transforms)
+            self.settings |= self._mount_of_tf(config, first, transforms, adapt)
         config = self.config = config_from_values(self.settings, config)
         self.gimbal = ""
         if config.mount.source == "gimbal":
@@ -155,13 +152,16 @@ class Stream:
             with contextlib.suppress(MessageError):
                 take(self._bag.decode(message.raw, types.TRANSFORMS_TYPE))
 
-    def _mount_of_tf(self, config: Config, pose: Any, static: list[str]) -> dict[str, Any]:
+    def _mount_of_tf(
+        self, config: Config, pose: Any, transforms: list[str], adapt: bool
+    ) -> dict[str, Any]:
         """The setting by which ``/tf_static`` gives the mount; empty where it does not say it, or
-        says that there is none. ``pose``: the first one. ``static``: topics of that name."""
+        says that there is none. ``pose``: the first one. ``adapt``: look into ``/tf`` as well."""
         scan = self._first(self.scans, self.scan_type)
         if scan is None:
             return {}
         tree, lidar = FixedTransforms(), scan.header.frame_id
+        static = [name for name in transforms if name.endswith(topics.TRANSFORMS_TOPIC)]
         for topic in static:
             with contextlib.suppress(MessageError):
                 self._transforms(topic, partial(add_transforms, tree))
@@ -172,15 +172,18 @@ class Stream:
             text = f"poses are of '{body}', scans of '{lidar}': the mount is taken from {static[0]}"
             self.notes.append(one_line(f"{text}; the nodes need mount.source: tf"))
             return {"mount.source": "tf"}
-        if not self.tf_mounts:
-            for link in self._unmoved():
+        if adapt and not self.tf_mounts:
+            for link in self._unmoved([name for name in transforms if name not in static]):
                 tree.add(*link)
-            for name, mount in _mounts(tree, config, body, lidar):
-                values = mount_values(mount.position, mount.rotation_map_lidar)
-                self.tf_mounts[name] = mount, values
+            known = lidar.lstrip("/") in tree.frames()
+            for frame in [lidar] if known else tree.frames() if body else []:
+                for name, mount in _mounts(tree, config, body, frame):
+                    text = name if known else f"{name}' and scans of '{frame}"
+                    values = mount_values(mount.position, mount.rotation_map_lidar)
+                    self.tf_mounts[text] = mount, values
         return {}
 
-    def _unmoved(self) -> list[tuple[str, str, Pose]]:
+    def _unmoved(self, transforms: list[str]) -> list[tuple[str, str, Pose]]:
         """Parent, child and pose of the transforms on ``/tf`` that do not change."""
         tree, links, moving = FixedTransforms(), {}, set()
 
@@ -191,9 +194,8 @@ class Stream:
                     moving.update({names} & links.keys())
                     links.setdefault(names, pose)
 
-        for topic in topics.candidates(self._bag, types.TRANSFORMS_TYPE):
-            if topic.endswith("/tf"):
-                self._transforms(topic, take)
+        for topic in transforms:
+            self._transforms(topic, take)
         return [(*names, pose) for names, pose in links.items() if names not in moving]
 
     def ready(self, part: Part, progress: Progress | None = None) -> Iterator[ReadyScan]:
@@ -256,8 +258,10 @@ def _mounts(
 
 def mount_values(position: Array, turn: Array, digits: int = 3) -> dict[str, Any]:
     """The parameters of a fixed mount; ``digits`` of the angles."""
-    angles = np.round(Rotation.from_matrix(turn).as_euler("xyz", degrees=True), digits)
-    angles = np.where(angles == -180.0, 180.0, angles)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # at a pitch of 90 deg yaw is set to 0
+        angles = np.round(Rotation.from_matrix(turn).as_euler("xyz", degrees=True), digits)
+    angles = np.where(angles == -180.0, 180.0, angles) + 0.0
     names = ("x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg")
     values = (*np.round(position, 4).tolist(), *angles.tolist())
     return {f"mount.{name}": value for name, value in zip(names, values, strict=True)}
