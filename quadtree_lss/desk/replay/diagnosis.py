@@ -62,9 +62,8 @@ class Trial(Reading):
     def apart(self) -> float | None:
         """How far scans disagree, m; None if they agree."""
         heights = [abs(r.offset) for r in self.reports if r.dropped.get("contradiction")]
-        found = [float(np.median(heights))] if self.share > MOST_CONTRADICTING else []
-        found += [self.gap] * (self.gap is not None)
-        return max(found, default=None)
+        median = float(np.median(heights)) if self.share > MOST_CONTRADICTING else 0.0
+        return max(median, self.gap or 0.0) or None
 
     def improves_on(self, other: Trial) -> bool:
         """Whether scans agree clearly better, or the map is clearly simpler or smoother."""

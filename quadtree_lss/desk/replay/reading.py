@@ -124,7 +124,7 @@ class Reading:
                 ns = stamp_ns(msg.header) - round(self.lag_s * SECOND_NS)
                 stamp.sec, stamp.nanosec = divmod(ns, SECOND_NS)
             if kind == "cloud":
-                at, content = stamp_ns(msg.header), zlib.crc32(bytes_of(msg.data))
+                at, content = stamp_ns(msg.header), zlib.crc32(memoryview(bytes_of(msg.data)))
                 if content in self._stamp_of:
                     self.copies += self._stamp_of[content] != at
                     self.repeats += self._stamp_of[content] == at

@@ -185,7 +185,9 @@ class Stream:
 
     def _unmoved(self, transforms: list[str]) -> list[tuple[str, str, Pose]]:
         """Parent, child and pose of the transforms on ``/tf`` that do not change."""
-        tree, links, moving = FixedTransforms(), {}, set()
+        tree = FixedTransforms()
+        links: dict[tuple[str, str], Pose] = {}
+        moving: set[tuple[str, str]] = set()
 
         def take(msg: Any) -> None:
             for item in msg.transforms:
