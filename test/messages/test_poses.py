@@ -76,6 +76,10 @@ def test_an_attitude_that_is_hardly_known_and_a_wrong_length_are_refused():
     assert reason_of(pose(covariance=np.ones(35))) == "covariance"
 
 
+@pytest.mark.survives(
+    "a pose covariance that is not symmetric or has a negative eigenvalue",
+    "only its variances are used, with a line at most every five seconds",
+)
 @pytest.mark.parametrize(
     "covariance",
     [

@@ -193,7 +193,7 @@ def _conclude(info: BagInfo, first: Trial, best: Trial, domain: DomainConfig) ->
     above = f"see the {f'{faults} faults' if faults > 1 else 'fault'} above"
     figures = f"{mapped} of {total} scans mapped, {first.text}"
     figures += f"; with the fixes {best.text}" if best is not first else ""
-    figures += " (in the domain that `config suggest` writes)" * (first.config.domain != domain)
+    figures += ", in the domain that `config suggest` writes" * (first.config.domain != domain)
     key = ""
     if mapped and not first.used:
         why = above if faults else first.failure
