@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-# PYTHON_ARGCOMPLETE_OK
 """Command line ``quadtree-lss``: a shell around functions that can be imported as well.
 
 Exit codes: 0 done, 1 error, 2 usage, 3 done in part (damaged input), 130 interrupted.
@@ -13,7 +12,6 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from pathlib import Path
 
 import quadtree_lss
 from quadtree_lss import build
@@ -96,11 +94,6 @@ def _told(error: Exception) -> tuple[int, str]:
         return ERROR, f"error: '{error.name}' is not installed, which bags need: {REMEDY}"
     name = type(error).__name__
     return ERROR, f"internal error: {name}: {first_line(error)} (-v shows where)"
-
-
-def main_of_ros() -> int:
-    """``ros2 run quadtree_lss replay_bag``, ``simulate`` and ``evaluate``, each by its name."""
-    return main([Path(sys.argv[0]).stem.removesuffix("_bag"), *sys.argv[1:]])
 
 
 def without_ros_arguments(arguments: Sequence[str]) -> list[str]:

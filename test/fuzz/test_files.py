@@ -15,13 +15,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from exchange.test_clouds import write
 from exchange.test_dem import band
 from fuzz.cases import NUMBERS, damaged, one_of
 from replay.recordings import GROUND
 
 from quadtree_lss.desk.replay.elevation_model import rank_sites
-from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.campaign.kinds import Case
 from quadtree_lss.lab.campaign.store import Store
 from quadtree_lss.lab.campaign.study import read_study
@@ -31,7 +29,6 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 #: Of each kind of file; make test-all sends 20,000 in all, other ones with another FUZZ_SEED.
 #: Damaged bags are those of replay/test_damaged_bags.py.
 COUNTS = {"dem_npz": 50, "dem_tiff": 50, "study": 100, "record": 100}
-COUNTS |= {"cloud": 20, "poses": 20}
 SEED, MANY = int(os.environ.get("FUZZ_SEED", "7110")), 60
 TYPES = ["f2", "f4", "f8", ">f8", "i1", "u2", "i8", "u8", "c16", "?", "S3", "U2", "M8[ns]"]
 WORDS = ["", "null", "[]", "{}", "-1", "1e999", ".nan", "'a'", "{uniform: [1, 0]}", "!!python/x y"]
@@ -109,43 +106,6 @@ def dem_tiff(rng, folder):
     sound(rank_sites(path, None, CONFIG))
 
 
-def cloud(rng, folder):
-    points = np.stack([*np.meshgrid(AXIS, AXIS), HEIGHTS], axis=-1).reshape(-1, 3)
-    path = folder / f"cloud{one_of(rng, ['.npy', '.npz', '.ply', '.pcd'])}"
-    other = spoilt_array(rng, points)
-    if path.suffix == ".npz":
-        stamps = rng.integers(0, 2**63, int(one_of(rng, [1, 2])))
-        more = {"stamp_ns": stamps, "points": np.stack([points] * len(stamps))}
-        path.write_bytes(archive(rng, more if rng.random() < 0.5 else {"points": points}))
-    elif path.suffix == ".npy":
-        np.save(path, other)
-    else:
-        with np.errstate(all="ignore"):
-            write(path, other if other.dtype.kind == "f" and other.shape[1:] == (3,) else points)
-        count = str(one_of(rng, [len(other), len(other), -1, 2**31, 2**62])).encode()
-        path.write_bytes(path.read_bytes().replace(b" 169\n", b" " + count + b"\n"))
-    path.write_bytes(spoilt_bytes(rng, path.read_bytes()))
-    sound(replay(path, None, CONFIG))
-    path.unlink()
-
-
-def poses(rng, folder):
-    if not (scans := folder / "scans.npz").exists():
-        ray = np.random.default_rng(1).uniform(-0.3, 0.3, (100, 2))
-        points = 30.0 * np.column_stack([ray, np.ones(100)])
-        np.savez(scans, points=np.stack([points] * 3), stamp_ns=np.arange(3) * 10**9 + 10**18)
-    rows = [[10**9 + k, 0.0, 0.0, 30.0, 1.0, 0.0, 0.0, 0.0] for k in range(-1, 4)]
-    for _ in range(int(rng.integers(0, 3))):
-        row = one_of(rng, rows)
-        row[int(rng.integers(8))] = one_of(rng, [*NUMBERS, "x", "", "1e999999999", "9" * 5000])
-    text = "\n".join(one_of(rng, [" ", " ", ","]).join(map(str, row)) for row in rows)
-    if rng.random() < 0.3:
-        text = "stamp,x,y,z,qx,qy,qz,qw\n" + text.replace(" ", ",")
-    path = folder / "poses.txt"
-    path.write_bytes(spoilt_bytes(rng, text.encode()))
-    sound(replay(scans, None, CONFIG, poses=path))
-
-
 STUDY = """name: small
 kind: map
 scenario: descent
@@ -181,7 +141,7 @@ def record(rng, folder):
     assert store.read(case) == written
 
 
-KINDS = {f.__name__: f for f in (dem_npz, dem_tiff, cloud, poses, study, record)}
+KINDS = {f.__name__: f for f in (dem_npz, dem_tiff, study, record)}
 
 
 def through(kind: str, folder: Path, seed: int, count: int) -> Counter[str]:

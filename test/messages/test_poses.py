@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.poses import (
-    has_unknown_covariance,
+    covariance_flaw,
     mount_from_message,
     pose_from_message,
 )
@@ -67,20 +67,26 @@ def changed(entries):
     return covariance
 
 
+def test_an_attitude_that_is_hardly_known_and_a_wrong_length_are_refused():
+    assert reason_of(pose(covariance=changed({(4, 4): 1.0}))) == "attitude"
+    assert reason_of(pose(covariance=np.ones(35))) == "covariance"
+
+
 @pytest.mark.parametrize(
     "covariance",
     [
-        changed({(0, 0): -1e-9}),
         changed({(0, 1): 0.01, (1, 0): 0.02}),
         changed({(3, 4): 1e-8, (4, 3): 2e-8}),
         changed({(0, 1): np.inf, (1, 0): np.inf}),
         changed({(0, 1): 0.05, (1, 0): 0.05}),
-        changed({(0, 0): 0.0, (0, 1): 0.01, (1, 0): 0.01}),
-        np.ones(35),
+        changed({(0, 1): 1e200, (1, 0): -1e200}),
     ],
 )
-def test_covariances_that_are_none_are_refused(covariance):
-    assert reason_of(pose(covariance=covariance)) == "covariance"
+def test_of_a_matrix_that_is_no_covariance_the_variances_count(covariance):
+    msg = pose(covariance=covariance)
+    assert covariance_flaw(msg) == "invalid"
+    found = pose_from_message(msg, "map").covariance
+    np.testing.assert_allclose(found, np.diag(covariance.diagonal()), rtol=1e-12)
 
 
 def test_rounding_of_a_covariance_is_mended():
@@ -95,7 +101,7 @@ def test_rounding_of_a_covariance_is_mended():
 
 def test_zeros_mean_unknown_and_take_the_configured_sigmas():
     msg = pose(covariance=np.zeros(36))
-    assert has_unknown_covariance(msg) and not has_unknown_covariance(pose())
+    assert covariance_flaw(msg) == "unknown" and not covariance_flaw(pose())
     of = {"unknown_position_sigma": 0.5, "unknown_attitude_sigma_deg": 0.1}
     decoded = pose_from_message(msg, "map", **of)
     sigmas = np.sqrt(np.diag(decoded.covariance))
@@ -107,7 +113,7 @@ def test_attitude_may_be_unknown_where_position_is_not():
     covariance = np.diag([0.04, 0.04, 0.09, 0.0, 0.0, 0.0])
     for told, sigmas in ((covariance, [0.2, 0.2, 0.3]), (covariance[::-1, ::-1], [0.5] * 3)):
         msg = pose(covariance=told.ravel())
-        assert has_unknown_covariance(msg)
+        assert covariance_flaw(msg) == "unknown"
         of = {"unknown_position_sigma": 0.5, "unknown_attitude_sigma_deg": 0.1}
         found = np.diag(pose_from_message(msg, "map", **of).covariance)
         turned = [0.3, 0.2, 0.2] if told is not covariance else [np.deg2rad(0.1)] * 3
@@ -118,6 +124,7 @@ UNKNOWN = {
     "not a number": (np.full(36, np.nan), range(6)),
     "the first is not a number": (np.r_[np.nan, np.zeros(35)], range(6)),
     "the first is -1": (np.r_[-1.0, np.zeros(35)], range(6)),
+    "a negative variance": (changed({(0, 0): -1e-9}), (0,)),
     "variances of -1": (changed({(k, k): -1.0 for k in range(3, 6)}), (3, 4, 5)),
     "unused axes": (changed({(k, k): 1e6 for k in (2, 3, 4)}), (2, 3, 4)),
     "unused axes of 1e12": (changed({(k, k): 1e12 for k in (2, 3, 4)}), (2, 3, 4)),
@@ -131,7 +138,7 @@ UNKNOWN = {
 def test_every_way_to_say_unknown_takes_the_configured_sigmas(how):
     covariance, axes = UNKNOWN[how]
     msg = pose(covariance=covariance)
-    assert has_unknown_covariance(msg)
+    assert covariance_flaw(msg) == "unknown"
     of = {"unknown_position_sigma": 0.5, "unknown_attitude_sigma_deg": 0.1}
     found = pose_from_message(msg, "map", **of).covariance
     expected = COVARIANCE.diagonal().copy()
@@ -144,7 +151,7 @@ def test_one_triangle_of_a_covariance_is_all_of_it(triangle):
     whole = changed({(0, 1): 0.01, (1, 0): 0.01, (3, 5): 2e-7, (5, 3): 2e-7})
     msg = pose(covariance=triangle(whole))
     np.testing.assert_allclose(pose_from_message(msg, "map").covariance, whole, rtol=1e-12)
-    assert not has_unknown_covariance(msg)
+    assert not covariance_flaw(msg)
 
 
 def test_the_covariance_cannot_be_changed_by_accident():

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scanning lidars: times in every driver's layout, and a map that motion does not bend."""
 
+from copy import copy
+
 import numpy as np
 import pytest
 from messages.samples import cloud, cloud_of, pose
@@ -101,10 +103,24 @@ def test_a_unit_is_told_by_the_length_of_a_scan(how, period):
     assert bool(note) == bool(noted) and noted in note and (not note or name in note)
 
 
-def test_an_unknown_field_of_times_is_named():
-    msg = cloud(np.ones((64, 3)), times=("timestamp_low", "u4", OFFSETS * 1e9))
-    with pytest.raises(MessageError, match="'timestamp_low'"):
+@pytest.mark.parametrize("name", ["rel_t", "dt", "Time_Us", "offset_nsec"])
+def test_a_field_with_another_name_holds_times_if_it_is_the_only_one(name):
+    msg = cloud(np.ones((64, 3)), times=(name, "u4", np.rint(OFFSETS * 1e9)))
+    offsets, *_ = offsets_from_cloud(msg, STAMP, points_from_cloud(msg))
+    np.testing.assert_allclose(offsets, OFFSETS * 1e9, atol=1)
+    msg.fields.append(copy(msg.fields[3]))
+    msg.fields[4].name = "timestamp_high"
+    with pytest.raises(MessageError, match=f"'{name}', 'timestamp_high'"):
         offsets_from_cloud(msg, STAMP, points_from_cloud(msg))
+
+
+def test_a_field_of_zeros_does_not_hide_another_one():
+    msg = cloud(np.ones((64, 3)), times=("time", "f4", OFFSETS))
+    zeros = copy(msg.fields[3])
+    msg.fields[3].name, zeros.name, zeros.offset = "timestamp", "t", 0
+    msg.fields.append(zeros)  # the same for all: x
+    offsets, *_ = offsets_from_cloud(msg, STAMP, points_from_cloud(msg))
+    np.testing.assert_allclose(offsets, OFFSETS * 1e9, atol=8)
 
 
 @pytest.mark.parametrize("length", [0.4, 0.9])

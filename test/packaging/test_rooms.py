@@ -29,7 +29,7 @@ onboard.nodes: build onboard.config onboard.core onboard.messages onboard.autopi
 desk.exchange: onboard.config onboard.core
 desk.report: onboard.config onboard.core onboard.messages desk.exchange
 plot: onboard.core desk.report
-desk.bags: onboard.config onboard.messages desk.exchange
+desk.bags: onboard.config onboard.messages
 desk.replay: build onboard.config onboard.core onboard.messages desk.report desk.exchange
 desk.replay: plot desk.bags
 desk.player: onboard.messages onboard.nodes desk.bags desk.replay
@@ -47,6 +47,7 @@ lab.commands: onboard.config desk.commands desk.replay lab.simulation lab.flight
 lab.commands: lab.evaluation lab.campaign
 api: onboard.config onboard.core onboard.messages desk.bags desk.replay desk.exchange
 cli: build desk.commands lab.commands
+start: cli
 """
 MAY_IMPORT: dict[str, set[str]] = {}
 for _line in ORDER.split("\n")[1:-1]:

@@ -74,11 +74,3 @@ def test_output_that_is_closed_or_full_is_no_traceback(tmp_path, closed, monkeyp
     )
     full = "full" in closed
     assert done.returncode == full and done.stderr.count("\n") == full
-
-
-def test_an_angle_in_radians_is_doubted(tmp_path, capsys):
-    file = tmp_path / "mount.yaml"
-    for value, doubted in (("3.14159", True), ("-1.57", True), ("180.0", False), ("3.0", False)):
-        file.write_text(f"/**: {{ros__parameters: {{mount.roll_deg: {value}}}}}")
-        code, _, err = run(capsys, "config", "check", file)
-        assert code == 0 and ("looks like radians: mount.roll_deg" in err) == doubted, value

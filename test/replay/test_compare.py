@@ -45,7 +45,7 @@ def test_a_boulder_and_a_rise_are_found(before, tmp_path):
     x, y, _ = load_results(before).positions[0]
     changed = ground(rise=0.1, boulder=(x, y))
     rank_sites(changed, tmp_path / "b", CONFIG, report=False)
-    found = compare_results(before, tmp_path / "b", tmp_path / "out")
+    found = compare_results(before, tmp_path / "b")
     h = found.heights
     assert h.mean == pytest.approx(0.1, abs=0.005) and h.greatest == pytest.approx(0.9, abs=1e-6)
     assert np.hypot(h.x - x, h.y - y) < 1.0
@@ -57,10 +57,6 @@ def test_a_boulder_and_a_rise_are_found(before, tmp_path):
     assert lost.rank == 1 and lost.elsewhere.startswith("not allowed in the second (")
     assert len(found.sites_gained) == len(found.sites_lost) == 3 - len(found.sites_kept)
     assert found.sites_gained[0].elsewhere == "allowed in the first, but others rank before it"
-    assert np.nanmax(found.difference) == h.greatest
-    stored = json.loads((tmp_path / "out" / "comparison.json").read_text())
-    assert stored == found.as_dict() and stored["heights"]["points"] == h.points
-    assert (tmp_path / "out" / "comparison.png").stat().st_size > 10_000
 
 
 def test_two_grounds_are_not_compared_as_one(before, tmp_path, capsys):
@@ -101,8 +97,7 @@ def test_no_ground_in_common_is_one_line(before, tmp_path):
 
 def test_the_command_tells_it_in_words(before, tmp_path, capsys):
     rank_sites(ground(rise=0.1), tmp_path / "b", CONFIG, report=False)
-    code, out, _ = run(capsys, "compare", before, tmp_path / "b", "--out", tmp_path / "out")
+    code, out, _ = run(capsys, "compare", before, tmp_path / "b")
     assert code == 0 and "+0.100 m" in out and "Sites kept: 1 -> 1" in out
-    assert "comparison.png" in out
     shown = json.loads(run(capsys, "compare", before, tmp_path / "b", "--json", "-q")[1])
     assert shown["heights"]["mean"] == pytest.approx(0.1) and len(shown["sites_kept"]) == 3

@@ -59,6 +59,8 @@ class Good:
     cloud: object = staticmethod(lambda points, place, turn: points)
     of_lidar: bool = False
     sweep: float = 0.0  # from the first return of a scan to its last, each with its time
+    again: float | None = None  # after this time each cloud is sent again, stamped then
+    others: object = staticmethod(lambda recorder: None)  # writes other messages
 
     def write(self, path):
         rng = np.random.default_rng(70011)
@@ -95,6 +97,10 @@ class Good:
                     timed["t"] = np.rint(SECOND * after)
                     cloud = recorder.messages().cloud(timed, stamp)
                 recorder.write("/lidar/points", cloud, CLOUD, at + 5_000_000)
+                if self.again is not None:
+                    cloud.header.stamp.nanosec += round(self.again * SECOND)
+                    recorder.write("/lidar/points", cloud, CLOUD, at + 20_000_000)
+            self.others(recorder)
         return path
 
 
@@ -145,7 +151,7 @@ FAULTS = {
     "clouds in mm": ({"scale": 1000.0}, MOUNTED, "units", "0.001"),
     "clouds in cm": ({"scale": 100.0}, MOUNTED, "units", "0.01"),
     "poses in mm": (
-        {"place": lambda place, turn: 1000.0 * place}, MOUNTED, "outside", "config suggest",
+        {"place": lambda place, turn: 1000.0 * place}, MOUNTED, "pose_units", "0.001",
     ),
     "clouds in the map": (
         {"cloud": lambda points, place, turn: turn.apply(points) + place},
@@ -177,6 +183,11 @@ FAULTS = {
     ),
     "quaternions of zeros": (
         {"quaternion": lambda place, turn: np.zeros(4)}, MOUNTED, "pose_quaternion", "w: 1",
+    ),
+    "clouds that a relay stamps anew": ({"again": 0.01}, MOUNTED, "copies", "driver"),
+    "a loop closure": (
+        {"place": lambda place, turn: place + (place[2] < 20.0) * np.array([0.6, 0.0, 0.5])},
+        MOUNTED, "jump", "--start",
     ),
     "a domain elsewhere": (
         {}, {**MOUNTED, "domain.xmin": 500.0}, "outside", "config suggest",
@@ -328,6 +339,64 @@ def test_scans_that_see_no_common_ground_prove_no_unit(tmp_path):
     assert not [finding for finding in info.findings if "units" in finding.key], info.findings
 
 
+def test_clouds_that_are_sent_twice_are_mapped_once(tmp_path):
+    path = dataclasses.replace(Good(), again=0.0).write(tmp_path / "bag")
+    info = inspect_bag(path, config_from_values(MOUNTED), diagnose=True)
+    assert info.works and "68 of 68 scans mapped" in info.verdict
+    assert [finding.key for finding in info.findings if finding.key == "repeats"]
+
+
+def tree(recorder):
+    """The body's way on /tf, and the lidar on it, which looks down."""
+    geometry = {name: recorder.type(f"geometry_msgs/msg/{name}") for name in (
+        "TransformStamped", "Transform", "Vector3", "Quaternion")}  # fmt: skip
+    for k in range(40):
+        stamp, transforms = START + k * SECOND // 10, []
+        place, turn = body(0.1 * k)
+        for names, at, q in (
+            (("odom", "base_link"), place, turn.as_quat()),
+            (("base_link", "lidar"), (0.3, 0.0, -0.1), DOWN.as_quat()),
+        ):
+            transforms.append(
+                geometry["TransformStamped"](
+                    header=recorder.messages(names[0]).pose(stamp, at, q, np.zeros(36)).header,
+                    child_frame_id=names[1],
+                    transform=geometry["Transform"](
+                        geometry["Vector3"](*map(float, at)),
+                        geometry["Quaternion"](*map(float, q)),
+                    ),
+                )
+            )
+        message = recorder.type("tf2_msgs/msg/TFMessage")(transforms=transforms)
+        recorder.write("/tf", message, "tf2_msgs/msg/TFMessage", stamp)
+
+
+def test_a_mount_that_only_tf_has_is_tried_first(tmp_path):
+    def before(place, turn):
+        return place - turn.apply([0.3, 0.0, -0.1])
+
+    path = dataclasses.replace(Good(), others=tree, place=before).write(tmp_path / "bag")
+    info = inspect_bag(path, config_from_values(BASE), diagnose=True)
+    (found,) = (finding for finding in info.findings if finding.settings)
+    assert found.key == "mount_tf" and "base_link" in found.text
+    assert found.settings["mount.x"] == 0.3 and found.settings["mount.z"] == -0.1
+    assert abs(found.settings["mount.roll_deg"]) == 180.0
+    assert info.suggestion.values["mount.x"] == 0.3
+
+
+def test_dust_is_named_and_no_fault(tmp_path):
+    rng = np.random.default_rng(70012)
+
+    def dust(points, place, turn):
+        floating = rng.random(len(points)) < 0.2
+        return points * np.where(floating, rng.uniform(0.5, 0.95, len(points)), 1.0)[:, None]
+
+    path = dataclasses.replace(Good(), cloud=dust).write(tmp_path / "bag")
+    info = inspect_bag(path, config_from_values(MOUNTED), diagnose=True)
+    (found,) = (finding for finding in info.findings if finding.key == "isolated")
+    assert "dust" in found.text and not found.fix
+
+
 def test_a_map_whose_z_is_not_up_is_named(tmp_path):
     tilt = Rotation.from_euler("y", 20.0, degrees=True)
     tilted = {
@@ -339,6 +408,7 @@ def test_a_map_whose_z_is_not_up_is_named(tmp_path):
     info = inspect_bag(path, config, diagnose=True)
     (found,) = (finding for finding in info.findings if finding.key == "tilt")
     assert "20 deg" in found.text and "gravity" in found.text
+    assert info.verdict.startswith("the ground slopes by 20 deg on average: if it really does,")
 
 
 def test_suggest_says_what_is_wrong_too(tmp_path, capsys):

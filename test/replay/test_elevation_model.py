@@ -15,6 +15,7 @@ from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.replay import elevation_model
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.elevation_model import cells_of, rank_sites
+from quadtree_lss.desk.report.headline import verdict
 
 VALUES = {"lss.grid_spacing": 0.5, "lidar.range_noise": 0.02, "domain.follow": "vehicle"}
 CONFIG = load_config((), VALUES)
@@ -35,6 +36,16 @@ def dem_file(tmp_path):
     dem = model()
     np.savez(tmp_path / "dem.npz", x=dem.x, y=dem.y, elevation=dem.elevation)
     return tmp_path / "dem.npz"
+
+
+def test_without_a_site_the_console_names_the_limit_as_the_page_does(tmp_path, capsys):
+    dem = model(1.0)
+    np.savez(tmp_path / "steep.npz", x=dem.x, y=dem.y, elevation=dem.elevation)
+    folder = tmp_path / "out"
+    code, out, _ = run(capsys, "sites", tmp_path / "steep.npz", "--out", folder, "--no-report")
+    (line,) = (line for line in out.splitlines() if line.startswith("No landing site: "))
+    assert code == 0 and "% " in line and "Landing is allowed on 0 %" in line
+    assert line[17:].lower() == verdict(load_results(folder)).ground.lower()
 
 
 def test_the_map_is_the_models_ground():

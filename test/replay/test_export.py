@@ -42,11 +42,9 @@ def test_every_layer_is_a_cloud_optimised_geotiff(written, tmp_path):
             x, y = grid.x[5], grid.y[40]
             (pixel,) = file.sample([(x, y)])
             if values.dtype == np.bool_:
-                assert file.nodata == 255 and file.colormap(1)[1][:3] == (0x00, 0x9E, 0x73)
+                assert file.nodata == 255
                 values = np.where(grid["hazard"] & 128, 255, values)
                 assert {0, 1, 255} == set(values.flat)
-            elif name == "hazard":
-                assert file.colormap(1)[128 | 8] != file.colormap(1)[8] != file.colormap(1)[0]
             np.testing.assert_allclose(pixel[0], np.float32(values[40, 5]))
             np.testing.assert_allclose(file.read(1), values[::-1].astype(file.dtypes[0]))
     with rasterio.open(tmp_path / "map_height.tif") as file:

@@ -8,7 +8,7 @@ import pytest
 from replay.recordings import CLOUD, POSE, SECOND, START, recording, write_ros2
 from replay.test_cli import run
 
-from quadtree_lss.desk.bags.cloud_files import open_recording
+from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.replay.suggest import suggest_config
@@ -95,7 +95,7 @@ def test_the_frame_of_the_poses_and_the_topics_that_are_asked_for_are_taken(tmp_
 
 
 def test_rays_without_a_return_at_one_range_are_no_ground(flight, tmp_path):
-    with recording(tmp_path / "bag") as recorder, open_recording(flight) as opened:
+    with recording(tmp_path / "bag") as recorder, Bag(flight) as opened:
         for message in opened.messages(["/lidar/points", "/nav/pose"]):
             kind = CLOUD if message.topic == "/lidar/points" else POSE
             found = opened.decode(message.raw, kind)

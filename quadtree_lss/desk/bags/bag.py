@@ -212,6 +212,11 @@ class MessageBag(Bag):
         return raw() if callable(raw) else raw
 
 
+def open_bag(bag: str | Path | Bag) -> Bag:
+    """Return a bag to enter: the one at a path, or one that is in memory."""
+    return bag if isinstance(bag, Bag) else Bag(bag)
+
+
 def _stored(folder: Path) -> dict[str, Path]:
     """Bag files of a folder by their name without compression, ``…_10`` after ``…_9``; a plain file
     rather than its compressed copy."""

@@ -32,9 +32,9 @@ KINDS = {
 OUTPUTS = (*(f"/{name}" for name in TOPIC_TYPES), "/landing/dispersion")
 """Ends of topics that have the type of an input but are outputs of our nodes or of guidance."""
 
-COVERED, SELDOM = 0.9, 0.5
-"""Share of the scans with poses around them, and rate up to that of the scans, of the most that any
-pose topic has: with less a topic is passed over."""
+COVERED, SELDOM, SELDOM_NAMED = 0.9, 0.5, 0.2
+"""Share of the scans with poses around them, and rate up to that of the scans, also of a topic of
+the nodes' name, of the most that any pose topic has: with less a topic is passed over."""
 CONVERSIONS = {
     "/PoseStamped": "copy PoseStamped into PoseWithCovarianceStamped with a covariance of zeros:"
     " docs/connecting.md has the script for a bag",
@@ -43,6 +43,8 @@ CONVERSIONS = {
     " its output",
     "/CustomMsg": "livox_ros_driver2 sends PointCloud2 with xfer_format: 0; of a recording, play it"
     " through the package livox_to_pointcloud2 and record its output",
+    "/TFMessage": "of poses only in /tf record the odometry topic as well, or copy the transform of"
+    " the body into PoseWithCovarianceStamped as docs/connecting.md does with PoseStamped",
     " as ": "only ROS messages are decoded; convert to ROS 2 messages (cdr)",
 }
 """Remedies by a part of a type that is not read."""
@@ -62,44 +64,41 @@ def choose_topic(
     msgtype: str = "",
     without: Collection[str] = (),
 ) -> str:
-    """The topic to read of ``msgtype``, or of the default's: the one ``asked`` for, else the
-    ``default``, else the only one. ``without``: topics that are not chosen unless asked for. Raises
-    `BagError`: lists the candidates, and the command-line ``option`` by which to choose."""
+    """The topic of ``msgtype``, or of the default's type: the one ``asked`` for, the ``default``,
+    or the only one that is not in ``without``. Raises `BagError`: names the candidates, and the
+    command-line ``option`` that chooses."""
     msgtype = msgtype or KINDS[default]
     fitting = candidates(bag, msgtype, ours=asked is not None)
-    if asked is None:
-        fitting = [name for name in fitting if name not in without]
-    listed = ", ".join(fitting)
     if asked is not None:
-        for name in (asked if asked.startswith("/") else f"/{asked}", asked):
+        for name in (f"/{asked.lstrip('/')}", asked):
             if name in fitting:
                 return name
-        msg = f"no {msgtype} on topic {asked}; candidates for {option}: {listed or 'none'}"
-    elif default in fitting:
-        return default
-    elif len(fitting) == 1:
-        return fitting[0]
-    elif fitting:
-        msg = f"several topics of type {msgtype}: choose one by {option}: {listed}"
-    else:
-        there = ", ".join(f"{t.name} ({t.type}, {t.count})" for t in bag.topics) or "none"
-        alike = (kinds for kinds in (types.SCAN_TYPES, types.POSE_TYPES) if msgtype in kinds)
-        kinds = " or ".join(next(alike, (msgtype,)))
-        msg = f"no messages of type {kinds}; topics: {there}"
-        for part, remedy in CONVERSIONS.items():
-            names = ", ".join(topic.name for topic in bag.topics if part in topic.type)
-            msg += f"; {names}: {remedy}" if names else ""
+        there = ", ".join(fitting) or "none"
+        msg = f"no {msgtype} on topic {asked}; candidates for {option}: {there}"
+        raise BagError(f"{bag.path}: {msg}")
+    fitting = [name for name in fitting if name not in without]
+    if default in fitting or len(fitting) == 1:
+        return default if default in fitting else fitting[0]
+    if fitting:
+        msg = f"several topics of type {msgtype}: choose one by {option}: {', '.join(fitting)}"
+        raise BagError(f"{bag.path}: {msg}")
+    there = ", ".join(f"{t.name} ({t.type}, {t.count})" for t in bag.topics) or "none"
+    alike = (kinds for kinds in (types.SCAN_TYPES, types.POSE_TYPES) if msgtype in kinds)
+    msg = f"no messages of type {' or '.join(next(alike, (msgtype,)))}; topics: {there}"
+    for part, remedy in CONVERSIONS.items():
+        if part == "/TFMessage" and msgtype not in types.POSE_TYPES:
+            continue
+        names = ", ".join(topic.name for topic in bag.topics if part in topic.type)
+        msg += f"; {names}: {remedy}" if names else ""
     raise BagError(f"{bag.path}: {msg}")
 
 
 def choose_pose_topic(
     bag: Bag, asked: str | None, source: str, scans: str = ""
 ) -> tuple[str, str, str]:
-    """Topic and type of the poses, and what to know of the choice: of the type preferred, of the
-    other if there is none of it. Topics with poses at too few of the scans' times, or more seldom
-    than scans while another has more, are passed over. ``bag``: an open bag. ``asked``: topic that
-    the user named, or None. ``source``: ``pose`` or ``odometry``, as of ``pose.source``. ``scans``:
-    topic of the scans. Raises `BagError`: lists the candidates."""
+    """Topic and type of the poses, and a note on the choice. ``source`` (``pose.source``) is the
+    type preferred. Topics with poses at too few times of the ``scans``, or more seldom than scans
+    while another has more, are passed over. Raises `BagError`: names the candidates."""
     order = (ODOMETRY_TOPIC, POSE_TOPIC) if source == "odometry" else (POSE_TOPIC, ODOMETRY_TOPIC)
     if asked is not None:
         return *_choose(bag, asked, order, "--pose-topic"), ""
@@ -110,7 +109,7 @@ def choose_pose_topic(
     seldom = {
         name: rate
         for name, (share, rate) in rates.items()
-        if share < COVERED * most or (rate < SELDOM * best and name not in order)
+        if share < COVERED * most or rate < (SELDOM_NAMED if name in order else SELDOM) * best
     }
     topic, kind = _choose(bag, None, order, "--pose-topic", seldom)
     passed = ", ".join(f"{name} ({rate:.2g} Hz)" for name, rate in seldom.items())

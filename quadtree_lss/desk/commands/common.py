@@ -21,9 +21,8 @@ from quadtree_lss.onboard.config.vehicle import VehicleConfig
 from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-CLOUDS = "rosbag2 folder, .mcap, .db3, ROS 1 .bag; or point clouds: a file or a folder of them"
-POSES = "poses of point clouds, TUM or CSV; without it they are taken to be in the map frame"
-TOPICS = ("scan_topic", "pose_topic", "poses")
+BAG = "rosbag2 folder, .mcap, .db3 or ROS 1 .bag"
+TOPICS = ("scan_topic", "pose_topic")
 N = TypeVar("N", int, float)
 DONE, ERROR, USAGE, IN_PART, INTERRUPTED = 0, 1, 2, 3, 130
 EXIT_CODES = """exit codes:
@@ -149,7 +148,6 @@ def add_topics(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--scan-topic", metavar="T", help="point clouds (default /lidar/points, else by type)")
     add("--pose-topic", metavar="T", help="poses (default /nav/pose, else by type)")
-    add("--poses", type=named, metavar="FILE", help=POSES)
 
 
 def add_config_options(parser: argparse._ActionsContainer) -> None:
@@ -226,8 +224,7 @@ def polygon(text: str) -> list[list[float]] | None:
     """Type of an option: ``'0,0 9,0 9,9'``, or ``none``."""
     corners = _numbers(text)
     if corners is not None and len(corners) < 3:
-        msg = f"'{text}' has {len(corners)} corners; a polygon has three or more"
-        raise argparse.ArgumentTypeError(msg)
+        raise argparse.ArgumentTypeError(f"'{text}' has {len(corners)} corners; 3 are the least")
     return corners
 
 

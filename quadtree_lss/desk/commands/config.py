@@ -18,7 +18,6 @@ from quadtree_lss.desk.replay.configuration import (
     load_config,
     scalar_text,
     shipped_configs,
-    slow,
 )
 from quadtree_lss.onboard.config import settings
 from quadtree_lss.onboard.config.loading import check_reaches, read_values
@@ -64,7 +63,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     explain.add_argument("names", nargs="+", metavar="NAME", help="keys or sections")
     common.add_config_options(explain)
     suggest = common.add_command(actions, "suggest", _suggest, SUGGEST, EXAMPLES)
-    suggest.add_argument("bag", type=common.named, metavar="BAG", help=common.CLOUDS)
+    suggest.add_argument("bag", type=common.named, metavar="BAG", help=common.BAG)
     common.add_topics(suggest)
     common.add_config_options(suggest)
     for command in (check, explain, suggest):  # an option before the action counts, too
@@ -96,19 +95,9 @@ def _check(options: argparse.Namespace) -> int:
     common.show(options, found, "\n".join(lines))
     for name in (name for name, errors in found.items() if not errors and not options.json):
         config = load_config([name])
-        for said in filter(None, (radians(config), doubt(config), slow(config))):
+        if said := doubt(config):
             warn(f"{name}: {said}")
     return common.ERROR if any(found.values()) else common.DONE
-
-
-def radians(config: Config) -> str:
-    """Which angles look like radians, as 3.14159 deg does; empty if none does."""
-    told = settings.values_from_config(config)
-    values = {row.name: told[row.name] for row in settings.parameters() if row.unit == "deg"}
-    turns = {name: float(value) / (0.25 * math.pi) for name, value in values.items()}
-    near = {k: round(n) for k, n in turns.items() if abs(n - round(n)) < 3e-3 and 0.5 < abs(n) < 9}
-    meant = ", ".join(f"{name} = {values[name]:g} ({45 * n}?)" for name, n in near.items())
-    return f"angles are in deg, but this looks like radians: {meant}" if near else ""
 
 
 def _suggest(options: argparse.Namespace) -> int:

@@ -123,15 +123,24 @@ def result_text(result: ReplayResult) -> str:
     text = form.format(**summary, dropped=dropped, used=used)
     lines = [text, *aligned(_site_rows(sites), ">")]
     if not len(sites):
-        reason = result.assessment.explanation
-        lines = [text.removesuffix(f"; {reason}")]
-        lines.append(f"no safe site: {reason.removeprefix('no safe site: ')}")
+        lines = [text.removesuffix(f"; {result.assessment.explanation}"), _without_site(result)]
     if result.out is not None:
         lines.append(f"results in {one_line(result.out)}")
         page = result.out / "report.html"
         if page.exists():
             lines.append(f"open {one_line(page)}")
     return "\n".join(lines)
+
+
+def _without_site(result: ReplayResult) -> str:
+    """Why there is no site: the page's headline, with the limit that is missed and by how much."""
+    if result.out is None:
+        return result.assessment.explanation
+    from quadtree_lss.desk.exchange.saved import load_results
+    from quadtree_lss.desk.report.headline import verdict
+
+    found = verdict(load_results(result.out))
+    return f"{found.answer.rstrip('.')}: {found.ground[:1].lower()}{found.ground[1:]}"
 
 
 def _site_rows(sites: Sites) -> list[Sequence[str]]:

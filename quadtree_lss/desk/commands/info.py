@@ -28,12 +28,12 @@ record: without motion some faults look alike. Exit code 1 if there is a fault.
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = common.add_command(commands, "info", _info, TEXT, EXAMPLES)
-    parser.add_argument("bag", type=common.named, metavar="BAG", help=common.CLOUDS)
+    parser.add_argument("bag", type=common.named, metavar="BAG", help=common.BAG)
     common.add_config_options(parser)
     common.add_topics(parser)
     parser = common.add_command(commands, "doctor", _doctor, DOCTOR, DOCTOR_EXAMPLES)
     add = parser.add_argument
-    text = f"{common.CLOUDS}; without it, what is live"
+    text = f"{common.BAG}; without it, what is live"
     add("bag", nargs="?", type=common.named, metavar="BAG", help=text)
     common.add_config_options(parser)
     common.add_topics(parser)
@@ -59,7 +59,6 @@ def _doctor(options: argparse.Namespace) -> int:
     config, how = common.chosen_config(options), common.given(options, *common.TOPICS)
     bag = options.bag
     if bag is None:
-        common.refuse(options, "doctor without a bag", "poses")
         with common.of_ros("doctor without a bag"):
             from quadtree_lss.desk.player.listen import listen
         warn(f"listening for {options.seconds:g} s to what is published now")

@@ -23,10 +23,7 @@ EXAMPLES = """examples:
   quadtree-lss replay flight_bag --out results --start 5 --duration 10 --no-report
   quadtree-lss replay flight_bag --record products      (map and landing topics, for Foxglove)
   quadtree-lss replay products --set lss.margin=1.0     (a bag of maps: ranks sites on its last)
-  quadtree-lss replay clouds --poses poses.tum          (PLY, PCD, NPY, NPZ)
-  quadtree-lss replay survey.ply --config survey.yaml   (a cloud in the map frame, without poses)
   quadtree-lss replay flight_bag --publish --rate 0.5   (into running nodes)
-  quadtree-lss replay products --publish                (a bag of maps, for lss_node alone)
   quadtree-lss replay flight_bag --publish --namespace lander --remap lidar/points:=/flash/points
   quadtree-lss replay flight_bag --area='-9,-9 9,-9 9,9 -9,9' --keep-out=none --target=3,-4
 
@@ -48,7 +45,7 @@ NO_REPORT = "no figures and no report.html"
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = common.add_command(commands, "replay", _run, TEXT, EXAMPLES)
     add = parser.add_argument
-    add("bag", type=common.named, metavar="BAG", help=common.CLOUDS)
+    add("bag", type=common.named, metavar="BAG", help=common.BAG)
     add("--out", metavar="DIR", type=common.named, help=OUT)
     common.add_config_options(parser)
     common.add_topics(parser)
@@ -157,22 +154,11 @@ def _sites(options: argparse.Namespace) -> int:
 
 
 def _publish(options: argparse.Namespace) -> int:
-    offline = (
-        "out",
-        "config",
-        "set",
-        "vehicle",
-        "poses",
-        "no_report",
-        "record",
-        "area",
-        "keep_out",
-        "target",
-    )
+    offline = "out config set vehicle no_report record area keep_out target".split()
     common.refuse(options, "--publish: the nodes map and rank the sites", *offline)
     with common.of_ros("--publish"):
         from quadtree_lss.desk.player.player import play
-    how = common.given(options, *common.TOPICS[:2], "start", "duration", "remap")
+    how = common.given(options, *common.TOPICS, "start", "duration", "remap")
     how |= {"rate": options.rate or 1.0, "namespace": options.namespace or ""}
     with console.ProgressBar("play", "s", options.verbose) as bar:
         report = play(options.bag, **how, progress=bar.update)

@@ -15,7 +15,6 @@ LATEST = Path("results/latest")
 COMPARE = "Compare two results of the same ground: heights, safe ground, sites gained and lost."
 COMPARE_EXAMPLES = """examples:
   quadtree-lss compare results/2026-11-20_10-00-00 results/latest
-  quadtree-lss compare before after --out difference        (also as JSON and picture)
   quadtree-lss compare before after --json
 
 Compared at the grid points of A. Exit code 1 if they are not of the same ground.
@@ -56,8 +55,6 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add = parser.add_argument
     add("first", type=common.named, metavar="A", help="folder that replay or sites wrote")
     add("second", type=common.named, metavar="B", help="another one of the same ground")
-    text = "folder for comparison.json and comparison.png (default: none is written)"
-    add("--out", metavar="DIR", type=common.named, help=text)
     parser = common.add_command(commands, "export", _export, EXPORT, EXPORT_EXAMPLES)
     add = parser.add_argument
     text = "folder that replay or sites wrote (default results/latest)"
@@ -79,9 +76,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 def _compare(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.differences import compare_results
 
-    result = compare_results(options.first, options.second, options.out)
-    written = f"comparison.json and comparison.png in {options.out}"
-    common.tell(options, result, *[written] * (options.out is not None))
+    result = compare_results(options.first, options.second)
+    common.tell(options, result)
     if not result.same_ground:
         text = f"correlation {result.heights.correlation:.2f}, RMS {result.heights.rms:.2f} m"
         say(f"not of the same ground, or not at the same place: their heights differ: {text}")

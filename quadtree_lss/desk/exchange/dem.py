@@ -27,10 +27,10 @@ FARTHEST = 1e5
 #: Of posts, m: their distance, and from the origin, where x and y have 8 digits behind the point.
 CLOSEST, OUTERMOST = 1e-3, 1e8
 #: m, by what files call it; GDAL takes it from a vertical coordinate system too.
-UNITS = {"": 1.0, "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0}
-UNITS |= {"mm": 1e-3, "cm": 1e-2, "dm": 0.1, "km": 1e3, "kilometre": 1e3, "kilometer": 1e3}
-UNITS |= {"ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "us survey foot": 1200.0 / 3937.0}
-UNITS |= {"us-ft": 1200.0 / 3937.0, "us_survey_foot": 1200.0 / 3937.0}
+UNITS = dict.fromkeys(("", "m", "metre", "meter", "metres", "meters"), 1.0)
+UNITS |= dict.fromkeys(("ft", "foot", "feet"), 0.3048)
+UNITS |= dict.fromkeys(("us survey foot", "us-ft", "us_survey_foot"), 1200.0 / 3937.0)
+UNITS |= {"mm": 1e-3, "cm": 1e-2, "dm": 0.1, "km": 1e3}
 
 
 @dataclass(frozen=True)

@@ -56,18 +56,16 @@ def cells_arrays(cells: CellMap) -> dict[str, NDArray[Any]]:
 
 def cell_map(path: str | Path, a: Mapping[str, NDArray[Any]]) -> CellMap:
     """Make a map of the arrays of ``cells.npz``. Raises `ResultsError`: they are not a map."""
-    needed = (*COLUMNS, *MASKS, "domain", "stamp_ns", "offset")
-    missing = [name for name in needed if name not in a]
+    missing = [n for n in (*COLUMNS, *MASKS, "domain", "stamp_ns", "offset") if n not in a]
     if missing:
         raise unreadable(path, f"it lacks {', '.join(missing)}: replay the bag again")
     if a["domain"].shape != (5,):
         raise unreadable(path, "domain has another size than 5")
-    xmin, ymin, size, low, high = a["domain"].tolist()
-    domain = Domain(xmin, ymin, size, int(low), int(high))
-    leaves, sides = len(a["level"]), (domain.finest_count,) * 2
-    wrong = [name for name in COLUMNS if len(a[name]) != leaves]
-    wrong += [name for name in MASKS if a[name].shape != sides]
-    if wrong:
+    *place, low, high = a["domain"].tolist()
+    domain = Domain(*place, int(low), int(high))
+    sides = dict.fromkeys(MASKS, (domain.finest_count,) * 2)
+    sides |= {name: (len(a["level"]),) for name in COLUMNS}
+    if wrong := [name for name, side in sides.items() if a[name].shape[: len(side)] != side]:
         raise unreadable(path, f"{wrong[0]} has another size than the map")
     kinds = {"level": np.uint8, "measured": np.bool_}
     kinds |= dict.fromkeys(("ix", "iy", "count"), np.uint32)

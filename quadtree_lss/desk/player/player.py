@@ -79,20 +79,11 @@ def play(
 ) -> PlayReport:
     """Play scans and poses of a ROS 2 bag into running nodes, with the bag's time on ``/clock``.
 
-    ``lidar/gimbal``, ``landing/area``, keep-outs and ``landing/target`` are played if recorded; a
-    bag of maps is played on ``map/cells`` and ``map/observed``. The player waits for subscribers
-    of scans and poses, or maps, and at the end for acknowledgements.
-
-    Args:
-        rate: Bag seconds per second.
-        scan_topic, pose_topic, start, duration, progress: As in `replay.replay`.
-        wait: Longest time to wait for subscribers, s.
-        namespace, remap: Names of the topics; ``FROM:=TO`` as after ``-r`` of a node.
-        domain_id: ROS domain; by default that of the environment.
-
-    Raises:
-        BagError, ReplayError: the bag cannot be read, its topics or the part are not clear.
-        PlayError: ROS 1 bag, rate not positive and finite, no subscriber in time.
+    ``lidar/gimbal``, areas, keep-outs and targets are played if recorded; a bag of maps is played
+    on ``map/cells`` and ``map/observed``. ``rate``: bag seconds per second; ``wait``: for
+    subscribers, s; ``namespace``, ``remap`` (``FROM:=TO``): of the topics; ``domain_id``: by
+    default that of the environment; the others as in `replay.replay`. Raises `BagError`,
+    `ReplayError`: as that does; `PlayError`: ROS 1 bag, no valid rate, no subscriber in time.
     """
     if not 0.0 < rate < math.inf:
         raise PlayError(f"rate {rate:g} is not positive and finite")

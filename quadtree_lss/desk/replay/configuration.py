@@ -12,7 +12,6 @@ from pathlib import Path
 
 import yaml
 
-from quadtree_lss.onboard.config.limits import pass_seconds
 from quadtree_lss.onboard.config.loading import read_values
 from quadtree_lss.onboard.config.settings import (
     Config,
@@ -25,9 +24,6 @@ from quadtree_lss.onboard.config.settings import (
     values_from_config,
 )
 
-DEADLINE = 1.0
-"""``landing/selected`` is said again within this, s: what is said is as old as the last pass."""
-
 
 def load_config(
     paths: Iterable[str | os.PathLike[str]] = (),
@@ -35,16 +31,9 @@ def load_config(
     *,
     origin: str = "overrides",
 ) -> Config:
-    """The defaults with each file and then ``overrides`` laid over them.
-
-    Args:
-        paths: Files, or names of shipped ones (see `find_config`).
-        overrides: Dotted or nested values that win over every file.
-        origin: Where the overrides come from, for messages.
-
-    Raises:
-        ConfigError: names the file, and for an unknown key the nearest known one.
-    """
+    """The defaults with each file, or shipped configuration (`find_config`), and then dotted or
+    nested ``overrides`` laid over them. Raises `ConfigError`: names the file, or ``origin`` of the
+    overrides, and for an unknown key the nearest known one."""
     values: dict[str, object] = {}
     files = []
     for path in paths:
@@ -90,18 +79,6 @@ def shipped_configs() -> dict[str, Path]:
     prefixes = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
     places = (Path(p, "share/quadtree_lss/config") for p in (*prefixes, sys.prefix))
     return {file.stem: file for place in places for file in sorted(place.glob("*.yaml"))}
-
-
-def slow(config: Config) -> str:
-    """That what ``landing/selected`` says may be older than its deadline; empty if it is not."""
-    seconds = pass_seconds(config.domain.size, 1 << config.domain.max_level, config.lss)
-    if seconds <= DEADLINE:
-        return ""
-    return (
-        f"a landing site pass may take {seconds:.1f} s: landing/selected is said again within"
-        f" {DEADLINE:g} s, but a new hazard or keep-out moves it only after the pass; coarser cells"
-        " (domain.max_level), a smaller domain.size or fewer lss.sites make it shorter"
-    )
 
 
 def dump_config(config: Config, *, comments: bool = False) -> str:

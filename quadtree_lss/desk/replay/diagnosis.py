@@ -11,47 +11,37 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from quadtree_lss.desk.bags.bag import Bag
-from quadtree_lss.desk.bags.cloud_files import NO_POSES, open_recording
-from quadtree_lss.desk.bags.recorded_file import RawMessage
+from quadtree_lss.desk.bags.bag import Bag, open_bag
 from quadtree_lss.desk.replay.faults import Finding, find_faults, find_pose_faults, make_setting
-from quadtree_lss.desk.replay.flight import Recording
-from quadtree_lss.desk.replay.stream import SECOND_NS, Part, Stream
+from quadtree_lss.desk.replay.reading import UNREADABLE_TIMES, Reading
+from quadtree_lss.desk.replay.stream import Progress, Stream
 from quadtree_lss.desk.replay.suggest import NOISES, Suggestion, suggest_config
-from quadtree_lss.onboard.config.settings import Config, config_from_values
-from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
-from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.config.settings import Config, DomainConfig, config_from_values
 from quadtree_lss.onboard.errors import QuadtreeLssError
-from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.messages.intake import noise_notice
 
 if TYPE_CHECKING:
-    from quadtree_lss.desk.replay.info import BagInfo, TopicInfo
+    from quadtree_lss.desk.replay.info import BagInfo
 
 MOST_CONTRADICTING, LEAST_MAPPED = 0.05, 0.95
 """Most points that contradict the map and least scans that are mapped in a sound bag, as shares."""
 BETTER = 0.8
 """A fix leaves at most this share of the contradicting points, the leaves or their roughness."""
+DISAGREEING = {
+    "frames": "send the clouds of each lidar on a topic of its own",
+    "jump": "take poses without jumps, or replay the parts between them (--start, --duration)",
+}
+"""Fixes of findings that are faults if scans disagree, by their key."""
 FITTED = ("domain.", "lidar.range_noise", "lss.grid_spacing")
 """Suggested values for a trial if the domain is the default one."""
-UNREADABLE = {"times_unreasonable", "times_unknown"}
-"""Notices of point times that are not used."""
 
 
-class Trial(NamedTuple):
-    """A bag that was mapped with ``config`` and ``lag_s`` added to the clouds' stamps: ``reports``
-    on the scans, mean ``roughness`` of the map, m, and ``gap`` between scans and map beyond what
-    the poses claim, m. ``failure``: why there is no suggestion."""
+class Trial(Reading):
+    """A bag that was mapped with ``config``; ``suggestion``: for this bag and these settings, or
+    None because of ``failure``."""
 
-    config: Config
-    lag_s: float
-    recording: Recording
-    tf_mounts: Mapping[str, Pose]
-    reports: list[ScanReport]
-    roughness: float
-    gap: float | None
-    suggestion: Suggestion | None
-    failure: str
+    suggestion: Suggestion | None = None
+    failure = ""
 
     @property
     def used(self) -> int:
@@ -60,7 +50,7 @@ class Trial(NamedTuple):
     @property
     def share(self) -> float:
         """Share of the usable points that contradict the map."""
-        lost = sum(report.dropped.get("contradiction", 0) for report in self.reports)
+        lost = self.dropped["contradiction"]
         return lost / max(self.used + lost, 1)
 
     @property
@@ -72,8 +62,8 @@ class Trial(NamedTuple):
     def apart(self) -> float | None:
         """How far scans disagree, m; None if they agree."""
         heights = [abs(r.offset) for r in self.reports if r.dropped.get("contradiction")]
-        found = [np.median(heights)] if self.share > MOST_CONTRADICTING else []
-        return float(max(found + [self.gap or 0.0])) if found or self.gap else None
+        median = float(np.median(heights)) if self.share > MOST_CONTRADICTING else 0.0
+        return max(median, self.gap or 0.0) or None
 
     def improves_on(self, other: Trial) -> bool:
         """Whether scans agree clearly better, or the map is clearly simpler or smoother."""
@@ -86,10 +76,14 @@ class Trial(NamedTuple):
 
 
 def try_config(
-    bag: str | Path | Bag, asked: Config, how: Mapping[str, Any], lag_s: float = 0.0
+    bag: str | Path | Bag,
+    asked: Config,
+    how: Mapping[str, Any],
+    lag_s: float = 0.0,
+    progress: Progress | None = None,
 ) -> Trial:
     """Map a bag with a configuration; if its domain is the default one, with what is suggested.
-    ``how``: topics and poses as of `replay.replay`. ``lag_s``: time to add to the clouds' stamps.
+    ``how``: topics as of `replay.replay`. ``lag_s``: time to add to the clouds' stamps.
     """
     config, suggestion, failure = asked, None, "no return lies in the lidar's range"
     try:
@@ -99,53 +93,53 @@ def try_config(
             config = config_from_values({k: v for k, v in values if k.startswith(FITTED)}, asked)
     except QuadtreeLssError as error:
         failure = str(error)
-    mapper, reports = Mapper(config), []
-    with open_recording(bag, how["poses"], config.frames.map) as opened:
-        stream = Stream(opened, config, how["scan_topic"], how["pose_topic"])
-        recording = Recording(next(t.count for t in opened.topics if t.name == stream.scans))
-
-        def hear(kind: str, msg: Any, _: RawMessage) -> None:
-            if lag_s and kind in ("pose", "gimbal"):
-                stamp = msg.header.stamp
-                ns = stamp_ns(msg.header) - round(lag_s * SECOND_NS)
-                stamp.sec, stamp.nanosec = divmod(ns, SECOND_NS)
-            if kind == "pose":
-                recording.add_pose(msg)
-
-        stream.hear = hear
-        for scan in stream.ready(Part.of(opened)):
-            recording.add_scan(scan)
-            reports.append(mapper.update(scan.points_lidar, scan.pose, scan.sweep))
-    cells = mapper.snapshot()
-    rough = float(np.nanmean(cells.roughness[cells.measured])) if cells.measured.any() else 0.0
-    gap = (mapper.pose_gap() or [None])[0]
-    found = recording, stream.tf_mounts, reports, rough, gap, suggestion, failure
-    return Trial(config, lag_s, *found)
+    with open_bag(bag) as opened:
+        stream = Stream(opened, config, **how, adapt=True)
+        trial = Trial(opened, stream, lag_s, progress)
+    trial.suggestion, trial.failure = suggestion, failure
+    return trial
 
 
 def diagnose(
-    info: BagInfo, bag: Bag, asked: Config, texts: Mapping[str, str], how: Mapping[str, Any]
+    info: BagInfo, bag: Bag, asked: Config, how: Mapping[str, Any], progress: Progress | None
 ) -> None:
     """Add to ``info`` the faults that mapping an open bag confirms, what to suggest with their
-    settings, and the verdict. ``texts``: the intake's notices. ``how``: as of `try_config`."""
+    settings, and the verdict. ``how``: as of `try_config`."""
     source: str | Bag = info.path if Path(info.path).exists() else bag
-    scans = next(topic for topic in info.topics if topic.name == info.scan_topic)
-    period = math.nan if UNREADABLE & texts.keys() else 1.0 / scans.rate
-    first = best = try_config(source, asked, how)
-    fixed = True
-    while fixed:
-        found, fixed = _find(best, asked, period, NO_POSES in bag.notes), False
-        for fault in (fault for fault in found if fault.settings or fault.lag_s):
-            changed = config_from_values(fault.settings or {}, asked)
-            trial = try_config(source, changed, how, best.lag_s + fault.lag_s)
-            if trial.improves_on(best):
-                best, asked, fixed = trial, changed, True
-                text = f"{fault.text}; with the fix {trial.text}"
-                info.findings.append(fault._replace(text=text))
-                break
-    info.findings += [fault for fault in found if not (fault.settings or fault.lag_s)]
-    info.suggestion = _match_noise(source, best, asked, how).suggestion
-    _conclude(info, first, best, texts, scans)
+    first = try_config(source, asked, how, progress=progress)
+    info.add(first)
+    before = best = _State(first, asked, _find(first, asked))
+    fixes: list[Finding] = []
+    while fixed := _fix(source, best, how):
+        fault, best = fixed
+        fixes.append(fault)
+    if first.used and best.trial.apart is not None:  # the fixes do not explain it
+        best, fixes = before, []
+    info.findings += fixes
+    info.findings += [fault for fault in best.found if not (fault.settings or fault.lag_s)]
+    info.suggestion = _match_noise(source, best.trial, best.asked, how).suggestion
+    _conclude(info, first, best.trial, asked.domain)
+
+
+class _State(NamedTuple):
+    """A trial, the configuration that was asked for, and the faults that are still there."""
+
+    trial: Trial
+    asked: Config
+    found: list[Finding]
+
+
+def _fix(
+    bag: str | Path | Bag, state: _State, how: Mapping[str, Any]
+) -> tuple[Finding, _State] | None:
+    """Return the first fault of which the fix improves the map, and the state with it."""
+    for fault in (fault for fault in state.found if fault.settings or fault.lag_s):
+        asked = config_from_values(fault.settings or {}, state.asked)
+        trial = try_config(bag, asked, how, state.trial.lag_s + fault.lag_s)
+        if trial.improves_on(state.trial):
+            told = fault._replace(text=f"{fault.text}; with the fix {trial.text}")
+            return told, _State(trial, asked, _find(trial, asked))
+    return None
 
 
 def _match_noise(
@@ -164,55 +158,48 @@ def _match_noise(
     return trial if matched else best
 
 
-def _find(trial: Trial, asked: Config, period: float, made_up: bool) -> list[Finding]:
-    """Find faults in a bag that was mapped. ``made_up``: there are no recorded poses."""
+def _find(trial: Trial, asked: Config) -> list[Finding]:
+    """Find faults in a bag that was mapped."""
     found, lidar, recording = [], trial.config.lidar, trial.recording
     most = trial.suggestion.values.get("lidar.max_range") if trial.suggestion else None
     if most is not None and most < lidar.max_range:
         text = "many returns are at one greatest range: rays without a return"
         found.append(make_setting("max_range", text, {"lidar.max_range": most}))
         lidar = replace(lidar, max_range=most)
-    if made_up:
-        return found
     # Faults of frames make the noise appear larger.
     lidar = replace(lidar, range_noise=min(lidar.range_noise, asked.lidar.range_noise))
     found += find_pose_faults(recording.poses)
     if (flight := recording.flight(lidar)) is not None:
-        config, period = replace(trial.config, lidar=lidar), 0.0 if recording.has_times else period
-        found += find_faults(flight, config, trial.tf_mounts, period)
+        period = 1.0 / trial.scan_rate
+        if recording.has_times or UNREADABLE_TIMES & trial.notices.keys():
+            period = 0.0 if recording.has_times else math.nan
+        config, mounts = replace(trial.config, lidar=lidar), trial.stream.tf_mounts
+        found += find_faults(flight, config, mounts, period)
     return found
 
 
-def _conclude(
-    info: BagInfo, first: Trial, best: Trial, texts: Mapping[str, str], scans: TopicInfo
-) -> None:
-    """Set the verdict on the bag as it is and with the fixes."""
-    total, mapped = info.scans_with_pose + sum(info.scans_dropped.values()), len(first.reports)
-    apart = first.apart
-    for k, finding in enumerate(info.findings):
-        if finding.key == "outside" and any(f.fix for f in info.findings if f.key != "outside"):
-            info.findings[k] = finding._replace(fix="")  # a consequence
-        frames = finding.key == "frames" and finding.text.startswith(info.scan_topic)
-        if apart is not None and frames:
-            fix = "send the clouds of each lidar on a topic of its own"
-            info.findings[k] = finding._replace(fix=fix)
+def _conclude(info: BagInfo, first: Trial, best: Trial, domain: DomainConfig) -> None:
+    """Set the verdict on the bag as it is and with the fixes. ``domain``: as it was asked for."""
+    mapped, apart = len(first.reports), first.apart
+    total = mapped + sum(info.scans_dropped.values()) - first.repeats
+    found = info.findings
+    if apart is not None:
+        found = [f._replace(fix=DISAGREEING.get(f.key, f.fix)) for f in found]
+        found = [f for f in found if f.key not in ("calm", "tilt")]
+    if any(f.fix and f.key != "outside" for f in found):  # which explains it
+        found = [f._replace(fix=f.fix * (f.key != "outside")) for f in found]
+    info.findings = found
     faults = sum(bool(finding.fix) for finding in info.findings) or len(info.problems)
     above = f"see the {f'{faults} faults' if faults > 1 else 'fault'} above"
     figures = f"{mapped} of {total} scans mapped, {first.text}"
     figures += f"; with the fixes {best.text}" if best is not first else ""
+    figures += ", in the domain that `config suggest` writes" * (first.config.domain != domain)
     key = ""
-    if not first.used and info.scans_with_pose:
-        key, info.verdict = (
-            "dropped",
-            f"no scan can be mapped: {above if faults else first.failure}",
-        )
+    if mapped and not first.used:
+        why = above if faults else first.failure
+        key, info.verdict = "dropped", f"no scan can be mapped: {why}"
     elif mapped < LEAST_MAPPED * total:
-        reason = max(info.scans_dropped, key=info.scans_dropped.__getitem__, default="")
-        why = texts.get(reason, reason)
-        if reason == "duplicate":
-            one, at = scans.first_stamp_ns == scans.last_stamp_ns, (scans.first_stamp_ns or 0) / 1e9
-            why = f"all carry the stamp {at:.3f} s" if one else "their stamps occur before"
-            why += ": check the driver's timestamp mode, and for a second publisher"
+        why = first.why_same_stamp() or (above if faults else first.why_dropped())
         key, info.verdict = "dropped", f"{total - mapped} of {total} scans dropped: {why}"
     elif apart is not None:
         key, why = "disagree", f": {above}" if faults else "; no common fault explains it"
@@ -221,5 +208,7 @@ def _conclude(
         info.verdict = f"{above}; as it is, {figures}"
     else:
         info.verdict = f"nothing is wrong with {info.scan_topic} and {info.pose_topic}: {figures}"
+        if slope := next((f for f in info.findings if f.key == "tilt"), None):
+            info.verdict = f"{slope.text.partition(';')[0]}: if it really does, {info.verdict}"
     if key:
         info.findings.append(Finding(key, info.verdict, fatal=True))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.desk.exchange.saved import Grid, Results, ResultsError, load_results
-from quadtree_lss.desk.replay.files import plain, write_bytes, write_json, writing
+from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.desk.replay.results import aligned
 from quadtree_lss.desk.report.palette import HAZARDS
 from quadtree_lss.onboard.arrays import Array
@@ -56,8 +56,7 @@ class Comparison:
 
     Areas in m²: of the ground that both observed the allowed part of either (``safe_…``) and of
     only one (``gained``, ``lost``); ground that only one observed (``seen_…``). ``sites_kept``:
-    pairs of ranks. ``difference`` (ny, nx): second minus first height at the first's grid points,
-    m, or NaN.
+    pairs of ranks.
     """
 
     first: Results
@@ -72,7 +71,6 @@ class Comparison:
     sites_kept: tuple[tuple[int, int], ...]
     sites_gained: tuple[Site, ...]
     sites_lost: tuple[Site, ...]
-    difference: Array
 
     @property
     def same_ground(self) -> bool:
@@ -118,12 +116,9 @@ class Comparison:
         return "\n".join(lines)
 
 
-def compare_results(
-    first: Results | str | Path, second: Results | str | Path, out: str | Path | None = None
-) -> Comparison:
-    """Compare two results, or their folders, at the grid points of the first. ``out``: folder for
-    ``comparison.json`` and ``comparison.png``. Raises `ResultsError`: a folder does not hold
-    results, or the two have observed no ground in common."""
+def compare_results(first: Results | str | Path, second: Results | str | Path) -> Comparison:
+    """Compare two results, or their folders, at the grid points of the first. Raises
+    `ResultsError`: a folder does not hold results, or they have no observed ground in common."""
     a, b = (r if isinstance(r, Results) else load_results(r) for r in (first, second))
     grid = a.grid
     both = grid.seen & _laid(b.grid, b.grid.seen, grid.x, grid.y)
@@ -138,7 +133,7 @@ def compare_results(
     safe_b = both & _laid(b.grid, b.grid["safe"], grid.x, grid.y)
     kept, lost, gained = _sites(a, b)
     deviation = np.hypot(one.deviation, other.deviation)
-    result = Comparison(
+    return Comparison(
         first=a,
         second=b,
         heights=_heights(difference, deviation, x, y, other.height),
@@ -151,13 +146,7 @@ def compare_results(
         sites_kept=kept,
         sites_gained=gained,
         sites_lost=lost,
-        difference=difference,
     )
-    if out is not None:
-        with writing(out, ResultsError):
-            write_json(Path(out) / "comparison.json", result.as_dict())
-            write_bytes(Path(out) / "comparison.png", _picture(result))
-    return result
 
 
 def _laid(grid: Grid, values: NDArray[Any], x: Array, y: Array) -> NDArray[Any]:
@@ -233,34 +222,3 @@ def _verdict(grid: Grid, x: float, y: float, name: str) -> str:
     bits &= ~UNSEEN if bits & UNMAPPED else 255
     kinds = ", ".join(kind for bit, kind, _ in sorted(HAZARDS) if bits & bit)
     return f"not allowed in the {name}{f' ({kinds})' if kinds else ', which has a hazard near it'}"
-
-
-def _picture(result: Comparison) -> bytes:
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
-
-    from quadtree_lss.desk.report import drawing
-    from quadtree_lss.desk.report.palette import MAPS, even_limits
-
-    grid, other = result.first.grid, result.second.grid
-    figure = Figure(figsize=(13.0, 6.0), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True)
-    title = "Where landing is allowed; sites of the second"
-    for axes, text in ((left, "Height"), (right, title)):
-        drawing.map_axes(axes, text, drawing.extent(grid.x, grid.y))
-        for site in result.sites_lost:
-            axes.plot(site.x, site.y, "x", color="black", markersize=9, markeredgewidth=2)
-            axes.set_xlabel("x (map), m   (x: sites lost)")
-    low, high = even_limits(result.difference)
-    style = {"cmap": MAPS["error"], "vmin": low, "vmax": high}
-    image = drawing.image(left, grid.x, grid.y, result.difference, **style)
-    figure.colorbar(image, ax=left, label="second less first height, m", extend="both", shrink=0.8)
-    both = np.isfinite(result.difference)
-    kind = np.where(both, 1 + 2 * grid["safe"] + _laid(other, other["safe"], grid.x, grid.y), 0)
-    names = ("not compared", "excluded by both", "gained", "lost", "allowed by both")
-    colours = ("#cdcdcd", "#882255", "#56b4e9", "#e69f00", "#009e73")
-    drawing.classes(right, grid.x, grid.y, kind, colours)
-    handles = [Patch(color=c, label=n) for n, c in zip(names, colours, strict=True)]
-    figure.legend(handles=handles, loc="outside lower right", ncols=3, frameon=False)
-    drawing.mark_sites(right, result.second.positions)
-    return drawing.png(figure, dpi=110)

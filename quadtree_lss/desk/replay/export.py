@@ -53,18 +53,11 @@ def export_results(
 ) -> list[Path]:
     """Write results in formats of other programs; return the paths of the files.
 
-    Args:
-        results: Results or their folder.
-        out: Folder for the files; by default ``exchange`` in the results.
-        formats: Names of `FORMATS`; by default all, GeoJSON only with a place on the Earth.
-        crs: Coordinate system of the map frame, such as ``EPSG:32611``; by default that of the
-            elevation model, if any.
-        origin: Instead, latitude and longitude of the map frame's origin, deg (x east, y north).
-
-    Raises:
-        ResultsError: the folder does not hold results.
-        ExchangeError: a library is missing, the coordinate system is unknown, or a file cannot be
-            written.
+    ``out``: by default ``exchange`` in the results; ``formats``: names of `FORMATS`, by default all
+    (GeoJSON only with a place on the Earth); ``crs``: of the map frame, as ``EPSG:32611``, by
+    default that of the elevation model; ``origin``: instead, latitude and longitude of the map's
+    origin, deg. Raises `ResultsError`: no results; `ExchangeError`: a library is missing, the
+    coordinate system is unknown, or a file cannot be written.
     """
     found = results if isinstance(results, Results) else load_results(results)
     told = "" if origin is not None else str(found.summary.get("crs") or "")
@@ -129,24 +122,9 @@ def _write_geotiff(
             file.write(pixels, 1)
             file.units = (unit or None,)
             file.update_tags(TIFFTAG_IMAGEDESCRIPTION=f"{name}: {words}")
-            if name in (tables := _colour_tables()):
-                shades = {value: bytes.fromhex(text[1:]) for value, text in tables[name].items()}
-                file.write_colormap(1, {value: tuple(shade) for value, shade in shades.items()})
             file.set_band_description(1, name)
         write_bytes(path, content.read())
     return path
-
-
-def _colour_tables() -> dict[str, dict[int, str]]:
-    """Colours of integer layers, as on the page."""
-    from quadtree_lss.desk.report import palette
-
-    no, yes, none = palette.EXCLUDED_COLOUR, palette.SAFE_COLOUR, {NO_DATA: palette.UNSEEN_COLOUR}
-    hazard = {}
-    for bits in range(256):
-        kinds = (colour for bit, _, colour in palette.HAZARDS if bits & bit)
-        hazard[bits] = next(kinds, palette.CLEAR_COLOUR)
-    return {"hazard": hazard, "safe": {0: no, 1: yes} | none}
 
 
 def _mesh(end: str, results: Results, folder: Path, crs: str) -> list[Path]:

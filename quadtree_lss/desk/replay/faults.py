@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.spatial.transform import Rotation
 
 from quadtree_lss.desk.replay.configuration import scalar_text
 from quadtree_lss.desk.replay.flight import IN_RANGE, Flight, place_lidar
+from quadtree_lss.desk.replay.stream import mount_values
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config, MountConfig
 from quadtree_lss.onboard.core.geometry.rotations import (
@@ -46,8 +46,14 @@ STEEP_DEG = 12.0
 FAR_M, ZIGZAG, LEAST_ZIGZAG_M = 1e5, 5.0, 0.05
 """Least coordinates of a geographic grid; poses of two publishers alternate by so many steps and by
 more than the last."""
+JUMP, LEAST_JUMP_M = 5.0, 0.1
+"""Least speed of a jump of the poses, as a multiple of those around it, and least step."""
 PITCHED_DOWN = exp([0.0, 0.5 * np.pi, 0.0])
 """Rotation of a lidar that looks along x of a level body and is pitched down."""
+
+
+TfMounts = Mapping[str, tuple[Pose, dict[str, Any]]]
+"""Mounts that transforms allow, and the settings that use them, by the frame of the body."""
 
 
 class Finding(NamedTuple):
@@ -74,11 +80,10 @@ def make_setting(key: str, text: str, settings: dict[str, Any]) -> Finding:
 
 
 def find_faults(
-    flight: Flight, config: Config, tf_mounts: Mapping[str, Pose], period: float
+    flight: Flight, config: Config, tf_mounts: TfMounts, period: float
 ) -> list[Finding]:
-    """Compare the scans with each other. ``tf_mounts``: mounts that ``/tf_static`` allows, by the
-    frame of the body. ``period``: time from scan to scan if points have no times, s; 0 if they
-    have, NaN if these cannot be read: then no lag is looked for."""
+    """Compare the scans with each other. ``period``: time from scan to scan if points have no
+    times, s; 0 if they have, NaN if these cannot be read: then no lag is looked for."""
     fault, found = _find_common_fault(flight, config, tf_mounts), []
     if fault is None and (own := flight.leave_out_own()) is not None:
         share, farthest = own
@@ -94,8 +99,9 @@ def find_faults(
 
 
 def find_pose_faults(poses: list[tuple[int, Array, Array]]) -> list[Finding]:
-    """Find poses of two publishers on one topic, and coordinates of a geographic grid."""
-    positions = np.array([position for _, position, _ in sorted(poses, key=lambda pose: pose[0])])
+    """Find poses of two publishers on one topic, jumps, and coordinates of a geographic grid."""
+    poses = sorted(poses, key=lambda pose: pose[0])
+    positions, stamps = np.array([pose[1] for pose in poses]), np.array([pose[0] for pose in poses])
     if len(positions) < 8:
         return []
     leaps = np.linalg.norm(positions[1:-1] - 0.5 * (positions[:-2] + positions[2:]), axis=1)
@@ -103,11 +109,21 @@ def find_pose_faults(poses: list[tuple[int, Array, Array]]) -> list[Finding]:
     if leap > max(ZIGZAG * step, LEAST_ZIGZAG_M):
         text = f"poses alternate between two paths {leap:.2g} m apart: two publishers?"
         return [Finding("two_paths", text, "record each on its own topic and choose one of them")]
+    found = []
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    speeds = steps / np.maximum(1e-9 * np.diff(stamps), 1e-6)
+    usual = np.maximum(speeds[:-2], speeds[2:])
+    jumps = 1 + np.flatnonzero((speeds[1:-1] > JUMP * usual) & (steps[1:-1] > LEAST_JUMP_M))
+    if len(jumps):
+        k = jumps[np.argmax(steps[jumps])]
+        text = f"poses jump {len(jumps)} times, by {steps[k]:.2g} m at {1e-9 * stamps[k]:.3f} s,"
+        found.append(Finding("jump", f"{text} as after a loop closure or a new GNSS solution"))
     x, y, _ = np.median(positions, axis=0)
-    if max(abs(x), abs(y)) < FAR_M:
-        return []
-    text = f"poses are about x {x:.0f}, y {y:.0f} m, as in UTM: the domain must lie there, as"
-    return [Finding("far", f"{text} `config suggest` writes it, and the results will, too")]
+    if max(abs(x), abs(y)) > FAR_M:
+        text = f"poses are about x {x:.0f}, y {y:.0f} m, as in UTM: the domain must lie there, as"
+        text += " `config suggest` writes it, and the results will, too"
+        found.append(Finding("far", text))
+    return found
 
 
 class _Correction(NamedTuple):
@@ -124,7 +140,7 @@ ADVICE = {
     "map_cloud": (
         "clouds are in the map frame already",
         "choose clouds in the lidar's axes by --scan-topic (of FAST-LIO: /cloud_registered_body),"
-        " or replay files of these clouds: without --poses they are taken as in the map",
+        " or take these back to them by their poses (docs/connecting.md)",
     ),
     "ned": (
         "poses are in north, east, down; the map is east, north, up",
@@ -139,9 +155,7 @@ ADVICE = {
 """Texts and fixes of faults that no parameter fixes."""
 
 
-def _list_corrections(
-    flight: Flight, config: Config, tf_mounts: Mapping[str, Pose]
-) -> list[_Correction]:
+def _list_corrections(flight: Flight, config: Config, tf_mounts: TfMounts) -> list[_Correction]:
     """List the common faults, the likelier first."""
     p, b, m, origins = flight.positions, flight.body, flight.mounts, flight.origins
     found = _list_mounts(flight, config, tf_mounts)
@@ -163,20 +177,20 @@ def _list_corrections(
         found.append(_Correction(fault, origins, b @ m, scale))
         fix = f"send metres: positions times {scale:g}"
         fault = Finding("pose_units", f"poses are in {unit}", fix)
-        found.append(_Correction(fault, scale * p + origins - p, b @ m))
+        if not abs(np.log(flight.unit_of_heights() / scale)) > np.log(2.0):
+            found.append(_Correction(fault, scale * p + origins - p, b @ m))
     return [*found, advise("map_cloud", np.zeros_like(p), np.tile(np.eye(3), (len(p), 1, 1)))]
 
 
-def _list_mounts(
-    flight: Flight, config: Config, tf_mounts: Mapping[str, Pose]
-) -> list[_Correction]:
+def _list_mounts(flight: Flight, config: Config, tf_mounts: TfMounts) -> list[_Correction]:
     """List faults of the mount and the axes of the clouds."""
     p, b, origins = flight.positions, flight.body, flight.origins
     own = flight.mounts @ cloud_turn(config.mount).T
     found = []
-    for frame, mount in tf_mounts.items():
-        text = f"poses are of '{frame}', to which /tf_static mounts the lidar"
-        fault = make_setting("mount_tf", text, {"mount.source": "tf", "frames.body": frame})
+    for frame, (mount, settings) in tf_mounts.items():
+        fault = make_setting(
+            "mount_tf", f"poses are of '{frame}', on which /tf has the lidar", settings
+        )
         arm, turn = np.broadcast_to(mount.position, p.shape), mount.rotation_map_lidar
         found.append(_Correction(fault, *place_lidar(p, b, arm, np.broadcast_to(turn, b.shape))))
     for name, turn in AXES.items():
@@ -198,18 +212,19 @@ def _list_mounts(
     return found
 
 
-def _find_common_fault(
-    flight: Flight, config: Config, tf_mounts: Mapping[str, Pose]
-) -> Finding | None:
+def _find_common_fault(flight: Flight, config: Config, tf_mounts: TfMounts) -> Finding | None:
     """Find the fault of axes, frames or units without which scans agree clearly better."""
     cost, above = flight.disagreement(flight.origins, flight.turns)
     noise = config.lidar.range_noise
     sound = above <= MOST_ABOVE and flight.used().mean() > IN_RANGE
-    if sound and not NOISES * noise < cost < np.inf:
+    apart = not np.isfinite(cost)  # no common ground: only a unit of the poses can explain that
+    if sound and (cost <= NOISES * noise or apart and np.isnan(flight.unit_of_heights())):
         return None
     best, least = None, np.inf
     for correction in _list_corrections(flight, config, tf_mounts):
         fault, origins, turns, scale = correction
+        if sound and apart and fault.key != "pose_units":
+            continue
         if flight.used(scale).mean() <= IN_RANGE:
             continue
         if sound and scale != 1.0 and cost < 30.0 * noise:
@@ -297,12 +312,10 @@ def _find_mount_angle(flight: Flight, config: Config) -> list[Finding]:
         text += f" {CALM_DEG:g} deg: turn and sway the vehicle while you record"
         return [Finding("calm", text)]
     mount = flight.mounts[0] @ turn @ cloud_turn(config.mount).T
-    angles = np.round(Rotation.from_matrix(mount).as_euler("xyz", degrees=True), 1)
-    roll, pitch, yaw = (float(a) for a in np.where(angles == -180.0, 180.0, angles))
+    values = mount_values(flight.arms[0], mount, digits=1)
     text = f"the lidar looks {angle:.1f} deg off its mount: scans disagree by {cost:.2g} m, and by"
     text += f" {fit.fun:.2g} m without that"
     if config.mount.source == "tf":
-        fix = f"correct /tf_static: roll, pitch, yaw {roll:.1f}, {pitch:.1f}, {yaw:.1f} deg"
-        return [Finding("mount_angle", text, fix)]
-    values = {"mount.roll_deg": roll, "mount.pitch_deg": pitch, "mount.yaw_deg": yaw}
-    return [make_setting("mount_angle", text, values)]
+        return [make_setting("mount_angle", text, {"mount.source": "fixed", **values})]
+    angles = {name: value for name, value in values.items() if name.endswith("_deg")}
+    return [make_setting("mount_angle", text, angles)]

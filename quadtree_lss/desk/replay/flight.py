@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation, Slerp
+from scipy.stats import linregress
 
 from quadtree_lss.desk.replay.suggest import variance_about_planes
 from quadtree_lss.onboard.arrays import Array
@@ -33,6 +34,9 @@ IN_RANGE = 0.25
 NEAR, VOXEL_M, RECURRING, ALOFT = 0.5, 0.3, 0.5, 0.3
 """Returns of the vehicle are nearer than this share of the median range, in voxels of this size
 that this share of the scans hits, and above the ground by this share of the lidar's height."""
+LEAST_CORRELATION, ABSURD = 0.95, 1.0 / 300.0
+"""Least correlation of heights of poses and ranges to derive the unit of poses; share of a height
+that no range can be in a flight with lidar."""
 
 
 class _Scan(NamedTuple):
@@ -139,17 +143,37 @@ class Flight:
         own[near] = hits[voxel] >= RECURRING * len(self.times)
         if not own.any():
             return None
-        heights = np.einsum("nj,nj->n", self.turns[self.scan][:, 2], self.points)
         others = used & ~own
-        ground = np.full(len(self.times), np.nan)
-        for k in np.unique(self.scan[others]):
-            ground[k] = np.median(heights[others & (self.scan == k)])
+        heights, ground = self._heights(others)
         aloft = heights - ground[self.scan] > ALOFT * np.abs(ground[self.scan])
         farthest = float(self.ranges[own].max())
         if np.mean(aloft[own]) < 0.8 or np.mean(self.ranges[others] < 1.1 * farthest) > 0.02:
             return None
         self._own = own
         return own.sum() / used.sum(), farthest
+
+    def _heights(self, ground: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Heights of the points (N,) above the lidar, and the medians (K,) of those of the ground
+        in each scan, NaN without one, m."""
+        heights = np.einsum("nj,nj->n", self.turns[self.scan][:, 2], self.points)
+        medians = np.full(len(self.times), np.nan)
+        for k in np.unique(self.scan[ground]):
+            medians[k] = np.median(heights[ground & (self.scan == k)])
+        return heights, medians
+
+    def unit_of_heights(self) -> float:
+        """Unit of the poses' heights, m, by the change of the lidar's height above the ground, or
+        by far too large heights; NaN if neither shows one."""
+        above = -self._heights(self.used())[1]
+        known = np.isfinite(above)
+        z, above = self.origins[known, 2], above[known]
+        if len(z) < 3 or not np.ptp(z):
+            return np.nan
+        fit = linregress(z, above)
+        if fit.rvalue > LEAST_CORRELATION and fit.slope > 0.0:
+            return float(fit.slope)
+        ratio = float(np.median(above / z))
+        return ratio if 0.0 < ratio < ABSURD else np.nan
 
     def disagreement_with_lag(self, lag: float, chosen: NDArray[np.bool_]) -> float:
         """Disagreement of the chosen scans with the poses ``lag`` s later, m."""
@@ -162,14 +186,10 @@ class Flight:
     ) -> tuple[float, float]:  # fmt: skip
         """How far scans lie from common ground, m, and the share of points above the lidar.
 
-        The median standard deviation of neighbouring points of several scans about a plane;
-        infinite if scans do not overlap.
-
-        Args:
-            origins, turns: (K, 3) and (K, 3, 3) of the lidar in the map.
-            scale: Factor that takes points to metres.
-            chosen: Scans to compare, None for all.
-            others: Least number of neighbours of other scans.
+        The median standard deviation of neighbouring points of several scans (at least ``others``
+        of other ones) about a plane; infinite if scans do not overlap. ``origins``, ``turns``:
+        (K, 3) and (K, 3, 3) of the lidar; ``scale``: takes points to metres; ``chosen``: scans to
+        compare, None for all.
         """
         used = self.used(scale) if chosen is None else self.used(scale) & chosen[self.scan]
         if np.count_nonzero(used) < NEIGHBOURS:

@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
@@ -14,33 +13,27 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.bags.bag import Bag, BagError
-from quadtree_lss.desk.bags.cloud_files import open_recording
-from quadtree_lss.desk.bags.message_types import POSE_TYPES, SCAN_TYPES
-from quadtree_lss.desk.bags.recorded_file import RawMessage
+from quadtree_lss.desk.bags.bag import Bag, BagError, open_bag
 from quadtree_lss.desk.replay.diagnosis import diagnose as diagnose_bag
 from quadtree_lss.desk.replay.faults import Finding, make_setting
 from quadtree_lss.desk.replay.files import plain
-from quadtree_lss.desk.replay.results import points_line, points_warning
-from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Part, Progress, Stream, rate
+from quadtree_lss.desk.replay.reading import Header, Reading
+from quadtree_lss.desk.replay.results import points_line, points_warning, share_text
+from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Progress, Stream, rate
 from quadtree_lss.desk.replay.suggest import Suggestion
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config
-from quadtree_lss.onboard.core.sensing.register import register
-from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.errors import one_line
-from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.onboard.messages.intake import GAP_NS
-from quadtree_lss.onboard.messages.lost_points import likely_reason
 
-TYPE_NAMES = "int8 uint8 int16 uint16 int32 uint32 float32 float64".split()
-"""Of the fields of clouds, by their numbers from 1 on."""
+COPIES, ISOLATED = 0.1, 0.1
+"""Least shares of repeated clouds and of isolated points that are told."""
 
 
 @dataclass
 class TopicInfo:
     """One topic. Stamps and what follows them are known for the topics that a replay would use.
 
-    ``rate``: by stamps, of unused clouds and poses by reception, Hz; ``frames``: messages by frame
+    ``rate``: by stamps, of others by the number of messages, Hz; ``frames``: messages by frame
     name; ``backward``: number of stamps smaller than the one before; ``delay``: median of reception
     minus stamp, s; ``layout``: fields of a cloud; ``points``: their median number.
     """
@@ -57,16 +50,16 @@ class TopicInfo:
     layout: str = ""
     points: float = float("nan")
 
-    def tell(self, headers: Sequence[tuple[Any, ...]]) -> None:
+    def tell(self, headers: Sequence[Header]) -> None:
         """Set the values by the headers of the messages."""
-        stamps, delays, frames, *cloud = zip(*headers, strict=True)
+        stamps, delays, frames, points, layouts = zip(*headers, strict=True)
         self.frames = dict(Counter(frames).most_common())
         self.first_stamp_ns, self.last_stamp_ns = min(stamps), max(stamps)
         self.backward = sum(after < before for before, after in pairwise(stamps))
         self.delay, self.rate = float(np.median(delays)), rate(stamps)
-        if cloud:
-            self.points = float(np.median(cloud[0]))
-            self.layout = "; or ".join(name for name, _ in Counter(cloud[1]).most_common(3))
+        if any(layouts):
+            self.points = float(np.median(points))
+            self.layout = "; or ".join(name for name, _ in Counter(layouts).most_common(3))
 
     def lines(self, width: int) -> list[str]:
         """As text, with the name in a column of ``width``."""
@@ -88,10 +81,9 @@ class TopicInfo:
 class BagInfo:
     """Content of a bag and what a replay would read of it.
 
-    ``kind`` is what it would read: ``scans``, ``maps`` or ``nothing``; of two topics, empty if not
-    found. Some scans could be mapped (``scans_with_pose``, with ``points``), others not
-    (``scans_dropped``, by reason), and so it is with the former's points. ``findings`` say what is
-    wrong, with the fix, and what to know; ``losses`` what cannot be read, one line each;
+    ``kind`` is what it would read: ``scans``, ``maps`` or ``nothing``; the two topics are empty if
+    not found. Scans were mapped (``scans_with_pose``, with ``points``) or dropped, as points were,
+    by reason. ``findings``: faults and notes; ``losses``: a line for each part that cannot be read;
     a diagnosis adds its ``verdict``, in one line, and what it suggests.
     """
 
@@ -126,14 +118,24 @@ class BagInfo:
         """True if it can be replayed."""
         return not self.problems
 
+    def add(self, reading: Reading) -> None:
+        """Add what was read, and what is wrong with headers, rates and messages."""
+        self.scans_with_pose = len(reading.reports)
+        self.scans_dropped = dict(reading.stream.intake.dropped)
+        self.points, self.points_dropped = reading.points, dict(reading.dropped)
+        self.losses = reading.losses
+        for topic in self.topics:
+            if headers := reading.headers.get(topic.name):
+                topic.tell(headers)
+        self.findings += _judge(self, reading)
+
     def as_dict(self) -> dict[str, Any]:
         """In JSON types."""
-        told = {"works": self.works, "problems": self.problems, "notes": self.notes}
-        found = {"findings": [finding._asdict() for finding in self.findings]}
         known = asdict(replace(self, suggestion=None))
         del known["suggestion"]
-        content: dict[str, Any] = plain(told | known | found)
-        return content
+        known["findings"] = [finding._asdict() for finding in self.findings]
+        told = {"works": self.works, "problems": self.problems, "notes": self.notes}
+        return dict(plain(told | known))
 
     def table(self) -> str:
         """As text."""
@@ -162,123 +164,44 @@ def inspect_bag(
     *,
     scan_topic: str | None = None,
     pose_topic: str | None = None,
-    poses: str | Path | None = None,
     diagnose: bool = False,
     progress: Progress | None = None,
 ) -> BagInfo:
-    """Reads a bag as a replay would, without mapping; the arguments are those of `replay.replay`.
-    ``diagnose``: also maps it, looks for what is wrong with the ground, and tries what is set for
-    it (`diagnosis.diagnosed`). Raises `BagError`: there is nothing to read."""
-    how = {"scan_topic": scan_topic, "pose_topic": pose_topic, "poses": poses}
-    with open_recording(bag, poses, config.frames.map) as opened:
-        info = BagInfo(
-            path=str(opened.path),
-            kind="nothing",
-            start_ns=opened.start_ns,
-            seconds=(opened.end_ns - opened.start_ns) / SECOND_NS,
-            topics=[TopicInfo(t.name, t.type, t.count) for t in opened.topics],
-        )
-        stream, pairs = None, MapPairs.alone(opened, scan_topic)
+    """Read and map a bag as a replay would; the arguments are those of `replay.replay`.
+    ``diagnose``: also look for faults, and try the setting that fixes each one
+    (`diagnosis.diagnose`). Raises `BagError`: there is nothing to read."""
+    how = {"scan_topic": scan_topic, "pose_topic": pose_topic}
+    with open_bag(bag) as opened:
+        seconds = (opened.end_ns - opened.start_ns) / SECOND_NS
+        topics = [
+            TopicInfo(t.name, t.type, t.count, t.count / seconds if seconds else float("nan"))
+            for t in opened.topics
+        ]
+        info = BagInfo(str(opened.path), "nothing", opened.start_ns, seconds, topics)
+        pairs = MapPairs.alone(opened, scan_topic)
+        notes = opened.notes
         try:
             stream = Stream(opened, config, scan_topic, pose_topic, adapt=diagnose)
         except BagError as error:
-            if pairs is None:
-                info.findings.append(Finding("topics", str(error), FIXES["topics"], fatal=True))
-            else:
+            found = Finding("topics", str(error), FIXES["topics"], fatal=True)
+            if pairs is not None:
                 info.kind = "maps"
                 text = "maps and no scans: replay ranks landing sites on the last map, `replay"
-                info.findings.append(Finding("maps", f"{text} --record` on every one"))
+                found = Finding("maps", f"{text} --record` on every one")
+            info.findings.append(found)
+            info.losses = opened.losses
         else:
-            info.kind = "scans"
-            info.scan_topic, info.pose_topic = stream.scans, stream.poses
-            texts = _read(info, opened, stream, progress)
+            info.kind, info.scan_topic, info.pose_topic = "scans", stream.scans, stream.poses
+            notes = [*notes, *stream.notes]
+            if frame := stream.settings.get("frames.map"):
+                text = f"poses are in frame '{frame}', not in frames.map"
+                info.findings.append(make_setting("pose_frame", text, {"frames.map": frame}))
             if diagnose:
-                diagnose_bag(info, opened, stream.config, texts, how)
-        # Of clouds and poses that are not read: what they may be chosen by.
-        kinds, times = (*SCAN_TYPES, *POSE_TYPES), defaultdict(list)
-        unread = [t for t in info.topics if t.first_stamp_ns is None and t.type in kinds]
-        for message in opened.messages([topic.name for topic in unread]):
-            times[message.topic].append(message.received_ns)
-        for topic in unread:
-            topic.rate = rate(times[topic.name])
-        info.losses = [*opened.losses, *([] if stream is None else stream.losses)]
-        notes = [*opened.notes, *(() if stream is None else stream.notes)]
+                diagnose_bag(info, opened, stream.config, how, progress)
+            else:
+                info.add(Reading(opened, stream, progress=progress))
         info.findings += [Finding("bag", text) for text in notes]
     return info
-
-
-def _read(
-    info: BagInfo,
-    bag: Bag,
-    stream: Stream,
-    progress: Progress | None,
-) -> dict[str, str]:
-    """Read the messages and where their points lie; return the intake's notices by their keys."""
-    intake, config = stream.intake, stream.config
-    domain = Domain.of(config.domain)
-    dropped: Counter[str] = Counter()
-    missed_at: tuple[float, float] | None = None
-    why = ""
-    headers: dict[str, list[tuple[Any, ...]]] = defaultdict(list)
-    texts: dict[str, str] = {}
-
-    def note() -> None:
-        for notice in intake.notices():
-            texts.setdefault(notice.reason, notice.text)
-
-    def hear(what: str, msg: Any, message: RawMessage) -> None:
-        if what in ("cloud", "pose"):
-            with contextlib.suppress(MessageError):  # counted and told by the intake
-                headers[message.topic].append(_header(msg, message.received_ns))
-
-    stream.hear = hear
-    for message in Part.of(bag).messages(bag, stream.topics, progress):
-        stream.take(message)
-        for ready in intake.ready(message.received_ns):
-            info.scans_with_pose += 1
-            if config.domain.follow == "vehicle":
-                domain = domain.moved(*domain.steps_to(*ready.pose.position[:2].tolist()))
-            scan, lost = register(ready.points_lidar, ready.pose, config.lidar, domain, ready.sweep)
-            info.points += ready.points_lidar.size // 3
-            dropped.update(ready.lost(lost))
-            if not why and not len(scan.key) and (lost.get("outside") or lost.get("above")):
-                missed_at = scan.centre
-                why = likely_reason(ready.points_lidar, ready.pose, config)
-        note()
-    intake.finish()
-    note()
-    info.scans_dropped, info.points_dropped = dict(intake.dropped), dict(dropped)
-    for topic in info.topics:
-        if headers[topic.name]:
-            topic.tell(headers[topic.name])
-    rejected, scans = intake.rejected, intake.scans
-    rare = {key for key in rejected if key.startswith("times_") and 2 * rejected[key] < scans}
-    info.findings += _judge(info, texts, rare)
-    if frame := stream.settings.get("frames.map"):
-        text, values = f"poses are in frame '{frame}', not in frames.map", {"frames.map": frame}
-        info.findings.append(make_setting("pose_frame", text, values))
-    warning = points_warning(info.points, dropped, domain, missed_at, why)
-    if warning is not None:
-        elsewhere = max(dropped, key=dropped.__getitem__) == "outside"
-        fix = FIXES["outside"] if elsewhere else ""
-        fatal = info.points == dropped.total()
-        info.findings.append(Finding("outside", warning, fix, fatal))
-    return texts
-
-
-def _header(msg: Any, received_ns: int) -> tuple[Any, ...]:
-    """Stamp, delay of reception and frame of a message, and of a cloud its points and layout."""
-    stamp, frame = stamp_ns(msg.header), one_line(msg.header.frame_id, 80)
-    told = stamp, (received_ns - stamp) / SECOND_NS, frame
-    if not hasattr(msg, "fields"):
-        return told
-    shape = f"{msg.height} x {msg.width} organised" if msg.height > 1 else "unorganised"
-    order = "big" if msg.is_bigendian else "little"
-    names = dict(enumerate(TYPE_NAMES, 1))
-    items = (f"{f.name} {names.get(f.datatype, '?')} @{f.offset}" for f in msg.fields)
-    fields = one_line(", ".join(items), 400)
-    layout = f"{fields}; {msg.point_step} bytes a point, {order} endian, {shape}"
-    return *told, msg.width * msg.height, layout
 
 
 FIXES = {
@@ -294,8 +217,8 @@ FIXES = {
 """Fixes by the key of a finding or of the intake's notice."""
 
 
-def _judge(info: BagInfo, texts: dict[str, str], rare: set[str]) -> list[Finding]:
-    """Of headers, rates and what the intake refused; of ``rare`` notices nothing need be done."""
+def _judge(info: BagInfo, reading: Reading) -> list[Finding]:
+    """Find faults of headers, rates and messages."""
     by_name = {topic.name: topic for topic in info.topics}
     scans, poses = by_name[info.scan_topic], by_name[info.pose_topic]
     found, lacks = [], not info.scans_with_pose
@@ -309,33 +232,63 @@ def _judge(info: BagInfo, texts: dict[str, str], rare: set[str]) -> list[Finding
         if len(topic.frames) > 1:
             text = f"{topic.name}: several frames: {', '.join(topic.frames)}"
             found.append(Finding("frames", text))
-    both = (scans.first_stamp_ns, scans.last_stamp_ns, poses.first_stamp_ns, poses.last_stamp_ns)
-    if None not in both:
-        first, last, begin, end = (value or 0 for value in both)
-        between = max(first - end, begin - last) / SECOND_NS
-        if between > 0.0:
-            text = f"stamps of scans and poses do not overlap, {between:.3f} s lie between them"
-            fix = "record poses from before the first scan until after the last"
-            # Wrong is the clock that is not that of reception.
-            off = max(scans, poses, key=lambda topic: abs(topic.delay))
-            if 2.0 * abs(off.delay) > between:
-                text += ": different clocks?"
-                late = f"{abs(off.delay):.1f} s {'before' if off.delay > 0.0 else 'after'}"
-                fix = f"stamp {off.name} by the clock of the other:"
-                fix += f" its stamps are {late} their reception"
-            found.append(Finding("clocks", text, fix, fatal=True))
-    wrong_frame = lacks and "pose_frame" in texts and len(poses.frames) == 1
-    for key, text in texts.items():
-        fix = FIXES.get(key, "") if key not in rare else ""
-        if key == "pose_frame" and wrong_frame:
+    found += _judge_clocks(scans, poses)
+    rejected, clouds = reading.stream.intake.rejected, reading.stream.intake.scans
+    for key, text in reading.notices.items():
+        rare = key.startswith("times_") and 2 * rejected[key] < clouds
+        fix = "" if rare else FIXES.get(key, "")
+        if key == "pose_frame" and lacks and len(poses.frames) == 1:
             fix = f"frames.map: {next(iter(poses.frames))}"
         fatal = lacks and not key.startswith("times_")
         found.append(Finding(key, f"{key}: {text}", fix, fatal=fatal))
-    if lacks and not texts:
+    if lacks and not reading.notices:
         found.append(Finding("no_pose", "no scan has a pose at its stamp", fatal=True))
     if poses.rate < scans.rate:
         gap = GAP_NS / SECOND_NS
         text = f"poses come at {poses.rate:.1f} Hz, scans at {scans.rate:.1f} Hz: interpolation"
         fix = "raise the poses' rate above the scans'" if poses.rate * gap < 1.0 else ""
         found.append(Finding("rate", f"{text} over up to {gap:g} s", fix))
+    if reading.repeats:
+        text = f"{reading.repeats} of {scans.count} clouds are sent again: they are mapped once"
+        found.append(Finding("repeats", text))
+    if reading.copies > COPIES * scans.count and reading.contents > 2:
+        text = f"{reading.copies} of {scans.count} clouds have the points of another one with"
+        text += " another stamp: a relay, or a second publisher"
+        found.append(Finding("copies", text, "record only the topic of the lidar's driver"))
+    return found + _judge_points(info, reading)
+
+
+def _judge_clocks(scans: TopicInfo, poses: TopicInfo) -> list[Finding]:
+    """Find stamps of scans and poses that do not overlap."""
+    both = (scans.first_stamp_ns, scans.last_stamp_ns, poses.first_stamp_ns, poses.last_stamp_ns)
+    if None in both:
+        return []
+    first, last, begin, end = (value or 0 for value in both)
+    between = max(first - end, begin - last) / SECOND_NS
+    if between <= 0.0:
+        return []
+    text = f"stamps of scans and poses do not overlap, {between:.3f} s lie between them"
+    fix = "record poses from before the first scan until after the last"
+    # Wrong is the clock that is not that of reception.
+    off = max(scans, poses, key=lambda topic: abs(topic.delay))
+    if 2.0 * abs(off.delay) > between:
+        text += ": different clocks?"
+        late = f"{abs(off.delay):.1f} s {'before' if off.delay > 0.0 else 'after'}"
+        fix = f"stamp {off.name} by the clock of the other: its stamps are {late} their reception"
+    return [Finding("clocks", text, fix, fatal=True)]
+
+
+def _judge_points(info: BagInfo, reading: Reading) -> list[Finding]:
+    """Find points that do not enter the map."""
+    lost, found = reading.dropped, []
+    warning = points_warning(info.points, lost, reading.domain, reading.missed_at)
+    if warning is not None:
+        fix = FIXES["outside"] if max(lost, key=lost.__getitem__) == "outside" else ""
+        fatal = info.points == lost.total()
+        found.append(Finding("outside", warning, fix, fatal))
+    returns = info.points - lost["no_return"]
+    if not lost["above"] and lost["isolated"] > ISOLATED * returns:
+        share = share_text(lost["isolated"], returns)
+        text = f"{share} of the returns are isolated and not mapped, as of dust, rain or spray"
+        found.append(Finding("isolated", text))
     return found

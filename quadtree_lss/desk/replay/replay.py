@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import ArrayLike
 
-from quadtree_lss.desk.bags.bag import Bag
-from quadtree_lss.desk.bags.cloud_files import open_recording
+from quadtree_lss.desk.bags.bag import Bag, open_bag
 from quadtree_lss.desk.replay.files import ReplayError, locked, made
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import Passes
@@ -33,7 +32,6 @@ def replay(
     *,
     scan_topic: str | None = None,
     pose_topic: str | None = None,
-    poses: str | Path | None = None,
     start: float = 0.0,
     duration: float | None = None,
     report: bool = True,
@@ -48,11 +46,10 @@ def replay(
     scans, its last map is used.
 
     Args:
-        bag: An open `Bag`, the path of a bag, or point clouds (`cloud_files.open_recording`).
+        bag: The path of a bag, or a `MessageBag`.
         out: Folder for the results; None writes nothing.
         config: The configuration.
         scan_topic, pose_topic: By default found by name, then by type.
-        poses: File of poses for point clouds.
         start, duration: Part of the bag, s (`stream.Part.of`).
         report: Also draw figures and ``report.html``.
         record: New bag for the messages that the nodes would publish.
@@ -69,7 +66,7 @@ def replay(
     folder = None if out is None else Path(out)
     began = time.perf_counter()
     with ExitStack() as stack:
-        opened = stack.enter_context(open_recording(bag, poses, config.frames.map))
+        opened = stack.enter_context(open_bag(bag))
         part = Part.of(opened, start, duration)
         wishes = LandingWishes(config.frames.map, landing)
         maps = MapPairs.alone(opened, scan_topic)
@@ -138,13 +135,12 @@ def scans(
     *,
     scan_topic: str | None = None,
     pose_topic: str | None = None,
-    poses: str | Path | None = None,
     start: float = 0.0,
     duration: float | None = None,
 ) -> Iterator[ReadyScan]:
     """Yield the scans of a bag, each with the lidar's pose at its stamp, as the nodes would map
     them. Arguments and errors are those of `replay`."""
-    with open_recording(bag, poses, config.frames.map) as opened:
+    with open_bag(bag) as opened:
         part = Part.of(opened, start, duration)
         stream = Stream(opened, config, scan_topic, pose_topic)
         for scan in stream.ready(part):

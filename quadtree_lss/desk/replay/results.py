@@ -9,6 +9,7 @@ import resource
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -220,7 +221,8 @@ def points_line(points: int, dropped: Mapping[str, int]) -> str:
     used = points - sum(dropped.values())
     text = f"points {used} of {points} used"
     if points >= 1e6:
-        text = f"points {_significant(used)} of {_significant(points)} million used"
+        two_digits = partial(np.format_float_positional, precision=2, fractional=False, trim="-")
+        text = f"points {two_digits(1e-6 * used)} of {two_digits(1e-6 * points)} million used"
     told = sorted(((n, reason) for reason, n in dropped.items() if n), reverse=True)
     lost = [f"{share_text(n, points)} {REASONS[key].partition(' (')[0]}" for n, key in told]
     return f"{text} ({', '.join(lost)})" if lost else text
@@ -231,10 +233,9 @@ def points_warning(
     dropped: Mapping[str, int],
     domain: Domain,
     missed_at: tuple[float, float] | None = None,
-    why: str = "",
 ) -> str | None:
     """Explain in one line why less than half of the points enter the map; None if more do.
-    ``missed_at``: centre of a scan outside the domain, map frame, m. ``why``: likely reason."""
+    ``missed_at``: centre of a scan outside the domain, map frame, m."""
     used = points - sum(dropped.values())
     if not points or 2 * used >= points:
         return None
@@ -245,7 +246,7 @@ def points_warning(
         if missed_at is not None:
             text += f", the middle of the first scan that missed it is at x {missed_at[0]:.1f},"
             text += f" y {missed_at[1]:.1f}"
-    return f"{text}; {why}" if why else text
+    return text
 
 
 def share_text(part: int, of: int) -> str:
@@ -256,8 +257,3 @@ def share_text(part: int, of: int) -> str:
     if 99.9 < percent < 100.0:
         return "> 99.9 %"
     return f"{percent:.{1 if percent < 10.0 or 99.0 < percent < 100.0 else 0}f} %"
-
-
-def _significant(number: int) -> str:
-    """Format millions, to a tenth or to two digits."""
-    return f"{1e-6 * number:.1f}" if number >= 1e6 or not number else f"{1e-6 * number:.2g}"

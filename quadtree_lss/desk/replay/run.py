@@ -58,7 +58,6 @@ class Run:
         self._pose_text = ""
         self._decode_ms: dict[int, float] = {}
         self._missed_at: tuple[float, float] | None = None
-        self._missed_why = ""
 
     def map_scans(self, stream: Stream) -> CellMap:
         """Map the scans of a stream. Raises `ReplayError`: no scan could be mapped;
@@ -137,7 +136,7 @@ class Run:
         refused = self._refused_divisions
         noise = noise_notice(self._noise_ratio, self.config)
         lines = [
-            points_warning(self.points, lost, domain, self._missed_at, self._missed_why),
+            points_warning(self.points, lost, domain, self._missed_at),
             *(f"{n} x {key}: {self._texts[key]}" for key, n in self._notices.most_common()),
             f"{refused} divisions refused (mapping.max_cells)" if refused else "",
             self._pose_text,
@@ -159,9 +158,8 @@ class Run:
             self._decode_ms.clear()  # those of dropped scans
         self._history.scan(scan)
         self.points_dropped.update(scan.lost(report.dropped))
-        if lost_points.misplaced(report) and not self._missed_why:
-            self._missed_at = report.centre
-            self._missed_why = lost_points.likely_reason(scan.points_lidar, scan.pose, self.config)
+        if lost_points.misplaced(report):
+            self._missed_at = self._missed_at or report.centre
         overruled = lost_points.overruled_text(report)
         if overruled is not None:
             self._tell(lost_points.MAP_OVERRULED, overruled)

@@ -6,16 +6,19 @@ from __future__ import annotations
 import contextlib
 import math
 import time
+import warnings
 from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from quadtree_lss.desk.bags import message_types as types
 from quadtree_lss.desk.bags import topics
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.recorded_file import RawMessage
+from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import (
     Config,
     LssConfig,
@@ -31,6 +34,7 @@ from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.onboard.messages.extrinsics import add_transforms
 from quadtree_lss.onboard.messages.intake import Intake, Notice, ReadyScan
 from quadtree_lss.onboard.messages.landing_inputs import TYPES, LandingWishes
+from quadtree_lss.onboard.messages.poses import mount_from_message
 
 SECOND_NS = 1_000_000_000
 BAR_S = 0.2
@@ -78,14 +82,16 @@ class Part(NamedTuple):
 
 
 class Stream:
-    """Scans and poses of an open bag on their way to an `Intake`, which makes them scans with their
-    pose. ``scan_topic``, ``pose_topic`` are asked for, None to find them. Read are the topics
-    ``scans``, ``poses``, ``gimbal`` and, with the CameraInfo of depth images, ``camera``, of which
-    the latter two may be empty. ``hear`` may be set to what is also given each message, after its
-    kind. ``settings`` are parameters that follow from the bag: ``mount.source: tf`` where no mount
-    is set, poses are of a body and ``/tf_static`` leads from it to the scans; if ``adapt``,
-    ``frames.map`` of the first pose. ``tf_mounts`` are mounts that ``/tf_static`` allows where the
-    body's frame is not known, by that frame. Raises `BagError`: a topic is missing or ambiguous."""
+    """Scans and poses of an open bag on their way to an `Intake`, which joins them.
+
+    Read are the topics ``scans``, ``poses`` and, unless empty, ``gimbal`` and ``camera`` (of depth
+    images). ``hear`` may be set to a function that is also given each message, after its kind.
+    ``settings`` follow from the bag: ``mount.source: tf`` where no mount is set and ``/tf_static``
+    leads from the poses' body to the scans; if ``adapt``, ``frames.map`` of the first pose.
+    ``tf_mounts`` are mounts, with the settings for them, by the body's frame, that ``/tf_static``,
+    or else what does not move on ``/tf``, allows. Raises `BagError`: a topic is missing or
+    ambiguous.
+    """
 
     def __init__(
         self,
@@ -105,19 +111,15 @@ class Stream:
         )
         self.notes = [note] * bool(note)
         self.settings: dict[str, Any] = {}
-        self.tf_mounts: dict[str, Pose] = {}
-        transforms = [
-            name
-            for name in topics.candidates(bag, types.TRANSFORMS_TYPE)
-            if name.endswith(topics.TRANSFORMS_TOPIC)
-        ]
-        mountable = config.mount == MountConfig() and len(transforms) == 1
+        self.tf_mounts: dict[str, tuple[Pose, dict[str, Any]]] = {}
+        transforms = topics.candidates(bag, types.TRANSFORMS_TYPE)
+        mountable = bool(transforms) and config.mount == MountConfig()
         first = self._first(self.poses, self.pose_type) if adapt or mountable else None
         if adapt and first is not None and first.header.frame_id.strip("/"):
             frame = first.header.frame_id.lstrip("/")
             self.settings |= {"frames.map": frame} if frame != config.frames.map else {}
         if mountable and first is not None:
-            self.settings |= self._mount_of_tf(config, first, transforms[0])
+            self.settings |= self._mount_of_tf(config, first, transforms, adapt)
         config = self.config = config_from_values(self.settings, config)
         self.gimbal = ""
         if config.mount.source == "gimbal":
@@ -150,29 +152,53 @@ class Stream:
             with contextlib.suppress(MessageError):
                 take(self._bag.decode(message.raw, types.TRANSFORMS_TYPE))
 
-    def _mount_of_tf(self, config: Config, pose: Any, transforms: str) -> dict[str, Any]:
+    def _mount_of_tf(
+        self, config: Config, pose: Any, transforms: list[str], adapt: bool
+    ) -> dict[str, Any]:
         """The setting by which ``/tf_static`` gives the mount; empty where it does not say it, or
-        says that there is none. ``pose``: the first one. ``transforms``: the topic."""
+        says that there is none. ``pose``: the first one. ``adapt``: look into ``/tf`` as well."""
         scan = self._first(self.scans, self.scan_type)
         if scan is None:
             return {}
-        tree = FixedTransforms()
-        with contextlib.suppress(MessageError):
-            self._transforms(transforms, partial(add_transforms, tree))
-        lidar = scan.header.frame_id
+        tree, lidar = FixedTransforms(), scan.header.frame_id
+        static = [name for name in transforms if name.endswith(topics.TRANSFORMS_TOPIC)]
+        for topic in static:
+            with contextlib.suppress(MessageError):
+                self._transforms(topic, partial(add_transforms, tree))
         body = config.frames.body or getattr(pose, "child_frame_id", "")
-        bodies = {body.lstrip("/")} if body else {*tree.frames()} - {config.frames.map}
-        mounts = {name: tree.between(name, lidar) for name in sorted(bodies)}
-        self.tf_mounts = {
-            name: mount
-            for name, mount in mounts.items()
-            if mount is not None and not _is_identity(mount)
-        }
-        if not body or not self.tf_mounts:
-            return {}
-        text = f"poses are of '{body}', scans of '{lidar}': the mount is taken from {transforms}"
-        self.notes.append(one_line(f"{text}; the nodes need mount.source: tf"))
-        return {"mount.source": "tf"}
+        for name, mount in _mounts(tree, config, body, lidar):
+            self.tf_mounts[name] = mount, {"mount.source": "tf", "frames.body": name}
+        if body and self.tf_mounts and len(static) == 1:
+            text = f"poses are of '{body}', scans of '{lidar}': the mount is taken from {static[0]}"
+            self.notes.append(one_line(f"{text}; the nodes need mount.source: tf"))
+            return {"mount.source": "tf"}
+        if adapt and not self.tf_mounts:
+            for link in self._unmoved([name for name in transforms if name not in static]):
+                tree.add(*link)
+            known = lidar.lstrip("/") in tree.frames()
+            for frame in [lidar] if known else tree.frames() if body else []:
+                for name, mount in _mounts(tree, config, body, frame):
+                    text = name if known else f"{name}' and scans of '{frame}"
+                    values = mount_values(mount.position, mount.rotation_map_lidar)
+                    self.tf_mounts[text] = mount, values
+        return {}
+
+    def _unmoved(self, transforms: list[str]) -> list[tuple[str, str, Pose]]:
+        """Parent, child and pose of the transforms on ``/tf`` that do not change."""
+        tree = FixedTransforms()
+        links: dict[tuple[str, str], Pose] = {}
+        moving: set[tuple[str, str]] = set()
+
+        def take(msg: Any) -> None:
+            for item in msg.transforms:
+                pose, names = mount_from_message(item), (item.header.frame_id, item.child_frame_id)
+                if tree.add(*names, pose):
+                    moving.update({names} & links.keys())
+                    links.setdefault(names, pose)
+
+        for topic in transforms:
+            self._transforms(topic, take)
+        return [(*names, pose) for names, pose in links.items() if names not in moving]
 
     def ready(self, part: Part, progress: Progress | None = None) -> Iterator[ReadyScan]:
         """Yield the scans of a part of the bag, each with the lidar's pose at its stamp."""
@@ -219,9 +245,28 @@ class Stream:
         }
 
 
-def _is_identity(mount: Pose) -> bool:
-    turn = mount.rotation_map_lidar
-    return np.allclose(mount.position, 0.0) and np.allclose(turn, np.eye(3), atol=1e-6)
+def _mounts(
+    tree: FixedTransforms, config: Config, body: str, lidar: str
+) -> Iterator[tuple[str, Pose]]:
+    """Mounts that a tree allows, without those that change nothing, by the body's frame: ``body``,
+    or any frame if that is not known."""
+    for name in [body.lstrip("/")] if body else sorted({*tree.frames()} - {config.frames.map}):
+        mount = tree.between(name, lidar)
+        if mount is not None:
+            place, turn = mount.position, mount.rotation_map_lidar
+            if not (np.allclose(place, 0.0) and np.allclose(turn, np.eye(3), atol=1e-6)):
+                yield name, mount
+
+
+def mount_values(position: Array, turn: Array, digits: int = 3) -> dict[str, Any]:
+    """The parameters of a fixed mount; ``digits`` of the angles."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # at a pitch of 90 deg yaw is set to 0
+        angles = np.round(Rotation.from_matrix(turn).as_euler("xyz", degrees=True), digits)
+    angles = np.where(angles == -180.0, 180.0, angles) + 0.0
+    names = ("x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg")
+    values = (*np.round(position, 4).tolist(), *angles.tolist())
+    return {f"mount.{name}": value for name, value in zip(names, values, strict=True)}
 
 
 class LandingTopics:

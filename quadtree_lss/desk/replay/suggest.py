@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from quadtree_lss.desk.bags.bag import Bag
-from quadtree_lss.desk.bags.cloud_files import open_recording
+from quadtree_lss.desk.bags.bag import Bag, open_bag
 from quadtree_lss.desk.replay.configuration import dump_values
 from quadtree_lss.desk.replay.files import ReplayError
 from quadtree_lss.desk.replay.stream import Part, Progress, Stream
@@ -77,7 +76,6 @@ def suggest_config(
     *,
     scan_topic: str | None = None,
     pose_topic: str | None = None,
-    poses: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Suggestion:
     """Domain, range noise, cells and landing grid for a bag, the frame of its map and the mount
@@ -86,7 +84,7 @@ def suggest_config(
     `ReplayError`: no scan has a pose, or none a return.
     """
     seen = Seen(config)
-    with open_recording(bag, poses, config.frames.map) as opened:
+    with open_bag(bag) as opened:
         stream = Stream(opened, config, scan_topic, pose_topic, adapt=True)
         count = next(t.count for t in opened.topics if t.name == stream.scans)
         for scan in stream.ready(Part.of(opened), progress):

@@ -28,7 +28,7 @@ from quadtree_lss.onboard.messages.clouds import (
 from quadtree_lss.onboard.messages.depth import DepthCamera
 from quadtree_lss.onboard.messages.extrinsics import Extrinsics
 from quadtree_lss.onboard.messages.poses import (
-    has_unknown_covariance,
+    covariance_flaw,
     mount_from_message,
     pose_from_message,
 )
@@ -157,14 +157,18 @@ class Intake:
         except MessageError as error:
             self.reject("pose", error)
             return
-        if has_unknown_covariance(msg):
+        flaw = covariance_flaw(msg)
+        if flaw == "unknown":
             text = (
-                "pose covariance is zero, -1, not a number or huge where it is unknown: using"
+                "pose covariance is zero, negative, not a number or huge where it is unknown: using"
                 f" {limits.unknown_position_sigma:g} m and"
                 f" {limits.unknown_attitude_sigma_deg:g} deg (pose.unknown_position_sigma,"
                 " pose.unknown_attitude_sigma_deg)"
             )
             self._notices.append(Notice("pose_covariance_unknown", text))
+        elif flaw:
+            text = "pose covariance is not symmetric or has a negative eigenvalue: only its"
+            self._notices.append(Notice("pose_covariance", f"{text} variances are used"))
         refused = self._gate.dropped
         for believed in self._gate.sift(pose):
             self.poses_taken += self._add(self._body, believed, "pose")

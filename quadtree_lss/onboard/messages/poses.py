@@ -18,9 +18,6 @@ from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
 MAX_POSITION = 1e8
 """Metres; positions beyond are absurd."""
 
-MAX_COVARIANCE = 1e12
-"""m^2, m rad, rad^2; entries beyond are absurd, and their squares no numbers any more."""
-
 MAX_ATTITUDE_VARIANCE = 0.25
 """rad^2; an attitude known to no better than 0.5 rad places no point."""
 
@@ -30,8 +27,9 @@ UNKNOWN_VARIANCES = np.repeat([300.0**2, (2.0 * np.pi) ** 2], 3)
 UNIT_TOLERANCE = 0.01
 """A quaternion's length may differ from one by this; it is normalised."""
 
-COVARIANCE_TOLERANCE = 1e-6
-"""Relative asymmetry and negative eigenvalue that count as rounding and are corrected."""
+COVARIANCE_TOLERANCE = 1e-5
+"""Relative asymmetry and negative eigenvalue that count as rounding, of single precision, and are
+corrected."""
 
 
 def pose_from_message(
@@ -43,29 +41,30 @@ def pose_from_message(
 ) -> Pose:
     """Pose of the lidar (or body) in the map frame.
 
-    Where the covariance says "unknown" (see `has_unknown_covariance`), the two sigmas (m and
-    degrees, each axis) take its place. ``msg``
-    is like ``geometry_msgs/PoseWithCovarianceStamped`` or ``nav_msgs/Odometry``, of which the
-    velocity is not used; its header's frame must be ``map_frame``, a leading slash aside; its
-    covariance is of (x, y, z, rotation about that frame's fixed axes), m and rad. Raises
-    `MessageError`: reason ``frame``, ``stamp``, ``position``, ``quaternion``, ``covariance`` or
-    ``attitude``.
+    Where the covariance says "unknown" (see `covariance_flaw`), the two sigmas (m and degrees,
+    each axis) take its place. ``msg`` is like ``geometry_msgs/PoseWithCovarianceStamped`` or
+    ``nav_msgs/Odometry``, of which the velocity is not used; its header's frame must be
+    ``map_frame``, a leading slash aside; its covariance is of (x, y, z, rotation about that frame's
+    fixed axes), m and rad. Raises `MessageError`: reason ``frame``, ``stamp``, ``position``,
+    ``quaternion``, ``covariance`` or ``attitude``.
     """
     check_frame(msg.header.frame_id, map_frame, "pose")
     position = _position(msg.pose.pose.position, "pose position")
     rotation = _rotation(msg.pose.pose.orientation, "pose orientation")
-    covariance, unknown = _covariance(_content(msg.pose.covariance))
+    covariance, unknown, _ = _covariance(_content(msg.pose.covariance))
     if unknown.any():
         sigmas = np.repeat([unknown_position_sigma, np.deg2rad(unknown_attitude_sigma_deg)], 3)
         covariance = covariance + np.diag(np.where(unknown, sigmas, 0.0) ** 2)
     return Pose(stamp_ns(msg.header), position, rotation, covariance)
 
 
-def has_unknown_covariance(msg: Any) -> bool:
-    """True if the publisher does not know a variance: it is not a number, -1 or above
-    `UNKNOWN_VARIANCES`, or all of position, or of attitude, are zero beside. Raises `MessageError`
-    as `pose_from_message`."""
-    return bool(_covariance(_content(msg.pose.covariance))[1].any())
+def covariance_flaw(msg: Any) -> str:
+    """``unknown`` if a variance of a pose is: it is not a number, negative or above
+    `UNKNOWN_VARIANCES`, or all of position, or of attitude, are zero beside; ``invalid`` if the
+    matrix is no covariance, so that only its variances count; else empty. Raises `MessageError` as
+    `pose_from_message`."""
+    _, unknown, sound = _covariance(_content(msg.pose.covariance))
+    return "unknown" if unknown.any() else "" if sound else "invalid"
 
 
 def mount_from_message(msg: Any, what: str = "gimbal") -> Pose:
@@ -93,15 +92,15 @@ def _content(covariance: Any) -> bytes:
 
 
 @lru_cache(maxsize=8)  # most publishers repeat theirs, and poses come at hundreds a second
-def _covariance(content: bytes) -> tuple[Array, Mask]:
-    """A covariance (6, 6) of 36 float64 row by row, symmetric and without negative eigenvalues,
-    read-only, zero along axes that are unknown; and (6,) which are.
+def _covariance(content: bytes) -> tuple[Array, Mask, bool]:
+    """A covariance (6, 6) of 36 float64 row by row, read-only, zero along axes that are unknown;
+    (6,) which are; and whether the matrix is one.
 
-    Rounding is corrected, more is refused. Of a matrix with one empty triangle the other counts. A
-    correlation that is not a number is none. Asymmetry and eigenvalues are judged after scaling to
-    unit diagonal, since metres and radians differ by orders of magnitude. Raises `MessageError`:
-    ``covariance`` if it is of another length, not symmetric, or has a negative variance or
-    eigenvalue; ``attitude`` if that is too uncertain to place a point.
+    Rounding is corrected. Of a matrix with one empty triangle the other counts, of one that is not
+    symmetric or has a negative eigenvalue only the diagonal. This is judged after scaling to unit
+    diagonal, since metres and radians differ by orders of magnitude. Raises `MessageError`:
+    ``covariance`` if it is of another length; ``attitude`` if that is too uncertain to place a
+    point.
     """
     entries = np.frombuffer(content)
     if entries.size != 36:
@@ -109,7 +108,7 @@ def _covariance(content: bytes) -> tuple[Array, Mask]:
         raise MessageError("covariance", text)
     matrix = entries.reshape(6, 6)
     variances = matrix.diagonal()
-    unknown = np.isnan(variances) | (variances == -1.0) | (variances > UNKNOWN_VARIANCES)
+    unknown = ~((variances >= 0.0) & (variances <= UNKNOWN_VARIANCES))  # also if not a number
     empty = (unknown | (variances == 0.0)).reshape(2, 3).all(axis=1)
     unknown |= np.repeat(empty, 3)
     left_out = unknown | unknown[:, None] | np.isnan(matrix)
@@ -117,28 +116,16 @@ def _covariance(content: bytes) -> tuple[Array, Mask]:
     upper, lower = np.triu(matrix, 1), np.tril(matrix, -1)
     if upper.any() != lower.any():
         matrix = matrix + (upper + lower).T
-    if not (np.abs(matrix) <= MAX_COVARIANCE).all():
-        text = f"pose covariance is absurd (beyond {MAX_COVARIANCE:.0e})"
-        raise MessageError("covariance", text)
-    variances = matrix.diagonal()
-    if variances.min() < 0.0:
-        text = f"pose covariance has a negative variance ({variances.min():.3g})"
-        raise MessageError("covariance", text)
-    sigmas = np.sqrt(variances)
+    sigmas = np.sqrt(matrix.diagonal())
     scale = np.where(sigmas > 0.0, sigmas, 1.0)
     with np.errstate(all="ignore"):
         scaled = matrix / scale[:, None] / scale
-        asymmetry = np.abs(scaled - scaled.T).max()
-    if not asymmetry <= COVARIANCE_TOLERANCE:  # also when one is not a number
-        text = f"pose covariance is not symmetric (relative difference {asymmetry:.2g})"
-        raise MessageError("covariance", text)
-    scaled = 0.5 * (scaled + scaled.T)
+        sound = bool(np.abs(scaled - scaled.T).max() <= COVARIANCE_TOLERANCE)
+    scaled = 0.5 * (scaled + scaled.T) if sound else np.diag(scaled.diagonal())
     eigenvalues, vectors = np.linalg.eigh(scaled)
-    least = eigenvalues.min()
-    if least < -COVARIANCE_TOLERANCE:
-        text = f"pose covariance has a negative eigenvalue (relative {least:.2g})"
-        raise MessageError("covariance", text)
-    if least < 0.0:
+    if eigenvalues[0] < -COVARIANCE_TOLERANCE:
+        sound, scaled = False, np.diag(scaled.diagonal())
+    elif eigenvalues[0] < 0.0:
         scaled = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T
     covariance: Array = scaled * np.outer(scale, scale)
     widest = float(covariance.diagonal()[3:].max())
@@ -147,7 +134,7 @@ def _covariance(content: bytes) -> tuple[Array, Mask]:
         text += "; zeros say unknown (pose.unknown_attitude_sigma_deg)"
         raise MessageError("attitude", text)
     covariance.flags.writeable = False
-    return covariance, unknown
+    return covariance, unknown, sound
 
 
 def _position(point: Any, what: str) -> Array:

@@ -15,6 +15,7 @@ Other drivers use these names with other units. A unit is only believed if the t
 
 from __future__ import annotations
 
+import re
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -24,12 +25,14 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.arrays import Points
 from quadtree_lss.onboard.messages.clouds import MessageError, column
 
-#: Fields that hold the times; the first that is there does.
+#: Fields that hold the times; the first that differs from point to point does.
 FIELDS = (
     *("t", "time", "timestamp", "time_stamp", "time_offset", "offset_time", "time_offset_ns"),
     *("point_time_offset", "point_time", "relative_time", "stamps", "timestamps", "ts", "t_us"),
     *("time_us", "timestamp_ns", "timestamp_us", "time_ns", "t_ns"),
 )
+#: Names of fields that hold times as well if there is only one of them.
+LIKE_TIME = re.compile(r"time|stamp|(^|_)(d?t|ts|[mun]?secs?|nanosecs?)($|_)", re.IGNORECASE)
 #: `sensor_msgs/PointField` datatypes of a time.
 TYPES = {5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 #: Times farther from the stamp than this are taken for wrong, ns.
@@ -59,14 +62,30 @@ def offsets_from_cloud(
     of `points_from_cloud`; times of points that are no returns do not matter. ``period_ns``: from
     scan to scan, None if that is not known yet. Raises `MessageError`: ``type`` or ``layout`` of
     the field; ``unreasonable`` if the times do not span a scan near the stamp in any unit."""
-    field = next((f for name in FIELDS for f in msg.fields if f.name == name), None)
-    if field is None:
-        other = [f.name for f in msg.fields if "time" in f.name or "stamp" in f.name]
-        if not other:
-            return None
-        text = f"cloud field '{other[0]}' may hold times and is not known: the scan is taken as of"
-        text += f" one time; known are {', '.join(FIELDS)}"
-        raise MessageError("unknown", text)
+    fields = [f for name in FIELDS for f in msg.fields if f.name == name]
+    if not fields:
+        fields = [f for f in msg.fields if LIKE_TIME.search(f.name)]
+        if len(fields) > 1:
+            names = "', '".join(f.name for f in fields)
+            text = f"cloud fields '{names}' may hold times and are not known: the scan is taken as"
+            text += f" of one time; known are {', '.join(FIELDS)}"
+            raise MessageError("unknown", text)
+    wrong: MessageError | None = None
+    for field in fields:
+        try:
+            if (found := _offsets(msg, field, stamp_ns, points, period_ns)) is not None:
+                return found
+        except MessageError as error:
+            wrong = wrong or error
+    if wrong is not None:
+        raise wrong
+    return None
+
+
+def _offsets(
+    msg: Any, field: Any, stamp_ns: int, points: Points, period_ns: float | None
+) -> PointTimes | None:
+    """Times in one field; None if they are the same for all. Raises as `offsets_from_cloud`."""
     kind = TYPES.get(int(field.datatype))
     if kind is None:
         text = f"cloud field '{field.name}' has datatype {field.datatype}, which is no time's"
