@@ -25,7 +25,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 # Modules that are not collected without a package; one that skips itself ends `colcon test`.
 _NEEDS = {
     "pymavlink": ["autopilot/test_link.py", "autopilot/test_lies.py", "ros/test_autopilot.py"],
-    "rclpy": ["benchmark/test_arducopter.py", "ros/test_flight.py"],
+    "rclpy": ["ros/test_flight.py"],
     "distributed": ["campaign/test_engine.py"],
 }
 collect_ignore = [path for name, of in _NEEDS.items() if not find_spec(name) for path in of]

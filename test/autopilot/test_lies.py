@@ -60,25 +60,6 @@ def test_set_points_keep_their_rate_among_thousands_of_foreign_messages(pieces):
         assert len(ride.model.points) - points > 0.9 * 40
 
 
-def test_what_the_autopilots_own_address_floods_with_is_dropped():
-    with Ride(pace=1.0) as ride:
-        ride.handed_over()
-        for _ in range(200):
-            ride.model._link.write(beat(system=9) * 2000)
-            ride.on(0.005)
-        took = max(ride.timed() for _ in range(50))
-        assert took < 0.1 and ride.controller.link.refused["backlog"] > 0
-        ride.within("transit", "descend", "commit")
-
-
-def test_an_autopilot_that_was_silent_is_heard_at_its_new_address():
-    with Ride() as ride:
-        ride.handed_over().model.cut = True
-        ride.on(6.0).model.moves_port()
-        ride.model.cut = False
-        ride.until(lambda: ride.controller.link.heard > ride.now() - 1.0).within("touchdown")
-
-
 def test_no_set_point_after_the_heartbeat_that_tells_of_the_pilot():
     with Ride() as ride:
         ride.below(4.0).model.switch(LOITER)

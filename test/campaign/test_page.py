@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page of a campaign: its answer, a point for each flight, no link to what is not there."""
 
-import json
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from report.pages import Page, accessible, in_a_browser, sheets
 
-from quadtree_lss.lab.campaign.campaign_page import note_kept, page
+from quadtree_lss.lab.campaign.campaign_page import page
 from quadtree_lss.lab.campaign.store import Record
 from quadtree_lss.lab.campaign.study import read_study
 from quadtree_lss.lab.campaign.summary import CampaignResult
@@ -44,37 +42,6 @@ def test_the_answer_comes_first_and_every_flight_is_in_it(result):
     assert np.isnan(found.column(data["columns"]["error"])).all()
     assert data["indices"] == list(range(COUNT)) and data["seeds"][3] == "1000000000000003"
     assert [k for k, bad in enumerate(data["bad"]) if bad] == [BAD - 1]
-
-
-def test_flights_of_several_cases_are_summed_first(result):
-    study = result.out.parent / "study.yaml"
-    cases = "cases:\n- {name: a}\n- {name: b, conditions: {rocks: 0.1}}\n"
-    study.write_text(f"kind: fly\nscenario: package\nseed: 1\nflights: 20\n{cases}")
-    records = {
-        k: replace(r, scenario="package", labels={"case": "ab"[k % 2]})
-        for k, r in result.records.items()
-    }
-    text = page(CampaignResult(result.out, read_study(study), records))
-    found = re.findall(r'<p class="verdict (\w*)">(.*?)</p>', text)
-    assert [level for level, _ in found] == ["none", "none", "good"]
-    assert found[0][1].startswith("all of package: Safe touchdowns 39 of 40, 95 %: ")
-    assert "20 of 20" in found[2][1]
-
-
-def test_only_what_is_kept_is_linked(result):
-    result.out.mkdir()
-    (result.out / "campaign.html").write_text(page(result), encoding="utf-8")
-
-    def kept():
-        return json.loads(Page((result.out / "campaign.html").read_text()).scripts["kept"])
-
-    assert kept() == []
-    for name in ("000003", "000005"):
-        (result.out / "kept" / name).mkdir(parents=True)
-    (result.out / "kept" / "000003" / "flight.html").write_text("")
-    note_kept(result.out, "flight.html")
-    assert kept() == ["000003"]
-    assert json.loads(Page(page(result)).scripts["kept"]) == kept()
 
 
 @in_a_browser

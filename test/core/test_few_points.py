@@ -86,24 +86,6 @@ def test_a_strip_first_does_not_starve_a_steep_cell(seed):
     assert -leaf.normal[0] / leaf.normal[2] == pytest.approx(1.0, abs=0.15)
 
 
-def test_hints_go_up_with_the_map():
-    """Two scans in three are 0.4 m too high; the corner's cell gets two points of each."""
-    config = configured(domain=FINEST_1M, noise=0.01, pose={"correlation_time": 0.0})
-    rng, mapper = np.random.default_rng(1), Mapper(config)
-    estimate = make_pose(ABOVE, pose_covariance(0.3, 1e-9))
-    for number, error in enumerate((0.0, 0.4, 0.4)):
-        x, y = scattered(rng, 0.0, 0.0, 16.0, 12_000)
-        rest = (x > 1.1) | (y > 1.1)
-        x = np.r_[x[rest], 0.1 + 0.2 * number, 0.9]
-        y = np.r_[y[rest], 0.1, 0.9 - 0.3 * number]
-        look(mapper, flat(), x, y, rng, 0.01, estimate, error)
-    assert leaf_at(mapper, 0.5, 0.5).points == 6
-    cells = mapper.snapshot()
-    middle = np.median(cells.z[cells.measured])
-    assert middle == pytest.approx(0.8 / 3.0, abs=0.05)
-    assert leaf_at(mapper, 0.5, 0.5).z == pytest.approx(middle, abs=0.05)
-
-
 def sparse(ground, points: int, scans: int, seed: int, sigma: float = 0.0, **sections):
     """Leaves of 4 m, which may divide, of so many points a scan each; poses err as they say."""
     config = configured(levels=(2, 6), noise=0.06, **sections)

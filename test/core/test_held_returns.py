@@ -74,18 +74,6 @@ def test_random_strays_stay_out():
     assert strays > 300 and entered <= 0.002 * strays
 
 
-def test_dust_of_one_scan_leaves_nothing():
-    clean, dusty = mapper(), mapper()
-    for number in range(4):
-        heights = np.zeros((PIXELS, PIXELS))
-        clean.update(*scan(heights, number))
-        if number == 1:
-            heights[10:20:2, 10:20:2] = np.random.default_rng(5).uniform(1.0, 5.0, (5, 5))
-        report = dusty.update(*scan(heights, number))
-        assert report.dropped["isolated"] == (25 if number == 1 else 0) and report.admitted == 0
-    assert highest(dusty) == pytest.approx(highest(clean), abs=0.05)
-
-
 def test_a_restored_mapper_still_holds_returns_back():
     found, restored = mapper(), mapper()
     for number in (0, 1):

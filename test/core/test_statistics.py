@@ -74,16 +74,6 @@ def test_exceptions_are_the_share_of_points_beyond_the_tolerance(height, toleran
     assert np.delete(cells.exception_fraction, at).max() < 1e-6
 
 
-def test_noise_alone_makes_no_exceptions():
-    """Half of the tolerance, as a depth camera's: a sixth of the mass would lie beyond it."""
-    rng = np.random.default_rng(70021)
-
-    def rough(x, y):
-        return rng.normal(scale=0.15, size=x.shape)
-
-    assert seen_on_lattice(fixed(2, 0.15), rough, 256).exception_fraction.max() < 0.02
-
-
 def test_pose_uncertainty_makes_no_exception_of_flat_ground():
     """Erratum of Eq. 48: a metre of common error says nothing of the ground within the cell."""
     cells = seen_on_lattice(fixed(2, 0.02), flat(), 64, pose_covariance(1.0, 1e-3))
@@ -113,12 +103,6 @@ def test_wild_points_count_at_most_the_clip():
     assert roughness[0.5] == pytest.approx(0.5 * roughness[1000.0] + own, rel=0.02)
 
 
-def test_exceptions_that_noise_makes_are_foreseen():
-    """Of 0.3 m, the tolerance: on either side."""
-    leaves = mapped(fixed(4, 0.3), flat(), density=60.0, scans=5).leaves.rows
-    assert leaves.exception_sum.sum() == pytest.approx(leaves.exception_noise.sum(), rel=0.05)
-
-
 @pytest.mark.parametrize("per_cell", [12, 190])
 def test_the_noise_ratio_is_observed_over_configured_and_follows_by_a_tenth_a_scan(per_cell):
     """Of few points a cell, too: three of their degrees of freedom went into the plane."""
@@ -128,16 +112,6 @@ def test_the_noise_ratio_is_observed_over_configured_and_follows_by_a_tenth_a_sc
         x, y = scattered(rng, 0.0, 0.0, 16.0, 64 * per_cell)
         found = look(mapper, flat(), x, y, rng, 0.05 * factor).noise_ratio
         assert found == pytest.approx(expected, abs=0.03 + 0.4 / per_cell)
-
-
-def test_a_scan_that_divides_cells_tells_the_noise_once():
-    """A stepped map divides to the finest level; each point counts where it came to rest."""
-    rng, mapper = np.random.default_rng(16), Mapper(configured(noise=0.05))
-    for _ in range(5):
-        places = scattered(rng, 0.0, 0.0, 16.0, 30_000)
-        report = look(mapper, lambda x, y: 0.5 * (x > 5.1), *places, rng, 0.05)
-    assert report.leaves > 16
-    assert report.noise_ratio == pytest.approx(1.0, abs=0.05)
 
 
 def test_noise_ratio_is_that_of_level_ground():

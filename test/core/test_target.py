@@ -147,19 +147,6 @@ def test_a_divert_needs_more_gain_than_it_costs(unsafe, height, speed):
     assert place == (0, int(np.argmax(worth)) if worth.max() > 0.0 else 1)
 
 
-def test_a_divert_costs_nothing_more_far_up_and_is_impossible_at_the_height_of_commitment():
-    gains = []
-    for height in (4000.0, 100.0, 60.0, 45.0, LSS.commit_height + 1.0):
-        for gain in np.linspace(0.0, 0.09, 451):
-            found = situation((0.09, 0.09, 0.09, 0.09 - gain), descent=Descent(height, 3.8))
-            if found.transition(State.HOLDS, NOTHING, (20.0, 0.0))[2] is Reason.BETTER:
-                break
-        gains.append(gain)
-    share, least = GAIN["probability"]
-    assert gains == sorted(gains) and gains[-1] == 0.09
-    assert gains[0] == pytest.approx(least / share, abs=3e-4)
-
-
 def test_reach_is_that_of_speeding_up_and_slowing_down_aside():
     """Against the integrated path: half of the time at 1 m/s^2, half at -1 m/s^2."""
     time, steps = np.linspace(0.0, 8.0, 8001, retstep=True)
@@ -435,32 +422,6 @@ def test_land_now_goes_where_the_vehicle_comes_to_rest(level_ground):
     assert np.isfinite(selector.assess(level_ground, vehicle=(43.0, 0.5)).now).all()
 
 
-@pytest.mark.parametrize("z", [-1500.0, 0.0, 1500.0])
-def test_reach_is_the_same_wherever_heights_count_from(level_ground, z):
-    """Over ground that is not seen the vehicle is as high as over all that is."""
-    cells = lifted(level_ground, z)
-    cells.known[:16] = cells.observed[:16] = False
-    low, high = (
-        LandingSiteSelector(by_risk()).assess(cells, vehicle=(z + 3.0 + up, 0.5, 8.0, 2.0)).now
-        for up in (4.0, 9.0)
-    )
-    assert np.isnan(low).all() and np.hypot(high[0] - 8.0, high[1] - 2.0) <= 9.0
-
-
-def test_land_now_does_not_climb():
-    """No ground is safe but a plateau, which lies above the vehicle."""
-
-    def plateau(x, y):
-        return np.where(x > 9.0, 13.0, 0.5 * (np.floor(x) % 2) * (np.floor(y) % 2))
-
-    cells = mapped(by_risk(), plateau, density=100.0).snapshot()
-    selector = LandingSiteSelector(by_risk(dispersion=0.3))
-    selector.land_now()
-    found = selector.assess(cells, vehicle=(8.0, 0.5, 5.0, 8.0))
-    assert found.selected.state is State.NOW and found.selected.position[2] < 1.0
-    assert found.now[2] < 1.0
-
-
 def test_land_now_heeds_keep_outs_and_takes_what_is_least_unsafe(with_block):
     """With a limit that no ground keeps there is no site, but a place to land if need be."""
     selector, here = LandingSiteSelector(by_risk(max_risk=0.0)), (12.0, 1.0, 8.0, 8.0)
@@ -503,17 +464,3 @@ def test_covariance_is_that_of_drawn_maps():
     np.testing.assert_allclose(*correlations, atol=0.1)
     assert np.abs(correlations[1]).min() > 0.25  # each sign counts
     assert not claimed[:2].any()
-
-
-def test_an_error_of_the_poses_moves_the_whole_ground():
-    """It does not average out over the leaves under the lander."""
-    cells = mapped(small(), flat(3.0), density=60.0).snapshot()
-    common = np.zeros((len(cells.z), 3, 3))
-    common[:, 2, 2] = 0.2**2
-    common[:, 0, 0] = 0.01**2
-    nothing = np.zeros_like(common)
-    cells = dataclasses.replace(cells, covariance_pose=common, covariance_range=nothing)
-    claimed = ground_covariance(rasterise(cells, LssConfig(max_gap=1.0)), 7.0, 7.0, 1.5)
-    assert claimed[2, 2] == pytest.approx(0.2**2, rel=0.1)
-    assert claimed[4, 4] == pytest.approx(0.01**2, rel=0.1)
-    assert claimed[3, 3] < 1e-8

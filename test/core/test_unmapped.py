@@ -9,7 +9,6 @@ from core.builders import configured, mapped, strip
 from core.scenes import flat, slope
 
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.geometry.bounds import bounded, within
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.grid import users_grid
 from quadtree_lss.onboard.core.landing.raster import rasterise
@@ -116,13 +115,6 @@ def test_heights_are_lent_by_known_cells_alone(level_ground):
     assert raster.elevation[30, 31] in beside and abs(raster.elevation[30, 31]) < 0.1
 
 
-def test_why_there_is_no_site_tells_seen_from_mapped(level_ground):
-    cells = without(level_ground, np.argwhere(np.indices((64, 64)).sum(axis=0) % 4 == 0))
-    found = LandingSiteSelector(limits()).assess(cells)
-    said = "75 % of the domain is seen, 25 % seen but not yet mapped, 0 % shows"
-    assert said in found.explanation
-
-
 def test_the_target_is_withdrawn_with_a_word_of_its_own(level_ground):
     selector = LandingSiteSelector(limits())
     selector.assess(level_ground, target=(8.0, 8.0))
@@ -165,14 +157,3 @@ def test_heights_keep_to_what_was_measured_there(level_ground):
     np.testing.assert_allclose(at.ground(raster)[:-1, :-1][known], heights[known], atol=1e-9)
     line = kept.profile((0.1, 3.0), (15.9, 3.3))
     np.testing.assert_array_equal(line.height, kept.at(line.x, line.y).height)
-
-
-def test_a_bound_that_is_not_known_is_none():
-    nan = np.nan
-    z = np.array([1.0, 1.0, 1.0, 1.0, 1.0, nan])
-    low = np.array([0.0, 2.0, nan, nan, nan, 0.0])
-    high = np.array([2.0, 3.0, 0.5, 1.5, nan, 2.0])
-    expected = [1.0, 2.0, 0.5, 1.0, 1.0, nan]
-    np.testing.assert_array_equal(bounded(z, low, high), expected)
-    np.testing.assert_array_equal([within(*v) for v in zip(z, low, high, strict=True)], expected)
-    assert bounded(5.0, nan, [[1.0, 7.0]]).tolist() == [[1.0, 5.0]]

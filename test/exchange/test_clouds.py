@@ -116,12 +116,6 @@ def test_csv_goes_by_names(tmp_path):
     np.testing.assert_array_equal(found.covariance, [np.arange(36.0)])
 
 
-def test_csv_without_a_header_has_the_order_of_tum(tmp_path):
-    path = tmp_path / "poses.csv"
-    path.write_text("0.5,1,2,3,0,0,0,1\n")
-    assert read_poses(path).stamp_ns.tolist() == [500000000]
-
-
 @pytest.mark.parametrize(
     ("content", "word"),
     [

@@ -10,9 +10,7 @@ from report.pages import Page, accessible, in_a_browser, sheets
 from quadtree_lss.cli import main
 from quadtree_lss.lab.flight.flight_page import write_flight
 from quadtree_lss.lab.flight.fly import flown
-from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.settings import FlightError, flight_settings
-from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
 from quadtree_lss.onboard.core.landing.target import State
 
 SHORT = {"slant_range": 260.0, "speed": 26.0, "half": 8.0, "scatter": 3.0, "plan": {"survey": 3.0}}
@@ -80,29 +78,6 @@ def test_no_fault_ends_on_ground_that_was_known_to_be_unsafe(fault):
     if "mapping" in fault:
         lost = "lost" in [decision.what for decision in done.flight.pilot.decisions]
         assert lost == fault.startswith("forget")
-
-
-def test_rocks_are_strewn_on_a_terrain_if_asked_for(tmp_path):
-    posts = np.linspace(-60.0, 60.0, 61)
-    np.savez(tmp_path / "flat.npz", x=posts, y=posts, elevation=np.zeros((61, 61)))
-    given = {"terrain": str(tmp_path / "flat.npz"), "avoidance": "none"}
-    bare, rocky = (
-        Ground.of(flight_settings({**given, **more}), np.random.default_rng(1))
-        for more in ({}, {"rock_abundance": 0.2})
-    )
-    assert not bare.terrain.elevation.any() and bare.safe[2].min() > 0.0
-    assert rocky.terrain.elevation.max() > 0.3 and (rocky.safe[2] == 0.0).any()
-    np.savez(tmp_path / "flat.npz", x=posts[29:32], y=posts[29:32], elevation=np.zeros((3, 3)))
-    with pytest.raises(SimulationError, match="too small"):
-        Ground.of(flight_settings(given), np.random.default_rng(1))
-
-
-def test_a_ridge_on_the_way_is_ground_too():
-    posts = np.linspace(-100.0, 100.0, 101)
-    ridge = np.broadcast_to(np.where(np.abs(posts + 80.0) < 5.0, 90.0, 0.0), (101, 101))
-    ground = Ground(Terrain(posts, posts, ridge), np.zeros(3), 10.0)
-    assert ground.touches(np.array([-80.0, 0.0, 50.0]))
-    assert not ground.touches(np.array([0.0, 0.0, 50.0]))
 
 
 WRONG_TIMES = ("nan", "inf", "-1", "60+-3", "60+1e99", "60+nan", "60+0")
@@ -216,47 +191,6 @@ def test_a_flight_is_gone_over(text, in_browser):
     assert own.startswith("Safe touchdown") and abs(told["there"][0] - told["there"][1]) < 0.11
     assert told["fault"][0] > 10 > told["fault"][1]
     assert all(-0.1 < gap < 0.3 for gap in told.get("pads", [0.0])), told
-
-
-@in_a_browser
-def test_a_moment_has_its_view_reach_and_target_on_the_map_and_in_space(text, in_browser):
-    """A click on a target's row shows its moment."""
-    told = in_browser(
-        text,
-        """
-        const f = data.flight, h = data.history;
-        const rows = document.querySelectorAll("#targets tbody tr");
-        rows[0].click(); tellTest("target", [momentTime(), Number(rows[0].cells[0].textContent),
-          rows[0].cells[1].textContent]);
-        view.sites = view.excluded = view.relief = false; fit();
-        const drawn = () => { drawNow(); return [...map.getContext("2d").getImageData(
-          0, 0, map.width, map.height).data].join(); };
-        const differs = (without, back) => { const was = drawn(); without(); const now = drawn();
-          back(); return [was !== now, was === drawn()]; };
-        for (let n = 0; n < 5; n++) drawn(); // a canvas that is often read is drawn otherwise
-        const { areas } = f, { outline } = h;
-        tellTest("reach", differs(() => { f.areas = []; }, () => { f.areas = areas; }));
-        tellTest("view", differs(() => { h.outline = outline.map(() => NaN); },
-                                 () => { h.outline = outline; }));
-        setMode("scene");
-        await until(() => root.dataset.scene || document.querySelector("#scene .warning"));
-        const inSpace = () => { const found = []; let low = Infinity;
-          space.marks.traverse(o => {
-            if (o.isLine) found.push(o.material.color.getHexString());
-            const about = o.geometry && o.geometry.parameters;
-            if (about && about.radiusTop === data.lander.pad) low = Math.min(low, o.position.z); });
-          return [found.filter(c => c === "6fa8dc").length, found.includes("0072b2"),
-                  low - 0.03 + space.z0 - f.z[view.moment]]; };
-        if (space) { tellTest("space", inSpace()); moment((f.time.length >> 1) + 20);
-          tellTest("later", [view.moment, ...inSpace()]); tellTest("corners", h.corners); }
-        """,
-    )
-    time, row, why = told["target"]
-    assert 0 <= time - row < 0.2 and why
-    assert told["reach"] == told["view"] == [True, True]
-    if "space" in told:
-        for rays, reach, gap in (told["space"], told["later"][1:]):
-            assert rays == told["corners"] / 3 and reach and gap == pytest.approx(0, abs=1e-3)
 
 
 @in_a_browser

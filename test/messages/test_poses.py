@@ -97,27 +97,6 @@ def test_rounding_of_a_covariance_is_mended():
     assert np.linalg.eigvalsh(mended)[0] > -1e-16
 
 
-def test_zeros_mean_unknown_and_take_the_configured_sigmas():
-    msg = pose(covariance=np.zeros(36))
-    assert has_unknown_covariance(msg) and not has_unknown_covariance(pose())
-    of = {"unknown_position_sigma": 0.5, "unknown_attitude_sigma_deg": 0.1}
-    decoded = pose_from_message(msg, "map", **of)
-    sigmas = np.sqrt(np.diag(decoded.covariance))
-    np.testing.assert_allclose(sigmas, [0.5] * 3 + [np.deg2rad(0.1)] * 3)
-
-
-def test_attitude_may_be_unknown_where_position_is_not():
-    """As some drivers send it: else it would pass for exact."""
-    covariance = np.diag([0.04, 0.04, 0.09, 0.0, 0.0, 0.0])
-    for told, sigmas in ((covariance, [0.2, 0.2, 0.3]), (covariance[::-1, ::-1], [0.5] * 3)):
-        msg = pose(covariance=told.ravel())
-        assert has_unknown_covariance(msg)
-        of = {"unknown_position_sigma": 0.5, "unknown_attitude_sigma_deg": 0.1}
-        found = np.diag(pose_from_message(msg, "map", **of).covariance)
-        turned = [0.3, 0.2, 0.2] if told is not covariance else [np.deg2rad(0.1)] * 3
-        np.testing.assert_allclose(np.sqrt(found), [*sigmas, *turned])
-
-
 UNKNOWN = {
     "not a number": (np.full(36, np.nan), range(6)),
     "the first is not a number": (np.r_[np.nan, np.zeros(35)], range(6)),
@@ -149,12 +128,6 @@ def test_one_triangle_of_a_covariance_is_all_of_it(triangle):
     msg = pose(covariance=triangle(whole))
     np.testing.assert_allclose(pose_from_message(msg, "map").covariance, whole, rtol=1e-12)
     assert not has_unknown_covariance(msg)
-
-
-def test_the_covariance_cannot_be_changed_by_accident():
-    decoded = pose_from_message(pose(), "map")
-    with pytest.raises(ValueError):
-        decoded.covariance[0, 0] = 1.0
 
 
 def test_mount_is_the_lidar_in_body_axes():

@@ -2,7 +2,6 @@
 """Point clouds without a bag: the same map as of a bag with the same scans and poses."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,19 +73,6 @@ def test_clouds_with_poses_give_the_map_of_the_bag(flight, tmp_path, name):
     assert not of_files.losses
 
 
-@pytest.mark.parametrize(("name", "clouds"), [("cloud{k}", 6), ("{s:.6f}", 6), ("{s:.6f}", 5)])
-def test_names_are_no_nanoseconds_because_poses_begin_at_zero(flight, tmp_path, name, clouds):
-    seen = flight[1]
-    times = [scan.stamp_ns - seen[0].stamp_ns for scan in seen]
-    (tmp_path / "clouds").mkdir()
-    for k, scan in enumerate(seen[:clouds]):
-        file = tmp_path / "clouds" / f"{name.format(k=k, s=1e-9 * times[k])}.npy"
-        np.save(file, scan.points_lidar)
-    poses = [replace(s.pose, stamp_ns=t) for s, t in zip(seen, times, strict=True)]
-    found = replay(tmp_path / "clouds", None, CONFIG, poses=tum(tmp_path / "poses.tum", poses))
-    assert [row.stamp_ns for row in found.timings] == times[:clouds]
-
-
 def test_stamps_of_a_file_and_poses_between(flight, tmp_path):
     bag, seen = flight
     stamps = np.array([scan.stamp_ns for scan in seen])
@@ -111,13 +97,6 @@ def test_a_cloud_in_the_map_frame_needs_no_poses(flight, tmp_path):
     assert any("map's frame" in line for line in found.warnings)
 
 
-def test_which_pose_belongs_to_which_cloud_is_asked(flight, tmp_path, capsys):
-    _, seen = flight
-    clouds, poses = clouds_and_poses(tmp_path, seen, lambda k, s: f"cloud{k}.npy", poses=4)
-    code, _, err = run(capsys, "replay", clouds, "--poses", poses, *FAST)
-    assert code == 1 and "6 clouds are not 4 poses" in err and err.count("\n") == 1
-
-
 def test_a_damaged_cloud_is_a_loss(flight, tmp_path, capsys):
     _, seen = flight
     clouds, poses = clouds_and_poses(tmp_path, seen)
@@ -139,19 +118,3 @@ def test_info_and_suggest_read_clouds_too(flight, tmp_path, capsys):
     assert code == 0 and "wrong:" not in out and "note:  no --poses: " in out
     code, out, _ = run(capsys, "config", "suggest", clouds, "--poses", poses, "--json")
     assert code == 0 and json.loads(out)["values"]["lidar.range_noise"] > 0.01
-
-
-def test_a_folder_beside_a_bag_or_of_results_is_none_of_clouds(flight, tmp_path, capsys):
-    np.savez(tmp_path / "truth.npz", x=np.zeros(3))
-    (tmp_path / "bag").symlink_to(flight[0])
-    code, _, err = run(capsys, "replay", tmp_path)
-    assert code == 1 and "no bag: there is no .mcap, .db3 or .bag in it, but in bag" in err
-
-
-def test_poses_do_not_go_with_a_bag(flight, tmp_path, capsys):
-    bag, seen = flight
-    poses = tum(tmp_path / "poses.tum", [scan.pose for scan in seen])
-    code, _, err = run(capsys, "replay", bag, "--poses", poses, *FAST)
-    assert code == 1 and "--poses goes with point clouds" in err
-    code, _, err = run(capsys, "replay", bag, "--poses", poses, "--publish")
-    assert code == 2 and "--poses does not go with --publish" in err

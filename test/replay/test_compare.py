@@ -6,7 +6,6 @@ import json
 import numpy as np
 import pytest
 from replay.test_cli import run
-from scipy.ndimage import gaussian_filter
 
 from quadtree_lss.desk.exchange.dem import ElevationModel
 from quadtree_lss.desk.exchange.saved import ResultsError, load_results
@@ -61,36 +60,6 @@ def test_a_boulder_and_a_rise_are_found(before, tmp_path):
     stored = json.loads((tmp_path / "out" / "comparison.json").read_text())
     assert stored == found.as_dict() and stored["heights"]["points"] == h.points
     assert (tmp_path / "out" / "comparison.png").stat().st_size > 10_000
-
-
-def test_two_grounds_are_not_compared_as_one(before, tmp_path, capsys):
-    """Level ground is the same whatever its noise; the shape of another is not."""
-    other = ground()
-    away = np.random.default_rng(7105).permutation(other.elevation.ravel())
-    shape = gaussian_filter(away.reshape(other.elevation.shape), 4.0) * 40.0
-    rank_sites(ElevationModel(other.x, other.y, shape), tmp_path / "b", CONFIG, report=False)
-    code, out, err = run(capsys, "compare", before, tmp_path / "b", "--json")
-    assert code == 1 and json.loads(out)["same_ground"] is False and "not of the same" in err
-    flat = ElevationModel(other.x, other.y, 0.01 * away.reshape(shape.shape))
-    rank_sites(flat, tmp_path / "flat", CONFIG, report=False)
-    level = ElevationModel(other.x, other.y, 0.0 * shape)
-    rank_sites(level, tmp_path / "level", CONFIG, report=False)
-    assert run(capsys, "compare", tmp_path / "flat", tmp_path / "level")[0] == 0
-    assert run(capsys, "compare", before, before)[0] == 0
-
-
-def test_another_grid_and_domain(before, tmp_path):
-    finer = load_config((), {**VALUES, "lss.grid_spacing": 0.25})
-    rank_sites(ground(moved=8.0), tmp_path / "b", finer, report=False)
-    found = compare_results(before, tmp_path / "b")
-    side = 24.0
-    assert found.heights.points * 0.25 == pytest.approx(side**2, rel=0.06)
-    assert found.seen_first == pytest.approx(32.0**2 - side**2, rel=0.06)
-    assert found.seen_second == pytest.approx(32.0**2 - side**2, rel=0.06)
-    places = load_results(before).positions
-    outside = {k for k, (x, y, _) in enumerate(places, start=1) if min(x, y) < 7.75}
-    told = {s.rank for s in found.sites_lost if s.elsewhere == "outside the second's domain"}
-    assert told == outside and outside
 
 
 def test_no_ground_in_common_is_one_line(before, tmp_path):

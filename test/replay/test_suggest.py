@@ -8,12 +8,10 @@ import pytest
 from replay.recordings import CLOUD, POSE, SECOND, START, recording, write_ros2
 from replay.test_cli import run
 
-from quadtree_lss.desk.bags.cloud_files import open_recording
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.replay.suggest import suggest_config
 from quadtree_lss.lab.simulation.simulate import simulate
-from quadtree_lss.onboard.messages.clouds import points_from_cloud, stamp_ns
 
 
 @pytest.fixture(scope="module")
@@ -76,38 +74,6 @@ def test_it_keeps_what_is_given_and_asks_for_no_cells_that_no_risk_was_fitted_to
     assert {name: found.values[name] for name in given} == given
     finest = found.values["domain.size"] / 2 ** found.values["domain.max_level"]
     assert finest > 0.99 * diameter / 16.0
-
-
-@pytest.mark.parametrize("diameter", [0.6, 3.7, 100.0])
-def test_a_domain_that_follows_can(flight, diameter):
-    given = {"vehicle.diameter": diameter, "vehicle.clearance": 0.1, "domain.follow": "vehicle"}
-    found = suggest_config(flight, load_config((), given | {"lss.grid_spacing": 0.5}))
-    assert load_config((), found.values).domain.min_level >= 3
-
-
-def test_the_frame_of_the_poses_and_the_topics_that_are_asked_for_are_taken(tmp_path, capsys):
-    bag = write_ros2(tmp_path / "bag", scans=10, pose_topics=("/a", "/b"))
-    asked = ("config", "suggest", bag, "--set", "frames.map=moon")
-    code, _, err = run(capsys, *asked)
-    assert code == 1 and "--pose-topic" in err
-    code, out, _ = run(capsys, *asked, "--pose-topic", "/b", "--scan-topic", "/lidar/points")
-    assert code == 0 and "map: map" in out
-
-
-def test_rays_without_a_return_at_one_range_are_no_ground(flight, tmp_path):
-    with recording(tmp_path / "bag") as recorder, open_recording(flight) as opened:
-        for message in opened.messages(["/lidar/points", "/nav/pose"]):
-            kind = CLOUD if message.topic == "/lidar/points" else POSE
-            found = opened.decode(message.raw, kind)
-            if kind == CLOUD:
-                points = points_from_cloud(found).reshape(-1, 3).copy()
-                none = np.arange(len(points)) % 7 == 0
-                points[none] *= 200.0 / np.linalg.norm(points[none], axis=1, keepdims=True)
-                found = recorder.cloud(stamp_ns(found.header), points)
-            recorder.write(message.topic, found, kind, message.received_ns)
-    values = suggest_config(tmp_path / "bag", load_config()).values
-    assert 190.0 < values["lidar.max_range"] < 200.0
-    assert values["lidar.range_noise"] == pytest.approx(0.03, rel=0.25)
 
 
 def test_nothing_to_suggest_from_says_why(tmp_path, capsys):

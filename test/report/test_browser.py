@@ -6,16 +6,12 @@ import json
 
 import numpy as np
 import pytest
-from replay.recordings import GROUND, write_ros2
 from report.pages import accessible, in_a_browser, sheets
 
 from quadtree_lss.desk.exchange.saved import load_results
-from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.report.headline import verdict
-from quadtree_lss.onboard.config.settings import config_from_values
 
 pytestmark = in_a_browser
-CONFIG = config_from_values(GROUND)
 
 
 @pytest.fixture
@@ -247,36 +243,6 @@ def test_the_slider_shows_the_map_growing(result, browse):
     assert told["unseen"][0] >= told["unseen"][1]
 
 
-def test_it_is_dark_where_that_is_wanted(browse):
-    told = browse("""
-        const paper = () => getComputedStyle(document.body).backgroundColor;
-        tellTest("light", paper());
-        byId("theme").click(); tellTest("dark", [paper(), ink("--ink")]);
-        window.dispatchEvent(new Event("beforeprint"));
-        tellTest("printed", [paper(), view.printing, map.clientWidth]);
-        window.dispatchEvent(new Event("afterprint"));
-        tellTest("after", paper());
-    """)
-    assert told["light"] == "rgb(255, 255, 255)" and told["dark"][0] == "rgb(20, 24, 29)"
-    assert told["printed"][0] == told["light"] and told["printed"][2] == pytest.approx(661, abs=3)
-    assert told["after"] == told["dark"][0]
-
-
-def test_a_narrow_screen_needs_no_sideways_scroll(browse):
-    told = browse(
-        """
-        const out = e => !e.closest(".scroll") && e.getBoundingClientRect().right > innerWidth + 1;
-        tellTest("wide", [innerWidth, root.scrollWidth, [...document.querySelectorAll("body *")]
-          .filter(out).map(e => e.id || e.tagName)]);
-        tellTest("map", [width(), height(), painted[`${view.layer} -1`] !== undefined]);
-        """,
-        size=(390, 844),
-    )
-    inner, content, beyond = told["wide"]
-    assert inner == 390 and content <= inner and not beyond
-    assert told["map"][2] and told["map"][1] > 150
-
-
 def test_space_shows_the_ground_and_the_lander(browse):
     told = browse("""
         setMode("scene");
@@ -319,18 +285,6 @@ def test_space_shows_the_ground_and_the_lander(browse):
     assert all(-1e-6 < gap < 0.3 for gap in told["gaps"])  # ... and on the ground
 
 
-@pytest.mark.slow
-def test_a_map_without_sites(tmp_path, in_browser):
-    config = config_from_values({"lss.max_gap": 0.0}, CONFIG)
-    result = replay(write_ros2(tmp_path / "bag", scans=3), tmp_path / "out", config)
-    text = (result.out / "report.html").read_text()
-    told = in_browser(text, 'drawNow(); tellTest("answer", document.body.textContent);')
-    assert (
-        "No landing site" in told["answer"]
-        and told["answer"].count("is both seen and allowed") == 1
-    )
-
-
 def test_a_click_on_a_marker_selects_its_site(browse):
     """A drag does not; with a finger it is a tap."""
     told = browse("""
@@ -351,27 +305,6 @@ def test_a_click_on_a_marker_selects_its_site(browse):
     site, rank, why = told["clicked"]
     assert (site, rank) == (1, "2") and why.startswith("Site 2")
     assert told["beside"] == told["dragged"] == told["clicked"] and told["tapped"][:2] == [0, "1"]
-
-
-def test_excluded_ground_is_hatched_on_every_layer(browse):
-    told = browse("""
-        const found = {};
-        view.relief = view.sites = false; fit();
-        const dark = () => { drawNow(); const d = map.getContext("2d").getImageData(
-            0, 0, map.width, map.height).data; let n = 0;
-          for (let i = 0; i < d.length; i += 4) n += d[i] + d[i + 1] + d[i + 2];
-          return n; };
-        for (const name of Object.keys(LAYERS)) { setLayer(name);
-          const on = dark(); view.excluded = false; const off = dark(); view.excluded = true;
-          legend(); found[name] = [on < off, byId("legend").textContent.includes("xcluded")]; }
-        tellTest("found", found);
-        const { canvas } = excludedMask(-1);
-        const d = canvas.getContext("2d").getImageData(0, 0, grid.nx, grid.ny).data;
-        tellTest("mask", [...grid.safe].every((safe, i) => {
-          const row = grid.ny - 1 - Math.floor(i / grid.nx), at = 4 * (row * grid.nx + i % grid.nx);
-          return (d[at + 3] > 0) === (!safe && !(grid.hazard[i] & UNSEEN.bit)); }));
-    """)
-    assert told["mask"] and all(all(pair) for pair in told["found"].values()), told["found"]
 
 
 def test_the_first_picture_tells_excluded_allowed_and_how_good_apart(browse):
@@ -405,65 +338,6 @@ def test_the_first_picture_tells_excluded_allowed_and_how_good_apart(browse):
     words = ("allowed", "excluded: unobserved ground under the vehicle", "unobserved")
     assert all(word in told["legend"] for word in words)
     assert told["start"][1]
-
-
-def test_a_click_gives_options_of_the_command_line(browse):
-    told = browse("""
-        const click = (x, y, shiftKey = false) => { at("pointerdown", px(x), py(y));
-          at("pointerup", px(x), py(y), { shiftKey }); };
-        view.sites = false; fit();
-        const words = () => [...byId("command").children].map(c => c.textContent);
-        const { x0, x1, y0, y1 } = extent, x = (x0 + x1) / 2, y = (y0 + y1) / 2;
-        click(x, y); tellTest("target", [words(), x, y]);
-        click(x + 3, y + 4, true); tellTest("distance", words());
-        click(x, y + 4, true); tellTest("area", words());
-        const pixels = () => { drawNow(); return map.toDataURL(); };
-        const marked = pixels(); press("Escape");
-        tellTest("gone", [words().length, marked !== pixels()]);
-    """)
-    (target,), x, y = told["target"]
-    option, value = target.split()
-    assert option == "--target"
-    assert np.allclose([float(v) for v in value.split(",")], [x, y], atol=0.1)
-    (distance,) = told["distance"]
-    assert float(distance.split()[0]) == pytest.approx(5.0, abs=0.1)
-    area, keep_out, _ = told["area"]
-    assert area.startswith("--area '") and keep_out.startswith("--keep-out '")
-    assert len(area.split("'")[1].split()) == 3 and told["gone"] == [0, True]
-
-
-def test_opacity_and_the_second_layer_show_what_they_say(browse):
-    told = browse("""
-        setLayer("slope"); setBeside("elevation"); await until(() => second.clientWidth);
-        const pixels = canvas => { drawNow(); return canvas.toDataURL(); };
-        for (let k = 0; k < 3; k++) pixels(map);
-        const full = pixels(map); move("opacity", 0.3); tellTest("faded", full !== pixels(map));
-        tellTest("range", inUnit(LAYERS.elevation, LAYERS.elevation.limits[0]));
-    """)
-    assert told["faded"] and told["range"]
-
-
-def test_bright_is_good_on_every_layer_that_knows_a_good(browse):
-    told = browse("""
-        const light = ([r, g, b]) => 0.2126 * r + 0.7152 * g + 0.0722 * b;
-        const good = { aim: 0, slope: 0, score: 0, deviation: 0, roughness: 0 };
-        tellTest("found", Object.entries(good).map(([name, end]) => {
-          const layer = LAYERS[name], { limits } = layer;
-          const [best, worst] = [limits[end], limits[1 - end]].map(v => light(colour(layer, v)));
-          return [name, best, worst]; }));
-    """)
-    assert all(good > bad + 50 for _, good, bad in told["found"]), told["found"]
-
-
-def test_the_pointer_tells_what_is_kept_of_past_moments(browse):
-    told = browse("""
-        const there = () => { at("pointermove", px(sites[0].x) + 20, py(sites[0].y));
-          return Object.keys(shown()); };
-        tellTest("end", there());
-        setInstant(0); tellTest("past", there());
-    """)
-    kept = {"place", "fails here", "landing", "ground"}
-    assert set(told["past"]) <= kept < set(told["end"]) | {"ground"}
 
 
 @pytest.mark.slow

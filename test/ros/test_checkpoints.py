@@ -113,21 +113,6 @@ def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
     assert mapping.stop() == 0
 
 
-def test_a_checkpoint_that_cannot_be_removed_does_not_hold_up_a_reset(ros):
-    path, args = keeping(ros)
-    mapping = ros.start("mapping_node", *args)
-    with ros.sensors() as (listener, sensors):
-        sensors.map(SCANS)
-        listener.until(path.exists)
-        path.unlink()
-        path.mkdir()
-        answer = ros.call(listener, "/mapping_node/reset")
-        assert answer.success, answer.message
-        listener.until_stamped(0, "map/cells")
-        listener.until(listener.at_least, "problems.checkpoint", 1)
-        assert "is a folder" in mapping.output()
-
-
 @pytest.mark.survives(
     "ended by SIGINT, SIGTERM or SIGHUP", "a state that cannot be written is an error in the log"
 )

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The same flight over DDS with the real nodes and in lock-step: only timing differs."""
 
-import json
 from contextlib import ExitStack
 
 import numpy as np
@@ -12,14 +11,12 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.context import Context
 from rclpy.node import Node
 
-from quadtree_lss.cli import main
 from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.lab.flight.flight import TICK, Flight
 from quadtree_lss.lab.flight.flight_page import write_flight
 from quadtree_lss.lab.flight.settings import flight_settings
-from quadtree_lss.lab.live import flight, processes
 from quadtree_lss.lab.live.flight import fly_live
-from quadtree_lss.lab.live.processes import ProcessError, given_domain
+from quadtree_lss.lab.live.processes import ProcessError
 
 SHORT = {"slant_range": 260.0, "speed": 26.0, "half": 8.0, "scatter": 3.0, "plan": {"survey": 3.0}}
 SEED = 40049
@@ -89,25 +86,3 @@ def test_nodes_that_are_killed_from_outside_and_strangers(tmp_path):
         assert figures["others"] == ["nav/pose (/flight, /foreign)"]
         with pytest.raises(ProcessError, match="nav/pose .*/foreign.*another ROS_DOMAIN_ID"):
             fly_live(SEED, settings, tmp_path, domain=DOMAIN)
-
-
-def test_the_domain_is_the_given_one(monkeypatch):
-    for text, number in (("", None), ("0", 0), ("42", 42)):
-        monkeypatch.setenv("ROS_DOMAIN_ID", text)
-        assert given_domain() == number
-    for text in ("x", "-1", "232", "9" * 5000):
-        monkeypatch.setenv("ROS_DOMAIN_ID", text)
-        with pytest.raises(ProcessError, match="ROS_DOMAIN_ID is"):
-            given_domain()
-
-
-def test_nodes_that_never_start_leave_an_outcome(tmp_path, capsys, monkeypatch):
-    """Over the one that a flight before it left there; the error says how the node ended."""
-    monkeypatch.setattr(processes, "program", lambda name: "/bin/false")
-    monkeypatch.setattr(flight, "PATIENCE_S", 1.0)
-    (path := tmp_path / "touchdown.json").write_text('{"outcome": "touchdown", "safe": true}')
-    assert main(["fly", "--seed", str(SEED), "--out", str(tmp_path)]) == 1
-    figures = json.loads(path.read_text())
-    assert figures["outcome"] == "none" and figures["safe"] is False and figures["seed"] == SEED
-    assert "mapping_node ended with exit code 1" in figures["reason"]
-    assert figures["reason"] in capsys.readouterr().err

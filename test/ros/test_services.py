@@ -59,20 +59,6 @@ def test_reset_save_and_load(ros):
     assert "Traceback" not in mapping.output() + lss.output()
 
 
-def test_services_without_a_path_or_a_folder_say_so(ros):
-    mapping = ros.start("mapping_node")
-    where = f"map_file.path:={ros.folder}/none/a.map"
-    nowhere = ros.start("mapping_node", "-p", where, "-r", "__node:=nowhere")
-    with ros.listen() as listener:
-        for service in ("save_map", "load_map"):
-            answer = ros.call(listener, f"/mapping_node/{service}")
-            assert not answer.success and "map_file.path" in answer.message
-        answer = ros.call(listener, "/nowhere/save_map")
-        assert not answer.success and "No such file" in answer.message
-    mapping.check()
-    nowhere.check()
-
-
 def test_live_parameters_area_keep_out_and_target_move_the_sites(ros):
     ros.start("mapping_node"), ros.start("lss_node")
     with ros.sensors() as (listener, sensors):

@@ -4,7 +4,6 @@
 import dataclasses
 import itertools
 import signal
-import time
 
 import numpy as np
 import pytest
@@ -182,33 +181,3 @@ def test_a_dead_node_is_missed_by_the_middleware_and_a_silent_one_is_not(ros, pi
     pilot.until(in_time)
     lss.stop(signal.SIGKILL)
     pilot.until(lambda: missed and alive[-1] == 0)
-
-
-SLOW = """\
-import time
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-assess, passes = LandingSiteSelector.assess, []
-def slow(self, *args, **how):
-    passes.append(None)
-    time.sleep(3.0 if len(passes) == 3 else 0.0)
-    return assess(self, *args, **how)
-LandingSiteSelector.assess = slow
-"""
-
-
-def test_the_target_is_said_again_while_a_pass_is_at_work(ros, pilot):
-    """A third pass of three seconds, as of an overloaded computer."""
-    heard = []
-    pilot.listener.node.create_subscription(
-        PoseWithCovarianceStamped, "landing/selected", lambda _: heard.append(time.monotonic()), 50
-    )
-    ros.start("lss_node", first=SLOW)
-    pilot.send_map(0)
-    pilot.until(pilot.has_target)
-    before = pilot.status()["answer"]
-    pilot.send_map(1)
-    pilot.listener.wait_for(lambda: False, timeout=0.6)
-    pilot.send_map(2)
-    pilot.until(lambda: pilot.status()["answer"] > before + 1, timeout=30.0)
-    late = np.diff(heard)
-    assert late.max() < 2.0, late

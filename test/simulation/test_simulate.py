@@ -109,16 +109,6 @@ def test_truth_has_the_agreed_arrays(morpheus):
     assert truth["safe"].dtype == bool
 
 
-def test_parabola_poses_bear_the_stamps_of_the_scans(tmp_path):
-    result = simulate("parabola", tmp_path / "bag", seed=2, duration=3.0, truth=False)
-    rows = _read(tmp_path / "bag")
-    assert result.truth_path is None and not (tmp_path / "truth.npz").exists()
-    scans, poses = (
-        [row[2] for row in rows if row[0] == topic] for topic in ("/lidar/points", "/nav/pose")
-    )
-    assert scans == poses and len(scans) == 4 and set(np.diff(scans)) == {10**9}
-
-
 def test_same_seed_same_messages(tmp_path, hill):
     options = {"duration": 1.0, "terrain": hill, "truth": False}
     bags = []
@@ -128,36 +118,6 @@ def test_same_seed_same_messages(tmp_path, hill):
             bags.append([(received, bytes(raw)) for _, received, raw in reader.messages()])
     assert bags[0] == bags[1]
     assert bags[0] != bags[2]
-
-
-def test_existing_bag_is_kept_unless_told_otherwise(tmp_path, hill):
-    options = {"seed": 1, "duration": 1.0, "terrain": hill, "truth": False}
-    simulate("descent", tmp_path / "bag", **options)
-    with pytest.raises(SimulationError, match="exists.*--overwrite"):
-        simulate("descent", tmp_path / "bag", **options)
-    simulate("descent", tmp_path / "bag", **options, overwrite=True)
-    (tmp_path / "precious").mkdir()
-    (tmp_path / "precious" / "thesis.txt").write_text("years of work")
-    with pytest.raises(SimulationError, match="not overwritten"):
-        simulate("descent", tmp_path / "precious", **options, overwrite=True)
-    assert (tmp_path / "precious" / "thesis.txt").exists()
-    (tmp_path / "thesis.txt").write_text("years of work")
-    with pytest.raises(SimulationError, match="not overwritten"):
-        simulate("descent", tmp_path / "thesis.txt", **options, overwrite=True)
-    assert (tmp_path / "thesis.txt").read_text()
-
-
-def test_truth_of_another_flight_is_kept_unless_told_otherwise(tmp_path, hill):
-    def fly(name, seed, **more):
-        simulate("descent", tmp_path / name, seed=seed, duration=1.0, terrain=hill, **more)
-        with np.load(tmp_path / "truth.npz") as truth:
-            return str(truth["bag_name"]), int(truth["seed"])
-
-    assert fly("a", 7) == ("a", 7)
-    with pytest.raises(SimulationError, match="truth.npz exists.*--overwrite"):
-        fly("b", 8)
-    assert not (tmp_path / "b").exists()
-    assert fly("b", 8, overwrite=True) == ("b", 8)
 
 
 @pytest.mark.parametrize(
@@ -183,30 +143,6 @@ def test_options_that_make_no_sense(tmp_path, options):
     assert not (tmp_path / "bag").exists()
 
 
-def test_outlines_go_round_the_points_of_their_scan(morpheus):
-    _, rows, truth = morpheus
-    for k in (0, 19):
-        points, outline = _places(rows, truth, k), truth["scan_outline"][k]
-        side = len(outline) // 4
-        # Beams at the corners of the array, half a pixel inside the corners of the outline.
-        corners = points[[-1, -1, 0, 0], [0, -1, -1, 0], :2]
-        distance = np.hypot(*(outline[::side, None] - corners[None]).transpose(2, 0, 1))
-        assert sorted(distance.argmin(axis=1)) == [0, 1, 2, 3]
-        assert distance.min(axis=1).max() < 0.6
-        steps = np.hypot(*np.diff(outline, axis=0, append=outline[:1]).T)
-        assert steps.max() < 4.0 * np.median(steps)
-
-
-def test_outline_does_not_know_where_beams_miss(tmp_path):
-    x, y = np.linspace(-80.0, 80.0, 161), np.linspace(-8.0, 8.0, 17)
-    strip = Terrain(x, y, np.zeros((17, 161)))
-    result = simulate("descent", tmp_path / "bag", seed=1, duration=1.0, terrain=strip)
-    outlines = np.load(result.truth_path)["scan_outline"]
-    known = np.isfinite(outlines).all(axis=2)
-    assert 0.0 < known.mean() < 1.0
-    assert np.abs(outlines[known][:, 1]).max() <= 8.0
-
-
 def test_flights_follow_one_another(tmp_path, hill):
     result = simulate("descent", tmp_path / "bag", seed=1, duration=1.0, terrain=hill, flights=2)
     truth = np.load(result.truth_path)
@@ -217,20 +153,3 @@ def test_flights_follow_one_another(tmp_path, hill):
     poses = [row[3].pose.pose.position.x for row in rows if "nav" in row[0]]
     assert poses[0] != poses[len(poses) // 2]  # with other errors
     assert str(result.truth_path) in result.table()
-
-
-def test_a_flight_that_is_stopped_is_a_whole_shorter_one(tmp_path, hill):
-    asked, how = iter([False] * 60), {"seed": 5, "duration": 1.0, "terrain": hill}
-    until = {"stop": lambda: next(asked, True)}
-    part = simulate("morpheus", tmp_path / "part" / "bag", **how, **until)
-    whole = simulate("morpheus", tmp_path / "whole" / "bag", **how)
-    assert part.interrupted and not whole.interrupted
-    assert 0 < part.scans < whole.scans and part.scans + part.poses == 60
-    rows, all_rows = _read(part.bag_path), _read(whole.bag_path)
-    assert [row[:3] for row in rows] == [row[:3] for row in all_rows[:60]]
-    with np.load(part.truth_path) as truth, np.load(whole.truth_path) as full:
-        assert truth["scan_stamp_ns"].size == part.scans == len(truth["scan_outline"])
-        np.testing.assert_array_equal(truth["safe"], full["safe"])
-    with pytest.raises(KeyboardInterrupt):
-        simulate("morpheus", tmp_path / "no" / "bag", seed=5, terrain=hill, stop=lambda: True)
-    assert not list((tmp_path / "no").iterdir())
