@@ -112,6 +112,7 @@ def test_each_flight_is_a_file_and_told(first):
     assert "--keep 17" in page and "Safe terrain found" in page
 
 
+@pytest.mark.slow
 def test_what_was_flown_is_not_flown_again(first, study, tmp_path):
     shutil.copytree(first[0].out, tmp_path / "c")
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "c" / "flights").iterdir()}
@@ -179,6 +180,7 @@ def test_a_scheduler_started_separately(first, study, tmp_path):
         assert files(tmp_path / "out") == files(first[0].out)
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_is_done(first, study, tmp_path):
     process = start(study, tmp_path, "--workers", 1)
     wait_until(lambda: flown(tmp_path) >= 1)
@@ -192,6 +194,7 @@ def test_ctrl_c_keeps_what_is_done(first, study, tmp_path):
     assert flown(tmp_path) < COUNT
 
 
+@pytest.mark.slow
 def test_a_failed_flight_is_recorded_and_the_others_go_on(tmp_path):
     text = STUDY.replace("duration: 1", "duration: [1, 0.5]").replace("flights: 4", "flights: 1")
     path = written(tmp_path, text)

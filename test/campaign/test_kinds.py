@@ -42,6 +42,7 @@ def _same(one, two, where=""):
         assert one == two, where
 
 
+@pytest.mark.quick("morpheus")
 @pytest.mark.parametrize("scenario", list(CASES))
 def test_the_same_bits_as_through_a_bag(scenario, tmp_path):
     named = [scenario] if scenario != "descent" else []

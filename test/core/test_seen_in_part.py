@@ -132,6 +132,7 @@ def stood_on(config: Config, seen: list[View], scene: Scene) -> tuple[int, str]:
     return len(places), f"{bad.sum()} of {len(places)}, told {told:.1e}"
 
 
+@pytest.mark.quick("strips", "few looks")
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_rock_that_was_measured_is_stood_on(kind):
     """However it was seen."""
@@ -170,6 +171,7 @@ def test_nobody_stands_where_a_drop_hides_its_ground(drop):
     assert not wrong, wrong
 
 
+@pytest.mark.quick("strips", "few looks")
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_height_is_beyond_what_was_measured(kind):
     """Trees, walls and steps: planes end where measurements end; within 1 m, give or take noise."""

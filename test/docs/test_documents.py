@@ -91,6 +91,7 @@ class LevelBody(OdometryRecorder):
         return super().pose(stamp_ns, position, xyzw=(0.0, 0.0, 0.0, 1.0))
 
 
+@pytest.mark.slow
 def test_the_drone_of_the_tutorial_is_checked_and_its_hover_is_replayed(tmp_path):
     """Its file, and the commands that need neither a drone nor `ros2`, as written."""
     page = (ROOT / "docs/tutorials/drone.md").read_text()

@@ -91,6 +91,7 @@ def test_residuals_of_a_sound_map_are_consistent(covariance, trials):
     assert counts.three_degrees.above < 0.01
 
 
+@pytest.mark.slow
 def test_treating_pose_error_as_independent_is_inconsistent():
     """The leaf then believes that a thousand points average its pose error out."""
     pose = pose_covariance(0.3, 1e-5)

@@ -101,6 +101,7 @@ def test_unsafe_sites_are_counted_among_the_first_five(tmp_path):
     assert result.sites == 6
 
 
+@pytest.mark.slow
 def test_no_site_at_all(tmp_path):
     result = _evaluate(tmp_path, sites=[], called_safe=lambda x, y: x > 99.0, figures=True)
     assert result.sites == result.unsafe_in_top_five == 0

@@ -45,6 +45,7 @@ def test_the_same_seed_is_the_same_flight(short):
     assert fly(faults=("pose_gap@60+1",)) == short.figures
 
 
+@pytest.mark.slow
 def test_without_avoidance_it_lands_on_the_planned_point_and_by_perfect_knowledge_safely():
     figures = fly(avoidance="none")
     assert figures["outcome"] == "touchdown" and figures["soft"]
@@ -52,12 +53,14 @@ def test_without_avoidance_it_lands_on_the_planned_point_and_by_perfect_knowledg
     assert fly(avoidance="perfect", rock_abundance=0.1)["safe"]
 
 
+@pytest.mark.slow
 def test_a_target_outlives_the_node_that_chose_it():
     flight = flown(SEED, flight_settings({**SHORT, "faults": ("kill_lss@60+2",)})).flight
     done = [decision.what for decision in flight.pilot.decisions]
     assert "target" in done and "lost" not in done, done
 
 
+@pytest.mark.slow
 def test_land_now_is_flown_to_the_ground():
     done = flown(SEED, flight_settings({**SHORT, "faults": ("land_now@60",)}))
     assert done.last.selected.state is State.NOW and done.figures["outcome"] == "touchdown"
@@ -105,6 +108,7 @@ def test_wrong_settings_are_one_clear_error(values, word):
         flight_settings(values)
 
 
+@pytest.mark.slow
 def test_the_command_writes_figures_and_page(tmp_path, capsys, monkeypatch):
     out = tmp_path / "flight"
     code = main(["fly", "--lockstep", "--seed", "3", "--avoidance", "none", "--out", str(out)])
@@ -148,6 +152,7 @@ def test_the_page_is_that_of_the_map_with_the_flight(short, text):
     assert len(text) < 5e6 and 'class="verdict good"' in text
 
 
+@pytest.mark.slow
 @in_a_browser
 def test_a_flight_is_gone_over(text, in_browser):
     """Map, lander, headline and decisions are of the moment; a click on a decision goes there."""

@@ -107,6 +107,7 @@ def test_config_prints_a_file_that_it_reads_again(tmp_path, capsys):
     assert run(capsys, "config", "--config", path)[1] == first
 
 
+@pytest.mark.slow
 def test_simulate_then_replay_then_evaluate(tmp_path, capsys):
     place = tmp_path / "flight" / "bag"
     arguments = ["simulate", "parabola", "--seed", 3, "--duration", 2, "--out", place]

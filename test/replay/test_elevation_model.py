@@ -69,6 +69,7 @@ def test_an_area_cuts_the_model_and_a_target_is_near():
     assert found.cells.domain.xmin > 10.0
 
 
+@pytest.mark.slow
 def test_doubts_are_told_by_the_command_its_files_and_its_page(dem_file, tmp_path, capsys):
     out = tmp_path / "out"
     options = ["--set", "vehicle.max_slope_deg=25", "--set", "lss.grid_spacing=1", "--out", out]

@@ -2,6 +2,7 @@
 """``history.npz``: bounded, in order, and what the scans and answers said."""
 
 import numpy as np
+import pytest
 from replay.recordings import GROUND, write_ros2
 
 from quadtree_lss.desk.replay.history import Thinned
@@ -19,6 +20,7 @@ def test_of_many_some_stay_evenly_and_the_last():
     assert set(np.diff(kept[:-1])) == {128}
 
 
+@pytest.mark.slow
 def test_it_tells_where_the_lidar_was_and_looked(tmp_path):
     config = config_from_values(GROUND)
     result = replay(write_ros2(tmp_path / "bag"), tmp_path / "out", config)

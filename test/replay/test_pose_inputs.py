@@ -113,6 +113,7 @@ def test_a_topic_with_few_poses_is_passed_over(tmp_path, period):
         mapped(tmp_path / "bag", pose_topic="/amcl_pose", values={"frames__map": "else"})
 
 
+@pytest.mark.slow
 def test_a_gimbal_moves_the_lidar(tmp_path):
     with recording(tmp_path / "bag", GimbalRecorder) as recorder:
         flight(recorder)

@@ -121,6 +121,7 @@ def test_a_bag_of_maps_alone_gives_the_same_sites(recorded, tmp_path):
     assert info.works and info.kind == "maps"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("finest", [0, 6])
 def test_one_leaf_and_one_grid_point_are_a_map_too(tmp_path, finest):
     values = {**GROUND, "domain.min_level": 0, "domain.max_level": finest}

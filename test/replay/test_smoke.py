@@ -28,6 +28,7 @@ def run_all(capsys, *commands):
         assert shown and "Traceback" not in err
 
 
+@pytest.mark.quick("default", "depth_camera")
 @pytest.mark.parametrize("name", SHIPPED)
 def test_each_command_with_each_shipped_configuration(flight, tmp_path, capsys, name):
     out, chosen = tmp_path / "out", ["--config", name]

@@ -67,6 +67,7 @@ def test_cells_suit_the_vehicle(flight, tmp_path, capsys, given, sparse):
     assert run(capsys, "config", "suggest", flight, "--vehicle", "small")[0] == 2
 
 
+@pytest.mark.quick("1.4")
 @pytest.mark.parametrize("diameter", [1.4, 2.0, 2.5, 3.0, 3.7, 6.0])
 def test_it_keeps_what_is_given_and_asks_for_no_cells_that_no_risk_was_fitted_to(flight, diameter):
     given = {"vehicle.diameter": diameter, "lss.dispersion": 0.7, "mount.z": 0.001}

@@ -85,6 +85,7 @@ def test_the_pointer_tells_values_and_layers_differ(result, best, browse):
     assert legends["cells"][1] == [-1, 0, 1, 2]  # binary logarithms of 0.5 m to 4 m
 
 
+@pytest.mark.slow
 def test_mouse_fingers_and_window(browse):
     told = browse("""
         const wheel = deltaY => { const e = new WheelEvent("wheel", { deltaY, clientX: 400,
@@ -159,6 +160,7 @@ def test_rows_and_keys(best, browse):
     assert told["found"] == 1
 
 
+@pytest.mark.slow
 def test_the_address_leads_back_to_a_view(browse):
     there = browse("""
         setLayer("slope"); choose(0); setBeside("elevation"); zoom(1.5);
@@ -243,6 +245,7 @@ def test_the_slider_shows_the_map_growing(result, browse):
     assert told["unseen"][0] >= told["unseen"][1]
 
 
+@pytest.mark.slow
 def test_space_shows_the_ground_and_the_lander(browse):
     told = browse("""
         setMode("scene");

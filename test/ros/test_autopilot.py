@@ -116,6 +116,7 @@ def scene(ros):
         end()
 
 
+@pytest.mark.quick("3")
 @pytest.mark.parametrize("kind", [ARDUPILOT, PX4])
 def test_it_lands_at_the_target_and_says_where_it_is(ros, scene, kind):
     heard = {}
@@ -157,6 +158,7 @@ def test_it_lands_at_the_target_and_says_where_it_is(ros, scene, kind):
     flight.wait(lambda: not ros.call(flight.listener, "/autopilot_node/land").success, 10.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["lss_node killed", "old map"])
 def test_what_happens_to_the_target_on_the_way_down(scene, fault):
     """As the node's own clock has it; what else may happen, autopilot/test_landing.py tries."""
@@ -175,6 +177,7 @@ def test_what_happens_to_the_target_on_the_way_down(scene, fault):
     assert np.hypot(*(flight.model.landed_at - (1.0, 1.0, 0.0))[:2]) < 0.1
 
 
+@pytest.mark.slow
 def test_who_has_to_land_now_lands_by_the_map_that_there_is(scene):
     flight = scene().handed_over().below(3.0)
     flight.says, flight.map_age = State.NOW, 9.0
@@ -182,6 +185,7 @@ def test_who_has_to_land_now_lands_by_the_map_that_there_is(scene):
     assert "wave_off" not in flight.states and np.hypot(*flight.model.landed_at[:2]) < 0.1
 
 
+@pytest.mark.slow
 def test_the_pilots_switch_and_a_jump_of_navigation(scene):
     flight = scene().handed_over().below(3.5)
     model = flight.model
@@ -198,6 +202,7 @@ def test_the_pilots_switch_and_a_jump_of_navigation(scene):
     assert model.landed_at is None
 
 
+@pytest.mark.slow
 def test_all_ages_go_by_the_simulators_time_where_that_is_used(scene):
     """A simulator of a quarter of real time: a silence of 1.5 s is not even half a second."""
     flight = scene(place=(0.0, 0.0, 5.5), pace=0.25)
@@ -208,6 +213,7 @@ def test_all_ages_go_by_the_simulators_time_where_that_is_used(scene):
     flight.until("wave_off").flies_up_and_stays()
 
 
+@pytest.mark.slow
 def test_hostile_targets_do_not_lower_the_vehicle(scene):
     """Places that are none, statuses of any bytes, at a thousand a second: HOSTILE sends more."""
     flight, rng = scene(place=(0.0, 0.0, 4.5)), np.random.default_rng(1)

@@ -92,6 +92,7 @@ def _stamp_in(path):
     return mapper.stamp_ns
 
 
+@pytest.mark.slow
 @pytest.mark.survives(
     "disk full, path not writable",
     "mapping goes on; `problems.checkpoint` counts, one line in five seconds, until the checkpoint "
@@ -113,6 +114,7 @@ def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
     assert mapping.stop() == 0
 
 
+@pytest.mark.slow
 @pytest.mark.survives(
     "ended by SIGINT, SIGTERM or SIGHUP", "a state that cannot be written is an error in the log"
 )
@@ -139,6 +141,7 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
     "that of the checkpoint is taken; without one the map goes on if its figures are sound, or "
     "begins anew",
 )
+@pytest.mark.quick("True")
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):
     """Whatever it was, the map that it happened to may be half changed."""

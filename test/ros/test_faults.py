@@ -55,6 +55,7 @@ def test_time_jumps_back_and_forward(flight):
     assert "jumped back" in mapping.output()
 
 
+@pytest.mark.slow
 @pytest.mark.survives(
     "two publishers of scans, poses or maps",
     "a warning; all are taken; lost scans cannot be seen then",
@@ -112,6 +113,7 @@ UNUSABLE = (
 )
 
 
+@pytest.mark.slow
 def test_messages_that_cannot_be_used_are_counted_on_every_topic_and_good_ones_taken(ros):
     mapping = ros.start("mapping_node", "-p", "domain.follow:=area")
     lss = ros.start("lss_node", "-p", "frames.map:=map")

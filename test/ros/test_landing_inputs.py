@@ -52,6 +52,7 @@ def test_a_restarted_node_waits_for_the_latched_keep_out(ros, vehicle):
         vehicle.send("landing/area", polygon([]))
 
 
+@pytest.mark.slow
 @pytest.mark.survives("`lss_node` killed", "of a latched set it gets all keep-outs")
 def test_a_restarted_node_has_all_keep_outs_of_the_latched_set(ros, vehicle):
     """West, then the east but for its north; the west comes again, smaller, and is removed."""
@@ -68,6 +69,7 @@ def test_a_restarted_node_has_all_keep_outs_of_the_latched_set(ros, vehicle):
         vehicle.said.clear()
 
 
+@pytest.mark.slow
 @pytest.mark.survives(
     "`lss_node` killed", "with `lss.required_input` no site before what it names has come"
 )
@@ -82,6 +84,7 @@ def test_a_required_input_is_waited_for(ros, vehicle):
     assert all(east(places).all() for _, _, places in vehicle.said), vehicle.said
 
 
+@pytest.mark.slow
 def test_a_keep_out_counts_in_the_frame_of_the_map_whenever_it_came(ros, vehicle):
     vehicle.send("landing/keep_out", polygon(WEST, "moon"))
     ros.start("lss_node", *PATIENT)
@@ -131,6 +134,7 @@ def test_no_site_while_the_last_polygon_cannot_be_used(ros, vehicle):
     assert found == {f"problems.{key}": str(n) for key, n in counts.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.survives(
     "two publishers of maps in two frames",
     "halves of two frames are refused; set `frames.map` for `lss_node`, and it takes that one "

@@ -42,6 +42,7 @@ def test_sites_have_circle_normal_and_rank(mapper):
         np.testing.assert_allclose(arm @ result.sites.normal[k], 0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_markers_come_to_whom_subscribes_late_and_go_with_a_reset(ros):
     ros.start("mapping_node"), ros.start("lss_node")
     with ros.sensors() as (listener, sensors):

@@ -64,6 +64,7 @@ def test_a_hold_up_costs_nothing_and_an_overload_old_scans(monkeypatch):
     assert overload.dropped == 2 and overload.waits.take().worst < 1e3 * limit
 
 
+@pytest.mark.slow
 def test_an_overloaded_node_leaves_scans_out_and_counts_them(ros):
     node, maps = ros.start("mapping_node", "-p", "diagnostics.warn_age:=1.0", first=SLOW), []
     with ros.sensors({}) as (listener, sensors):

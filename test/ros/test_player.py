@@ -55,6 +55,7 @@ def test_what_was_asked_of_landing_is_played_latched(ros):
         listener.until(listener.has, "landing.keep_out", True, "lss_node")
 
 
+@pytest.mark.slow
 def test_the_clock_runs_at_the_rate_from_the_first_message_to_the_last(ros):
     bag, times = ros.folder / "flight", []
     write_bag(bag, SCANS)

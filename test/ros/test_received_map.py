@@ -60,6 +60,7 @@ def test_a_refused_map_does_not_make_the_one_before_younger(monkeypatch, receive
 IMPATIENT = "from quadtree_lss.onboard.nodes import received_map; received_map.OLDEST_S = 8.0"
 
 
+@pytest.mark.slow
 @pytest.mark.survives(
     "a map that `lss_node` cannot use",
     "ERROR in the diagnostics with the reason; the sites hold, and are withdrawn after 30 s "
@@ -150,6 +151,7 @@ def test_what_a_first_map_lacks(received, cells):
     assert not received.lacks()
 
 
+@pytest.mark.slow
 @pytest.mark.survives(
     "nothing to work with comes (a map, one half of it, scans, poses, a required input)",
     "after 5 s, and then each time after twice as long; WARN in the diagnostics",

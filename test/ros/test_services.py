@@ -115,6 +115,7 @@ def _same(listener, places):
     return np.array_equal(site_places(listener), places)
 
 
+@pytest.mark.slow
 def test_levels_follow_the_age_of_the_data(ros):
     limits = ("-p", "diagnostics.warn_age:=0.5", "-p", "lidar.range_noise:=0.02")
     limits += ("-p", "lss.assessment:=touchdown")
@@ -142,6 +143,7 @@ def test_levels_follow_the_age_of_the_data(ros):
         assert "no map on '/map/cells'" in listener.diagnostics["lss_node"].message
 
 
+@pytest.mark.slow
 def test_no_safe_site_and_a_wrong_range_noise_are_told(ros):
     ros.start("mapping_node")
     ros.start("lss_node", "-p", "vehicle.diameter:=40.0")
@@ -153,6 +155,7 @@ def test_no_safe_site_and_a_wrong_range_noise_are_told(ros):
         listener.until(listener.told, "mapping_node", levels, "lidar.range_noise")
 
 
+@pytest.mark.slow
 def test_mapping_node_follows_the_landing_area(ros):
     ros.start("mapping_node", "-p", "domain.follow:=area")
     with ros.sensors() as (listener, sensors):

@@ -61,6 +61,7 @@ sys.meta_path.insert(0, Late())
 """
 
 
+@pytest.mark.slow
 @pytest.mark.survives(
     "nothing to work with comes (a map, one half of it, scans, poses, a required input)",
     "also while the node starts",
@@ -114,6 +115,7 @@ sys.meta_path.insert(0, Refused())
 """
 
 
+@pytest.mark.slow
 def test_both_nodes_fly_with_what_the_package_itself_requires(ros):
     """Without the other wings, and without what any extra brings but rclpy and its messages."""
     asked = (Requirement(line) for line in metadata.requires("quadtree_lss") or [])

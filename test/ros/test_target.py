@@ -99,6 +99,7 @@ def test_the_target_is_withdrawn_with_its_reason_and_replaced(ros, pilot):
     pilot.until(lambda: pilot.values().get("target.reason") in ("first", "holds"))
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_is_low_is_committed_by_its_poses(ros, pilot):
     """A map that stays the same: without the poses the target would only hold."""
     profile, make = stream(5, reliable=True), pilot.listener.node.create_publisher
@@ -127,6 +128,7 @@ def test_a_vehicle_that_is_low_is_committed_by_its_poses(ros, pilot):
     pilot.until(low)
 
 
+@pytest.mark.slow
 def test_a_released_target_is_chosen_anew(ros, pilot):
     ros.start("lss_node")
     assert not ros.call(pilot.listener, "/lss_node/release").success, "there is none"
@@ -157,6 +159,7 @@ def test_land_now_gives_a_place_before_anything_is_settled(ros, pilot):
     pilot.until(lambda: pilot.status()["state"] == State.HOLDS)
 
 
+@pytest.mark.slow
 def test_a_dead_node_is_missed_by_the_middleware_and_a_silent_one_is_not(ros, pilot):
     missed, alive, heard = [], [], []
     callbacks = SubscriptionEventCallbacks(
