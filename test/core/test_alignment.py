@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from core.builders import configured, look, mapped
-from core.scenes import ABOVE, flat, make_pose, pose_covariance, scattered
+from core.scenes import ABOVE, flat, lattice, make_pose, pose_covariance, scattered
 
 from quadtree_lss.onboard.core.mapping.alignment import lift, offset_of
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
@@ -141,3 +141,32 @@ def test_the_maps_height_is_as_well_known_as_it_says(sigma, persistent):
         height = np.median(cells.z[cells.measured])
         squares.append(height**2 / np.median(cells.covariance_pose[cells.measured, 2, 2]))
     assert 0.02 < np.mean(squares) < 2.0
+
+
+@pytest.mark.parametrize("share", [0.7, 0.5])
+def test_a_scan_that_shows_less_of_each_leaf_tells_its_height_less_well(share):
+    """Ground is no plane: what each of 16 leaves hides adds to the variance of the height."""
+    config, variances = configured(levels=(2, 2), noise=0.01), []
+    centres = 4.0 * np.stack(np.meshgrid(*[np.arange(4.0)] * 2)).reshape(2, 1, 16) + 2.0
+    for width in (4.0, 4.0 * share):
+        rng, mapper = np.random.default_rng(1), Mapper(config)
+        for scan, wide in enumerate((4.0, width)):
+            x, y = (centres + wide * (rng.random((2, 900, 16)) - 0.5)).reshape(2, -1)
+            look(mapper, flat(), x, y, rng, 0.01, make_pose(stamp_ns=1 + 10**9 * scan))
+        variances.append(mapper.snapshot().offset_variance)
+    expected = config.vehicle.lengths.uneven * (1.0 / share**2 - 1.0) / 16.0
+    # A share is counted as a little larger than it is, since points leave gaps by chance.
+    assert 0.7 * expected < variances[1] - variances[0] < 1.05 * expected
+
+
+@pytest.mark.parametrize("apart", [1.0, 50.0, 100.0, 300.0])
+def test_pose_errors_stay_in_common_for_the_correlation_time(apart):
+    """Of two scans with the same variance v, a correlation c leaves v (1 + c) / 2."""
+    config = configured(levels=(3, 3), noise=0.001, pose={"correlation_time": 100.0})
+    mapper, sigma = Mapper(config), pose_covariance(0.1, 1e-12)
+    for seconds in (0.0, apart):
+        pose = make_pose(ABOVE, sigma, 1 + round(1e9 * seconds))
+        look(mapper, flat(), *lattice(0.0, 0.0, 16.0, 128), pose=pose)
+    cells = mapper.snapshot()
+    expected = 0.5 * 0.1**2 * (1.0 + np.exp(-apart / 100.0))
+    np.testing.assert_allclose(cells.covariance_pose[:, 2, 2], expected, rtol=1e-3)

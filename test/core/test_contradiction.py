@@ -310,3 +310,10 @@ def test_poses_that_err_as_they_claim_are_not_refused(paper):
     reports = [flight.fly(off=tuple(off), claimed=claimed) for off in errors]
     assert all(report.points_used > 0 and not report.overruled for report in reports)
     assert flight.fly(off=(0.0, 0.0, 5.0), claimed=claimed).points_used == 0
+
+
+def test_rejected_scans_agree_if_they_differ_by_no_more_than_their_poses_claim():
+    flight, claimed = Flight(ground=flat(), scans=5), pose_covariance(0.3, 1e-3)
+    heights = 9.0 + 0.3 * flight.rng.standard_normal(AGREEING)
+    reports = [flight.fly(off=(0.0, 0.0, high), claimed=claimed) for high in heights]
+    assert [report.overruled for report in reports] == [False] * (AGREEING - 1) + [True]

@@ -6,6 +6,7 @@ import pytest
 from core.builders import configured, look, mapped, point_covariances
 from core.kernels import division, tangent_basis
 from core.scenes import make_pose, pose_covariance, scan, slope
+from scipy.stats import halfnorm
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
@@ -62,3 +63,14 @@ def test_a_known_cells_statistic_is_that_of_equations_46_and_47(monkeypatch):
     added = leaf.division_sum - before.division_sum
     expected = np.sqrt(apart @ np.linalg.solve(total, apart))
     assert added / (len(points) - 3.0) == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize(("deviations", "rough"), [(1.9, False), (2.1, True)])
+@pytest.mark.parametrize("count", [10, 100, 1000])
+def test_a_leaf_is_rough_by_two_deviations_of_the_mean_residual(count, deviations, rough):
+    """Beyond the division factor; |N(0, 1)| is a half-normal variable."""
+    rules, leaf = Rules(configured()), Mapper(configured(levels=(1, 3))).leaves.rows[0:1]
+    mean, spread = halfnorm.mean(), halfnorm.std() / np.sqrt(count)
+    leaf.residuals, leaf.noise_sum = count, count * 0.05 * mean
+    leaf.distance_sum = count * 0.05 * (rules.division_factor * mean + deviations * spread)
+    assert division.rough(rules, leaf) == rough

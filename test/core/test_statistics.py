@@ -4,7 +4,17 @@
 import numpy as np
 import pytest
 from core.builders import by, configured, look, mapped
-from core.scenes import EXACT, flat, lattice, make_pose, pose_covariance, scan, scattered, slope
+from core.scenes import (
+    ABOVE,
+    EXACT,
+    flat,
+    lattice,
+    make_pose,
+    pose_covariance,
+    scan,
+    scattered,
+    slope,
+)
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -121,3 +131,17 @@ def test_noise_ratio_is_that_of_level_ground():
     rough = rng.normal(0.0, 0.5, len(x))
     bank = lambda x, y: np.where(x > 5.0, x - 5.0 + rough[: len(x)], 0.0)  # noqa: E731
     assert look(mapper, bank, x, y, rng, 0.05).noise_ratio == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_noise_ratio_moves_by_a_tenth_of_what_each_scan_says():
+    """What a scan says by itself, the first scan of a new mapper tells."""
+    config = fixed(3, 0.05)
+    rng, mapper, before = np.random.default_rng(2), Mapper(config), None
+    for factor in (1.0, 3.0, 3.0, 0.5):
+        x, y = scattered(rng, 0.0, 0.0, 16.0, 64 * 100)
+        points = scan(flat(), x, y, make_pose(ABOVE), 0.05 * factor, rng)
+        alone, ratio = (of.update(points, make_pose(ABOVE)).noise_ratio
+                        for of in (Mapper(config), mapper))  # fmt: skip
+        if before is not None:
+            assert (ratio - before) / (alone - before) == pytest.approx(0.1, rel=1e-6)
+        before = ratio

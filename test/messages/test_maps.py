@@ -7,12 +7,14 @@ import tracemalloc
 import numpy as np
 import pytest
 from core.builders import assert_same, configured, mapped
+from fuzz.cases import Types
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages import maps
 from quadtree_lss.onboard.messages.clouds import MessageError
+from quadtree_lss.onboard.messages.outputs import GRID_TYPE, TOPIC_TYPES, MessageMaker
 
 EXACT = ("level", "ix", "iy", "z", "normal", "count", "measured", "observed", "known")
 EXACT += ("low", "high")
@@ -152,6 +154,25 @@ def test_site_table_and_grids(cells):
     np.testing.assert_array_equal(observed == 100, cells.known)
     np.testing.assert_array_equal(observed == 50, cells.observed & ~cells.known)
     np.testing.assert_array_equal(observed == -1, ~cells.observed)
+
+
+def test_cells_of_the_landing_grids_lie_about_the_grid_points(cells):
+    """An occupancy grid's origin is the corner of its first cell, a grid map's its middle."""
+    config = configured(domain={"xmin": -7.3, "ymin": 102.4}, vehicle={"diameter": 2.0})
+    found, maker = LandingSiteSelector(config).assess(cells), MessageMaker(Types(), list, "map")
+    grids = [m.info for topic, m in maker.of_ground(found) if TOPIC_TYPES[topic] == GRID_TYPE]
+    assert len(grids) == 3
+    for info in grids:
+        corner, step = info.origin.position, info.resolution
+        x = corner.x + step * (np.arange(info.width) + 0.5)
+        y = corner.y + step * (np.arange(info.height) + 0.5)
+        np.testing.assert_allclose(x, found.x)
+        np.testing.assert_allclose(y, found.y)
+    info = maker.grid_map(found).info
+    for axis in "xy":
+        ends, length = getattr(found, axis)[[0, -1]], getattr(info, f"length_{axis}")
+        assert getattr(info.pose.position, axis) == pytest.approx(ends.mean())
+        assert length == pytest.approx(np.ptp(ends) + info.resolution)
 
 
 @pytest.mark.parametrize(

@@ -87,6 +87,13 @@ def test_covariances_that_are_none_are_refused(covariance):
     assert reason_of(pose(covariance=covariance)) == "covariance"
 
 
+@pytest.mark.parametrize("axis", [3, 4, 5])
+def test_an_attitude_known_to_less_than_half_a_radian_is_refused(axis):
+    known, unknown = (changed({(axis, axis): variance}) for variance in (0.24, 0.26))
+    assert pose_from_message(pose(covariance=known), "map").covariance[axis, axis] == 0.24
+    assert reason_of(pose(covariance=unknown)) == "attitude"
+
+
 def test_rounding_of_a_covariance_is_mended():
     near = 0.04 * (1.0 + 1e-9)
     covariance = changed({(0, 1): near, (1, 0): near + 1e-12})
