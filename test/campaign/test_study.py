@@ -70,11 +70,6 @@ def test_what_is_drawn_has_its_distribution_and_does_not_hang_on_the_rest(study_
     assert more.case(0).conditions["range_noise"] == noise[0]
 
 
-def test_more_flights_change_none_of_the_first(study_of):
-    few, many = study_of(VARIED), study_of(VARIED.replace("flights: 40", "flights: 50"))
-    assert [few.case(index) for index in range(20)] == [many.case(index) for index in range(20)]
-
-
 def test_the_key_tells_everything_that_decides_a_flight(study_of, tmp_path):
     case = study_of(VARIED).case(3)
     assert key_of(case) == key_of(dataclasses.replace(case, labels={}))

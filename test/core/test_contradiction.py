@@ -7,8 +7,7 @@ from core.builders import configured, look
 from core.scenes import flat, make_pose, pose_covariance, scan, scattered
 
 from quadtree_lss.onboard.core.geometry.rotations import exp
-from quadtree_lss.onboard.core.mapping.contradiction import AGREEING, DEVIATIONS
-from quadtree_lss.onboard.core.mapping.departure import departure
+from quadtree_lss.onboard.core.mapping.contradiction import AGREEING
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 
@@ -231,23 +230,6 @@ def test_no_claim_moves_the_map_beyond_what_the_others_allow(seed):
         true = make_pose(flight.above, claimed, (number + 1) * 50_000_000)
         look(flight.mapper, hills, *scattered(rng, 0.0, 0.0, 16.0, 3000), rng, NOISE, true)
         assert np.abs(flight.errors()).max(initial=0.0) < 0.25 or number < 3
-
-
-def test_height_and_tilt_are_those_of_most_cells():
-    """Though one in seven, all on one side, is off by 0.3 m, which the poses may be."""
-    rng = np.random.default_rng(6)
-    x, y = rng.uniform(-20.0, 20.0, (2, 200))
-    rise = 0.1 + 0.004 * x - 0.002 * y + 0.01 * rng.standard_normal(200)
-    rise[x > np.quantile(x, 0.86)] += 0.3
-    nothing = np.zeros(200)
-    columns = (rise, 1e-4, 0.01, 0.01, 0.0, 9.0, x, y, -90.0, nothing, nothing, 1e-8)
-    cells = np.array([np.broadcast_to(column, 200) for column in columns], dtype=np.float64)
-    sigma = np.diag([0.01, 0.01, 0.01, 4e-6, 1e-6, 1e-6])
-    found = departure(cells, sigma, 10.0, 0.0, DEVIATIONS)
-    assert found.share == 1.0
-    assert found.tilt == pytest.approx((0.004, -0.002), abs=6e-4)
-    at = found.height - 0.004 * found.centre[0] + 0.002 * found.centre[1]
-    assert at == pytest.approx(0.1, abs=0.01)
 
 
 @pytest.mark.parametrize("position", [0.05, 0.3])

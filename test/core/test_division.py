@@ -9,23 +9,9 @@ from core.scenes import make_pose, pose_covariance, scan, slope
 from scipy.stats import halfnorm
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
+from quadtree_lss.onboard.core.mapping.measure import Rules
 
 MEAN_CHI_1 = np.sqrt(2.0 / np.pi)
-
-
-def run_of(points: float, statistic: float, unseen: float = 0.0, square: float = 0.0):
-    run = np.zeros(1, dtype=RUN).view(np.recarray)
-    run.points, run.statistic, run.unseen, run.square = points, statistic, unseen, square
-    return run
-
-
-def test_a_view_of_less_than_half_of_a_leaf_does_not_judge_it():
-    rules, leaf = Rules(configured()), Mapper(configured(levels=(1, 3))).leaves.rows
-    assert not division.asks(rules, leaf[0:1], run_of(5000.0, 50.0, 0.5, 1.0))
-    for name in ("division_sum", "division_weight", "square_sum"):
-        assert leaf[0][name] == 0.0
-    assert division.asks(rules, leaf[0:1], run_of(5000.0, 50.0, 0.49, 1.0))
 
 
 @pytest.mark.parametrize("per_cell", [12, 40])

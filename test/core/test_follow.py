@@ -191,24 +191,3 @@ def test_what_a_pass_keeps_of_the_map_before_is_what_a_new_one_finds():
             np.testing.assert_array_equal(getattr(followed, name), getattr(anew, name))
         np.testing.assert_array_equal(followed.sites.position, anew.sites.position)
         assert ((anew.hazard & 8) > 0).any()
-
-
-def test_ground_at_a_rim_that_came_nearer_is_judged_as_a_new_pass_would():
-    """Bridged ground is level and goes on beyond the rim: nothing there changes by a move."""
-    config = configured(
-        domain={"min_level": 3, "follow": "vehicle"},
-        vehicle={"diameter": 1.9},
-        lss={"grid_spacing": 0.25, "assessment": "probability"},
-    )
-    rng, mapper, follower = np.random.default_rng(4), Mapper(config), LandingSiteSelector(config)
-    middle = np.array([8.0, 8.0])
-    for number in range(15):
-        middle += rng.uniform(-3.0, 3.0, 2)
-        size = rng.uniform(2.0, 9.0)
-        places = scattered(rng, *(middle - 0.5 * size), size, int(60 * size**2))
-        pose = make_pose((*middle, 60.0), stamp_ns=number + 1)
-        look(mapper, lambda x, y: 0.1 * np.sin(3.0 * x) * np.sin(2.0 * y), *places, rng, 0.02, pose)
-        cells = mapper.snapshot()
-        followed, anew = follower.assess(cells), LandingSiteSelector(config).assess(cells)
-        np.testing.assert_array_equal(followed.risk, anew.risk)
-        np.testing.assert_array_equal(followed.probability, anew.probability)

@@ -70,18 +70,6 @@ def tilted(rng: np.random.Generator, per_side: int, noise: float) -> np.ndarray:
     return truth + noise * rng.standard_normal((len(x), 1)) * ray
 
 
-def test_independent_treatment_averages_the_pose_out():
-    """The paper's: every point as uncertain as range and pose together make it, no pose part."""
-    rng = np.random.default_rng(3)
-    sigma, points = pose_covariance(0.3, 0.0), tilted(rng, 6, 0.02)
-    alone = fitted(rules("covariance"), points)
-    both = fitted(rules("covariance"), points, sigma=sigma)
-    np.testing.assert_array_equal(both.normal, alone.normal)
-    assert not both.pose_part.any()
-    added = both.range_part[2, 2] - alone.range_part[2, 2]
-    assert added == pytest.approx(0.3**2 / 36, rel=0.1)
-
-
 @FITS
 def test_a_turn_about_the_vertical_turns_the_fit(method):
     """Eq. 2's basis turns along: R_(Qn) = Q R_n Q^T for Q about z."""
@@ -106,16 +94,6 @@ def test_where_points_tell_no_slope_the_prior_is_kept_and_called_unknown():
         found = fitted(rules(), cloud, prior=prior)
         np.testing.assert_allclose(found.normal, prior, atol=1e-9)
         assert found.alone
-
-
-@pytest.mark.parametrize("count", [5, 20, 100, 1000])
-def test_points_all_over_a_cell_leave_little_out(count):
-    """By chance; hardly ever half of it."""
-    rng = np.random.default_rng(10)
-    clouds = (np.c_[rng.uniform(-1.0, 1.0, (count, 2)), np.zeros(count)] for _ in range(200))
-    unseen = np.array([fitted(rules(), cloud).unseen for cloud in clouds])
-    assert np.mean(unseen) < 0.08
-    assert np.mean(unseen >= 0.5) < 0.02
 
 
 @pytest.mark.parametrize("middle", [0.0, 0.9])

@@ -313,27 +313,6 @@ def test_unseen_ground_withdraws_the_target(level_ground):
     assert found.selected.reason is Reason.UNSEEN
 
 
-def test_it_waits_for_a_share_of_the_area_or_some_time(level_ground):
-    observed = level_ground.observed.copy()
-    observed[:, : observed.shape[1] // 2] = False
-    cells = dataclasses.replace(level_ground, observed=observed)
-    some = LandingSiteSelector(small(settle_time=3.0))
-    for waited, state in ((0.0, State.SETTLING), (2.9, State.SETTLING), (3.0, State.HOLDS)):
-        found = some.assess(cells, waited=waited)
-        assert found.selected.state is state and not found.pending
-        assert found.seen == pytest.approx(0.5, abs=0.03)
-    east = LandingSiteSelector(small(settle_time=3.0))
-    area = [(9.0, 1.0), (15.0, 1.0), (15.0, 15.0), (9.0, 15.0)]
-    assert east.assess(cells, waited=0.0, area=area).pending
-    found = east.assess(cells, waited=0.0, area=area)
-    assert found.seen == 1.0 and found.selected.id == 1
-    # Guidance that says anew what it can still reach asks for no other: there is none yet.
-    reach = LandingSiteSelector(small(settle_time=3.0))
-    for half in (7.9, 7.8, 7.7):
-        found = reach.assess(cells, waited=0.0, area=around((8.0, 8.0), half))
-        assert found.selected.state is State.SETTLING
-
-
 def test_no_site_lies_above_the_vehicle(level_ground):
     """The ground is at 3 m. Poses in NED put the vehicle as far below it as it is above."""
     selector = LandingSiteSelector(small())
@@ -410,16 +389,6 @@ def test_land_now_takes_the_best_within_reach_at_once(monkeypatch, with_block):
     assert found.now[3] == pytest.approx(within.max(), abs=1e-4)  # clearance decides between equals
     selector.release()
     assert selector.assess(with_block, vehicle=low).selected.reason is Reason.RELEASED
-
-
-def test_land_now_goes_where_the_vehicle_comes_to_rest(level_ground):
-    """At 4 m/s it needs 8 m, and 40 m up all of the map is near enough."""
-    selector = LandingSiteSelector(by_risk())
-    for speed, x in ((0.0, 2.0), (4.0, 10.0)):
-        found = selector.assess(level_ground, vehicle=(5.5, 0.5, 2.0, 8.0, speed, 0.0))
-        assert np.hypot(found.now[0] - x, found.now[1] - 8.0) <= 2.5 + 1e-9
-    assert np.isnan(selector.assess(level_ground, vehicle=(5.5, 0.5, -90.0, 8.0)).now).all()
-    assert np.isfinite(selector.assess(level_ground, vehicle=(43.0, 0.5)).now).all()
 
 
 def test_land_now_heeds_keep_outs_and_takes_what_is_least_unsafe(with_block):

@@ -7,7 +7,6 @@ from core.builders import (
     EXACT,
     configured,
     disturbed,
-    flat,
     make_pose,
     point_covariances,
     pose_covariance,
@@ -17,14 +16,11 @@ from core.builders import (
     slope,
 )
 from core.kernels import tangent_basis
-from replay.recordings import write_ros2
 from scipy.special import gammainc
 
-from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.evaluation.consistency import (
     Counts,
     acceptance_interval,
-    consistency,
     prefit_statistics,
 )
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
@@ -129,51 +125,3 @@ def test_statistics_are_those_of_equations_17_46_and_61():
         assert found.mahalanobis[k] ** 2 == pytest.approx(
             vector @ np.linalg.solve(total, vector), rel=1e-3
         )
-
-
-def test_only_points_of_measured_leaves_are_compared():
-    """The map is not changed, and empty or inherited leaves say nothing."""
-    mapper = Mapper(configured(domain={"min_level": 2, "max_level": 2}))
-    pose = make_pose()
-    rng = np.random.default_rng(4)
-    x, y = scattered(rng, 0.0, 0.0, 16.0, 600)
-    everywhere = registered(mapper, scan(flat(), x, y, pose, NOISE, rng), pose)
-    nothing = prefit_statistics(mapper.snapshot(), everywhere, LIDAR)
-    assert len(nothing.residual) == 0
-    assert nothing.counts() == Counts()
-    assert np.isnan(nothing.counts().one_degree).all()
-    half = x < 8.0
-    mapper.update(scan(flat(), x[half], y[half], pose, NOISE, rng), pose)
-    cells = mapper.snapshot()
-    before = cells.z.copy()
-    found = prefit_statistics(cells, everywhere, LIDAR)
-    assert cells.measured[found.row].all()
-    assert (everywhere.points[found.point, 0] + everywhere.origin[0] < 8.0).all()
-    assert len(found.residual) == np.count_nonzero(half)
-    np.testing.assert_array_equal(cells.z, before)
-
-
-SMALL = {
-    "domain.xmin": -30.0,
-    "domain.ymin": -30.0,
-    "domain.size": 60.0,
-    "domain.min_level": 3,
-    "domain.max_level": 4,
-    "lidar.range_noise": 0.03,
-}
-
-
-def test_a_wrong_range_noise_is_seen(tmp_path):
-    """Poses are nearly exact, so the residuals are the range noise's, a third of the assumed."""
-    bag = write_ros2(tmp_path / "bag")
-    seen: list[int] = []
-    found = consistency(bag, load_config((), SMALL), progress=seen.append)
-    assert seen == list(range(1, found.scans + 1))
-    right = found.counts
-    # Leaves that were seen in part claim more than they are off by.
-    assert 0.015 < right.one_degree.below < 0.08
-    assert right.one_degree.above == pytest.approx(0.025, abs=0.01)
-    wrong = consistency(bag, load_config((), {**SMALL, "lidar.range_noise": 0.09})).counts
-    assert wrong.one_degree.below > 0.06
-    assert wrong.one_degree.above < 0.001
-    assert wrong.points == pytest.approx(right.points, rel=0.05)

@@ -94,13 +94,6 @@ def test_ground_not_yet_mapped_is_unknown_and_scored(tmp_path):
     assert found.hazardous_unknown == pytest.approx(32 / 65)
 
 
-def test_unsafe_sites_are_counted_among_the_first_five(tmp_path):
-    sites = [(-1.0, 0.0), (1.0, 0.0), (-2.0, 0.0), (2.0, 1.0), (3.0, 3.0), (-4.0, 0.0)]
-    result = _evaluate(tmp_path, truth={"safe": lambda x, y: x > 0.0}, sites=sites)
-    assert result.unsafe_in_top_five == 2
-    assert result.sites == 6
-
-
 @pytest.mark.slow
 def test_no_site_at_all(tmp_path):
     result = _evaluate(tmp_path, sites=[], called_safe=lambda x, y: x > 99.0, figures=True)

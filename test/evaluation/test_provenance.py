@@ -6,7 +6,6 @@ import shutil
 
 import numpy as np
 import pytest
-from evaluation.scores import write_results, write_truth
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import replay
@@ -76,15 +75,6 @@ def test_a_map_for_another_vehicle_than_that_of_the_truth(both):
     replay(place / "bag", place / "level", config, report=False)
     (note,) = score(place / "level", place / "truth.npz", consistency=False).notes
     assert "10 deg and 0.3 m of rise" in note and "up to 5 deg and 0.3 m of rise" in note
-
-
-def test_scans_that_the_truth_does_not_know(tmp_path):
-    results = write_results(tmp_path / "results")
-    truth = write_truth(tmp_path / "truth.npz")
-    name_truth(truth, scan_stamp_ns=np.arange(20), scan_position=np.zeros((20, 3)))
-    refused(results, truth, "79 of 98 mapped scans are not among its 19, the first at 20 ns")
-    name_truth(truth, scan_stamp_ns=np.arange(200), scan_position=np.zeros((200, 3)))
-    score(results, truth)  # a part of the flight
 
 
 def test_truth_of_another_seed_with_the_same_stamps(both):

@@ -37,20 +37,6 @@ def test_points_come_back(tmp_path, suffix):
     assert (found.shape == POINTS.shape) == (suffix in (".npy", ".npz"))
 
 
-def test_an_ascii_ply_and_an_organised_pcd_with_holes(tmp_path):
-    pytest.importorskip("trimesh")
-    pytest.importorskip("pypcd4")
-    text = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\n"
-    text += "property float z\nproperty uchar red\nend_header\n1 2 3 9\n4 5 6 9\n"
-    (tmp_path / "a.ply").write_text(text)
-    np.testing.assert_allclose(read_clouds(tmp_path / "a.ply")[0][0], [[1, 2, 3], [4, 5, 6]])
-    text = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 2\n"
-    text += "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 4\nDATA ascii\n1 2 3\nnan nan nan\n4 5 6\n7 8 9\n"
-    (tmp_path / "b.pcd").write_text(text)
-    (found,), _ = read_clouds(tmp_path / "b.pcd")
-    assert found.shape == (2, 2, 3) and np.isnan(found[0, 1]).all() and found[1, 1, 2] == 9.0
-
-
 def test_several_scans_in_one_file(tmp_path):
     scans = np.stack([POINTS, POINTS + 1.0])
     np.savez(tmp_path / "scans.npz", points=scans, stamp_ns=np.array([5, 7]))
@@ -79,16 +65,6 @@ def test_what_is_no_cloud_is_one_line(tmp_path, suffix, content):
     with pytest.raises(ExchangeError, match="bad") as told:
         read_clouds(path)
     assert "\n" not in str(told.value)
-
-
-@pytest.mark.parametrize("shape", [(5,), (5, 2), (2, 2, 2, 3)])
-def test_another_array_is_no_cloud(tmp_path, shape):
-    np.save(tmp_path / "a.npy", np.zeros(shape))
-    with pytest.raises(ExchangeError, match="not a point cloud"):
-        read_clouds(tmp_path / "a.npy")
-    np.savez(tmp_path / "b.npz", x=np.zeros(3), y=np.zeros(3))
-    with pytest.raises(ExchangeError, match="no array 'points', but x, y"):
-        read_clouds(tmp_path / "b.npz")
 
 
 def test_tum_keeps_nanoseconds_and_sorts(tmp_path):

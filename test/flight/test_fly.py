@@ -152,52 +152,6 @@ def test_the_page_is_that_of_the_map_with_the_flight(short, text):
     assert len(text) < 5e6 and 'class="verdict good"' in text
 
 
-@pytest.mark.slow
-@in_a_browser
-def test_a_flight_is_gone_over(text, in_browser):
-    """Map, lander, headline and decisions are of the moment; a click on a decision goes there."""
-    told = in_browser(
-        text,
-        """
-        const f = data.flight, seen = () => [...Array(grid.nx * grid.ny).keys()].filter(
-          i => !(view.answer < 0 ? grid.hazard[i] & 128 : laterThan(i, view.answer))).length;
-        const slider = byId("instant");
-        const at = k => { slider.value = k; slider.dispatchEvent(new Event("input"));
-          return [view.answer, seen(), byId("clock").textContent, byId("verdict").textContent]; };
-        tellTest("end", [frames.last, f.time.length, view.answer]);
-        const early = frames.last >> 5;
-        tellTest("moments", [early, frames.last].map(at));
-        const last = f.decisions.length - 1;
-        document.querySelectorAll("#decisions tbody tr")[last].click();
-        tellTest("there", [momentTime(), f.decisions[last][0]]);
-        const [kind, begin] = f.faults[0]; moment(sampleAt(begin + 0.5));
-        view.sites = view.excluded = view.relief = false;
-        view.x = f.x[view.moment]; view.y = f.y[view.moment]; view.scale = 200; drawNow();
-        const red = () => { drawNow();
-          const d = map.getContext("2d").getImageData(0, 0, map.width, map.height).data;
-          let n = 0; for (let i = 0; i < d.length; i += 4) {
-            n += d[i] === 0xd5 && d[i + 1] === 0x5e && d[i + 2] === 0; } return n; };
-        const during = red(); moment(sampleAt(begin - 1)); tellTest("fault", [during, red()]);
-        moment(frames.last); setMode("scene");
-        await until(() => root.dataset.scene || document.querySelector("#scene .warning"));
-        if (space) {
-          const pads = [], truth = data.layers.find(l => l.name === "truth");
-          space.update();
-          space.marks.traverse(o => { const about = o.geometry && o.geometry.parameters;
-            if (about && about.radiusTop === data.lander.pad) pads.push(o.position.toArray()); });
-          tellTest("pads", pads.slice(-4).map(([x, y, z]) => z - 0.03 + space.z0 -
-            truth.values[gridPointAt(x + space.middle.x, y + space.middle.y)]));
-        }
-        """,
-    )
-    (_, seen, clock, verdict), (answer, all_seen, end, own) = told["moments"]
-    assert told["end"][0] == told["end"][1] - 1 and told["end"][2] == answer == -1
-    assert 0 < seen <= all_seen and clock != end and verdict.startswith("At ")
-    assert own.startswith("Safe touchdown") and abs(told["there"][0] - told["there"][1]) < 0.11
-    assert told["fault"][0] > 10 > told["fault"][1]
-    assert all(-0.1 < gap < 0.3 for gap in told.get("pads", [0.0])), told
-
-
 @in_a_browser
 @pytest.mark.slow
 def test_its_page_can_be_used_by_all_and_prints_on_two_sheets(text, in_browser):

@@ -8,9 +8,8 @@ import pytest
 from messages import samples
 from messages.samples import cloud, pose
 
-from quadtree_lss.onboard.config.settings import MountConfig, config_from_values
+from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.geometry.rotations import exp, quaternion_from_rotation
-from quadtree_lss.onboard.core.sensing.mount import fixed_mount
 from quadtree_lss.onboard.messages.intake import Intake
 
 MS = 1_000_000
@@ -80,20 +79,6 @@ def test_a_scan_without_gimbal_is_told_as_such():
     (notice,) = intake.notices()
     assert notice.reason == "no_pose" and "'nav/pose'" in notice.text
     assert intake.dropped == {"gimbal_no_pose": 2, "no_pose": 1}
-
-
-@pytest.mark.parametrize(
-    ("axes", "rpy"), [("flu_to_optical", (90, -90, 0)), ("optical_to_flu", (-90, 0, -90))]
-)
-def test_axes_have_names_for_the_usual_turns(axes, rpy):
-    """A cloud's x, y, z are forward, left, up, or right, down, forward."""
-    roll, pitch, yaw = rpy
-    named = fixed_mount(MountConfig(axes=axes)).rotation_map_lidar
-    turned = fixed_mount(MountConfig(roll_deg=roll, pitch_deg=pitch, yaw_deg=yaw))
-    np.testing.assert_allclose(named, turned.rotation_map_lidar, atol=1e-15)
-    forward, left, up = np.eye(3)
-    optical = np.array([-left, -up, forward])  # right, down, forward
-    np.testing.assert_array_equal(named, optical if axes == "flu_to_optical" else optical.T)
 
 
 def test_axes_turn_the_cloud_under_every_mount():
@@ -175,16 +160,6 @@ def test_a_damaged_transform_is_counted_and_the_others_hold():
     (ready,) = intake.ready(0)
     np.testing.assert_allclose(ready.pose.position, [1.0, 0.0, 30.0])
     assert intake.rejected == {"transform_position": 1}
-
-
-def test_a_second_lidar_on_the_topic_is_refused_with_tf_alone():
-    for intake, taken in ((tf_intake(), 1), (Intake(config_from_values({})), 2)):
-        for stamp_ms, frame in ((0, "lidar"), (10, "other")):
-            message = scan(stamp_ms)
-            message.header.frame_id = frame
-            intake.on_cloud(message, 0)
-        assert intake.scans == taken
-        assert intake.rejected.get("cloud_frame", 0) == 2 - taken
 
 
 def odometry(stamp_ms, child, position=(0.0, 0.0, 30.0)):

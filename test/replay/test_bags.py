@@ -194,14 +194,6 @@ def test_files_that_are_no_bags_give_one_line(tmp_path, suffix, junk):
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_an_empty_directory_and_one_with_missing_files(tmp_path):
-    path = write_ros2(tmp_path / "bag")
-    storage_file(path).unlink()
-    for folder in (tmp_path, path):
-        with pytest.raises(BagError, match="no bag"), Bag(folder):
-            pass
-
-
 def test_bytes_that_are_no_message_give_a_message_error(reference):
     path, _ = reference
     with Bag(path) as bag:

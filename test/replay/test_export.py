@@ -142,9 +142,3 @@ def test_the_command_writes_all_of_it(written, tmp_path, capsys):
     assert code == 1 and "is not a coordinate reference system" in err and err.count("\n") == 1
     code, _, err = run(capsys, "export", tmp_path)
     assert code == 1 and "replay did not write this folder" in err
-
-
-def test_a_folder_that_cannot_be_written_is_named(written, tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(ExchangeError, match="cannot be written"):
-        export_results(written.out, tmp_path / "file", ["map_server"])

@@ -6,7 +6,7 @@ import pytest
 from replay.recordings import GROUND, LOOKING_DOWN, POSE, START, Recorder, flight, recording
 
 from quadtree_lss.desk.replay.info import inspect_bag
-from quadtree_lss.desk.replay.replay import ReplayError, replay
+from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
 
 ODOMETRY, TRANSFORMS = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
@@ -94,23 +94,6 @@ def test_a_mount_from_tf_static_is_that_of_the_parameters(tmp_path):
         found = mapped(bag, values={"mount__source": "tf"}, start=start)
         assert found.summary["scans"] == told.summary["scans"] > 5 and same(found, told)
     assert not same(mapped(write(tmp_path / "plain")), told)
-
-
-@pytest.mark.parametrize("period", [0.0, 0.7])
-def test_a_topic_with_few_poses_is_passed_over(tmp_path, period):
-    """One start pose of RViz, or a localisation in two dimensions, beside an odometry."""
-    with recording(tmp_path / "bag", OdometryRecorder) as recorder:
-        recorder.odometry = ("/odometry/filtered",)
-        flight(recorder, pose_topics=("/odometry/filtered",))
-        for k in range(3):
-            at = START + round(k * period * 1e9)
-            recorder.write("/amcl_pose", recorder.pose(at, np.array([1.0, 2.0, 3.0])), POSE, at)
-    found = mapped(tmp_path / "bag")
-    assert found.summary["pose_topic"] == "/odometry/filtered" and found.summary["scans"] == 10
-    (note,) = (line for line in found.warnings if "/amcl_pose" in line)
-    assert "--pose-topic" in note
-    with pytest.raises(ReplayError):
-        mapped(tmp_path / "bag", pose_topic="/amcl_pose", values={"frames__map": "else"})
 
 
 @pytest.mark.slow

@@ -158,16 +158,6 @@ def test_points_that_miss_the_map_are_counted_and_told(bag):
     assert told.startswith("only ") and summary["points_used"] > 0
 
 
-def test_a_part_of_the_bag(bag, tmp_path):
-    seen = []
-    how = {"report": False, "progress": lambda *done_of: seen.append(done_of)}
-    part = replay(bag, tmp_path, CONFIG, start=0.3, duration=0.4, **how)
-    assert 2 <= part.summary["scans"] <= 4
-    first, last = part.timings[0].stamp_ns, part.timings[-1].stamp_ns
-    assert START + 0.3 * SECOND <= first <= last < START + 0.7 * SECOND
-    assert seen[-1][0] == seen[-1][1] == pytest.approx(0.4)
-
-
 def test_unusable_messages_are_counted_and_the_rest_is_mapped(tmp_path):
     path = tmp_path / "bag"
     with recording(path) as recorder:

@@ -5,7 +5,6 @@ import json
 
 import numpy as np
 import pytest
-from replay.recordings import CLOUD, POSE, SECOND, START, recording, write_ros2
 from replay.test_cli import run
 
 from quadtree_lss.desk.replay.configuration import load_config
@@ -75,18 +74,3 @@ def test_it_keeps_what_is_given_and_asks_for_no_cells_that_no_risk_was_fitted_to
     assert {name: found.values[name] for name in given} == given
     finest = found.values["domain.size"] / 2 ** found.values["domain.max_level"]
     assert finest > 0.99 * diameter / 16.0
-
-
-def test_nothing_to_suggest_from_says_why(tmp_path, capsys):
-    bag = write_ros2(tmp_path / "bag", scans=3)
-    code, _, err = run(capsys, "config", "suggest", bag, "--set", "lidar.min_range=4000")
-    assert code == 1 and "nothing to suggest from" in err and "return" in err and "doctor" in err
-    with recording(tmp_path / "point") as recorder:
-        for stamp in range(START, START + SECOND, SECOND // 10):
-            recorder.write("/nav/pose", recorder.pose(stamp, np.zeros(3)), POSE, stamp)
-            points = np.tile([0.0, 0.0, 50.0], (24, 1))
-            recorder.write("/lidar/points", recorder.cloud(stamp, points), CLOUD, stamp)
-    code, _, err = run(capsys, "config", "suggest", tmp_path / "point")
-    assert code == 1 and "nothing to suggest from: all returns are of one place" in err
-    assert run(capsys, "config", "suggest")[0] == 2
-    assert run(capsys, "config", "suggest", bag, bag)[0] == 2

@@ -85,50 +85,6 @@ def test_the_pointer_tells_values_and_layers_differ(result, best, browse):
     assert legends["cells"][1] == [-1, 0, 1, 2]  # binary logarithms of 0.5 m to 4 m
 
 
-@pytest.mark.slow
-def test_mouse_fingers_and_window(browse):
-    told = browse("""
-        const wheel = deltaY => { const e = new WheelEvent("wheel", { deltaY, clientX: 400,
-          clientY: 400, cancelable: true }); map.dispatchEvent(e); return e.defaultPrevented; };
-        fit();
-        tellTest("scrolls", !wheel(100));   // all is seen: the page goes on
-        const before = view.scale;
-        tellTest("zooms", wheel(-200) && view.scale > before);
-        const place = view.x;
-        at("pointerdown", 300, 300); at("pointermove", 340, 300); at("pointerup", 340, 300);
-        tellTest("dragged", (place - view.x) * view.scale);
-        const touch = (type, points) => {
-          const box = map.getBoundingClientRect();
-          const touches = points.map(([x, y], identifier) => new Touch({ identifier, target: map,
-            clientX: box.left + x, clientY: box.top + y }));
-          const e = new TouchEvent(type, { touches, cancelable: true, bubbles: true });
-          map.dispatchEvent(e);
-          return e.defaultPrevented;
-        };
-        touch("touchstart", [[200, 200]]);
-        tellTest("one", touch("touchmove", [[200, 260]]));
-        touch("touchend", []);
-        const small = view.scale;
-        touch("touchstart", [[200, 200], [260, 200]]);
-        tellTest("two", touch("touchmove", [[180, 200], [300, 200]]));
-        tellTest("pinched", view.scale / small);
-        touch("touchend", []);
-        silent();
-        touch("touchstart", [[220, 220]]); touch("touchend", []);
-        tellTest("tapped", !tooltip.hidden);
-        fit();
-        const inside = () => px(extent.x0) >= MARGIN.left && px(extent.x1) <= width();
-        byId("map").style.flex = "none"; byId("map").style.width = "300px"; resized();
-        const narrow = inside();
-        zoom(2); const scale = view.scale; resized();
-        tellTest("whole", [narrow, scale === view.scale]);
-    """)
-    assert told["scrolls"] and told["zooms"] and told["dragged"] == pytest.approx(40, abs=1)
-    assert told["one"] is False and told["two"] is True
-    assert told["pinched"] == pytest.approx(2.0, rel=0.01)
-    assert told["tapped"] and told["whole"] == [True, True]
-
-
 def test_rows_and_keys(best, browse):
     told = browse("""
         const all = document.querySelectorAll("tr[data-site]");
@@ -286,61 +242,6 @@ def test_space_shows_the_ground_and_the_lander(browse):
     assert told["map"][0] >= 1.0 and told["map"][3] is False
     assert told["pads"] == pytest.approx([1.0] * 4)  # at true scale ...
     assert all(-1e-6 < gap < 0.3 for gap in told["gaps"])  # ... and on the ground
-
-
-def test_a_click_on_a_marker_selects_its_site(browse):
-    """A drag does not; with a finger it is a tap."""
-    told = browse("""
-        const click = (x, y, way = 0) => { at("pointerdown", x, y);
-          if (way) at("pointermove", x + way, y); at("pointerup", x + way, y); };
-        const marker = k => [px(sites[k].x), py(sites[k].y)];
-        const chosen = () => [view.site, document.querySelector("tr.chosen th").textContent,
-                              byId("why").textContent];
-        click(...marker(1)); tellTest("clicked", chosen());
-        click(px(extent.x0), py(extent.y0)); tellTest("beside", chosen());
-        click(...marker(0), 40); tellTest("dragged", chosen());
-        const box = map.getBoundingClientRect(), [x, y] = marker(0);
-        const touch = (type, touches) => map.dispatchEvent(new TouchEvent(type, { touches }));
-        touch("touchstart", [new Touch({ identifier: 0, target: map, clientX: box.left + x,
-                                         clientY: box.top + y })]);
-        touch("touchend", []); tellTest("tapped", chosen());
-    """)
-    site, rank, why = told["clicked"]
-    assert (site, rank) == (1, "2") and why.startswith("Site 2")
-    assert told["beside"] == told["dragged"] == told["clicked"] and told["tapped"][:2] == [0, "1"]
-
-
-def test_the_first_picture_tells_excluded_allowed_and_how_good_apart(browse):
-    """Grey or blue where landing is not allowed, colours up to the limit where it is."""
-    told = browse("""
-        view.relief = view.excluded = view.sites = false;
-        const layer = LAYERS.landing, states = {}, grey = ([r, g, b]) => r === g && g === b;
-        for (let i = 0; i < grid.nx * grid.ny; i++) {
-          const state = stateAt(i, -1), c = stateColour(layer, i, -1);
-          (states[state] = states[state] || []).push([grey(c), c.join()]);
-        }
-        tellTest("states", Object.fromEntries(Object.entries(states).map(([state, all]) =>
-          [state, [all.every(([g]) => g), all.some(([g]) => g),
-                   new Set(all.map(p => p[1])).size]])));
-        tellTest("first", view.layer);
-        tellTest("limit", [layer.mark, data.limit.risk, layer.limits]);
-        tellTest("legend", byId("legend").textContent);
-        const best = Math.min(...layer.values.filter((v, i) => grid.safe[i]));
-        const worst = Math.max(...layer.values.filter((v, i) => grid.safe[i]));
-        tellTest("within", [best, worst]);
-        tellTest("start", [isWhole(), sites.every(s => px(s.x) > MARGIN.left && px(s.x) < width() &&
-          py(s.y) > 0 && py(s.y) < height() - MARGIN.bottom)]);
-    """)
-    assert told["first"] == "landing"
-    grey = {state: every for state, (every, _, _) in told["states"].items()}
-    assert grey.pop("1", True) and {"0", "2", "3"} <= grey.keys() and not any(grey.values())
-    assert told["states"]["2"][2] == told["states"]["3"][2] == 1
-    mark, risk, limits = told["limit"]
-    assert mark == pytest.approx(np.log10(risk)) and limits == [-4.0, 0.0]
-    assert told["within"][1] <= mark + 1e-3
-    words = ("allowed", "excluded: unobserved ground under the vehicle", "unobserved")
-    assert all(word in told["legend"] for word in words)
-    assert told["start"][1]
 
 
 @pytest.mark.slow

@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Markers: what the serialised ones contain, and when they are sent."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import yaml
 from ros_scene import mapped
 from visualization_msgs.msg import Marker, MarkerArray
 
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.lab.live.listener import TOPICS
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.messages.maps import round_trip
 from quadtree_lss.onboard.nodes.markers import site_markers
@@ -60,18 +56,3 @@ def test_markers_come_to_whom_subscribes_late_and_go_with_a_reset(ros):
 
 def _deleted(viewer, topic):
     return [marker.action for marker in viewer.newest[topic].markers] == [Marker.DELETEALL]
-
-
-def test_rviz_configuration_names_existing_topics():
-    path = Path(__file__).parents[2] / "rviz" / "quadtree_lss.rviz"
-    displays = yaml.safe_load(path.read_text())["Visualization Manager"]["Displays"]
-    shown = {d["Topic"]["Value"] for d in displays if "Topic" in d}
-    known = {f"/{name}" for name in (*TOPICS, *MARKERS)}
-    assert shown <= known
-    wanted = {"/map/markers", "/landing/hazards", "/landing/score", "/landing/markers"}
-    assert wanted <= shown
-    for display in displays:
-        if "Topic" in display:
-            policy = display["Topic"]
-            assert policy["Durability Policy"] == "Transient Local"
-            assert policy["Reliability Policy"] == "Reliable"

@@ -2,7 +2,6 @@
 """Arrays to messages and back; counting and limiting what goes out."""
 
 from operator import attrgetter
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from sensor_msgs.msg import PointCloud2, PointField
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.nodes.diagnostics import Problems
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher
 from quadtree_lss.onboard.nodes.ros_messages import (
     cloud_message,
@@ -125,13 +123,3 @@ def test_the_last_change_is_always_published(node, executor):
     before = len(sent)
     executor.spin_once(timeout_sec=0.2)
     assert len(sent) == before, "without a change nothing is published"
-
-
-def test_problems_are_all_counted_and_told_once_per_interval():
-    lines = []
-    problems = Problems(SimpleNamespace(warning=lines.append), interval=3600.0)
-    for _ in range(5):
-        problems.report("size", "too short")
-    problems.report("frame", "wrong frame")
-    assert problems.counts == {"size": 5, "frame": 1}
-    assert lines == ["too short", "wrong frame"]

@@ -6,13 +6,13 @@ import time
 from types import SimpleNamespace
 
 import pytest
-from ros_scene import ERROR, OK, WARN, cloud, pose
+from ros_scene import cloud, pose
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.nodes import losses
-from quadtree_lss.onboard.nodes.diagnostics import Durations, Problems, Status
+from quadtree_lss.onboard.nodes.diagnostics import Problems
 from quadtree_lss.onboard.nodes.losses import CALM_S, SHARE, Overload, allowance
 from quadtree_lss.onboard.nodes.qos import latched
 
@@ -33,15 +33,6 @@ def update(self, *scan):
 mapper.Mapper.update = update
 """
 """A scan takes four times as long as the next takes to come."""
-
-
-@pytest.mark.parametrize(("delay_ms", "level"), [(20.0, OK), (-1500.0, WARN), (-37e3, ERROR)])
-def test_stamps_of_the_future_are_told_as_old_ones_are(delay_ms, level):
-    """Of a lidar on atomic time, which is 37 s ahead of the computer's."""
-    status, delays = Status(), Durations()
-    delays.add(delay_ms)
-    status.judge_delay("maps are sent after", delays.take(), load_config().diagnostics)
-    assert (status.level,) == level and ("-" in status.text) == (delay_ms < 0.0)
 
 
 def test_a_hold_up_costs_nothing_and_an_overload_old_scans(monkeypatch):

@@ -1,18 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Terrain: interpolation, files; rocks: how many, and stone by stone against their formula."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from exchange.test_dem import Z, band
 
 from quadtree_lss.lab.simulation.hazard_field import (
     HazardField,
     hazard_field,
     sample_rock_diameters,
 )
-from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain, load_terrain
+from quadtree_lss.lab.simulation.terrain import Terrain
 
 SMALL = HazardField(size=30.0)
 
@@ -52,17 +49,3 @@ def test_field_has_what_was_asked_for():
     smooth = hazard_field(np.random.default_rng(3), bare)
     slopes = np.degrees(np.arctan(np.hypot(*np.gradient(smooth.elevation, 0.1))))
     assert slopes.max() < 8.0
-
-
-def test_crater_is_a_bowl_of_the_given_depth_with_a_low_rim():
-    bare = HazardField(size=40.0, rock_abundance=0.0, slope_rms_deg=0.0, texture=0.0)
-    field = replace(bare, craters=1.0 / 1600.0, crater_smallest=4.999)
-    grounds = [hazard_field(np.random.default_rng(seed), field).elevation for seed in range(30)]
-    ends = np.array([(-z.min(), z.max()) for z in grounds if 0.2 < -z.min() < 0.55])
-    depth, rim = ends.max(axis=0)
-    assert len(ends) > 5 and depth <= 0.5 and rim < 0.25 * depth
-
-
-def test_a_geotiff_is_read_and_its_gap_refused(tmp_path):
-    with pytest.raises(SimulationError, match="dem.tif: .* not finite"):
-        load_terrain(band(tmp_path / "dem.tif", np.where(Z == Z.max(), np.nan, Z)))

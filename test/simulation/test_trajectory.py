@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadtree_lss.lab.simulation.navigation import DriftingNavigation, WhiteNavigation
+from quadtree_lss.lab.simulation.navigation import WhiteNavigation
 from quadtree_lss.lab.simulation.trajectory import (
     Sweep,
     look_at,
@@ -76,24 +76,3 @@ def test_white_navigation_has_the_covariance_it_claims():
     normalised = errors / sigma
     np.testing.assert_allclose(normalised.T @ normalised / len(errors), np.eye(6), atol=0.05)
     assert np.abs((normalised[1:] * normalised[:-1]).mean(axis=0)).max() < 0.03
-
-
-def test_drifting_navigation_is_biased_slow_and_conservative():
-    times = np.arange(0.0, 20.0, 0.1)
-    generator = np.random.default_rng(4)
-    positions, rotations = _truth(times.size, generator)
-    navigation = DriftingNavigation()
-    errors, claimed = [], None
-    for _ in range(300):
-        estimate = navigation.estimate(generator, times, positions, rotations)
-        errors.append(_errors(estimate, positions, rotations)[::20])
-        claimed = np.sqrt(np.diag(estimate.covariance))
-    errors = np.array(errors)
-    actual = np.sqrt(np.square(errors).mean(axis=(0, 1)))
-    np.testing.assert_allclose(claimed / actual, 2.0, rtol=0.2)
-    # What changes within a flight is much less than what stays.
-    assert np.all(errors.std(axis=1).mean(axis=0) < 0.5 * actual)
-    # The drift forgets with the correlation time: increments over 2 s of a 10 s process.
-    steps = np.diff(errors, axis=1).std(axis=(0, 1))[:3]
-    expected = navigation.position_drift * np.sqrt(2.0 * (1.0 - np.exp(-0.2)))
-    np.testing.assert_allclose(steps, expected, rtol=0.1)
