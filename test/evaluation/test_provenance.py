@@ -13,6 +13,8 @@ from quadtree_lss.lab.evaluation.evaluate import evaluate
 from quadtree_lss.lab.evaluation.results import EvaluationError
 from quadtree_lss.lab.simulation.simulate import simulate
 
+pytestmark = pytest.mark.xdist_group("provenance")  # its flight is made once
+
 SEEDS = (7, 8)
 
 

@@ -13,6 +13,8 @@ from quadtree_lss.lab.flight.fly import flown
 from quadtree_lss.lab.flight.settings import FlightError, flight_settings
 from quadtree_lss.onboard.core.landing.target import State
 
+pytestmark = pytest.mark.xdist_group("fly")  # its flight is made once
+
 SHORT = {"slant_range": 260.0, "speed": 26.0, "half": 8.0, "scatter": 3.0, "plan": {"survey": 3.0}}
 SEED = 40049
 

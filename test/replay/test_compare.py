@@ -13,6 +13,8 @@ from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.differences import compare_results
 from quadtree_lss.desk.replay.elevation_model import rank_sites
 
+pytestmark = pytest.mark.xdist_group("compare")  # its flight is made once
+
 VALUES = {"lss.grid_spacing": 0.5, "lidar.range_noise": 0.02, "lss.sites": 3}
 VALUES |= {"lss.assessment": "touchdown"}
 CONFIG = load_config((), VALUES)

@@ -169,7 +169,7 @@ def test_messages_that_cannot_be_decoded_are_losses(tmp_path):
 
 
 @pytest.mark.parametrize("storage", STORAGES)
-@pytest.mark.parametrize(("seed", "number"), [(1, 4), pytest.param(2, 60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("seed", "number"), [(1, 4), pytest.param(2, 150, marks=pytest.mark.slow)])
 def test_damaged_bags_of_every_storage(storage, tmp_path, seed, number):
     """Flipped bits, zeros, cuts and doubled bytes: no exception but one line, and no hanging."""
     rng = np.random.default_rng(seed)

@@ -16,6 +16,8 @@ from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.messages.maps import encode_hazards
 
+pytestmark = pytest.mark.xdist_group("export")  # its flight is made once
+
 #: Of a map about its origin.
 MADE_FOR = "+proj=tmerc +lat_0=38 +lon_0=-116 +datum=WGS84 +units=m"
 

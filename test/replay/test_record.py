@@ -21,6 +21,8 @@ from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.messages.maps import CELL_FIELDS, SITE_FIELDS, STATUS_FIELDS, encode_score
 
+pytestmark = pytest.mark.xdist_group("record")  # its flight is made once
+
 CONFIG = config_from_values({**GROUND, "publish.rate": 5.0, "publish.lss_rate": 2.0})
 MS = 1_000_000
 MAPS = {"/map/cells", "/map/observed"}

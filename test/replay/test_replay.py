@@ -14,6 +14,8 @@ from quadtree_lss.desk.replay.files import ReplayError
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
 
+pytestmark = pytest.mark.xdist_group("replay")  # its flight is made once
+
 CONFIG = config_from_values(GROUND)
 FILES = set("history.npz sites.csv selected.csv cells.npz".split())
 FILES |= set("grid.npz timing.csv summary.json config.yaml".split())

@@ -10,6 +10,8 @@ from quadtree_lss.cli import main
 from quadtree_lss.desk.replay.configuration import find_config
 from quadtree_lss.lab.simulation.simulate import simulate
 
+pytestmark = pytest.mark.xdist_group("smoke")  # its flight is made once
+
 SHIPPED = sorted(path.stem for path in Path(find_config("default")).parent.glob("*.yaml"))
 
 

@@ -15,7 +15,7 @@ from quadtree_lss.onboard.nodes.qos import latched, stream
 pytestmark = pytest.mark.xdist_group("ros")
 
 
-@pytest.mark.quick("odom-1")
+@pytest.mark.slow
 @pytest.mark.parametrize(("frame", "code"), [("map", 0), ("odom", 1)])
 def test_some_seconds_of_live_topics_are_looked_at(ros, frame, code):
     command = [program("quadtree-lss"), "doctor", "--seconds", "4", "--set", f"frames.map={frame}"]

@@ -34,6 +34,7 @@ def east(places):
     return places[:, 0] >= 5.0
 
 
+@pytest.mark.slow
 @pytest.mark.survives(
     "`lss_node` killed",
     "started again, it gets the last map and what is latched: area, keep-out, target<br>sites come "

@@ -89,6 +89,7 @@ def test_a_node_that_starts_says_for_what_it_waits(ros, name, module, what):
         listener.until(listener.told, name, (), waits)
 
 
+@pytest.mark.quick("lss_node")
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node", "autopilot_node"])
 def test_a_node_on_simulated_time_says_that_it_has_none(ros, name):
     """As on a vehicle with the parameter file of its simulation."""
