@@ -14,7 +14,7 @@ pytestmark = pytest.mark.xdist_group("autopilot")
 OF_PX4 = [(name, PX4) for name in SCENARIOS if "contact" in name]
 
 
-@pytest.mark.quick("height_reset-3", "contact_that_ends_again-12")
+@pytest.mark.quick("height_reset-3")
 @pytest.mark.parametrize(("scenario", "kind"), [*((s, ARDUPILOT) for s in SCENARIOS), *OF_PX4])
 def test_a_lie_neither_lowers_the_vehicle_nor_leads_it_away(scenario, kind):
     # PX4 leaves offboard after half a second of its time without a set-point.

@@ -23,7 +23,7 @@ from quadtree_lss.lab.campaign.kinds import CampaignError
 from quadtree_lss.lab.campaign.study import read_study
 
 # One after the other: each has processes of its own.
-pytestmark = pytest.mark.xdist_group("campaign")
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("campaign")]
 
 STUDY = """
 name: small
@@ -112,7 +112,6 @@ def test_each_flight_is_a_file_and_told(first):
     assert "--keep 17" in page and "Safe terrain found" in page
 
 
-@pytest.mark.slow
 def test_what_was_flown_is_not_flown_again(first, study, tmp_path):
     shutil.copytree(first[0].out, tmp_path / "c")
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "c" / "flights").iterdir()}
@@ -130,7 +129,6 @@ def test_what_was_flown_is_not_flown_again(first, study, tmp_path):
     assert files(tmp_path / "c") == files(first[0].out)  # until it is flown, what was stays
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("killed", ["campaign", "worker"])
 def test_what_is_killed_loses_nothing(first, study, tmp_path, killed):
     """A worker, or the campaign, which is resumed: by two the same files as by one."""
@@ -151,7 +149,6 @@ def test_what_is_killed_loses_nothing(first, study, tmp_path, killed):
     assert files(tmp_path) == files(first[0].out)
 
 
-@pytest.mark.slow
 def test_a_scheduler_started_separately(first, study, tmp_path):
     note = tmp_path / "scheduler.json"
     command = [sys.executable, "-m", "distributed.cli"]
@@ -180,7 +177,6 @@ def test_a_scheduler_started_separately(first, study, tmp_path):
         assert files(tmp_path / "out") == files(first[0].out)
 
 
-@pytest.mark.slow
 def test_ctrl_c_keeps_what_is_done(first, study, tmp_path):
     process = start(study, tmp_path, "--workers", 1)
     wait_until(lambda: flown(tmp_path) >= 1)
@@ -194,7 +190,6 @@ def test_ctrl_c_keeps_what_is_done(first, study, tmp_path):
     assert flown(tmp_path) < COUNT
 
 
-@pytest.mark.slow
 def test_a_failed_flight_is_recorded_and_the_others_go_on(tmp_path):
     text = STUDY.replace("duration: 1", "duration: [1, 0.5]").replace("flights: 4", "flights: 1")
     path = written(tmp_path, text)
@@ -209,7 +204,6 @@ def test_a_failed_flight_is_recorded_and_the_others_go_on(tmp_path):
     assert {path: path.stat().st_mtime_ns for path in out.glob("flights/*.json")} == written_at
 
 
-@pytest.mark.slow
 def test_a_flight_is_flown_again_and_kept(first, study):
     done = start(study, first[0].out, "--keep", 3)
     shown, told = done.communicate(timeout=120)

@@ -316,3 +316,13 @@ def test_noise_of_heights_is_that_of_ranges_where_there_is_no_plane():
     cells = mapped(configured(), flat()).snapshot()
     unknown = replace(cells, covariance_range=np.full_like(cells.covariance_range, np.nan))
     np.testing.assert_array_equal(height_noise(unknown, 0.05), 1.0)
+
+
+def test_guidance_goes_before_the_configuration(beside_a_rock):
+    selector = probable(dispersion=3.0)
+    own = selector.assess(beside_a_rock).probability
+    theirs = selector.assess(beside_a_rock, dispersion=[0.2, 0.1]).probability
+    np.testing.assert_array_equal(
+        theirs, 1.0 - aimed(selector.assess(beside_a_rock).risk, 0.25, Dispersion(0.2, 0.1))
+    )
+    assert theirs.max() > own.max()

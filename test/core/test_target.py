@@ -433,3 +433,17 @@ def test_covariance_is_that_of_drawn_maps():
     np.testing.assert_allclose(*correlations, atol=0.1)
     assert np.abs(correlations[1]).min() > 0.25  # each sign counts
     assert not claimed[:2].any()
+
+
+def test_land_now_does_not_climb():
+    """No ground is safe but a plateau, which lies above the vehicle."""
+
+    def plateau(x, y):
+        return np.where(x > 9.0, 13.0, 0.5 * (np.floor(x) % 2) * (np.floor(y) % 2))
+
+    cells = mapped(by_risk(), plateau, density=100.0).snapshot()
+    selector = LandingSiteSelector(by_risk(dispersion=0.3))
+    selector.land_now()
+    found = selector.assess(cells, vehicle=(8.0, 0.5, 5.0, 8.0))
+    assert found.selected.state is State.NOW and found.selected.position[2] < 1.0
+    assert found.now[2] < 1.0

@@ -71,7 +71,7 @@ def printed(shown, said):
         said = said[found.end() :]
 
 
-@pytest.mark.quick("README.md")
+@pytest.mark.slow
 @pytest.mark.parametrize(("needs_flight", "code"), blocks("shell"))
 def test_commands_run_as_written(needs_flight, code, flight, tmp_path):
     if needs_flight:

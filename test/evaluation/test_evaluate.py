@@ -114,6 +114,7 @@ def with_risk(folder, risk):
     np.savez(folder / "grid.npz", **arrays)
 
 
+@pytest.mark.slow
 def test_risk_is_held_against_the_truth(tmp_path):
     folder = write_results(tmp_path / "results")
     with_risk(folder, lambda x, y: np.where(x < 0.0, 0.02, np.where(y < 0.0, 0.2, 1.0)))

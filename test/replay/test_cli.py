@@ -11,7 +11,7 @@ import pytest
 from installed import PREFIX, error_without
 from replay.recordings import write_ros2
 
-from quadtree_lss.cli import main
+from quadtree_lss.cli import main, without_ros_arguments
 
 AREA = ["--set", "domain.xmin=-16.0", "--set", "domain.ymin=-16.0", "--set", "domain.size=32.0"]
 COARSE = [*AREA, "--set", "domain.min_level=3", "--set", "domain.max_level=5"]
@@ -255,3 +255,27 @@ def test_a_wrong_argument_is_usage_and_names_what_is_meant(bag, tmp_path, capsys
     places = {"bag": bag, "out": tmp_path / "out", "none": tmp_path / "none", "dem": dem}
     code, out, err = run(capsys, *(argument.format(**places) for argument in arguments))
     assert (code, out) == (2, "") and word in err and err.count("\n") == 1
+
+
+def test_results_without_a_folder_get_one_by_time_and_a_link(bag, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        assert run(capsys, "replay", bag, *FAST)[0] == 0
+    latest = tmp_path / "results" / "latest"
+    folders = sorted(p for p in latest.parent.iterdir() if not p.is_symlink())
+    assert len(folders) == 2 and latest.is_symlink()
+    assert latest.resolve() in folders
+    assert (latest / "config.yaml").exists() and (latest / "summary.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "kept"),
+    [
+        (["bag", "--out", "x"], ["bag", "--out", "x"]),
+        (["bag", "--ros-args", "-r", "__node:=x"], ["bag"]),
+        (["--ros-args", "-p", "a:=1", "--", "bag", "--out", "x"], ["bag", "--out", "x"]),
+        (["a", "--ros-args", "-r", "b:=c", "--", "d", "--ros-args"], ["a", "d"]),
+    ],
+)
+def test_arguments_of_ros_are_left_out(given, kept):
+    assert without_ros_arguments(given) == kept

@@ -107,6 +107,7 @@ def test_a_damaged_cloud_is_a_loss(flight, tmp_path, capsys):
     assert code == 3 and "5 scans mapped" in shown and broken.name in err
 
 
+@pytest.mark.slow
 def test_info_and_suggest_read_clouds_too(flight, tmp_path, capsys):
     _, seen = flight
     clouds, poses = clouds_and_poses(tmp_path, seen)

@@ -53,7 +53,7 @@ def test_the_command_prints_a_file_with_reasons(flight, tmp_path, capsys):
     assert shown["values"] == suggest_config(flight, load_config()).values
 
 
-@pytest.mark.quick("0.6,0.08-True")
+@pytest.mark.slow
 @pytest.mark.parametrize(("given", "sparse"), [("0.6,0.08", True), ("3.7,0.3", False)])
 def test_cells_suit_the_vehicle(flight, tmp_path, capsys, given, sparse):
     """Returns 0.2 m apart and of 3 cm noise are too coarse for a drone of 0.6 m, which is told."""

@@ -36,6 +36,7 @@ def test_it_opens_what_the_folder_is_of(names, first, opened, tmp_path, capsys):
     assert capsys.readouterr().out.strip() == str(tmp_path / first)
 
 
+@pytest.mark.slow
 def test_of_results_without_a_page_it_is_made(result, text, opened, tmp_path, capsys):
     out = shutil.copytree(result.out, tmp_path / "out")
     shutil.rmtree(out / "figures")

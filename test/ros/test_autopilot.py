@@ -235,3 +235,27 @@ def test_hostile_targets_do_not_lower_the_vehicle(scene):
     told = len(flight.node.output())
     assert flight.model.lowest > height - 0.5 and flight.states[-1] in ("hold", "give_up")
     assert flight.node.process.poll() is None and told < 200_000
+
+
+@pytest.mark.slow
+def test_two_that_send_a_target_and_a_node_without_an_autopilot(ros, scene):
+    flight = scene(place=(0.0, 0.0, 4.5))
+    node = flight.listener.node
+    other = node.create_publisher(PoseWithCovarianceStamped, "landing/selected", target())
+    flight.handed_over().until("wait")
+    flight.listener.wait_for(lambda: False, timeout=1.0)
+    assert flight.states[-1] == "wait" and "2 publishers" in flight.node.output()
+    flight.listener.forget(other)
+    flight.until("touchdown")
+    answer = ros.call(flight.listener, "/autopilot_node/land")
+    assert not answer.success and "may_command" in answer.message
+
+
+@pytest.mark.slow
+def test_px4_that_is_armed_on_the_ground_stays_there(scene):
+    """Also while it has not said yet that it is there."""
+    flight = scene(PX4, place=(0.0, 0.0, 0.0))
+    flight.model.deaf = 1  # so that it is to be asked again
+    flight.handed_over().wait(lambda: 245 in flight.model._rates)
+    flight.listener.wait_for(lambda: False, timeout=1.0)
+    assert flight.states == ["pilot"] and flight.model.enu[2] < 0.1, flight.node.output()

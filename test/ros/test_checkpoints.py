@@ -141,7 +141,7 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
     "that of the checkpoint is taken; without one the map goes on if its figures are sound, or "
     "begins anew",
 )
-@pytest.mark.quick("True")
+@pytest.mark.slow
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):
     """Whatever it was, the map that it happened to may be half changed."""

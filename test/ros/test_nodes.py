@@ -124,6 +124,7 @@ def test_incompatible_qos_is_told_with_its_remedy(ros):
     "one line, exit code 78; not started again by the launch file, nor by systemd with "
     "`RestartPreventExitStatus=2 78`",
 )
+@pytest.mark.quick("mapping_node")
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node"])
 def test_unknown_parameter_is_an_error_that_names_the_nearest(ros, name):
     node = ros.start(name, "-p", "domain.max_levle:=7")

@@ -52,6 +52,7 @@ def test_overrides_reach_the_configuration_and_integers_serve_as_floats(context)
     "one line with the sections that it has and the node's name, exit code 78; `quadtree-lss "
     "config check FILE --node /uav1/lss_node` says so before",
 )
+@pytest.mark.quick("lss_node")
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node"])
 def test_a_file_for_other_nodes_alone_ends_a_node(ros, name):
     ros.params.write_text(f"{name}:\n  ros__parameters:\n    lss.margin: 1.0\n")

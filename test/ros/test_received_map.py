@@ -108,6 +108,7 @@ sites.LandingSiteSelector.assess = assess
 """A pass over its third map ends in an error."""
 
 
+@pytest.mark.slow
 @pytest.mark.survives(
     "a landing site pass ends in an error of the program",
     "its result is withheld: no site, the target is withdrawn, ERROR with the reason, the "
