@@ -6,7 +6,7 @@ import io
 
 import numpy as np
 import pytest
-from core.builders import assert_same, configured, look
+from core.builders import configured, look
 from core.scenes import flat, make_pose, pose_covariance, scattered
 from hypothesis import given
 from hypothesis import strategies as st
@@ -98,17 +98,6 @@ def piles(mapper: Mapper) -> np.ndarray:
     """(n, n, 2) what is kept of each finest cell, by row and column."""
     places = morton.SPREAD[: mapper.domain.finest_count]
     return mapper.leaves.piled[places | places[:, None] << 1]
-
-
-def test_what_leaves_is_dropped_and_forgotten():
-    (mapper,) = fly((Mapper(FOLLOWING),), 12)
-    east, north = mapper.domain.steps_to(40.0, 8.0)
-    mapper.leaves.follow(east, north)
-    mapper.leaves.follow(-east, -north)
-    mapper.stamp_ns = 0  # all the rest is of the scans, not of the ground
-    cells, new = mapper.snapshot(), Mapper(FOLLOWING)
-    new.leaves.follow(int(cells.domain.xmin), int(cells.domain.ymin))
-    assert_same(cells, new.snapshot(), but="offset")
 
 
 @pytest.mark.survives(

@@ -134,16 +134,6 @@ def test_a_place_is_within_the_gate_in_the_same_or_a_neighbouring_cell(offset, s
     assert (np.abs(place - POINT) <= (0.125, 0.125, 1e-6)).all()
 
 
-def test_both_earlier_returns_enter_where_their_cells_differ():
-    aside = POINT + (0.25, 0.0, 0.1)
-    assert len(held(POINT, aside).compare(POINT, DOMAIN, 0.4).admitted) == 2
-
-
-def test_returns_of_one_scan_do_not_confirm_each_other():
-    twice = np.concatenate([POINT, POINT, POINT])
-    assert (HeldReturns(DOMAIN).compare(twice, DOMAIN, 0.4).shown == 1).all()
-
-
 @pytest.mark.parametrize(("scans", "shown"), [(1, 2), (2, 3), (3, 3)])
 def test_only_confirmed_places_outlast_many_scans(scans, shown):
     found = held(*[POINT] * scans)

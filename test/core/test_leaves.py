@@ -91,14 +91,6 @@ def test_the_number_of_cells_is_bounded(max_cells):
     assert_tiles(DOMAIN, *places(tree))
 
 
-@settings(max_examples=30)
-@given(st.integers(0, 10_000))
-def test_morton_order_is_that_in_which_finest_cells_meet_them(seed):
-    tree = grown(DOMAIN, seed)
-    _, first = np.unique(tree.leaf_of, return_index=True)
-    np.testing.assert_array_equal(tree.in_order(), np.argsort(first))
-
-
 def known_leaf(domain: Domain) -> LeafTable:
     """One leaf with a steep, well-known plane."""
     tree = LeafTable(domain, 1000)

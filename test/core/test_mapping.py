@@ -205,11 +205,3 @@ def test_a_shifted_world_gives_the_shifted_map(scans, points):
     np.testing.assert_allclose(other.z - 3_000.0, one.z, atol=1e-7)
     np.testing.assert_allclose(other.normal, one.normal, atol=1e-6)
     np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-3, atol=1e-9)
-
-
-def test_a_wrong_pose_or_shape_is_named():
-    mapper, cloud = Mapper(), np.ones((5, 3))
-    with pytest.raises(TypeError, match="Pose.from_matrix"):
-        mapper.update(cloud, np.eye(4))
-    with pytest.raises(ValueError, match=r"\(5, 2\)"):
-        mapper.update(cloud[:, :2], Pose.from_matrix(np.eye(4), stamp_ns=1))

@@ -15,7 +15,7 @@ from quadtree_lss.onboard.core.geometry.polygons import signed_distance
 from quadtree_lss.onboard.core.landing import hazards, score
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
-from quadtree_lss.onboard.core.landing.target import NEARER, Reason
+from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 SMALL = {"size": 16.0, "min_level": 1, "max_level": 5}
@@ -75,20 +75,6 @@ def test_the_papers_rule_keeps_the_zone_off_every_hazardous_cell(cells, margin):
     clear = np.minimum(to_edge(*at), to_bad(*at, cells, config)) > RADIUS + margin
     np.testing.assert_array_equal(found.safe, clear)
     np.testing.assert_array_equal(np.isfinite(found.score), found.safe)
-
-
-@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
-def test_leaves_with_many_exceptions_are_kept_off(level_ground, assessment):
-    """Level ground with exceptions in the leaf from (8, 8) to (16, 16)."""
-    share = np.where((level_ground.x > 8.0) & (level_ground.y > 8.0), 0.1, 0.0)
-    cells = dataclasses.replace(level_ground, exception_fraction=share)
-    for limit, hazardous in ((0.05, True), (0.15, False), (1.0, False)):
-        with mock.patch.object(hazards, "MAX_EXCEPTION_FRACTION", limit):
-            found = assess(cells, small(assessment=assessment, hazard_growth=0.0))
-        x, y = np.meshgrid(found.x, found.y)
-        away = np.hypot(np.maximum(8.0 - x, 0.0), np.maximum(8.0 - y, 0.0)) > RADIUS
-        inside = to_edge(x, y) > RADIUS
-        np.testing.assert_array_equal(found.safe, inside & away if hazardous else inside)
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.7, 1.3])
@@ -270,20 +256,6 @@ def test_the_zone_lies_in_the_landing_area_and_off_the_keep_out(cells):
     # The ground itself is as safe as before.
     np.testing.assert_array_equal(found.safe, free.safe)
     assert len(found.sites.score) > 0
-
-
-def test_near_the_target_is_better(monkeypatch, level_ground):
-    monkeypatch.setitem(NEARER, "score", 20.0)
-    config = small(sites=1)
-    for target in ((4.0, 11.0), (4.0, 11.0, 250.0), (100.0, 8.0)):
-        first = assess(level_ground, config, target=target).sites.position[0]
-        nearest = np.clip(target[:2], 1.0, 15.0)  # first grid point beyond the radius
-        np.testing.assert_allclose(first[:2], nearest, atol=1e-9)
-    plain = assess(level_ground, config)
-    aimed = assess(level_ground, config, target=(4.0, 11.0))
-    x, y = np.meshgrid(plain.x, plain.y)
-    added = 20.0 * np.hypot(x - 4.0, y - 11.0)
-    np.testing.assert_allclose(aimed.score, plain.score + added, rtol=1e-12)
 
 
 def assert_empty_but_explained(found: LandingAssessment) -> None:

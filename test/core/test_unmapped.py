@@ -73,19 +73,6 @@ def test_no_footprint_that_touches_it_is_judged(level_ground, assessment, max_ga
     np.testing.assert_array_equal(np.isnan(found.elevation), found.hazard & both > 0)
 
 
-def test_the_lander_is_not_set_down_on_it_nor_its_height_taken(level_ground):
-    """Whatever the number under it: the answer is the same, bit for bit."""
-    cells = without(level_ground, CELLS)
-    leaf = cells.leaf_raster()[tuple(np.transpose(CELLS))]
-    z = cells.z.copy()
-    z[leaf] += 30.0
-    both = cells, replace(cells, z=z)
-    one, other = (LandingSiteSelector(limits("touchdown")).assess(c) for c in both)
-    np.testing.assert_array_equal(one.safe, other.safe)
-    reachable = one.hazard & hazards.UNSEEN == 0
-    np.testing.assert_array_equal(one.elevation[reachable], other.elevation[reachable])
-
-
 def test_gaps_are_bridged_from_known_ground_alone():
     """Of four columns without a return, those beside ground not yet mapped are not firm."""
     cells = strip(4)

@@ -59,11 +59,6 @@ def test_poses_in_ned_are_told():
     assert "x east, y north, z up" in reason(optical_points(), ned @ ROTATION, ned @ PLACE)
 
 
-def test_a_cloud_in_the_maps_frame_is_told():
-    text = reason(optical_points() @ ROTATION.T + PLACE)
-    assert "this one is in the map's frame already" in text
-
-
 @pytest.mark.parametrize("mistake", ["ned", "no mount"])
 def test_ground_above_the_lidar_is_refused_with_the_likely_reason(mistake):
     """Poses in NED and a forgotten mount, both inside of the domain: the map stays as it was."""

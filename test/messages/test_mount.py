@@ -151,17 +151,6 @@ def test_a_scan_without_a_chain_says_which_frames_were_heard_of():
         assert word in notice.text
 
 
-def test_a_damaged_transform_is_counted_and_the_others_hold():
-    intake = tf_intake()
-    intake.on_pose(pose(0, (0.0, 0.0, 30.0)))
-    intake.on_cloud(scan(0), 0)
-    wrong = ("base_link", "imu", (np.nan, 0.0, 0.0), np.eye(3))
-    intake.on_transforms(chain(wrong, ("base_link", "lidar", (1.0, 0.0, 0.0), np.eye(3))))
-    (ready,) = intake.ready(0)
-    np.testing.assert_allclose(ready.pose.position, [1.0, 0.0, 30.0])
-    assert intake.rejected == {"transform_position": 1}
-
-
 def odometry(stamp_ms, child, position=(0.0, 0.0, 30.0)):
     message = pose(stamp_ms * MS, position)
     message.child_frame_id = child

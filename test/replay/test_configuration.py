@@ -113,12 +113,6 @@ def test_each_mistake_gives_one_clear_line(write, text, words):
         assert word in found
 
 
-def test_exponents_without_a_point_are_numbers_as_in_ros(write):
-    path = write(section("lidar.range_noise: 5e-2", "lidar.max_range: 1e3"))
-    config = load_config([path])
-    assert (config.lidar.range_noise, config.lidar.max_range) == (0.05, 1000.0)
-
-
 @settings(max_examples=40)
 @given(st.data())
 def test_what_is_dumped_loads_again(tmp_path_factory, data):

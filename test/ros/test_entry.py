@@ -87,13 +87,3 @@ def test_who_asks_again_after_a_while_breaks_long_work_off(monkeypatch):
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def test_a_missing_package_of_ros_is_one_line():
-    code = (
-        "import sys; sys.modules['nav_msgs'] = None; sys.argv = ['mapping_node']\n"
-        "from quadtree_lss.onboard.nodes import entry\nsys.exit(entry.mapping_node())"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 1 and done.stderr.count("\n") == 1
-    assert "mapping_node cannot start" in done.stderr and "nav_msgs" in done.stderr
