@@ -180,3 +180,13 @@ def test_what_a_pass_keeps_of_the_map_before_is_what_a_new_one_finds():
             np.testing.assert_array_equal(getattr(followed, name), getattr(anew, name))
         np.testing.assert_array_equal(followed.sites.position, anew.sites.position)
         assert ((anew.hazard & 8) > 0).any()
+
+
+def test_ground_found_safe_before_a_move_was_found_safe():
+    """The first target is one that the assessment before found safe, too: on the same ground."""
+    config = config_from_values({"vehicle.diameter": 2.0}, FOLLOWING)
+    mapper, selector = Mapper(config), LandingSiteSelector(config)
+    fly((mapper,), 12, along=(0.0, 0.0))
+    assert selector.assess(round_trip(mapper.snapshot())).selected.reason is Reason.UNCONFIRMED
+    mapper.leaves.follow(3, -2)
+    assert selector.assess(round_trip(mapper.snapshot())).selected.reason is Reason.FIRST

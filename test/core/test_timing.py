@@ -125,6 +125,21 @@ def test_scans_that_no_pose_can_help_do_not_hold_up_the_others():
     assert reasons == set(queue.dropped) == {"before_poses", "pose_gap", "duplicate"}
 
 
+@pytest.mark.parametrize("poses_first", [True, False])
+def test_a_bag_that_begins_again_is_mapped_again(poses_first):
+    """Poses of the new time that came before its first scan stay; those of the old time go."""
+    buffer = buffer_of(10_000, 10_100)
+    queue = queue_of(buffer)
+    queue.push_scan(10_050 * MS, "old", 0)
+    assert [scan for _, scan, _ in queue.pop_ready()] == ["old"]
+    again = [lambda: [buffer.add(plain_pose(stamp * MS)) for stamp in (0, 100)]]
+    again.insert(poses_first, lambda: queue.push_scan(50 * MS, "new", 0))
+    for step in again:
+        step()
+    assert [scan for _, scan, _ in queue.pop_ready()] == ["new"]
+    assert buffer.range_ns == (0, 100 * MS)
+
+
 @settings(max_examples=80)
 @given(data=st.data(), latency=st.integers(0, 250), period=st.integers(20, 90))
 def test_when_it_is_asked_for_does_not_change_what_comes_out(data, latency, period):
