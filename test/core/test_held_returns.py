@@ -60,6 +60,18 @@ def test_a_bush_enters_once_a_third_scan_shows_it():
     assert fourth.dropped["isolated"] == 0 and fourth.admitted == 0
 
 
+@pytest.mark.parametrize(("east", "north"), [(1, 0), (0, 1), (-1, 1)])
+def test_a_bush_enters_also_when_the_domain_moved_since(east, north):
+    found, step = mapper(follow="vehicle", min_level=3), PIXELS // 4
+    found.update(*scan(bush(0), 0))
+    for number, admitted in ((1, 0), (2, 4)):
+        shifted = np.roll(bush(number), (-north * step, -east * step), (0, 1))
+        points, pose = scan(shifted, number)
+        pose.position[:2] += 0.25 * SIDE * np.array([east, north])
+        assert found.update(points, pose).admitted == admitted
+    assert (found.domain.xmin, found.domain.ymin) == (0.25 * SIDE * east, 0.25 * SIDE * north)
+
+
 def test_random_strays_stay_out():
     found, strays, entered = mapper(), 0, 0
     for number in range(20):

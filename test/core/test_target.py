@@ -124,25 +124,31 @@ def test_risky_ground_within_half_of_the_margin_withdraws_the_target(steps, reas
     assert given_.transition(State.HOLDS, NOTHING, (10.0, 0.0))[2] is reason
 
 
+@pytest.mark.parametrize(
+    ("state", "committed"), [(State.HOLDS, LSS.commit_height), (State.NOW, 0.0)]
+)
 @settings(max_examples=200)
 @given(
     st.lists(st.floats(0.0, 0.099), min_size=4, max_size=4),
-    st.floats(LSS.commit_height, 300.0),
+    st.floats(0.5, 300.0),
     st.floats(0.5, 40.0),
+    st.floats(1.0, 4.0),
 )
-def test_a_divert_needs_more_gain_than_it_costs(unsafe, height, speed):
-    """Against the formula at each grid point."""
+def test_a_divert_needs_more_gain_than_it_costs(state, committed, unsafe, left, speed, riskier):
+    """Against the formula at each grid point. After "land now" the vehicle diverts also when it is
+    low, from ground that is too risky for a site."""
     share, least = GAIN["probability"]
-    given_ = situation(unsafe, descent=Descent(height, speed))
-    left = height - LSS.commit_height
+    unsafe = np.array(unsafe) * (riskier if state is State.NOW else 1.0)
+    descent = Descent(committed + left, speed)
+    given_ = situation(unsafe, descent=descent, now=candidates(unsafe))
     reach = min(left, 0.25 * (left / speed) ** 2)
     away = np.abs(AXIS - AXIS[1])
     with np.errstate(divide="ignore", invalid="ignore"):
         cost = np.where(away < reach, least / (1.0 - away / reach), np.inf)
-    worth = share * (unsafe[1] - np.array(unsafe)) - cost
-    if given_.is_low:
+    worth = share * (unsafe[1] - unsafe) - cost
+    if given_.is_low and unsafe[1] <= 1.0 - LSS.min_probability:
         worth[:] = -1.0
-    _, place, reason = given_.transition(State.HOLDS, NOTHING, (10.0, 0.0))
+    _, place, reason = given_.transition(state, NOTHING, (10.0, 0.0))
     assert (reason is Reason.BETTER) == (worth.max() > 0.0)
     assert place == (0, int(np.argmax(worth)) if worth.max() > 0.0 else 1)
 

@@ -127,6 +127,7 @@ def broken_field(**changes):
         (broken(width=2**32 - 1, height=2**32 - 1), "too_large"),
         (broken(width=2**16, height=2**16), "too_large"),
         (broken(data=b""), "size"),
+        (broken(data=[]), "size"),
         (broken(data=b"abc"), "size"),
         (broken(data=None), "size"),
         (broken(data=[0, 300] * 72), "size"),

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.messages.clouds import points_from_cloud
+from quadtree_lss.onboard.messages.clouds import MessageError, points_from_cloud
 from quadtree_lss.onboard.messages.intake import Intake
 from quadtree_lss.onboard.messages.times import offsets_from_cloud
 
@@ -75,6 +75,13 @@ def test_a_unit_is_told_by_the_length_of_a_scan(how, period):
     early = 0.01 if how.startswith("below") else 0.0
     np.testing.assert_allclose(offsets, (OFFSETS - early) * 1e9, atol=1500)
     assert bool(note) == bool(noted) and noted in note and (not note or name in note)
+
+
+@pytest.mark.parametrize("name", ["stamp_of_point", "firing_time"])
+def test_a_field_of_times_by_another_name_is_told(name):
+    msg = cloud(np.ones((64, 3)), times=(name, "f4", OFFSETS))
+    with pytest.raises(MessageError, match=f"'{name}' may hold times and is not known"):
+        offsets_from_cloud(msg, STAMP, points_from_cloud(msg))
 
 
 @pytest.mark.parametrize("how", UNREASONABLE)

@@ -21,7 +21,7 @@ from quadtree_lss.lab.live.processes import ProcessError
 SHORT = {"slant_range": 260.0, "speed": 26.0, "half": 8.0, "scatter": 3.0, "plan": {"survey": 3.0}}
 SEED = 40049
 DOMAIN = 100  # none that is taken at random
-pytestmark = pytest.mark.xdist_group("ros_flight")  # one flight for all
+pytestmark = [pytest.mark.xdist_group("ros_flight"), pytest.mark.slow]  # one flight for all
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,6 @@ def test_its_page_shows_the_sites_and_targets_that_the_nodes_published(live, tmp
     np.testing.assert_allclose(last, heard[-1][:2], atol=1e-4)
 
 
-@pytest.mark.slow
 def test_with_the_same_answers_at_the_same_time_it_is_the_same_flight(live):
     """To the bit: nothing else came from the transport."""
     again, answers = Flight(SEED, flight_settings(SHORT)), list(live.heard)
@@ -62,7 +61,6 @@ def test_with_the_same_answers_at_the_same_time_it_is_the_same_flight(live):
     assert again.pilot.decisions == live.flight.pilot.decisions
 
 
-@pytest.mark.slow
 def test_nodes_that_are_killed_from_outside_and_strangers(tmp_path):
     """Nodes are started again, the outcome is there, and it says that others spoke."""
     settings, killed, kept = flight_settings(SHORT), set(), []
