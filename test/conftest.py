@@ -45,6 +45,11 @@ for _number, _usual in (
         signal.signal(_number, _usual)
 
 
+def pytest_make_parametrize_id(val):
+    """Name parameters that are long texts by their beginning."""
+    return ascii(val[:40]) if isinstance(val, str | bytes) and len(val) > 100 else None
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     """Mark parameters that are not `quick` as slow, and put the largest groups first: most of their

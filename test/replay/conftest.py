@@ -11,7 +11,6 @@ QUICK = (
     "test_each_fault_is_found_with_its_fix[clouds FLU, poses optical]",
     "test_each_fault_is_found_with_its_fix[clouds in mm]",
     "test_each_fault_is_found_with_its_fix[clouds of a clock 37 s ahead]",
-    "test_each_fault_is_found_with_its_fix[poses in another frame]",
     "test_nothing_is_wrong_with_a_good_flight[poses of the lidar]",
 )
 

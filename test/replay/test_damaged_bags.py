@@ -168,7 +168,7 @@ def test_messages_that_cannot_be_decoded_are_losses(tmp_path):
     assert inspect_bag(path, CONFIG).losses == [line]
 
 
-@pytest.mark.quick("1-10-mcap, chunks", "1-10-sqlite3", "1-10-ros1")
+@pytest.mark.quick("1-10-mcap, chunks", "1-10-ros1")
 @pytest.mark.parametrize("storage", STORAGES)
 @pytest.mark.parametrize(("seed", "number"), [(1, 10), (2, 150)])
 def test_damaged_bags_of_every_storage(storage, tmp_path, seed, number):

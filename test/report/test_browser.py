@@ -249,6 +249,7 @@ def test_it_can_be_used_by_all(text, in_browser):
     assert accessible(in_browser, text)
 
 
+@pytest.mark.slow
 def test_print_fits_two_pages(text, in_browser):
     assert 1 <= sheets(in_browser, text) <= 2
 
