@@ -3,10 +3,9 @@
 
 ``ARDUCOPTER`` names the binary; without it nothing is flown. A pilot takes off, hovers and switches
 to guided; autopilot_node lands. Scans are cast from the simulator's true place over rocky ground,
-by the drone preset, and the touchdown is judged by that ground. The simulator's own ground is the
-plane of the field's median height. Between it and autopilot_node a bridge loses, delays or cuts
-what a fault asks for. All goes by the simulator's time, on /clock: a computer too slow for it only
-makes the flight last longer.
+with the drone preset, and the touchdown is judged by that ground. (The simulator's own ground is
+the plane of the field's median height.) A bridge between the simulator and autopilot_node loses,
+delays or cuts messages as a fault requires. All nodes use the simulator's time, on /clock.
 """
 
 from __future__ import annotations
@@ -77,21 +76,20 @@ class Copter:
     Attributes:
         port: At which autopilot_node is to listen.
         mode, armed: As of the last heartbeat.
-        cut, lost, delay: What the bridge does: nothing passes; no poses; poses by so much later, s.
-        texts: What it said.
+        cut, lost, delay: State of the bridge: nothing passes; no poses; delay of poses, s.
         now: The simulator's time, s.
-        behind: The computer was too busy to hear its places as they came: the last is not of now.
+        behind: The computer is too slow: the last true place is not of ``now``.
     """
 
+    #: The mode in which it follows set-points.
     FOLLOWS = GUIDED
-    """The mode in which it follows set-points."""
 
     def __init__(
         self, binary: str, folder: Path, heading: float, tell: Callable[[float], None]
     ) -> None:
         self.port = _free_port()
         self._node = dialect().mavlink_connection(f"udpout:127.0.0.1:{self.port}")
-        self._system, self.mode, self.armed, self.texts = 1, -1, False, []
+        self._system, self.mode, self.armed = 1, -1, False
         self._values: dict[str, float] = {}
         self.cut, self.lost, self.delay = False, False, 0.0
         self.behind = False
@@ -152,7 +150,7 @@ class Copter:
             port.close()
 
     def truth(self) -> tuple[float, np.ndarray, np.ndarray]:
-        """When it was there, s; place (3,) east, north, up of home, m; FRD axes to these."""
+        """Time, s; place (3,) east, north, up of home, m; rotation from FRD axes to these."""
         at, (longitude, latitude, height, *turn) = self._place
         north = RADIUS_M * (latitude - math.radians(HOME[0]))
         east = RADIUS_M * (longitude - math.radians(HOME[1])) * math.cos(math.radians(HOME[0]))
@@ -161,11 +159,7 @@ class Copter:
         return at, np.array([east, north, height - HOME[2]]), swap @ ned
 
     def set(self, name: str, value: float) -> None:
-        """A parameter; it is asked for until the autopilot says that it has it.
-
-        Raises:
-            TimeoutError: it never does.
-        """
+        """Set a parameter until the autopilot confirms it. Raises `TimeoutError`: it never does."""
         for _ in range(300):
             self._ground.mav.param_set_send(self._system, 1, name.encode(), value, 9)
             time.sleep(0.1)
@@ -174,49 +168,49 @@ class Copter:
         raise TimeoutError(name)
 
     def command(self, number: int, *values: float) -> None:
-        """A command of the pilot's."""
+        """Send a command of the pilot."""
         values = *values, *[0.0] * (7 - len(values))
         self._ground.mav.command_long_send(self._system, 1, number, 0, *values)
 
     def start(self) -> None:
-        """The pilot arms."""
+        """Arm."""
         self.take_back()
         self.command(ARM_DISARM, 1.0)
 
     def climb(self) -> None:
-        """He takes off; not too late after `start`, else it disarms."""
+        """Take off, soon after `start`, because it disarms otherwise."""
         self._sticks[2] = 1900
 
     def stay(self) -> None:
-        """He hovers."""
+        """Hover."""
         self._sticks[2] = 1500
 
     def hand_over(self) -> None:
-        """He switches to the mode that follows set-points."""
+        """Switch to the mode that follows set-points."""
         self._switch(self.FOLLOWS)
 
     def take_back(self) -> None:
-        """He flies."""
+        """Switch to the pilot's mode."""
         self._switch(LOITER)
 
     def pace(self, seconds: float) -> None:
-        """So many of the simulator for one."""
+        """Simulate so many seconds in one."""
         self.set("SIM_SPEEDUP", seconds)
 
     def wind(self, heading: float) -> None:
-        """Of 8 m/s."""
+        """Blow with 8 m/s."""
         self.set("SIM_WIND_DIR", heading)
         self.set("SIM_WIND_SPD", 8.0)
 
     def glitch(self, off: bool) -> None:
-        """Whether GPS is 11 m off."""
+        """Move GPS by 11 m, or back."""
         self.set("SIM_GPS1_GLTCH_X", 1e-4 * off)
 
     def _switch(self, mode: int) -> None:
         self.command(DO_SET_MODE, CUSTOM_MODE, mode)
 
     def _look(self) -> None:
-        """Hears where it is truly, and what time it is."""
+        """Receive the true place and the time."""
         packet, before = b"", self._steps
         try:
             while True:
@@ -232,18 +226,14 @@ class Copter:
             self._place = (self.now, (*values[:3], *values[4:]))
 
     def _hear(self, message: Any) -> None:
-        """What a ground station hears."""
+        """Take a message to the ground station."""
         if message.get_type() == "HEARTBEAT" and message.get_srcComponent() == 1:
             self.mode, self.armed = message.custom_mode, bool(message.base_mode & ARMED)
         elif message.get_type() == "PARAM_VALUE":
             self._values[message.param_id] = message.param_value
-        elif message.get_type() == "STATUSTEXT" and message.chunk_seq and self.texts:
-            self.texts[-1] += message.text
-        elif message.get_type() == "STATUSTEXT":
-            self.texts.append(message.text)
 
     def _steer(self) -> None:
-        """The pilot's sticks, twenty times a second."""
+        """Send the pilot's sticks, twenty times a second."""
         self._radio.send(struct.pack("<16H", *self._sticks, *[1500] * 12))
 
     def _pump(self) -> None:
@@ -287,13 +277,14 @@ def _send(port: Any, data: bytes) -> None:
 
 
 def bound(port: int) -> socket.socket:
-    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    """A UDP socket at a local port. Raises `OSError`: the port is in use."""
+    found = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
-        bound.bind(("127.0.0.1", port))
+        found.bind(("127.0.0.1", port))
     except OSError:
-        bound.close()
+        found.close()
         raise
-    return bound
+    return found
 
 
 def _free_port() -> int:
@@ -303,18 +294,17 @@ def _free_port() -> int:
 
 @dataclass
 class Landing:
-    """A flight's outcome.
+    """Outcome of a flight.
 
     Attributes:
-        outcome: landed, hovered, given to the pilot, flew away, no target (over none that is
-            probable enough he never handed over), no start, or broken off.
+        outcome: landed, hovered, given to the pilot, flew away, no target (so that the pilot never
+            handed over), no start, or broken off.
         ground: Of a landing: safe, unsafe or withdrawn.
-        miss: Truly, from the last target, m.
-        place: Of a landing: east and north, m; at which slope, deg, and rise, m, it stands.
-        height: Over the target, at which the fault began, m; NaN if it never came.
-        seconds: Of the landing, by the simulator.
-        pace: Of these for one of real time: less than 1 on a computer too slow.
-        states: Of autopilot_node, in order.
+        miss: True distance from the last target, m.
+        place: Of a landing: east and north, m; slope, deg, and rise, m, of the contact.
+        height: Height over the target at which the fault began, m; NaN if it never came.
+        seconds: Duration of the landing in simulated time; ``pace``: of these in one real second.
+        states: States of autopilot_node, in order.
     """
 
     seed: int
@@ -353,7 +343,6 @@ class Flight:
         self._kind = kind
         self._draw = np.random.default_rng(seed)
         made = Conditions().ground("drone", self._draw)
-        assert made is not None
         self.terrain = Terrain(made.x, made.y, made.elevation - np.median(made.elevation))
         self._lidar = FlashLidar(60.0, pixels=120, range_noise=0.02)
         self._height = float(self._draw.uniform(1.0, 7.0))  # at which the fault begins
@@ -364,7 +353,7 @@ class Flight:
         self._target = np.full(3, np.nan)
 
     def fly(self) -> Landing:
-        """From the ground to the ground, or to whoever has it then."""
+        """Fly from the take-off to the end of the landing."""
         with ExitStack() as stack:
             local = stack.enter_context(local_domain(self._folder))
             topics = {
@@ -401,7 +390,6 @@ class Flight:
                 self._land()
             elif not self.landing.outcome:
                 self.landing.outcome = "no start"
-            (self._folder / "texts.txt").write_text("\n".join(self.copter.texts), "utf-8")
         return self.landing
 
     def _start(self, name: str) -> NodeProcess:
@@ -437,12 +425,12 @@ class Flight:
 
     @property
     def state(self) -> str:
-        """What autopilot_node says last."""
+        """The last state of autopilot_node."""
         said = self._heard.newest.get("landing/autopilot")
         return "" if said is None else {item.key: item.value for item in said.values}["state"]
 
     def _take_off(self) -> bool:
-        """By the pilot's sticks in loiter, to a hover; then guided."""
+        """Take off by the pilot's sticks in loiter, hover, and hand over; False if that failed."""
         copter, asked, end = self.copter, 0.0, time.monotonic() + LONGEST_START_S
         while copter.now < START_S and time.monotonic() < end:
             place, speed = self._tick()
@@ -470,7 +458,7 @@ class Flight:
         return False
 
     def _land(self) -> None:
-        """Until it is on the ground, or has been standing still with nobody at work."""
+        """Let autopilot_node land, until the vehicle is on the ground or stays where it is."""
         copter, landing, begun = self.copter, self.landing, self.copter.now
         home, still, failed = copter.truth()[1], begun, False
         farthest, wall = 0.0, time.monotonic()
@@ -507,11 +495,11 @@ class Flight:
                 return
 
     def killed(self, name: str) -> bool:
-        """Whether a node is no more."""
+        """Whether a node has ended."""
         return self.nodes[name].process.poll() is not None
 
     def _fail(self, now: float) -> None:
-        """The fault begins; what ends it is kept for its time."""
+        """Begin the fault; `_ends` gets the time and the action that end it."""
         copter, fault, bridge = self.copter, self.landing.fault, self.copter.__setattr__
         name, _, how = fault.partition(" ")
         if name in NODES:
@@ -540,7 +528,7 @@ class Flight:
             copter.take_back()
 
     def _judge(self, place: np.ndarray) -> None:
-        """By the true ground, and by what was forbidden."""
+        """Judge a touchdown by the true ground and the keep-out."""
         terrain, landing = self.terrain, self.landing
         gear = SCENARIOS["drone"].lander
         spot = place[None, :2]
@@ -566,13 +554,11 @@ FAULTS = (
 )
 
 
-def fly(case: tuple[str, int, str, Path | None, float, type[Copter]]) -> Landing:
-    """One flight, in a folder that is gone afterwards unless one is given."""
-    binary, seed, fault, keep, pace, kind = case
+def fly(case: tuple[str, int, str, float, type[Copter]]) -> Landing:
+    """Fly one case."""
+    binary, seed, fault, pace, kind = case
     with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch) if keep is None else keep / f"{seed}"
-        folder.mkdir(parents=True, exist_ok=True)
-        flight = Flight(binary, seed, fault, folder, pace, kind)
+        flight = Flight(binary, seed, fault, Path(scratch), pace, kind)
         try:
             return flight.fly()
         except (ProcessError, TimeoutError) as error:  # the other flights go on
@@ -580,14 +566,22 @@ def fly(case: tuple[str, int, str, Path | None, float, type[Copter]]) -> Landing
             return flight.landing
 
 
-def _recorded(file: Path | None, cases: set[tuple[int, str]]) -> list[Landing]:
-    """The flights of these seeds and faults that a file holds."""
-    if file is None or not file.exists():
-        return []
-    lines = file.read_text("utf-8").splitlines()
+HEADER = ["fault", "flights", "it never came", "no target", "landed safe", "hovered"]
+HEADER += ["given to the pilot", "unsafe or withdrawn", "flew away", "no start or broken off"]
+HEADER += ["farthest from the target, m"]
+
+
+def row(fault: str, some: list[Landing]) -> list[object]:
+    """Numbers of flights with one fault, as `HEADER` names them."""
+    ends, grounds = (Counter(getattr(one, of) for one in some) for of in ("outcome", "ground"))
+    misses = [one.miss for one in some if one.outcome == "landed"]
+    failed, no_fault = ("no start", "broken off"), sum(math.isnan(one.height) for one in some)
     return [
-        one for one in (Landing(**json.loads(x)) for x in lines) if (one.seed, one.fault) in cases
-    ]
+        fault or "none", len(some), no_fault if fault else 0, ends["no target"], grounds["safe"],
+        ends["hovered"], ends["given to the pilot"], grounds["unsafe"] + grounds["withdrawn"],
+        ends["flew away"] + ends["flew on"], sum(one.outcome.startswith(failed) for one in some),
+        f"{max(misses):.2f}" if misses else "-",
+    ]  # fmt: skip
 
 
 def main(
@@ -596,7 +590,7 @@ def main(
     variable: str = "ARDUCOPTER",
     known: Sequence[str] = FAULTS,
 ) -> int:
-    """Flies, prints a line for each flight, and the table; 1 if one ended as none may."""
+    """Fly, print a line for each flight and the table; return 1 if a flight ended badly."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--landings", type=int, default=200, help="without a fault")
     parser.add_argument("--faults", type=int, default=60, help="landings with one")
@@ -604,7 +598,6 @@ def main(
     parser.add_argument("--jobs", type=int, default=1, help="flights at once")
     text = "seconds of the simulator for one: less than 1 where nodes cannot keep up"
     parser.add_argument("--pace", type=float, default=1.0, help=text)
-    parser.add_argument("--keep", type=Path, help="folder for what the processes say")
     text = "file of flights, a line each: those that are in it are not flown again"
     parser.add_argument("--records", type=Path, help=text)
     given = parser.parse_args(args)
@@ -614,9 +607,13 @@ def main(
         return 0
     faults = [known[k % len(known)] for k in range(given.faults)]
     names = [*[""] * given.landings, *faults]
-    how = given.keep, given.pace, kind
-    cases = [(binary, given.seed + k, name, *how) for k, name in enumerate(names)]
-    found = _recorded(given.records, {(seed, name) for _, seed, name, *_ in cases})
+    cases = [(binary, given.seed + k, f, given.pace, kind) for k, f in enumerate(names)]
+    found: list[Landing] = []
+    if given.records and given.records.exists():
+        known_cases = {(seed, name) for _, seed, name, *_ in cases}
+        lines = given.records.read_text("utf-8").splitlines()
+        found = [Landing(**json.loads(line)) for line in lines]
+        found = [one for one in found if (one.seed, one.fault) in known_cases]
     flown = {one.seed for one in found}
     with ProcessPoolExecutor(given.jobs) as pool:
         try:
@@ -628,27 +625,10 @@ def main(
                         file.write(json.dumps(asdict(landing)) + "\n")
         except KeyboardInterrupt:
             pool.shutdown(cancel_futures=True)
-    rows = []
-    for name in ("", *FAULTS):
-        some = [one for one in found if one.fault == name]
-        if some:
-            ends = Counter(one.outcome for one in some)
-            grounds = Counter(one.ground for one in some)
-            misses = [one.miss for one in some if one.outcome == "landed"]
-            rows.append([
-                name or "none", len(some), sum(math.isnan(one.height) for one in some if name),
-                ends["no target"], grounds["safe"], ends["hovered"],
-                ends["given to the pilot"], grounds["unsafe"] + grounds["withdrawn"],
-                ends["flew away"] + ends["flew on"],
-                sum(one.outcome.startswith(("no start", "broken off")) for one in some),
-                f"{max(misses):.2f}" if misses else "-",
-            ])  # fmt: skip
-    header = [
-        "fault", "flights", "it never came", "no target", "landed safe", "hovered",
-        "given to the pilot", "unsafe or withdrawn", "flew away", "no start or broken off",
-        "farthest from the target, m",
-    ]  # fmt: skip
-    table(f"{len(found)} flights, seeds from {given.seed}", header, rows)
+    rows = [
+        row(name, some) for name in ("", *FAULTS) if (some := [o for o in found if o.fault == name])
+    ]
+    table(f"{len(found)} flights, seeds from {given.seed}", HEADER, rows)
     print(machine())
     bad = [one for one in found if one.outcome in ("flew away", "flew on")]
     return int(bool(bad) or any(one.ground in ("unsafe", "withdrawn") for one in found))

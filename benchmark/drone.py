@@ -25,7 +25,6 @@ from quadtree_lss.lab.simulation.hazard_field import FIELDS
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.risk import risk_model
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.config.yaml_text import parse_yaml
 
 GROUNDS = (*FIELDS, "mixed", "bare")
 LIMITS = (0.002, 0.004, 0.006, 0.008, 0.012, 0.02, 0.05)
@@ -39,10 +38,8 @@ def main() -> None:
     """Print a row for each ground, and for each `max_risk`."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", default="94000-94026", help="dealt to the grounds in turn")
-    parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE")
     options = parser.parse_args()
-    changes = (one.split("=", 1) for one in options.set)
-    config = configuration("drone", **{k.replace(".", "__"): parse_yaml(v) for k, v in changes})
+    config = configuration("drone")
     print(machine())
     flights: list[tuple[str, Array]] = []
     for number, seed in enumerate(parse_seeds(options.seeds)):

@@ -19,17 +19,14 @@ from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.cell_map import peak
 
+#: Height (m) at places x, y (m).
 Ground = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Height (m) at places x, y (m)."""
-
+#: Side of a cell, m; cells along a side of the field, each with one hemisphere.
 SIDE, CELLS = 2.0, 16
-"""Of a cell, m, and cells along a side of the field, one hemisphere in each."""
-
+#: Least distance of a hemisphere from the edge of its cell, m.
 ROOM = 0.05
-"""Least distance of a hemisphere from the edge of its cell, m."""
-
+#: Classes of radii, m; the last one has all.
 CLASSES = ((0.15, 0.2), (0.2, 0.3), (0.3, 0.4), (0.15, 0.4))
-"""Radii, m; the last: all."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +140,6 @@ def show_found(fields: list[Hemispheres], state: np.ndarray) -> None:
         + ["centre cm", "95 %", "in 10 cm"],
         rows,
     )
-    print("height off: median of (estimate / radius - 1); 'in': share of those found")
 
 
 def percent(share: np.ndarray) -> str:

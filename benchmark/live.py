@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 import numpy as np
 import psutil
 import rclpy
-from common import configuration, machine, table
+from common import machine, table
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped
 from numpy.typing import NDArray
@@ -43,9 +43,7 @@ from quadtree_lss.desk.replay.configuration import find_config
 from quadtree_lss.lab.live.processes import NodeProcess, local_domain
 from quadtree_lss.lab.simulation.recording import SCAN_TOPIC, Messages
 from quadtree_lss.lab.simulation.simulation import Simulation
-from quadtree_lss.onboard.core.geometry.rotations import quaternion_from_rotation
 from quadtree_lss.onboard.messages.clouds import stamp_ns
-from quadtree_lss.onboard.messages.intake import Intake
 from quadtree_lss.onboard.nodes.qos import latched, stream
 from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed
 
@@ -87,14 +85,13 @@ class Usage:
     _before: float = 0.0
 
     def sample(self) -> None:
-        """Look at the process now."""
         spent = self.process.cpu_times()
         self.seconds.append(time.monotonic())
         self.cpu.append(self._before + spent.user + spent.system)
         self.memory_mb.append(self.process.memory_info().rss / 2**20)
 
     def follow(self, process: psutil.Process) -> None:
-        """The process was replaced by another; its processor time goes on from zero."""
+        """Go on with another process, whose processor time begins at zero."""
         self.process = process
         self._before = self.cpu[-1] if self.cpu else 0.0
 
@@ -116,40 +113,25 @@ class Flight:
 
 
 def write_script(seed: int) -> Script:
-    """Simulate a flight and prepare its messages, poses interpolated to 100 Hz."""
-    scans: list[tuple[int, bytearray]] = []
-    intake = Intake(configuration("morpheus"))
+    """Simulate a flight and serialise its messages."""
     simulation = Simulation("morpheus", seed)
-    make = simulation.make = Messages(TYPES, packed)
-    for topic, _, message in simulation.messages():
-        if topic == SCAN_TOPIC:
-            scans.append((stamp_ns(message.header), bytearray(serialize_message(message))))
-        else:
-            intake.on_pose(message)
-    step = scans[1][0] - scans[0][0]
-    start = scans[0][0] - POSE_NS // 2
-    items = [(stamp - start, True, raw) for stamp, raw in scans]
-    period = len(scans) * step
-    for offset in range(0, period - step + 2 * POSE_NS, POSE_NS):
-        items.append((offset, False, _pose(make, intake, start + offset)))
-    items.sort(key=lambda item: item[0])
+    simulation.make = Messages(TYPES, packed)
+    messages = [(topic == SCAN_TOPIC, message) for topic, _, message in simulation.messages()]
+    scans = [stamp_ns(message.header) for is_scan, message in messages if is_scan]
+    start, period = scans[0] - POSE_NS // 2, len(scans) * (scans[1] - scans[0])
+    items = sorted(
+        (stamp_ns(message.header) - start, is_scan, bytearray(serialize_message(message)))
+        for is_scan, message in messages
+    )
+    items = [item for item in items if 0 <= item[0] < period]
     offsets, kinds, contents = (list(column) for column in zip(*items, strict=True))
     return Script(offsets, kinds, contents, period)
-
-
-def _pose(make: Messages, intake: Intake, at_ns: int) -> bytearray:
-    pose = intake.queue.poses.at(at_ns)
-    if pose is None:
-        msg = "the flight's poses end before its scans"
-        raise ValueError(msg)
-    turn = quaternion_from_rotation(pose.rotation_map_lidar)
-    return bytearray(serialize_message(make.pose(at_ns, pose.position, turn, pose.covariance)))
 
 
 def observe(
     domain: int, ready: Event, stop: Event, out: Any, topics: Mapping[str, type[Any]]
 ) -> None:
-    """Process that notes when messages come; puts an `Observed` into ``out`` at the end."""
+    """Record when messages arrive, in a process; put an `Observed` into ``out`` at the end."""
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     node = Node("observer", context=context)
@@ -291,7 +273,7 @@ def play(
 
 
 def latencies_ms(sent: Stamps, received: Sequence[tuple[int, int]]) -> tuple[Any, Any]:
-    """Of messages, from their stamp; and of scans, from theirs to the first message not older."""
+    """Latencies of messages from their stamps, and of scans to the first message that has them."""
     stamps = np.array([stamp for stamp, _ in received], dtype=np.int64)
     times = np.array([at for _, at in received], dtype=np.int64)
     of_messages = (times - stamps)[np.isin(stamps, sent)] / 1e6
@@ -301,7 +283,7 @@ def latencies_ms(sent: Stamps, received: Sequence[tuple[int, int]]) -> tuple[Any
 
 
 def report(flight: Flight, alone: Flight | None) -> None:
-    """Prints everything about a flight, and what the nodes take where only they take the map."""
+    """Print a flight's figures, and the processor time when only the nodes receive the map."""
     rows = []
     for topic, must, aim in ((CELLS, 150, 50), (SITES, 400, 150), (SELECTED, 400, 150)):
         messages, scans = latencies_ms(flight.sent, flight.observed.received[topic])
@@ -326,13 +308,6 @@ def report(flight: Flight, alone: Flight | None) -> None:
         ["", "guidance listens", "and to the map, too", "MB early", "MB last", "MB most"],
         rows,
     )
-    for name, values in flight.observed.diagnostics.items():
-        shown = {
-            key: value
-            for key, value in values.items()
-            if key.startswith(("problems.", "scans", "assessments", "map.leaves")) or "_ms" in key
-        }
-        print(f"\n{name}: " + ", ".join(f"{key} {value}" for key, value in shown.items()))
     mapped = int(flight.observed.diagnostics.get("mapping_node", {}).get("scans", 0))
     lost = f"{mapped} mapped, {len(flight.sent) - mapped} lost"
     if flight.recovery_s:
@@ -356,39 +331,16 @@ def _spread(values: Any) -> list[str]:
     return [f"{v:.1f}" for v in (np.median(values), np.percentile(values, 95), values.max())]
 
 
-def by_the_minute(flight: Flight) -> None:
-    """Prints latency, scans, processor time and memory, a row a minute."""
-    start, minute_ns, rows = int(flight.sent[0]), 60 * SECOND_NS, []
-    for minute in range(int((flight.sent[-1] - start) / minute_ns) + 1):
-        sent = flight.sent[(flight.sent - start) // minute_ns == minute]
-        row = [f"{minute + 1}", f"{len(sent)}"]
-        for topic in (CELLS, SITES):
-            of_messages, _ = latencies_ms(sent, flight.observed.received[topic])
-            row += [f"{np.percentile(of_messages, 95):.0f}" if len(of_messages) else "-"]
-        for each in flight.usage.values():
-            inside = np.flatnonzero((np.array(each.seconds) - each.seconds[0]) // 60.0 == minute)
-            row += ["-", "-"]
-            if len(inside) > 1:
-                part = f"{each.share(inside[0], inside[-1]):.0f}"
-                row[-2:] = part, f"{each.memory_mb[inside[-1]]:.0f}"
-        rows.append(row)
-    head = ["minute", "scans", "cells p95 ms", "sites p95 ms"]
-    table("By the minute", head + [of for name in flight.usage for of in (f"{name} %", "MB")], rows)
-
-
 def main() -> None:
     """Fly and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0, help="of flight")
     parser.add_argument("--seed", type=int, default=101)
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="parameter of the nodes"
-    )
     text = "kill a node every S seconds and start it again, with checkpoints"
     parser.add_argument("--kill", type=float, default=0.0, metavar="S", help=text)
     options = parser.parse_args()
     print(machine())
-    extra = [word for item in options.set for word in ("-p", item.replace("=", ":=", 1))]
+    extra: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
         if options.kill:
             extra += ["-p", f"checkpoint.path:={folder}/checkpoint.map"]
@@ -396,8 +348,6 @@ def main() -> None:
         flight = fly(script, options.seconds, Path(folder), **how)
         how["topics"] = GUIDANCE
         alone = None if options.kill else fly(script, options.seconds, Path(folder), **how)
-    if options.kill:
-        by_the_minute(flight)
     report(flight, alone)
 
 

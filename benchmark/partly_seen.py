@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,8 +22,7 @@ from quadtree_lss.lab.simulation.safety import LandingGear, worst_contact
 from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.landing import hazards
-from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
@@ -43,73 +41,62 @@ def main() -> None:
     options = parser.parse_args()
     print(machine())
     for name in options.case:
-        began = time.process_time()
         CASES[name](options.seeds, options.quick)
-        print(f"({name}: {time.process_time() - began:.0f} s)", flush=True)
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What landing says of a map, against the truth.
+    """Grid points of a map that are called safe; (K, 2) places of those that are not; the least
+    predicted risk of these, infinite for none."""
 
-    Attributes:
-        found: The assessment.
-        safe: Grid points called safe.
-        wrong: (K, 2) places of those that are not.
-        rise: By how much the ground rises above the lander's pads at the worst of them, m.
-        risk: Least risk told for these, NaN for none.
-        aim: Greatest probability told for these, NaN for none.
-    """
-
-    found: LandingAssessment
     safe: int
     wrong: Array
-    rise: float
     risk: float
-    aim: float
+
+
+HEADER = ["maps", "safe", "unsafe", "%", "least risk"]
+
+
+def row(verdicts: list[Verdict]) -> list[object]:
+    """Sums over maps, as `HEADER` names them."""
+    safe, wrong = sum(v.safe for v in verdicts), sum(len(v.wrong) for v in verdicts)
+    risk = min(v.risk for v in verdicts)
+    least = f"{risk:.1e}" if np.isfinite(risk) else "-"
+    return [len(verdicts), safe, wrong, f"{100 * wrong / max(safe, 1):.2f}", least]
 
 
 def verdict(cells: CellMap, config: Config, scene: Scene) -> Verdict:
     """Set the lander down on the true ground wherever the map calls it safe."""
-    found = LandingSiteSelector(config).assess(cells)
-    row, column = np.nonzero(found.safe)
-    places = np.column_stack([found.x[column], found.y[row]])
+    found, gear = LandingSiteSelector(config).assess(cells), LandingGear()
+    j, i = np.nonzero(found.safe)
+    places = np.column_stack([found.x[i], found.y[j]])
     if not len(places):
-        return Verdict(found, 0, places, np.nan, np.nan, np.nan)
-    reach = 0.5 * LandingGear().diameter + 0.5
+        return Verdict(0, places, np.inf)
+    reach = gear.reach + 0.5
     x, y = (np.arange(v.min() - reach, v.max() + reach, POST) for v in places.T)
-    slope, rises = worst_contact(Terrain(x, y, scene.dem(x, y)), places, LandingGear())
-    gear = LandingGear()
+    slope, rises = worst_contact(Terrain(x, y, scene.dem(x, y)), places, gear)
     wrong = (slope > np.tan(np.radians(gear.max_slope_deg))) | (rises > gear.max_roughness)
-    row, column, some = row[wrong], column[wrong], wrong.any()
-    rise = rises[wrong].max() if some else np.nan
-    risk = found.risk[row, column].min() if some else np.nan
-    aim = found.probability[row, column].max() if some else np.nan
-    return Verdict(found, len(wrong), places[wrong], rise, risk, aim)
+    risk = found.risk[j[wrong], i[wrong]].min(initial=np.inf)
+    return Verdict(len(wrong), places[wrong], float(risk))
 
 
 def mapped(config: Config, views: list[View]) -> CellMap:
-    """All views in order."""
+    """Map all views in order."""
     mapper = Mapper(config)
     for one in views:
         mapper.update(one.points, one.pose)
     return mapper.snapshot()
 
 
-def told(value: float, form: str = ".1e") -> str:
-    """A number, or a dash for none."""
-    return format(value, form) if np.isfinite(value) else "-"
-
-
 def from_glide_slope(target: Array, heading: float, slant: float, slope_deg: float) -> Array:
-    """Where a lidar stands that looks at a place (2,) on z = 0."""
+    """Position of a lidar that looks at a place (2,) on z = 0."""
     slope = np.radians(slope_deg)
     back = -np.cos(slope) * np.array([np.cos(heading), np.sin(heading)])
     return np.array([*(target + slant * back), slant * np.sin(slope)])
 
 
 def edge(seeds: list[int] | None, quick: bool) -> None:
-    """A rock where the scanned ground ends, in a leaf of which a part was seen."""
+    """A rock where the scanned ground ends, in a leaf that was observed in part."""
     rows = []
     for level, border, edges in (
         (4, 20.0, (20.8, 21.3, 21.8, 20.4, 22.4, 23.2)),
@@ -118,37 +105,17 @@ def edge(seeds: list[int] | None, quick: bool) -> None:
     ):
         config = configuration("flight", domain__min_level=level)
         for at in edges[:3] if quick else edges:
-            verdicts, returns, hit = [], [], 0
+            verdicts = []
             for seed in seeds or range(401, 403 if quick else 409):
                 rng = np.random.default_rng([seed, level, round(100 * at)])
-                one, count = one_edge(rng, config, border, at)
-                verdicts.append(one)
-                returns.append(count)
-                hit += len(one.wrong) > 0
-            rows.append(
-                [f"{config.domain.size / 2**level:g}", f"{at:g}", len(verdicts)]
-                + [min(returns), sum(v.safe for v in verdicts), hit]
-                + [sum(len(v.wrong) for v in verdicts), most(verdicts)]
-                + [told(np.nanmin([v.risk for v in verdicts] + [np.inf]))]
-                + [told(np.nanmax([v.aim for v in verdicts] + [-np.inf]), ".4f")]
-            )
-    table(
-        "edge: rock of 0.45 m at the edge of what was scanned; grid points called safe",
-        ["leaf m", "edge m", "draws", "returns, least", "safe", "draws with unsafe ones", "unsafe"]
-        + ["most in a draw", "least risk", "best aim"],
-        rows,
-    )
+                verdicts.append(one_edge(rng, config, border, at))
+            rows.append([f"{config.domain.size / 2**level:g}", f"{at:g}", *row(verdicts)])
+    title = "edge: rock of 0.45 m at the edge of the scanned ground; grid points called safe"
+    table(title, ["leaf m", "edge m", *HEADER], rows)
 
 
-def most(verdicts: list[Verdict]) -> int:
-    """Of unsafe points in one map."""
-    return max(len(v.wrong) for v in verdicts)
-
-
-def one_edge(
-    rng: np.random.Generator, config: Config, border: float, at: float
-) -> tuple[Verdict, int]:
-    """Ground is scanned up to ``at``; the rock stands within the leaf that begins at ``border``."""
+def one_edge(rng: np.random.Generator, config: Config, border: float, at: float) -> Verdict:
+    """Scan the ground up to ``at``; the rock stands within the leaf that begins at ``border``."""
     low, high = border + 0.25, max(at - 0.1, border + 0.3)
     side = config.domain.size / 2**config.domain.min_level
     place = np.array([low + (high - low) * rng.random(), side * rng.random() - 0.5 * side])
@@ -168,8 +135,7 @@ def one_edge(
 
         rays, aim = FLASH, np.array([*target, 0.0])
         views.append(view(scene, from_there, aim, rays, NOISE, rng, 1.0 + 0.05 * k, keep=keep))
-    returns = sum(int((one.hit >= 0).sum()) for one in views)
-    return verdict(mapped(config, views), config, scene), returns
+    return verdict(mapped(config, views), config, scene)
 
 
 def footprints(seeds: list[int] | None, quick: bool) -> None:
@@ -177,61 +143,46 @@ def footprints(seeds: list[int] | None, quick: bool) -> None:
     rows = []
     low = ((60.0, 8.0), (100.0, 12.0)) if quick else ((28.65, 10.0), (60.0, 16.0))
     heights = low if quick else (*low, (100.0, 24.0), (150.0, 24.0))
-    for kind in ("boulders", "rocks of 0.42 m"):
-        for above, half in heights:
+    for rock in (0.9, 0.42):
+        for above, side in heights:
             for seed in seeds or [411]:
-                rows += small_footprints(np.random.default_rng(seed), kind, above, 0.5 * half)
+                rng = np.random.default_rng(seed)
+                scene, views = small_footprints(rng, rock, above, 0.5 * side)
+                for level in (4, 5):
+                    config = configuration("flight", domain__min_level=level)
+                    one = verdict(mapped(config, views), config, scene)
+                    coarsest = config.domain.size / 2**level
+                    given = (rock, above, side, coarsest)
+                    rows.append([*(f"{v:g}" for v in given), len(views), *row([one])])
     table(
         "footprints: 1 degree straight down, three coverings, rocks every 4 m",
-        ["", "up m", "footprint m", "area m", "scans", "coarsest m", "leaves", "measured"]
-        + ["judged %", "safe", "unsafe", "least risk", "ms a scan"],
+        ["rocks m", "up m", "area m", "coarsest m", "scans", *HEADER],
         rows,
     )
 
 
 def small_footprints(
-    rng: np.random.Generator, kind: str, above: float, half: float
-) -> list[list[object]]:
-    """Rows for coarsest cells of 4 m and 2 m, of the same scans."""
+    rng: np.random.Generator, rock: float, above: float, half: float
+) -> tuple[Scene, list[View]]:
+    """Rocks of a height, and scans that cover a square three times."""
     reach = np.arange(-half - 6.0, half + 6.1, 4.0) + rng.uniform(-2.0, 2.0)
     places = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
     places += rng.uniform(-0.3, 0.3, places.shape)
-    height = 0.42 if kind.startswith("rocks") else 0.9
-    scene = Scene(spheres=rocks(places, height, height))
+    scene, views = Scene(spheres=rocks(places, rock, rock)), list[View]()
     width = 2.0 * above * np.tan(np.radians(0.5))
-    configs = [configuration("flight", domain__min_level=level) for level in (4, 5)]
-    mappers, spent, scans = [Mapper(c) for c in configs], [0.0, 0.0], 0
     for covering in range(3):
         steps = np.arange(-half, half + 0.85 * width, 0.85 * width)
         for k, across in enumerate(steps):
             for along in steps[:: 1 if k % 2 else -1]:
                 aim = np.array([along, across] if covering % 2 else [across, along])
                 aim += rng.normal(0.0, 0.05 * width, 2)
-                position = np.array([*aim, above])
-                stamp = 1.0 + 0.05 * scans
-                one = view(scene, position, [*aim, 0.0], FLASH, NOISE, rng, stamp)
-                scans += 1
-                for n, mapper in enumerate(mappers):
-                    began = time.process_time()
-                    mapper.update(one.points, one.pose)
-                    spent[n] += time.process_time() - began
-    rows = []
-    for mapper, config, seconds in zip(mappers, configs, spent, strict=True):
-        cells = mapper.snapshot()
-        one = verdict(cells, config, scene)
-        inner = np.ix_(*(np.abs(axis) < half - 2.35 for axis in (one.found.y, one.found.x)))
-        judged = (one.found.hazard & hazards.UNSEEN == 0)[inner].mean()
-        rows.append(
-            [kind, f"{above:g}", f"{width:.2f}", f"{2 * half:g}", scans]
-            + [f"{config.domain.size / 2**config.domain.min_level:g}", len(cells.z)]
-            + [int(cells.measured.sum()), f"{100 * judged:.1f}", one.safe, len(one.wrong)]
-            + [told(one.risk), f"{1e3 * seconds / scans:.2f}"]
-        )
-    return rows
+                position, stamp = np.array([*aim, above]), 1.0 + 0.05 * len(views)
+                views.append(view(scene, position, [*aim, 0.0], FLASH, NOISE, rng, stamp))
+    return scene, views
 
 
 def inside(seeds: list[int] | None, quick: bool) -> None:
-    """Fields of rocks, 180 scans over 40 x 40 m: rocks of 0.25-0.5 m with 50 returns and more."""
+    """Fields of rocks, 180 scans over 40 x 40 m."""
     config, rows = configuration("flight"), []
     for seed in seeds or range(421, 423 if quick else 431):
         rng = np.random.default_rng(seed)
@@ -242,34 +193,21 @@ def inside(seeds: list[int] | None, quick: bool) -> None:
         flat = Scene(gradient=tuple(np.tan(np.radians(rng.uniform(-4.0, 4.0, 2)))))
         spheres = rocks(places, high, high * rng.uniform(0.8, 1.4, len(high)), flat)
         scene, heading = replace(flat, spheres=spheres), 2.0 * np.pi * rng.random()
-        returns, mapper = np.zeros(len(high), dtype=int), Mapper(config)
+        mapper = Mapper(config)
         for k in range(180):
             aim = rng.uniform(-20.0, 20.0, 2)
             turn = heading + rng.normal(0.0, 0.1)
             position = from_glide_slope(aim, turn, rng.uniform(100.0, 300.0), 35.0)
             aim = np.array([*aim, float(flat.plane(*aim))])
             one = view(scene, position, aim, FLASH, NOISE, rng, 1.0 + 0.05 * k)
-            returns += np.bincount(one.hit[one.hit >= 0], minlength=len(high))
             mapper.update(one.points, one.pose)
-        found = verdict(mapper.snapshot(), config, scene)
-        # The rock that is nearest, rim to place, of those that matter.
-        matter = high >= 0.25
-        blame = np.hypot(*(found.wrong[:, None] - places[matter]).T) - high[matter][:, None]
-        blame = np.bincount(blame.argmin(axis=0), minlength=matter.sum()) * (returns[matter] >= 50)
-        rows.append(
-            [seed, len(high), int((returns[matter] >= 50).sum()), found.safe, len(found.wrong)]
-            + [int(blame.sum()), int((blame > 0).sum()), told(found.rise, ".2f"), told(found.risk)]
-        )
-    table(
-        "inside: 180 scans over 40 x 40 m; rocks of 0.25-0.5 m with 50 returns and more",
-        ["seed", "rocks", "of these", "safe", "unsafe", "by these", "rocks to blame"]
-        + ["worst rise m", "least risk"],
-        rows,
-    )
+        rows.append([seed, len(high), *row([verdict(mapper.snapshot(), config, scene)])])
+    title = "inside: 180 scans over 40 x 40 m of rocks up to 0.5 m; grid points called safe"
+    table(title, ["seed", "rocks", *HEADER], rows)
 
 
 def drops(seeds: list[int] | None, quick: bool) -> None:
-    """Ditches, steps and pits, seen often and from one side alone: no return from their floors."""
+    """Ditches, steps and pits, seen often, only from one side: no return from their floors."""
     domain = {"domain__xmin": -16.0, "domain__ymin": -16.0, "domain__size": 32.0}
     config = configuration("flight", **domain, domain__min_level=3, domain__max_level=7)
     rows, rays = [], fan(8.0, 96)
@@ -288,14 +226,10 @@ def drops(seeds: list[int] | None, quick: bool) -> None:
                     one = view(scene, position, [*aim, top], rays, NOISE, rng, 1.0 + 0.05 * k)
                     mapper.update(one.points, one.pose)
                 verdicts.append(verdict(mapper.snapshot(), config, scene))
-            safe, wrong = sum(v.safe for v in verdicts), sum(len(v.wrong) for v in verdicts)
-            rows.append(
-                [kind, incidence, len(verdicts), safe, wrong, f"{100 * wrong / max(safe, 1):.2f}"]
-                + [told(np.nanmin([v.risk for v in verdicts] + [np.inf]))]
-            )
+            rows.append([kind, incidence, *row(verdicts)])
     table(
         "drops of 0.4-0.8 m, 0.4-1 m wide, seen in 40 scans from one side; grid points called safe",
-        ["", "incidence, deg", "maps", "safe", "unsafe", "%", "least risk"],
+        ["", "incidence, deg", *HEADER],
         rows,
     )
 
@@ -338,13 +272,10 @@ def posts(seeds: list[int] | None, quick: bool) -> None:
                 one = view(scene, position, target, rays, NOISE, rng, 1.0 + 0.05 * k)
                 mapper.update(one.points, one.pose)
             verdicts.append(verdict(mapper.snapshot(), config, scene))
-        safe, wrong = sum(v.safe for v in verdicts), sum(len(v.wrong) for v in verdicts)
-        least = told(np.nanmin([v.risk for v in verdicts] + [np.inf]))
-        share = f"{100 * wrong / max(safe, 1):.2f}"
-        rows.append([f"{sway:g}", len(verdicts), safe, wrong, share, least])
+        rows.append([f"{sway:g}", *row(verdicts)])
     table(
         "posts of 0.32-0.5 m, 100 scans of a hover; grid points called safe",
-        ["sway, m", "maps", "safe", "unsafe", "%", "least risk"],
+        ["sway, m", *HEADER],
         rows,
     )
 

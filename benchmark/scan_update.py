@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CPU time of one scan update by flight, by points and by leaves; memory of a leaf.
+"""CPU time of one scan update by flight, by points and by leaves, with everything on.
 
-For comparison, mean heights on a fixed grid are computed in three ways (`common/heights.py`) from
-the same scans in the same run. Exceptions, roughness and subscale features are all on.
+For comparison, mean heights on a fixed grid are computed in two ways (`common/heights.py`) from the
+same scans in the same run.
 """
 
 from __future__ import annotations
@@ -53,7 +53,6 @@ def main() -> None:
         totals(title, flights[scenario], configuration(scenario))
     growth_with_points([side for side in POINTS if side <= options.largest])
     growth_with_leaves()
-    memory(flights["morpheus"])
 
 
 def side_by_side(mapper: Mapper, scans: list[tuple[np.ndarray, Pose]]) -> dict[str, np.ndarray]:
@@ -129,34 +128,13 @@ def growth_with_leaves() -> None:
     )
 
 
-GROWTH = ("first", "later", "loop", "bincount", "scipy")
+GROWTH = ("first", "later", "loop", "bincount")
 
 
 def growth(spent: dict[str, np.ndarray]) -> list[str]:
     """Our first scan, and medians of the later ones: ours, then those of the others."""
     later = [np.median(ms[1:]) for ms in spent.values()]
     return [f"{value:.2f}" for value in (spent[OURS][0], *later)]
-
-
-def memory(flight: Recording) -> None:
-    """Bytes of a leaf in the mapper's columns and in the message."""
-    from quadtree_lss.onboard.messages.maps import encode_cells
-
-    mapper = Mapper(configuration("morpheus"))
-    for scan in flight.scans:
-        mapper.update(*scan[1:3])
-    leaves = mapper.leaves
-    records = encode_cells(mapper.snapshot())
-    finest = leaves.leaf_of.itemsize + leaves.observed.itemsize + 2 * leaves.piled.itemsize
-    rows = [
-        ["leaves", f"{leaves.count:,}", ""],
-        ["a leaf in the mapper", f"{leaves.rows.dtype.itemsize}", "B"],
-        ["  allocated for all", f"{leaves.rows.nbytes / 2**20:.1f}", "MiB"],
-        ["index, mask and pile of finest cells, a cell", f"{finest}", "B"],
-        ["a leaf in map/cells", f"{records.dtype.itemsize}", "B"],
-        ["  the message", f"{records.nbytes / 2**20:.2f}", "MiB"],
-    ]
-    table("Memory, Morpheus", ["", "", "unit"], rows)
 
 
 if __name__ == "__main__":

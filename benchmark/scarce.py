@@ -92,7 +92,6 @@ def scarce(seed: int, settings: FlightSettings) -> tuple[Ground, float, float]:
     while True:
         asked = Conditions(rocks=generator.uniform(*ROCKS), slope_deg=generator.uniform(*SLOPES))
         terrain = asked.ground("morpheus", generator)
-        assert terrain is not None
         planned = np.array([0.0, 0.0, float(terrain.elevation_at(0.0, 0.0))])
         ground = Ground(terrain, planned, settings.half)
         room = ground.safe[2]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Section VI of the paper: quadtree against fixed resolution, on the same scans.
 
-Seeds are ones that no tuning saw (docs/evidence.md lists those it did).
+Seeds are ones that no tuning used (studies/RESULTS.md lists those).
 """
 
 from __future__ import annotations
@@ -62,10 +62,8 @@ def summary(tree: list[MapScore], grid: list[MapScore]) -> None:
         ["cells with points without estimate, worst, %", *both(empty, ".3f", none, max)],
         ["time of all scans, mean, s", *both(attrgetter("seconds"), ".3f", ("187", "220"))],
         ["  slowest scan, ms", *both(lambda s: s.scan_ms.max(), ".1f", none, max)],
-        ["prefit below 95 %, one degree, %", *percent(c.one_degree.below for c in fractions)],
-        ["prefit above 95 %, one degree, %", *percent(c.one_degree.above for c in fractions)],
-        ["prefit below 95 %, three degrees, %", *percent(c.three_degrees.below for c in fractions)],
-        ["prefit above 95 %, three degrees, %", *percent(c.three_degrees.above for c in fractions)],
+        ["prefit below 95 %, one degree, %", *percent(c.shares[0] for c in fractions)],
+        ["prefit above 95 %, one degree, %", *percent(c.shares[1] for c in fractions)],
     ]
     ratio = np.divide(*(np.mean([error(s) for s in scores]) for scores in (tree, grid)))
     table(

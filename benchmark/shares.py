@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a leaf claims, and what it errs by, whatever part of it was seen.
+"""Errors of leaves over their claimed standard deviations, whatever part of a leaf was observed.
 
-Ground under one leaf of 0.25 to 8 m, which may divide down to 0.25 m, is seen in a straight strip
-of any share, direction and place, from incidences of 0 to 75 degrees, with 5 to 5,000 points a
-scan, 6 cm noise along the rays and an exact pose. It is a plane, or with ``--rolling`` has waves of
-12 to 60 m besides, or with ``--terrain`` what was measured somewhere. Ratios are errors of measured
-leaves over their claimed deviations: of the mean height of what was seen, and of the slope of the
-whole leaf along both axes of its covariance. A calibrated map has a root mean square of 1 and
-almost none beyond 4.
+The ground under one leaf of 0.25 to 8 m, which may divide down to 0.25 m, is scanned in a straight
+strip of any share, direction and place, from incidences of 0 to 75 degrees, with 5 to 5,000 points
+a scan, 6 cm range noise and an exact pose. It is a plane, with ``--rolling`` also waves of 12 to
+60 m, or with ``--terrain`` measured ground. The ratios are those of the mean height of the observed
+part, and of the slope of the whole leaf along both axes of its covariance. A calibrated map has a
+root mean square of 1 and almost none beyond 4.
 """
 
 from __future__ import annotations
@@ -47,20 +46,11 @@ SHARES = (0.01, 0.1, 0.25, 0.5, 0.75, 1.0)
 
 @dataclass(frozen=True)
 class Draw:
-    """A leaf drawn at random.
+    """A leaf drawn at random: the share of it that was observed, in so many scans, and the claims
+    of the leaf or of those it was divided into."""
 
-    Attributes:
-        side: Of the leaf, m.
-        share: Of it that was seen.
-        scans: How many saw it.
-        incidence: Of their rays, deg.
-        found: What it, or those it was divided into, claim.
-    """
-
-    side: float
     share: float
     scans: int
-    incidence: float
     found: Claims
 
 
@@ -196,7 +186,7 @@ def strip(rng: np.random.Generator, scans: int, over: float | Terrain = 0.0) -> 
             to, axis=1, keepdims=True
         )
         mapper.update(to @ axes, Pose(round(1e9 + 5e7 * k), position, axes, EXACT))
-    return Draw(side, share, scans, incidence, claims(mapper.snapshot(), surface))
+    return Draw(share, scans, claims(mapper.snapshot(), surface))
 
 
 def draw(file: Path, found: list[Draw]) -> None:

@@ -55,7 +55,6 @@ def main() -> None:
     """Print one row a flight and their sums."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", default="541-547", help="first-last; fields take turns")
-    parser.add_argument("--fields", nargs="*", default=list(FIELDS), choices=list(FIELDS))
     parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="of lss")
     parser.add_argument("--drone", action="store_true", help="a drone's flights, with its preset")
     parser.add_argument("--told", action="store_true", help="the best places: told, end, truth")
@@ -68,10 +67,10 @@ def main() -> None:
     print(machine())
     flights = []
     for seed in parse_seeds(options.seeds):
-        name = options.fields[seed % len(options.fields)]
+        name = list(FIELDS)[seed % len(FIELDS)]
         flown = drone(seed, name) if options.drone else morpheus(seed, name)
         flights.append(fly(flown, config, *(DRONE if options.drone else MORPHEUS)))
-        print(f"seed {seed}, {name}: {flights[-1].line()}", flush=True)
+        print(f"seed {seed}, {name}: {len(flights[-1].moves)} changes", flush=True)
     n = len(flights)
     moves = [move for flight in flights for move in flight.moves]
     lost = [move for flight in flights for move in flight.lost]
@@ -133,22 +132,13 @@ class Tally:
     told: Array = field(default_factory=lambda: np.empty((0, 3)))
     gains: Array = field(default_factory=lambda: np.empty((0, 2)))
 
-    def line(self) -> str:
-        """In one line."""
-        moves = ", ".join(
-            f"{m.time:.1f} s {m.away:.0f} m {100 * m.gain:+.1f} %" for m in self.moves
-        )
-        lost = ", ".join(f"{m.time:.1f} s {'un' * (not m.safe)}safe" for m in self.lost)
-        of = f"{self.last:.4f} of {self.first_site:.4f}"
-        return f"changes {moves or 'none'}; lost {lost or 'none'}; {of}"
-
 
 class Truth:
     """On the grid of an assessment (ny, nx): where the lander stands, and how likely by an aim;
     ``best``: the most likely in the area that is to be scanned."""
 
     def __init__(self, simulation: Simulation, found: LandingAssessment, config: Config) -> None:
-        dem, lander = simulation.legs[0].plan.truth, lander_of(config)
+        dem, lander = simulation.legs[0].plan.terrain, lander_of(config)
         self.x, self.y = found.x, found.y
         self.safe: Mask = safety_map(dem, self.x, self.y, lander)
         spread = Dispersion.of(None, config.lss)

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one pose that is off by many of its own deviations does to a map.
+"""Effect of one pose that is off by many of its own standard deviations.
 
-Level ground, or hills 0.3 m high and 8 m apart, 16 m wide and seen from 60 m, twice a second, by
-poses that are drawn from what they claim, once for the flight (they persist) or anew in each scan
-(white, with ``pose.correlation_time`` 0). Then one scan whose pose is off, in height or in tilt,
-and by how much that moves or tilts the map: share of what the pose is off, the greatest of all
-seeds.
+Level ground, or hills 0.3 m high and 8 m apart, 16 m wide, is scanned from 60 m twice a second.
+Pose errors are drawn from the claimed covariance, once for the flight (they persist) or for each
+scan (white, with ``pose.correlation_time`` 0). Then one scan's pose is off in height or in tilt;
+the table has the share of that error by which the map moves, the greatest of all seeds.
 """
 
 from __future__ import annotations

@@ -1,12 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The site: `make docs`, and rosdoc2 by rosdoc2.yaml. Nothing is loaded from elsewhere."""
 
-import argparse
 import os
 import re
-from pathlib import Path
-
-os.environ["COLUMNS"] = "100"  # of the commands' help
 
 project = "quadtree_lss"
 copyright = "quadtree_lss contributors, Apache-2.0"
@@ -29,7 +25,7 @@ suppress_warnings = ["config.cache"]
 # Pages link to each other as they lie in the repository. Here the layouts of messages are in
 # messages/, what concerns the project is in project/, and sources are named only.
 PLACES = {"msg_docs/": "messages/", "docs/": ""}
-PROJECT = ("README", "CONTRIBUTING", "QUALITY_DECLARATION", "CHANGELOG")
+PROJECT = ("CONTRIBUTING", "QUALITY_DECLARATION", "CHANGELOG")
 PLACES |= {f"{name}.": f"project/{name}." for name in PROJECT}
 
 # What figures.py reads, for people to read as well.
@@ -49,23 +45,10 @@ def move_links(app, page, source):
                 return f"[{label}]({up}{path.replace(place, here, 1)})"
         return label
 
-    source[0] = source[0].replace("](docs/images/", "](../images/")  # of the README
     source[0] = FIGURE.sub(r"\n*Made by `\1`; \2*\n", source[0])
     if page == "messages/README":  # whose table names them all
         source[0] += "\n```{toctree}\n:hidden:\n:glob:\n[a-z]*\n```\n"
     source[0] = re.sub(r"(?<!!)\[([^][]*)\]\((?!\w+:|#)([^)\s]+)\)", moved, source[0])
-
-
-def write_commands(app):
-    """reference/commands.md, from the parser that reads them."""
-    from quadtree_lss import cli
-
-    parser = cli._parser()
-    commands = next(a for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-    text = f"# Commands\n\n`quadtree-lss COMMAND`. {cli.EXIT_CODES}\n"
-    for name, command in commands.choices.items():
-        text += f"\n## {name}\n\n```text\n{command.format_help().strip()}\n```\n"
-    Path(app.srcdir, "reference", "commands.md").write_text(text, encoding="utf-8")
 
 
 def mathml(block):
@@ -90,7 +73,6 @@ def level_captions(app, page, template, context, doctree):
 
 def setup(app):
     app.connect("source-read", move_links)
-    app.connect("builder-inited", write_commands)
     app.connect("html-page-context", level_captions, priority=900)
     app.add_html_math_renderer("mathml", (mathml(False), None), (mathml(True), None))
 

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of the documents, and whether they are of now: `python docs/figures.py`.
+"""Lists the measured tables and pictures of the documents: `python docs/figures.py`.
 
-In a page a figure (tables, a picture) stands between two comments:
+In a page a figure stands between two comments:
 
     <!-- figure: COMMAND
     quick; CONFIGURATION: NAMES = HASH; build BUILD, DATE -->
     <!-- end -->
 
-HASH is of the parameters whose names match NAMES, so a changed default is seen. `--make` writes
-the tables of `quick` commands anew; `hours` and `idle` (needs an idle computer) are listed.
-`--earlier` marks what has other parameters by now: `earlier` after NAMES, and a note for readers.
+HASH is of the parameters of CONFIGURATION that match NAMES. A test fails if one of them has another
+default. `earlier` in place of the hash marks a figure of other defaults, and its text says so.
+`--make` makes the figures of `quick` commands again. Those of `hours`, and of `idle` (an otherwise
+idle computer), are made by hand.
 """
 
 import argparse
@@ -25,6 +26,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
+PAGES = ("*.md", "docs/**/*.md", "studies/*.md")
 FIGURE = re.compile(
     r"<!-- figure: (?P<command>[^\n]+)\n"
     r"(?P<effort>quick|hours|idle); (?P<config>\w+): (?P<names>[^=;]+)"
@@ -35,6 +37,8 @@ FIGURE = re.compile(
 
 
 class Figure(NamedTuple):
+    """One figure; ``hash`` and ``made`` are None if it is of an earlier build."""
+
     page: Path
     command: str
     effort: str
@@ -46,15 +50,15 @@ class Figure(NamedTuple):
 
 
 def figures():
-    """All of them, page by page."""
-    for page in sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]):
+    """Yield all figures, page by page."""
+    for page in sorted(page for pattern in PAGES for page in ROOT.glob(pattern)):
         if not any(part.is_symlink() for part in (page, *page.parents)):
             for match in FIGURE.finditer(page.read_text(encoding="utf-8")):
                 yield Figure(page, **match.groupdict())
 
 
 def parameters_hash(config, names):
-    """Of all parameters that match, as the configuration has them."""
+    """Return the hash of the parameters of a configuration that match the names."""
     from quadtree_lss.desk.replay.configuration import load_config
     from quadtree_lss.onboard.config.settings import values_from_config
 
@@ -65,45 +69,36 @@ def parameters_hash(config, names):
 
 
 def make(figure):
-    """Runs the command and writes its tables, the build and the date into the page."""
+    """Run the command and write what it prints, the build and the date into the page.
+
+    A command that draws pictures prints nothing: then the text stays.
+    """
     from quadtree_lss import build
 
+    command = [sys.executable, *shlex.split(figure.command)[1:]]
+    tables = {**os.environ, "TABLES": "markdown"}
     done = subprocess.run(
-        [sys.executable, *shlex.split(figure.command)[1:]],
-        cwd=ROOT,
-        env={**os.environ, "TABLES": "markdown"},
-        stdout=subprocess.PIPE,
-        text=True,
-        check=True,
+        command, cwd=ROOT, env=tables, stdout=subprocess.PIPE, text=True, check=True
     )
-    made = f"build {build.name()[:8]}, {datetime.date.today()}"
-    write(figure, made, None if "--figure" in figure.command else done.stdout.strip() + "\n")
-
-
-def write(figure, made, body=None):
-    """Replaces a figure's head, and its body or the note that an earlier build made it."""
-    if made:
-        made = f" = {parameters_hash(figure.config, figure.names)}; {made}"
-    bare = re.sub(r"\AEarlier build.*?\n\n", "", figure.body, flags=re.DOTALL)
-    body = body or ("" if made else "Earlier build.\n\n") + bare
-    text, head = figure.page.read_text(encoding="utf-8"), f"<!-- figure: {figure.command}\n"
-    start = text.index(head)
+    body = done.stdout.strip() or figure.body.removeprefix("Earlier build.\n\n").strip()
+    made = f"{parameters_hash(figure.config, figure.names)}; build {build.name()[:8]}"
+    head = f"<!-- figure: {figure.command}\n{figure.effort}; {figure.config}: {figure.names}"
+    text = figure.page.read_text(encoding="utf-8")
+    start = text.index(f"<!-- figure: {figure.command}\n")
     end = text.index("<!-- end -->", start)
-    head += f"{figure.effort}; {figure.config}: {figure.names}{made or '; earlier'} -->\n"
-    figure.page.write_text(text[:start] + head + body + text[end:], encoding="utf-8")
+    new = f"{head} = {made}, {datetime.date.today()} -->\n{body}\n"
+    figure.page.write_text(text[:start] + new + text[end:], encoding="utf-8")
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--make", action="store_true", help="make the quick ones anew")
-    parser.add_argument("--earlier", action="store_true", help="mark those of other parameters")
+    parser.add_argument("--make", action="store_true", help="make the quick ones again")
     options = parser.parse_args()
     for figure in list(figures()):
-        stale = figure.hash not in (None, parameters_hash(figure.config, figure.names))
-        state = f"build {figure.made}" if figure.made else "of an earlier build"
-        state += ", of other parameters" if stale else ""
+        state = "earlier build"
+        if figure.hash is not None:
+            same = figure.hash == parameters_hash(figure.config, figure.names)
+            state = f"build {figure.made}" + ("" if same else ", of other defaults")
         print(f"{figure.page.name}: {figure.command} ({figure.effort}; {state})", flush=True)
         if options.make and figure.effort == "quick":
             make(figure)
-        elif options.earlier and stale:
-            write(figure, None)

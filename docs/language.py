@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plain English in the documents: `python docs/language.py` prints what is not, and fails.
 
-Sentences of at most 36 words, lines of at most 120 characters, no word of REFUSED; no run numbers
-outside of the evidence; as many cells in each row of a table. `make lint` runs it, and codespell
-for spelling.
+Sentences of at most 36 words, lines of at most 120 characters, no word of REFUSED; no seeds outside
+of studies/RESULTS.md; as many cells in each row of a table. `make lint` runs it, and codespell for
+spelling.
 """
 
 import re
@@ -25,7 +25,8 @@ HISTORY = r"seeds? (from )?\d+|flights? \d{2,}(?! (flights|landings))"
 
 def pages():
     """Every page that people read, but for the changelog."""
-    found = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("msg_docs/*.md")]
+    patterns = ("*.md", "docs/**/*.md", "msg_docs/*.md", "studies/*.md")
+    found = [path for pattern in patterns for path in ROOT.glob(pattern)]
     return sorted(p for p in found if not any(f.is_symlink() for f in (p, *p.parents)))
 
 
@@ -63,8 +64,8 @@ def faults(path):
         for pattern, better in REFUSED.items():
             for match in re.finditer(rf"(?i)\b(?:{pattern})(?!\w)", line):
                 yield number, f"'{match[0]}': {better}"
-        if path.name != "evidence.md" and (match := re.search(HISTORY, line, re.IGNORECASE)):
-            yield number, f"'{match[0]}' belongs to the evidence"
+        if path.name != "RESULTS.md" and (match := re.search(HISTORY, line, re.IGNORECASE)):
+            yield number, f"'{match[0]}' belongs to studies/RESULTS.md"
     width = 0
     for number, line in enumerate(text.replace(r"\|", "").splitlines(), 1):
         cells = line.count("|") if line.startswith("|") else 0

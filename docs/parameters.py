@@ -1,63 +1,54 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page of the parameters: `python docs/parameters.py > docs/parameters.md`."""
 
-import dataclasses
 import sys
 from collections.abc import Iterator
 from itertools import groupby
 
-from quadtree_lss.desk.commands.config import rule
 from quadtree_lss.onboard.config.settings import Parameter, parameters
-from quadtree_lss.onboard.config.vehicle import Lengths
 
 INTRODUCTION = """\
 # Parameters
 
 <!-- From onboard/config/sections.py by: python docs/parameters.py > docs/parameters.md -->
 
-To begin, a file needs [`vehicle`](#vehicle), [`domain`](#domain) and [`lidar`](#lidar), which
-`quadtree-lss config suggest` writes from a bag. The other defaults hold for most, and most lengths
-[follow from the vehicle](#what-follows-from-the-vehicle). `config explain` says what this page
-says.
+A parameter file needs [`vehicle`](#vehicle), [`domain`](#domain) and [`lidar`](#lidar);
+`quadtree-lss config suggest` writes these sections from a bag. The other defaults suit most
+vehicles, because most lengths follow from the vehicle: `quadtree-lss config explain vehicle` prints
+them.
 
-One file serves all nodes and `quadtree-lss replay`. *Live* ones can be set while a node runs
-(`ros2 param set`); the others are read-only after the start. Lengths are m, and a name that ends in
-`_deg` is in degrees.
+One file serves all nodes and `quadtree-lss replay`. You can set parameters marked *live* while a
+node runs (`ros2 param set`); the others are read-only after the start.
 """
 
 
 def parameter_table() -> str:
+    """Return the page."""
     parts = [INTRODUCTION]
     for section, rows in groupby(parameters(), key=lambda row: row.name.partition(".")[0]):
         parts.append("\n".join([f"\n## {section}\n", *_table(rows)]) + "\n")
-    rows = (
-        f"| {item.name} | {rule(item.name).replace(' x ', ' · ')} | {item.default:g}"
-        f" {item.metadata['unit']} | {item.metadata['doc']} |"
-        for item in dataclasses.fields(Lengths)
-    )
-    heads = ["\n## What follows from the vehicle\n", "| Length | Rule | By default | Meaning |"]
-    return "".join(parts) + "\n".join([*heads, "| --- | --- | --- | --- |", *rows]) + "\n"
+    return "".join(parts)
 
 
 def _table(rows: Iterator[Parameter]) -> Iterator[str]:
-    yield "| Parameter | Type | Unit | Range | Default | Live | Meaning |"
-    yield "| --- | --- | --- | --- | --- | --- | --- |"
+    yield "| Parameter | Default | Range | Meaning |"
+    yield "| --- | --- | --- | --- |"
     for row in rows:
-        live = "yes" if row.live else ""
-        cells = (f"`{row.name}`", row.type.__name__, row.unit, _range(row), _default(row), live)
-        yield f"| {' | '.join((*cells, row.doc))} |"
+        live = "*live*: " if row.live else ""
+        default = f"{_default(row)} {row.unit}".strip()
+        yield f"| `{row.name}` | {default} | {_range(row)} | {live}{row.doc} |"
 
 
 def _range(row: Parameter) -> str:
     if row.choices:
         return ", ".join(f"`{choice}`" for choice in row.choices)
-    return f"{row.low:g} … {row.high:g}" if row.type in (int, float) else ""
+    return f"{row.low:g}…{row.high:g}" if row.type in (int, float) else ""
 
 
 def _default(row: Parameter) -> str:
     if row.type is str:
         return f"`{row.default}`" if row.default else "empty"
-    return str(row.default).lower() if row.type is bool else f"{row.default}"
+    return str(row.default).lower() if row.type is bool else f"{row.default:g}"
 
 
 if __name__ == "__main__":

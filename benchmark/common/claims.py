@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of leaves over their claimed standard deviations; heights of points near a place."""
+"""Errors of leaves over their claimed standard deviations."""
 
 from __future__ import annotations
 
@@ -83,29 +83,3 @@ def summary(ratios: Array) -> tuple[float, float, float]:
     """Root mean square, share beyond 4, and greatest."""
     size = np.abs(ratios)
     return float(np.sqrt(np.mean(size**2))), float(np.mean(size > 4.0)), float(size.max())
-
-
-def within(points: Array, x: Array, y: Array, reach: float = 1.0) -> tuple[Array, Array]:
-    """Lowest and highest of points (N, 3) within reach of each place (K,), NaN for none.
-
-    To a tenth of a metre: of squares of this size whose middles are so near.
-    """
-    points, side = points[np.isfinite(points).all(axis=1)], 0.1
-    margin = int(np.ceil(reach / side)) + 1
-    start = np.minimum(points[:, :2].min(axis=0), [x.min(), y.min()]) - margin * side
-    end = np.maximum(points[:, :2].max(axis=0), [x.max(), y.max()]) + margin * side
-    shape = (np.ceil((end - start) / side).astype(int) + 1)[::-1]
-    low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
-    column, row = ((points[:, :2] - start) / side).astype(int).T
-    np.minimum.at(low, (row, column), points[:, 2])
-    np.maximum.at(high, (row, column), points[:, 2])
-    column, row = ((np.column_stack([x, y]) - start) / side).astype(int).T
-    lowest, highest = np.full(len(x), np.inf), np.full(len(x), -np.inf)
-    for i, j in np.argwhere(np.ones((2 * margin + 1,) * 2)) - margin:
-        middle = start + side * (np.column_stack([column + j, row + i]) + 0.5)
-        near = np.hypot(middle[:, 0] - x, middle[:, 1] - y) <= reach
-        at = row[near] + i, column[near] + j
-        lowest[near] = np.minimum(lowest[near], low[at])
-        highest[near] = np.maximum(highest[near], high[at])
-    none = lowest > highest
-    return np.where(none, np.nan, lowest), np.where(none, np.nan, highest)

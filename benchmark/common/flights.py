@@ -36,4 +36,4 @@ def recording(
     elevation model."""
     flight = Simulation(scenario, seed, duration=duration, terrain=terrain)
     found = list(scans(in_memory(flight), configuration(scenario)))
-    return Recording(found, truth_of(flight.truth("bag")))
+    return Recording(found, truth_of(flight.truth()))

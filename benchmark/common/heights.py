@@ -16,7 +16,6 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
-from scipy.stats import binned_statistic_2d
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.sensing.lidar import Pose
@@ -25,7 +24,7 @@ from quadtree_lss.onboard.core.tree.domain import Domain
 Heights = Callable[[Array, Pose], Array]
 """From points (…, 3), float64, in lidar axes and the pose to mean heights (n, n) [iy, ix], m."""
 
-METHODS = ("plain compiled loop", "numpy.bincount", "scipy binned_statistic_2d")
+METHODS = ("plain compiled loop", "numpy.bincount")
 
 
 def mean_heights(domain: Domain) -> dict[str, Heights]:
@@ -33,7 +32,6 @@ def mean_heights(domain: Domain) -> dict[str, Heights]:
     n, size, low = domain.finest_count, domain.finest_size, (domain.xmin, domain.ymin)
     loop = compiled(Path(__file__).with_name("height_loop.py")).mean_heights
     count, mean = np.zeros((n, n)), np.zeros((n, n))
-    edges = [start + size * np.arange(n + 1) for start in low]
 
     def to_map(points: Array, pose: Pose) -> tuple[Array, Array, Array]:
         flat = points.reshape(-1, 3)
@@ -57,11 +55,7 @@ def mean_heights(domain: Domain) -> dict[str, Heights]:
         total = np.bincount(cell, z[inside], minlength=n * n)
         return (total / np.maximum(number, 1)).reshape(n, n)
 
-    def by_scipy(points: Array, pose: Pose) -> Array:
-        x, y, z = to_map(points, pose)
-        return binned_statistic_2d(y, x, z, "mean", bins=edges[::-1]).statistic
-
-    return dict(zip(METHODS, (by_loop, by_bincount, by_scipy), strict=True))
+    return dict(zip(METHODS, (by_loop, by_bincount), strict=True))
 
 
 @functools.cache

@@ -16,7 +16,6 @@ from quadtree_lss.lab.evaluation.metrics import (
     ElevationError,
     detection,
     elevation_error,
-    elevation_field,
     safety_field,
     site_verdicts,
 )
@@ -59,7 +58,7 @@ def score(flight: Recording, config: Config, *, consistent: bool = True) -> MapS
     grid, truth = grid_of(found), flight.truth
     return MapScore(
         leaves=int(cells.estimated.sum()),
-        elevation=elevation_error(elevation_field(cells, grid, truth)),
+        elevation=elevation_error(cells, grid, truth),
         detection=detection(safety_field(grid, truth)),
         unsafe_in_top_five=site_verdicts(found.sites.position[:TOP], truth).count("unsafe"),
         scan_ms=np.array(times),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from quadtree_lss.lab.campaign.engine import Where, campaign, fly
+from quadtree_lss.lab.campaign.engine import campaign, fly
 from quadtree_lss.lab.campaign.kinds import CampaignError
 from quadtree_lss.lab.campaign.landings import FLY, settings_of
 from quadtree_lss.lab.campaign.store import FILES, key_of
@@ -130,15 +130,15 @@ def test_every_study_can_be_flown(path):
     study = read_study(path)
     last = study.case(study.count - 1)
     assert last.index == study.count - 1 and last.parameters
-    assert (study.what is FLY) == path.stem.startswith("flight")
-    if study.what is FLY:
+    assert (study.kind is FLY) == path.stem.startswith("flight")
+    if study.kind is FLY:
         for index in range(len(study.combinations)):
             settings_of(study.case(index))
 
 
 def test_the_documents_have_every_study_with_its_flights():
-    text = (STUDIES[0].parents[1] / "docs" / "campaigns.md").read_text("utf-8")
-    told = re.findall(r"studies/(\w+)\.yaml\) \| ([\d,]+) \|", text)
+    text = (STUDIES[0].parent / "RESULTS.md").read_text("utf-8")
+    told = re.findall(r"\((\w+)\.yaml\) \| ([\d,]+) \|", text)
     flights = {name: int(count.replace(",", "")) for name, count in told}
     assert flights == {path.stem: read_study(path).count for path in STUDIES}
 
@@ -156,7 +156,7 @@ def test_small_flights_find_hazards():
 def test_the_small_study_is_flown(tmp_path):
     pytest.importorskip("distributed")
     path = next(path for path in STUDIES if path.stem == "small")
-    result = campaign(read_study(path), tmp_path, Where(workers=2))
+    result = campaign(read_study(path), tmp_path, workers=2)
     assert len(result.records) == 8 and not result.failed
     rules, touchdown = sorted(
         next(line.mean for line in lines if line.quantity.name == "safe_found")

@@ -94,10 +94,6 @@ SPOILS = {
 }
 
 
-@pytest.mark.survives(
-    "a checkpoint is damaged, cannot be read, is of another domain, or has impossible planes",
-    "`mapping_node` does not use it",
-)
 @pytest.mark.parametrize("spoil", SPOILS.values(), ids=SPOILS)
 def test_inconsistent_states_are_refused_and_the_map_kept(content, spoil):
     state = from_file(io.BytesIO(content))

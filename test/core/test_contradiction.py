@@ -75,10 +75,6 @@ def rows(mapper: Mapper) -> bytes:
     return mapper.leaves.rows[: mapper.leaves.count].tobytes() + mapper.leaves.observed.tobytes()
 
 
-@pytest.mark.survives(
-    "a scan that contradicts the map",
-    "refused: `points.dropped.contradiction`, and the map is as it was",
-)
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -111,11 +107,6 @@ def test_a_few_wrong_poses_in_a_row_do_not_win_and_neither_do_many_that_disagree
     assert np.abs(flight.errors()).max() < 0.2
 
 
-@pytest.mark.survives(
-    "a scan that contradicts the map",
-    "ten in a row that agree with each other win: the map is lifted to them whole "
-    "([mapping.md](mapping.md#errors-that-persist-and-poses-that-are-wrong))",
-)
 def test_many_that_agree_win_and_what_was_mapped_goes_with_them():
     flight = Flight(scans=5)
     leaves = flight.mapper.leaves.count
@@ -138,7 +129,6 @@ def test_a_view_narrower_than_the_leaves_contradicts_the_map_too(east):
     assert np.abs(flight.errors(0.6)).max() < 0.1
 
 
-@pytest.mark.survives("a scan that contradicts the map", "or begun anew where that does not do")
 def test_a_map_that_cannot_be_lifted_to_them_is_forgotten():
     flight = Flight(size=64.0, scans=5)
     for _ in range(AGREEING):
@@ -163,11 +153,6 @@ def test_planes_of_a_wrong_pose_over_new_ground_go_with_the_next_scan(height):
     assert np.abs(flight.errors()).max() < 0.3
 
 
-@pytest.mark.survives(
-    "planes of a wrong pose over ground that no other scan had seen",
-    "scans that are 30 deviations off such a plane outvote it point by point; until then what they "
-    "show is seen, not yet mapped",
-)
 def test_points_are_votes_where_a_plane_is_of_another_place_altogether():
     """One cell, which no others judge: the wrong plane goes when as many points are against it."""
     domain = {"size": 4.0, "min_level": 0, "max_level": 0}
@@ -180,12 +165,6 @@ def test_points_are_votes_where_a_plane_is_of_another_place_altogether():
     np.testing.assert_allclose(heights, [50.0, 50.0, 50.0, 0.0, 0.0], atol=0.05)
 
 
-@pytest.mark.survives(
-    "something 30 deviations high comes onto mapped ground (a drone's: 0.75 m)",
-    "not safe from the first scan that shows it by two returns in a leaf: seen, not yet mapped, "
-    "until more returns speak for it than for the ground<br>once it has gone, the next scan makes "
-    "the ground known again",
-)
 def test_what_comes_onto_mapped_ground_is_not_known():
     """A block of 3 m by 3 m, of which a tenth of the scan's returns tell."""
     domain = {"xmin": 0.0, "ymin": 0.0, "size": 8.0, "min_level": 5, "max_level": 5}
@@ -241,11 +220,6 @@ def test_a_height_far_beyond_its_claim_moves_the_map_by_less_than_a_tenth(positi
     assert abs(np.median(flight.errors())) < 0.1 * abs(off)
 
 
-@pytest.mark.survives(
-    "a scan that is off by three deviations or more and does not contradict the map",
-    "lowered and tilted to the map before it is mapped, as far as its pose, five times worse than "
-    "it claims, explains",
-)
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("deviations", [5.0, 8.0, 20.0])
 def test_a_tilt_far_beyond_its_claim_tilts_the_map_by_less_than_a_tenth(deviations, axis):

@@ -100,11 +100,6 @@ def piles(mapper: Mapper) -> np.ndarray:
     return mapper.leaves.piled[places | places[:, None] << 1]
 
 
-@pytest.mark.survives(
-    "a pose far away, with `domain.follow`",
-    "the square stays and so does the map: scans that no point enters of move it only as the tenth "
-    "in a row",
-)
 def test_a_wrong_pose_does_not_drop_the_map():
     (mapper,) = fly((Mapper(FOLLOWING),), 6)
     before, domain = mapper.snapshot(), mapper.domain

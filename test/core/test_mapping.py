@@ -98,11 +98,6 @@ def test_where_returns_stand_out_is_remembered():
         np.testing.assert_array_equal(mapper.leaves.observed, expected)
 
 
-@pytest.mark.survives(
-    "scan late, or of another time",
-    "a late scan leaves the map's stamp at its newest; after a scan with a stamp far ahead the "
-    "next good one sets it right",
-)
 def test_the_stamp_is_the_newest_since_time_jumped_back():
     mapper = Mapper(configured())
     x, y = scattered(np.random.default_rng(9), 0.0, 0.0, 16.0, 500)

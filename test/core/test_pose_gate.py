@@ -34,11 +34,6 @@ def test_a_steady_flight_passes(period):
     assert passed(poses)[0] == list(range(300))
 
 
-@pytest.mark.survives(
-    "a pose that leaps, beyond its covariance, from where the two before it lead",
-    "waits for the next one: if that follows those before, the leap is dropped and counted as "
-    "`pose_contradiction`",
-)
 @pytest.mark.parametrize("leap", [{"off": (0, 0, 2e7)}, {"off": (4.0, 0, 0)}, {"turned": 3.0}])
 def test_one_that_leaps_is_dropped_and_counted(leap):
     poses = [pose(k) for k in range(20)]
@@ -56,10 +51,6 @@ def test_one_that_says_how_little_it_knows_passes(unsure):
     assert passed(poses)[0] == list(range(20))
 
 
-@pytest.mark.survives(
-    "a pose that leaps, beyond its covariance, from where the two before it lead",
-    "if the next one follows the leap, navigation has jumped and both are used",
-)
 def test_a_jump_of_navigation_is_believed_with_the_second_pose():
     poses = [pose(k, (0.0, 0.0, 0.0 if k < 10 else 30.0)) for k in range(20)]
     found, gate = passed(poses)
@@ -67,10 +58,6 @@ def test_a_jump_of_navigation_is_believed_with_the_second_pose():
     assert gate.dropped == 0
 
 
-@pytest.mark.survives(
-    "a pose that leaps, beyond its covariance, from where the two before it lead",
-    "five in a row are believed",
-)
 def test_wrong_ones_at_the_start_or_at_random_hold_nothing_back_for_long():
     start = [pose(k, (0.0, 0.0, 1e6 if k == 0 else 0.0)) for k in range(12)]
     assert passed(start)[0][-4:] == [8, 9, 10, 11]

@@ -13,8 +13,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmark"))
 
-from common.claims import within
 from common.rays import Scene, View, fan, rocks, view
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.simulation.safety import LandingGear, worst_contact
@@ -189,6 +189,22 @@ def test_no_height_is_beyond_what_was_measured(kind):
         if np.nanmax(excess) > 5.0 * NOISE:
             wrong.append(f"seed {seed}: {(excess > 0.3).sum()}, by {np.nanmax(excess):.2f} m")
     assert not wrong, wrong
+
+
+def within(points: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest of points (N, 3) within 1 m of places (K,), to 0.1 m; NaN for none."""
+    points = points[np.isfinite(points).all(axis=1)]
+    corner = np.minimum(points[:, :2].min(axis=0), [x.min(), y.min()])
+    of_points, of_places = ((v - corner) // 0.1 for v in (points[:, :2], np.column_stack([x, y])))
+    of_points, of_places = (v.astype(int).T for v in (of_points, of_places))
+    shape = np.maximum(of_points.max(axis=1), of_places.max(axis=1)) + 1
+    disc = np.hypot(*np.mgrid[-10:11, -10:11]) <= 10.0
+    low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
+    np.minimum.at(low, tuple(of_points), points[:, 2])
+    np.maximum.at(high, tuple(of_points), points[:, 2])
+    low = minimum_filter(low, footprint=disc, mode="constant", cval=np.inf)[tuple(of_places)]
+    high = maximum_filter(high, footprint=disc, mode="constant", cval=-np.inf)[tuple(of_places)]
+    return np.where(low > high, np.nan, low), np.where(low > high, np.nan, high)
 
 
 def overgrown(rng: np.random.Generator) -> Scene:

@@ -44,6 +44,6 @@ def test_a_table_that_runs_into_another_is_found(check):
     assert line == 4 and "1 cells under one of 2" in fault
 
 
-def test_run_numbers_belong_to_the_evidence(check):
+def test_seeds_belong_to_the_results(check):
     assert check("Seeds 101–120 chose.\n") and check("Seeds from 7 on.\n")
-    assert not check("Seeds 101–120 chose.\n", "evidence.md")
+    assert not check("Seeds 101–120 chose.\n", "RESULTS.md")

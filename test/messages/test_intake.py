@@ -34,9 +34,6 @@ def test_a_scan_between_two_poses_is_ready_with_the_pose_between():
     assert intake.notices() == [] and not intake.dropped and not intake.rejected
 
 
-@pytest.mark.survives(
-    "wrong frame, bad quaternion or covariance, malformed cloud", "not used, counted by reason"
-)
 def test_bad_messages_are_counted_by_reason_and_told_once_each():
     intake = Intake(CONFIG)
     wrong = scan(10)
@@ -54,10 +51,6 @@ def test_bad_messages_are_counted_by_reason_and_told_once_each():
     assert intake.dropped == {"cloud_size": 1, "cloud_empty": 1}
 
 
-@pytest.mark.survives(
-    "covariance zero, of position, of attitude, or both",
-    "unknown by convention: `pose.unknown_*` are used, with a line at most every five seconds",
-)
 def test_unknown_covariance_is_told_and_replaced():
     intake = Intake(CONFIG)
     intake.on_pose(pose(50 * MS, covariance=np.zeros(36)))

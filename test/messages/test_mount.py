@@ -4,7 +4,6 @@
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from messages import samples
 from messages.samples import cloud, pose
 
@@ -134,10 +133,6 @@ def test_the_mount_follows_static_transforms_up_and_down():
     np.testing.assert_allclose(ready.pose.rotation_map_lidar, turned, atol=1e-12)
 
 
-@pytest.mark.survives(
-    "no way from the body to the lidar in `/tf_static` (`mount.source: tf`)",
-    "scans wait `pose.max_wait` and are dropped as `no_mount`, with the frames heard of",
-)
 def test_a_scan_without_a_chain_says_which_frames_were_heard_of():
     intake = tf_intake()
     for stamp_ms in (0, 50):
@@ -157,10 +152,6 @@ def odometry(stamp_ms, child, position=(0.0, 0.0, 30.0)):
     return message
 
 
-@pytest.mark.survives(
-    "odometry of another child frame; transform that cannot be used",
-    "not used, counted; `frames.body` names the body",
-)
 def test_odometry_is_taken_for_its_child_frame():
     """The first, or the one that is configured; another would put the map elsewhere."""
     for values, good in (({}, "base_link"), ({"frames.body": "/imu"}, "imu")):

@@ -67,10 +67,6 @@ def changed(entries):
     return covariance
 
 
-@pytest.mark.survives(
-    "attitude variance of 0.25 to 39 rad²",
-    "no pose, counted as `pose_attitude`: nothing can be placed by it",
-)
 @pytest.mark.parametrize(
     "covariance",
     [

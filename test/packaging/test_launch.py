@@ -64,9 +64,6 @@ def test_a_parameter_file_is_the_only_source_unless_more_is_said(make, tmp_path,
         make(use_sim_time="maybe")
 
 
-@pytest.mark.survives(
-    "`params_file` missing, unreadable or empty", "the launch stops with the path that was tried"
-)
 @pytest.mark.parametrize(
     ("content", "words"),
     [

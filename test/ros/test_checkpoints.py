@@ -41,15 +41,6 @@ def keeping(ros):
     return path, ("-p", f"checkpoint.path:={path}")
 
 
-@pytest.mark.survives(
-    "ended by SIGINT, SIGTERM or SIGHUP",
-    "the state is written first, and the next start goes on from there; `~/reset` begins anew",
-)
-@pytest.mark.survives(
-    "`mapping_node` killed",
-    "started again, it takes up its checkpoint and publishes it; what came since the last one is "
-    "lost",
-)
 def test_killed_mapping_node_takes_up_its_checkpoint(ros):
     """The sensors stay and are heard by the successor, as on a vehicle."""
     path, args = keeping(ros)
@@ -93,11 +84,6 @@ def _stamp_in(path):
 
 
 @pytest.mark.slow
-@pytest.mark.survives(
-    "disk full, path not writable",
-    "mapping goes on; `problems.checkpoint` counts, one line in five seconds, until the checkpoint "
-    "can be written",
-)
 def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
     path, args = keeping(ros)
     mapping = ros.start("mapping_node", *args)
@@ -115,9 +101,6 @@ def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
 
 
 @pytest.mark.slow
-@pytest.mark.survives(
-    "ended by SIGINT, SIGTERM or SIGHUP", "a state that cannot be written is an error in the log"
-)
 def test_a_last_checkpoint_that_fails_is_told(ros):
     """However lately another one was told."""
     folder = ros.folder / "disk"
@@ -134,13 +117,6 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
     assert "is lost" in last and "[ERROR]" in last
 
 
-@pytest.mark.survives(
-    "a scan ends in an error of the program",
-    "left out: ERROR in the diagnostics with the reason, the traceback in the log, "
-    "`problems.scan_failed`; the next one is mapped<br>it may have changed half of the map, so "
-    "that of the checkpoint is taken; without one the map goes on if its figures are sound, or "
-    "begins anew",
-)
 @pytest.mark.slow
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):

@@ -24,10 +24,6 @@ def hears(pid: int, number: int) -> bool:
     return bool(int(caught, 16) >> (number - 1) & 1)
 
 
-@pytest.mark.survives(
-    "ended by SIGINT, SIGTERM or SIGHUP",
-    "exit code 0 from the moment Python itself is up, 0.2 s after the start",
-)
 @pytest.mark.parametrize(
     ("name", "number"),
     list(zip(("mapping_node", "lss_node", "autopilot_node"), entry.SIGNALS, strict=True)),
@@ -53,9 +49,6 @@ def test_signals_are_heard_before_anything_slow_is_imported():
     assert "quadtree_lss" in loaded and not loaded & {"numpy", "scipy", "rclpy", "yaml"}
 
 
-@pytest.mark.survives(
-    "ended by SIGINT, SIGTERM or SIGHUP", "a SIGHUP that is ignored (`nohup`) stays so"
-)
 def test_a_hangup_that_is_ignored_stays_ignored():
     program = (
         "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
@@ -67,11 +60,6 @@ def test_a_hangup_that_is_ignored_stays_ignored():
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
-@pytest.mark.survives(
-    "ended by SIGINT, SIGTERM or SIGHUP",
-    "what is at work is ended first; a second signal three seconds or more after the first, "
-    "as `launch` sends it, breaks it off",
-)
 def test_who_asks_again_after_a_while_breaks_long_work_off(monkeypatch):
     before = {number: signal.getsignal(number) for number in entry.SIGNALS}
     try:

@@ -25,10 +25,6 @@ def flight(ros):
         assert "Traceback" not in mapping.output()
 
 
-@pytest.mark.survives(
-    "poses stop",
-    "scans wait `pose.max_wait` and are dropped with a line that says so; goes on by itself",
-)
 def test_poses_stop_and_resume(flight):
     listener, sensors, mapping = flight
     sensors.publish(SCANS)
@@ -40,10 +36,6 @@ def test_poses_stop_and_resume(flight):
     assert len(lines) == 1, "one line for all of them"
 
 
-@pytest.mark.survives(
-    "time jumps back by more than 1 s, or forward",
-    "buffers are cleared, the map is kept, its stamp follows",
-)
 def test_time_jumps_back_and_forward(flight):
     listener, sensors, mapping = flight
     # The second pass is a looping bag. At a jump itself scans that still wait may be dropped.
@@ -56,10 +48,6 @@ def test_time_jumps_back_and_forward(flight):
 
 
 @pytest.mark.slow
-@pytest.mark.survives(
-    "two publishers of scans, poses or maps",
-    "a warning; all are taken; lost scans cannot be seen then",
-)
 def test_a_second_publisher_is_told_and_no_loss_invented(flight):
     listener, sensors, mapping = flight
     sensors.publish(SCANS)
@@ -79,11 +67,6 @@ def test_a_second_publisher_is_told_and_no_loss_invented(flight):
     assert "problems.scan_lost" not in listener.values()
 
 
-@pytest.mark.survives(
-    "no point of a scan enters the map",
-    "`problems.no_points_used`, one line in five seconds: how many were outside the domain, out of "
-    "range, isolated or no returns, and where the scan lies",
-)
 def test_scans_of_which_nothing_enters_the_map_are_told_with_the_reason(flight):
     listener, sensors, mapping = flight
 

@@ -35,12 +35,6 @@ def east(places):
 
 
 @pytest.mark.slow
-@pytest.mark.survives(
-    "`lss_node` killed",
-    "started again, it gets the last map and what is latched: area, keep-out, target<br>sites come "
-    "at once if an area and a keep-out are among them (without vertices: no restriction), else "
-    "after 3 s, since a publisher may be found late",
-)
 def test_a_restarted_node_waits_for_the_latched_keep_out(ros, vehicle):
     vehicle.send("landing/keep_out", polygon(WEST))
     stamp = vehicle.send_map(0)
@@ -54,7 +48,6 @@ def test_a_restarted_node_waits_for_the_latched_keep_out(ros, vehicle):
 
 
 @pytest.mark.slow
-@pytest.mark.survives("`lss_node` killed", "of a latched set it gets all keep-outs")
 def test_a_restarted_node_has_all_keep_outs_of_the_latched_set(ros, vehicle):
     """West, then the east but for its north; the west comes again, smaller, and is removed."""
     south = [(4, -16), (16, -16), (16, 0), (4, 0)]
@@ -71,9 +64,6 @@ def test_a_restarted_node_has_all_keep_outs_of_the_latched_set(ros, vehicle):
 
 
 @pytest.mark.slow
-@pytest.mark.survives(
-    "`lss_node` killed", "with `lss.required_input` no site before what it names has come"
-)
 def test_a_required_input_is_waited_for(ros, vehicle):
     """However late it comes: longer than any wait for what may come."""
     ros.start("lss_node", "-p", "lss.required_input:=keep_out")
@@ -107,11 +97,6 @@ def test_a_keep_out_counts_in_the_frame_of_the_map_whenever_it_came(ros, vehicle
     vehicle.until(vehicle.told, DiagnosticStatus.OK, "sites")
 
 
-@pytest.mark.survives(
-    "area or keep-out in a wrong frame or damaged",
-    "no site until a usable or an empty one comes; ERROR in the diagnostics. One that comes before "
-    "the map is judged by the map's frame",
-)
 def test_no_site_while_the_last_polygon_cannot_be_used(ros, vehicle):
     ros.start("lss_node")
     stamp = vehicle.send_map(0)
@@ -136,11 +121,6 @@ def test_no_site_while_the_last_polygon_cannot_be_used(ros, vehicle):
 
 
 @pytest.mark.slow
-@pytest.mark.survives(
-    "two publishers of maps in two frames",
-    "halves of two frames are refused; set `frames.map` for `lss_node`, and it takes that one "
-    "alone",
-)
 def test_halves_of_two_maps_are_not_joined(ros, vehicle):
     """Neither those of one stamp that belong to two maps, nor those of two frames."""
     ros.start("lss_node", "-p", "publish.lss_rate:=50.0")

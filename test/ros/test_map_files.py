@@ -26,10 +26,6 @@ def small(max_level=6):
     return Mapper(load_config(overrides={"domain": domain}))
 
 
-@pytest.mark.survives(
-    "`mapping_node` is killed while it writes a checkpoint",
-    "the checkpoint before it is intact",
-)
 def test_a_writer_killed_at_any_moment_leaves_a_whole_file(tmp_path):
     path, part = tmp_path / "map", tmp_path / "map.part"
     program = (
@@ -55,10 +51,6 @@ def test_a_writer_killed_at_any_moment_leaves_a_whole_file(tmp_path):
     assert path.read_bytes() == b"new" and not part.exists()
 
 
-@pytest.mark.survives(
-    "a checkpoint is damaged, cannot be read, is of another domain, or has impossible planes",
-    "renames it to `….refused`, logs a line and starts with an empty map",
-)
 def test_map_files_survive_what_disks_do(tmp_path):
     mapper = small()
     file = tmp_path / "file"
@@ -80,10 +72,6 @@ def test_map_files_survive_what_disks_do(tmp_path):
     assert (tmp_path / "map.refused").exists() and not (tmp_path / "map").exists()
 
 
-@pytest.mark.survives(
-    "`checkpoint.path` or `map_file.path` is a folder, device or pipe",
-    "`mapping_node` logs a line and leaves it alone; it follows links to files",
-)
 def test_what_is_no_file_is_neither_read_nor_replaced_nor_moved(tmp_path):
     mapper = small()
     folder, pipe, device = tmp_path / "folder", tmp_path / "pipe", tmp_path / "device"
@@ -134,12 +122,6 @@ def kept(path, scans):
     return checkpoints, mapper
 
 
-@pytest.mark.survives(
-    "the map is broken (covariances not positive semidefinite or not finite, leaves that do not "
-    "tile)",
-    "`mapping_node` does not write it, keeps the checkpoint before it and counts "
-    "`problems.checkpoint`",
-)
 @pytest.mark.parametrize("name", ["range_part", "pose_part"])
 @pytest.mark.parametrize("value", [-1.0, np.nan, "indefinite"])
 def test_a_broken_map_never_replaces_a_good_checkpoint(tmp_path, name, value):

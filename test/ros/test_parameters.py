@@ -46,12 +46,6 @@ def test_overrides_reach_the_configuration_and_integers_serve_as_floats(context)
     assert node.get_parameter("use_sim_time").value is True
 
 
-@pytest.mark.survives(
-    "a parameter file of which no section is for the node (`mapping_node:` under a namespace, a "
-    "dump of another name)",
-    "one line with the sections that it has and the node's name, exit code 78; `quadtree-lss "
-    "config check FILE --node /uav1/lss_node` says so before",
-)
 @pytest.mark.quick("lss_node")
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node"])
 def test_a_file_for_other_nodes_alone_ends_a_node(ros, name):
@@ -76,11 +70,6 @@ def test_qos_overrides_of_topics_that_the_node_lacks_are_told(ros):
     assert node.output().count("has no effect") == 1
 
 
-@pytest.mark.survives(
-    "wrong QoS override",
-    "refused at the start in one line; one of a topic that the node has not is a warning, for "
-    "nodes may share a file",
-)
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [

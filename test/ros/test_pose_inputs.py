@@ -69,9 +69,6 @@ def test_a_gimbal_moves_the_lidar(ros):
     np.testing.assert_allclose(cells.z[beside], 0.02 * cells.x[beside], atol=0.05)
 
 
-@pytest.mark.survives(
-    "poses come as the other type", "a warning in the diagnostics that names `pose.source`"
-)
 def test_a_node_that_waits_for_the_other_type_says_so(ros):
     mapping = ros.start("mapping_node", "-r", "nav/odometry:=odometry/filtered")
     with ros.listen() as listener:

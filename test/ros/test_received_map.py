@@ -39,7 +39,6 @@ def give(received, cells):
     assert received.complete_with("cells", cloud)
 
 
-@pytest.mark.survives("a map that `lss_node` cannot use", "the map before it keeps its age")
 def test_a_refused_map_does_not_make_the_one_before_younger(monkeypatch, received, cells):
     give(received, cells)
     received.take()
@@ -61,11 +60,6 @@ IMPATIENT = "from quadtree_lss.onboard.nodes import received_map; received_map.O
 
 
 @pytest.mark.slow
-@pytest.mark.survives(
-    "a map that `lss_node` cannot use",
-    "ERROR in the diagnostics with the reason; the sites hold, and are withdrawn after 30 s "
-    "without a map that can be used",
-)
 def test_sites_are_withdrawn_when_maps_are_refused_for_too_long(ros, cells):
     ros.start("lss_node", "-p", "diagnostics.warn_age:=3.0", first=IMPATIENT)
     with ros.listen({}) as listener:
@@ -109,11 +103,6 @@ sites.LandingSiteSelector.assess = assess
 
 
 @pytest.mark.slow
-@pytest.mark.survives(
-    "a landing site pass ends in an error of the program",
-    "its result is withheld: no site, the target is withdrawn, ERROR with the reason, the "
-    "traceback in the log, `problems.pass_failed`; the next map is assessed",
-)
 def test_a_pass_that_ends_in_an_error_withholds_its_answer_and_the_node_lives(ros, cells):
     faulty = ros.start("lss_node", "-p", "diagnostics.warn_age:=60.0", first=FAULTY)
     with ros.listen({}) as listener:
@@ -135,10 +124,6 @@ def test_a_pass_that_ends_in_an_error_withholds_its_answer_and_the_node_lives(ro
     assert "OverflowError: math range error" in faulty.output()
 
 
-@pytest.mark.survives(
-    "nothing to work with comes (a map, one half of it, scans, poses, a required input)",
-    "the log says what is waited for, or which half of a map lacks",
-)
 def test_what_a_first_map_lacks(received, cells):
     cloud, grid = map_messages(cells, "map")
     assert "nothing came" in received.lacks()
@@ -153,10 +138,6 @@ def test_what_a_first_map_lacks(received, cells):
 
 
 @pytest.mark.slow
-@pytest.mark.survives(
-    "nothing to work with comes (a map, one half of it, scans, poses, a required input)",
-    "after 5 s, and then each time after twice as long; WARN in the diagnostics",
-)
 def test_nodes_that_wait_say_so_in_the_log(ros):
     lss, mapping = ros.start("lss_node"), ros.start("mapping_node")
     with ros.listen({}) as listener:

@@ -62,10 +62,6 @@ sys.meta_path.insert(0, Late())
 
 
 @pytest.mark.slow
-@pytest.mark.survives(
-    "nothing to work with comes (a map, one half of it, scans, poses, a required input)",
-    "also while the node starts",
-)
 @pytest.mark.parametrize(
     ("name", "module", "what"),
     [
@@ -133,9 +129,6 @@ def test_both_nodes_fly_with_what_the_package_itself_requires(ros):
     assert "is not on the vehicle" in refused.stderr
 
 
-@pytest.mark.survives(
-    "map full (`mapping.max_cells`)", "cells stay whole, counted; a warning in the diagnostics"
-)
 def test_a_full_map_stays_full_whether_a_scan_wants_to_divide_or_not(ros):
     ros.start("mapping_node", "-p", "mapping.max_cells:=64")
     with ros.sensors() as (listener, sensors):

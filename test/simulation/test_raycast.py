@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from quadtree_lss.lab.simulation.lidar import FlashLidar
-from quadtree_lss.lab.simulation.terrain import Parabola, Terrain
+from quadtree_lss.lab.simulation.terrain import Terrain, parabola
 from quadtree_lss.lab.simulation.trajectory import look_at
 
 
@@ -92,12 +92,12 @@ def test_beams_follow_the_lidar_frame():
 
 
 def test_noise_outliers_and_dropouts():
-    parabola = Parabola()
+    ground = parabola()
     position, target = np.array([0.0, 0.0, 100.0]), np.array([10.0, 0.0, 0.0])
     rotation = look_at(position, target)
     lidar = FlashLidar(field_of_view_deg=10.0, range_noise=0.08, outliers=0.1, dropouts=0.2)
-    scan = lidar.scan(parabola, position, rotation, np.random.default_rng(5))
-    error = np.linalg.norm(scan, axis=-1) - lidar.true_ranges(parabola, position, rotation)
+    scan = lidar.scan(ground, position, rotation, np.random.default_rng(5))
+    error = np.linalg.norm(scan, axis=-1) - lidar.true_ranges(ground, position, rotation)
     count = error.size
     lost = np.isnan(error).mean()
     assert abs(lost - 0.2) < 4.0 * np.sqrt(0.2 * 0.8 / count)

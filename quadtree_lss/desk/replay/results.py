@@ -32,7 +32,7 @@ from quadtree_lss.onboard.messages.maps import known_probability
 
 JUDGED = ("score", "slope_deg", "roughness", "hazard_distance", "subscale_height")
 SITE_COLUMNS = ("rank", *"xyz", "nx", "ny", "nz", *JUDGED, "id", "probability")
-FIGURES = ("elevation", "slope", "hazards", "probability", "score", "timing")
+FIGURES = ("elevation", "hazards", "probability", "score")
 """Names of the figures, ``figures/<name>.png``."""
 
 

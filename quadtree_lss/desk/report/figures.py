@@ -17,32 +17,21 @@ NONE_COLOUR = "#cdcdcd"
 
 
 def figures(content: Results) -> dict[str, Figure]:
+    """Figures by name."""
     grid, zone = content.grid, content.zone
-    limit, slope = palette.slope_limit(content.config.lss), content.grid["slope_deg"]
     found = {"hazards": hazard_figure(content)}
     found["elevation"], axes = _map("Elevation of the map's planes", content)
     _layer(axes, content, grid["elevation"], "elevation", "elevation, m")
     drawing.mark_sites(axes, content.positions)
-    found["slope"], axes = _map("Slope at the lander's scale", content)
-    label = f"slope, deg (limit {limit:g} in white; grey: unobserved)"
-    limits = palette.slope_limits(slope, content.config.lss)
-    bar = _layer(axes, content, slope, "slope", label, limits=limits)
-    bar.ax.axhline(limit, color="white")
-    if np.nanmin(slope, initial=limit) < limit < np.nanmax(slope, initial=0.0):
-        axes.contour(grid["x"], grid["y"], slope, [limit], colors="white", linewidths=0.8)
     found["score"], axes = _map("Landing site score (lower is better)", content)
     _layer(axes, content, grid["score"], "score", "score (grey: excluded)")
     drawing.mark_sites(axes, content.positions, zone)
-    if not len(content.positions):
-        axes.text(0.5, 0.5, "no safe site", transform=axes.transAxes, ha="center", size=18)
     if content.probability is not None:
         title = "Probability of a safe touchdown if aimed here"
         found["probability"], axes = _map(title, content)
         percent, limits = 100.0 * content.probability, (0.0, 100.0)
         _layer(axes, content, percent, "probability", "probability, %", limits=limits)
         drawing.mark_sites(axes, content.positions, zone)
-    if len(content.timing["map_ms"]):
-        found["timing"] = _timing(content)
     return found
 
 
@@ -94,24 +83,6 @@ def _layer(axes: Any, content: Results, values: Array, kind: str, label: str, **
     drawn = drawing.layer(axes, grid.x, grid.y, values, kind, **style)
     label += "" if "grey" in label else " (grey: unobserved)"
     return axes.figure.colorbar(drawn, ax=axes, label=label, shrink=0.85, extend="both")
-
-
-def _timing(content: Results) -> Figure:
-    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
-    axes = figure.add_subplot()
-    stamps, times = content.timing["stamp_ns"], content.timing["map_ms"]
-    seconds = (stamps - stamps[0]) / 1e9
-    axes.plot(seconds, times, ".-", color="#0072b2", linewidth=0.7, markersize=3)
-    median = float(np.median(times))
-    axes.axhline(median, color="#0072b2", linestyle="--", linewidth=0.8)
-    axes.set_title(f"Map update: median {median:.2f} ms, worst {times.max():.2f} ms")
-    axes.set_xlabel("time since the first scan, s")
-    other = axes.twinx()
-    other.plot(seconds, content.timing["leaves"], color="#d55e00", linewidth=1.2)
-    for own, label, colour in ((axes, "map update, ms", "#0072b2"), (other, "leaves", "#d55e00")):
-        own.set_ylabel(label, color=colour)
-        own.set_ylim(bottom=0.0)
-    return figure
 
 
 def _box(content: Results) -> drawing.Box:

@@ -22,12 +22,12 @@ from quadtree_lss.onboard.core.landing.probability import shown
 from quadtree_lss.onboard.core.landing.ranking import equal_up_to
 from quadtree_lss.onboard.messages.intake import noise_notice
 
+#: Least probability of a good site: one landing in a hundred fails.
 GOOD = 0.99
-"""Least probability of a good site: one landing in a hundred fails."""
+#: Least share of allowed ground within a vehicle's diameter of a good site.
 AROUND = 0.5
-"""Least share of allowed ground within a vehicle's diameter of a good site."""
+#: Levels of trust in a site.
 LEVELS = {"good": "Good", "care": "With care", "none": "Not good enough"}
-"""Levels of trust in a site."""
 
 
 class Areas(NamedTuple):
@@ -36,15 +36,6 @@ class Areas(NamedTuple):
     seen: float
     allowed: float
     unmapped: float
-
-
-class Circle(NamedTuple):
-    """The largest circle of observed ground without hazards; ``limit`` ends it."""
-
-    x: float
-    y: float
-    radius: float
-    limit: str
 
 
 class NearestMiss(NamedTuple):
@@ -62,26 +53,6 @@ def areas(content: Results, moment: Moment) -> Areas:
     y[[0, -1]] *= 0.5
     each = y[:, None] * x
     return Areas(*(float(each[part].sum()) for part in moment[:3]))
-
-
-def largest_circle(content: Results) -> Circle | None:
-    """The largest clear circle; None if landing is allowed somewhere, or no ground is clear."""
-    grid = content.grid
-    bits = excluding(content.config.lss.assessment) & ~PARTLY_UNOBSERVED
-    hazardous = (grid["hazard"] & bits) > 0
-    clear = grid.seen & ~hazardous
-    room = _room(clear, grid.spacing)
-    if grid["safe"].any() or room.max() < 0.5 * content.zone:
-        return None
-    row, column = np.unravel_index(np.argmax(room), room.shape)
-    radius = float(room[row, column])
-    away = np.hypot(grid["x"] - grid["x"][column], (grid["y"] - grid["y"][row])[:, None])
-    edge = ~clear & (away < radius + 1.5 * grid.spacing)
-    unseen, blocked = np.count_nonzero(edge & ~grid.seen), np.count_nonzero(edge & hazardous)
-    limit = "hazards" if blocked > unseen else "unobserved ground" if unseen else "the map's edge"
-    if unseen >= blocked and 2 * np.count_nonzero(edge & grid.unmapped) > unseen:
-        limit = "ground observed but not estimated"
-    return Circle(float(grid["x"][column]), float(grid["y"][row]), radius, limit)
 
 
 def nearest_miss(content: Results) -> NearestMiss | None:
@@ -115,13 +86,8 @@ class Fact(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """What an assessment found: masks (ny, nx) of the grid and the ranked sites, best first.
-
-    Attributes:
-        position: (K, 2) or (K, 3), map frame, m.
-        probability: (K,), NaN if not computed.
-        target: (2,) the target on ``landing/selected``, None without one.
-    """
+    """An assessment: masks (ny, nx) of the grid, positions (K, 2) or (K, 3) of the ranked sites, m,
+    their probabilities (K,), NaN if not computed, and the target (2,), None without one."""
 
     seen: Mask
     allowed: Mask
@@ -188,9 +154,8 @@ def ratings(content: Results, moment: Moment) -> list[tuple[str, str]]:
             level, against = "care", [f"that is less than {shown(GOOD)}"]
         if share < AROUND:
             level = "none" if level == "none" else "care"
-            against += [
-                f"only {few(100.0 * share)} % of the ground within {reach:.3g} m is allowed"
-            ]
+            near = f"the ground within {reach:.3g} m is allowed"
+            against += [f"only {few(100.0 * share)} % of {near}"]
         if warnings:
             level = "none" if level == "none" else "care"
             against += ["the risk model does not fit this case (see the warnings)"]
@@ -208,7 +173,7 @@ def verdict(content: Results, moment: Moment | None = None) -> Verdict:
         ground += f": {few(found.allowed)} m²"
     if found.unmapped >= 0.5:
         ground += f"; {few(found.unmapped)} m² more are observed but not estimated"
-    facts = _facts(content, moment, found)
+    facts = _facts(content, moment)
     if not number:
         details = _without(content, ground) if at_end else f"{ground}."
         return Verdict("none", "No landing site.", details, facts)
@@ -219,14 +184,11 @@ def verdict(content: Results, moment: Moment | None = None) -> Verdict:
         words = f"the risk at {of} is not computed"
     answer = f"{LEVELS[level]}: {words}{', but ' + against if against else ''}."
     place = ", ".join(f"{n} {v:.2f}" for n, v in zip("xyz", moment.position[0], strict=False))
-    details = f"Site 1 is at {place} m. {ground}."
-    if at_end:
-        why = re.sub(r"^probability [^:;]*[:;] ", "", content.reasons[0])
-        details = f"Site 1 is at {place} m: {why}. {ground}."
-    return Verdict(level, answer, details, facts)
+    why = ": " + re.sub(r"^probability [^:;]*[:;] ", "", content.reasons[0]) if at_end else ""
+    return Verdict(level, answer, f"Site 1 is at {place} m{why}. {ground}.", facts)
 
 
-def _facts(content: Results, moment: Moment, found: Areas) -> list[Fact]:
+def _facts(content: Results, moment: Moment) -> list[Fact]:
     lss, vehicle, summary = content.config.lss, content.config.vehicle, content.summary
     facts, warnings = [], len(summary.get("doubts", ()))
     if len(moment.position):
@@ -234,26 +196,18 @@ def _facts(content: Results, moment: Moment, found: Areas) -> list[Fact]:
         level = "none" if best < lss.min_probability else "good" if best >= GOOD else "care"
         aim = ("not computed", "care") if np.isnan(best) else (shown(best), level)
         near = f"{few(100.0 * share)} % within {vehicle.diameter:.3g} m"
-        facts = [
-            Fact("success at site 1", *aim),
-            Fact("allowed around site 1", near, "good" if share >= AROUND else "care"),
-        ]
+        around = Fact("allowed around site 1", near, "good" if share >= AROUND else "care")
+        facts = [Fact("success at site 1", *aim), around]
     if "probability" in (lss.assessment, lss.ranking):
-        fits = (
-            (f"does not fit: {warnings} in the warnings", "care") if warnings else ("fits", "good")
-        )
-        facts.append(Fact("risk model", *fits))
-    if lss.assessment == "probability":
-        facts.append(Fact("risk limit of a place", f"{100.0 * lss.max_risk:.3g} %"))
+        bad = f"does not fit: {warnings} in the warnings", "care"
+        facts.append(Fact("risk model", *(bad if warnings else ("fits", "good"))))
     spread = " × ".join(f"{s:.3g}" for s in dict.fromkeys(content.dispersion))
     facts.append(Fact("touchdown dispersion, 1 σ", f"{spread} m"))
     if moment.target is not None:
         (x, y), away = moment.target, np.hypot(*(moment.position[:, :2] - moment.target).T)
         near = np.flatnonzero(away < 0.5 * vehicle.diameter)
-        facts.append(
-            Fact("target", f"site {near[0] + 1}" if len(near) else f"x {x:.2f}, y {y:.2f}")
-        )
-    facts.append(Fact("ground observed", f"{few(found.seen)} m²"))
+        place = f"site {near[0] + 1}" if len(near) else f"x {x:.2f}, y {y:.2f}"
+        facts.append(Fact("target", place))
     ratio, noise = summary.get("range_noise_ratio"), content.config.lidar.range_noise
     if ratio is not None:
         level = "" if noise_notice(ratio, content.config) is None else "care"
@@ -298,35 +252,29 @@ def shortfall(content: Results) -> str:
     if lss.assessment == "probability" and risk is not None:
         least = float(np.nanmin(risk[fits], initial=1.0))
         if least > lss.max_risk:
-            times = ", not the"
-            if lss.max_risk:
-                times = f", {least / lss.max_risk:.3g} times the allowed"
+            ratio = f"{least / lss.max_risk:.3g} times the allowed" if lss.max_risk else "not the"
             limit = f"{100.0 * lss.max_risk:.3g} % (lss.max_risk)"
-            return f"The lowest risk of a place is {100.0 * least:.2g} %{times} {limit}"
+            return f"The lowest risk of a place is {100.0 * least:.2g} %, {ratio} {limit}"
     slope = float(np.nanmin(content.grid["slope_deg"][fits], initial=90.0))
     limit_deg = slope_limit(lss)
     if slope > limit_deg:
         over = f"{slope - limit_deg:.1f}° over the limit of {limit_deg:.1f}°"
         return f"The most level place has {slope:.1f}°, {over}"
-    circle = largest_circle(content)
-    if circle is None or circle.radius >= need:
+    hazards = excluding(lss.assessment) & ~PARTLY_UNOBSERVED
+    clear = content.grid.seen & (content.grid["hazard"] & hazards == 0)
+    widest = float(_room(clear, content.grid.spacing).max())
+    if widest >= need:
         return ""
-    short = need - circle.radius
-    return f"Clear ground is {short:.2f} m short of the {need:.2f} m radius of a zone"
+    return f"Clear ground is {need - widest:.2f} m short of the {need:.2f} m radius of a zone"
 
 
 def _without(content: Results, ground: str) -> str:
-    """Details without a site: the missed limit, the nearest miss, the largest circle."""
+    """Details without a site: the missed limit and the nearest miss."""
     text = f"{content.summary['explanation']}".removeprefix("no safe site: ").rstrip(".")
     lines = [shortfall(content) or f"{text[:1].upper()}{text[1:]}"]
     lines += [ground] if content.grid.seen.any() else []
-    miss, circle = nearest_miss(content), largest_circle(content)
-    if miss is not None:
+    if (miss := nearest_miss(content)) is not None:
         lines.append(f"Nearest miss at x {miss.x:.2f}, y {miss.y:.2f} m: {miss.why}")
-    if circle is not None:
-        text = f"Largest circle of clear ground: {circle.radius:.2f} m about x {circle.x:.2f},"
-        text += f" y {circle.y:.2f} m, up to {circle.limit}; {content.zone:.2f} m are needed"
-        lines.append(text)
     return ". ".join(lines) + "."
 
 

@@ -34,7 +34,6 @@ function drawSites(c) {
     badge(c, site.x, site.y, site.rank, site.rank - 1 === view.site);
   }
   if (data.target) drawTarget(c, ...data.target);
-  if (data.circle) ring(c, data.circle.x, data.circle.y, data.circle.radius, [5, 4]);
   if (data.miss) { ring(c, data.miss.x, data.miss.y, data.zone, [2, 4]); badge(c, data.miss.x, data.miss.y, "?"); }
 }
 function shape(c, points, colour) {

@@ -16,7 +16,6 @@ from quadtree_lss.desk.report import palette
 from quadtree_lss.desk.report.headline import (
     GOOD,
     Moment,
-    largest_circle,
     last_moment,
     last_target,
     nearest_miss,
@@ -52,7 +51,7 @@ def page_data(content: Results, layers: Sequence[Layer] = ()) -> tuple[dict[str,
     columns, config = Columns(), content.config
     grid = _grid(content, columns)
     stride = grid["stride"]
-    circle, miss = largest_circle(content), nearest_miss(content)
+    miss = nearest_miss(content)
     return {
         "grid": grid,
         "layers": [_layer(layer, columns, stride) for layer in layers],
@@ -61,7 +60,6 @@ def page_data(content: Results, layers: Sequence[Layer] = ()) -> tuple[dict[str,
         "zone": content.zone,
         "noise": config.lidar.range_noise,
         "lander": {"radius": 0.5 * config.vehicle.diameter, "pad": config.vehicle.pad_radius},
-        "circle": circle and circle._asdict(),
         "miss": miss and miss._asdict(),
         "target": None if (target := last_target(content)) is None else target.tolist(),
         "landing": content.summary.get("landing") or {},
@@ -70,10 +68,7 @@ def page_data(content: Results, layers: Sequence[Layer] = ()) -> tuple[dict[str,
         "timing": _timing(content),
         "hazards": [{"bit": b, "name": name, "colour": c} for b, name, c in palette.HAZARDS],
         "excluding": palette.excluding(config.lss.assessment),
-        "colours": {
-            "clear": palette.CLEAR_COLOUR,
-            "site": palette.SITE_COLOUR,
-        },
+        "colours": {"clear": palette.CLEAR_COLOUR, "site": palette.SITE_COLOUR},
         "maps": {
             kind: columns.whole(colormaps[name](np.arange(256), bytes=True)[:, :3], "u1")
             for kind, name in palette.MAPS.items()
@@ -88,9 +83,9 @@ def _grid(content: Results, columns: Columns) -> dict[str, Any]:
     def part(name: str) -> NDArray[Any]:
         return grid[name][::stride, ::stride]
 
-    lss, limits = content.config.lss, palette.colour_limits
-    slope: dict[str, Any] = {"limits": palette.slope_limits(grid["slope_deg"], lss)}
-    slope["mark"] = palette.slope_limit(lss)
+    lss, limits, heights = content.config.lss, palette.colour_limits, grid["elevation"]
+    steepest, mark = palette.top_limit(grid["slope_deg"])[1], palette.slope_limit(lss)
+    slope = {"limits": (0.0, max(steepest, mark)), "mark": mark}
     found: dict[str, Any] = {
         "nx": len(grid["x"][::stride]),
         "ny": len(grid["y"][::stride]),
@@ -98,9 +93,7 @@ def _grid(content: Results, columns: Columns) -> dict[str, Any]:
         "ymin": float(grid["y"][0]),
         "spacing": content.grid.spacing * stride,
         "stride": stride,
-        "elevation": columns.quantised(
-            part("elevation"), least=5e-4, limits=limits(grid["elevation"])
-        ),
+        "elevation": columns.quantised(part("elevation"), least=5e-4, limits=limits(heights)),
         "slope": columns.quantised(part("slope_deg"), least=5e-3, **slope),
         "score": columns.quantised(part("score"), least=2e-4, limits=limits(grid["score"])),
     }
@@ -109,9 +102,8 @@ def _grid(content: Results, columns: Columns) -> dict[str, Any]:
     if content.probability is not None:
         known = np.where(grid.seen, grid["risk"], np.nan)[::stride, ::stride]
         for name, values in (("risk", known), ("aim", 1.0 - part("probability"))):
-            found[name] = columns.quantised(
-                _exponents(values), limits=_exponents([0.0, 1.0]).tolist()
-            )
+            ends = _exponents([0.0, 1.0]).tolist()
+            found[name] = columns.quantised(_exponents(values), limits=ends)
     return found
 
 

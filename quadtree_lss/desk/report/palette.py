@@ -28,6 +28,7 @@ HAZARDS = (
 CLEAR_COLOUR = "#f0e9c8"  # no hazard
 SAFE_COLOUR, EXCLUDED_COLOUR = "#009e73", "#882255"
 SITE_COLOUR = "#1c1c1c"
+#: Colour maps of matplotlib by kind of layer; bright is good.
 MAPS = {
     "elevation": "cividis",
     "slope": "viridis_r",
@@ -36,7 +37,7 @@ MAPS = {
     "deviation": "magma_r",
     "error": "RdBu_r",
 }
-"""Colour maps of matplotlib by kind of layer; bright is good."""
+#: Kind of each layer whose name is not a kind.
 KINDS = {
     "plane_elevation": "elevation",
     "map_height": "elevation",
@@ -44,9 +45,8 @@ KINDS = {
     "map_deviation": "deviation",
     "risk": "score",
 }
-"""Kind of each layer whose name is not a kind."""
+#: Chances of failure are shown on a logarithmic scale from here to 1.
 LEAST_SHOWN = 1e-4
-"""Chances of failure are shown on a logarithmic scale from here to 1."""
 
 
 def excluding(assessment: str) -> int:
@@ -72,11 +72,6 @@ def colour_limits(values: Array) -> tuple[float, float]:
 def top_limit(values: Array) -> tuple[float, float]:
     """From 0 to the 99th percentile."""
     return 0.0, max(colour_limits(values)[1], 1e-6)
-
-
-def slope_limits(slopes: Array, lss: LssConfig) -> tuple[float, float]:
-    """Range of the colours of slopes, including the limit, deg."""
-    return 0.0, max(top_limit(slopes)[1], slope_limit(lss))
 
 
 def even_limits(values: Array) -> tuple[float, float]:

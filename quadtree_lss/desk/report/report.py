@@ -14,7 +14,6 @@ from quadtree_lss.desk.report.drawing import png, small
 from quadtree_lss.desk.report.figures import figures, hazard_figure
 from quadtree_lss.desk.report.headline import (
     LEVELS,
-    largest_circle,
     last_moment,
     nearest_miss,
     rank_reasons,
@@ -40,11 +39,7 @@ SITES = (
     ("feature", "m", "subscale_height", "{:.2f}", FEATURE),
 )
 """Columns of the table of sites: heading, unit, name in ``sites.csv``, format, meaning."""
-RANK = (
-    "ranks here as",
-    "",
-    "equal: within the error of the risk model; then more room ranks first",
-)
+EQUAL = "equal: within the error of the risk model; then more room ranks first"
 
 
 def report_files(folder: str | Path) -> dict[str, bytes]:
@@ -71,10 +66,6 @@ def page(
     shown_columns = [row for row in SITES if row[2] != ("score" if known else "probability")]
     wanted = "target" in summary.get("landing", {})
     why, rated = rank_reasons(sites, wanted), ratings(content, last_moment(content))
-    marks = (
-        nearest_miss(content) and "? the nearest miss",
-        largest_circle(content) and "the dashed circle the largest one of clear ground",
-    )
     set_to = values_from_config(config)
     rows = [(row.name, set_to[row.name], row.default, row.unit, row.doc) for row in parameters()]
     shown_values = {
@@ -86,13 +77,16 @@ def page(
         "picture_of_map": small(png(hazard_figure(content), dpi=60)),
         "ground": ground,
         "warnings": [*summary.get("losses", ()), *summary.get("warnings", ())],
-        "head": [*((word, unit, meaning) for word, unit, _, _, meaning in shown_columns), RANK],
+        "head": [
+            *((word, unit, meaning) for word, unit, _, _, meaning in shown_columns),
+            ("ranks here as", "", EQUAL),
+        ],
         "rows": [
             [*(_cell(name, sites[name][k], form) for _, _, name, form, _ in shown_columns), why[k]]
             for k in range(len(sites["x"]))
         ],
         "levels": [(level, LEVELS[level]) for level, _ in rated],
-        "drawn": list(filter(None, marks)),
+        "nearest_miss": nearest_miss(content) is not None,
         "reasons": content.reasons,
         "timed": len(content.timing["map_ms"]) > 0,
         "run": _run(summary),
@@ -132,7 +126,6 @@ def _run(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("landing site selection", known("{:.2f} ms", "lss_ms")),
         ("speed, bag reading included", f"{speed:.1f} × real time" if speed else ""),
         ("leaves", known("{}", "leaves")),
-        ("divisions refused", known("{}", "refused_divisions")),
         ("observed / configured range noise", known("{:.2f}", "range_noise_ratio")),
         ("peak memory", known("{:.0f} MB", "peak_memory_mb")),
         ("versions", ", ".join(f"{k} {v}" for k, v in summary["versions"].items())),

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every flight of a campaign as a point of any two quantities; a click tells of one and where it is.
+// Each flight of a campaign as a point of any two quantities; a click shows its figures and the command that keeps it.
 "use strict";
-const { columns, indices, seeds, groups, colours, titles, page, command } = data;
-const canvas = byId("scatter"), kept = JSON.parse(byId("kept").textContent);
+const { columns, indices, seeds, groups, colours, titles, command } = data;
+const canvas = byId("scatter");
 const chosen = { x: "", y: "", flight: -1 };
 const EDGE = { left: 56, right: 14, top: 10, bottom: 40 };
 const known = name => Array.from(columns[name]).filter(v => !Number.isNaN(v));
@@ -44,14 +44,14 @@ function drawScatter() {
   places().forEach((at, k) => {
     if (!at) return;
     const own = indices[k] === chosen.flight;
-    c.beginPath(); c.arc(...at, own ? 7 : 3.5, 0, 7);
+    c.beginPath(); c.arc(...at, own ? 8 : 5, 0, 7);
     c.globalAlpha = own ? 1 : 0.7; c.fillStyle = colours[groups[k] % colours.length]; c.fill(); c.globalAlpha = 1;
     if (own || data.bad[k]) {
       c.strokeStyle = ink(own ? "--ink" : "--bad"); c.lineWidth = 2.5; c.stroke(); c.lineWidth = 1;
     }
   });
 }
-function pickFlight(index) { // its figures, and its page or the command that flies it again
+function pickFlight(index) { // show its figures and the command that flies it again
   const k = indices.indexOf(index), box = byId("flight");
   box.textContent = "";
   if (k < 0) { box.textContent = "There is no such flight."; return; }
@@ -59,11 +59,7 @@ function pickFlight(index) { // its figures, and its page or the command that fl
   byId("number").value = index;
   const head = box.appendChild(document.createElement("p"));
   head.append(`Flight ${index}, seed ${seeds[k]}: `);
-  const folder = String(index).padStart(6, "0");
-  const where = head.appendChild(document.createElement(kept.includes(folder) ? "a" : "code"));
-  if (kept.includes(folder)) {
-    where.href = `kept/${folder}/${page}`; where.textContent = "open its page";
-  } else where.textContent = `${command} ${index}`;
+  head.appendChild(document.createElement("code")).textContent = `${command} ${index}`;
   const table = box.appendChild(document.createElement("table"));
   table.className = "plain";
   for (const name of Object.keys(titles)) {

@@ -7,21 +7,21 @@ import asyncio
 import contextlib
 import gc
 import itertools
-import json
 import logging
 import signal
 import time
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import CancelledError
-from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+from quadtree_lss.desk.replay.files import write_bytes, write_json
+from quadtree_lss.lab.campaign.campaign_page import page
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Figures, kind_of
 from quadtree_lss.lab.campaign.store import Record, Store
 from quadtree_lss.lab.campaign.study import Study, this_build
-from quadtree_lss.lab.campaign.summary import CampaignResult, write_summary
+from quadtree_lss.lab.campaign.summary import CampaignResult, write_flights
 from quadtree_lss.onboard.errors import one_line
 
 Progress = Callable[[int, int], None]
@@ -34,50 +34,47 @@ SETTINGS = {
 }
 LOCAL = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
 LOCAL |= {"processes": True, "silence_logs": logging.CRITICAL}
-LOOK_S = 0.5
+#: Longest wait before the workers are counted again, s.
+POLL_S = 0.5
 #: One class from Python 3.11 on.
 TIMED_OUT = (TimeoutError, asyncio.TimeoutError)
 #: Longest time without a worker, s.
 NO_WORKER_S = 60.0
 
 
-@dataclass(frozen=True)
-class Where:
-    """Number of worker processes on this computer, or the scheduler with the workers."""
-
-    workers: int | None = None
-    scheduler_address: str | None = None
-    scheduler_file: str | None = None
-
-
 def campaign(
     study: Study,
     out: str | Path,
-    where: Where | None = None,
     *,
-    rerun: Collection[int] = (),
-    rerun_failed: bool = False,
+    workers: int | None = None,
+    scheduler_address: str | None = None,
+    rerun: Collection[int] | Literal["failed"] = (),
     progress: Progress | None = None,
     stop: Callable[[], bool] | None = None,
     tell: Callable[[str], None] | None = None,
 ) -> CampaignResult:
-    """Fly the flights of a study that have no file in ``out``, and those of ``rerun``, and write
-    the summary. ``stop`` ends it early by returning True; ``tell`` gets the address of the
-    dashboard. Raises `CampaignError`: Dask is missing, or the study cannot be flown there;
-    KeyboardInterrupt: stopped before a flight was done."""
+    """Fly the flights of a study that have no file in ``out``, and those of ``rerun``; write the
+    summary.
+
+    They are flown by a number of ``workers`` on this computer, by default one for each core, or by
+    the workers of the Dask scheduler at ``scheduler_address``. ``stop`` ends the campaign early by
+    returning True; ``tell`` gets the address of the dashboard. Raises `CampaignError`: Dask is
+    missing, or the study cannot be flown there; KeyboardInterrupt: stopped before a flight was
+    done.
+    """
     store, stopped = Store(out), stop or (lambda: False)
     with store.opened():
-        again = {study.case(index).index for index in rerun}
+        again = set() if rerun == "failed" else {study.case(index).index for index in rerun}
         records: dict[int, Record] = {}
         for case in map(study.case, range(study.count)):
             record = None if case.index in again else store.read(case)
-            if record is not None and not (record.error and rerun_failed):
+            if record is not None and not (record.error and rerun == "failed"):
                 records[case.index] = record
         missing = iter(i for i in range(study.count) if i not in records)
         tell_progress = progress or (lambda done, total: None)
         tell_progress(len(records), study.count)
         if len(records) < study.count:
-            with _client(where or Where()) as client:
+            with _client(workers, scheduler_address) as client:
                 if tell is not None:
                     tell(f"dashboard: {client.dashboard_link}")
                 for record in _fly_all(client, study, store, missing, stopped):
@@ -87,27 +84,17 @@ def campaign(
         if interrupted and not records:
             raise KeyboardInterrupt
         result = CampaignResult(store.out, study, dict(sorted(records.items())), interrupted)
-        write_summary(result)
+        write_json(store.out / "campaign.json", result.as_dict())
+        write_flights(store.out / "flights.csv", result.records.values())
+        write_bytes(store.out / "campaign.html", page(result).encode())
         return result
-
-
-def flagged(out: str | Path) -> list[int]:
-    """The worst flights on the campaign's page. Raises `CampaignError`: there is none."""
-    try:
-        worst = json.loads((Path(out) / "campaign.json").read_text("utf-8"))["worst"]
-        return sorted({int(index) for pairs in worst.values() for index, _ in pairs})
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise CampaignError(f"{out} is no folder of a campaign that was summed up") from None
 
 
 def keep(study: Study, out: str | Path, index: int) -> Path:
     """Fly ``index`` again and return the folder with all its results. Raises `CampaignError`: there
     is no such flight."""
-    from quadtree_lss.lab.campaign.campaign_page import note_kept  # matplotlib
-
-    case, folder = study.case(index), Path(out) / "kept" / f"{index:06d}"
-    study.what.keep(case, folder)
-    note_kept(Path(out), study.what.page)
+    folder = Path(out) / "kept" / f"{index:06d}"
+    study.kind.keep(study.case(index), folder)
     return folder
 
 
@@ -133,7 +120,7 @@ def _fly_all(
     running: dict[Any, Case] = {}
     seen = time.monotonic()
     while not stop():
-        with _answering():
+        with _scheduler_errors():
             threads = sum(client.nthreads().values())
             if threads:
                 seen = time.monotonic()
@@ -145,8 +132,8 @@ def _fly_all(
             if not running:
                 break
             with contextlib.suppress(*TIMED_OUT):
-                wait(list(running), timeout=LOOK_S, return_when="FIRST_COMPLETED")
-            ended = {f: _given(f) for f in running if f.done()}
+                wait(list(running), timeout=POLL_S, return_when="FIRST_COMPLETED")
+            ended = {f: _outcome(f) for f in running if f.done()}
         for future, found in ended.items():
             case = running.pop(future)
             yield store.write(case, *(({}, found) if isinstance(found, str) else (found,)))
@@ -156,15 +143,15 @@ def _fly_all(
 
 
 @contextlib.contextmanager
-def _answering() -> Iterator[None]:
-    """Raise `CampaignError` if the scheduler is lost."""
+def _scheduler_errors() -> Iterator[None]:
+    """Raise `CampaignError` where the scheduler is lost."""
     try:
         yield
     except (OSError, CancelledError) as error:
         raise CampaignError("the scheduler is lost; what was flown is kept") from error
 
 
-def _given(future: Any) -> Figures | str:
+def _outcome(future: Any) -> Figures | str:
     if future.status != "error":
         return future.result()
     error = future.exception()
@@ -174,37 +161,33 @@ def _given(future: Any) -> Figures | str:
 
 
 @contextlib.contextmanager
-def _client(where: Where) -> Iterator[Any]:
+def _client(workers: int | None, scheduler_address: str | None) -> Iterator[Any]:
     try:
         import dask
         from dask.distributed import Client
     except ImportError as error:
         raise CampaignError("campaigns need Dask: pip install distributed bokeh") from error
-    there = {"address": where.scheduler_address, "scheduler_file": where.scheduler_file}
-    there = {name: value for name, value in there.items() if value}
-    if len(there) + bool(where.workers) > 1:
-        raise CampaignError("workers, scheduler_address and scheduler_file exclude one another")
-    if where.scheduler_file and not Path(where.scheduler_file).is_file():
-        raise CampaignError(f"{where.scheduler_file}: no such file")
+    if workers and scheduler_address:
+        raise CampaignError("workers and scheduler_address exclude one another")
     for name in ("distributed", "distributed.client", "asyncio", "tornado"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with contextlib.ExitStack() as stack:
         try:
-            if there:
-                client = stack.enter_context(Client(**there, timeout="20s"))
+            if scheduler_address:
+                client = stack.enter_context(Client(scheduler_address, timeout="20s"))
             else:
-                with _deaf_children(), dask.config.set(SETTINGS):
-                    client = stack.enter_context(Client(n_workers=where.workers, **LOCAL))
+                with _sigint_blocked(), dask.config.set(SETTINGS):
+                    client = stack.enter_context(Client(n_workers=workers, **LOCAL))
         except (OSError, ValueError, RuntimeError, *TIMED_OUT) as error:
-            which = "no scheduler" if there else "the workers could not be started"
+            which = "no scheduler" if scheduler_address else "the workers could not be started"
             msg = f"{which}: {one_line(str(error) or type(error).__name__)}"
             raise CampaignError(msg) from error
         yield client
 
 
 @contextlib.contextmanager
-def _deaf_children() -> Iterator[None]:
-    """Keep Ctrl-C from child processes, which inherit that; the parent gets it afterwards."""
+def _sigint_blocked() -> Iterator[None]:
+    """Block SIGINT for child processes, which inherit that; this process gets it afterwards."""
     resource_tracker.ensure_running()  # its start would lift the block
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:

@@ -63,17 +63,13 @@ class Quantity:
 @dataclass(frozen=True)
 class Kind:
     """How to fly a case, and its figures. ``fly`` may raise `QuadtreeLssError`; ``keep`` writes all
-    results with a ``page`` into a folder. The campaign's page first shows the figure ``first``
-    (empty: the first mean) over figures in ``by`` or varied by the study."""
+    results into a folder."""
 
     fly: Callable[[Case], Figures]
     keep: Callable[[Case, Path], None]
-    page: str
     scenarios: Collection[str]
     conditions: Collection[str]
     quantities: tuple[Quantity, ...]
-    first: str = ""
-    by: tuple[str, ...] = ()
 
 
 def kind_of(name: str) -> Kind:

@@ -23,8 +23,6 @@ def settings_of(case: Case) -> FlightSettings:
     given["terrain"] = given.get("terrain") or ""
     if "rocks" in given:
         given["rock_abundance"] = given.pop("rocks")
-    if "survey" in given:
-        given["plan"] = {"survey": given.pop("survey")}
     return flight_settings(given)
 
 
@@ -51,14 +49,13 @@ def keep(case: Case, folder: Path) -> None:
 FLY = Kind(
     fly=fly,
     keep=keep,
-    page="flight.html",
     scenarios=AVOIDANCE,
     conditions=CONDITIONS,
     quantities=(
         Quantity("safe", "Safe touchdowns", worst="smallest", of="one"),
         Quantity("unsafe", "Unsafe touchdowns", of="one"),
         Quantity("aborted", "Flights without touchdown", of="one"),
-        Quantity("doubted", "Flights with doubts of their risks", of="one"),
+        Quantity("doubted", "Flights with warnings about their risks", of="one"),
         Quantity("unsafe_known", "Unsafe where the map had said so", of="one"),
         Quantity("error", "Touchdown from the aim", "m", 3),
         Quantity("from_planned", "Touchdown from the planned point", "m", 1),
@@ -68,6 +65,4 @@ FLY = Kind(
         Quantity("last_divert_time", "Time of the last divert", "s", 1),
         Quantity("time", "Time of flight", "s", 1),
     ),
-    first="propellant",
-    by=("from_planned", "diverts"),
 )

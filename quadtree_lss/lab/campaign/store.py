@@ -18,8 +18,8 @@ from quadtree_lss.desk.replay.files import locked, plain, write_bytes, writing
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Value
 
 MOST_FLIGHTS = 1_000_000
+#: Conditions and parameters that name a file, whose content decides a flight.
 FILES = ("terrain", "lss.risk_model")
-"""Conditions and parameters that name a file, whose content decides a flight."""
 
 
 @dataclass(frozen=True)
@@ -92,14 +92,12 @@ class Store:
 def read_record(path: Path) -> Record:
     """Read a flight's file. Raises `CampaignError`: it is malformed or a copy."""
     try:
-        if not path.is_file():  # nobody may ever write into a named pipe
+        if not path.is_file():  # reading a named pipe would wait for ever
             raise ValueError
         record = Record(**json.loads(path.read_text(encoding="utf-8")))
-        name = record_name(record.index, record.key)
+        if record_name(record.index, record.key) != path.name:
+            raise ValueError
+        return record
     except (OSError, ValueError, TypeError, RecursionError):
-        why = "is no record of a flight"
-    else:
-        if name == path.name:
-            return record
-        why = f"is not as it was written, but of {name}"
-    raise CampaignError(f"{path} {why}; with --rerun, or without the file, it is flown again")
+        why = "is not the record of this flight; with --rerun, or without the file, it is flown"
+        raise CampaignError(f"{path} {why} again") from None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A study: which flights there are. Read from a YAML file; see ``docs/campaigns.md``."""
+"""A study: which flights there are. Read from a YAML file; see ``studies/RESULTS.md``."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Study:
     ``repeats`` the number of flights of each combination; ``files`` the configurations by case."""
 
     name: str
-    kind: str
+    kind_name: str
     seed: int
     repeats: int
     seeds: tuple[int, ...] = ()
@@ -71,8 +71,8 @@ class Study:
         return frozenset(name for (_, name), value in values if isinstance(value, Drawn))
 
     @cached_property
-    def what(self) -> Kind:
-        return kind_of(self.kind)
+    def kind(self) -> Kind:
+        return kind_of(self.kind_name)
 
     def case(self, index: int) -> Case:
         """Flight ``index``. Combinations take turns, so more flights do not change the first ones;
@@ -98,7 +98,7 @@ class Study:
         overrides = {name: v for (part, name), v in values.items() if part == "parameters"}
         return Case(
             index,
-            self.kind,
+            self.kind_name,
             str(values[("scenario", "scenario")]),
             seed,
             {name: v for (part, name), v in values.items() if part == "conditions"},

@@ -13,16 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from quadtree_lss.desk.replay.files import plain, write_bytes, write_csv, write_json
+from quadtree_lss.desk.replay.files import plain, write_csv
 from quadtree_lss.desk.replay.results import aligned
 from quadtree_lss.lab.campaign.kinds import Quantity
 from quadtree_lss.lab.campaign.store import Record
 from quadtree_lss.lab.campaign.study import Study
 
-WORST = 5
-"""Flights that are listed."""
-FEW = 20
-"""Flights of which the bootstrap's interval of the mean holds it in fewer than 93 of 100 cases."""
+#: Flights that are listed as the worst by one quantity, and failed ones in the printed table.
+LISTED, LISTED_FAILED = 5, 10
 
 
 class Line(NamedTuple):
@@ -38,18 +36,16 @@ class Line(NamedTuple):
     events: int | None = None
 
     def cells(self) -> tuple[str, str, str, str, str]:
-        q = self.quantity
-        digits = f".{q.digits}f"
-        flight = "–" if self.worst_flight is None else str(self.worst_flight)
+        """Cells of a table: name, mean or count, interval, worst value, worst flight."""
+        q, flight = self.quantity, "–" if self.worst_flight is None else str(self.worst_flight)
         if self.events is not None:
             bounds = f"{100.0 * self.low:.2f} … {100.0 * self.high:.2f} %" if self.count else "–"
             return q.label, f"{self.events} of {self.count}", bounds, "–", flight
-        interval = "–" if self.low != self.low else f"{self.low:{digits}} … {self.high:{digits}}"
-        return q.title, _show(self.mean, digits), interval, _show(self.worst, digits), flight
-
-
-def _show(value: float, digits: str) -> str:
-    return "–" if value != value else f"{value:{digits}}"
+        mean, low, high, worst = (
+            "–" if value != value else f"{value:.{q.digits}f}"
+            for value in (self.mean, self.low, self.high, self.worst)
+        )
+        return q.title, mean, "–" if low == "–" else f"{low} … {high}", worst, flight
 
 
 def number(record: Record, name: str) -> float:
@@ -59,7 +55,7 @@ def number(record: Record, name: str) -> float:
 
 
 def line_of(quantity: Quantity, records: Sequence[Record]) -> Line:
-    """One quantity of flights; those without the figure are left out."""
+    """Sum up one quantity of flights; those without the figure are left out."""
     values = np.array([number(record, quantity.name) for record in records])
     if quantity.of is None:
         kept = np.flatnonzero(np.isfinite(values))
@@ -68,7 +64,7 @@ def line_of(quantity: Quantity, records: Sequence[Record]) -> Line:
         value = values[kept]
         at = int(value.argmin() if quantity.worst == "smallest" else value.argmax())
         worst = float(value[at]), records[int(kept[at])].index
-        return Line(quantity, float(value.mean()), *bootstrap(value), *worst, int(kept.size))
+        return Line(quantity, float(value.mean()), *mean_interval(value), *worst, int(kept.size))
     events = int(np.nansum(values))
     trials = int(np.nansum([number(record, quantity.of) for record in records]))
     rate = events / trials if trials else float("nan")
@@ -77,18 +73,12 @@ def line_of(quantity: Quantity, records: Sequence[Record]) -> Line:
     return Line(quantity, rate, *rate_interval(events, trials), *worst, trials, events)
 
 
-def bootstrap(values: NDArray[np.float64]) -> tuple[float, float]:
-    """95 % interval of the mean of values (n,) by the bootstrap; of fewer than `FEW` by Student's
-    distribution, because the bootstrap's would be too narrow; NaN for fewer than two values."""
+def mean_interval(values: NDArray[np.float64]) -> tuple[float, float]:
+    """95 % interval of the mean of values (n,) by Student's t; NaN for fewer than two values."""
     if values.size < 2:
         return float("nan"), float("nan")
-    if values.size < FEW:
-        error = float(values.std(ddof=1)) / values.size**0.5
-        reach = float(stats.t.ppf(0.975, values.size - 1)) * error
-        return float(values.mean()) - reach, float(values.mean()) + reach
-    how = {"method": "percentile", "batch": max(500_000 // values.size, 1)}
-    found = stats.bootstrap((values,), np.mean, n_resamples=2000, random_state=0, **how)
-    return float(found.confidence_interval.low), float(found.confidence_interval.high)
+    reach = float(stats.t.ppf(0.975, values.size - 1) * stats.sem(values))
+    return float(values.mean()) - reach, float(values.mean()) + reach
 
 
 def rate_interval(events: int, trials: int) -> tuple[float, float]:
@@ -109,22 +99,6 @@ def badness(quantity: Quantity, record: Record) -> float:
     return value if value == value else float("-inf")
 
 
-def flown(records: Iterable[Record]) -> list[Record]:
-    return [record for record in records if not record.error]
-
-
-def groups(study: Study, records: Iterable[Record]) -> list[tuple[str, list[Record]]]:
-    """Flights of each combination, by its labels."""
-    parts: dict[int, list[Record]] = {}
-    for record in records:
-        parts.setdefault(record.index % len(study.combinations), []).append(record)
-    found = []
-    for _, part in sorted(parts.items()):
-        own = [f"{k} {v}" for k, v in part[0].labels.items() if k not in study.drawn]
-        found.append((", ".join(own) or "all flights", part))
-    return found
-
-
 @dataclass(frozen=True)
 class CampaignResult:
     """Records by number, with failed flights; ``interrupted``: not all were flown."""
@@ -139,22 +113,29 @@ class CampaignResult:
         return {index: r.error for index, r in self.records.items() if r.error}
 
     @cached_property
+    def flown(self) -> list[Record]:
+        """Records of the flights that did not fail."""
+        return [record for record in self.records.values() if not record.error]
+
+    @cached_property
     def lines(self) -> list[tuple[str, list[Line]]]:
         """Each combination's name with its number of flights, and its quantities."""
-        parts = groups(self.study, flown(self.records.values()))
-        return [
-            (f"{name}: {len(part)}", [line_of(q, part) for q in self.study.what.quantities])
-            for name, part in parts
-        ]
+        study, found = self.study, []
+        for k in range(len(study.combinations)):
+            if part := [r for r in self.flown if r.index % len(study.combinations) == k]:
+                own = [f"{k} {v}" for k, v in part[0].labels.items() if k not in study.drawn]
+                name = f"{', '.join(own) or 'all flights'}: {len(part)}"
+                found.append((name, [line_of(q, part) for q in study.kind.quantities]))
+        return found
 
     def worst(self) -> list[tuple[Quantity, list[tuple[int, float]]]]:
         """The worst flights by each quantity, and its values."""
         found = []
-        for quantity in self.study.what.quantities:
-            least = 0.0 if quantity.of is not None else float("-inf")
-            rated = [(badness(quantity, r), r) for r in flown(self.records.values())]
-            least = max(least, min((bad for bad, _ in rated), default=least))  # the best are none
-            ranked = sorted((-bad, r.index, r) for bad, r in rated if bad > least)[:WORST]
+        for quantity in self.study.kind.quantities:
+            rated = [(badness(quantity, r), r) for r in self.flown]
+            best = min((bad for bad, _ in rated), default=0.0)
+            least = max(best, 0.0) if quantity.of is not None else best
+            ranked = sorted((-bad, r.index, r) for bad, r in rated if bad > least)[:LISTED]
             found.append((quantity, [(k, number(r, quantity.name)) for _, k, r in ranked]))
         return found
 
@@ -162,18 +143,19 @@ class CampaignResult:
         head, lines = ("", "mean", "95 % interval", "worst", "flight"), []
         for name, part in self.lines:
             lines += [name, *aligned([head, *(row.cells() for row in part)]), ""]
-        lines += [f"flight {index} failed: {why}" for index, why in list(self.failed.items())[:10]]
+        failed = list(self.failed.items())[:LISTED_FAILED]
+        lines += [f"flight {index} failed: {why}" for index, why in failed]
         return "\n".join(lines).rstrip()
 
     def as_dict(self) -> dict[str, Any]:
         parts = [
-            {"name": name, "quantities": {row.quantity.name: numbers(row) for row in rows}}
-            for name, rows in self.lines
+            {"name": name, "quantities": {line.quantity.name: _numbers(line) for line in lines}}
+            for name, lines in self.lines
         ]
         return plain(
             {
                 "study": self.study.name,
-                "kind": self.study.kind,
+                "kind": self.study.kind_name,
                 "flights": len(self.records),
                 "of": self.study.count,
                 "interrupted": self.interrupted,
@@ -184,23 +166,16 @@ class CampaignResult:
         )
 
 
-def numbers(row: Any) -> dict[str, Any]:
-    return {name: value for name, value in row._asdict().items() if name != "quantity"}
+def _numbers(line: Line) -> dict[str, Any]:
+    return {name: value for name, value in line._asdict().items() if name != "quantity"}
 
 
-def write_summary(result: CampaignResult) -> None:
-    """``campaign.json``, ``flights.csv`` and ``campaign.html``."""
-    from quadtree_lss.lab.campaign.campaign_page import page
-
-    write_json(result.out / "campaign.json", result.as_dict())
-    _write_flights(result.out / "flights.csv", result.records.values())
-    write_bytes(result.out / "campaign.html", page(result).encode())
-
-
-def _write_flights(path: Path, records: Iterable[Record]) -> None:
+def write_flights(path: Path, records: Iterable[Record]) -> None:
+    """Write a row for each flight into a CSV file."""
     rows = []
     for r in records:
         of = {"flight": r.index, "seed": r.seed, "scenario": r.scenario}
-        rows.append(of | r.labels | r.figures | {"failed": r.error})  # `error`: from the aim, m
+        # The figure `error` is a distance from the aim.
+        rows.append(of | r.labels | r.figures | {"failed": r.error})
     names = list(dict.fromkeys(name for row in rows for name in row))
     write_csv(path, names, ([row.get(name) for name in names] for row in rows))

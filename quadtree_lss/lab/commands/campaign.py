@@ -15,14 +15,13 @@ EXAMPLES = """examples:
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus     (flies what is missing)
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --rerun 17
   quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --keep 17  (bag, page, …)
-  quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --keep worst
   quadtree-lss campaign studies/morpheus.yaml --out many --scheduler-address tcp://host:8786
 
 Exit code 3 if some flights failed. Ctrl-C ends it there; what was flown is kept and summed up. A
 second one stops at once.
 """
 
-FLYING = ("rerun", "workers", "scheduler_address", "scheduler_file")
+FLYING = ("rerun", "workers", "scheduler_address")
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -35,9 +34,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "processes on this computer (default: one for each core)"
     where.add_argument("--workers", type=common.whole(1), metavar="N", help=text)
     where.add_argument("--scheduler-address", metavar="A", help="of a running Dask scheduler")
-    where.add_argument("--scheduler-file", metavar="F", help="that a Dask scheduler wrote")
     add("--rerun", metavar="LIST", help="fly these again, 17 or 3,8-12, or: failed")
-    text = "fly these again into DIR/kept, all of it kept: 17 or 3,8-12, or: worst"
+    text = "fly these again and keep all their results in DIR/kept: 17 or 3,8-12"
     add("--keep", metavar="LIST", help=text)
 
 
@@ -45,31 +43,28 @@ def _run(options: argparse.Namespace) -> int:
     options.out = options.out or Path("campaigns", Path(options.study).stem)
     if options.keep is not None:
         common.refuse(options, "--keep, which flies one after the other here", *FLYING)
-    from quadtree_lss.lab.campaign.engine import Where, campaign, flagged, keep
+    from quadtree_lss.lab.campaign.engine import campaign, keep
     from quadtree_lss.lab.campaign.study import parse_seeds, read_study
 
     study = read_study(options.study)
     if options.keep is not None:
         kept: dict[str, str] = {}
-        worst = options.keep == "worst"
-        for index in flagged(options.out) if worst else parse_seeds(options.keep):
+        for index in parse_seeds(options.keep):
             kept[f"{index}"] = str(keep(study, options.out, index))
             if not options.json:
                 print(f"flight {index} is in {kept[f'{index}']}", flush=True)
         if options.json:
             common.print_json({"kept": kept})
         return common.DONE
-    failed = options.rerun == "failed"
-    where = Where(options.workers, options.scheduler_address, options.scheduler_file)
-    then = f"sums up in {options.out} what is done"
-    verbose = options.verbose
+    rerun = options.rerun or ()
+    then, verbose = f"sums up in {options.out} what is done", options.verbose
     with Interruption(then) as interruption, ProgressBar("campaign", "flights", verbose) as bar:
         result = campaign(
             study,
             options.out,
-            where,
-            rerun=parse_seeds(options.rerun) if options.rerun and not failed else (),
-            rerun_failed=failed,
+            workers=options.workers,
+            scheduler_address=options.scheduler_address,
+            rerun=parse_seeds(rerun) if rerun and rerun != "failed" else rerun,
             progress=bar.update,
             stop=interruption.asked,
             tell=warn,

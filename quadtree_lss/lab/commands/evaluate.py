@@ -12,7 +12,6 @@ from quadtree_lss.desk.commands.console import ProgressBar
 TEXT = "Score results of a replay against the truth of a simulation."
 EXAMPLES = """examples:
   quadtree-lss evaluate results/latest --truth flight/truth.npz
-  quadtree-lss evaluate results/latest --truth flight/truth.npz --bag moved/bag    (for Table 2)
 
 Many flights at once: quadtree-lss campaign.
 """
@@ -34,9 +33,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("results", type=common.named, metavar="DIR", help="folder that replay wrote")
     text = "truth.npz of the simulation"
     add("--truth", required=True, type=common.named, metavar="NPZ", help=text)
-    text = "the bag that was replayed, for Table 2 (default: where it was when it was replayed)"
-    add("--bag", type=common.named, metavar="BAG", help=text)
-    text = "folder for tables and figures (default DIR/evaluation)"
+    text = "folder for scores and page (default DIR/evaluation)"
     add("--out", type=common.named, metavar="DIR", help=text)
     parser = common.add_command(commands, "fit-risk", _fit, FIT, FIT_EXAMPLES)
     add = parser.add_argument
@@ -51,10 +48,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 def _evaluate(options: argparse.Namespace) -> int:
     from quadtree_lss.lab.evaluation.evaluate import evaluate
 
-    with ProgressBar("consistency", "scans", options.verbose) as bar:
-        where = {"out": options.out, "bag": options.bag}
-        result = evaluate(options.results, options.truth, **where, progress=bar.update)
-    common.tell(options, result, f"figures and numbers in {result.out}")
+    result = evaluate(options.results, options.truth, options.out)
+    common.tell(options, result, f"page and numbers in {result.out}")
     return common.DONE
 
 

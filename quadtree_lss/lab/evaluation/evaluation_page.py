@@ -11,9 +11,26 @@ from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.report.page_data import Layer
 from quadtree_lss.desk.report.palette import colour_limits, even_limits
 from quadtree_lss.desk.report.report import page, short_name
-from quadtree_lss.lab.evaluation.evaluate import EvaluationResult
-from quadtree_lss.lab.evaluation.figures import VERDICTS, verdict_classes
+from quadtree_lss.lab.evaluation.metrics import SafetyField
 from quadtree_lss.lab.evaluation.results import Truth
+from quadtree_lss.lab.evaluation.score import EvaluationResult, percent
+
+#: Verdicts on grid points, in colours of Okabe and Ito's palette.
+VERDICTS = (
+    ("safe, found", "#56b4e9"),
+    ("hazard, found", "#7f7f7f"),
+    ("safe, called hazardous", "#f0e442"),
+    ("hazard, MISSED", "#d55e00"),
+    ("unseen", "#dddddd"),
+)
+
+
+def verdict_classes(safety: SafetyField) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    """(ny, nx) of the field: which of `VERDICTS` each grid point is."""
+    called, safe = safety.called_safe & safety.seen, safety.truly_safe
+    return np.select(
+        [~safety.scored, safe & called, ~safe & ~called, safe & ~called], [4, 0, 1, 2], 3
+    )
 
 
 def evaluation_page(folder: Path, truth: Truth, result: EvaluationResult) -> str:
@@ -42,16 +59,11 @@ def evaluation_page(folder: Path, truth: Truth, result: EvaluationResult) -> str
         title=f"Evaluation of {short_name(content.summary['bag'])}",
         lead=(
             f"{result.unsafe_in_top_five} of the first {len(result.site_verdicts)} sites truly"
-            f" unsafe, {_percent(found.hazardous_found)} of the hazardous and"
-            f" {_percent(found.safe_found)} of the safe terrain found, elevation RMS"
+            f" unsafe, {percent(found.hazardous_found)} of the hazardous and"
+            f" {percent(found.safe_found)} of the safe terrain found, elevation RMS"
             f" {heights.rms:.3f} m ({heights.rms_mean_removed:.3f} m with the mean removed)"
         ),
         bad=bool(result.unsafe_in_top_five or found.missed_depth > 0.5),
         sites=[(*at[:2], v) for at, v in zip(places, result.site_verdicts, strict=False)],
-        missed=result.missed,
         scores=result.table(),
     )
-
-
-def _percent(share: float) -> str:
-    return "–" if share != share else f"{100.0 * share:.1f} %"

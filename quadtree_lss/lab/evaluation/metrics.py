@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How good a map and its landing sites are, given the truth."""
+"""Metrics of a map and its landing sites against the truth."""
 
 from __future__ import annotations
 
@@ -8,32 +8,33 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_closing, distance_transform_edt, label
+from scipy.ndimage import binary_closing, distance_transform_edt
 
 from quadtree_lss.desk.exchange.saved import Grid
 from quadtree_lss.desk.replay.results import aligned
 from quadtree_lss.lab.evaluation.results import Truth
 from quadtree_lss.lab.simulation.safety import contact_safe, on_dem, safety_map
 from quadtree_lss.lab.simulation.terrain import bilinear
-from quadtree_lss.onboard.arrays import Array, Mask
+from quadtree_lss.onboard.arrays import Array, Index, Mask
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 #: Bounds of the bins of predicted risk.
 EDGES = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
-#: Of probabilities in a log score.
+#: Least probability in a log score.
 LEAST = 1e-6
-
-_SAMPLE_STEP = 0.5  # m, at most, between the points where elevations are compared
-_COINCIDE = 1e-3  # m
-
+#: Largest distance between points where elevations are compared; of equal coordinates, m.
+_SAMPLE_STEP, _COINCIDE = 0.5, 1e-3
+#: ``unknown``: the lander would reach over the edge of the true terrain.
 SiteVerdict = Literal["safe", "unsafe", "unknown"]
-"""``unknown``: the lander would reach over the edge of the true terrain."""
 
 
 @dataclass(frozen=True)
 class ElevationError:
-    """Estimate minus truth (m) over seen terrain, sampled evenly in area."""
+    """Estimate minus truth (m) over observed terrain, sampled evenly in area.
+
+    ``without_estimate``: fraction of the observed finest cells that have no estimate.
+    """
 
     mean_absolute: float
     rms: float
@@ -41,21 +42,7 @@ class ElevationError:
     mean: float
     mean_absolute_mean_removed: float
     rms_mean_removed: float
-    maximum_mean_removed: float
     samples: int
-    without_estimate: float
-    """Fraction of the finest cells in which a point fell that have no estimate."""
-
-
-@dataclass(frozen=True)
-class ErrorField:
-    """Where the elevation was compared: x (n,), y (m,) and error (m, n), NaN = not seen."""
-
-    x: Array
-    y: Array
-    estimate: Array
-    error: Array
-    seen: Mask
     without_estimate: float
 
 
@@ -102,26 +89,15 @@ class SafetyField:
         return self.scored & ~self.truly_safe & self.called_safe & self.seen
 
 
-@dataclass(frozen=True)
-class MissedPlace:
-    """A patch of hazardous ground called safe: centre, grid points, depth within hazardous ground,
-    and height of the highest post that the lander can touch above the median (m)."""
-
-    x: float
-    y: float
-    grid_points: int
-    depth: float
-    relief: float
-
-
 def seen_at(grid: Grid, x: Array, y: Array) -> Mask:
     """Whether all grid points around each of the points x (n,), y (m,) are seen: (m, n)."""
     unseen = (~grid.seen).astype(np.float64)
     return np.asarray(bilinear(grid.x, grid.y, unseen, x[None, :], y[:, None]) < 1e-8)
 
 
-def elevation_field(cells: CellMap, grid: Grid, truth: Truth) -> ErrorField:
-    """Compare leaf planes with the truth at points spread evenly over the finest cells."""
+def elevation_error(cells: CellMap, grid: Grid, truth: Truth) -> ElevationError:
+    """Compare leaf planes with the truth at points spread evenly over the finest cells; NaN where
+    nothing was observed."""
     domain = cells.domain
     parts = max(2, int(np.ceil(domain.finest_size / _SAMPLE_STEP)))
     step = domain.finest_size / parts
@@ -130,28 +106,23 @@ def elevation_field(cells: CellMap, grid: Grid, truth: Truth) -> ErrorField:
     leaf = cells.leaf_raster()
     with np.errstate(invalid="ignore"):
         fine = leaf.repeat(parts, axis=0).repeat(parts, axis=1)
-        estimate = cells.heights(fine, x[None, :], y[:, None])
-    true = truth.elevation_at(*np.meshgrid(x, y))
-    seen = seen_at(grid, x, y) & np.isfinite(true)
-    error = np.where(seen, estimate - true, np.nan)
-    returns = cells.estimated[leaf[cells.observed]]
-    without = float((~returns).sum() / returns.size) if returns.size else float("nan")
-    return ErrorField(x, y, estimate, error, seen, without)
-
-
-def elevation_error(field: ErrorField) -> ElevationError:
-    """Statistics of an error field; NaN where nothing was seen."""
-    error = field.error[np.isfinite(field.error)]
+        error = cells.heights(fine, x[None, :], y[:, None]) - truth.elevation_at(*np.meshgrid(x, y))
+    error = error[seen_at(grid, x, y) & np.isfinite(error)]
+    estimated = cells.estimated[leaf[cells.observed]]
+    without = float(1.0 - estimated.mean()) if estimated.size else float("nan")
     if not error.size:
-        return ElevationError(*[float("nan")] * 7, 0, field.without_estimate)
-
-    def sizes(of: Array) -> tuple[float, float, float]:
-        size = np.abs(of)
-        return float(size.mean()), float(np.sqrt(np.square(of).mean())), float(size.max())
-
-    mean = float(error.mean())
-    values = *sizes(error), mean, *sizes(error - mean)
-    return ElevationError(*values, error.size, field.without_estimate)
+        return ElevationError(*[float("nan")] * 6, 0, without)
+    size, within = np.abs(error), error - error.mean()
+    return ElevationError(
+        mean_absolute=float(size.mean()),
+        rms=float(np.sqrt(np.square(error).mean())),
+        maximum=float(size.max()),
+        mean=float(error.mean()),
+        mean_absolute_mean_removed=float(np.abs(within).mean()),
+        rms_mean_removed=float(np.sqrt(np.square(within).mean())),
+        samples=error.size,
+        without_estimate=without,
+    )
 
 
 def fill_holes(seen: Mask, spacing: float) -> Mask:
@@ -174,8 +145,8 @@ def safety_field(grid: Grid, truth: Truth) -> SafetyField:
         np.flatnonzero((axis >= low - _COINCIDE) & (axis <= high + _COINCIDE))
         for axis, low, high in ((grid.x, xmin, xmax), (grid.y, ymin, ymax))
     )
-    i, in_x = _matches(grid.x, truth.safe_x, own_x)
-    j, in_y = _matches(grid.y, truth.safe_y, own_y)
+    i, in_x = _common(grid.x, truth.safe_x, own_x)
+    j, in_y = _common(grid.y, truth.safe_y, own_y)
     if 2 * in_x.size >= own_x.size and 2 * in_y.size >= own_y.size:
         truly_safe = truth.safe[np.ix_(j, i)]
     else:
@@ -195,15 +166,12 @@ def safety_field(grid: Grid, truth: Truth) -> SafetyField:
     )
 
 
-def _matches(
-    axis: Array, lattice: Array, some: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Indices into ``lattice`` and ``axis`` of those of ``some`` coordinates that both have."""
-    at = axis[some]
-    nearest = np.clip(np.searchsorted(lattice, at), 1, lattice.size - 1)
-    nearest -= at - lattice[nearest - 1] < lattice[nearest] - at
-    same = np.abs(lattice[nearest] - at) < _COINCIDE
-    return nearest[same], some[same]
+def _common(axis: Array, lattice: Array, some: NDArray[np.int64]) -> tuple[Index, Index]:
+    """Indices into an even ``lattice`` and into ``axis`` of ``some`` coordinates that both have."""
+    step = (lattice[-1] - lattice[0]) / (lattice.size - 1)
+    near = np.rint((axis[some] - lattice[0]) / step).astype(np.intp).clip(0, lattice.size - 1)
+    same = np.abs(lattice[near] - axis[some]) < _COINCIDE
+    return near[same], some[same]
 
 
 def _depth(field: SafetyField) -> Array:
@@ -247,20 +215,6 @@ def site_verdicts(sites: Array, truth: Truth) -> tuple[SiteVerdict, ...]:
             known[k], safe[k] = True, truth.safe[j, i]
     words: tuple[SiteVerdict, ...] = ("unknown", "unsafe", "safe")
     return tuple(words[k] for k in known * (1 + safe))
-
-
-def missed_places(field: SafetyField, truth: Truth) -> tuple[MissedPlace, ...]:
-    """Connected patches of hazardous ground called safe, the largest first."""
-    patch, count = label(field.missed, np.ones((3, 3), int))
-    depth, reach, places = _depth(field), truth.lander.reach, []
-    for k in range(1, count + 1):
-        j, i = np.nonzero(patch == k)
-        x, y = float(field.x[i].mean()), float(field.y[j].mean())
-        near_x, near_y = np.abs(truth.x - x) <= reach, np.abs(truth.y - y) <= reach
-        ground = truth.elevation[np.ix_(near_y, near_x)]
-        relief = float(ground.max() - np.median(ground))
-        places.append(MissedPlace(x, y, j.size, float(depth[j, i].max()), relief))
-    return tuple(sorted(places, key=lambda place: -place.grid_points))
 
 
 @dataclass(frozen=True)

@@ -26,15 +26,19 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 TOP = 5
 #: Layers of the landing grid that are scored.
 LAYERS = ("elevation", "hazard", "safe", "score")
-#: Columns of ``timing.csv``.
-COLUMNS = ("stamp_ns", "points", "points_used", "leaves", "map_ms")
-_TRUTH = ("x", "y", "elevation", "safe_x", "safe_y", "safe", "box", "scan_stamp_ns")
-_TRUTH_EXTRA = ("scan_outline", "scan_flight")
-_TRUTH_NAMES = ("bag_name", "seed", "lander")
-#: Lengths of the first axes: a number, or the length of another array.
-_SHAPES: dict[str, tuple[int | str, ...]] = {n: (n,) for n in ("x", "y", "safe_x", "safe_y")}
-_SHAPES |= {"elevation": ("y", "x"), "safe": ("safe_y", "safe_x"), "box": (4,), "lander": (4,)}
-_SHAPES |= dict.fromkeys(_TRUTH_EXTRA, ("scan_stamp_ns",))
+#: Columns of ``timing.csv`` that are compared.
+COLUMNS = ("stamp_ns", "points", "points_used", "leaves")
+#: Arrays of ``truth.npz`` that are read, with the lengths of their first axes: a number, or the
+#: length of another array.
+SHAPES: dict[str, tuple[int | str, ...]] = {
+    **{name: (name,) for name in ("x", "y", "safe_x", "safe_y")},
+    "elevation": ("y", "x"),
+    "safe": ("safe_y", "safe_x"),
+    "box": (4,),
+    "scan_stamp_ns": ("scan_stamp_ns",),
+}
+#: Further ones, which other programs may leave out.
+OPTIONAL = ("seed", "lander")
 
 
 class EvaluationError(QuadtreeLssError):
@@ -43,64 +47,47 @@ class EvaluationError(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class Truth(Terrain):
-    """Content of ``truth.npz``, metres, map frame.
-
-    Attributes:
-        scan_outline: Edge of each scan on the ground (S, K, 2); K = 0 if unknown.
-        scan_flight: Number of the flight of each scan (S,).
-        bag_name, seed: Of the bag beside the file; None if unknown.
-        lander: The vehicle whose safety it is.
-    """
+    """Content of ``truth.npz``, metres, map frame. ``seed``: None if unknown; ``lander``: the
+    vehicle whose safety it is."""
 
     safe_x: Array
     safe_y: Array
     safe: Mask
     box: tuple[float, float, float, float]
     scan_stamp_ns: NDArray[np.int64]
-    scan_outline: Array
-    scan_flight: NDArray[np.int64]
-    bag_name: str | None = None
     seed: int | None = None
     lander: LandingGear = LandingGear()
-
-    def outlines_of(self, stamps_ns: NDArray[np.int64], every: int) -> tuple[Array, int]:
-        """Closed outlines (n, K + 1, 2) of every ``every``-th given scan; number of these scans."""
-        rows = np.flatnonzero(np.isin(self.scan_stamp_ns, stamps_ns))
-        if not self.scan_outline.shape[1]:
-            return np.empty((0, 1, 2)), 0
-        shown = self.scan_outline[rows[::every]]
-        return np.concatenate([shown, shown[:, :1]], axis=1), rows.size
 
 
 def load_truth(path: str | Path) -> Truth:
     """Read ``truth.npz``. Raises `EvaluationError`: it is missing or malformed."""
     file = Path(path)
     try:
-        found = read_arrays(file, (*_TRUTH, *_TRUTH_EXTRA, *_TRUTH_NAMES))
+        found = read_arrays(file, (*SHAPES, *OPTIONAL))
     except ExchangeError as error:
         raise EvaluationError(str(error)) from error
-    if missing := [name for name in _TRUTH if name not in found]:
+    if missing := [name for name in SHAPES if name not in found]:
         raise EvaluationError(f"{file} lacks {', '.join(missing)}")
     return truth_of(found, file)
 
 
 def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
-    a = {name: arrays[name] for name in (*_TRUTH, *_TRUTH_EXTRA, *_TRUTH_NAMES) if name in arrays}
-    scans = a["scan_stamp_ns"].size
-    a.setdefault("scan_outline", np.empty((scans, 0, 2)))
-    a.setdefault("scan_flight", np.zeros(scans, np.int64))
-    a["lander"] = np.asarray(a.get("lander", LandingGear().limits), float)
-    for name, of in _SHAPES.items():
+    """Check the arrays of ``truth.npz``. Raises `EvaluationError`: they do not fit together."""
+    a = {name: arrays[name] for name in (*SHAPES, *OPTIONAL) if name in arrays}
+    for name, of in SHAPES.items():
         shape, expected = a[name].shape, tuple(a[n].size if isinstance(n, str) else n for n in of)
-        if shape[: len(of)] != expected or (of == (name,) and shape < (2,)):
+        too_short = name in ("x", "y", "safe_x", "safe_y") and shape < (2,)
+        if shape[: len(of)] != expected or too_short:
             raise EvaluationError(f"{file}: {name} has shape {shape}, expected {expected}")
-    for name, kind in (("bag_name", str), ("seed", int)):
-        if name in a:
-            a[name] = kind(a[name].item()) if a[name].size == 1 else None
-    a["box"], a["lander"] = tuple(a["box"].tolist()), LandingGear(*a["lander"].tolist())
+    a["box"] = tuple(a["box"].tolist())
+    a["safe"] = a["safe"].astype(bool)
     try:
-        return Truth(**{**a, "safe": a["safe"].astype(bool)})
-    except SimulationError as error:
+        if "seed" in a:
+            a["seed"] = int(a["seed"].item())
+        if "lander" in a:
+            a["lander"] = LandingGear(*map(float, a["lander"].tolist()))
+        return Truth(**a)
+    except (SimulationError, TypeError, ValueError) as error:
         raise EvaluationError(f"{file}: {error}") from None
 
 
@@ -128,8 +115,7 @@ def load_results(directory: str | Path) -> Results:
         for part in ("map", "positions", "summary"):  # reads the files
             getattr(read, part)
         for name in COLUMNS:
-            kind = np.float64 if name == "map_ms" else np.int64
-            read.timing[name] = read.timing[name].astype(kind)
+            read.timing[name] = read.timing[name].astype(np.int64)
         return read
     except saved.ResultsError as error:
         raise EvaluationError(str(error)) from error
@@ -138,42 +124,17 @@ def load_results(directory: str | Path) -> Results:
         raise EvaluationError(f"{folder}: {msg}: {error}") from error
 
 
-def named_bag(results: Results) -> Path | None:
-    """The bag that ``summary.json`` names."""
-    name = results.summary.get("bag")
-    return Path(name) if isinstance(name, str) and name else None
-
-
-def recorded_bag(results: Results) -> Path | None:
-    """The named bag if it exists."""
-    bag = named_bag(results)
-    return bag if bag is not None and bag.is_absolute() and bag.exists() else None
-
-
-def check_truth(
-    results: Results, truth: Truth, truth_path: Path, bag: Path | None = None
-) -> str | None:
-    """Check that the truth is of the flight that was mapped; return a note if that is uncertain.
-
-    The truth must know the stamp of each mapped scan. Flights of other seeds can have the same
-    stamps: they differ in the seed, or in the bag beside the truth. Raises `EvaluationError`: the
-    stamps or the seeds differ.
-    """
+def check_truth(results: Results, truth: Truth, truth_path: Path) -> None:
+    """Raise `EvaluationError` unless the truth is of the flight that was mapped: it must know the
+    stamp of each mapped scan, and have the same seed where both name one."""
     stamps = results.timing["stamp_ns"], truth.scan_stamp_ns
     mapped, flown = (np.unique(of[of > 0]) for of in stamps)  # zero is no stamp
-    strange = mapped[~np.isin(mapped, flown)]
-    if flown.size and strange.size:
-        msg = f"{truth_path} is of another flight than {results.folder}: {strange.size} of"
+    unknown = mapped[~np.isin(mapped, flown)]
+    if flown.size and unknown.size:
+        msg = f"{truth_path} is of another flight than {results.folder}: {unknown.size} of"
         msg += f" {mapped.size} mapped scans are not among its {flown.size}, the first at"
-        raise EvaluationError(f"{msg} {strange[0]} ns")
+        raise EvaluationError(f"{msg} {unknown[0]} ns")
     seed = results.summary.get("seed")
     if seed is not None and truth.seed is not None and seed != truth.seed:
         msg = f"{truth_path} is of seed {truth.seed}, but {results.folder} of seed {seed}"
         raise EvaluationError(msg)
-    named = bag or named_bag(results)
-    if truth.bag_name is None or named is None or not mapped.size:
-        return None
-    of_truth, named = (truth_path.parent / truth.bag_name).resolve(), named.resolve()
-    if of_truth in (named, named.parent):
-        return None
-    return f"the truth is of {of_truth}, the results of {named}: check that both are one flight"

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.lab.flight.gimbal import Gimbal, quaternion
+from quadtree_lss.lab.flight.gimbal import Gimbal
 from quadtree_lss.lab.flight.ground import Ground, start
 from quadtree_lss.lab.flight.pilot import Pilot
 from quadtree_lss.lab.flight.settings import FlightSettings
@@ -33,6 +33,8 @@ GUIDE_EVERY, SCAN_EVERY, ASK_EVERY = 10, 5, 100
 SCAN_AFTER = 0.0037
 START_NS = 1_700_000_000 * 10**9
 FIELD_OF_VIEW_DEG = 1.0
+#: Longest flight, s.
+LONGEST = 150.0
 #: Limits of a soft touchdown: m/s across, tilt in degrees, m/s down.
 SETTLE, TILT_DEG, SINK = 0.5, 6.0, 2.0
 JUMP = np.array([2.0, 0.0, 1.0])
@@ -81,7 +83,7 @@ class Flight:
 
     Attributes:
         outcome: Empty in flight, then ``touchdown``, ``aborted`` or ``time``.
-        samples, outlines: Ten a second; edges of the field of view on the ground, two a second.
+        samples: Ten a second.
         active: Current faults with their ends, s; ``failed``: all faults with begin and end.
         areas: (V, 2) polygons of reachable ground, with their times, s.
     """
@@ -102,7 +104,7 @@ class Flight:
         config = flight_config(settings, self.ground)
         flown, commit = (settings.vehicle, settings.rules, planned), config.lss.commit_height
         self.pilot = Pilot(*flown, avoid=avoid, commit_height=commit)
-        self.looks = avoid
+        self.scanning = avoid
         self.gimbal = Gimbal(settings.plan, FIELD_OF_VIEW_DEG, planned, self.ground.half)
         wrong = settings.range_noise, settings.outliers, settings.dropouts
         self._lidar = FlashLidar(FIELD_OF_VIEW_DEG, 128, *wrong)
@@ -113,7 +115,6 @@ class Flight:
         self.areas: list[tuple[float, Array]] = []
         self.outcome = ""
         self.samples: list[Sample] = []
-        self.outlines: list[Array] = []
         self._asked: dict[str, bytes] = {}
         self._seen_from = (np.zeros(3), np.eye(3))
 
@@ -135,7 +136,7 @@ class Flight:
             self.lander.command(thrust)
             self._sample()
         self._fail(float(position[2] - self.pilot.aim[2]))
-        sent = list(self._sense(position, velocity)) if self.looks else []
+        sent = list(self._sense(position, velocity)) if self.scanning else []
         self.lander.step(TICK)
         self._ticks += 1
         self._end()
@@ -171,7 +172,7 @@ class Flight:
         }
 
     def _errors(self, generator: np.random.Generator) -> None:
-        times = TICK * np.arange(round(self.settings.longest / TICK) + 2)
+        times = TICK * np.arange(round(LONGEST / TICK) + 2)
         still = np.zeros((times.size, 3)), np.broadcast_to(np.eye(3), (times.size, 3, 3))
         found = DriftingNavigation().estimate(generator, times, *still)
         self._offset, self._tilt = found.positions, found.rotations
@@ -200,7 +201,7 @@ class Flight:
         rotation = self.gimbal.rotation()
         self._seen_from = (self.lander.position.copy(), rotation)
         if "pose_gap" not in self.active:
-            xyzw = quaternion(rotation)
+            xyzw = Rotation.from_matrix(rotation).as_quat()
             yield Sent("nav/pose", self.stamp_ns, (position, xyzw, self._covariance))
         looking = not pilot.committed and pilot.mode not in ("terminal", "abort")
         if self._ticks % SCAN_EVERY == 1 and looking and "lidar_gap" not in self.active:
@@ -226,8 +227,6 @@ class Flight:
         # Navigation's attitude error turns the true boresight.
         turn = self._tilt[self._ticks].T @ turn
         points = self._lidar.scan(self.ground.terrain, place, turn, self._noise)
-        if self._ticks // SCAN_EVERY % 10 == 0:
-            self.outlines.append(self._lidar.outline(self.ground.terrain, place, turn))
         stamp = self.stamp_ns - round((TICK - SCAN_AFTER) * 1e9)
         return Sent("lidar/points", stamp, points)
 
@@ -243,7 +242,7 @@ class Flight:
             self.outcome = "touchdown"
         elif self.pilot.mode == "abort":
             self.outcome = "aborted"
-        elif self.time >= self.settings.longest:
+        elif self.time >= LONGEST:
             self.outcome = "time"
         if self.outcome:
             self._sample()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flight as a picture, and as the page of its map: path, diverts, faults, touchdown."""
+"""The page of a flight: that of its map, with path, diverts, faults and touchdown."""
 
 from __future__ import annotations
 
@@ -7,17 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 
-from quadtree_lss.desk.exchange.dem import ElevationModel
 from quadtree_lss.desk.exchange.saved import Results, load_results
-from quadtree_lss.desk.replay.elevation_model import rank_sites
 from quadtree_lss.desk.replay.files import write_bytes, write_csv, write_json, write_npz
 from quadtree_lss.desk.replay.results import ReplayResult, run_summary, write_results
-from quadtree_lss.desk.report import drawing
 from quadtree_lss.desk.report.page_data import Layer
 from quadtree_lss.desk.report.pages import Columns
 from quadtree_lss.desk.report.palette import (
@@ -31,90 +24,17 @@ from quadtree_lss.lab.flight.flight import START_NS
 from quadtree_lss.lab.flight.fly import Flown, flight_config
 from quadtree_lss.lab.flight.ground import GRID, Ground
 from quadtree_lss.lab.flight.pilot import Decision
-from quadtree_lss.lab.simulation.safety import LandingGear
-from quadtree_lss.onboard.config.settings import config_from_values, still_parameters
-
-PATH, SCANS, UNSAFE, PLACE, DOWN = "#0072b2", "#56b4e9", "#d55e00", "#e69f00", "#009e73"
 
 
 def write_flight(out: Path, flown: Flown) -> None:
-    """Write figures, record, decisions, picture and page, and the map like a replay's results.
-    Raises `OSError`: ``out`` cannot be written."""
+    """Write figures, record and decisions; of a flight with a map also a replay's results and the
+    page. Raises `OSError`: ``out`` cannot be written."""
     write_json(out / "touchdown.json", flown.figures)
     flight = flown.flight
     _write_csv(out / "flight.csv", flight.samples[0]._fields, flight.samples)
     _write_csv(out / "decisions.csv", Decision._fields, flight.pilot.decisions)
-    picture = drawing.png(figure(flown), dpi=110)
-    write_bytes(out / "flight.png", picture)
-    write_bytes(out / "flight.html", _page(out, flown, picture).encode())
-
-
-def figure(flown: Flown) -> Figure:
-    """Ground with scans and targets, and touchdown with the pads."""
-    whole = Figure(figsize=(13.0, 6.0), layout="constrained")
-    whole.suptitle(headline(flown), fontsize="medium")
-    left, right = whole.subplots(1, 2)
-    _above(left, flown)
-    _touchdown(right, flown)
-    return whole
-
-
-def _above(axes: Axes, flown: Flown) -> None:
-    flight = flown.flight
-    ground = flight.ground
-    x, y, half = *ground.planned[:2], ground.half + 3.0
-    _terrain(axes, ground, x, y, half)
-    at_x, at_y, room = ground.safe
-    unsafe = np.where(room > 0.0, 0.0, 1.0)
-    if 0.0 < unsafe.mean() < 1.0:
-        axes.contourf(at_x, at_y, unsafe, levels=[0.5, 1.5], colors="none", hatches=["////"])
-        axes.contour(at_x, at_y, unsafe, levels=[0.5], colors=UNSAFE, linewidths=0.6)
-    for k, outline in enumerate(flight.outlines):
-        label = "every 0.5 s: edge of the lidar's view" if k == 0 else None
-        closed = np.vstack([outline, outline[:1]])
-        axes.plot(*closed.T, color=SCANS, lw=0.7, alpha=0.8, label=label)
-    path = np.array([(s.x, s.y) for s in flight.samples])
-    axes.plot(*path.T, color=PATH, lw=2, label="path")
-    axes.plot(x, y, "x", color="black", ms=9, mew=2, label="planned point")
-    told = [d for d in flight.pilot.decisions if d.what in ("target", "divert")]
-    if told:
-        places = np.array([(d.x, d.y) for d in told])
-        axes.plot(*places.T, "o", color=PLACE, mec="black", label="targets flown to")
-    axes.plot(*path[-1], "*", color=DOWN, ms=14, mec="black", label="end")
-    axes.legend(fontsize="x-small", loc="lower right")
-    axes.set_title("ground in truth, unsafe places hatched", fontsize="medium")
-
-
-def _touchdown(axes: Axes, flown: Flown) -> None:
-    """The lander's circle and pads at two headings on the true ground."""
-    ground, lander = flown.flight.ground, LandingGear()
-    x, y = flown.figures["x"], flown.figures["y"]
-    shown = _terrain(axes, ground, x, y, 4.0)
-    if shown is not None:
-        axes.figure.colorbar(shown, ax=axes, label="elevation [m]", shrink=0.8)
-    radius = 0.5 * lander.diameter
-    axes.add_patch(Circle((x, y), radius, fill=False, color="white", lw=1.5))
-    for k in range(8):
-        angle = 0.25 * np.pi * k
-        pad = (x + radius * np.cos(angle), y + radius * np.sin(angle))
-        style = "-" if k % 2 == 0 else ":"
-        axes.add_patch(Circle(pad, lander.pad_radius, fill=False, color="white", lw=2, ls=style))
-    aim = flown.flight.pilot.aim
-    axes.plot(aim[0], aim[1], "+", color=PLACE, ms=14, mew=2.5)
-    axes.plot(x, y, "*", color=DOWN, ms=13, mec="black")
-    axes.set_title("touchdown on the true ground; + is the aim", fontsize="medium")
-
-
-def _terrain(axes: Axes, ground: Ground, x: float, y: float, half: float) -> ScalarMappable | None:
-    """Axes about a place, with the true ground; None if there is none."""
-    terrain = ground.terrain
-    rows, columns = np.abs(terrain.y - y) <= half, np.abs(terrain.x - x) <= half
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), autoscale_on=False)
-    if rows.sum() < 2 or columns.sum() < 2:
-        return None
-    z = terrain.elevation[np.ix_(rows, columns)]
-    return drawing.layer(axes, terrain.x[columns], terrain.y[rows], z)
+    if flown.cells is not None and flown.last is not None:
+        write_bytes(out / "flight.html", _page(_write_map(out, flown), flown).encode())
 
 
 def headline(flown: Flown) -> str:
@@ -130,12 +50,10 @@ def headline(flown: Flown) -> str:
     )
 
 
-def _page(out: Path, flown: Flown, picture: bytes) -> str:
-    """The page of the flight's results, with the flight."""
+def _page(content: Results, flown: Flown) -> str:
+    """Render the page of the flight's results, with the flight."""
     flight, figures = flown.flight, flown.figures
-    content = _content(out, flown)
     down = figures["outcome"] == "touchdown"
-    note = "" if flown.cells is not None else " The map is the true ground: the flight made none."
     words, _, ground = headline(flown).partition(": ")[2].partition(" after ")
     return page(
         content,
@@ -144,9 +62,8 @@ def _page(out: Path, flown: Flown, picture: bytes) -> str:
         also=lambda data, columns: {"flight": _flight_data(data, columns, flown)},
         title=f"Flight, seed {figures['seed']}",
         answer=f"{words[:1].upper()}{words[1:]}.",
-        ground=f"After {ground}.{note}",
+        ground=f"After {ground}.",
         level="good" if down and figures["safe"] else "none",
-        picture_of_map=drawing.small(picture),
         decisions=[
             (f"{d.time:.1f}", f"{d.height:.1f}", d.what, f"{d.x:.2f}", f"{d.y:.2f}")
             for d in flight.pilot.decisions
@@ -162,22 +79,14 @@ def _page(out: Path, flown: Flown, picture: bytes) -> str:
     )
 
 
-def _content(out: Path, flown: Flown) -> Results:
-    """The map of the flight, written as the results of a replay; without one, the true ground."""
-    flight = flown.flight
+def _write_map(out: Path, flown: Flown) -> Results:
+    """Write the map of the flight as the results of a replay, and read them."""
+    flight, cells, last = flown.flight, flown.cells, flown.last
+    assert cells is not None and last is not None
     config = flight_config(flight.settings, flight.ground)
     bag = f"flight of seed {flown.figures['seed']}"
-    if flown.cells is None or flown.last is None:
-        t, middle = flight.ground.terrain, flight.ground.planned[:2]
-        half = 0.5 * config.domain.size
-        model = ElevationModel(t.x, t.y, t.elevation).within(middle - half, middle + half)
-        result = rank_sites(model, None, config)
-        config = config_from_values(still_parameters(result.summary["config"]))
-        result.summary["bag"] = bag
-    else:
-        known = {"bag": bag, "duration": flight.time, **flown.told}
-        summary = run_summary(flown.cells, flown.last, config, **known)
-        result = ReplayResult(out, flown.cells, flown.last, (), summary, flown.targets)
+    summary = run_summary(cells, last, config, bag=bag, duration=flight.time, **flown.summary)
+    result = ReplayResult(out, cells, last, (), summary, flown.targets)
     write_results(out, result, config, False, flown.history)
     if flown.history is not None:
         write_npz(out / "history.npz", flown.history.arrays())
@@ -222,5 +131,5 @@ def _flight_data(data: dict[str, Any], columns: Columns, flown: Flown) -> dict[s
 
 
 def _write_csv(path: Path, header: Any, rows: Any) -> None:
-    told = ([f"{v:.6g}" if isinstance(v, float) else v for v in row] for row in rows)
-    write_csv(path, header, told)
+    texts = ([f"{v:.6g}" if isinstance(v, float) else v for v in row] for row in rows)
+    write_csv(path, header, texts)

@@ -6,7 +6,7 @@ Without transport, in the flight's time: `Intake`, `Mapper` and `Passes`, as in 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -27,18 +27,19 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.intake import Intake
 from quadtree_lss.onboard.messages.landing_inputs import AREA, LandingWishes
 
+#: Period at which ``landing/selected`` is repeated, as by lss_node.
 REPEAT_NS = 400_000_000
-"""``landing/selected`` is said again so often, as by lss_node."""
-OUTSIDE = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapping"}
-"""Faults that hit a node."""
+#: Delay from an assessment to guidance, ns.
+DELAY_NS = 60_000_000
+#: Faults that kill a node.
+KILLS = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": "mapping"}
 
 
 @dataclass(frozen=True)
 class Flown:
     """A flight that has ended: its final state and record, figures (``docs/topics_and_files.md``),
     and the last assessment, None without nodes. If recorded: ``cells``, the map at the end, its
-    ``history``, changes of the target, and ``told``, values for the summary. ``heard``: ticks and
-    answers (None: no target) of a live flight, which repeat it without ROS."""
+    ``history``, changes of the target, and values for the ``summary``."""
 
     flight: Flight
     figures: dict[str, Any]
@@ -46,8 +47,7 @@ class Flown:
     cells: CellMap | None = None
     history: History | None = None
     targets: tuple[TargetChange, ...] = ()
-    told: dict[str, Any] = field(default_factory=dict)
-    heard: Sequence[tuple[int, Array | None]] = ()
+    summary: dict[str, Any] = field(default_factory=dict)
 
 
 def flown(
@@ -61,11 +61,11 @@ def flown(
     """Fly a seed; ``record`` keeps what the page shows. ``ground``: of this seed, if made before.
     ``progress`` gets the seconds flown."""
     flight = Flight(seed, settings, ground)
-    if not flight.looks:
+    if not flight.scanning:
         fly(flight, None, progress)
         return Flown(flight, figures_of(seed, flight, None), None)
     config, history = flight_config(settings, flight.ground), History() if record else None
-    nodes = LockstepNodes(config, settings.answer_delay, history)
+    nodes = LockstepNodes(config, history)
     fly(flight, nodes, progress)
     found = Flown(flight, figures_of(seed, flight, nodes.last), nodes.last)
     return nodes.recorded(found) if record else found
@@ -80,7 +80,7 @@ def fly(flight: Flight, nodes: Any, progress: Callable[[float], None] | None) ->
             now = set(flight.active)
             if "land_now" in now - before:
                 nodes.land_now()
-            for kind, node in OUTSIDE.items():
+            for kind, node in KILLS.items():
                 if kind in now - before:
                     nodes.kill(node)
                 elif kind in before - now:
@@ -113,13 +113,11 @@ def map_said(last: LandingAssessment, x: float, y: float) -> str:
 
 class LockstepNodes:
     """mapping_node and lss_node without transport. A killed node loses its memory, not latched
-    messages. ``answer_delay``: from an assessment to guidance, s; ``last``: the last assessment
-    that guidance heard."""
+    messages. ``last``: the last assessment that guidance got."""
 
-    def __init__(self, config: Config, answer_delay: float, history: History | None = None) -> None:
+    def __init__(self, config: Config, history: History | None = None) -> None:
         self._config = config
         self._make = Messages(typestore(ros1=False).types, frame=config.frames.map)
-        self._delay_ns = round(1e9 * answer_delay)
         self._wishes = LandingWishes(config.frames.map)
         self._checkpoint: Any = None
         self._checkpoint_ns = 0
@@ -172,7 +170,7 @@ class LockstepNodes:
         return [said.selected.position.copy() if said.selected.id else None]
 
     def _answer(self, now_ns: int, found: LandingAssessment) -> None:
-        self._waiting.append((now_ns + self._delay_ns, found))
+        self._waiting.append((now_ns + DELAY_NS, found))
 
     def land_now(self) -> None:
         self._passes.land_now()
@@ -180,9 +178,9 @@ class LockstepNodes:
     def recorded(self, found: Flown) -> Flown:
         """Add the final map, its assessment, and values for the summary."""
         self._passes.finish(found.flight.stamp_ns, self.mapper.snapshot)
-        told = {"landing": self._wishes.as_lists(), "range_noise_ratio": self._noise_ratio}
+        summary = {"landing": self._wishes.as_lists(), "range_noise_ratio": self._noise_ratio}
         last, cells, targets = self._passes.last, self._passes.cells, tuple(self.targets)
-        record = {"history": self.history, "targets": targets, "told": told}
+        record = {"history": self.history, "targets": targets, "summary": summary}
         return replace(found, last=last, cells=cells, **record)
 
     def kill(self, node: str) -> None:

@@ -5,36 +5,13 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass
-from math import hypot, radians, sqrt
+from math import radians, sqrt
 
 import numpy as np
 
 from quadtree_lss.lab.flight.vehicle import turned
+from quadtree_lss.lab.simulation.trajectory import look_at
 from quadtree_lss.onboard.arrays import Array
-
-
-def axes(boresight: Array) -> Array:
-    """Rotation (3, 3) of a lidar, z along a unit vector, y down, x level; as of ``look_at``."""
-    x, y, z = boresight.tolist()
-    level = hypot(x, y)
-    across, back = (y / level, -x / level) if level > 1e-9 else (-z, 0.0)
-    down = (-z * back, z * across, x * back - y * across)
-    return np.array([(across, back, 0.0), down, (x, y, z)]).T
-
-
-def quaternion(rotation: Array) -> Array:
-    """x, y, z, w (4,) of a rotation (3, 3)."""
-    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
-    squares = (1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i)
-    greatest = max(range(4), key=squares.__getitem__)
-    rows = (
-        (squares[0], b + d, c + g, h - f),
-        (b + d, squares[1], f + h, c - g),
-        (c + g, f + h, squares[2], d - b),
-        (h - f, c - g, d - b, squares[3]),
-    )
-    found = np.array(rows[greatest])
-    return found / np.linalg.norm(found)
 
 
 @dataclass(frozen=True)
@@ -90,7 +67,8 @@ class Gimbal:
         self.boresight = turned(self.boresight, wanted, radians(self.plan.rate_deg) * dt)
 
     def rotation(self) -> Array:
-        return axes(self.boresight)
+        """Rotation (3, 3) from lidar axes to the map."""
+        return look_at(np.zeros(3), self.boresight)
 
     def _begin(
         self, now: float, position: Array, velocity: Array, target: Array | None, aim: Array | None

@@ -33,7 +33,6 @@ class Ground:
         Raises `SimulationError`: the terrain cannot be read, or is too small."""
         given = Conditions(terrain=settings.terrain or None, rocks=settings.rock_abundance)
         terrain = given.ground("morpheus", generator)
-        assert terrain is not None
         xmin, xmax, ymin, ymax = terrain.bounds
         x, y = GRID * round(0.5 * (xmin + xmax) / GRID), GRID * round(0.5 * (ymin + ymax) / GRID)
         room = 0.5 * min(xmax - xmin, ymax - ymin) - 4.0

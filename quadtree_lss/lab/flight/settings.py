@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from quadtree_lss.lab.flight.gimbal import ScanPlan
@@ -24,8 +24,6 @@ LIMITS = {k: SIMULATED[k] for k in "range_noise outliers dropouts glide_slope_de
     "slant_range": (20.0, 1e5),
     "speed": (0.0, 1e3),
     "scatter": (0.0, 1e3),
-    "answer_delay": (0.0, 1e3),
-    "longest": (1.0, 1e4),
 }
 #: Limit of the height, m, and the duration, s, of a fault.
 MOST = 1e4
@@ -37,7 +35,7 @@ class FlightError(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of one of `FAULTS` (``docs/closed_loop.md``) that begins at a height over the aim, m,
+    """A fault of one of `FAULTS` (``studies/RESULTS.md``) that begins at a height over the aim, m,
     and lasts some seconds; a keep-out lasts until the next one, ``land_now`` for good."""
 
     kind: str
@@ -74,8 +72,6 @@ class FlightSettings:
         slant_range, speed, glide_slope_deg: At the start, m, m/s, deg.
         scatter: 1 sigma of the start, m; of its speed a twentieth, m/s.
         config: Parameters by dotted key, over ``config/flight.yaml``.
-        answer_delay: From an assessment to guidance in lock-step, s.
-        longest: Longest flight, s.
     """
 
     avoidance: str = "package"
@@ -94,8 +90,6 @@ class FlightSettings:
     rules: Rules = field(default_factory=Rules)
     plan: ScanPlan = field(default_factory=ScanPlan)
     faults: tuple[Fault, ...] = ()
-    answer_delay: float = 0.06
-    longest: float = 150.0
 
     def __post_init__(self) -> None:
         if self.avoidance not in AVOIDANCE:
@@ -106,17 +100,13 @@ class FlightSettings:
 
 
 def flight_settings(values: Mapping[str, Any]) -> FlightSettings:
-    """Settings from plain values: ``faults`` are texts for `Fault.read`; ``vehicle``, ``rules`` and
-    ``plan`` mappings. Raises `FlightError`: an unknown name or an invalid value."""
-    base, known = FlightSettings(), sorted(item.name for item in fields(FlightSettings))
-    given = dict(values)
+    """Settings from plain values: ``faults`` are texts for `Fault.read`, ``survey`` is that of the
+    plan. Raises `FlightError`: an unknown name or an invalid value."""
+    given, known = dict(values), sorted(item.name for item in fields(FlightSettings))
+    if "survey" in given:
+        given["plan"] = ScanPlan(survey=given.pop("survey"))
     if unknown := [name for name in given if name not in known]:
         msg = f"unknown setting {unknown[0]!r} of a flight; there are {', '.join(known)}"
         raise FlightError(msg)
-    for name in [part for part in ("vehicle", "rules", "plan") if part in given]:
-        try:
-            given[name] = replace(getattr(base, name), **given[name])
-        except TypeError as error:
-            raise FlightError(f"{name}: {error}") from None
     given["faults"] = tuple(Fault.read(str(fault)) for fault in given.get("faults", ()))
-    return replace(base, **given)
+    return FlightSettings(**given)

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``make demo``: replay a simulated bag offline and through the nodes, compare, and fly a
-lander."""
+"""``make demo``: replay a bag offline and through the nodes, compare, and fly a lander."""
 
 from __future__ import annotations
 
@@ -17,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.desk.exchange.saved import Table, cells_arrays, load_results
+from quadtree_lss.desk.exchange.saved import cells_arrays, load_results
 from quadtree_lss.desk.player.player import play
 from quadtree_lss.desk.replay.configuration import find_config
 from quadtree_lss.desk.replay.files import write_npz
@@ -30,16 +29,14 @@ from quadtree_lss.lab.live.processes import (
     given_domain,
     local_domain,
     program,
-    refuse_company,
-    strangers,
+    refuse_others,
 )
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.errors import QuadtreeLssError
-from quadtree_lss.onboard.messages.maps import SITE_FIELDS
-from quadtree_lss.onboard.messages.outputs import cloud_records, map_from_messages
+from quadtree_lss.onboard.messages.outputs import map_from_messages
 
-#: Relative; ``landing/site_table`` carries float32, ``sites.csv`` float64.
-SITE_TOLERANCE = 1e-6
+#: Largest difference between live and offline sites, m; ``sites.csv`` is text.
+SITE_TOLERANCE_M = 1e-6
 
 
 class DemoError(QuadtreeLssError):
@@ -47,11 +44,10 @@ class DemoError(QuadtreeLssError):
 
 
 class LiveResult(NamedTuple):
-    """The last map, ranked sites (K, 3), map frame, m, and records (K,) of ``SITE_FIELDS``."""
+    """The last map, and ranked sites (K, 3), map frame, m."""
 
     cells: CellMap
     position: NDArray[np.float64]
-    table: NDArray[np.void]
 
 
 def run_live(
@@ -64,8 +60,8 @@ def run_live(
     given: int | None = None,
 ) -> LiveResult:
     """Play a bag to both nodes and wait for the sites on the map of ``last_stamp_ns``. Their output
-    goes to ``folder``; the default of ``given`` is a free ROS domain. Raises `DemoError`: no sites,
-    or other publishers; `ProcessError`: a node ended."""
+    goes to ``folder``; the default of ``given`` is a free ROS domain. Raises `DemoError`: no sites;
+    `ProcessError`: a node ended, or others publish the same topics."""
     # Lose no scan on a busy computer: the result is compared with a replay.
     qos = "qos_overrides./lidar/points.subscription"
     lossless = (f"{qos}.reliability:=reliable", f"{qos}.depth:=500")
@@ -74,8 +70,8 @@ def run_live(
     with ExitStack() as stack:
         domain = stack.enter_context(local_domain(folder, given))
         listener = stack.enter_context(Listener(domain.number))
-        spoken = (*TOPICS, "lidar/points", "nav/pose", "/clock")
-        refuse_company(listener.node, dict.fromkeys(spoken, 0))
+        published = (*TOPICS, "lidar/points", "nav/pose", "/clock")
+        refuse_others(listener.node, dict.fromkeys(published, 0))
         nodes = [
             stack.enter_context(NodeProcess(name, args, domain.env, folder / f"{name}.txt"))
             for name in ("mapping_node", "lss_node")
@@ -85,22 +81,19 @@ def run_live(
         def complete() -> bool:
             for node in nodes:
                 node.check()
-            topics = ("map/cells", "map/observed", "landing/sites", "landing/site_table")
+            topics = ("map/cells", "map/observed", "landing/sites")
             return all(listener.stamp(topic) == last_stamp_ns for topic in topics)
 
         if not listener.wait_for(complete, timeout=20.0):
             stamps = {topic: listener.stamp(topic) for topic in listener.newest}
             raise DemoError(f"no sites for the scan at {last_stamp_ns} ns; newest stamps: {stamps}")
-        if others := strangers(listener.node, dict.fromkeys(spoken, 1)):
-            raise DemoError(f"others published {'; '.join(others)}: set another ROS_DOMAIN_ID")
         codes = {node.name: node.stop() for node in nodes}
         if any(codes.values()):
             raise DemoError(f"nodes did not end cleanly: exit codes {codes}")
         newest = listener.newest
     places = [pose.position for pose in newest["landing/sites"].poses]
     position = np.array([(p.x, p.y, p.z) for p in places], dtype=np.float64).reshape(-1, 3)
-    cells = map_from_messages(newest["map/cells"], newest["map/observed"])
-    return LiveResult(cells, position, cloud_records(newest["landing/site_table"], SITE_FIELDS))
+    return LiveResult(map_from_messages(newest["map/cells"], newest["map/observed"]), position)
 
 
 def differing(one: Path, other: Path) -> list[str]:
@@ -111,17 +104,6 @@ def differing(one: Path, other: Path) -> list[str]:
         return sorted({*a.files} ^ {*b.files}) + differ
 
 
-def site_difference(live: LiveResult, offline: Table) -> float:
-    """Largest relative difference between live sites and ``sites.csv``."""
-    if len(live.table) != len(offline["rank"]):
-        return float("inf")
-    names = ("score", "roughness", "hazard_distance", "subscale_height", "x", "y", "z", "slope_deg")
-    own = [live.table[name] for name in names[:4]]
-    one = np.array([*own, *live.position.T, np.degrees(live.table["slope"])], np.float64)
-    other = np.array([offline[name] for name in names], np.float64)
-    return float(np.max(np.abs(one - other) / np.maximum(1.0, np.abs(other)), initial=0.0))
-
-
 def _program(name: str, *args: str) -> None:
     done = subprocess.run([str(program(name)), *args], check=False)
     if done.returncode != 0:
@@ -129,7 +111,7 @@ def _program(name: str, *args: str) -> None:
 
 
 def demonstrate(out: Path, seed: int) -> bool:
-    """All steps; True if live and offline agree."""
+    """Run all steps; return whether live and offline agree."""
     bag, offline, live = out / "flight" / "bag", out / "offline", out / "live"
     for folder in (bag.parent, offline, live, out / "lander"):
         shutil.rmtree(folder, ignore_errors=True)
@@ -149,21 +131,20 @@ def demonstrate(out: Path, seed: int) -> bool:
     took = f"{time.monotonic() - started:.1f} s with start-up"
     print(f"   {len(stamps)} scans, {len(result.cells.level)} leaves, {took}")
     best = "".join(f", the best at x {x:.2f}, y {y:.2f} m" for x, y, _ in result.position[:1])
-    print(f"4. lss_node ranks {len(result.table)} landing sites{best}", flush=True)
-    others = differing(offline / "cells.npz", live / "cells.npz")
-    sites = site_difference(result, results.sites)
-    print(f"5. Nodes against offline replay: cells differ in {', '.join(others) or 'nothing'},")
-    print(f"   a site by {sites:.1e} relative at most (the topic is float32)")
-    agree = not others and sites <= SITE_TOLERANCE
+    print(f"4. lss_node ranks {len(result.position)} landing sites{best}", flush=True)
+    cells = differing(offline / "cells.npz", live / "cells.npz")
+    sites = result.position.shape == results.positions.shape and np.allclose(
+        result.position, results.positions, rtol=0.0, atol=SITE_TOLERANCE_M
+    )
+    print(f"5. Nodes against offline replay: cells differ in {', '.join(cells) or 'nothing'},")
+    agree = sites and not cells
     print("   The same map and the same sites." if agree else "   THEY DIFFER.")
     print("6. A lander flies the last 260 m by landing/selected, over DDS", flush=True)
-    short = {"slant_range": 260.0, "speed": 26.0, "half": 12.0, "plan": {"survey": 4.0}}
+    short = {"slant_range": 260.0, "speed": 26.0, "half": 12.0, "survey": 4.0}
     nodes = out / "lander" / "nodes"
     flown = fly_live(seed, flight_settings(short), nodes, domain=given_domain())
     write_flight(out / "lander", flown)
     print(f"   {headline(flown)}")
-    if flown.figures["others"]:
-        raise DemoError(f"others published {'; '.join(flown.figures['others'])} while it flew")
     print("7. The same for GIS, 3D programs and navigation", flush=True)
     exported = subprocess.run([str(program("quadtree-lss")), "export", str(offline)], check=False)
     print(f"\nOpen {offline / 'report.html'}: the sites, the map, the ground in 3D")

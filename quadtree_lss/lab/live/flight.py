@@ -21,7 +21,7 @@ from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent, flight_
 from quadtree_lss.lab.flight.fly import Flown, figures_of, fly
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.live.listener import TOPICS, Listener
-from quadtree_lss.lab.live.processes import NodeProcess, local_domain, refuse_company, strangers
+from quadtree_lss.lab.live.processes import NodeProcess, local_domain, refuse_others
 from quadtree_lss.lab.simulation.recording import CLOUD, POSE, Messages
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config
@@ -46,11 +46,8 @@ from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
 WISHES = ("dispersion", "area", "keep_out", "target")
 KINDS = {"nav/pose": POSE, "lidar/points": CLOUD}
 KINDS |= {f"landing/{name}": landing_inputs.TYPES[name] for name in WISHES}
-SPOKEN = ("/clock", *KINDS)
-HEARD = {CELLS: "mapping", OBSERVED: "mapping", SELECTED: "lss"}
-"""Topics by the node that publishes them."""
+#: Longest time until the nodes subscribe, s.
 PATIENCE_S = 30.0
-"""For the nodes to start."""
 
 
 def fly_live(
@@ -64,34 +61,27 @@ def fly_live(
     """Fly with both nodes as processes, whose parameters, checkpoint and output go to ``folder``.
 
     The avoidance must be one of the nodes. ``/clock`` slows down with the computer. The default of
-    ``domain`` is a free one. Nodes that end are started again (``restarts``). If others publish the
-    same topics, the outcome is ``disturbed``, and ``others`` lists them. Raises `PlayError`: the
-    nodes did not start in time; `ProcessError`: a node is not installed or ended at its start, or
-    others use the domain.
+    ``domain`` is a free one. Raises `PlayError`: the nodes did not start in time; `ProcessError`: a
+    node is not installed or has ended, or others publish the same topics.
     """
     flight = Flight(seed, settings)
     config = flight_config(settings, flight.ground)
     with ExitStack() as stack:
         nodes = LiveNodes(stack, config, folder, domain)
         fly(flight, nodes, progress)
-        cells, wishes, sites = nodes.map(), nodes.wishes, nodes.sites
+        cells, wishes = nodes.map(), nodes.wishes
     last = None
-    if cells is not None:  # as lss_node assessed it; only the target depends on what was before
+    if cells is not None:  # as lss_node assessed it; only the target depends on the maps before
         last = LandingSiteSelector(config).assess(cells, **wishes.arguments())
     figures = figures_of(seed, flight, last)
-    restarts = sum(nodes.starts.values()) - len(nodes.starts)
-    figures |= {"restarts": restarts, "others": sorted(nodes.others)}
-    if nodes.others:
-        figures["outcome"] = "disturbed"
-    targets, told = tuple(nodes.targets), {"landing": wishes.as_lists(), "published_sites": sites}
-    told |= {"target": targets[-1].id if targets else 0, "target_changes": len(targets)}
-    return Flown(flight, figures, last, cells, None, targets, told, nodes.heard)
+    targets, more = tuple(nodes.targets), {"landing": wishes.as_lists()}
+    more |= {"target": targets[-1].id if targets else 0, "target_changes": len(targets)}
+    return Flown(flight, figures, last, cells, None, targets, more)
 
 
 class LiveNodes:
-    """Both nodes as processes that end with ``stack`` or are started again. ``starts``: by node.
-    ``others``: topics with other publishers, and their nodes. ``wishes``: what guidance asked for
-    last. ``targets``: changes of the target in ``landing/status``."""
+    """Both nodes as processes that end with ``stack``. ``wishes``: the last inputs of guidance.
+    ``targets``: changes of the target in ``landing/status``."""
 
     def __init__(self, stack: ExitStack, config: Config, folder: Path, domain: int | None) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -122,12 +112,9 @@ class LiveNodes:
         self.wishes, self.targets = LandingWishes(config.frames.map), list[TargetChange]()
         node.create_subscription(TOPICS[SELECTED], SELECTED, self._hear, latched())
         node.create_subscription(TOPICS[STATUS], STATUS, self._note, latched())
-        refuse_company(node, dict.fromkeys(SPOKEN, 1) | dict.fromkeys(HEARD, 0))
-        self.starts = {"mapping": 0, "lss": 0}
-        self.heard: list[tuple[int, Array | None]] = []
-        self.others: set[str] = set()
+        refuse_others(node, dict.fromkeys(("/clock", *KINDS), 1) | dict.fromkeys(TOPICS, 0))
         self._down: set[str] = set()
-        self._nodes = {name: self._start(name) for name in self.starts}
+        self._nodes = {name: self._start(name) for name in ("mapping", "lss")}
         try:
             wait_for_subscribers(node, list(self._publishers.values()), PATIENCE_S)
         except PlayError:
@@ -139,7 +126,7 @@ class LiveNodes:
         self._began = time.monotonic()
 
     def take(self, sent: Sent, now_ns: int) -> None:
-        """Publishes a message."""
+        """Publish a message."""
         message = sent.message(self._make)
         if sent.topic.startswith("landing/"):
             self.wishes.take(sent.topic.removeprefix("landing/"), message)
@@ -148,16 +135,15 @@ class LiveNodes:
         self._publishers[sent.topic].publish(message)
 
     def work(self, now_ns: int) -> list[Array | None]:
-        """Tells the time, waits for its moment, and returns what was said until then."""
+        """Publish the time, wait for its moment, and return the answers until then."""
         self._clock.publish(Clock(clock=time_message(now_ns)))
         seconds = 1e-9 * (now_ns - START_NS)
         time.sleep(max(self._began + seconds - time.monotonic(), 0.0))
         tick = round(seconds / TICK)
-        if tick % 100 == 0 and not self._down:
-            self._look()
+        for name in self._nodes.keys() - self._down if tick % 100 == 0 else ():
+            self._nodes[name].check()
         count = len(self._said)
         said, self._said[:count] = self._said[:count], []
-        self.heard += [(tick, one) for one in said]
         return said
 
     def land_now(self) -> None:
@@ -175,8 +161,7 @@ class LiveNodes:
         self._nodes[node] = self._start(node)
 
     def map(self) -> CellMap | None:
-        """The last one, when its sites are there; its parts come one after the other, with one
-        stamp."""
+        """The last map, once its sites have come; all of its messages carry one stamp."""
         heard = self._listener
         heard.wait_for(lambda: len({heard.stamp(of) for of in (CELLS, OBSERVED, SITES)}) == 1, 2.0)
         if heard.stamp(CELLS) != heard.stamp(OBSERVED) or CELLS not in heard.newest:
@@ -184,26 +169,8 @@ class LiveNodes:
         return map_from_messages(heard.newest[CELLS], heard.newest[OBSERVED])
 
     def _start(self, name: str) -> NodeProcess:
-        self.starts[name] += 1
-        count = self.starts[name]
-        log = self._folder / (f"{name}.txt" if count == 1 else f"{name}_{count}.txt")
+        log = self._folder / f"{name}_{time.monotonic_ns()}.txt"
         return self._stack.enter_context(NodeProcess(f"{name}_node", self._args, self._env, log))
-
-    def _look(self) -> None:
-        """Restart nodes that ended; note other publishers. The publishers of a killed node stay
-        visible for a while."""
-        for name, process in self._nodes.items():
-            if process.process.poll() is not None:
-                self._nodes[name] = self._start(name)
-        heard = {topic: self.starts[name] for topic, name in HEARD.items()}
-        self.others |= {*strangers(self._node, dict.fromkeys(SPOKEN, 1) | heard)}
-
-    @property
-    def sites(self) -> list[list[float]]:
-        """Places (K, 3) of the last ``landing/sites``, m."""
-        newest = self._listener.newest.get(SITES)
-        places = [] if newest is None else [pose.position for pose in newest.poses]
-        return [[p.x, p.y, p.z] for p in places]
 
     def _note(self, message: Any) -> None:
         said = status_from_message(message)

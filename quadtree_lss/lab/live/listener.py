@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Collects what the nodes publish, from a thread of its own: for the demo and the tests."""
+"""Collect the messages of the nodes in a thread: for the demo, flights and tests."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Listener:
         return None if message is None else stamp_ns(message.header)
 
     def wait_for(self, condition: Callable[[], object], timeout: float = 20.0) -> bool:
-        """Waits until ``condition()`` is true; looked at after every message. False in time-out."""
+        """Wait until ``condition()`` is true, checked after each message; False after a timeout."""
         deadline = time.monotonic() + timeout
         with self._changed:
             while not condition():

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Starting and ending the installed programs as processes of their own.
+"""Start and end the installed programs as processes, in a ROS domain of their own.
 
-launch_testing, domain_coordinator and ros2 run do this where ROS is installed; none is in a wheel.
+ROS has launch_testing and domain_coordinator for this, but not as wheels.
 """
 
 from __future__ import annotations
@@ -25,15 +25,12 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 PACKAGE = "quadtree_lss"
 #: Fast DDS profile: the discovery of ROS's range LOCALHOST, without its shared memory.
 LOCAL_PROFILE = Path(__file__).with_name("fastdds.xml")
-
-
-#: Ports of a domain (RTPS specification, 9.6.1.1): participant k uses 10 + 2 k and the next one.
+#: Ports of a domain (RTPS specification, 9.6.1.1). Participants use the first ones; this program
+#: reserves a domain by its last one.
 FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
-PARTICIPANT_PORTS = range(10, 10 + 2 * 32)
-RESERVATION_PORT = PORTS_PER_DOMAIN - 1
 DOMAINS, LAST_DOMAIN = range(1, 98), 231
 #: Time to discover all other participants, s.
-LOOK_S = 2.0
+DISCOVERY_S = 2.0
 
 
 class ProcessError(QuadtreeLssError):
@@ -71,22 +68,17 @@ def given_domain() -> int | None:
     return int(text)
 
 
-def strangers(node: Any, ours: Mapping[str, int]) -> list[str]:
-    """Topics with more publishers than ``ours``, each with the names of all its nodes."""
-    found = []
+def refuse_others(node: Any, ours: Mapping[str, int]) -> None:
+    """Raise `ProcessError` if topics have more publishers than ``ours``."""
+    time.sleep(DISCOVERY_S)
+    others = []
     for topic, count in ours.items():
         there = node.get_publishers_info_by_topic(topic)
         if len(there) > count:
             names = sorted({f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in there})
-            found.append(f"{topic} ({', '.join(names)})")
-    return found
-
-
-def refuse_company(node: Any, ours: Mapping[str, int]) -> None:
-    """Raise `ProcessError` if others publish topics of ``ours`` (see `strangers`)."""
-    time.sleep(LOOK_S)
-    if found := strangers(node, ours):
-        msg = f"others in this ROS domain publish {'; '.join(found)}: set another ROS_DOMAIN_ID"
+            others.append(f"{topic} ({', '.join(names)})")
+    if others:
+        msg = f"others in this ROS domain publish {'; '.join(others)}: set another ROS_DOMAIN_ID"
         raise ProcessError(msg)
 
 
@@ -96,10 +88,10 @@ def local_domain(log_dir: Path, given: int | None = None) -> Iterator[LocalDomai
     this computer until the context ends. Within it SIGTERM acts like Ctrl-C, so that the children
     end. Raises `ProcessError`: other programs have reserved the domain or all domains."""
     if given is None:
-        found = ((n, _free(n)) for n in random.SystemRandom().sample(DOMAINS, len(DOMAINS)))
+        found = ((n, _reserved(n)) for n in random.SystemRandom().sample(DOMAINS, len(DOMAINS)))
         number, reservation = next((one for one in found if one[1]), (-1, None))
     else:
-        number, reservation = given, _bound(given, RESERVATION_PORT)
+        number, reservation = given, _reserved(given)
     if reservation is None:
         which = f"between {min(DOMAINS)} and {max(DOMAINS)}" if given is None else f"{given}"
         raise ProcessError(f"no free ROS domain {which}: set another ROS_DOMAIN_ID")
@@ -111,7 +103,7 @@ def local_domain(log_dir: Path, given: int | None = None) -> Iterator[LocalDomai
 @contextmanager
 def _interrupted_by_sigterm() -> Iterator[None]:
     before: Any = signal.SIG_DFL
-    with suppress(ValueError):  # not the main thread, which alone hears it
+    with suppress(ValueError):  # only the main thread gets signals
         before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
@@ -120,24 +112,11 @@ def _interrupted_by_sigterm() -> Iterator[None]:
             signal.signal(signal.SIGTERM, before)
 
 
-def _free(domain: int) -> socket.socket | None:
-    """Reserve a domain without participants; None if there is one. The reservation comes first,
-    because a process joins its domain only a second after its start."""
-    reservation = _bound(domain, RESERVATION_PORT)
-    probes = [_bound(domain, port) for port in PARTICIPANT_PORTS if reservation]
-    for probe in filter(None, probes):
-        probe.close()
-    if reservation is None or all(probes):
-        return reservation
-    reservation.close()
-    return None
-
-
-def _bound(domain: int, port: int) -> socket.socket | None:
-    """Socket at a port of the domain, None if it is in use."""
+def _reserved(domain: int) -> socket.socket | None:
+    """Bind the last port of a domain; None if another program has."""
     result = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
-        result.bind(("", FIRST_PORT + PORTS_PER_DOMAIN * domain + port))
+        result.bind(("", FIRST_PORT + PORTS_PER_DOMAIN * (domain + 1) - 1))
     except OSError:
         result.close()
         return None
@@ -176,7 +155,7 @@ class NodeProcess:
         return self.log.read_text(encoding="utf-8", errors="replace")
 
     def check(self) -> None:
-        """Raises ProcessError if it has ended."""
+        """Raise `ProcessError` if the process has ended."""
         code = self.process.poll()
         if code is not None:
             said = " ".join(self.output().split())[-500:]

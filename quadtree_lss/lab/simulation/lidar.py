@@ -10,20 +10,11 @@ import numpy as np
 from numpy.random import Generator
 from scipy.ndimage import uniform_filter
 
-from quadtree_lss.lab.simulation.terrain import Surface
+from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.arrays import Array
 
-#: Beams per side of the outline of a field of view.
-OUTLINE = 8
 #: Largest error of a false return, m.
 WRONG = 10.0
-
-
-def _beams(azimuth: Array, elevation: Array) -> Array:
-    """Unit directions (..., 3) in the lidar frame: Eq. 14 with ρ = 1."""
-    azimuth, elevation = np.broadcast_arrays(azimuth, elevation)
-    level = np.cos(elevation)
-    return np.stack([np.sin(azimuth) * level, np.sin(-elevation), np.cos(azimuth) * level], axis=-1)
 
 
 @cache
@@ -33,7 +24,12 @@ def pixel_beams(width_deg: float, height_deg: float, columns: int, rows: int) ->
         np.radians(angle) * ((np.arange(count) + 0.5) / count - 0.5)
         for angle, count in ((width_deg, columns), (height_deg, rows))
     )
-    beams = _beams(across[None, :], -down[:, None])
+    azimuth, elevation = np.meshgrid(across, -down)
+    level = np.cos(elevation)
+    # Eq. 14 with ρ = 1.
+    beams = np.stack(
+        [np.sin(azimuth) * level, np.sin(-elevation), np.cos(azimuth) * level], axis=-1
+    )
     beams.setflags(write=False)
     return beams
 
@@ -54,30 +50,20 @@ class FlashLidar:
         side, count = self.field_of_view_deg, self.pixels
         return pixel_beams(side, side, count, count)
 
-    def outline(self, surface: Surface, position_map: Array, rotation_map_lidar: Array) -> Array:
-        """Edge of the field of view on the ground, map frame: (4·OUTLINE, 2) m; NaN = no hit."""
-        half = 0.5 * np.radians(self.field_of_view_deg)
-        along = np.linspace(-half, half, OUTLINE, endpoint=False)
-        azimuth = np.concatenate([along, np.full(OUTLINE, half), -along, np.full(OUTLINE, -half)])
-        elevation = np.roll(azimuth, OUTLINE)
-        directions_map = _beams(azimuth, elevation) @ rotation_map_lidar.T
-        ranges = surface.cast(position_map, directions_map)
-        return np.asarray((position_map + ranges[:, None] * directions_map)[:, :2])
-
     def true_ranges(
-        self, surface: Surface, position_map: Array, rotation_map_lidar: Array
+        self, terrain: Terrain, position_map: Array, rotation_map_lidar: Array
     ) -> Array:
         """Noise-free ranges (pixels, pixels) from a pose; NaN = no return."""
         directions = self.directions()
         directions_map = directions.reshape(-1, 3) @ rotation_map_lidar.T
-        return surface.cast(position_map, directions_map).reshape(directions.shape[:2])
+        return terrain.cast(position_map, directions_map).reshape(directions.shape[:2])
 
     def scan(
-        self, surface: Surface, position_map: Array, rotation_map_lidar: Array, generator: Generator
+        self, terrain: Terrain, position_map: Array, rotation_map_lidar: Array, generator: Generator
     ) -> Array:
         """Points (pixels, pixels, 3) in the lidar frame, NaN = no return, with Gaussian noise of
         ranges (Eq. 13), ``outliers`` of up to `WRONG`, and ``dropouts``."""
-        ranges = self.true_ranges(surface, position_map, rotation_map_lidar)
+        ranges = self.true_ranges(terrain, position_map, rotation_map_lidar)
         ranges = ranges + generator.normal(0.0, self.range_noise, ranges.shape)
         if self.outliers > 0.0:
             wrong = generator.random(ranges.shape) < self.outliers
@@ -92,8 +78,7 @@ class FlashLidar:
 @dataclass(frozen=True)
 class StereoCamera(FlashLidar):
     """Depths along z like a RealSense D455's, in whole millimetres. Gaussian noise of disparities
-    is averaged over 3 x 3 pixels; half of the pixels at an edge get a depth in between. The outline
-    is that of the smaller field of view."""
+    is averaged over 3 x 3 pixels; half of the pixels at an edge get a depth in between."""
 
     field_of_view_deg: float = 64.0
     columns: int = 640
@@ -110,11 +95,11 @@ class StereoCamera(FlashLidar):
         return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
     def scan(
-        self, surface: Surface, position_map: Array, rotation_map_lidar: Array, generator: Generator
+        self, terrain: Terrain, position_map: Array, rotation_map_lidar: Array, generator: Generator
     ) -> Array:
         """Measured points (rows, columns, 3), NaN = no return."""
         rays = self.directions()
-        z = self.true_ranges(surface, position_map, rotation_map_lidar) * rays[..., 2]
+        z = self.true_ranges(terrain, position_map, rotation_map_lidar) * rays[..., 2]
         for axis in (0, 1):  # what lies beside the pixel, where that is elsewhere
             beside = np.roll(z, 1, axis)
             share = generator.random(z.shape)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +15,11 @@ from quadtree_lss.lab.simulation.lidar import FlashLidar, StereoCamera
 from quadtree_lss.lab.simulation.navigation import DriftingNavigation, Navigation, WhiteNavigation
 from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.lab.simulation.terrain import (
-    Parabola,
     SimulationError,
-    Surface,
     Terrain,
     check,
     load_terrain,
+    parabola,
 )
 from quadtree_lss.lab.simulation.trajectory import (
     Sweep,
@@ -31,8 +29,6 @@ from quadtree_lss.lab.simulation.trajectory import (
 )
 from quadtree_lss.onboard.arrays import Array
 
-#: None: the parabola of Section VI.
-Ground = Terrain | None
 #: Lattice of the true safety map and of boxes, m.
 GRID_SPACING = 0.25
 #: Ground between a box and the edge of a DEM, m: more than a lander's radius.
@@ -43,10 +39,9 @@ LEAD = 0.1
 
 @dataclass(frozen=True)
 class FlightPlan:
-    """Surface, sensor, trajectory, navigation and times of one flight."""
+    """Ground, sensor, trajectory, navigation and times (s) of one flight."""
 
-    surface: Surface
-    truth: Terrain
+    terrain: Terrain
     lidar: FlashLidar
     trajectory: Trajectory
     navigation: Navigation
@@ -95,19 +90,22 @@ class Conditions:
     def __post_init__(self) -> None:
         check(self, LIMITS, SimulationError)
 
-    def ground(self, scenario: str, generator: np.random.Generator) -> Ground:
+    def ground(self, scenario: str, generator: np.random.Generator) -> Terrain:
+        """Make or read the ground of a scenario."""
         terrain, rocks, slope_deg = self.terrain, self.rocks, self.slope_deg
         if isinstance(terrain, (str, Path)):
             terrain = load_terrain(terrain)
-        if terrain is None and (scale := SCENARIOS[scenario].scale):
-            given: dict[str, Any] = {"rock_abundance": rocks, "slope_rms_deg": slope_deg}
-            field = HazardField(**{k: v for k, v in given.items() if v is not None})
-            return hazard_field(generator, field).scaled(scale)
-        if terrain is None and (rocks is not None or slope_deg is not None):
+        if terrain is not None:
+            if slope_deg is not None:
+                raise SimulationError("slope_deg is of a made field, not of a given terrain")
+            return strewn(generator, terrain, rocks) if rocks else terrain
+        given: dict[str, Any] = {"rock_abundance": rocks, "slope_rms_deg": slope_deg}
+        given = {name: value for name, value in given.items() if value is not None}
+        if scale := SCENARIOS[scenario].scale:
+            return hazard_field(generator, HazardField(**given)).scaled(scale)
+        if given:
             raise SimulationError(f"{scenario} has no rocks and no field: give a terrain")
-        if terrain is not None and slope_deg is not None:
-            raise SimulationError("slope_deg is of a made field, not of a given terrain")
-        return strewn(generator, terrain, rocks) if terrain is not None and rocks else terrain
+        return parabola()
 
     def lidar(self, field_of_view_deg: float, range_noise: float) -> FlashLidar:
         noise = range_noise if self.range_noise is None else self.range_noise
@@ -141,23 +139,19 @@ def _times(duration: float, rate: float, first: float = 0.0) -> Array:
     return first + np.arange(int(np.floor(duration * rate + 1e-9)) + 1, dtype=np.float64) / rate
 
 
-def _parabola(given: Conditions, terrain: Ground, duration: float, flight: int) -> FlightPlan:
+def _parabola(given: Conditions, terrain: Terrain, duration: float, flight: int) -> FlightPlan:
     """Section VI; ``duration`` cuts the flight short."""
-    parabola = Parabola()
-    truth = terrain or parabola.terrain()
-    surface: Surface = terrain or parabola
-    target_z = float(surface.elevation_at(10.0, 0.0))
+    target_z = float(terrain.elevation_at(10.0, 0.0))
     if not np.isfinite(target_z):
         raise SimulationError("terrain: it does not cover (10, 0) m, where the lidar points")
-    box = _box(terrain, 60.0) if terrain else (-60.0, 60.0, -60.0, 60.0)
     times = _times(min(duration, 60.0), 1.0)
     trajectory, lidar = section_vi_trajectory(target_z), given.lidar(10.0, 0.08)
-    return FlightPlan(surface, truth, lidar, trajectory, WhiteNavigation(), times, times, box)
+    box = _box(terrain, 60.0)
+    return FlightPlan(terrain, lidar, trajectory, WhiteNavigation(), times, times, box)
 
 
-def _morpheus(given: Conditions, terrain: Ground, duration: float, flight: int) -> FlightPlan:
+def _morpheus(given: Conditions, terrain: Terrain, duration: float, flight: int) -> FlightPlan:
     """Section VII; a shorter ``duration`` sweeps a smaller box (20 m at least) as densely."""
-    assert terrain is not None
     box = _box(terrain, float(np.clip(30.0 * np.sqrt(duration / 20.0), 10.0, 30.0)))
     rate = 20.0
     area = tuple(_centre(terrain, box)), 0.5 * (box[1] - box[0]), 0.5 * (box[3] - box[2])
@@ -167,41 +161,40 @@ def _morpheus(given: Conditions, terrain: Ground, duration: float, flight: int) 
     scans = (np.arange(int(np.floor(duration * rate + 1e-9)), dtype=np.float64) + 0.37 / 5.0) / rate
     poses = _times(duration + 2.0 * LEAD, 100.0, -LEAD)
     lidar, navigation = given.lidar(1.0, 0.06), given.drifting(0.01, 0.0015)
-    return FlightPlan(terrain, terrain, lidar, trajectory, navigation, scans, poses, box)
+    return FlightPlan(terrain, lidar, trajectory, navigation, scans, poses, box)
 
 
-def _looking_down(
-    given: Conditions,
-    terrain: Ground,
-    duration: float,
-    flight: int,
-    *,
-    half: float,
-    rate: float,
-    heights: tuple[float, float],
-    lidar: tuple[float, float] | None,
-    spacing: float = GRID_SPACING,
-) -> FlightPlan:
-    """A descent between two heights, m. ``lidar``: field of view, deg, and noise, m; None for a
-    stereo camera."""
-    assert terrain is not None
-    if lidar is None and (given.range_noise is not None or given.outliers):
-        raise SimulationError("a stereo camera has neither range_noise nor outliers")
-    box = _box(terrain, half)
-    trajectory = descent_trajectory(_centre(terrain, box), duration, *heights)
-    count = max(int(np.floor(duration * rate + 1e-9)), 1)
-    scans = (np.arange(count, dtype=np.float64) + 0.137) / rate
-    poses = _times(duration + 2.0 * LEAD, 50.0, -LEAD)
-    sensor = given.lidar(*lidar) if lidar else StereoCamera(dropouts=given.dropouts)
-    seen = terrain, terrain, sensor, trajectory, given.drifting(0.02, 0.005)
-    return FlightPlan(*seen, scans, poses, box, spacing)
+@dataclass(frozen=True)
+class LookingDown:
+    """Plan of a descent between two ``heights``, m, over a box of ``half`` side, m, at a ``rate``,
+    Hz. ``lidar``: field of view, deg, and noise, m; None for a stereo camera."""
+
+    half: float
+    rate: float
+    heights: tuple[float, float]
+    lidar: tuple[float, float] | None
+    spacing: float = GRID_SPACING
+
+    def __call__(
+        self, given: Conditions, terrain: Terrain, duration: float, flight: int
+    ) -> FlightPlan:
+        if self.lidar is None and (given.range_noise is not None or given.outliers):
+            raise SimulationError("a stereo camera has neither range_noise nor outliers")
+        box = _box(terrain, self.half)
+        trajectory = descent_trajectory(_centre(terrain, box), duration, *self.heights)
+        count = max(int(np.floor(duration * self.rate + 1e-9)), 1)
+        scans = (np.arange(count, dtype=np.float64) + 0.137) / self.rate
+        poses = _times(duration + 2.0 * LEAD, 50.0, -LEAD)
+        sensor = given.lidar(*self.lidar) if self.lidar else StereoCamera(dropouts=given.dropouts)
+        navigation = given.drifting(0.02, 0.005)
+        return FlightPlan(terrain, sensor, trajectory, navigation, scans, poses, box, self.spacing)
 
 
 @dataclass(frozen=True)
 class Scenario:
     """A named flight: plan, duration, s, scale of its field (0: none), and default lander."""
 
-    plan: Callable[[Conditions, Ground, float, int], FlightPlan]
+    plan: Callable[[Conditions, Terrain, float, int], FlightPlan]
     duration: float
     scale: float = 1.0
     lander: LandingGear = LandingGear()
@@ -209,11 +202,9 @@ class Scenario:
 
 _SMALL = LandingGear(0.6, 0.02, 10.0, 0.08)
 _FINE = 0.25 * GRID_SPACING
-_DESCENT = partial(_looking_down, half=30.0, rate=5.0, heights=(200.0, 50.0), lidar=(20.0, 0.06))
-_DRONE = partial(
-    _looking_down, half=8.0, rate=10.0, heights=(25.0, 15.0), lidar=(60.0, 0.02), spacing=_FINE
-)
-_DEPTH = partial(_looking_down, half=4.0, rate=5.0, heights=(15.0, 3.0), lidar=None, spacing=_FINE)
+_DESCENT = LookingDown(30.0, 5.0, (200.0, 50.0), (20.0, 0.06))
+_DRONE = LookingDown(8.0, 10.0, (25.0, 15.0), (60.0, 0.02), _FINE)
+_DEPTH = LookingDown(4.0, 5.0, (15.0, 3.0), None, _FINE)
 SCENARIOS: dict[str, Scenario] = {
     "morpheus": Scenario(_morpheus, 20.0),
     "parabola": Scenario(_parabola, 60.0, 0.0),

@@ -50,8 +50,7 @@ class SimulationResult:
             rows.append(("Truth", str(self.truth_path)))
         if self.safe_fraction is not None:
             rows.append(("Safe part of the box", f"{100.0 * self.safe_fraction:.1f} %"))
-        width = max(len(label) for label, _ in rows)
-        return "\n".join(f"{label:<{width}}  {value}" for label, value in rows)
+        return "\n".join(f"{label:<24}  {value}" for label, value in rows)
 
 
 def simulate(
@@ -97,13 +96,8 @@ def simulate(
         if not simulation.legs[0].scans:
             raise KeyboardInterrupt
         if truth_path is not None:
-            arrays = simulation.truth(path.name, lander)
-            beside = path.parent / f".{TRUTH_NAME}"
-            try:
-                np.savez_compressed(beside, **arrays)  # type: ignore[arg-type]
-                beside.replace(truth_path)
-            finally:
-                beside.unlink(missing_ok=True)
+            arrays = simulation.truth(lander)
+            np.savez_compressed(truth_path, **arrays)  # type: ignore[arg-type]
             safe_fraction = float(arrays["safe"].mean())
     except BaseException as error:
         # Half a bag looks like a whole one.

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,6 @@ from quadtree_lss.lab.simulation.recording import (
 from quadtree_lss.lab.simulation.safety import LandingGear, safety_map
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions, FlightPlan
 from quadtree_lss.lab.simulation.terrain import SimulationError
-from quadtree_lss.onboard.arrays import Array
 
 _START_NS = 1_700_000_000 * 10**9
 _GAP_S = 10.0
@@ -36,7 +35,7 @@ class Leg:
 
     plan: FlightPlan
     start_ns: int
-    outlines: list[Array] = field(default_factory=list)
+    scans: int = 0
     poses: int = 0
     points: int = 0
 
@@ -47,10 +46,6 @@ class Leg:
         arrivals += [(int(t) + _SCAN_LATENCY_NS, 1, k) for k, t in enumerate(self.scan_ns)]
         self.arrivals = sorted(arrivals)
         self.positions, self.rotations = self.plan.trajectory.poses(self.plan.scan_times)
-
-    @property
-    def scans(self) -> int:
-        return len(self.outlines)
 
 
 class Simulation:
@@ -115,8 +110,8 @@ class Simulation:
                     yield POSE_TOPIC, received_ns, pose
                     continue
                 at = leg.positions[k], leg.rotations[k]
-                scan = plan.lidar.scan(plan.surface, *at, self._noise)
-                leg.outlines.append(plan.lidar.outline(plan.surface, *at))
+                scan = plan.lidar.scan(plan.terrain, *at, self._noise)
+                leg.scans += 1
                 leg.points += int(np.isfinite(scan[..., 0]).sum())
                 stamp, camera = int(leg.scan_ns[k]), plan.lidar
                 if not isinstance(camera, StereoCamera):
@@ -126,7 +121,7 @@ class Simulation:
                 yield CAMERA_TOPIC, received_ns, self.make.camera(stamp, *size, camera.focal_length)
                 yield DEPTH_TOPIC, received_ns, self.make.depth(stamp, scan[..., 2])
 
-    def truth(self, bag_name: str, lander: LandingGear | None = None) -> dict[str, NDArray[Any]]:
+    def truth(self, lander: LandingGear | None = None) -> dict[str, NDArray[Any]]:
         """Content of ``truth.npz`` for what has been flown."""
         lander = lander or SCENARIOS[self.scenario].lander
         flown = [leg for leg in self.legs if leg.scans]
@@ -134,7 +129,7 @@ class Simulation:
         step = self.legs[0].plan.spacing
         safe_x = xmin + step * np.arange(round((xmax - xmin) / step) + 1)
         safe_y = ymin + step * np.arange(round((ymax - ymin) / step) + 1)
-        dem = self.legs[0].plan.truth
+        dem = self.legs[0].plan.terrain
 
         def scanned(name: str) -> NDArray[Any]:
             return np.concatenate([getattr(leg, name)[: leg.scans] for leg in flown])
@@ -151,8 +146,5 @@ class Simulation:
             "scan_stamp_ns": scanned("scan_ns"),
             "scan_position": scanned("positions"),
             "scan_quaternion_xyzw": Rotation.from_matrix(scanned("rotations")).as_quat(),
-            "scan_outline": scanned("outlines"),
-            "bag_name": np.array(bag_name),
             "seed": np.array(self.seed),
-            "scan_flight": np.repeat(np.arange(len(flown)), [leg.scans for leg in flown]),
         }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Surfaces for a lidar: a bilinear elevation model, and the parabola of Section VI."""
+"""The ground of a simulation: a bilinear elevation model, and the parabola of Section VI."""
 
 from __future__ import annotations
 
@@ -42,10 +42,8 @@ def spacing(axis: Array) -> float:
 
 
 def bilinear(posts_x: Array, posts_y: Array, elevation: Array, x: ArrayLike, y: ArrayLike) -> Array:
-    """Elevation (m) at map coordinates of any equal shape; NaN outside the posts.
-
-    Posts (nx,), (ny,) ascend in equal steps; ``elevation`` is (ny, nx).
-    """
+    """Interpolate ``elevation`` (ny, nx) at map coordinates of any equal shape; NaN outside the
+    posts (nx,), (ny,), which ascend in equal steps."""
     x_map, y_map = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
     nx, ny = posts_x.size, posts_y.size
     u = (x_map - posts_x[0]) / spacing(posts_x)
@@ -64,8 +62,7 @@ def bilinear(posts_x: Array, posts_y: Array, elevation: Array, x: ArrayLike, y: 
 @dataclass(frozen=True)
 class Terrain:
     """A bilinear heightfield: posts ``x`` (nx,), ``y`` (ny,), ascending in equal steps,
-    ``elevation`` (ny, nx), m, z up. Raises `SimulationError`: shapes do not match, or values are
-    not finite."""
+    ``elevation`` (ny, nx), m, z up. Raises `SimulationError`: the arrays are not such a field."""
 
     x: Array
     y: Array
@@ -116,7 +113,7 @@ class Terrain:
         dx, dy = self.post
         box = np.array([self.elevation.min(), self.elevation.max()])
         origin = np.asarray(origin_map, float)
-        # From here on horizontal coordinates count posts; the ray parameter stays a length.
+        # Horizontal coordinates count posts; the ray parameter stays a length.
         start = np.array([(origin[0] - self.x[0]) / dx, (origin[1] - self.y[0]) / dy, origin[2]])
         speed = np.ascontiguousarray(np.asarray(directions_map, float) / np.array([dx, dy, 1.0]))
         ranges = np.empty(len(speed))
@@ -124,39 +121,12 @@ class Terrain:
         return ranges
 
 
-@dataclass(frozen=True)
-class Parabola:
-    """z = a (x² + y² − r²) where that is positive, else 0 (Eq. 60: a = 3·10⁻³/m, r = 12 m)."""
-
-    curvature: float = 3e-3
-    flat_radius: float = 12.0
-
-    def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
-        squared = np.square(np.asarray(x, float)) + np.square(np.asarray(y, float))
-        return np.asarray(np.maximum(self.curvature * (squared - self.flat_radius**2), 0.0))
-
-    def cast(self, origin_map: Array, directions_map: Array) -> Array:
-        """Range (N,) to the first hit; NaN where a ray misses. It is the nearer hit of plane and
-        paraboloid; a ray from above meets the latter at the larger root."""
-        o, d = np.asarray(origin_map, float), np.asarray(directions_map, float)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            plane = np.where(d[:, 2] < 0.0, -o[2] / d[:, 2], np.inf)
-            a = self.curvature * (d[:, 0] ** 2 + d[:, 1] ** 2)
-            b = 2.0 * self.curvature * (o[0] * d[:, 0] + o[1] * d[:, 1]) - d[:, 2]
-            c = self.curvature * (o[0] ** 2 + o[1] ** 2 - self.flat_radius**2) - o[2]
-            root = np.sqrt(np.maximum(b * b - 4.0 * a * c, 0.0))
-            # The larger root of a t² + b t + c, written so that a → 0 loses no digits.
-            bowl = np.where(b > 0.0, -2.0 * c / (b + root), (root - b) / (2.0 * a))
-        hit = np.fmin(plane, bowl)
-        return np.where(np.isfinite(hit) & (hit > 0.0), hit, np.nan)
-
-    def terrain(self) -> Terrain:
-        """A DEM of 140 m around the origin, for the truth file."""
-        axis = np.linspace(-70.0, 70.0, 561)
-        return Terrain(axis, axis, self.elevation_at(axis[None, :], axis[:, None]))
-
-
-Surface = Terrain | Parabola
+def parabola() -> Terrain:
+    """The ground of Section VI, 140 m wide: z = a (x² + y² − r²) where that is positive, else 0
+    (Eq. 60: a = 3·10⁻³/m, r = 12 m)."""
+    axis = np.linspace(-70.0, 70.0, 561)
+    squared = axis[None, :] ** 2 + axis[:, None] ** 2
+    return Terrain(axis, axis, np.maximum(3e-3 * (squared - 12.0**2), 0.0))
 
 
 def load_terrain(path: str | Path) -> Terrain:

@@ -25,7 +25,7 @@ TOLD_M = 0.5
 """A set-point so far away moves a vehicle that is in the air."""
 OFFSET_M = 0.5
 """The vehicle descends only so near beside the target, and commits within half of it; a target that
-moves farther is another one. Four times what ArduCopter misses one by (``docs/autopilot.md``)."""
+moves farther is another one. Four times what ArduCopter misses one by (``docs/evidence.md``)."""
 DRIFT_M_S = 0.1
 """Drift of a barometer against the map."""
 REASONS = {int(reason): reason.key for reason in Reason}

@@ -16,16 +16,16 @@ from quadtree_lss.onboard.config.parameter import declared, live
 class VehicleConfig:
     """What lands; the lengths that mapping and landing go by follow from it."""
 
-    diameter: float = declared(3.7, "diameter of the pads' circle", (0.05, 1000.0), "m")
+    diameter: float = declared(3.7, "diameter of the circle of the pads", (0.05, 1000.0), "m")
     clearance: float = declared(
         0.3,
-        "highest ground over its pads' plane that the lander clears, its struts crushed",
+        "highest ground over the plane of the pads that is tolerated, with compressed struts",
         (0.001, 100.0),
         "m",
     )
     max_slope_deg: float = live(
         10.0,
-        "steepest ground that the lander stands on; the mapping goes by what it is at the start",
+        "steepest ground that is tolerated; the mapping uses the value at the start",
         (0.1, 89.0),
         "deg",
     )

@@ -54,7 +54,7 @@ CONNECT_S = 0.3
 CORNERS = 24
 CONTROL_M = 0.1
 """What the autopilot's control adds to navigation's deviation: of 251 landings with ArduCopter none
-was farther than 0.13 m from its target (``docs/autopilot.md``)."""
+was farther than 0.13 m from its target (``docs/evidence.md``)."""
 LEVELS = {GIVE_UP: ERROR, WAVE_OFF: WARN, HOLD: WARN}
 
 

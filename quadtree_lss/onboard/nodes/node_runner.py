@@ -49,7 +49,7 @@ TRANSPORTS = "UDPv4?sockets_size=16MB"
 
 What a killed process leaves behind in shared memory can keep its successor, which gets the same
 port, from hearing the sensors for ten seconds or for good. The kernel cuts the size to what
-net.core.rmem_max allows; docs/evidence.md says what was measured.
+net.core.rmem_max allows; measured in studies/RESULTS.md.
 """
 
 STATUS_S = 1.0

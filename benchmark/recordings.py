@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Landing ground on recordings of real lidars, by the README's path without a further setting.
+
+For each recording: ``config suggest BAG --vehicle 3.7,0.3``, ``replay``, and the contact check of
+``measured_points.py judge``, which lies with the recordings. That script sets the vehicle down on
+the highest measured returns at every grid point whose ground was measured densely. The folder of
+the recordings is ``QUADTREE_LSS_DATA``, by default ``../shared/data`` beside the repository.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from common import machine, table
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+PROGRAM = Path(sys.executable).with_name("quadtree-lss")
+VEHICLE = "3.7,0.3"
+
+
+class Recording(NamedTuple):
+    """Judged on cells of ``cell`` m where no gap exceeds ``gap`` m. ``points``: the measured
+    points, by default those of the bag; ``flown``: the bag is a virtual flight over them."""
+
+    cell: float = 0.15
+    gap: float = 0.6
+    points: str = ""
+    flown: bool = False
+
+
+RECORDINGS = {
+    "autzen_meadow": Recording(0.5, 1.0),
+    "ign": Recording(0.4, 1.0, "ign", flown=True),
+    "ign_asis": Recording(0.4, 1.0, "ign"),
+    "os1_2048": Recording(),
+    "vls128": Recording(),
+    "lone": Recording(0.1, 0.6, "lone", flown=True),
+    "ouster_os1": Recording(),
+}
+HEADER = ["recording", "good ground, %", "allowed of it, %", "allowed and bad"]
+HEADER += ["good but refused, %"]
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    folder = Path(os.environ.get("QUADTREE_LSS_DATA", DATA))
+    parser.add_argument("--data", type=Path, default=folder, help="folder of the recordings")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="recordings (default: all)")
+    options = parser.parse_args()
+    judge = options.data / "measured_points.py"
+    if not judge.exists():
+        print(f"no recordings in {options.data}; {machine()}")
+        return 0
+    print(machine())
+    rows = []
+    for name in options.names or RECORDINGS:
+        with tempfile.TemporaryDirectory() as scratch:
+            found = judged(name, RECORDINGS[name], judge.resolve(), Path(scratch))
+        refused = found["good_and_refused_percent"]
+        bad = f"{found['allowed_and_bad']} of {found['allowed']:,}"
+        rows.append([name, found["good_percent"], f"{100.0 - refused:.1f}", bad, refused])
+        print(f"{name}: {rows[-1][1:]}", flush=True)
+    table(f"vehicle {VEHICLE}, configurations as suggested", HEADER, rows)
+    return 0
+
+
+def judged(name: str, recording: Recording, judge: Path, scratch: Path) -> dict[str, float]:
+    """Suggest a configuration, replay with it, and compare the result with the measured points."""
+    bag, config, out = judge.parent / name, scratch / "suggested.yaml", scratch / "out"
+    if recording.flown:
+        bag = scratch / name
+        run(sys.executable, judge, "fly", recording.points, bag)
+    config.write_text(run(PROGRAM, "config", "suggest", bag, "--vehicle", VEHICLE), "utf-8")
+    run(PROGRAM, "replay", bag, "--config", config, "--out", out, "--no-report", "--quiet")
+    how = ["--vehicle", VEHICLE, "--cell", recording.cell, "--gap", recording.gap]
+    return json.loads(run(sys.executable, judge, "judge", out, recording.points or bag, *how))
+
+
+def run(*words: object) -> str:
+    """Run a program and return what it prints."""
+    command = [str(word) for word in words]
+    return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
+
+
+if __name__ == "__main__":
+    sys.exit(main())
