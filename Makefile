@@ -25,13 +25,14 @@ SOURCES := $(shell find quadtree_lss launch rviz foxglove security config exampl
 export PYTHONSAFEPATH := 1
 unexport VIRTUAL_ENV
 
-.PHONY: help setup lock audit demo test test-all test-checked test-vehicle test-autopilot lint docs figures bench clean
+.PHONY: help setup lock audit demo test test-slow test-all test-checked test-vehicle test-autopilot lint docs figures bench clean
 
 help:
 	@echo 'make demo      simulate a descent, run both nodes on it, rank landing sites (2 minutes)'
-	@echo 'make test      test suite'
-	@echo 'make test-all  test suite with the slow tests'
+	@echo 'make test      quick tests'
+	@echo 'make test-slow  the other tests'
 	@echo 'make test-checked  tests of the core with every index checked'
+	@echo 'make test-all  these three'
 	@echo 'make test-vehicle  test suite with the versions of a vehicle computer, where there is a Python 3.12'
 	@echo 'make test-autopilot  landings with ArduCopter and PX4, software in the loop: ARDUCOPTER, PX4 name them'
 	@echo 'make lint      ruff, mypy, and the language of the documents'
@@ -114,8 +115,12 @@ WORKERS := -n 3 --dist loadgroup --no-loadscope-reorder
 test: setup
 	$(BIN)/pytest $(WORKERS) $(PYTEST_ARGS)
 
-test-all: setup
-	$(BIN)/pytest $(WORKERS) -m 'slow or not slow' $(PYTEST_ARGS)
+test-slow: setup
+	$(BIN)/pytest $(WORKERS) -m slow $(PYTEST_ARGS)
+
+test-all:
+	$(MAKE) --no-print-directory test
+	$(MAKE) --no-print-directory test-slow
 	$(MAKE) --no-print-directory test-checked
 
 # Hours in real time: FLIGHTS='--landings 20 --faults 13' flies fewer.

@@ -25,7 +25,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 # Modules that are not collected without a package; one that skips itself ends `colcon test`.
 _NEEDS = {
     "pymavlink": ["autopilot/test_link.py", "autopilot/test_lies.py", "ros/test_autopilot.py"],
-    "rclpy": ["benchmark/test_arducopter.py", "ros/test_flight.py"],
+    "rclpy": ["ros/test_flight.py"],
     "distributed": ["campaign/test_engine.py"],
 }
 collect_ignore = [path for name, of in _NEEDS.items() if not find_spec(name) for path in of]
@@ -45,12 +45,21 @@ for _number, _usual in (
         signal.signal(_number, _usual)
 
 
+def pytest_make_parametrize_id(val):
+    """Name parameters that are long texts by their beginning."""
+    return ascii(val[:40]) if isinstance(val, str | bytes) and len(val) > 100 else None
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Groups, the largest first, among the others: most wait for processes while those compute."""
+    """Mark parameters that are not `quick` as slow, and put the largest groups first: most of their
+    tests wait for processes while the others compute."""
     groups = {}
     for item in items:
-        if "_browser" in item.fixturenames:  # one for all
+        quick = item.get_closest_marker("quick")
+        if quick and item.callspec.id not in quick.args:
+            item.add_marker(pytest.mark.slow)
+        if "_browser" in item.fixturenames or "report" in item.path.parts:  # one for all
             item.add_marker(pytest.mark.xdist_group("browser"))
         mark = item.get_closest_marker("xdist_group")
         groups.setdefault(mark and mark.args[0], []).append(item)
@@ -60,6 +69,20 @@ def pytest_collection_modifyitems(items):
         items += [*group, *alone[:step]]
         del alone[:step]
     items += alone
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Say how many tests ran, at any verbosity: a run of none is easily overlooked."""
+    counts = {outcome: len(reports) for outcome, reports in terminalreporter.stats.items()}
+    ran = sum(counts.get(outcome, 0) for outcome in ("passed", "failed", "xfailed", "xpassed"))
+    terminalreporter.write_line(f"{ran} tests ran, {counts.get('skipped', 0)} were skipped")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_sessionfinish(session, exitstatus):
+    """End a run of no test with an error: colcon takes pytest's own exit code for a success."""
+    if exitstatus == pytest.ExitCode.NO_TESTS_COLLECTED:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
 @pytest.fixture(scope="session")

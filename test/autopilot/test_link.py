@@ -8,7 +8,6 @@ import time
 import tty
 from select import select
 from threading import Thread
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -131,20 +130,6 @@ def test_nothing_is_said_in_the_name_of_a_ground_station(fly, kind):
     assert said == [1]
 
 
-@BOTH
-def test_answers_to_somebody_elses_timesync_do_not_set_the_clock(fly, kind):
-    model, link = fly(kind)
-    taken, add = [], link.remote.add
-    link.remote.add = lambda sent, *times: (taken.append(sent), add(sent, *times))
-    wait(link, lambda _: len(taken) > 1)
-    others = [time.time_ns() + ahead for ahead in (-(10**9), 10**7, 10**12)]
-    for sent in others:
-        model._say("timesync", round(1e9 * model._clock()), sent)
-    already = len(taken)
-    wait(link, lambda _: len(taken) > already + 4)
-    assert not set(taken) & set(others)
-
-
 def test_a_connection_that_is_none_is_one_line():
     with pytest.raises(ConfigError, match="autopilot.connection = 'tcp:nowhere:1:2'"):
         Link("tcp:nowhere:1:2", time.time_ns)
@@ -208,17 +193,3 @@ def test_a_tcp_peer_that_has_gone_holds_nothing_up_and_is_heard_when_it_is_back(
             peer.sendall(beat())
             wait(link, lambda _: link.kind == ARDUPILOT)
             link.close()
-
-
-@pytest.mark.parametrize(
-    ("connection", "device", "baud"),
-    [("/dev/ttyAMA0", "/dev/ttyAMA0", 921600), ("/dev/ttyS1,57600", "/dev/ttyS1", 57600)],
-)
-def test_a_serial_devices_rate_is_part_of_its_connection(monkeypatch, connection, device, baud):
-    asked = []
-    opened = SimpleNamespace(mavlink_connection=lambda *at, **how: asked.append((*at, how["baud"])))
-    monkeypatch.setattr(module, "dialect", lambda: opened)
-    Link(connection, time.time_ns)
-    assert asked == [(device, baud)]
-    with pytest.raises(ConfigError, match="autopilot.connection = '/dev/ttyS1,fast'"):
-        Link("/dev/ttyS1,fast", time.time_ns)

@@ -10,25 +10,20 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
-from distributed import LocalCluster
 
-from quadtree_lss.cli import main
 from quadtree_lss.desk.commands.common import INTERRUPTED
-from quadtree_lss.desk.replay.files import locked
-from quadtree_lss.lab.campaign import engine
 from quadtree_lss.lab.campaign.engine import campaign
 from quadtree_lss.lab.campaign.kinds import CampaignError
 from quadtree_lss.lab.campaign.study import read_study
 
 # One after the other: each has processes of its own.
-pytestmark = pytest.mark.xdist_group("campaign")
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("campaign")]
 
 STUDY = """
 name: small
@@ -129,7 +124,6 @@ def test_what_was_flown_is_not_flown_again(first, study, tmp_path):
     assert files(tmp_path / "c") == files(first[0].out)  # until it is flown, what was stays
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("killed", ["campaign", "worker"])
 def test_what_is_killed_loses_nothing(first, study, tmp_path, killed):
     """A worker, or the campaign, which is resumed: by two the same files as by one."""
@@ -150,29 +144,6 @@ def test_what_is_killed_loses_nothing(first, study, tmp_path, killed):
     assert files(tmp_path) == files(first[0].out)
 
 
-DEADLY = """
-import os, signal
-from quadtree_lss.lab.campaign.kinds import Kind, Quantity
-def fly(case):
-    if case.conditions["half"] == 2:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return {"safe": 1, "one": 1}
-KIND = Kind(fly, None, ["none"], ["half"], (Quantity("safe", "Safe", of="one"),))
-"""
-
-
-@pytest.mark.slow
-def test_a_flight_that_kills_its_worker_takes_no_other_along(tmp_path, monkeypatch):
-    (tmp_path / "deadly.py").write_text(DEADLY)
-    monkeypatch.syspath_prepend(tmp_path)
-    path = tmp_path / "study.yaml"
-    given = "scenario: none\nconditions: {half: [1, 2, 3, 4, 5]}"
-    path.write_text(f"kind: deadly:KIND\nflights: 1\n{given}\n")
-    result = campaign(read_study(path), tmp_path / "out", workers=1)
-    assert result.failed == {1: "the worker that flew it died, each time it was tried"}
-
-
-@pytest.mark.slow
 def test_a_scheduler_started_separately(first, study, tmp_path):
     note = tmp_path / "scheduler.json"
     command = [sys.executable, "-m", "distributed.cli"]
@@ -199,48 +170,6 @@ def test_a_scheduler_started_separately(first, study, tmp_path):
         again = {"scheduler_address": address, "rerun": [1]}
         campaign(read_study(study), tmp_path / "out", **again)
         assert files(tmp_path / "out") == files(first[0].out)
-
-
-def test_workers_that_do_not_come_end_it_in_a_line(study, tmp_path, monkeypatch):
-    """Killed while they start, or none at the scheduler."""
-    over = threading.Event()
-
-    def kill():
-        while not over.wait(0.02):
-            for child in psutil.Process().children():
-                with contextlib.suppress(psutil.Error):
-                    if "spawn_main" in " ".join(child.cmdline()):
-                        child.kill()
-
-    killer = threading.Thread(target=kill)
-    killer.start()
-    try:
-        with pytest.raises(CampaignError, match="workers could not be started: "):
-            campaign(read_study(study), tmp_path / "out", workers=1)
-    finally:
-        over.set()
-        killer.join()
-    monkeypatch.setattr(engine, "NO_WORKER_S", 1.0)
-    with LocalCluster(n_workers=0, dashboard_address=None) as cluster:
-        where = {"scheduler_address": cluster.scheduler_address}
-        with pytest.raises(CampaignError, match="no worker for 1 s"):
-            campaign(read_study(study), tmp_path / "out", **where)
-
-
-@pytest.mark.slow
-def test_a_scheduler_that_is_lost_ends_it_in_a_line(first, study, tmp_path):
-    """And no flight has failed."""
-    cluster = LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None)
-
-    def progress(done, of):
-        if done == 1:
-            cluster.close()
-
-    with pytest.raises(CampaignError, match="the scheduler is lost"):
-        address = cluster.scheduler_address
-        campaign(read_study(study), tmp_path, scheduler_address=address, progress=progress)
-    kept = files(tmp_path)
-    assert len(kept) == 1 and kept.items() <= files(first[0].out).items()
 
 
 def test_ctrl_c_keeps_what_is_done(first, study, tmp_path):
@@ -270,47 +199,6 @@ def test_a_failed_flight_is_recorded_and_the_others_go_on(tmp_path):
     assert {path: path.stat().st_mtime_ns for path in out.glob("flights/*.json")} == written_at
 
 
-def test_one_folder_has_one_campaign_at_a_time(first, study):
-    with locked(first[0].out, CampaignError):
-        with pytest.raises(CampaignError, match="another program writes there"):
-            campaign(read_study(study), first[0].out)
-
-
-def test_ctrl_c_is_not_lost_while_workers_start(study, tmp_path):
-    process = start(study, tmp_path, "--workers", 1)
-    wait_until((tmp_path / "flights").exists)
-    time.sleep(1.0)
-    os.killpg(process.pid, signal.SIGINT)
-    process.communicate(timeout=120)
-    assert process.returncode == INTERRUPTED and flown(tmp_path) < COUNT
-
-
-@pytest.mark.parametrize(
-    "where",
-    [
-        pytest.param({"scheduler_address": "tcp://127.0.0.1:9"}, marks=pytest.mark.slow),
-        {"workers": 1, "scheduler_address": "tcp://127.0.0.1:9"},
-    ],
-)
-def test_who_is_not_there_is_named(study, tmp_path, where):
-    with pytest.raises(CampaignError):
-        campaign(read_study(study), tmp_path, **where)
-
-
-def test_what_is_kept_is_told_as_json_too(study, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(engine, "keep", lambda study, out, index: out / f"{index}")
-    command = ["campaign", str(study), "--out", str(tmp_path), "--keep", "3,5"]
-    assert main(command) == 0
-    assert capsys.readouterr().out.splitlines()[1] == f"flight 5 is in {tmp_path / '5'}"
-    assert main([*command, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told == {"kept": {"3": str(tmp_path / "3"), "5": str(tmp_path / "5")}}
-    assert main([*command, "--rerun", "3", "--workers=2"]) == 2
-    told = capsys.readouterr().err
-    assert "--rerun, --workers do not go with --keep" in told and told.count("\n") == 1
-
-
-@pytest.mark.slow
 def test_a_flight_is_flown_again_and_kept(first, study):
     done = start(study, first[0].out, "--keep", 3)
     shown, told = done.communicate(timeout=120)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kinds of flights of a study: mapped in memory, to the same bits as through a bag; landings."""
 
-import csv
 import dataclasses
 from types import SimpleNamespace
 
@@ -11,12 +10,9 @@ import pytest
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.campaign import landings
-from quadtree_lss.lab.campaign.kinds import Case
-from quadtree_lss.lab.campaign.landings import FLY, settings_of
+from quadtree_lss.lab.campaign.landings import FLY
 from quadtree_lss.lab.campaign.mapped import figures, fly_in_memory, lander_of
-from quadtree_lss.lab.campaign.store import Record
 from quadtree_lss.lab.campaign.study import read_study
-from quadtree_lss.lab.campaign.summary import write_flights
 from quadtree_lss.lab.evaluation.evaluate import evaluate
 from quadtree_lss.lab.evaluation.results import COLUMNS, load_results, load_truth
 from quadtree_lss.lab.evaluation.score import score
@@ -47,6 +43,7 @@ def _same(one, two, where=""):
         assert one == two, where
 
 
+@pytest.mark.quick("morpheus")
 @pytest.mark.parametrize("scenario", list(CASES))
 def test_the_same_bits_as_through_a_bag(scenario, tmp_path):
     named = [scenario] if scenario != "descent" else []
@@ -96,21 +93,3 @@ def test_a_case_flies_as_the_function_does(study, monkeypatch):
     gone = SimpleNamespace(figures=alone | {"outcome": "aborted", "safe": False})
     monkeypatch.setattr(landings.lockstep, "flown", lambda *_: gone)
     assert FLY.fly(case)["from_planned"] is None  # of a touchdown that there was not
-
-
-def test_every_quantity_is_a_figure_and_a_column(study, tmp_path):
-    figures = FLY.fly(study.case(0))
-    record = Record(0, 1, "none", {}, figures)
-    write_flights(tmp_path / "flights.csv", [record])
-    with (tmp_path / "flights.csv").open(newline="") as file:
-        (row,) = csv.DictReader(file)
-    assert float(row["error"]) == figures["error"]
-    assert {q.name for q in FLY.quantities} <= figures.keys()
-
-
-def test_conditions_and_parameters_reach_the_flight(study):
-    case = study.case(0)
-    more = {**case.conditions, "fault": "pose_gap@40+1", "survey": 3.0}
-    settings = settings_of(Case(0, "fly", "package", 1, more, case.parameters))
-    assert settings.plan.survey == 3.0 and settings.rock_abundance == 0.1
-    assert settings.faults[0].kind == "pose_gap" and settings.config["lss.margin"] == 0.7

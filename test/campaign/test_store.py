@@ -2,11 +2,9 @@
 """The folder of a campaign."""
 
 import json
-import os
 
 import pytest
 
-from quadtree_lss.desk.replay.files import write_csv
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case
 from quadtree_lss.lab.campaign.store import Store
 
@@ -51,23 +49,3 @@ def test_what_is_no_record_of_a_flight_is_named(store, spoil, word):
         store.read(CASES[1])
     assert path.name in str(caught.value)
     assert store.read(CASES[0]) and store.read(CASES[2])
-
-
-def test_a_pipe_in_place_of_a_record_or_a_link_in_place_of_a_lock_does_no_harm(store):
-    path, other = store.path(CASES[1]), store.out.parent / "other"
-    path.unlink()
-    os.mkfifo(path)
-    with pytest.raises(CampaignError, match="not the record"):
-        store.read(CASES[1])
-    other.write_text("of somebody else")
-    (store.out / ".lock").symlink_to(other)
-    with store.opened(), pytest.raises(CampaignError, match="another program"), store.opened():
-        pass
-    assert other.read_text() == "of somebody else"
-
-
-def test_no_cell_of_a_table_is_a_formula(tmp_path):
-    values = ["=cmd|x!A0", "+1+1", "-2e-3", -4.0, "@sum", "\tx", "plain", None]
-    write_csv(tmp_path / "t.csv", ["a"], [[value] for value in values])
-    cells = (tmp_path / "t.csv").read_text().splitlines()[1:]
-    assert cells == ["'=cmd|x!A0", "'+1+1", "-2e-3", "-4.0", "'@sum", "'\tx", "plain", '""']

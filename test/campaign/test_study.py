@@ -13,8 +13,6 @@ from quadtree_lss.lab.campaign.kinds import CampaignError
 from quadtree_lss.lab.campaign.landings import FLY, settings_of
 from quadtree_lss.lab.campaign.store import FILES, key_of
 from quadtree_lss.lab.campaign.study import parse_seeds, read_study
-from quadtree_lss.lab.evaluation.risk_fit import risk_model_text, unfitted
-from quadtree_lss.onboard.config.parameter import ConfigError
 
 VARIED = """
 name: varied
@@ -40,14 +38,6 @@ def study_of(tmp_path):
         return read_study(path)
 
     return read
-
-
-@pytest.mark.parametrize(
-    ("text", "seeds"),
-    [("7", [7]), ("101-103", [101, 102, 103]), ("5,1-2,9", [5, 1, 2, 9]), (" 3 - 4 ", [3, 4])],
-)
-def test_lists_of_seeds(text, seeds):
-    assert parse_seeds(text) == seeds
 
 
 @pytest.mark.parametrize(
@@ -80,11 +70,6 @@ def test_what_is_drawn_has_its_distribution_and_does_not_hang_on_the_rest(study_
     assert more.case(0).conditions["range_noise"] == noise[0]
 
 
-def test_more_flights_change_none_of_the_first(study_of):
-    few, many = study_of(VARIED), study_of(VARIED.replace("flights: 40", "flights: 50"))
-    assert [few.case(index) for index in range(20)] == [many.case(index) for index in range(20)]
-
-
 def test_the_key_tells_everything_that_decides_a_flight(study_of, tmp_path):
     case = study_of(VARIED).case(3)
     assert key_of(case) == key_of(dataclasses.replace(case, labels={}))
@@ -104,35 +89,6 @@ def test_the_key_tells_everything_that_decides_a_flight(study_of, tmp_path):
     assert len(keys) == len(changes) + 1
     (tmp_path / "three").write_text("one")  # the content counts, whatever its name
     assert {key_of(dataclasses.replace(case, **change)) for change in naming("three")} <= keys
-
-
-def test_files_lie_beside_the_study(study_of, tmp_path):
-    for name in ("one.npz", "two.npz", "risk.yaml"):
-        (tmp_path / name).write_text(risk_model_text(unfitted()))
-    study = study_of(
-        "flights: 9\nconditions: {terrain: [one.npz, two.npz]}\n"
-        "parameters: {lss.risk_model: ['', risk.yaml]}\n"
-    )
-    cases = [study.case(index) for index in range(4)]
-    grounds = {case.conditions["terrain"] for case in cases}
-    assert grounds == {str(tmp_path / "one.npz"), str(tmp_path / "two.npz")}
-    models = [case.parameters["lss.risk_model"] for case in cases[:2]]
-    assert models == ["", str(tmp_path / "risk.yaml")]
-
-
-def test_cases_win_over_what_holds_for_all(study_of):
-    study = study_of(
-        "scenario: morpheus\nconfig: morpheus\nseeds: 101-103\nparameters: {lss.margin: 1.0}\n"
-        "cases:\n  - {name: usual}\n  - name: rules\n"
-        "    parameters: {lss.assessment: paper, lss.margin: 0.0}\n"
-    )
-    assert study.count == 6
-    usual, rules = study.case(2), study.case(3)
-    assert usual.seed == rules.seed == 102
-    assert usual.labels == {"case": "usual", "lss.margin": 1.0}
-    assert usual.parameters["lss.assessment"] == "probability"
-    assert rules.parameters["lss.assessment"] == "paper"
-    assert (usual.parameters["lss.margin"], rules.parameters["lss.margin"]) == (1.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -164,27 +120,6 @@ def test_what_makes_no_sense_is_named_in_one_line(study_of, text, word):
         study_of(text)
     assert "study.yaml" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("conditions: {duration: long}", "duration must be between 1 and 600, not long"),
-        ("kind: fly\nscenario: none\nconditions: {half: -3}", "half must be between .*, not -3"),
-        ("kind: fly\nscenario: none\nconditions: {survey: a}", "survey must be between .*, not a"),
-    ],
-)
-def test_a_condition_that_cannot_be_flown_fails_in_a_line(study_of, text, said):
-    assert re.search(said, fly(study_of(f"flights: 1\n{text}").case(0)))
-
-
-def test_unknown_parameters_and_a_file_that_is_not_there_are_named(study_of, tmp_path):
-    with pytest.raises(ConfigError, match="lss.margin"):
-        study_of("flights: 3\nparameters: {lss.margn: 1}")
-    with pytest.raises(ConfigError, match="no configuration file '3'"):
-        study_of("flights: 3\nconfig: 3")
-    with pytest.raises(CampaignError, match="none.yaml: cannot be read"):
-        read_study(tmp_path / "none.yaml")
 
 
 STUDIES = sorted((Path(__file__).parents[2] / "studies").glob("*.yaml"))

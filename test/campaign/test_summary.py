@@ -7,7 +7,7 @@ from scipy.stats import binom
 
 from quadtree_lss.lab.campaign.kinds import Quantity
 from quadtree_lss.lab.campaign.store import Record
-from quadtree_lss.lab.campaign.summary import line_of, mean_interval, rate_interval
+from quadtree_lss.lab.campaign.summary import line_of, rate_interval
 
 
 def _records(**columns):
@@ -37,36 +37,6 @@ def test_no_event_bounds_the_rate_and_blames_nobody_and_of_no_trial_there_is_non
     assert line.high == pytest.approx(1.0 - 0.025 ** (1 / 200))
     cells = line_of(UNSAFE, _records(unsafe=[0], judged=[0])).cells()
     assert cells == ("Unsafe", "0 of 0", "–", "–", "–")
-
-
-def _line(values, worst="smallest"):
-    return line_of(Quantity("rms", "RMS", worst=worst), _records(rms=values))
-
-
-def test_the_worst_is_at_the_end_that_is_bad():
-    line = _line([0.9, 0.5, 1.0])
-    assert (line.worst, line.worst_flight, line.count) == (0.5, 1, 3)
-    assert line.mean == pytest.approx(0.8)
-    assert _line([0.9, 0.5, 1.0], "largest").worst_flight == 2
-
-
-def test_interval_holds_the_mean_about_as_often_as_it_says():
-    generator = np.random.default_rng(3)
-    inside = 0
-    for _ in range(200):
-        low, high = mean_interval(generator.normal(5.0, 2.0, 20))
-        inside += low <= 5.0 <= high
-    assert 0.87 <= inside / 200 <= 0.99
-
-
-def test_equal_values_leave_no_doubt_and_one_tells_no_spread():
-    line = _line([4.0, 4.0, 4.0])
-    assert (line.low, line.mean, line.high) == (4.0, 4.0, 4.0)
-    line = _line([0.9])
-    assert (line.mean, line.worst, line.worst_flight, line.count) == (0.9, 0.9, 0, 1)
-    assert np.isnan([line.low, line.high]).all()
-    nothing = _line([None])
-    assert nothing.count == 0 and nothing.worst_flight is None and np.isnan(nothing.mean)
 
 
 @pytest.mark.parametrize(("events", "trials"), [(0, 100), (1, 100), (7, 20), (20, 20)])

@@ -50,7 +50,6 @@ def slope(gradient_x: float, gradient_y: float, height: float = 0.0) -> Surface:
 #: A slope, and its normal.
 GRADIENT = (0.12, -0.07)
 GROUND = slope(*GRADIENT, 30.0)
-NORMAL = np.array([-GRADIENT[0], -GRADIENT[1], 1.0]) / np.sqrt(1.0 + np.sum(np.square(GRADIENT)))
 
 
 def scattered(

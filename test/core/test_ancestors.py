@@ -80,3 +80,22 @@ def test_ancestors_without_a_measured_leaf_do_not_exist():
     assert (fused.of_leaf[cells.x > 8.0] == -1).all()
     empty = dataclasses.replace(cells, measured=np.zeros(len(cells.z), dtype=bool))
     assert len(fuse_to_level(empty, 1).cell) == 0
+
+
+def test_leaves_of_one_steep_plane_give_that_plane_wherever_they_lie():
+    """Exactly, though some leaves were never measured and others by more points."""
+    gradient = np.array([1.2, -0.9])
+    cells = one_scan(4, pose_covariance(0.1, 1e-6))
+    normal = np.append(-gradient, 1.0) / np.sqrt(1.0 + gradient @ gradient)
+    z = gradient @ np.array([cells.x, cells.y])
+    steep = dataclasses.replace(
+        cells,
+        z=z,
+        normal=np.tile(normal, (len(z), 1)),
+        measured=cells.x + 0.3 * cells.y < 9.0,
+        count=(1 + 10 * cells.ix).astype(cells.count.dtype),
+    )
+    for level in range(4):
+        fused = fuse_to_level(steep, level)
+        np.testing.assert_allclose(fused.z, gradient @ np.array([fused.x, fused.y]), atol=1e-9)
+        np.testing.assert_allclose(fused.normal, np.tile(normal, (len(fused.z), 1)), atol=1e-9)

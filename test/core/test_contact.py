@@ -176,12 +176,6 @@ def test_a_domain_that_moves_keeps_contacts_that_equal_new_ones(empty, moved, di
     assert_same(following.contacts(raster, needed), new)
 
 
-def test_a_vehicle_larger_than_the_domain_has_no_contact(empty):
-    config = vehicle(1000.0)
-    found = ContactCheck(config.lss).contacts(empty, inside(empty, 1000.0))
-    assert np.isnan([found.rise, found.tilt]).all()
-
-
 @pytest.mark.parametrize(
     ("growth", "reach"), [(0.0, 0.0), (0.25, 0.5), (0.5, 0.5), (0.8, 1.0), (1.3, 1.5)]
 )

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, look, mapped
+from core.builders import configured, flat, look
 from core.scenes import scattered
 
 from quadtree_lss.onboard.core.landing.raster import independent_returns, rasterise
@@ -60,22 +60,3 @@ def test_views_that_repeat_add_no_returns():
     once, again = counts
     assert again < 1.3 * once
     assert np.median(returns(other)) > 4.0 * once
-
-
-def test_a_gap_between_repeated_returns_is_no_shadow():
-    """Thin ground seen thirty times: an empty cell between its returns is there by chance."""
-    rng, mapper = np.random.default_rng(8), Mapper(CONFIG)
-    x, y = scattered(rng, 0.0, 0.0, 16.0, 6000)
-    for _ in range(30):
-        look(mapper, GROUND, x, y, rng, 0.02)
-    cells = mapper.snapshot()
-    assert 0.6 < cells.known.mean() < 0.95
-    assert rasterise(cells, CONFIG.lss).seen[8:-8, 8:-8].mean() > 0.99
-
-
-def test_forgotten_ground_is_not_covered():
-    mapper = mapped(CONFIG, GROUND)
-    assert mapper.snapshot().coverage.min() > 0.1
-    mapper.reset()
-    assert not mapper.snapshot().coverage.any()
-    assert not mapper.leaves.hit_parts.any()

@@ -6,25 +6,12 @@ import pytest
 from core.builders import configured, look, mapped, point_covariances
 from core.kernels import division, tangent_basis
 from core.scenes import make_pose, pose_covariance, scan, slope
+from scipy.stats import halfnorm
 
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
+from quadtree_lss.onboard.core.mapping.measure import Rules
 
 MEAN_CHI_1 = np.sqrt(2.0 / np.pi)
-
-
-def run_of(points: float, statistic: float, unseen: float = 0.0, square: float = 0.0):
-    run = np.zeros(1, dtype=RUN).view(np.recarray)
-    run.points, run.statistic, run.unseen, run.square = points, statistic, unseen, square
-    return run
-
-
-def test_a_view_of_less_than_half_of_a_leaf_does_not_judge_it():
-    rules, leaf = Rules(configured()), Mapper(configured(levels=(1, 3))).leaves.rows
-    assert not division.asks(rules, leaf[0:1], run_of(5000.0, 50.0, 0.5, 1.0))
-    for name in ("division_sum", "division_weight", "square_sum"):
-        assert leaf[0][name] == 0.0
-    assert division.asks(rules, leaf[0:1], run_of(5000.0, 50.0, 0.49, 1.0))
 
 
 @pytest.mark.parametrize("per_cell", [12, 40])
@@ -62,3 +49,14 @@ def test_a_known_cells_statistic_is_that_of_equations_46_and_47(monkeypatch):
     added = leaf.division_sum - before.division_sum
     expected = np.sqrt(apart @ np.linalg.solve(total, apart))
     assert added / (len(points) - 3.0) == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize(("deviations", "rough"), [(1.9, False), (2.1, True)])
+@pytest.mark.parametrize("count", [10, 100, 1000])
+def test_a_leaf_is_rough_by_two_deviations_of_the_mean_residual(count, deviations, rough):
+    """Beyond the division factor; |N(0, 1)| is a half-normal variable."""
+    rules, leaf = Rules(configured()), Mapper(configured(levels=(1, 3))).leaves.rows[0:1]
+    mean, spread = halfnorm.mean(), halfnorm.std() / np.sqrt(count)
+    leaf.residuals, leaf.noise_sum = count, count * 0.05 * mean
+    leaf.distance_sum = count * 0.05 * (rules.division_factor * mean + deviations * spread)
+    assert division.rough(rules, leaf) == rough

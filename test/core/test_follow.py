@@ -6,19 +6,19 @@ import io
 
 import numpy as np
 import pytest
-from core.builders import assert_same, configured, look
+from core.builders import configured, look
 from core.scenes import flat, make_pose, pose_covariance, scattered
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadtree_lss.onboard.config.settings import ConfigError, config_from_values
+from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.geometry import morton
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.core.mapping.contradiction import AGREEING
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_file, to_bytes
-from quadtree_lss.onboard.core.tree.domain import ASTRAY, Domain, carried
+from quadtree_lss.onboard.core.tree.domain import ASTRAY, Domain
 from quadtree_lss.onboard.core.tree.leaves import LEAF
 from quadtree_lss.onboard.messages.maps import round_trip
 
@@ -80,12 +80,6 @@ def test_moved_once_it_is_near_the_middle_and_stays(x, y, level):
     assert cells is not None and cells[0] % 2 ** (9 - level) == cells[1] % 2 ** (9 - level) == 0
 
 
-def test_places_that_are_none_move_nothing():
-    for place in (np.nan, np.inf, -1e12):
-        assert SQUARE.steps_to(place, 8.0) == (0, 0)
-    assert SQUARE.cells_to(dataclasses.replace(SQUARE, ymin=0.3)) is None, "no whole cells"
-
-
 def test_ground_that_stays_inside_has_the_bits_of_a_fixed_map():
     following, fixed = fly((Mapper(FOLLOWING), Mapper(FIXED)), 40)
     assert following.domain.xmin >= 16.0, "the vehicle left the first square altogether"
@@ -106,17 +100,6 @@ def piles(mapper: Mapper) -> np.ndarray:
     return mapper.leaves.piled[places | places[:, None] << 1]
 
 
-def test_what_leaves_is_dropped_and_forgotten():
-    (mapper,) = fly((Mapper(FOLLOWING),), 12)
-    east, north = mapper.domain.steps_to(40.0, 8.0)
-    mapper.leaves.follow(east, north)
-    mapper.leaves.follow(-east, -north)
-    mapper.stamp_ns = 0  # all the rest is of the scans, not of the ground
-    cells, new = mapper.snapshot(), Mapper(FOLLOWING)
-    new.leaves.follow(int(cells.domain.xmin), int(cells.domain.ymin))
-    assert_same(cells, new.snapshot(), but="offset")
-
-
 def test_a_wrong_pose_does_not_drop_the_map():
     (mapper,) = fly((Mapper(FOLLOWING),), 6)
     before, domain = mapper.snapshot(), mapper.domain
@@ -130,18 +113,6 @@ def test_a_wrong_pose_does_not_drop_the_map():
         if k == 0:
             assert np.array_equal(before.z, mapper.snapshot().z, equal_nan=True)
     assert mapper.domain.steps_to(9e3, 8.0) == (0, 0), "nor does it stay behind for ever"
-
-
-def test_it_follows_the_area_alone_where_that_is_asked_for():
-    config = config_from_values({"domain.follow": "area"}, FOLLOWING)
-    (mapper,) = fly((Mapper(config),), 30)
-    assert mapper.domain == Domain.of(config.domain)
-    mapper.look_at(np.array([[20.0, 8.0], [26.0, 8.0], [26.0, 14.0]]))
-    fly((mapper,), 1, start=30)
-    assert (mapper.domain.xmin, mapper.domain.ymin) == (15.0, 3.0)
-    mapper.look_at(None)
-    fly((mapper,), 1, start=31)
-    assert mapper.domain.xmin == 15.0
 
 
 def test_a_checkpoint_carries_the_origin():
@@ -184,16 +155,6 @@ def test_a_target_is_never_moved_by_a_move(assessment):
     np.testing.assert_array_equal(kept[-1].hazard, new.hazard)
 
 
-def test_ground_found_safe_before_a_move_was_found_safe():
-    """The first target is one that the assessment before found safe, too: on the same ground."""
-    config = config_from_values({"vehicle.diameter": 2.0}, FOLLOWING)
-    mapper, selector = Mapper(config), LandingSiteSelector(config)
-    fly((mapper,), 12, along=(0.0, 0.0))
-    assert selector.assess(round_trip(mapper.snapshot())).selected.reason is Reason.UNCONFIRMED
-    mapper.leaves.follow(3, -2)
-    assert selector.assess(round_trip(mapper.snapshot())).selected.reason is Reason.FIRST
-
-
 def test_what_a_pass_keeps_of_the_map_before_is_what_a_new_one_finds():
     """From scan to scan, over moves, and of another map."""
     base = configured(domain={"size": 32.0, "min_level": 5, "max_level": 7, "follow": "vehicle"})
@@ -216,46 +177,11 @@ def test_what_a_pass_keeps_of_the_map_before_is_what_a_new_one_finds():
         assert ((anew.hazard & 8) > 0).any()
 
 
-def test_ground_at_a_rim_that_came_nearer_is_judged_as_a_new_pass_would():
-    """Bridged ground is level and goes on beyond the rim: nothing there changes by a move."""
-    config = configured(
-        domain={"min_level": 3, "follow": "vehicle"},
-        vehicle={"diameter": 1.9},
-        lss={"grid_spacing": 0.25, "assessment": "probability"},
-    )
-    rng, mapper, follower = np.random.default_rng(4), Mapper(config), LandingSiteSelector(config)
-    middle = np.array([8.0, 8.0])
-    for number in range(15):
-        middle += rng.uniform(-3.0, 3.0, 2)
-        size = rng.uniform(2.0, 9.0)
-        places = scattered(rng, *(middle - 0.5 * size), size, int(60 * size**2))
-        pose = make_pose((*middle, 60.0), stamp_ns=number + 1)
-        look(mapper, lambda x, y: 0.1 * np.sin(3.0 * x) * np.sin(2.0 * y), *places, rng, 0.02, pose)
-        cells = mapper.snapshot()
-        followed, anew = follower.assess(cells), LandingSiteSelector(config).assess(cells)
-        np.testing.assert_array_equal(followed.risk, anew.risk)
-        np.testing.assert_array_equal(followed.probability, anew.probability)
-
-
-@given(st.integers(-5, 5), st.integers(-7, 7))
-def test_carried_by_hand(east, north):
-    values = np.arange(12).reshape(3, 4)
-    out = carried(values, east, north, -1)
-    for row in range(3):
-        for column in range(4):
-            inside = 0 <= row + north < 3 and 0 <= column + east < 4
-            want = values[row + north, column + east] if inside else -1
-            assert out[row, column] == want
-
-
-def test_what_cannot_follow_is_refused_in_one_line():
-    for values, why in (
-        ({"domain.min_level": 2}, "domain.min_level is to be 3 or more"),
-        ({"lss.grid_spacing": 0.3}, "set that to 0.333333"),
-    ):
-        with pytest.raises(ConfigError, match=why) as told:
-            config_from_values(values, FOLLOWING)
-        config_from_values({**values, "domain.follow": "none"}, FOLLOWING)
-    config_from_values({"lss.grid_spacing": float(str(told.value).split()[-1])}, FOLLOWING)
-    # In YAML `off` is no text.
-    assert config_from_values({"domain.follow": False}, FOLLOWING).domain.follow == "none"
+def test_ground_found_safe_before_a_move_was_found_safe():
+    """The first target is one that the assessment before found safe, too: on the same ground."""
+    config = config_from_values({"vehicle.diameter": 2.0}, FOLLOWING)
+    mapper, selector = Mapper(config), LandingSiteSelector(config)
+    fly((mapper,), 12, along=(0.0, 0.0))
+    assert selector.assess(round_trip(mapper.snapshot())).selected.reason is Reason.UNCONFIRMED
+    mapper.leaves.follow(3, -2)
+    assert selector.assess(round_trip(mapper.snapshot())).selected.reason is Reason.FIRST

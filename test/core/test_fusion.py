@@ -85,16 +85,6 @@ def test_a_height_alone_is_a_plane_of_any_slope(common):
         np.testing.assert_allclose(found.pose_part, expected.pose_part, atol=3e-4)
 
 
-def test_variances_that_rounding_put_below_zero_do_not_stay_there():
-    """Attitude alone moves no height right below the lidar: of that, rounding is all there is."""
-    level = np.array([0.0, 0.0, 1.0])
-    prior = Plane(level, 0.0, np.diag([0.04, 0.09, 0.01]), np.diag([0.01, 0.01, -1e-18]))
-    other = prior._replace(pose_part=np.diag([0.01, 0.01, 0.0]))
-    for found in (with_height(prior, np.zeros(2), 0.02, other, 0.5, False), fused(prior, other)):
-        assert (found.pose_part.diagonal() >= 0.0).all()
-        np.testing.assert_allclose(found.pose_part, np.diag(np.diag(found.pose_part)))
-
-
 def test_the_height_of_a_strip_turns_nothing():
     """Its slope is what it was, and so is how certain that is; the height gains what it can."""
     level, none = np.array([0.0, 0.0, 1.0]), np.zeros((3, 3))

@@ -89,29 +89,6 @@ def test_places_without_an_estimate_are_nan_and_scalars_stay_scalars(cells):
     assert crossed.height.shape == (3, 4)
 
 
-def test_a_profile_has_both_ends_and_even_steps(cells):
-    along = cells.profile((-4.0, -3.0), (4.0, 3.0), step=0.3)
-    assert along.distance[0] == 0.0 and along.distance[-1] == pytest.approx(10.0)
-    assert np.ptp(np.diff(along.distance)) < 1e-12 and np.diff(along.distance)[0] <= 0.3
-    np.testing.assert_array_equal(along.height, cells.at(along.x, along.y).height)
-    assert len(cells.profile((1, 1), (1, 1)).distance) == 1
-    for bad in ({"step": 0.0}, {"step": float("nan")}):
-        with pytest.raises(ValueError, match="step"):
-            cells.profile((0, 0), (1, 1), **bad)
-    with pytest.raises(ValueError, match="pairs"):
-        cells.profile((0, 0, 0), (1, 1))
-
-
-def test_a_matrix_takes_points_where_the_pose_does():
-    pose = Pose.from_matrix(ABOVE, 17, position_sigma=0.2, attitude_sigma_deg=0.1)
-    np.testing.assert_allclose(pose.matrix, ABOVE)
-    assert pose.stamp_ns == 17
-    sigmas = np.sqrt(np.diag(pose.covariance))
-    np.testing.assert_allclose(sigmas, [0.2] * 3 + [np.radians(0.1)] * 3)
-    given = np.diag(np.arange(1.0, 7.0))
-    np.testing.assert_array_equal(Pose.from_matrix(ABOVE, covariance=given).covariance, given)
-
-
 @pytest.mark.parametrize(
     ("matrix", "word"),
     [

@@ -9,18 +9,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from quadtree_lss.onboard.core.sensing import lidar
 from quadtree_lss.onboard.core.sensing.isolated import (
     find_isolated,
     isolated_in_image,
     isolated_in_space,
     usual_distance,
 )
-
-
-def scene(height: int = 12, width: int = 16) -> np.ndarray:
-    angles = np.meshgrid(*(np.linspace(-0.01, 0.01, count) for count in (width, height)))
-    return lidar.points_from_ranges(np.full((height, width), 400.0), *angles)
 
 
 def isolated(points: np.ndarray, gate: float = 0.4) -> np.ndarray:
@@ -34,42 +28,6 @@ def isolated(points: np.ndarray, gate: float = 0.4) -> np.ndarray:
     out = np.zeros(ranges.size, dtype=bool)
     out[places] = True
     return out.reshape(ranges.shape)
-
-
-STRAYS = [[(5, 5)], [(0, 0)], [(11, 15)], [(0, 7)], [(5, 5), (5, 6)], [(5, 5), (6, 5)]]
-
-
-@pytest.mark.parametrize("strays", STRAYS)
-@pytest.mark.parametrize("form", ["organised", "unorganised"])
-def test_strays_are_found_and_only_they(strays, form):
-    """Alone, or two that meet: they do not hold each other."""
-    points = scene()
-    expected = np.zeros(points.shape[:2], dtype=bool)
-    for where in strays:
-        points[where] *= 1.0 + 30.0 / 400.0
-        expected[where] = True
-    if form == "unorganised":
-        points, expected = points.reshape(-1, 3), expected.ravel()
-    np.testing.assert_array_equal(isolated(points), expected)
-    assert not isolated(points, gate=0.0).any()
-
-
-@pytest.mark.parametrize("gap", [slice(0, 0), slice(5, 8)])
-def test_slanted_ground_has_no_lonely_returns(gap):
-    """Neighbours differ by 2 m in range there, more than the gate; the ends of rows that do not
-    hang together have one within it, the next in their row."""
-    points = scene() * (1.0 + 2.0 * np.arange(12)[:, None] / 400.0)[:, :, None]
-    points[:, gap] = np.nan
-    assert not isolated(points).any()
-
-
-def test_missing_returns_are_no_neighbours_and_not_flagged():
-    points = scene()
-    points[3:6, 3:6] = np.nan
-    points[4, 4] = scene()[4, 4]
-    expected = np.zeros(points.shape[:2], dtype=bool)
-    expected[4, 4] = True
-    np.testing.assert_array_equal(isolated(points), expected)
 
 
 @pytest.mark.parametrize("returns", [0, 1, 2])
@@ -113,15 +71,3 @@ def test_in_space_groups_of_fewer_than_three_are_isolated(seed, count, size):
     pairs = cKDTree(points).query_pairs(gate, output_type="ndarray")
     expected = in_groups_of_fewer_than_three(count, pairs)
     np.testing.assert_array_equal(isolated(points, 1.0), expected)
-
-
-def test_two_percent_of_strays_leave_hardly_one_behind():
-    rng = np.random.default_rng(2)
-    ranges = 400.0 + 0.06 * rng.standard_normal((128, 128))
-    stray = rng.random(ranges.shape) < 0.02
-    error = rng.uniform(-10.0, 10.0, ranges.shape)
-    ranges[stray] += error[stray]
-    gone = np.zeros(ranges.shape, dtype=bool)
-    gone.flat[isolated_in_image(ranges, 0.4)] = True
-    assert not gone[~stray].any()
-    assert not (stray & ~gone & (np.abs(error) > 1.0)).any()

@@ -8,7 +8,6 @@ from core.scenes import slope
 from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.landing.grid import GridSampler
 from quadtree_lss.onboard.core.landing.lattice import (
     disc,
     disc_means,
@@ -20,7 +19,6 @@ from quadtree_lss.onboard.core.landing.lattice import (
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.score import lower_room
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-from quadtree_lss.onboard.core.tree.domain import Domain
 
 
 def test_beyond_the_edge_the_ground_goes_on():
@@ -141,14 +139,3 @@ def test_room_ends_at_the_nearest_mark(half, share):
         dy = np.maximum(np.abs(y[k] / SIDE - row - half) - half, 0.0)
         nearest = SIDE * np.min(np.hypot(dx, dy), initial=np.inf)
         assert room[k] == pytest.approx(min(3.0, nearest - 0.7), abs=1e-12)
-
-
-def test_grid_points_between_lattice_points_take_the_nearest():
-    """Lattice points lie half a metre apart."""
-    x, y = np.array([0.7, 1.3]), np.array([0.8, 1.9])
-    sampler = GridSampler(Domain(0.0, 0.0, 4.0, 0, 3), x, y)
-    row, column = sampler.lattice(np.array([0, 1]), np.array([0, 1]))
-    assert row.tolist() == [2, 4]
-    assert column.tolist() == [1, 3]
-    values = np.arange(81.0).reshape(9, 9)
-    np.testing.assert_array_equal(sampler.nearest(values), values[np.ix_(row, column)])

@@ -91,21 +91,6 @@ def test_the_number_of_cells_is_bounded(max_cells):
     assert_tiles(DOMAIN, *places(tree))
 
 
-@settings(max_examples=30)
-@given(st.integers(0, 10_000))
-def test_morton_order_is_that_in_which_finest_cells_meet_them(seed):
-    tree = grown(DOMAIN, seed)
-    _, first = np.unique(tree.leaf_of, return_index=True)
-    np.testing.assert_array_equal(tree.in_order(), np.argsort(first))
-
-
-def test_the_raster_of_a_map_is_that_of_the_table():
-    mapper = mapped(configured(), lambda x, y: 0.5 * ((x > 5.0) & (y > 7.0)), density=30.0, scans=1)
-    cells, order = mapper.snapshot(), mapper.leaves.in_order()
-    assert_tiles(cells.domain, cells.level, cells.ix, cells.iy)
-    np.testing.assert_array_equal(order[cells.leaf_raster()], raster_of(mapper.leaves))
-
-
 def known_leaf(domain: Domain) -> LeafTable:
     """One leaf with a steep, well-known plane."""
     tree = LeafTable(domain, 1000)
@@ -131,23 +116,6 @@ def test_inherited_planes_are_the_parents():
         for name in ("range_part", "pose_part"):
             expected = shifted(parent[name].reshape(3, 3), parent.normal, off)
             np.testing.assert_allclose(child[name].reshape(3, 3), expected, atol=1e-15)
-
-
-def test_children_begin_their_statistics_anew():
-    tree = known_leaf(Domain(0.0, 0.0, 8.0, 0, 4))
-    leaf = tree.rows[0]
-    leaf.feature[:], leaf.points, leaf.bias[:], leaf.greatest = 1.0, 500.0, 7.0, 7.0
-    for name in tree.rows.dtype.names:
-        if name.endswith(("_sum", "_weight", "_noise")) or name == "residuals":
-            leaf[name] = 7.0
-    divide(tree, 0)
-    children = tree.rows[:4]
-    assert np.isnan(children.feature).all()
-    assert not (children.points.any() or children.greatest.any())
-    assert (children.bias == (7.0, 7.0, 7.0, 0.0, 0.0)).all(), "what its slope may be turned by"
-    for name in tree.rows.dtype.names:
-        if name.endswith(("_sum", "_weight", "_noise")) or name == "residuals":
-            assert not children[name].any(), name
 
 
 def test_where_a_return_stood_out_the_child_is_less_certain_and_the_ground_not_known():

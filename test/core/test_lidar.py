@@ -25,15 +25,6 @@ def test_angles_and_range_come_back_from_the_point():
     np.testing.assert_allclose(np.arcsin(-p[..., 1] / rho), elevation, atol=1e-12)
 
 
-def test_points_of_any_kind_of_number_are_taken():
-    pose, config = make_pose((8.0, 8.0, 100.0)), configured()
-    points = np.array([[1, 2, 100], [-3, 0, 99], [2, 2, 98]])
-    expected, _ = register(points.astype(np.float64), pose, config.lidar, Domain.of(config.domain))
-    for kind in (np.int64, np.int16, np.float32, ">f8"):
-        found, _ = register(points.astype(kind), pose, config.lidar, Domain.of(config.domain))
-        np.testing.assert_array_equal(found.points, expected.points)
-
-
 @pytest.mark.parametrize("form", ["organised", "unorganised", "float32", "every other"])
 def test_points_of_a_cell_are_one_run_in_the_order_of_the_scan(form):
     """Each where Eq. 15 has it, in the finest cell under it."""
@@ -60,21 +51,6 @@ def test_points_of_a_cell_are_one_run_in_the_order_of_the_scan(form):
     returns = np.isfinite(place[:, 0])
     assert dropped == {**lost, "outside": int(returns.sum()) - len(inside)}
     assert found.centre is None
-
-
-def test_a_scan_that_somebody_keeps_is_not_written_over():
-    config, pose, places = configured(), make_pose((8.0, 8.0, 100.0)), lattice(0.0, 0.0, 16.0, 40)
-    scans = [scan(flat(z), *places, pose, 0.0) for z in (0.0, 1.0, 2.0)]
-    args = (pose, config.lidar, Domain.of(config.domain))
-    kept, _ = register(scans[0], *args)
-    part = register(scans[1], *args)[0].points[5:]
-    key = memoryview(register(scans[1], *args)[0].key)
-    before = kept.points.copy(), part.copy(), bytes(key)
-    last, _ = register(scans[2], *args)
-    np.testing.assert_array_equal(kept.points, before[0])
-    np.testing.assert_array_equal(part, before[1])
-    assert bytes(key) == before[2]
-    np.testing.assert_allclose(last.points[:, 2], -98.0)
 
 
 def test_a_scan_that_misses_the_domain_says_where_it_fell():

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mapper as a whole: recovered ground, division, inheritance, bounds, invariances."""
 
-import copy
-
 import numpy as np
 import pytest
 from core.builders import METHODS, assert_same, assert_sound, by, configured, look, mapped
@@ -85,21 +83,6 @@ def test_children_without_points_inherit_and_no_hole_appears():
     np.testing.assert_allclose(later.at(x, y).height, 1.4, atol=0.1)
 
 
-def test_observed_is_where_points_fell_and_count_is_how_many():
-    config = configured(levels=(2, 5))
-    x, y = scattered(np.random.default_rng(8), 0.0, 0.0, 16.0, 600)
-    mapper = Mapper(config)
-    for _ in range(2):
-        look(mapper, flat(), x, y)
-    cells = mapper.snapshot()
-    expected = np.zeros((32, 32), dtype=bool)
-    expected[(y / 0.5).astype(int), (x / 0.5).astype(int)] = True
-    np.testing.assert_array_equal(cells.observed, expected)
-    assert (cells.level == 2).all()
-    leaf = cells.leaf_raster()[(y / 0.5).astype(int), (x / 0.5).astype(int)]
-    np.testing.assert_array_equal(cells.count, 2 * np.bincount(leaf, minlength=16))
-
-
 def test_where_returns_stand_out_is_remembered():
     """By the last look, if they are more than a sixteenth: 7 of 100 a cell."""
     config = configured(levels=(4, 4), noise=0.01)
@@ -145,28 +128,6 @@ def test_a_scan_without_sound_points_changes_nothing(points):
     assert report.points_used == 0
     assert report.points == points.size // 3 == sum(report.dropped.values())
     assert_same(before, mapper.snapshot())
-
-
-def test_returns_all_around_the_lidar_spoil_nothing():
-    """Their middle is the lidar, to which no ray leads."""
-    config = configured(domain={"size": 4.0, "min_level": 0, "max_level": 0})
-    mapper = mapped(config, flat(), density=20.0, scans=1)
-    x, y = np.array([1.0, -1.0, 0.25, -0.25]), np.array([0.5, -0.5, -1.0, 1.0])
-    pose = make_pose((2.0, 2.0, 0.0), pose_covariance(0.1, 1e-3), 10**9)
-    assert look(mapper, flat(), 2.0 + x, 2.0 + y, pose=pose).points_used == 4
-    leaf = mapper.leaves.rows[0]
-    assert leaf.points > 300
-    assert abs(leaf.z) < 0.05
-    Mapper(config).import_state(mapper.export_state())
-
-
-def test_a_snapshot_does_not_change_with_later_scans():
-    mapper = mapped(configured(), GROUND, density=20.0, scans=1)
-    kept = mapper.snapshot()
-    before = copy.deepcopy(kept)
-    x, y = scattered(np.random.default_rng(10), 0.0, 0.0, 16.0, 8000)
-    look(mapper, lambda x, y: np.sin(3.0 * x), x, y)
-    assert_same(kept, before)
 
 
 @pytest.mark.parametrize("how", ["the same", "organised", "none", "fit"])
@@ -239,11 +200,3 @@ def test_a_shifted_world_gives_the_shifted_map(scans, points):
     np.testing.assert_allclose(other.z - 3_000.0, one.z, atol=1e-7)
     np.testing.assert_allclose(other.normal, one.normal, atol=1e-6)
     np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-3, atol=1e-9)
-
-
-def test_a_wrong_pose_or_shape_is_named():
-    mapper, cloud = Mapper(), np.ones((5, 3))
-    with pytest.raises(TypeError, match="Pose.from_matrix"):
-        mapper.update(cloud, np.eye(4))
-    with pytest.raises(ValueError, match=r"\(5, 2\)"):
-        mapper.update(cloud[:, :2], Pose.from_matrix(np.eye(4), stamp_ns=1))

@@ -8,6 +8,7 @@ import pytest
 from core.builders import configured, look
 from core.kernels import fit, tangent_basis
 from core.scenes import flat, lattice, pose_covariance
+from scipy.stats import chi2
 
 from quadtree_lss.onboard.core.geometry import rotations
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
@@ -69,18 +70,6 @@ def tilted(rng: np.random.Generator, per_side: int, noise: float) -> np.ndarray:
     return truth + noise * rng.standard_normal((len(x), 1)) * ray
 
 
-def test_independent_treatment_averages_the_pose_out():
-    """The paper's: every point as uncertain as range and pose together make it, no pose part."""
-    rng = np.random.default_rng(3)
-    sigma, points = pose_covariance(0.3, 0.0), tilted(rng, 6, 0.02)
-    alone = fitted(rules("covariance"), points)
-    both = fitted(rules("covariance"), points, sigma=sigma)
-    np.testing.assert_array_equal(both.normal, alone.normal)
-    assert not both.pose_part.any()
-    added = both.range_part[2, 2] - alone.range_part[2, 2]
-    assert added == pytest.approx(0.3**2 / 36, rel=0.1)
-
-
 @FITS
 def test_a_turn_about_the_vertical_turns_the_fit(method):
     """Eq. 2's basis turns along: R_(Qn) = Q R_n Q^T for Q about z."""
@@ -105,16 +94,6 @@ def test_where_points_tell_no_slope_the_prior_is_kept_and_called_unknown():
         found = fitted(rules(), cloud, prior=prior)
         np.testing.assert_allclose(found.normal, prior, atol=1e-9)
         assert found.alone
-
-
-@pytest.mark.parametrize("count", [5, 20, 100, 1000])
-def test_points_all_over_a_cell_leave_little_out(count):
-    """By chance; hardly ever half of it."""
-    rng = np.random.default_rng(10)
-    clouds = (np.c_[rng.uniform(-1.0, 1.0, (count, 2)), np.zeros(count)] for _ in range(200))
-    unseen = np.array([fitted(rules(), cloud).unseen for cloud in clouds])
-    assert np.mean(unseen) < 0.08
-    assert np.mean(unseen >= 0.5) < 0.02
 
 
 @pytest.mark.parametrize("middle", [0.0, 0.9])
@@ -174,3 +153,33 @@ def test_a_height_is_known_best_in_the_middle_of_what_was_seen(part):
     assert abs(at[column] - 0.5 * (west + east)) < 0.26
     assert abs(at[row] - 0.5 * (south + north)) < 0.26
     assert deviation.max() > 3.0 * deviation.min()
+
+
+@pytest.mark.parametrize(("deviations", "misfit"), [(1.9, False), (2.1, True)])
+@pytest.mark.parametrize("per_side", [3, 5, 20])
+def test_residuals_beyond_two_deviations_of_their_mean_square_are_misfit(
+    per_side, deviations, misfit
+):
+    """Of noise the mean square of N - 3 free residuals is a chi-square over N - 3."""
+    cloud, given = tilted(np.random.default_rng(17), per_side, 0.02), (2.0, NORMAL, NO_POSE)
+    of, free = chi2(per_side**2 - 3), per_side**2 - 3
+    run = fit(rules(), cloud - LIDAR, *-LIDAR[:2], *given)[0]
+    most = 1.0 + deviations * of.std() / free
+    noise = np.sqrt(run.square / most) / run.cosine
+    run = fit(rules(noise=noise), cloud - LIDAR, *-LIDAR[:2], *given)[0]
+    assert run.square / run.variance == pytest.approx(most, rel=1e-3)
+    excess = run.own - run.variance / per_side**2
+    assert (excess > 1e-3 * run.variance) == misfit
+
+
+def test_what_the_parents_plane_left_out_makes_the_unseen_half_less_certain():
+    """A tilt of the mean square ``uneven`` over the cell, about the middle of what was seen."""
+    mapper, (x, y) = Mapper(configured(levels=(2, 6), noise=0.01)), lattice(0.0, 0.0, 4.0, 160)
+    look(mapper, flat(), x[x < 2.0], y[x < 2.0])
+    x, y = np.meshgrid(*[np.linspace(0.1, 3.9, 9)] * 2)
+    before, uneven = mapper.snapshot().at(x, y).deviation, 0.02
+    mapper.leaves.rows.uneven[mapper.leaves.rows.known == 3] = uneven
+    after = mapper.snapshot().at(x, y).deviation
+    unseen, tilt = 0.5, 12.0 * uneven / 4.0**2
+    expected = unseen**2 * tilt * ((x - 1.0) ** 2 + (y - 2.0) ** 2)
+    np.testing.assert_allclose(after**2 - before**2, expected, rtol=0.02)

@@ -66,21 +66,3 @@ def test_wrong_ones_at_the_start_or_at_random_hold_nothing_back_for_long():
     steps = np.diff(passed(mad)[0])
     assert len(steps) > 10
     assert steps.max() <= PATIENCE
-
-
-def test_late_ones_and_time_that_jumps_back_pass():
-    poses = [pose(k) for k in (0, 1, 2, 4, 3, 5, 6)]
-    assert len(passed(poses)[0]) == 7
-    again = [pose(k) for k in (*range(50, 60), *range(10))]
-    assert len(passed(again)[0]) == 20
-    apart = [pose(k) for k in (0, 1, 2, 1000, 1001, 1002)]
-    assert len(passed(apart)[0]) == 6
-
-
-def test_a_leap_to_two_poses_of_one_stamp_is_survived():
-    """They agree with each other, and say nothing of the speed."""
-    leap = (0.0, 0.0, 400.0)
-    poses = [pose(k) for k in range(5)]
-    poses += [pose(5, leap), pose(5, leap), *(pose(k, leap) for k in range(6, 10))]
-    found, _ = passed(poses)
-    assert {9, 10} <= set(found)

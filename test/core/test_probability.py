@@ -9,23 +9,18 @@ import pytest
 from core.builders import configured, flat, look, make_pose, mapped
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.stats import norm
 
-from quadtree_lss.lab.evaluation.risk_fit import ASKED, risk_model_text, risks
+from quadtree_lss.lab.evaluation.risk_fit import ASKED, risks
 from quadtree_lss.onboard.config.risk import LOCAL, Cause, Curve, RiskModel, risk_model
-from quadtree_lss.onboard.core.landing import hazards, score
+from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.contact import ContactCheck
-from quadtree_lss.onboard.core.landing.grid import TIE, probable_first
 from quadtree_lss.onboard.core.landing.probability import (
     Dispersion,
-    Remainder,
     RiskTable,
     aimed,
     contact_limits,
-    heading_word,
     height_noise,
     normal_weights,
-    shown,
 )
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.score import look_around
@@ -233,19 +228,6 @@ def test_ground_that_no_return_is_from_raises_the_risk(rough_ground):
         assert (more > fewer).mean() > 0.5
 
 
-def test_aims_are_means_over_the_touchdowns_drawn_from_the_dispersion():
-    rng = np.random.default_rng(4)
-    risk = (rng.random((41, 41)) < 0.3).astype(float)
-    spread = Dispersion(0.8, 0.3)
-    found = aimed(risk, 0.25, spread)
-    for row, column in ((20, 20), (1, 39), (8, 30)):
-        steps = rng.normal(0.0, 1.0, (200_000, 2)) * (spread.y / 0.25, spread.x / 0.25)
-        i, j = np.rint(steps + (row, column)).astype(int).T
-        inside = (i >= 0) & (i < 41) & (j >= 0) & (j < 41)
-        fails = np.where(inside, risk[np.clip(i, 0, 40), np.clip(j, 0, 40)], 1.0)
-        assert found[row, column] == pytest.approx(fails.mean(), abs=0.01)
-
-
 @pytest.mark.parametrize("spread", [Dispersion(0.0, 0.4), Dispersion(0.1, 1.3)])
 def test_an_aim_is_the_weighted_mean_of_the_risk_about_it(spread):
     risk, beyond = np.random.default_rng(5).random((19, 25)), 30
@@ -259,15 +241,6 @@ def test_an_aim_is_the_weighted_mean_of_the_risk_about_it(spread):
         )
         expected = along_y @ around[np.ix_(rows, columns)] @ along_x
         assert found[row, column] == pytest.approx(expected, abs=1e-6)
-
-
-@pytest.mark.parametrize("sigma", [2.0, 8.0, 100.0])
-def test_of_a_wide_dispersion_most_comes_down_beyond_the_map(sigma):
-    places, side = np.arange(21), 0.25
-    ends = np.array([[20.5], [-0.5]])
-    within = -np.diff(norm.cdf((ends - places) * side / sigma), axis=0)[0]
-    unsafe = aimed(np.zeros((21, 21)), side, Dispersion(sigma, sigma))
-    np.testing.assert_allclose(1.0 - unsafe, np.outer(within, within), rtol=2e-3, atol=1e-5)
 
 
 def probable(**lss: object) -> LandingSiteSelector:
@@ -304,25 +277,6 @@ def test_sites_are_ranked_by_the_probability_of_the_aim(beside_a_rock):
     assert (np.hypot(*(found.sites.position[:1, :2] - 16.0).T) > 5.0).all()
 
 
-def test_beyond_the_edge_and_unseen_nothing_is_safe(beside_a_rock):
-    observed = beside_a_rock.observed.copy()
-    observed[:, :32] = False
-    found = probable(dispersion=0.5).assess(replace(beside_a_rock, observed=observed))
-    assert (found.risk[:, found.x < 8.0] == 1.0).all()
-    assert (found.probability[:, found.x < 6.0] < 1e-3).all()
-    assert (found.probability[[0, -1]] < 0.51).all()
-
-
-def test_guidance_goes_before_the_configuration(beside_a_rock):
-    selector = probable(dispersion=3.0)
-    own = selector.assess(beside_a_rock).probability
-    theirs = selector.assess(beside_a_rock, dispersion=[0.2, 0.1]).probability
-    np.testing.assert_array_equal(
-        theirs, 1.0 - aimed(selector.assess(beside_a_rock).risk, 0.25, Dispersion(0.2, 0.1))
-    )
-    assert theirs.max() > own.max()
-
-
 @pytest.mark.parametrize("rule", ["probability", "touchdown"])
 def test_a_heading_counts_for_limits_and_not_for_the_risk_fitted_to_the_worst(beside_a_rock, rule):
     heard: list[float | None] = []
@@ -345,80 +299,6 @@ def test_what_is_no_dispersion_is_refused(beside_a_rock, given):
         probable().assess(beside_a_rock, dispersion=given)
 
 
-def test_reasons_say_what_is_left(beside_a_rock):
-    found = probable(dispersion=1.5).assess(beside_a_rock, target=[20.0, 16.0])
-    place = np.hypot(*(found.sites.position[:, :2] - 16.0).T)
-    assert all(reason.startswith("probability ") for reason in found.sites.reasons)
-    assert any(" %: the remaining risk is " in reason for reason in found.sites.reasons)
-    nearest = found.sites.reasons[int(np.argmin(place))]
-    assert "an obstacle" in nearest or "too steep" in nearest
-
-
-def test_words():
-    assert shown(0.9917) == "99.2 %"
-    assert shown(0.99997) == "99.99 %"
-    assert shown(float("nan")) == "-"
-    risk = "probability 99.2 %: the remaining risk is"
-    assert Remainder(0.9917, 3.14, 0.0, "obstacle").words() == f"{risk} an obstacle 3.1 m east"
-    assert Remainder(0.9917, 0.0, 0.0, "slope").words() == f"{risk} too steep a slope here"
-    little = Remainder(0.99997, 0.0, 0.0, "slope")
-    assert little.words() == "probability 99.99 %", "not worth a word"
-    words = ["east", "north-east", "north", "west", "south"]
-    assert [heading_word(np.radians(a)) for a in (0, 44, 91, 180, -91)] == words
-
-
-def test_what_is_more_probable_comes_first_whatever_its_score():
-    """Scores of any size and sign, -1 among them, decide between equals alone."""
-    rng = np.random.default_rng(8)
-    unsafe = rng.choice([0.0, 0.004, 0.004 + 1.01 * TIE, 0.083, 1.0], 4000)
-    score = np.append(-1.0, rng.choice([-1.0, 1.0], 3999) * 10.0 ** rng.uniform(-3.0, 4.0, 3999))
-    order = np.argsort(probable_first(unsafe, score))
-    assert (np.diff(unsafe[order]) >= 0.0).all()
-    same = np.diff(unsafe[order]) == 0.0
-    assert same.sum() > 3900 and (np.diff(score[order])[same] >= 0.0).all()
-
-
-def test_limits_cover_the_model_and_the_touchdown_limits():
-    config = configured(lss={"assessment": "probability"})
-    found = contact_limits(MODEL, config.lss)
-    assert found.least_rise == pytest.approx(0.15)
-    assert found.most_tilt == pytest.approx(1.3 * np.tan(np.radians(10.0)))
-
-
-def test_where_the_probability_is_the_same_the_clearance_decides(beside_a_rock, tmp_path):
-    """If contacts alone matter all bare ground is as good: the first is far from the rock."""
-    steep = Cause(-9.0, (Curve("tilt", (0.5, 1.5), ((0.0, 12.0),)),))
-    rock = Cause(-9.0, (Curve("rise", (0.5, 1.5), ((0.0, 12.0),)),))
-    nothing = Cause(-9.0, (Curve("lean", (0.0, 0.4), ((0.0, 0.0),)),))
-    causes = dict(zip(MODEL.causes, (rock, steep, nothing), strict=True))
-    (tmp_path / "model.yaml").write_text(risk_model_text(replace(MODEL, causes=causes)))
-    with mock.patch.object(score, "DISTANCE_CAP", 12.0):
-        selector = probable(dispersion=0.1, risk_model=str(tmp_path / "model.yaml"))
-        found = selector.assess(beside_a_rock)
-    first = found.sites.position[0, :2]
-    best = found.probability == found.probability[found.safe].max()
-    assert best.sum() > 100
-    x, y = np.meshgrid(found.x, found.y)
-    excluded = ~found.safe
-    clear = [
-        np.hypot(x[excluded] - at_x, y[excluded] - at_y).min()
-        for at_x, at_y in zip(x[best], y[best], strict=True)
-    ]
-    own = np.hypot(x[excluded] - first[0], y[excluded] - first[1]).min()
-    assert own == pytest.approx(max(clear), abs=0.25)
-
-
-def test_a_heading_that_is_no_number_is_any():
-    for heading in (np.nan, np.inf):
-        assert Dispersion.of((1.0, 1.0, heading), configured().lss).heading is None
-
-
-@pytest.mark.parametrize("sigma", [1e-160, 1e-200, 1e-320, 1e-3])
-def test_a_dispersion_of_next_to_nothing_is_none(sigma):
-    weights = normal_weights(sigma / 0.25, 40)
-    assert weights.sum() == weights[len(weights) // 2] == 1.0
-
-
 @pytest.mark.parametrize("elevation_deg", [90.0, 30.0, 8.0])
 def test_noise_of_heights_follows_angle_of_incidence(elevation_deg):
     """The variance of heights over that of ranges is the squared sine of the ray's elevation."""
@@ -436,3 +316,13 @@ def test_noise_of_heights_is_that_of_ranges_where_there_is_no_plane():
     cells = mapped(configured(), flat()).snapshot()
     unknown = replace(cells, covariance_range=np.full_like(cells.covariance_range, np.nan))
     np.testing.assert_array_equal(height_noise(unknown, 0.05), 1.0)
+
+
+def test_guidance_goes_before_the_configuration(beside_a_rock):
+    selector = probable(dispersion=3.0)
+    own = selector.assess(beside_a_rock).probability
+    theirs = selector.assess(beside_a_rock, dispersion=[0.2, 0.1]).probability
+    np.testing.assert_array_equal(
+        theirs, 1.0 - aimed(selector.assess(beside_a_rock).risk, 0.25, Dispersion(0.2, 0.1))
+    )
+    assert theirs.max() > own.max()

@@ -6,7 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 from core.builders import configured
-from core.scenes import make_pose, pose_covariance, scan, scattered
+from core.scenes import lattice, make_pose, pose_covariance, scan, scattered
 
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
@@ -113,3 +113,24 @@ def test_the_map_is_the_same_at_every_scale(cells, scale):
     np.testing.assert_array_equal(mine.measured, its.measured)
     np.testing.assert_allclose(mine.z, its.z / scale, atol=1e-6)
     np.testing.assert_allclose(mine.normal, its.normal, atol=1e-6)
+
+
+@pytest.mark.parametrize("scale", [0.125, 4.0])
+def test_a_feature_that_noise_hardly_shows_is_the_same_at_every_scale(scale):
+    """Of few returns, so that what is known before them counts: by powers of two, to the bit."""
+
+    def feature(scale: float) -> np.ndarray:
+        lander = {"diameter": 3.7 * scale, "clearance": 0.3 * scale, "pad_radius": 0.15 * scale}
+        config = configured(
+            domain={"size": 4.0 * scale, "min_level": 0, "max_level": 0},
+            lidar={"range_noise": 0.1 * scale, "min_range": 0.1 * scale},
+            vehicle=lander,
+        )
+        mapper, (x, y) = Mapper(config), lattice(0.0, 0.0, 4.0, 9)
+        z = 0.9 * np.exp(-2.0 * ((x - 2.3) ** 2 + (y - 1.8) ** 2))
+        pose = make_pose((2.0 * scale, 2.0 * scale, 500.0 * scale))
+        points = scan(lambda *_: scale * z, scale * x, scale * y, pose, 0.0)
+        mapper.update(points, pose)
+        return mapper.snapshot().feature[0] / (scale, scale**1.5, scale, scale, scale)
+
+    np.testing.assert_allclose(feature(scale), feature(1.0), rtol=1e-9)

@@ -10,12 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from core.builders import with_lengths
-from scipy.ndimage import maximum_filter, minimum_filter
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmark"))
 
-from common.rays import EXACT, Scene, View, fan, rocks, view
+from common.rays import Scene, View, fan, rocks, view
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.simulation.safety import LandingGear, worst_contact
@@ -24,7 +23,6 @@ from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 NOISE, HALF = 0.06, 8.0
@@ -132,6 +130,7 @@ def stood_on(config: Config, seen: list[View], scene: Scene) -> tuple[int, str]:
     return len(places), f"{bad.sum()} of {len(places)}, told {told:.1e}"
 
 
+@pytest.mark.quick("strips", "few looks")
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_rock_that_was_measured_is_stood_on(kind):
     """However it was seen."""
@@ -170,6 +169,7 @@ def test_nobody_stands_where_a_drop_hides_its_ground(drop):
     assert not wrong, wrong
 
 
+@pytest.mark.quick("strips", "few looks")
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_height_is_beyond_what_was_measured(kind):
     """Trees, walls and steps: planes end where measurements end; within 1 m, give or take noise."""
@@ -218,23 +218,3 @@ def overgrown(rng: np.random.Generator) -> Scene:
     low = plane.plane(*middle.T) - 2.0
     boxes = np.column_stack([middle - half, low, middle + half, low + rng.uniform(3.0, 5.0, 2)])
     return Scene(gradient, np.zeros((0, 4)), cones, boxes)
-
-
-@pytest.mark.parametrize("out", [1, 2])
-def test_one_return_alone_does_not_undo_what_is_known(out):
-    """Of few returns in a cell; two divide its leaf. Ground is seen from above without noise."""
-    values = {"xmin": 0.0, "ymin": 0.0, "size": 1.0, "min_level": 0, "max_level": 2}
-    over = {f"domain.{name}": value for name, value in values.items()}
-    config = with_lengths(load_config(["flight"], over), outlier_gate=0.0)
-    mapper, axis = Mapper(config), np.linspace(0.03, 0.97, 10)
-    x, y = (of.ravel() for of in np.meshgrid(axis, axis))
-    down = np.diag([1.0, -1.0, -1.0])
-    position = np.array([0.5, 0.5, 50.0])
-    for k in range(3):
-        z = np.zeros(100)
-        if k == 2:
-            z[np.argsort(np.hypot(x - 0.125, y - 0.125))[:out]] = 0.4
-        points = (np.column_stack([x, y, z]) - position) @ down
-        mapper.update(points, Pose(round(1e9 + 5e7 * k), position, down, EXACT))
-    assert mapper.leaves.observed[0] == 2
-    assert (mapper.leaves.count > 1) == (out > 1)

@@ -56,6 +56,7 @@ def test_no_share_is_trusted_too_much(leaves, scans, low, high, most, beyond):
     assert np.mean(ratios > 4.0) < beyond
 
 
+@pytest.mark.slow
 def test_claims_hold_over_rolling_ground():
     """Waves of 4 degrees: what planes leave out of the unseen part is within what leaves allow."""
     rolling = shares.drawn(4503, 500, 1, 0.07) + shares.drawn(4503, 130, 20, 0.07)
@@ -65,6 +66,7 @@ def test_claims_hold_over_rolling_ground():
     assert np.mean(ratios > 4.0) < 2e-3
 
 
+@pytest.mark.slow
 def test_claims_hold_over_broken_ground():
     """Bumps of 0.2 m every two metres, no plane at any size of leaf: what planes leave out makes
     slopes less certain, those of fits and those that children inherit."""

@@ -61,16 +61,6 @@ def test_each_point_is_turned_and_moved_by_the_pose_at_its_time(seed, count, shu
     assert len(np.unique(which)) == len(seen.points) == len(points)
 
 
-def test_times_that_are_the_same_once_rounded_lose_no_point():
-    pose, offsets = pose_at(0.0, (8.0, 8.0, 50.0)), np.zeros(200, dtype=np.int32)
-    points = np.random.default_rng(1).normal(0.0, 3.0, (200, 3)) + (0.0, 0.0, -40.0)
-    config = configured(domain={"xmin": -100.0, "ymin": -100.0, "size": 200.0})
-    moved = sweep(offsets, pose, poses_during(buffer_of([pose]), STAMP, STAMP))
-    domain = Domain.of(config.domain)
-    found, at_once = (register(points, pose, config.lidar, domain, s)[0] for s in (moved, None))
-    np.testing.assert_array_equal(found.points, at_once.points)
-
-
 def waiting(buffer, span_ms, stamp_ms=0.0) -> ScanQueue:
     queue = ScanQueue(buffer, 5, SECOND)
     span = tuple(round(t * MS) for t in span_ms)

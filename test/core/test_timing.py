@@ -95,35 +95,11 @@ def test_small_disorder_does_not_matter(stamps, asked):
             np.testing.assert_array_equal(pose.position, expected.position)
 
 
-def test_the_buffer_is_bounded_by_time():
-    buffer = buffer_of(*range(0, 20_000, 100), span_ms=500)
-    oldest, newest = buffer.range_ns
-    assert newest == 19_900 * MS and oldest == newest - 500 * MS
-    assert len(buffer) == 6
-    assert buffer.add(plain_pose(oldest - MS)) == "too_old"
-    assert buffer.add(plain_pose(oldest)) == "duplicate"
-
-
 def test_a_backward_jump_of_poses_starts_anew():
     buffer = buffer_of(10_000, 10_100)
     assert buffer.add(plain_pose(0)) == "time_jump"
     assert buffer.range_ns == (0, 0) and buffer.jumps == 1
     assert buffer.at(10_050 * MS) is None
-
-
-def test_scans_come_out_in_order_with_the_pose_at_their_stamp():
-    """And never overtake one that waits."""
-    buffer = buffer_of(0, 100)
-    queue = queue_of(buffer)
-    for stamp in (20, 50, 120, 60):
-        queue.push_scan(stamp * MS, f"scan {stamp}", 0)
-    first = queue.pop_ready()
-    assert [(s // MS, scan) for s, scan, _ in first] == [(20, "scan 20"), (50, "scan 50")]
-    assert [pose.stamp_ns // MS for _, _, pose in first] == [20, 50]
-    assert queue.pop_ready() == []
-    buffer.add(plain_pose(200 * MS))
-    assert [s // MS for s, _, _ in queue.pop_ready()] == [120, 60]
-    assert queue.expire(0) == [] and not queue.dropped
 
 
 def test_waiting_is_bounded_from_arrival_whatever_the_stamps_say():
@@ -147,6 +123,21 @@ def test_scans_that_no_pose_can_help_do_not_hold_up_the_others():
     assert [scan for _, scan, _ in queue.pop_ready()] == [1550]
     reasons = {d.reason for d in queue.expire(0)}
     assert reasons == set(queue.dropped) == {"before_poses", "pose_gap", "duplicate"}
+
+
+@pytest.mark.parametrize("poses_first", [True, False])
+def test_a_bag_that_begins_again_is_mapped_again(poses_first):
+    """Poses of the new time that came before its first scan stay; those of the old time go."""
+    buffer = buffer_of(10_000, 10_100)
+    queue = queue_of(buffer)
+    queue.push_scan(10_050 * MS, "old", 0)
+    assert [scan for _, scan, _ in queue.pop_ready()] == ["old"]
+    again = [lambda: [buffer.add(plain_pose(stamp * MS)) for stamp in (0, 100)]]
+    again.insert(poses_first, lambda: queue.push_scan(50 * MS, "new", 0))
+    for step in again:
+        step()
+    assert [scan for _, scan, _ in queue.pop_ready()] == ["new"]
+    assert buffer.range_ns == (0, 100 * MS)
 
 
 @settings(max_examples=80)

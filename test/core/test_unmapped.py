@@ -9,7 +9,6 @@ from core.builders import configured, mapped, strip
 from core.scenes import flat, slope
 
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.geometry.bounds import bounded, within
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.grid import users_grid
 from quadtree_lss.onboard.core.landing.raster import rasterise
@@ -74,19 +73,6 @@ def test_no_footprint_that_touches_it_is_judged(level_ground, assessment, max_ga
     np.testing.assert_array_equal(np.isnan(found.elevation), found.hazard & both > 0)
 
 
-def test_the_lander_is_not_set_down_on_it_nor_its_height_taken(level_ground):
-    """Whatever the number under it: the answer is the same, bit for bit."""
-    cells = without(level_ground, CELLS)
-    leaf = cells.leaf_raster()[tuple(np.transpose(CELLS))]
-    z = cells.z.copy()
-    z[leaf] += 30.0
-    both = cells, replace(cells, z=z)
-    one, other = (LandingSiteSelector(limits("touchdown")).assess(c) for c in both)
-    np.testing.assert_array_equal(one.safe, other.safe)
-    reachable = one.hazard & hazards.UNSEEN == 0
-    np.testing.assert_array_equal(one.elevation[reachable], other.elevation[reachable])
-
-
 def test_gaps_are_bridged_from_known_ground_alone():
     """Of four columns without a return, those beside ground not yet mapped are not firm."""
     cells = strip(4)
@@ -114,13 +100,6 @@ def test_heights_are_lent_by_known_cells_alone(level_ground):
     raster = rasterise(cells, LssConfig())
     beside = raster.elevation[[29, 31], 31]
     assert raster.elevation[30, 31] in beside and abs(raster.elevation[30, 31]) < 0.1
-
-
-def test_why_there_is_no_site_tells_seen_from_mapped(level_ground):
-    cells = without(level_ground, np.argwhere(np.indices((64, 64)).sum(axis=0) % 4 == 0))
-    found = LandingSiteSelector(limits()).assess(cells)
-    said = "75 % of the domain is seen, 25 % seen but not yet mapped, 0 % shows"
-    assert said in found.explanation
 
 
 def test_the_target_is_withdrawn_with_a_word_of_its_own(level_ground):
@@ -165,14 +144,3 @@ def test_heights_keep_to_what_was_measured_there(level_ground):
     np.testing.assert_allclose(at.ground(raster)[:-1, :-1][known], heights[known], atol=1e-9)
     line = kept.profile((0.1, 3.0), (15.9, 3.3))
     np.testing.assert_array_equal(line.height, kept.at(line.x, line.y).height)
-
-
-def test_a_bound_that_is_not_known_is_none():
-    nan = np.nan
-    z = np.array([1.0, 1.0, 1.0, 1.0, 1.0, nan])
-    low = np.array([0.0, 2.0, nan, nan, nan, 0.0])
-    high = np.array([2.0, 3.0, 0.5, 1.5, nan, 2.0])
-    expected = [1.0, 2.0, 0.5, 1.0, 1.0, nan]
-    np.testing.assert_array_equal(bounded(z, low, high), expected)
-    np.testing.assert_array_equal([within(*v) for v in zip(z, low, high, strict=True)], expected)
-    assert bounded(5.0, nan, [[1.0, 7.0]]).tolist() == [[1.0, 5.0]]

@@ -71,6 +71,7 @@ def printed(shown, said):
         said = said[found.end() :]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("needs_flight", "code"), blocks("shell"))
 def test_commands_run_as_written(needs_flight, code, flight, tmp_path):
     if needs_flight:
@@ -91,6 +92,7 @@ class LevelBody(OdometryRecorder):
         return super().pose(stamp_ns, position, xyzw=(0.0, 0.0, 0.0, 1.0))
 
 
+@pytest.mark.slow
 def test_the_drone_of_the_tutorial_is_checked_and_its_hover_is_replayed(tmp_path):
     """Its file, and the commands that need neither a drone nor `ros2`, as written."""
     page = (ROOT / "docs/tutorials/drone.md").read_text()
@@ -116,6 +118,7 @@ def test_the_drone_of_the_tutorial_is_checked_and_its_hover_is_replayed(tmp_path
     assert "10 scans mapped, 0 dropped" in run(look)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("needs_flight", "code"), blocks("python"))
 def test_python_runs_as_written(needs_flight, code, flight, tmp_path):
     if needs_flight:

@@ -43,6 +43,7 @@ def errors(truth, cells):
     return height - means[2], cells.at(means[0], means[1]).deviation
 
 
+@pytest.mark.quick("parabola")
 @pytest.mark.parametrize("flight", FLIGHTS)
 def test_no_measured_leaf_is_off_its_ground_by_more_than_it_says(flight, tmp_path):
     """By four of its published deviations and by 0.1 m."""

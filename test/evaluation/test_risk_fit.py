@@ -7,12 +7,11 @@ from unittest import mock
 import numpy as np
 import pytest
 import yaml
-from scipy.optimize import minimize
 
 from quadtree_lss.cli import main
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.evaluation import risk_fit, risk_flights
-from quadtree_lss.lab.evaluation.risk_families import FAMILIES, ground
+from quadtree_lss.lab.evaluation.risk_families import FAMILIES
 from quadtree_lss.lab.evaluation.risk_fit import ASKED, Term, fit, risk_model_text, risks, unfitted
 from quadtree_lss.lab.evaluation.risk_flights import fly, land, table_of
 from quadtree_lss.onboard.config.parameter import ConfigError
@@ -61,41 +60,6 @@ def test_a_model_is_found_again_from_what_it_made(made_up):
     assert np.mean(np.abs(again - expected)) < 1e-3
 
 
-def test_an_independent_optimiser_finds_nothing_better(made_up):
-    _, *landings = made_up
-    some = np.random.default_rng(2).random(len(landings[0])) < 0.2
-    places, failed, weight = (of[some] for of in landings)
-    found = fit(places, failed, weight)
-
-    def score(values):
-        at, causes = iter(values), {}
-        for name, cause in found.causes.items():
-            constant, curves = next(at), []
-            for curve, term in zip(cause.curves, SMALL[name], strict=True):
-                steps = [next(at) for _ in curve.knots[1:]]
-                steps = [term.sign * abs(step) if term.sign else step for step in steps]
-                curves.append(replace(curve, odds=((0.0, *np.cumsum(steps)),)))
-            causes[name] = Cause(constant, tuple(curves))
-        risk = np.clip(risks(replace(found, causes=causes), places), 1e-12, 1.0 - 1e-12)
-        log = np.where(failed, np.log(risk), np.log1p(-risk))
-        return -np.average(log, weights=weight)
-
-    begin = []
-    for cause in found.causes.values():
-        begin += [cause.constant, *np.concatenate([np.diff(c.odds[0]) for c in cause.curves])]
-    best = minimize(score, begin, method="Powell", options={"maxfev": 6000})
-    assert score(begin) <= best.fun + 1e-5
-
-
-def test_steps_keep_their_signs_where_chance_does_not(made_up):
-    _, places, _, weight = made_up
-    rng = np.random.default_rng(3)
-    model = fit(places[:3000], rng.random(3000) < 0.3, weight[:3000])
-    for name, terms in SMALL.items():
-        for curve, term in zip(model.causes[name].curves, terms, strict=True):
-            assert (term.sign * np.diff(curve.odds[0]) >= 0.0).all()
-
-
 def test_what_is_written_is_read_again(tmp_path):
     model = replace(risk_model(""), provenance={"families": {"whole": {"seeds": [1, 2]}}})
     file = tmp_path / "model.yaml"
@@ -130,30 +94,6 @@ def test_a_file_that_holds_no_model_is_one_clear_error(tmp_path, place, value, s
     assert str(file) in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_a_key_that_is_missing_or_a_file_is_told(tmp_path):
-    file = tmp_path / "model.yaml"
-    for cause, without, key, said in (
-        ("hidden", "relief", "rocks", "of a former version.*fit-risk makes one anew"),
-        ("obstacle", "constant", "other", "'constant' is missing"),
-    ):
-        values = yaml.safe_load(risk_model_text(unfitted()))
-        values[cause][key] = values[cause].pop(without)
-        file.write_text(yaml.safe_dump(values))
-        with pytest.raises(ConfigError, match=said):
-            risk_model.__wrapped__(str(file))
-    with pytest.raises(ConfigError, match="cannot be read"):
-        risk_model(str(tmp_path / "none.yaml"))
-
-
-def test_the_shipped_model_says_what_it_was_fitted_to():
-    model = risk_model("")
-    assert set(model.provenance["families"]) == set(FAMILIES)
-    assert model.numbers <= 162
-    for name, terms in risk_fit.TERMS.items():
-        for curve, term in zip(model.causes[name].curves, terms, strict=True):
-            assert (term.sign * np.diff(curve.odds, axis=1) >= 0.0).all()
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -171,29 +111,6 @@ def test_a_model_of_another_vehicle_or_map_is_told(changes, said):
         changes = changes | {"lidar.range_noise": 0.02}
     found = doubt(load_config(["morpheus"], changes))
     assert said in found and bool(said) == bool(found)
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--families", "moon"], "there is no family 'moon'"),
-        (["--seeds", "1,2"], "too few for 13 families"),
-    ],
-)
-def test_a_fit_that_cannot_be_is_told(tmp_path, capsys, options, said):
-    assert main(["fit-risk", "--out", str(tmp_path / "m.yaml"), *options]) == 1
-    assert said in capsys.readouterr().err
-    assert not (tmp_path / "m.yaml").exists()
-
-
-@pytest.mark.parametrize(
-    ("out", "code", "said"), [("", 2, "is a folder"), ("file/m.yaml", 1, "cannot be written")]
-)
-def test_a_place_that_cannot_be_written_is_told_before_it_flies(tmp_path, capsys, out, code, said):
-    (tmp_path / "file").touch()
-    with mock.patch.object(risk_flights, "fly", side_effect=AssertionError("flown")):
-        assert main(["fit-risk", "--out", str(tmp_path / out), "--overwrite"]) == code
-    assert said in capsys.readouterr().err
 
 
 def test_the_command_flies_and_fits(tmp_path, capsys):
@@ -229,12 +146,3 @@ def test_what_a_fit_asks_is_what_is_looked_up():
     step = odds(risks(model, asked + half)) - odds(risks(model, asked - half))
     assert np.mean(np.abs(off)) < 0.5 * np.mean(np.abs(step)) + 0.03
     assert abs(off.mean()) < 0.03
-
-
-@pytest.mark.parametrize("kind", ["mixed", "bare", "cratered", "any"])
-def test_grounds_are_of_their_kind(kind):
-    made = ground(np.random.default_rng(4), kind)
-    assert np.ptp(made.x) == pytest.approx(80.0)
-    slope = np.gradient(made.elevation, 0.1)
-    tilt = np.hypot(*(np.mean(part) for part in slope))
-    assert (tilt > np.tan(np.radians(2.5))) == (kind == "bare")

@@ -1,10 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Elevation models from NPZ and GeoTIFF."""
 
-import struct
-import zipfile
-from io import BytesIO
-
 import numpy as np
 import pytest
 
@@ -90,20 +86,6 @@ def test_heights_are_what_the_band_says(tmp_path, crs, unit, metres):
 def test_what_is_no_ground_in_metres_is_refused(tmp_path, how, word):
     with pytest.raises(ExchangeError, match=word):
         read_dem(band(tmp_path / "dem.tif", **how))
-
-
-def test_sizes_are_looked_at_before_anything_is_unpacked(tmp_path):
-    """3 GB of zeros in a few MB, never unpacked: the archive's own list says so."""
-    path = tmp_path / "dem.npz"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        np.lib.format.write_array(io := BytesIO(), Z)
-        archive.writestr("elevation.npy", io.getvalue())
-    content = path.read_bytes()
-    size = struct.pack("<I", len(io.getvalue()))
-    at = content.index(size, content.rindex(b"PK\x01\x02"))
-    path.write_bytes(content[:at] + struct.pack("<I", 3 << 30) + content[at + 4 :])
-    with pytest.raises(ExchangeError, match=r"3\.2 GB; 2\.1 is the most"):
-        read_dem(path)
 
 
 @pytest.mark.parametrize(

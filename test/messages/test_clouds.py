@@ -62,15 +62,6 @@ def test_every_layout_gives_the_points_that_were_put_in(
     np.testing.assert_array_equal(decoded, expected)
 
 
-def test_fields_in_any_order_among_others():
-    points = np.arange(12.0).reshape(4, 3)
-    msg = cloud(points[:, [2, 0, 1]], names=("z", "x", "y"))
-    extra = cloud(points).fields[0]
-    extra.name, extra.datatype, extra.count = "rgb", 2, 7  # what it holds does not matter
-    msg.fields.insert(1, extra)
-    np.testing.assert_array_equal(points_from_cloud(msg), points)
-
-
 @pytest.mark.parametrize("kind", ["f4", "f8"])
 def test_range_azimuth_elevation_follow_equation_14(kind):
     rng = np.random.default_rng(3)
@@ -94,28 +85,6 @@ def test_no_returns_stay_in_their_place():
     np.testing.assert_array_equal(missing, [[False, True, False], [False, False, True]])
 
 
-def test_negative_ranges_are_no_returns():
-    measured = np.array([[-5.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
-    decoded = points_from_cloud(cloud(measured, names=("range", "azimuth", "elevation")))
-    np.testing.assert_array_equal(np.isnan(decoded[:, 2]), [True, False])
-
-
-def test_a_single_absurd_point_does_not_cost_the_scan_and_stays_finite():
-    points = np.ones((10, 3))
-    points[4] = 1e300, 0.0, 1.0
-    decoded = points_from_cloud(cloud(points, kinds=("f8",) * 3))
-    assert np.isfinite(decoded).all()
-    assert np.linalg.norm(decoded[4]) > 1e5  # the range gate will count it
-    np.testing.assert_array_equal(np.delete(decoded, 4, axis=0), np.ones((9, 3)))
-
-
-def test_the_padding_of_the_last_row_may_be_missing():
-    points = np.arange(18.0).reshape(2, 3, 3)
-    msg = cloud(points, row_padding=8)
-    msg.data = msg.data[:-8]
-    np.testing.assert_array_equal(points_from_cloud(msg), points)
-
-
 @pytest.mark.parametrize("height", [1, 3])
 @pytest.mark.parametrize("wrong", ["row_step 0", "row_step 4", "row_step of all", "count 0", "12"])
 def test_sizes_that_a_driver_gets_wrong_leave_one_reading_which_is_told(wrong, height):
@@ -131,21 +100,6 @@ def test_sizes_that_a_driver_gets_wrong_leave_one_reading_which_is_told(wrong, h
     np.testing.assert_array_equal(read.reshape(-1, 3), points.reshape(-1, 3))
     harmless = wrong == "row_step of all" and height == 1  # one row is all
     assert ("correct the driver" in layout_note(msg)) != harmless
-
-
-def test_a_buffer_longer_than_one_row_of_points_is_read_up_to_its_end():
-    points = np.arange(12.0).reshape(4, 3)
-    msg = cloud(points)
-    msg.data = np.concatenate([msg.data, np.zeros(60, np.uint8)])
-    np.testing.assert_array_equal(points_from_cloud(msg), points)
-    assert "108 bytes of data" in layout_note(msg)
-
-
-def test_zero_points_are_an_empty_scan():
-    assert points_from_cloud(cloud(np.empty((0, 3)))).shape == (0, 3)
-    msg = cloud(np.empty((0, 3)))
-    msg.fields = []
-    assert points_from_cloud(msg).shape == (0, 3)
 
 
 def broken(part=lambda msg: msg, **changes):
@@ -173,6 +127,7 @@ def broken_field(**changes):
         (broken(width=2**32 - 1, height=2**32 - 1), "too_large"),
         (broken(width=2**16, height=2**16), "too_large"),
         (broken(data=b""), "size"),
+        (broken(data=[]), "size"),
         (broken(data=b"abc"), "size"),
         (broken(data=None), "size"),
         (broken(data=[0, 300] * 72), "size"),
@@ -203,11 +158,6 @@ def test_the_wrong_byte_order_is_noticed():
     assert reason_of(msg) == "absurd"
 
 
-def test_angles_in_degrees_are_noticed():
-    measured = np.column_stack([np.full(50, 10.0), np.linspace(-60, 60, 50), np.full(50, 30.0)])
-    assert reason_of(cloud(measured, names=("range", "azimuth", "elevation"))) == "units"
-
-
 @given(st.integers(-(2**31), 2**31 - 1), st.integers(0, 10**9 - 1))
 def test_stamps_are_exact(seconds, nanoseconds):
     head = header()
@@ -221,3 +171,8 @@ def test_a_stamp_with_more_than_a_second_of_nanoseconds_is_refused():
     with pytest.raises(MessageError) as caught:
         stamp_ns(head)
     assert caught.value.reason == "stamp"
+
+
+def test_angles_in_degrees_are_noticed():
+    measured = np.column_stack([np.full(50, 10.0), np.linspace(-60, 60, 50), np.full(50, 30.0)])
+    assert reason_of(cloud(measured, names=("range", "azimuth", "elevation"))) == "units"

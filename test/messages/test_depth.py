@@ -47,13 +47,6 @@ def test_millimetres_and_metres_are_the_same_points():
         np.testing.assert_allclose(camera().points(floats), points, atol=1e-5)
 
 
-def test_every_so_manieth_pixel_is_taken_with_its_own_ray(monkeypatch):
-    monkeypatch.setattr(depth, "COLUMNS", W // 4)
-    z, points = plane()
-    few = camera().points(MAKE.depth(1, z))
-    np.testing.assert_allclose(few, points[2::4, 2::4], atol=7e-4)
-
-
 @pytest.mark.parametrize("step", [1, 2])
 def test_pixels_between_near_and_far_are_dropped_and_counted(monkeypatch, step):
     monkeypatch.setattr(depth, "COLUMNS", W // step)

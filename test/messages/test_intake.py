@@ -10,7 +10,7 @@ from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.errors import one_line
-from quadtree_lss.onboard.messages.intake import Intake, noise_notice
+from quadtree_lss.onboard.messages.intake import Intake
 from quadtree_lss.onboard.messages.lost_points import unused_points_text
 
 MS = 1_000_000
@@ -74,17 +74,6 @@ def test_scans_without_a_pose_are_given_up_and_those_behind_them_come():
     intake.on_cloud(scan(9000), 0)
     intake.finish()
     assert intake.dropped == {"no_pose": 2} and len(intake.notices()) == 1
-
-
-@pytest.mark.parametrize(
-    ("ratio", "effect"), [(1.0, ""), (1.3, ""), (3.0, "too many"), (0.2, "too few"), (np.nan, "")]
-)
-def test_a_wrong_range_noise_is_told(ratio, effect):
-    """Only too large a scatter may be the ground's."""
-    notice = noise_notice(ratio, CONFIG)
-    assert (notice is not None) == bool(effect)
-    assert notice is None or effect in notice.text
-    assert notice is None or ("rough ground" in notice.text) == (ratio > 1.0)
 
 
 def unused(points, **values):

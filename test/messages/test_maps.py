@@ -6,15 +6,15 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from core.builders import assert_same, configured, mapped, upward_normals
+from core.builders import assert_same, configured, mapped
+from fuzz.cases import Types
 
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.geometry import rotations
 from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages import maps
 from quadtree_lss.onboard.messages.clouds import MessageError
+from quadtree_lss.onboard.messages.outputs import GRID_TYPE, TOPIC_TYPES, MessageMaker
 
 EXACT = ("level", "ix", "iy", "z", "normal", "count", "measured", "observed", "known")
 EXACT += ("low", "high")
@@ -61,28 +61,6 @@ def test_a_round_trip_is_what_a_subscriber_decodes(cells):
     given = maps.encode_cells(cells), cells.observed, cells.domain.xmin, cells.domain.ymin
     received = maps.decode_cells(*given, cells.stamp_ns, known=cells.known)
     assert_same(maps.round_trip(cells), received)
-
-
-@pytest.mark.parametrize("level", [0, 3])
-def test_maps_of_nothing_and_of_one_level_survive(level):
-    config = configured(domain={"min_level": level, "max_level": level})
-    one = mapped(config, lambda x, y: 0.1 * x, density=5.0, scans=1).snapshot()
-    for map_ in (one, Mapper(config).snapshot()):
-        assert_same(decoded(maps.encode_cells(map_), map_), maps.round_trip(map_))
-
-
-def test_records_are_packed_little_endian_with_x_y_z_first():
-    kind = maps.CELL_FIELDS
-    assert kind.names[:3] == ("x", "y", "z")
-    assert kind.itemsize == sum(kind[name].itemsize for name in kind.names)
-    assert all(kind[name].str[0] in "<|" for name in kind.names)
-
-
-def test_x_y_z_show_the_cells_centre(cells):
-    records = maps.encode_cells(cells)
-    np.testing.assert_allclose(records["x"], cells.x, rtol=1e-6)
-    np.testing.assert_allclose(records["y"], cells.y, rtol=1e-6)
-    np.testing.assert_array_equal(records["z"], cells.z.astype(np.float32))
 
 
 def on_one_place(records):
@@ -178,6 +156,25 @@ def test_site_table_and_grids(cells):
     np.testing.assert_array_equal(observed == -1, ~cells.observed)
 
 
+def test_cells_of_the_landing_grids_lie_about_the_grid_points(cells):
+    """An occupancy grid's origin is the corner of its first cell, a grid map's its middle."""
+    config = configured(domain={"xmin": -7.3, "ymin": 102.4}, vehicle={"diameter": 2.0})
+    found, maker = LandingSiteSelector(config).assess(cells), MessageMaker(Types(), list, "map")
+    grids = [m.info for topic, m in maker.of_ground(found) if TOPIC_TYPES[topic] == GRID_TYPE]
+    assert len(grids) == 3
+    for info in grids:
+        corner, step = info.origin.position, info.resolution
+        x = corner.x + step * (np.arange(info.width) + 0.5)
+        y = corner.y + step * (np.arange(info.height) + 0.5)
+        np.testing.assert_allclose(x, found.x)
+        np.testing.assert_allclose(y, found.y)
+    info = maker.grid_map(found).info
+    for axis in "xy":
+        ends, length = getattr(found, axis)[[0, -1]], getattr(info, f"length_{axis}")
+        assert getattr(info.pose.position, axis) == pytest.approx(ends.mean())
+        assert length == pytest.approx(np.ptp(ends) + info.resolution)
+
+
 @pytest.mark.parametrize(
     ("low", "high"), [(2.0, 1.0), (np.inf, np.nan), (np.nan, -np.inf), (-1e8, 1.0)]
 )
@@ -198,24 +195,6 @@ def test_unseen_ground_may_be_hazardous_too(cells):
     assert values.tolist() == [[0, 100, -1, 100, -1, 100, -1, 100]]
 
 
-def test_score_of_no_safe_ground_is_all_excluded():
-    assessment = LandingSiteSelector(configured()).assess(Mapper(configured()).snapshot())
-    assert (maps.encode_score(assessment) == 100).all()
-    assert (maps.encode_hazards(assessment) == -1).all()
-    assert len(maps.encode_sites(assessment)) == 0
-
-
-def test_site_orientations_take_z_to_the_normal_and_x_into_the_xz_plane():
-    normals = np.vstack([upward_normals(np.random.default_rng(1), 50, 1.5), [[0.0, 0.0, 1.0]]])
-    turned = rotations.rotation_from_quaternion(maps.site_orientations(normals))
-    np.testing.assert_allclose(turned[:, :, 2], normals, atol=1e-12)
-    np.testing.assert_allclose(turned[:, 1, 0], 0.0, atol=1e-12)
-    assert (turned[:, 0, 0] > 0.0).all()
-    np.testing.assert_allclose(np.linalg.det(turned), 1.0, atol=1e-12)
-    np.testing.assert_allclose(maps.site_orientations(normals[-1:]), [[0, 0, 0, 1]], atol=1e-12)
-    assert maps.site_orientations(np.zeros((0, 3))).shape == (0, 4)
-
-
 def test_a_map_of_another_scale_is_refused_before_anything_is_made_of_it(cells):
     """Well-formed, but 12 km wide: landing sites on it would take 24,000 grid points a side."""
     records = maps.encode_cells(cells)
@@ -227,13 +206,3 @@ def test_a_map_of_another_scale_is_refused_before_anything_is_made_of_it(cells):
     tracemalloc.stop()
     assert caught.value.reason == "too_large"
     assert maps.decode_cells(records, cells.observed, 0.0, 0.0, 1).domain.size == 12_000.0
-
-
-def test_a_map_of_too_many_finest_cells_is_refused():
-    n = 1 << 12
-    records = np.zeros(1, dtype=maps.CELL_FIELDS)
-    records["size"] = 100.0
-    observed = np.broadcast_to(np.zeros((), dtype=bool), (n, n))
-    with pytest.raises(maps.MessageError, match="the most") as caught:
-        maps.decode_cells(records, observed, 0.0, 0.0, 1)
-    assert caught.value.reason == "too_large"

@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses of the body and the lidar's mount on it give the poses of the lidar."""
 
-import re
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from messages import samples
 from messages.samples import cloud, pose
 
-from quadtree_lss.onboard.config.settings import ConfigError, MountConfig, config_from_values
+from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.geometry.rotations import exp, quaternion_from_rotation
-from quadtree_lss.onboard.core.sensing.mount import fixed_mount
 from quadtree_lss.onboard.messages.intake import Intake
 
 MS = 1_000_000
@@ -24,19 +21,6 @@ def scan(stamp_ms):
 def transform(stamp_ms, translation, rotation, *frames):
     turn = quaternion_from_rotation(rotation)
     return samples.transform(stamp_ms * MS, translation, turn, *frames)
-
-
-def test_without_parameters_poses_are_the_lidars():
-    assert fixed_mount(MountConfig()) is None
-    assert fixed_mount(MountConfig(source="gimbal")) is None
-
-
-def test_roll_pitch_yaw_turn_about_fixed_axes_in_that_order():
-    mount = fixed_mount(MountConfig(roll_deg=90.0, yaw_deg=90.0))
-    np.testing.assert_allclose(mount.rotation_map_lidar @ [1.0, 0.0, 0.0], [0, 1, 0], atol=1e-15)
-    np.testing.assert_allclose(mount.rotation_map_lidar @ [0.0, 1.0, 0.0], [0, 0, 1], atol=1e-15)
-    mount = fixed_mount(MountConfig(pitch_deg=90.0))
-    np.testing.assert_allclose(mount.rotation_map_lidar @ [0.0, 0.0, 1.0], [1, 0, 0], atol=1e-15)
 
 
 def test_a_lever_arm_turns_attitude_into_position_covariance():
@@ -94,20 +78,6 @@ def test_a_scan_without_gimbal_is_told_as_such():
     (notice,) = intake.notices()
     assert notice.reason == "no_pose" and "'nav/pose'" in notice.text
     assert intake.dropped == {"gimbal_no_pose": 2, "no_pose": 1}
-
-
-@pytest.mark.parametrize(
-    ("axes", "rpy"), [("flu_to_optical", (90, -90, 0)), ("optical_to_flu", (-90, 0, -90))]
-)
-def test_axes_have_names_for_the_usual_turns(axes, rpy):
-    """A cloud's x, y, z are forward, left, up, or right, down, forward."""
-    roll, pitch, yaw = rpy
-    named = fixed_mount(MountConfig(axes=axes)).rotation_map_lidar
-    turned = fixed_mount(MountConfig(roll_deg=roll, pitch_deg=pitch, yaw_deg=yaw))
-    np.testing.assert_allclose(named, turned.rotation_map_lidar, atol=1e-15)
-    forward, left, up = np.eye(3)
-    optical = np.array([-left, -up, forward])  # right, down, forward
-    np.testing.assert_array_equal(named, optical if axes == "flu_to_optical" else optical.T)
 
 
 def test_axes_turn_the_cloud_under_every_mount():
@@ -176,36 +146,6 @@ def test_a_scan_without_a_chain_says_which_frames_were_heard_of():
         assert word in notice.text
 
 
-def test_a_damaged_transform_is_counted_and_the_others_hold():
-    intake = tf_intake()
-    intake.on_pose(pose(0, (0.0, 0.0, 30.0)))
-    intake.on_cloud(scan(0), 0)
-    wrong = ("base_link", "imu", (np.nan, 0.0, 0.0), np.eye(3))
-    intake.on_transforms(chain(wrong, ("base_link", "lidar", (1.0, 0.0, 0.0), np.eye(3))))
-    (ready,) = intake.ready(0)
-    np.testing.assert_allclose(ready.pose.position, [1.0, 0.0, 30.0])
-    assert intake.rejected == {"transform_position": 1}
-
-
-def test_frames_in_a_loop_end():
-    intake = tf_intake()
-    turn = ((0.0, 0.0, 0.0), np.eye(3))
-    intake.on_transforms(chain(("a", "base_link", *turn), ("b", "a", *turn), ("a", "b", *turn)))
-    intake.on_pose(pose(0, (0.0, 0.0, 30.0)))
-    intake.on_cloud(scan(0), 0)
-    assert not intake.ready(0)
-
-
-def test_a_second_lidar_on_the_topic_is_refused_with_tf_alone():
-    for intake, taken in ((tf_intake(), 1), (Intake(config_from_values({})), 2)):
-        for stamp_ms, frame in ((0, "lidar"), (10, "other")):
-            message = scan(stamp_ms)
-            message.header.frame_id = frame
-            intake.on_cloud(message, 0)
-        assert intake.scans == taken
-        assert intake.rejected.get("cloud_frame", 0) == 2 - taken
-
-
 def odometry(stamp_ms, child, position=(0.0, 0.0, 30.0)):
     message = pose(stamp_ms * MS, position)
     message.child_frame_id = child
@@ -221,42 +161,3 @@ def test_odometry_is_taken_for_its_child_frame():
         assert intake.poses_taken == 1 and intake.rejected == {"pose_child_frame": 1}
         (notice,) = intake.notices()
         assert "'wheel'" in notice.text and f"'{good}'" in notice.text
-
-
-def test_names_of_frames_are_shown_as_80_characters():
-    """Of a child frame, of a transform, of a scan, and of the frames that were heard of."""
-    intake = Intake(config_from_values({"mount.source": "tf", "frames.body": "b" * 81}))
-    intake.on_pose(odometry(0, "c" * 900))
-    for k in range(2):
-        intake.on_pose(odometry(k, "b" * 81))
-    intake.on_transforms(chain(("d" * 900, "e" * 81, (1.0, 0.0, 0.0), np.eye(3))))
-    intake.on_transforms(chain(("f" * 1001, "g", (1.0, 0.0, 0.0), np.eye(3))))
-    message = scan(0)
-    message.header.frame_id = "h" * 900
-    intake.on_cloud(message, 0)
-    intake.finish()
-    told = " ".join(notice.text for notice in intake.notices())
-    runs = {letter: max(map(len, re.findall(f"{letter}+", told))) for letter in "bcdefh"}
-    assert runs == dict.fromkeys("bcdefh", 80), told
-
-
-def test_a_mount_from_tf_begins_at_the_odometrys_child_frame():
-    intake = Intake(config_from_values({"mount.source": "tf"}))
-    intake.on_transforms(chain(("base_link", "lidar", (1.0, 0.0, 0.0), np.eye(3))))
-    intake.on_cloud(scan(0), 0)
-    intake.on_pose(odometry(0, "base_link"))
-    (ready,) = intake.ready(0)
-    np.testing.assert_allclose(ready.pose.position, [1.0, 0.0, 30.0])
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"mount.source": "tf", "mount.x": 1.0},
-        {"mount.source": "gimbal", "mount.pitch_deg": 1.0},
-        {"mount.axes": "ned"},
-    ],
-)
-def test_two_sources_of_a_mount_contradict(values):
-    with pytest.raises(ConfigError, match=r"mount\."):
-        config_from_values(values)

@@ -44,30 +44,6 @@ def test_each_drivers_times_are_known(driver, order):
     np.testing.assert_allclose(span, (min(shift * 1e9, 0.0), (0.0999 + shift) * 1e9), atol=error)
 
 
-def test_a_clock_that_began_with_the_simulation_is_taken_for_what_it_is():
-    for name, values in (("timestamp", 0.3 + OFFSETS), ("time", OFFSETS)):
-        msg = cloud(np.ones((64, 3)), times=(name, "f8", values))
-        offsets, *_ = offsets_from_cloud(msg, 300_000_000, points_from_cloud(msg))
-        np.testing.assert_allclose(offsets, OFFSETS * 1e9, atol=1.0)
-
-
-@pytest.mark.parametrize("value", [0.0, 0.05])
-def test_one_time_for_all_says_no_more_than_the_stamp(value):
-    msg = cloud(np.ones((8, 3)), times=("time", "f4", np.full(8, value)))
-    assert offsets_from_cloud(msg, STAMP, points_from_cloud(msg)) is None
-    assert offsets_from_cloud(cloud(np.ones((8, 3))), STAMP, np.ones((8, 3))) is None
-
-
-def test_times_of_no_returns_do_not_matter():
-    points = np.ones((64, 3))
-    points[10] = np.nan
-    times = OFFSETS.copy()
-    times[10] = np.nan
-    msg = cloud(points, times=("time", "f4", times))
-    offsets, *_ = offsets_from_cloud(msg, STAMP, points_from_cloud(msg))
-    np.testing.assert_allclose(np.delete(offsets, 10), np.delete(OFFSETS, 10) * 1e9, atol=8)
-
-
 UNREASONABLE = {
     "not finite": ("time", "f4", np.where(OFFSETS > 0.05, np.nan, OFFSETS)),
     "longer than a second": ("t", "u4", OFFSETS * 20e9),
@@ -141,18 +117,6 @@ def test_unreasonable_times_are_told_and_the_scan_is_taken_as_of_one_time(how):
     (notice,) = intake.notices()
     assert notice.reason == "times_unreasonable" and "\n" not in notice.text
     assert intake.rejected == {"times_unreasonable": 1} and not intake.dropped
-
-
-@pytest.mark.parametrize(
-    ("name", "change", "reason"),
-    [("datatype", 2, "type"), ("count", 3, "layout"), ("offset", 14, "layout")],
-)
-def test_a_field_of_times_that_cannot_be_read_has_a_reason(name, change, reason):
-    msg = cloud(np.ones((64, 3)), times=("time", "f4", OFFSETS))
-    setattr(msg.fields[3], name, change)
-    with pytest.raises(MessageError) as caught:
-        offsets_from_cloud(msg, STAMP, points_from_cloud(msg))
-    assert caught.value.reason == reason
 
 
 VELOCITY = np.array([12.0, -5.0, -3.0])
@@ -287,16 +251,3 @@ def test_a_cloud_as_its_driver_sends_it_is_read_without_a_setting(driver):
     assert cells.normal[ground, 2].min() > np.cos(0.01)
     top = known & (away < 0.4) & (cells.size < 0.6)
     assert cells.z[top].max() == pytest.approx(ROCK[1], abs=0.1)
-
-
-def test_a_flash_with_a_time_for_each_point_gives_the_same_bits_as_without():
-    points, _ = scan_lines(0.05)
-    maps = []
-    for times in (None, ("t", "u4", np.zeros(len(points)))):
-        intake = Intake(config_from_values({}))
-        intake.on_pose(pose(STAMP, position(0.05), rotation(0.05).as_quat(), 1e-9 * np.eye(6)))
-        intake.on_cloud(cloud(points, stamp_ns=STAMP, times=times), 0)
-        (ready,) = intake.ready(0)
-        maps.append(mapped(ready)[0])
-    np.testing.assert_array_equal(maps[0].z, maps[1].z)
-    np.testing.assert_array_equal(maps[0].normal, maps[1].normal)

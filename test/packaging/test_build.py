@@ -75,6 +75,7 @@ def test_a_binary_of_other_sources_is_refused_in_one_line(copy):
         assert code == IMPORT or len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_without_binaries_nothing_is_imported(copy):
     for binary in copy.rglob("*.so"):
         binary.unlink()

@@ -2,7 +2,6 @@
 """What the launch file builds of its arguments, told by a small stand-in for `launch`."""
 
 import re
-import runpy
 import sys
 from contextlib import nullcontext
 from itertools import pairwise
@@ -184,25 +183,6 @@ def test_it_fails_at_once_if_nothing_goes_on(exits):
             tell("mapping_node", code)
 
 
-def test_a_launch_whose_nodes_ended_otherwise_does_not_fail(exits):
-    tell = exits()
-    for name in ("mapping_node", "lss_node"):
-        assert tell(name, 0, ending=True) == []
-
-
-def test_log_level_namespace_and_respawn(make):
-    nodes, _ = make(log_level="debug", namespace="lander", respawn="false")
-    for node in nodes.values():
-        assert node.ros_arguments == ["--log-level", "debug"]
-        assert node.namespace == "lander" and node.respawn is False
-
-
-def test_each_node_has_an_enclave_of_its_own_if_asked_for(make):
-    nodes, _ = make(enclave="/quadtree_lss/")
-    for name, node in nodes.items():
-        assert node.ros_arguments == ["--enclave", f"/quadtree_lss/{name}"]
-
-
 @pytest.mark.parametrize(("code", "final"), [(0, False), (1, False), (-9, False), (2, True)])
 def test_a_wrong_configuration_is_not_tried_again(make, code, final):
     nodes, others = make()
@@ -221,14 +201,3 @@ def test_a_wrong_configuration_is_not_tried_again(make, code, final):
 def test_the_nodes_exit_code_for_a_wrong_configuration_is_among_the_final_ones(make):
     node_runner = pytest.importorskip("quadtree_lss.onboard.nodes.node_runner")
     test_a_wrong_configuration_is_not_tried_again(make, node_runner.WRONG_CONFIGURATION, True)
-
-
-def test_a_real_launch_understands_it():
-    """Where ROS itself is installed; the wheels have no launch."""
-    launch = pytest.importorskip("launch")
-    actions = pytest.importorskip("launch_ros.actions")
-    description = runpy.run_path(str(LAUNCH))["generate_launch_description"]()
-    context = launch.LaunchContext()
-    entities = [made for item in description.entities for made in item.visit(context) or []]
-    nodes = [entity for entity in entities if isinstance(entity, actions.Node)]
-    assert {node.node_executable for node in nodes} == {"mapping_node", "lss_node"}

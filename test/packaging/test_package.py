@@ -4,22 +4,18 @@
 import ast
 import importlib.metadata
 import importlib.util
-import json
 import os
 import re
 import stat
 import subprocess
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
-from typing import Any
 
 import pytest
 from installed import PREFIX, SHARE
 
-from quadtree_lss.desk.bags.topics import SCAN_TOPIC
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.messages import outputs
-from quadtree_lss.onboard.messages.landing_inputs import POINT_TYPE, TYPES
 from quadtree_lss.onboard.messages.maps import CELL_FIELDS, SITE_FIELDS, STATUS_FIELDS
 
 ROOT = Path(__file__).parents[2]
@@ -105,42 +101,6 @@ def _imports(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             names.add(node.module.split(".")[0])
     return names
-
-
-def test_the_foxglove_layout_shows_topics_and_fields_that_there_are():
-    layout = json.loads((SHARE / "foxglove" / "quadtree_lss.json").read_text(encoding="utf-8"))
-    panels = layout["configById"]
-
-    def shown(part: str | dict[str, Any]) -> set[str]:
-        return {part} if isinstance(part, str) else shown(part["first"]) | shown(part["second"])
-
-    assert shown(layout["layout"]) == set(panels)
-    nodes = "".join(p.read_text() for p in (ROOT / "quadtree_lss/onboard/nodes").glob("*_node.py"))
-    markers = re.findall(r'advertise\(self, MarkerArray, "([\w/]+)"', nodes)
-    kinds = {**outputs.TOPIC_TYPES, SCAN_TOPIC[1:]: outputs.CLOUD_TYPE}
-    kinds |= dict.fromkeys(markers, "visualization_msgs/msg/MarkerArray")
-    kinds = {f"/{name}": kind for name, kind in kinds.items()}
-    fields = {"/map/cells": CELL_FIELDS.names, SCAN_TOPIC: ("x", "y", "z")}
-    topics = {topic: view for p in panels.values() for topic, view in p.get("topics", {}).items()}
-    hidden = {f"/{outputs.SITE_TABLE}", f"/{outputs.STATUS}"}
-    assert len(markers) == 2 and set(topics) == set(kinds) - hidden
-    for topic, about in topics.items():
-        needs = dict.fromkeys(("costmap", "map", "custom"), outputs.GRID_TYPE)
-        needs["colormap"] = outputs.CLOUD_TYPE
-        assert needs.get(about.get("colorMode"), kinds[topic]) == kinds[topic], topic
-        of_poses = kinds[topic] in (outputs.POSES_TYPE, outputs.SELECTED_TYPE)
-        assert "type" not in about or of_poses, topic
-        assert "colorField" not in about or about["colorField"] in fields[topic], topic
-    wishes = {f"/landing/{name}": kind for name, kind in TYPES.items()}
-    for panel in panels.values():
-        assert panel.get("followTf", "map") == load_config([]).frames.map
-        if "publish" in panel:
-            where, kind = panel["publish"]["pointTopic"], panel["publish"]["type"]
-            assert (kind, wishes[where]) == ("point", POINT_TYPE)
-        if "topicPath" in panel:  # fields of the message follow
-            topic, *path = panel["topicPath"].split(".")
-            assert topic in kinds and not path
-        assert panel.get("topicToRender", "/diagnostics") == "/diagnostics"
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "config").glob("*.yaml")), ids=lambda p: p.name)

@@ -2,21 +2,14 @@
 """Bags of every kind and state give the same messages, as far as they are there."""
 
 import contextlib
-import json
-import os
-import shutil
 import sqlite3
 import struct
 from functools import partial
 
 import pytest
-from replay import recordings
 from replay.recordings import (
     CLOUD,
-    GROUND,
     POSE,
-    SECOND,
-    START,
     flight,
     recording,
     storage_file,
@@ -26,8 +19,6 @@ from replay.recordings import (
 from quadtree_lss.desk.bags.bag import Bag, BagError
 from quadtree_lss.desk.bags.compression import zstd
 from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC, choose_topic
-from quadtree_lss.desk.replay.replay import replay as run_replay
-from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.messages.clouds import MessageError, points_from_cloud, stamp_ns
 from quadtree_lss.onboard.messages.poses import pose_from_message
 
@@ -35,7 +26,6 @@ END = struct.pack("<BQ", 15, 4)
 """The record that ends the data of an mcap file."""
 TOPICS = {SCAN_TOPIC: CLOUD, POSE_TOPIC: POSE}
 SCANS = 10
-CONFIG = config_from_values({**GROUND, "domain.max_level": 5})
 KINDS = [
     ("bag", {"plugin": plugin, "compression": compression}, single)
     for plugin in ("mcap", "sqlite3")
@@ -146,21 +136,6 @@ def test_ros1_messages_and_big_endian_ones_in_mcap_are_decoded(tmp_path, referen
     assert content(path) == (reference[1], [])
 
 
-def test_json_in_mcap_is_named_with_a_remedy(tmp_path):
-    path = of_encoding(tmp_path / "bag", "json", lambda *_: b"{}")
-    with pytest.raises(BagError, match="as json.* convert to ROS 2 messages"):
-        run_replay(path, None, CONFIG)
-
-
-def test_types_that_are_not_read_are_named_with_a_remedy(tmp_path):
-    kind = "geometry_msgs/msg/PoseStamped"
-    with recording(tmp_path / "bag") as recorder:
-        flight(recorder, pose_topics=())
-        recorder.write_raw("/pose", bytes(80), kind, START)
-    with pytest.raises(BagError, match="/pose: copy PoseStamped into PoseWithCovarianceStamped"):
-        run_replay(tmp_path / "bag", None, CONFIG)
-
-
 def test_times_are_in_bag_order_and_may_be_limited(reference):
     path, found = reference
     times = [entry[1] for entry in found]
@@ -170,38 +145,6 @@ def test_times_are_in_bag_order_and_may_be_limited(reference):
     assert part == [entry for entry in found if first <= entry[1] < last]
     with Bag(path) as bag:
         assert (bag.start_ns, bag.end_ns) == (times[0], times[-1])
-
-
-def test_files_of_a_recording_that_was_cut_off_come_in_the_order_of_their_numbers(tmp_path):
-    (tmp_path / "split").mkdir()
-    for number in range(11):
-        with recording(tmp_path / "part") as recorder:
-            stamp = START + number * SECOND
-            recorder.write("/nav/pose", recorder.pose(stamp, (0.0, 0.0, 50.0)), POSE, stamp)
-        storage_file(tmp_path / "part").rename(tmp_path / "split" / f"split_{number}.mcap")
-        shutil.rmtree(tmp_path / "part")
-    found, _ = content(tmp_path / "split")
-    assert [entry[1] for entry in found] == [START + k * SECOND for k in range(11)]
-
-
-def test_what_stands_in_the_write_ahead_log_of_a_killed_recorder_is_read(
-    tmp_path, reference, monkeypatch
-):
-    file = storage_file(write_ros2(tmp_path / "bag", plugin="sqlite3"))
-    with contextlib.closing(sqlite3.connect(file)) as database:
-        database.execute("PRAGMA journal_mode = WAL")
-        database.execute("PRAGMA wal_autocheckpoint = 0")
-        rows = database.execute("SELECT * FROM messages").fetchall()
-        database.execute("DELETE FROM messages")
-        database.commit()
-        database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-        database.executemany(f"INSERT INTO messages VALUES ({'?, ' * 3}?)", rows)
-        database.commit()
-        shutil.copytree(tmp_path / "bag", tmp_path / "killed")
-    assert content(tmp_path / "killed") == (reference[1], [])
-    monkeypatch.setattr(os, "access", lambda *_: False)
-    with pytest.raises(BagError, match="-wal is not read"):
-        content(tmp_path / "killed")
 
 
 TRUNCATED = [("bag", {}, share) for share in (0.3, 0.6, 0.95)]
@@ -251,14 +194,6 @@ def test_files_that_are_no_bags_give_one_line(tmp_path, suffix, junk):
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_an_empty_directory_and_one_with_missing_files(tmp_path):
-    path = write_ros2(tmp_path / "bag")
-    storage_file(path).unlink()
-    for folder in (tmp_path, path):
-        with pytest.raises(BagError, match="no bag"), Bag(folder):
-            pass
-
-
 def test_bytes_that_are_no_message_give_a_message_error(reference):
     path, _ = reference
     with Bag(path) as bag:
@@ -284,54 +219,3 @@ def test_topics_are_found_by_name_then_by_type_else_listed(tmp_path, scans, aske
         else:
             expected = scans[0] if asked is None else "/camera/points"
             assert choose_topic(bag, asked, SCAN_TOPIC, "--scan-topic") == expected
-
-
-@pytest.mark.parametrize("plugin", ["mcap", "sqlite3"])
-@pytest.mark.parametrize("listed", [True, False])
-@pytest.mark.parametrize("by_topic", [True, False])
-def test_a_bag_split_into_several_files(tmp_path, plugin, listed, by_topic):
-    folder, parts = tmp_path / "split", [tmp_path / "part0", tmp_path / "part1"]
-    with recording(parts[0], plugin=plugin) as one, recording(parts[1], plugin=plugin) as two:
-        writers, plain = (one.write_raw, two.write_raw), one.write
-
-        def write(topic, message, kind, at):
-            later = topic == POSE_TOPIC if by_topic else at > START + SECOND
-            one.write_raw = writers[later]
-            plain(topic, message, kind, at)
-
-        one.write = write
-        flight(one, scans=30)
-    folder.mkdir()
-    files = [storage_file(path) for path in parts]
-    names = [file.rename(folder / file.name).name for file in files]
-    if listed:
-        information = {"rosbag2_bagfile_information": {"relative_file_paths": names}}
-        (folder / "metadata.yaml").write_text(json.dumps(information))
-    found, losses = content(folder)
-    assert (
-        not losses and found == content(write_ros2(tmp_path / "flight", plugin=plugin, scans=30))[0]
-    )
-
-
-@pytest.mark.parametrize(("start", "later"), [(0, 0), (3 * SECOND, 0), (START, 10**17)])
-def test_stamps_of_1970_and_bags_received_long_after_their_stamps(
-    tmp_path, monkeypatch, start, later
-):
-    """Old data recorded again: stamps and times of reception have nothing to do with each other."""
-    monkeypatch.setattr(recordings, "START", start)
-    with recording(tmp_path / "bag") as recorder:
-        plain = recorder.write
-        recorder.write = lambda topic, msg, kind, at: plain(topic, msg, kind, at + later)
-        flight(recorder)
-    result = run_replay(tmp_path / "bag", None, CONFIG)
-    assert result.summary["scans"] == 10 and not result.losses
-
-
-def test_a_map_without_its_other_half(tmp_path):
-    bag = write_ros2(tmp_path / "flight")
-    run_replay(bag, None, CONFIG, record=tmp_path / "products")
-    with Bag(tmp_path / "products") as products, recording(tmp_path / "half") as recorder:
-        for topic, received_ns, raw in products.messages(["/map/cells"]):
-            recorder.write_raw(topic, raw, CLOUD, received_ns)
-    with pytest.raises(BagError, match="no messages of type"):
-        run_replay(tmp_path / "half", None, CONFIG)

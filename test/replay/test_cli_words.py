@@ -1,16 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the command line says: what was likely meant, all errors at once."""
 
-import io
 import json
-import shutil
-import subprocess
-import sys
 
-import pytest
 from replay.test_cli import FAST, run
-
-from quadtree_lss.cli import main
 
 
 def test_words_that_are_not_known_are_named(capsys):
@@ -51,26 +44,3 @@ def test_quiet_json_is_json_alone(bag, tmp_path, capsys):
     assert "warning" in run(capsys, *arguments)[2]
     code, out, err = run(capsys, *arguments, "-q", "-v")
     assert code == 0 and err == "" and json.loads(out)["scans"] == 6
-
-
-def test_what_a_terminal_cannot_show_is_no_error(bag, tmp_path, monkeypatch):
-    odd = tmp_path / "caf\udce9"  # a name that is no UTF-8
-    shutil.copytree(bag, odd)
-    shown = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
-    monkeypatch.setattr(sys, "stdout", shown)
-    report = [name for name in FAST if name != "--no-report"]
-    assert main(["replay", str(odd), "--out", str(odd / "out"), *report]) == 0
-    assert main(["view", str(odd / "out"), "--no-open"]) == 0 and main(["info", str(odd)]) == 0
-    assert rb"caf\udce9/out/report.html" in shown.buffer.getvalue()
-    assert "caf?" in (odd / "out" / "report.html").read_text("utf-8")
-
-
-@pytest.mark.parametrize("closed", ["{} >&-", "{} 2>&-", "{} >/dev/full", "{} --json >/dev/full"])
-def test_output_that_is_closed_or_full_is_no_traceback(tmp_path, closed, monkeypatch):
-    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)  # it would leave nothing for the end
-    program = f"{sys.executable} -m quadtree_lss.cli config explain lss"
-    done = subprocess.run(
-        closed.format(program), shell=True, cwd=tmp_path, capture_output=True, text=True
-    )
-    full = "full" in closed
-    assert done.returncode == full and done.stderr.count("\n") == full

@@ -6,13 +6,14 @@ import json
 import numpy as np
 import pytest
 from replay.test_cli import run
-from scipy.ndimage import gaussian_filter
 
 from quadtree_lss.desk.exchange.dem import ElevationModel
-from quadtree_lss.desk.exchange.saved import ResultsError, load_results
+from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.differences import compare_results
 from quadtree_lss.desk.replay.elevation_model import rank_sites
+
+pytestmark = pytest.mark.xdist_group("compare")  # its flight is made once
 
 VALUES = {"lss.grid_spacing": 0.5, "lidar.range_noise": 0.02, "lss.sites": 3}
 VALUES |= {"lss.assessment": "touchdown"}
@@ -57,42 +58,6 @@ def test_a_boulder_and_a_rise_are_found(before, tmp_path):
     assert lost.rank == 1 and lost.elsewhere.startswith("not allowed in the second (")
     assert len(found.sites_gained) == len(found.sites_lost) == 3 - len(found.sites_kept)
     assert found.sites_gained[0].elsewhere == "allowed in the first, but others rank before it"
-
-
-def test_two_grounds_are_not_compared_as_one(before, tmp_path, capsys):
-    """Level ground is the same whatever its noise; the shape of another is not."""
-    other = ground()
-    away = np.random.default_rng(7105).permutation(other.elevation.ravel())
-    shape = gaussian_filter(away.reshape(other.elevation.shape), 4.0) * 40.0
-    rank_sites(ElevationModel(other.x, other.y, shape), tmp_path / "b", CONFIG, report=False)
-    code, out, err = run(capsys, "compare", before, tmp_path / "b", "--json")
-    assert code == 1 and json.loads(out)["same_ground"] is False and "not of the same" in err
-    flat = ElevationModel(other.x, other.y, 0.01 * away.reshape(shape.shape))
-    rank_sites(flat, tmp_path / "flat", CONFIG, report=False)
-    level = ElevationModel(other.x, other.y, 0.0 * shape)
-    rank_sites(level, tmp_path / "level", CONFIG, report=False)
-    assert run(capsys, "compare", tmp_path / "flat", tmp_path / "level")[0] == 0
-    assert run(capsys, "compare", before, before)[0] == 0
-
-
-def test_another_grid_and_domain(before, tmp_path):
-    finer = load_config((), {**VALUES, "lss.grid_spacing": 0.25})
-    rank_sites(ground(moved=8.0), tmp_path / "b", finer, report=False)
-    found = compare_results(before, tmp_path / "b")
-    side = 24.0
-    assert found.heights.points * 0.25 == pytest.approx(side**2, rel=0.06)
-    assert found.seen_first == pytest.approx(32.0**2 - side**2, rel=0.06)
-    assert found.seen_second == pytest.approx(32.0**2 - side**2, rel=0.06)
-    places = load_results(before).positions
-    outside = {k for k, (x, y, _) in enumerate(places, start=1) if min(x, y) < 7.75}
-    told = {s.rank for s in found.sites_lost if s.elsewhere == "outside the second's domain"}
-    assert told == outside and outside
-
-
-def test_no_ground_in_common_is_one_line(before, tmp_path):
-    rank_sites(ground(moved=500.0), tmp_path / "b", CONFIG, report=False)
-    with pytest.raises(ResultsError, match="no ground in common"):
-        compare_results(before, tmp_path / "b")
 
 
 def test_the_command_tells_it_in_words(before, tmp_path, capsys):

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from quadtree_lss.desk.commands.config import check_files
 from quadtree_lss.desk.replay.configuration import dump_config, find_config, load_config
-from quadtree_lss.onboard.config.loading import read_values
-from quadtree_lss.onboard.config.settings import Config, ConfigError, config_from_values, parameters
+from quadtree_lss.onboard.config.settings import ConfigError, config_from_values, parameters
 
 SHIPPED = ("default", "morpheus", "parabola", "parabola_fixed", "flight")
 
@@ -43,18 +42,6 @@ def test_shipped_configurations_are_found_by_name_from_anywhere(name, form, tmp_
     assert find_config(form.format(name)).is_file()
     first = ["parabola"] if name == "parabola_fixed" else []
     assert load_config([*first, form.format(name)]).domain.size > 0.0
-
-
-def test_the_fixed_resolution_map_is_section_vi_alone_and_over_it():
-    alone, over = load_config(["parabola_fixed"]), load_config(["parabola", "parabola_fixed"])
-    assert alone == over and alone.lidar.range_noise == 0.08
-    assert alone.domain.min_level == alone.domain.max_level == 6
-
-
-def test_a_file_that_exists_wins_over_a_shipped_name(write, monkeypatch):
-    path = write(section("domain.size: 10.0"), "morpheus.yaml")
-    monkeypatch.chdir(path.parent)
-    assert load_config(["morpheus.yaml"]).domain.size == 10.0
 
 
 def test_later_files_win_and_overrides_win_over_all(write):
@@ -102,19 +89,6 @@ def test_a_file_reaches_a_node_as_ros_has_it(write, name, reaches):
     assert reaches or f"it has '/{name.lstrip('/')}'" in errors[0]
 
 
-def test_namespaces_may_be_nested(write):
-    path = write("uav:\n  mapping_node:\n    ros__parameters:\n      domain.size: 10.0\n")
-    assert load_config([path]).domain.size == 10.0
-
-
-def test_sections_of_other_nodes_and_parameters_of_ros_itself_are_left_alone(write):
-    other = section("rate: 3", node="camera_driver")
-    ours = section("use_sim_time: true", "qos_overrides:", "  /nav/pose: {depth: 3}")
-    path = write(other + ours)
-    assert read_values(path) == {}
-    assert load_config([path]) == Config()
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -137,20 +111,6 @@ def test_each_mistake_gives_one_clear_line(write, text, words):
     found = message(path)
     for word in [str(path), *words]:
         assert word in found
-
-
-def test_missing_and_unreadable_files(tmp_path):
-    assert "shipped: " in message(tmp_path / "unlike.yaml")
-    assert "none" in message("none")
-    binary = tmp_path / "binary.yaml"
-    binary.write_bytes(b"\xff\xfe\x00\x81")
-    assert str(binary) in message(binary)
-
-
-def test_exponents_without_a_point_are_numbers_as_in_ros(write):
-    path = write(section("lidar.range_noise: 5e-2", "lidar.max_range: 1e3"))
-    config = load_config([path])
-    assert (config.lidar.range_noise, config.lidar.max_range) == (0.05, 1000.0)
 
 
 @settings(max_examples=40)

@@ -18,6 +18,8 @@ from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.messages import landing_inputs
 
+pytestmark = pytest.mark.xdist_group("contracts")  # its flight is made once
+
 CONFIGS = "default morpheus parabola parabola_fixed flight drone depth_camera"
 COMMANDS = "replay simulate evaluate fly campaign sites compare export view info doctor config"
 TABLES = {

@@ -5,14 +5,10 @@ import json
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from replay.test_cli import run
 
-from quadtree_lss import plot
 from quadtree_lss.desk.exchange.dem import ElevationModel
-from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.exchange.saved import load_results
-from quadtree_lss.desk.replay import elevation_model
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.elevation_model import cells_of, rank_sites
 from quadtree_lss.desk.report.headline import verdict
@@ -84,14 +80,7 @@ def test_an_area_cuts_the_model_and_a_target_is_near():
     assert found.cells.domain.xmin > 10.0
 
 
-def test_a_large_model_gets_coarser_leaves_and_says_so(monkeypatch):
-    monkeypatch.setattr(elevation_model, "MOST_CELLS", 64)
-    cells, block = cells_of(model(0.1), 0.02)
-    assert block == 3 and cells.domain.finest_size == 0.75
-    np.testing.assert_allclose(cells.at(20.0, 3.3).height, 2.0, atol=1e-9)
-    assert any("3 x 3" in line for line in rank_sites(model(), None, CONFIG).warnings)
-
-
+@pytest.mark.slow
 def test_doubts_are_told_by_the_command_its_files_and_its_page(dem_file, tmp_path, capsys):
     out = tmp_path / "out"
     options = ["--set", "vehicle.max_slope_deg=25", "--set", "lss.grid_spacing=1", "--out", out]
@@ -113,42 +102,3 @@ def test_the_command_writes_results_like_a_replay(dem_file, tmp_path, capsys):
     assert len(results.positions) == 5 and results.map.at(18.0, 20.0).height == pytest.approx(0.0)
     shown = json.loads(run(capsys, "sites", dem_file, *options, "--json", "-q")[1])
     assert len(shown["sites"]) == 5 and shown["posts"] == [161, 121]
-
-
-def test_coarse_posts_are_noted_and_bad_files_are_one_line(tmp_path, capsys):
-    x = 2.0 * np.arange(30)
-    np.savez(tmp_path / "coarse.npz", x=x, y=x, elevation=np.zeros((30, 30)))
-    arguments = ["sites", tmp_path / "coarse.npz", "--out", tmp_path / "out", "--no-report"]
-    code, _, err = run(capsys, *arguments)
-    assert code == 0 and "2 m apart: what is smaller" in err
-    code, _, err = run(capsys, "sites", tmp_path / "none.npz", "--out", tmp_path / "none")
-    assert code == 1 and "no such file" in err and not (tmp_path / "none").exists()
-    code, _, err = run(capsys, "sites", tmp_path, "--out", tmp_path / "none")
-    assert code == 2 and "is no elevation model" in err
-    np.savez(tmp_path / "degrees.npz", x=1e-5 * x, y=1e-5 * x, elevation=np.zeros((30, 30)))
-    code, _, err = run(capsys, "sites", tmp_path / "degrees.npz", "--out", tmp_path / "none")
-    assert code == 1 and "not in degrees" in err
-
-
-@pytest.mark.parametrize(
-    ("x", "shape", "word"), [([0, 1, 2], (4, 4), "belong"), ([0, 1, 5, 6], (4, 4), "equal steps")]
-)
-def test_arrays_that_are_no_elevation_model_are_refused(x, shape, word):
-    with pytest.raises(ExchangeError, match=word):
-        ElevationModel(np.array(x, float), np.arange(4.0), np.zeros(shape))
-
-
-def test_without_a_configuration_and_a_folder_hazards_have_a_legend():
-    result = rank_sites(model())
-    axes = Figure().add_subplot()
-    plot.layer(axes, result.assessment, "hazard")
-    names = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert {"none", "unobserved ground under the vehicle"} <= set(names)
-    assert "<table>" in result._repr_html_()
-
-
-def test_a_strip_whose_square_is_too_large_is_refused_by_name(tmp_path):
-    path = tmp_path / "strip.npz"
-    np.savez(path, x=np.arange(9000.0), y=np.arange(4.0), elevation=np.zeros((4, 9000)))
-    with pytest.raises(ExchangeError, match=r"strip.npz: 9000 x 4 posts lie in a square"):
-        rank_sites(path, None, CONFIG)

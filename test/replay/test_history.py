@@ -2,9 +2,9 @@
 """``history.npz``: bounded, in order, and what the scans and answers said."""
 
 import numpy as np
+import pytest
 from replay.recordings import GROUND, write_ros2
 
-from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.replay.history import Thinned
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
@@ -20,6 +20,7 @@ def test_of_many_some_stay_evenly_and_the_last():
     assert set(np.diff(kept[:-1])) == {128}
 
 
+@pytest.mark.slow
 def test_it_tells_where_the_lidar_was_and_looked(tmp_path):
     config = config_from_values(GROUND)
     result = replay(write_ros2(tmp_path / "bag"), tmp_path / "out", config)
@@ -47,33 +48,3 @@ def test_it_tells_where_the_lidar_was_and_looked(tmp_path):
         np.testing.assert_allclose(history["site_position"][last], result.assessment.sites.position)
         assert history["target"][-1, 0] == result.assessment.selected.id
         assert history["target_why"][-1] == result.assessment.why
-
-
-def test_passes_are_laid_on_the_last_square_wherever_they_lay(tmp_path):
-    config = config_from_values({**GROUND, "domain.follow": "vehicle", "lss.grid_spacing": 0.5})
-    result = replay(write_ros2(tmp_path / "bag", scans=60), tmp_path / "out", config)
-    content = load_results(tmp_path / "out")
-    corner, last = content.history["answer_corner"], result.cells.domain
-    assert last.xmin > 0.0 and corner[0, 0] < 0.0
-    np.testing.assert_array_equal(corner[-1], (last.xmin, last.ymin))
-    every, (ny, nx) = np.arange(len(corner)), result.assessment.hazard.shape
-    for name, empty in (("seen", 0), ("risk", 255)):
-        laid = content.then(name, every)
-        for k, east in enumerate(np.rint((last.xmin - corner[:, 0]) / 0.5).astype(int).tolist()):
-            own = content.history[name][k]
-            own = np.unpackbits(own, count=ny * nx) if name == "seen" else own
-            own = own.reshape(ny, nx)
-            np.testing.assert_array_equal(laid[k, :, : nx - east], own[:, east:])
-            assert (laid[k, :, nx - east :] == empty).all()
-        assert (laid[0] != empty).any()
-
-
-def test_unseen_ground_has_no_probability(tmp_path):
-    config = config_from_values(GROUND | {"domain.size": 64.0, "domain.max_level": 7})
-    result = replay(write_ros2(tmp_path / "bag", scans=3), tmp_path / "out", config, report=False)
-    seen = result.assessment.hazard & UNSEEN == 0
-    assert 0 < seen.sum() < seen.size
-    with np.load(tmp_path / "out" / "grid.npz") as grid:
-        np.testing.assert_array_equal(np.isfinite(grid["probability"]), seen)
-    with np.load(tmp_path / "out" / "history.npz") as history:
-        assert "probability" not in history  # most of the file, for the page alone

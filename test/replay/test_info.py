@@ -46,16 +46,6 @@ def test_a_domain_that_no_point_reaches_is_a_problem(tmp_path):
     assert info.works and any("only " in line for line in info.notes)
 
 
-@pytest.mark.parametrize(
-    ("topics", "word"), [({"scan_topics": ()}, "PointCloud2"), ({"pose_topics": ()}, "Pose")]
-)
-def test_one_of_the_two_topics_alone(tmp_path, topics, word):
-    info = inspect_bag(write_ros2(tmp_path / "bag", **topics), CONFIG)
-    assert not info.works and info.kind == "nothing"
-    (problem,) = info.problems
-    assert word in problem and "\n" not in problem and "--pose-topic" in problem
-
-
 def write(path, scans, poses):
     """A bag of scans and poses at given stamps, received as they are listed."""
     with recording(path) as recorder:
@@ -67,21 +57,3 @@ def write(path, scans, poses):
             at = START + k * SECOND // 10
             recorder.write("/lidar/points", recorder.cloud(stamp, points), CLOUD, at)
     return path
-
-
-@pytest.mark.parametrize(("scans_from", "poses_from"), [(100, 0), (0, 100)])
-def test_the_gap_between_clocks_is_told(tmp_path, scans_from, poses_from):
-    steps = [START + k * SECOND // 10 for k in range(10)]
-    scans, poses = ([s + at * SECOND for s in steps] for at in (scans_from, poses_from))
-    info = inspect_bag(write(tmp_path / "bag", scans, poses), CONFIG)
-    assert any("99.100 s lie between them" in line for line in info.problems)
-
-
-def test_stamps_that_go_back_are_counted(tmp_path):
-    steps = [k * SECOND // 10 for k in range(10)]
-    scans = [START + s for s in steps]
-    scans[4], scans[5] = scans[5], scans[4]
-    scans[8] = scans[7]  # which is not back
-    info = inspect_bag(write(tmp_path / "bag", scans, [START + s for s in steps]), CONFIG)
-    assert topic(info, "/lidar/points").backward == 1
-    assert any("go back" in line for line in info.notes)

@@ -9,8 +9,6 @@ import pytest
 from replay.recordings import GROUND, KEEP_OUT, SECOND, START, LandingRecorder, flight, recording
 
 from quadtree_lss.cli import main
-from quadtree_lss.desk.bags.bag import Bag, BagError
-from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.config.settings import config_from_values
@@ -56,17 +54,6 @@ def test_a_keep_out_an_area_and_a_target_of_the_bag_hold(tmp_path, free):
         bag = write(tmp_path / f"target{x}", functools.partial(say, received_ns=START))
         wanted, found = np.array([x, 1.0]), sites(bag).sites.position[0, :2]
         assert np.linalg.norm(found - wanted) < np.linalg.norm(first - wanted) - 0.2
-
-
-def test_a_square_that_follows_goes_to_the_area_of_the_bag(tmp_path):
-    def say(recorder):
-        recorder.polygon("/landing/area", WEST, START)
-
-    bag = write(tmp_path / "area", say)
-    config = config_from_values({"domain.follow": "area", "lss.grid_spacing": 0.5}, CONFIG)
-    for options, corner in (({}, (-24.0, -16.0)), ({"landing": {"area": KEEP_OUT}}, (-8.0, -16.0))):
-        domain = replay(bag, None, config, report=False, **options).cells.domain
-        assert (domain.xmin, domain.ymin) == corner
 
 
 def test_the_last_word_counts_and_options_outrank_it(tmp_path):
@@ -120,27 +107,6 @@ def test_height_and_speed_are_those_of_the_poses():
     assert navigation.vehicle("moon") is None
 
 
-def test_speed_is_none_from_one_frame_to_another_and_after_the_clocks_first_second():
-    navigation, told = Navigation(), []
-    places = ("map", 1.0, 5.0), ("map", 2.0, 6.0), ("moon", 2.7, 4e6), ("map", 3.4, 7.0)
-    for frame, time, x in places:
-        make, level = Messages(frame=frame), (0.0, 0.0, 0.0, 1.0)
-        navigation.take(make.pose(round(time * SECOND), (x, 0.0, 9.0), level, np.eye(6)))
-        told.append(navigation.vehicle("map"))
-    assert [of and of.along_x for of in told] == [0.0, 1.0, None, 0.0]
-
-
-def test_several_topics_of_one_name_are_ambiguous(tmp_path):
-    def say(recorder):
-        recorder.polygon("/a/landing/area", WEST, START)
-        recorder.polygon("/b/landing/area", WEST, START)
-
-    bag = write(tmp_path / "bag", say)
-    with pytest.raises(BagError, match="/a/landing/area, /b/landing/area.*--area"):
-        sites(bag)
-    assert east(sites(bag, landing={"area": WEST})) == 0.0
-
-
 def run(bag, out, *options):
     settings = [f"--set={key}={value}" for key, value in GROUND.items()]
     options = [*settings, "--no-report", "-q", *options]
@@ -166,16 +132,3 @@ def test_wrong_places_are_wrong_usage(tmp_path, free, option, capsys):
     assert run(free, tmp_path / "out", option) == 2
     assert option.partition("=")[0] in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_products_are_recorded_as_asked(tmp_path, free):
-    replay(free, None, CONFIG, report=False, record=tmp_path / "products", landing={"area": WEST})
-    found = sites(tmp_path / "products")
-    assert len(found.sites.score) and east(found) > 0.0
-    with_area = replay(free, None, CONFIG, report=False, landing={"area": WEST})
-    with Bag(tmp_path / "products") as products:
-        raw = [m.raw for m in products.messages(["/landing/sites"])]
-    poses = typestore(ros1=False).deserialize_cdr(raw[-1], "geometry_msgs/msg/PoseArray").poses
-    np.testing.assert_array_equal(
-        [pose.position.x for pose in poses], with_area.assessment.sites.position[:, 0]
-    )

@@ -5,10 +5,8 @@ import numpy as np
 import pytest
 from replay.recordings import GROUND, LOOKING_DOWN, POSE, START, Recorder, flight, recording
 
-from quadtree_lss.desk.bags.bag import BagError
 from quadtree_lss.desk.replay.info import inspect_bag
-from quadtree_lss.desk.replay.replay import ReplayError, replay
-from quadtree_lss.desk.replay.suggest import suggest_config
+from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
 
 ODOMETRY, TRANSFORMS = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
@@ -86,27 +84,6 @@ def test_odometry_is_found_by_type_and_gives_the_map_of_poses(tmp_path, ending):
     assert info.pose_topic == topics[0] and info.scans_with_pose == 10 and not info.problems
 
 
-def test_of_both_types_the_configured_one_is_taken(tmp_path):
-    topics = ("/ekf/pose", "/odom")
-    bag = write(tmp_path / "bag", odometry=topics[1:], pose_topics=topics)
-    assert mapped(bag).summary["pose_topic"] == "/ekf/pose"
-    by_odometry = mapped(bag, values={"pose__source": "odometry"})
-    assert by_odometry.summary["pose_topic"] == "/odom"
-    assert mapped(bag, pose_topic="odom").summary["pose_topic"] == "/odom"
-    with pytest.raises(BagError, match="no geometry_msgs.*candidates"):
-        mapped(bag, pose_topic="/nothing")
-
-
-def test_several_odometries_are_ambiguous(tmp_path):
-    topics = ("/a", "/b")
-    bag = write(tmp_path / "bag", odometry=topics, pose_topics=topics)
-    with pytest.raises(BagError, match="several topics of type nav_msgs.*/a, /b"):
-        mapped(bag)
-    default = (*topics, "/nav/odometry")
-    bag = write(tmp_path / "default", odometry=default, pose_topics=default)
-    assert mapped(bag).summary["pose_topic"] == "/nav/odometry"
-
-
 def test_a_mount_from_tf_static_is_that_of_the_parameters(tmp_path):
     """Wherever the part that is replayed begins: it stands at the start of the bag."""
     links = (("base_link", "rig", (1.0, 0.0, 0.0)), ("rig", "lidar", (0.0, 0.5, -0.25)))
@@ -119,41 +96,7 @@ def test_a_mount_from_tf_static_is_that_of_the_parameters(tmp_path):
     assert not same(mapped(write(tmp_path / "plain")), told)
 
 
-def test_a_chain_of_transforms_is_the_mount_where_none_is_set(tmp_path):
-    links = (("base_link", "lidar", (1.0, 0.5, -0.25)),)
-    bag = write(tmp_path / "bag", odometry=("/nav/pose",), transforms=links)
-    found = mapped(bag)
-    assert same(found, mapped(bag, values={"mount__source": "tf"}))
-    (note,) = (line for line in found.warnings if "/tf_static" in line)
-    assert "'base_link'" in note and "mount.source: tf" in note
-    assert suggest_config(bag, config_from_values(GROUND)).values["mount.source"] == "tf"
-    set_so = mapped(bag, values={"mount__x": 3.0})
-    assert not same(set_so, found) and not any("/tf_static" in line for line in set_so.warnings)
-
-
-@pytest.mark.parametrize("period", [0.0, 0.7])
-def test_a_topic_with_few_poses_is_passed_over(tmp_path, period):
-    """One start pose of RViz, or a localisation in two dimensions, beside an odometry."""
-    with recording(tmp_path / "bag", OdometryRecorder) as recorder:
-        recorder.odometry = ("/odometry/filtered",)
-        flight(recorder, pose_topics=("/odometry/filtered",))
-        for k in range(3):
-            at = START + round(k * period * 1e9)
-            recorder.write("/amcl_pose", recorder.pose(at, np.array([1.0, 2.0, 3.0])), POSE, at)
-    found = mapped(tmp_path / "bag")
-    assert found.summary["pose_topic"] == "/odometry/filtered" and found.summary["scans"] == 10
-    (note,) = (line for line in found.warnings if "/amcl_pose" in line)
-    assert "--pose-topic" in note
-    with pytest.raises(ReplayError):
-        mapped(tmp_path / "bag", pose_topic="/amcl_pose", values={"frames__map": "else"})
-
-
-def test_without_tf_static_in_the_bag_one_line_says_so(tmp_path):
-    bag = write(tmp_path / "bag")
-    with pytest.raises(BagError, match="no messages of type tf2_msgs/msg/TFMessage"):
-        mapped(bag, values={"mount__source": "tf", "frames__body": "base_link"})
-
-
+@pytest.mark.slow
 def test_a_gimbal_moves_the_lidar(tmp_path):
     with recording(tmp_path / "bag", GimbalRecorder) as recorder:
         flight(recorder)

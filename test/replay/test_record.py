@@ -6,14 +6,11 @@ import json
 
 import numpy as np
 import pytest
-from replay.recordings import GROUND, START, flight, recording, write_ros2
-from replay.test_cli import run
+from replay.recordings import GROUND, START, write_ros2
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from quadtree_lss.desk.bags.bag import Bag, BagError
-from quadtree_lss.desk.bags.message_types import typestore
+from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.replay import record as products
 from quadtree_lss.desk.replay.differences import compare_results
 from quadtree_lss.desk.replay.export import export_results
@@ -21,9 +18,10 @@ from quadtree_lss.desk.replay.files import ReplayError
 from quadtree_lss.desk.replay.info import inspect_bag
 from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.desk.replay.replay import replay
-from quadtree_lss.desk.replay.stream import MapPairs
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.messages.maps import CELL_FIELDS, SITE_FIELDS, STATUS_FIELDS, encode_score
+
+pytestmark = pytest.mark.xdist_group("record")  # its flight is made once
 
 CONFIG = config_from_values({**GROUND, "publish.rate": 5.0, "publish.lss_rate": 2.0})
 MS = 1_000_000
@@ -67,13 +65,6 @@ def test_all_products_at_their_rates_in_the_time_of_the_bag(recorded):
             assert len(gaps) >= 2 and (gaps[:-1] >= 1.0 / rate - 1e-6).all()  # the last at once
 
 
-def test_late_subscribers_are_served_when_it_is_played(recorded):
-    with Reader(recorded[1]) as reader:
-        for connection in reader.connections:
-            (qos,) = connection.ext.offered_qos_profiles
-            assert qos.durability.name == "TRANSIENT_LOCAL" and qos.reliability.name == "RELIABLE"
-
-
 def test_the_last_products_are_those_of_the_results(recorded):
     result, path = recorded
     last = {topic: message for topic, _, message in messages(path)}
@@ -111,15 +102,6 @@ def test_the_last_map_gets_its_landing_sites(recorded, tmp_path):
     assert counts["/map/cells"] == counts["/landing/sites"] == 2
 
 
-def test_halves_of_different_maps_are_not_joined(recorded):
-    with Bag(recorded[1]) as bag:
-        pairs = MapPairs.alone(bag)
-        cells, observed = (list(bag.messages([topic])) for topic in pairs.topics)
-        assert pairs.take(bag, cells[0], CONFIG.lss) is None
-        assert pairs.take(bag, observed[1], CONFIG.lss) is None
-        assert pairs.take(bag, cells[1], CONFIG.lss) is not None
-
-
 def sites_of(out):
     """Rows of ``sites.csv`` but for the numbers of places: they depend on what was before."""
     with (out / "sites.csv").open(newline="") as file:
@@ -141,12 +123,7 @@ def test_a_bag_of_maps_alone_gives_the_same_sites(recorded, tmp_path):
     assert info.works and info.kind == "maps"
 
 
-def test_doctor_says_what_of_a_bag_of_maps_is_sound(recorded, capsys):
-    settings = [f"--set={key}={value}" for key, value in GROUND.items()]
-    code, out, _ = run(capsys, "doctor", recorded[1], *settings)
-    assert code == 0 and out.splitlines()[-1] == "nothing is wrong with the maps"
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("finest", [0, 6])
 def test_one_leaf_and_one_grid_point_are_a_map_too(tmp_path, finest):
     values = {**GROUND, "domain.min_level": 0, "domain.max_level": finest}
@@ -161,22 +138,6 @@ def test_one_leaf_and_one_grid_point_are_a_map_too(tmp_path, finest):
     found = compare_results(out, tmp_path / "again")
     assert found.heights.rms == 0.0
     assert len(export_results(out, formats=["ply", "gltf", "map_server"])) == 6
-
-
-def test_scans_without_poses_beside_maps_do_not_work_and_info_says_so(tmp_path, recorded):
-    _, maps = recorded
-    path = tmp_path / "both"
-    with Bag(maps) as bag, recording(path) as recorder:
-        flight(recorder, scans=3, pose_topics=())
-        recorder.store = typestore(ros1=False)
-        kinds = {topic.name: topic.type for topic in bag.topics}
-        for topic, received_ns, raw in bag.messages(list(kinds)):
-            recorder.write_raw(topic, raw, kinds[topic], received_ns)
-    with pytest.raises(BagError, match="PoseWithCovarianceStamped"):
-        replay(path, None, CONFIG)
-    info = inspect_bag(path, CONFIG)
-    assert not info.works and info.kind == "nothing"
-    assert "PoseWithCovarianceStamped" in info.problems[0]
 
 
 def test_an_existing_bag_is_not_overwritten(recorded, tmp_path):
@@ -204,19 +165,6 @@ def test_the_target_is_told_in_the_bag_as_in_the_results(recorded):
     with (result.out / "sites.csv").open(newline="") as file:
         ids = [int(row["id"]) for row in csv.DictReader(file)]
     np.testing.assert_array_equal(ids, result.assessment.sites.id)
-
-
-def test_the_target_in_a_bag_is_not_taken_for_the_pose(tmp_path):
-    bag = write_ros2(tmp_path / "both", pose_topics=("/ekf", "/landing/selected"))
-    assert inspect_bag(bag, CONFIG).pose_topic == "/ekf"
-
-
-def test_products_in_the_same_bag_as_scans_are_not_taken_for_scans(recorded, tmp_path):
-    topics = ("/lidar/points", "/map/cells", "/landing/site_table", "/landing/status")
-    bag = write_ros2(tmp_path / "both", scan_topics=topics)
-    assert inspect_bag(bag, CONFIG).scan_topic == "/lidar/points"
-    bag = write_ros2(tmp_path / "other", scan_topics=("/os1/points", *topics[1:]))
-    assert inspect_bag(bag, CONFIG).scan_topic == "/os1/points"
 
 
 def at(message, name, x, y):

@@ -13,7 +13,8 @@ from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.files import ReplayError
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
-from quadtree_lss.onboard.errors import OutsideInput
+
+pytestmark = pytest.mark.xdist_group("replay")  # its flight is made once
 
 CONFIG = config_from_values(GROUND)
 FILES = set("history.npz sites.csv selected.csv cells.npz".split())
@@ -132,29 +133,6 @@ def test_the_same_bag_gives_bit_identical_results(bag, result, tmp_path):
     assert again.summary["points_dropped"] == result.summary["points_dropped"]
 
 
-def test_without_report_an_old_one_does_not_stay(bag, tmp_path):
-    names = "report.html figures/score.png evaluation/evaluation.json"
-    old = [tmp_path / name for name in (*names.split(), "evaluation/fig09_quadtree_and_scans.png")]
-    others = [tmp_path / "figures" / "mine.png", tmp_path / "evaluation" / "notes.txt"]
-    for path in (*old, *others):
-        path.parent.mkdir(exist_ok=True)
-        path.write_text("of an earlier run")
-    replay(bag, tmp_path, CONFIG, report=False)
-    assert not any(path.exists() for path in old) and all(path.exists() for path in others)
-    others[1].unlink()
-    replay(bag, tmp_path, CONFIG, report=False)
-    assert not others[1].parent.exists()
-
-
-def test_the_summary_says_which_bag_it_is_of_wherever_it_is_read(bag, tmp_path, monkeypatch):
-    monkeypatch.chdir(bag.parent)
-    replay(bag.name, tmp_path / "out", CONFIG, report=False)
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    stamps = [int(row[0]) for row in columns(tmp_path / "out" / "timing.csv")[1]]
-    assert summary["bag"] == str(bag)
-    assert (summary["first_stamp_ns"], summary["last_stamp_ns"]) == (stamps[0], stamps[-1])
-
-
 def test_points_that_miss_the_map_are_counted_and_told(bag):
     def run(**values):
         config = config_from_values({k.replace("__", "."): v for k, v in values.items()}, CONFIG)
@@ -182,25 +160,6 @@ def test_points_that_miss_the_map_are_counted_and_told(bag):
     assert told.startswith("only ") and summary["points_used"] > 0
 
 
-def test_a_part_of_the_bag(bag, tmp_path):
-    seen = []
-    how = {"report": False, "progress": lambda *done_of: seen.append(done_of)}
-    part = replay(bag, tmp_path, CONFIG, start=0.3, duration=0.4, **how)
-    assert 2 <= part.summary["scans"] <= 4
-    first, last = part.timings[0].stamp_ns, part.timings[-1].stamp_ns
-    assert START + 0.3 * SECOND <= first <= last < START + 0.7 * SECOND
-    assert seen[-1][0] == seen[-1][1] == pytest.approx(0.4)
-
-
-@pytest.mark.parametrize(
-    "limits", [{"start": -1.0}, {"start": 1e4}, {"start": float("nan")}, {"duration": 0.0}]
-)
-def test_parts_that_are_none(bag, tmp_path, limits):
-    with pytest.raises(OutsideInput, match="--"):
-        replay(bag, tmp_path / "out", CONFIG, report=False, **limits)
-    assert not (tmp_path / "out").exists()
-
-
 def test_unusable_messages_are_counted_and_the_rest_is_mapped(tmp_path):
     path = tmp_path / "bag"
     with recording(path) as recorder:
@@ -224,11 +183,3 @@ def test_a_bag_of_which_no_scan_finds_a_pose_says_why(tmp_path):
     with pytest.raises(ReplayError, match="'map', expected 'planet'") as caught:
         replay(path, tmp_path / "out", config, report=False)
     assert "\n" not in str(caught.value)
-
-
-def test_a_map_without_a_safe_site_is_a_result(bag, tmp_path):
-    config = config_from_values({"lss.max_gap": 0.0}, CONFIG)
-    result = replay(bag, tmp_path, config)
-    assert not len(result.assessment.sites.score)
-    assert columns(tmp_path / "sites.csv")[1] == []
-    assert "No landing site" in (tmp_path / "report.html").read_text()

@@ -3,12 +3,9 @@
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from replay.recordings import GROUND
 
-from quadtree_lss import plot
 from quadtree_lss.api import (
-    LandingSiteSelector,
     ResultsError,
     load_config,
     load_results,
@@ -49,12 +46,6 @@ def test_everything_comes_back(written):
     assert "6 scans" in repr(results) and len(repr(results.grid)) < 300
 
 
-def test_sites_can_be_ranked_again_on_a_map_read_back(written):
-    again = LandingSiteSelector(CONFIG).assess(load_results(written.out).map)
-    np.testing.assert_allclose(again.sites.position, written.assessment.sites.position)
-    np.testing.assert_array_equal(again.safe, written.assessment.safe)
-
-
 def test_what_is_no_results_folder_is_said(written, tmp_path):
     with pytest.raises(ResultsError, match="not a results folder"):
         load_results(tmp_path / "none")
@@ -78,25 +69,6 @@ def test_a_damaged_file_is_named(written, tmp_path, name, attribute):
             getattr(load_results(tmp_path), attribute)
 
 
-def without(written, folder, *names):
-    """Results whose map lacks some arrays; those that it has."""
-    for name in ("summary.json", "grid.npz"):
-        (folder / name).write_bytes((written.out / name).read_bytes())
-    whole = np.load(written.out / "cells.npz")
-    arrays = {name: whole[name] for name in whole.files if name not in names}
-    np.savez(folder / "cells.npz", **arrays)
-    return arrays
-
-
-def test_arrays_of_other_sizes_are_no_map(written, tmp_path):
-    arrays = without(written, tmp_path)
-    for name in ("z", "low", "known_cells", "domain"):
-        short = {**arrays, name: np.zeros(3)}
-        np.savez(tmp_path / "cells.npz", **short)
-        with pytest.raises(ResultsError, match=f"{name} has another size"):
-            load_results(tmp_path).map  # noqa: B018
-
-
 def test_scan_by_scan_is_the_replay(bag, written):
     seen = [(step.scan.stamp_ns, step.report.leaves) for step in steps(bag, CONFIG)]
     assert seen == [(row.stamp_ns, row.leaves) for row in written.timings]
@@ -104,22 +76,3 @@ def test_scan_by_scan_is_the_replay(bag, written):
     np.testing.assert_array_equal(last.mapper.snapshot().level, written.cells.level)
     assert "points at" in repr(last.scan)
     assert len(repr(written)) < 400
-
-
-def test_plots_go_on_the_axes_that_are_given(written):
-    results = load_results(written.out)
-    figure = Figure()
-    left, middle, right = figure.subplots(1, 3)
-    image = plot.elevation(left, results.map, edges=True)
-    shown = np.asarray(image.get_array())
-    assert shown.shape == (32, 32) and np.isfinite(shown).any() and image in left.images
-    marks = plot.sites(left, results.positions, radius=1.85)
-    assert [mark.get_text() for mark in marks] == [str(k + 1) for k in range(len(marks))] and marks
-    for name in (*results.grid.layers, "hazard"):
-        drawn = plot.layer(middle, results.grid, name)
-    assert plot.layer(middle, written.assessment, "slope_deg") in middle.images
-    assert drawn.get_array().max() <= 5
-    along = results.map.profile((-5, 0), (5, 0))
-    line = plot.profile(right, along)
-    np.testing.assert_array_equal(line.get_ydata(), along.height)
-    figure.savefig(written.out / "plot.png")

@@ -10,6 +10,8 @@ from quadtree_lss.cli import main
 from quadtree_lss.desk.replay.configuration import find_config
 from quadtree_lss.lab.simulation.simulate import simulate
 
+pytestmark = pytest.mark.xdist_group("smoke")  # its flight is made once
+
 SHIPPED = sorted(path.stem for path in Path(find_config("default")).parent.glob("*.yaml"))
 
 
@@ -28,6 +30,7 @@ def run_all(capsys, *commands):
         assert shown and "Traceback" not in err
 
 
+@pytest.mark.quick("default", "depth_camera")
 @pytest.mark.parametrize("name", SHIPPED)
 def test_each_command_with_each_shipped_configuration(flight, tmp_path, capsys, name):
     out, chosen = tmp_path / "out", ["--config", name]

@@ -5,15 +5,14 @@ import json
 
 import numpy as np
 import pytest
-from replay.recordings import CLOUD, POSE, SECOND, START, recording, write_ros2
 from replay.test_cli import run
 
-from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.replay.suggest import suggest_config
 from quadtree_lss.lab.simulation.simulate import simulate
-from quadtree_lss.onboard.messages.clouds import points_from_cloud, stamp_ns
+
+pytestmark = pytest.mark.xdist_group("suggest")  # its flight is made once
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +53,7 @@ def test_the_command_prints_a_file_with_reasons(flight, tmp_path, capsys):
     assert shown["values"] == suggest_config(flight, load_config()).values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("given", "sparse"), [("0.6,0.08", True), ("3.7,0.3", False)])
 def test_cells_suit_the_vehicle(flight, tmp_path, capsys, given, sparse):
     """Returns 0.2 m apart and of 3 cm noise are too coarse for a drone of 0.6 m, which is told."""
@@ -69,6 +69,7 @@ def test_cells_suit_the_vehicle(flight, tmp_path, capsys, given, sparse):
     assert run(capsys, "config", "suggest", flight, "--vehicle", "small")[0] == 2
 
 
+@pytest.mark.quick("1.4")
 @pytest.mark.parametrize("diameter", [1.4, 2.0, 2.5, 3.0, 3.7, 6.0])
 def test_it_keeps_what_is_given_and_asks_for_no_cells_that_no_risk_was_fitted_to(flight, diameter):
     given = {"vehicle.diameter": diameter, "lss.dispersion": 0.7, "mount.z": 0.001}
@@ -76,50 +77,3 @@ def test_it_keeps_what_is_given_and_asks_for_no_cells_that_no_risk_was_fitted_to
     assert {name: found.values[name] for name in given} == given
     finest = found.values["domain.size"] / 2 ** found.values["domain.max_level"]
     assert finest > 0.99 * diameter / 16.0
-
-
-@pytest.mark.parametrize("diameter", [0.6, 3.7, 100.0])
-def test_a_domain_that_follows_can(flight, diameter):
-    given = {"vehicle.diameter": diameter, "vehicle.clearance": 0.1, "domain.follow": "vehicle"}
-    found = suggest_config(flight, load_config((), given | {"lss.grid_spacing": 0.5}))
-    assert load_config((), found.values).domain.min_level >= 3
-
-
-def test_the_frame_of_the_poses_and_the_topics_that_are_asked_for_are_taken(tmp_path, capsys):
-    bag = write_ros2(tmp_path / "bag", scans=10, pose_topics=("/a", "/b"))
-    asked = ("config", "suggest", bag, "--set", "frames.map=moon")
-    code, _, err = run(capsys, *asked)
-    assert code == 1 and "--pose-topic" in err
-    code, out, _ = run(capsys, *asked, "--pose-topic", "/b", "--scan-topic", "/lidar/points")
-    assert code == 0 and "map: map" in out
-
-
-def test_rays_without_a_return_at_one_range_are_no_ground(flight, tmp_path):
-    with recording(tmp_path / "bag") as recorder, Bag(flight) as opened:
-        for message in opened.messages(["/lidar/points", "/nav/pose"]):
-            kind = CLOUD if message.topic == "/lidar/points" else POSE
-            found = opened.decode(message.raw, kind)
-            if kind == CLOUD:
-                points = points_from_cloud(found).reshape(-1, 3).copy()
-                none = np.arange(len(points)) % 7 == 0
-                points[none] *= 200.0 / np.linalg.norm(points[none], axis=1, keepdims=True)
-                found = recorder.cloud(stamp_ns(found.header), points)
-            recorder.write(message.topic, found, kind, message.received_ns)
-    values = suggest_config(tmp_path / "bag", load_config()).values
-    assert 190.0 < values["lidar.max_range"] < 200.0
-    assert values["lidar.range_noise"] == pytest.approx(0.03, rel=0.25)
-
-
-def test_nothing_to_suggest_from_says_why(tmp_path, capsys):
-    bag = write_ros2(tmp_path / "bag", scans=3)
-    code, _, err = run(capsys, "config", "suggest", bag, "--set", "lidar.min_range=4000")
-    assert code == 1 and "nothing to suggest from" in err and "return" in err and "doctor" in err
-    with recording(tmp_path / "point") as recorder:
-        for stamp in range(START, START + SECOND, SECOND // 10):
-            recorder.write("/nav/pose", recorder.pose(stamp, np.zeros(3)), POSE, stamp)
-            points = np.tile([0.0, 0.0, 50.0], (24, 1))
-            recorder.write("/lidar/points", recorder.cloud(stamp, points), CLOUD, stamp)
-    code, _, err = run(capsys, "config", "suggest", tmp_path / "point")
-    assert code == 1 and "nothing to suggest from: all returns are of one place" in err
-    assert run(capsys, "config", "suggest")[0] == 2
-    assert run(capsys, "config", "suggest", bag, bag)[0] == 2

@@ -6,16 +6,12 @@ import json
 
 import numpy as np
 import pytest
-from replay.recordings import GROUND, write_ros2
 from report.pages import accessible, in_a_browser, sheets
 
 from quadtree_lss.desk.exchange.saved import load_results
-from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.desk.report.headline import verdict
-from quadtree_lss.onboard.config.settings import config_from_values
 
 pytestmark = in_a_browser
-CONFIG = config_from_values(GROUND)
 
 
 @pytest.fixture
@@ -89,49 +85,6 @@ def test_the_pointer_tells_values_and_layers_differ(result, best, browse):
     assert legends["cells"][1] == [-1, 0, 1, 2]  # binary logarithms of 0.5 m to 4 m
 
 
-def test_mouse_fingers_and_window(browse):
-    told = browse("""
-        const wheel = deltaY => { const e = new WheelEvent("wheel", { deltaY, clientX: 400,
-          clientY: 400, cancelable: true }); map.dispatchEvent(e); return e.defaultPrevented; };
-        fit();
-        tellTest("scrolls", !wheel(100));   // all is seen: the page goes on
-        const before = view.scale;
-        tellTest("zooms", wheel(-200) && view.scale > before);
-        const place = view.x;
-        at("pointerdown", 300, 300); at("pointermove", 340, 300); at("pointerup", 340, 300);
-        tellTest("dragged", (place - view.x) * view.scale);
-        const touch = (type, points) => {
-          const box = map.getBoundingClientRect();
-          const touches = points.map(([x, y], identifier) => new Touch({ identifier, target: map,
-            clientX: box.left + x, clientY: box.top + y }));
-          const e = new TouchEvent(type, { touches, cancelable: true, bubbles: true });
-          map.dispatchEvent(e);
-          return e.defaultPrevented;
-        };
-        touch("touchstart", [[200, 200]]);
-        tellTest("one", touch("touchmove", [[200, 260]]));
-        touch("touchend", []);
-        const small = view.scale;
-        touch("touchstart", [[200, 200], [260, 200]]);
-        tellTest("two", touch("touchmove", [[180, 200], [300, 200]]));
-        tellTest("pinched", view.scale / small);
-        touch("touchend", []);
-        silent();
-        touch("touchstart", [[220, 220]]); touch("touchend", []);
-        tellTest("tapped", !tooltip.hidden);
-        fit();
-        const inside = () => px(extent.x0) >= MARGIN.left && px(extent.x1) <= width();
-        byId("map").style.flex = "none"; byId("map").style.width = "300px"; resized();
-        const narrow = inside();
-        zoom(2); const scale = view.scale; resized();
-        tellTest("whole", [narrow, scale === view.scale]);
-    """)
-    assert told["scrolls"] and told["zooms"] and told["dragged"] == pytest.approx(40, abs=1)
-    assert told["one"] is False and told["two"] is True
-    assert told["pinched"] == pytest.approx(2.0, rel=0.01)
-    assert told["tapped"] and told["whole"] == [True, True]
-
-
 def test_rows_and_keys(best, browse):
     told = browse("""
         const all = document.querySelectorAll("tr[data-site]");
@@ -163,6 +116,7 @@ def test_rows_and_keys(best, browse):
     assert told["found"] == 1
 
 
+@pytest.mark.slow
 def test_the_address_leads_back_to_a_view(browse):
     there = browse("""
         setLayer("slope"); choose(0); setBeside("elevation"); zoom(1.5);
@@ -247,36 +201,7 @@ def test_the_slider_shows_the_map_growing(result, browse):
     assert told["unseen"][0] >= told["unseen"][1]
 
 
-def test_it_is_dark_where_that_is_wanted(browse):
-    told = browse("""
-        const paper = () => getComputedStyle(document.body).backgroundColor;
-        tellTest("light", paper());
-        byId("theme").click(); tellTest("dark", [paper(), ink("--ink")]);
-        window.dispatchEvent(new Event("beforeprint"));
-        tellTest("printed", [paper(), view.printing, map.clientWidth]);
-        window.dispatchEvent(new Event("afterprint"));
-        tellTest("after", paper());
-    """)
-    assert told["light"] == "rgb(255, 255, 255)" and told["dark"][0] == "rgb(20, 24, 29)"
-    assert told["printed"][0] == told["light"] and told["printed"][2] == pytest.approx(661, abs=3)
-    assert told["after"] == told["dark"][0]
-
-
-def test_a_narrow_screen_needs_no_sideways_scroll(browse):
-    told = browse(
-        """
-        const out = e => !e.closest(".scroll") && e.getBoundingClientRect().right > innerWidth + 1;
-        tellTest("wide", [innerWidth, root.scrollWidth, [...document.querySelectorAll("body *")]
-          .filter(out).map(e => e.id || e.tagName)]);
-        tellTest("map", [width(), height(), painted[`${view.layer} -1`] !== undefined]);
-        """,
-        size=(390, 844),
-    )
-    inner, content, beyond = told["wide"]
-    assert inner == 390 and content <= inner and not beyond
-    assert told["map"][2] and told["map"][1] > 150
-
-
+@pytest.mark.slow
 def test_space_shows_the_ground_and_the_lander(browse):
     told = browse("""
         setMode("scene");
@@ -320,157 +245,11 @@ def test_space_shows_the_ground_and_the_lander(browse):
 
 
 @pytest.mark.slow
-def test_a_map_without_sites(tmp_path, in_browser):
-    config = config_from_values({"lss.max_gap": 0.0}, CONFIG)
-    result = replay(write_ros2(tmp_path / "bag", scans=3), tmp_path / "out", config)
-    text = (result.out / "report.html").read_text()
-    told = in_browser(text, 'drawNow(); tellTest("answer", document.body.textContent);')
-    assert (
-        "No landing site" in told["answer"]
-        and told["answer"].count("is both seen and allowed") == 1
-    )
-
-
-def test_a_click_on_a_marker_selects_its_site(browse):
-    """A drag does not; with a finger it is a tap."""
-    told = browse("""
-        const click = (x, y, way = 0) => { at("pointerdown", x, y);
-          if (way) at("pointermove", x + way, y); at("pointerup", x + way, y); };
-        const marker = k => [px(sites[k].x), py(sites[k].y)];
-        const chosen = () => [view.site, document.querySelector("tr.chosen th").textContent,
-                              byId("why").textContent];
-        click(...marker(1)); tellTest("clicked", chosen());
-        click(px(extent.x0), py(extent.y0)); tellTest("beside", chosen());
-        click(...marker(0), 40); tellTest("dragged", chosen());
-        const box = map.getBoundingClientRect(), [x, y] = marker(0);
-        const touch = (type, touches) => map.dispatchEvent(new TouchEvent(type, { touches }));
-        touch("touchstart", [new Touch({ identifier: 0, target: map, clientX: box.left + x,
-                                         clientY: box.top + y })]);
-        touch("touchend", []); tellTest("tapped", chosen());
-    """)
-    site, rank, why = told["clicked"]
-    assert (site, rank) == (1, "2") and why.startswith("Site 2")
-    assert told["beside"] == told["dragged"] == told["clicked"] and told["tapped"][:2] == [0, "1"]
-
-
-def test_excluded_ground_is_hatched_on_every_layer(browse):
-    told = browse("""
-        const found = {};
-        view.relief = view.sites = false; fit();
-        const dark = () => { drawNow(); const d = map.getContext("2d").getImageData(
-            0, 0, map.width, map.height).data; let n = 0;
-          for (let i = 0; i < d.length; i += 4) n += d[i] + d[i + 1] + d[i + 2];
-          return n; };
-        for (const name of Object.keys(LAYERS)) { setLayer(name);
-          const on = dark(); view.excluded = false; const off = dark(); view.excluded = true;
-          legend(); found[name] = [on < off, byId("legend").textContent.includes("xcluded")]; }
-        tellTest("found", found);
-        const { canvas } = excludedMask(-1);
-        const d = canvas.getContext("2d").getImageData(0, 0, grid.nx, grid.ny).data;
-        tellTest("mask", [...grid.safe].every((safe, i) => {
-          const row = grid.ny - 1 - Math.floor(i / grid.nx), at = 4 * (row * grid.nx + i % grid.nx);
-          return (d[at + 3] > 0) === (!safe && !(grid.hazard[i] & UNSEEN.bit)); }));
-    """)
-    assert told["mask"] and all(all(pair) for pair in told["found"].values()), told["found"]
-
-
-def test_the_first_picture_tells_excluded_allowed_and_how_good_apart(browse):
-    """Grey or blue where landing is not allowed, colours up to the limit where it is."""
-    told = browse("""
-        view.relief = view.excluded = view.sites = false;
-        const layer = LAYERS.landing, states = {}, grey = ([r, g, b]) => r === g && g === b;
-        for (let i = 0; i < grid.nx * grid.ny; i++) {
-          const state = stateAt(i, -1), c = stateColour(layer, i, -1);
-          (states[state] = states[state] || []).push([grey(c), c.join()]);
-        }
-        tellTest("states", Object.fromEntries(Object.entries(states).map(([state, all]) =>
-          [state, [all.every(([g]) => g), all.some(([g]) => g),
-                   new Set(all.map(p => p[1])).size]])));
-        tellTest("first", view.layer);
-        tellTest("limit", [layer.mark, data.limit.risk, layer.limits]);
-        tellTest("legend", byId("legend").textContent);
-        const best = Math.min(...layer.values.filter((v, i) => grid.safe[i]));
-        const worst = Math.max(...layer.values.filter((v, i) => grid.safe[i]));
-        tellTest("within", [best, worst]);
-        tellTest("start", [isWhole(), sites.every(s => px(s.x) > MARGIN.left && px(s.x) < width() &&
-          py(s.y) > 0 && py(s.y) < height() - MARGIN.bottom)]);
-    """)
-    assert told["first"] == "landing"
-    grey = {state: every for state, (every, _, _) in told["states"].items()}
-    assert grey.pop("1", True) and {"0", "2", "3"} <= grey.keys() and not any(grey.values())
-    assert told["states"]["2"][2] == told["states"]["3"][2] == 1
-    mark, risk, limits = told["limit"]
-    assert mark == pytest.approx(np.log10(risk)) and limits == [-4.0, 0.0]
-    assert told["within"][1] <= mark + 1e-3
-    words = ("allowed", "excluded: unobserved ground under the vehicle", "unobserved")
-    assert all(word in told["legend"] for word in words)
-    assert told["start"][1]
-
-
-def test_a_click_gives_options_of_the_command_line(browse):
-    told = browse("""
-        const click = (x, y, shiftKey = false) => { at("pointerdown", px(x), py(y));
-          at("pointerup", px(x), py(y), { shiftKey }); };
-        view.sites = false; fit();
-        const words = () => [...byId("command").children].map(c => c.textContent);
-        const { x0, x1, y0, y1 } = extent, x = (x0 + x1) / 2, y = (y0 + y1) / 2;
-        click(x, y); tellTest("target", [words(), x, y]);
-        click(x + 3, y + 4, true); tellTest("distance", words());
-        click(x, y + 4, true); tellTest("area", words());
-        const pixels = () => { drawNow(); return map.toDataURL(); };
-        const marked = pixels(); press("Escape");
-        tellTest("gone", [words().length, marked !== pixels()]);
-    """)
-    (target,), x, y = told["target"]
-    option, value = target.split()
-    assert option == "--target"
-    assert np.allclose([float(v) for v in value.split(",")], [x, y], atol=0.1)
-    (distance,) = told["distance"]
-    assert float(distance.split()[0]) == pytest.approx(5.0, abs=0.1)
-    area, keep_out, _ = told["area"]
-    assert area.startswith("--area '") and keep_out.startswith("--keep-out '")
-    assert len(area.split("'")[1].split()) == 3 and told["gone"] == [0, True]
-
-
-def test_opacity_and_the_second_layer_show_what_they_say(browse):
-    told = browse("""
-        setLayer("slope"); setBeside("elevation"); await until(() => second.clientWidth);
-        const pixels = canvas => { drawNow(); return canvas.toDataURL(); };
-        for (let k = 0; k < 3; k++) pixels(map);
-        const full = pixels(map); move("opacity", 0.3); tellTest("faded", full !== pixels(map));
-        tellTest("range", inUnit(LAYERS.elevation, LAYERS.elevation.limits[0]));
-    """)
-    assert told["faded"] and told["range"]
-
-
-def test_bright_is_good_on_every_layer_that_knows_a_good(browse):
-    told = browse("""
-        const light = ([r, g, b]) => 0.2126 * r + 0.7152 * g + 0.0722 * b;
-        const good = { aim: 0, slope: 0, score: 0, deviation: 0, roughness: 0 };
-        tellTest("found", Object.entries(good).map(([name, end]) => {
-          const layer = LAYERS[name], { limits } = layer;
-          const [best, worst] = [limits[end], limits[1 - end]].map(v => light(colour(layer, v)));
-          return [name, best, worst]; }));
-    """)
-    assert all(good > bad + 50 for _, good, bad in told["found"]), told["found"]
-
-
-def test_the_pointer_tells_what_is_kept_of_past_moments(browse):
-    told = browse("""
-        const there = () => { at("pointermove", px(sites[0].x) + 20, py(sites[0].y));
-          return Object.keys(shown()); };
-        tellTest("end", there());
-        setInstant(0); tellTest("past", there());
-    """)
-    kept = {"place", "fails here", "landing", "ground"}
-    assert set(told["past"]) <= kept < set(told["end"]) | {"ground"}
-
-
-@pytest.mark.slow
 def test_it_can_be_used_by_all(text, in_browser):
     assert accessible(in_browser, text)
 
 
+@pytest.mark.slow
 def test_print_fits_two_pages(text, in_browser):
     assert 1 <= sheets(in_browser, text) <= 2
 

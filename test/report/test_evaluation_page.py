@@ -53,26 +53,6 @@ def test_its_layers_are_the_truth_and_what_became_of_it(result, evaluated):
 
 
 @in_a_browser
-def test_a_link_goes_to_the_place_and_a_section_shows_the_truth(result, evaluated, in_browser):
-    found, _, text = evaluated
-    told = in_browser(
-        text,
-        """
-        tellTest("layer", view.layer);
-        const links = document.querySelectorAll("a[href*=verdict]");
-        links[links.length - 1].click();
-        await until(() => view.scale === 40);
-        tellTest("place", [view.x, view.y]);
-        setMode("section");
-        tellTest("columns", sampled().length);
-        """,
-    )
-    place = result.assessment.sites.position[len(found.site_verdicts) - 1]
-    assert told["layer"] == "verdict" and told["columns"] == 5
-    assert told["place"] == pytest.approx(place[:2], abs=0.006)
-
-
-@in_a_browser
 @pytest.mark.slow
 def test_it_can_be_used_by_all_and_prints_on_two_sheets(evaluated, in_browser):
     assert accessible(in_browser, evaluated[2]) and 1 <= sheets(in_browser, evaluated[2]) <= 2

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page: one file, whose embedded arrays are those of the results folder."""
 
-import dataclasses
 import json
 import re
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +12,7 @@ from report.pages import Page, changed, column
 
 from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.replay.replay import replay
-from quadtree_lss.desk.report import page_data, pages, palette
+from quadtree_lss.desk.report import page_data
 from quadtree_lss.desk.report.figures import hazard_figure
 from quadtree_lss.desk.report.report import page
 from quadtree_lss.onboard.config.settings import config_from_values
@@ -89,16 +87,6 @@ def test_the_embedded_leaves_are_those_of_the_map(result, text):
     )
 
 
-def test_bounds_of_the_leaves_are_embedded_where_there_are_any(content):
-    none = np.full(len(content.map.z), np.nan)
-    bare = dataclasses.replace(content.map, low=none, high=none)
-    assert "low" not in unpacked(changed(content, map=bare))[0]["leaves"]
-    low = np.where(content.map.measured, content.map.z - 0.5, np.nan)
-    data, get = unpacked(changed(content, map=dataclasses.replace(bare, low=low)))
-    np.testing.assert_allclose(get(data["leaves"]["low"]), low, atol=data["leaves"]["low"]["step"])
-    assert "high" not in data["leaves"]
-
-
 def test_ground_not_yet_mapped_has_a_word_and_a_colour_of_its_own(content):
     """Before what is merely unseen: the first that applies is drawn."""
     names = [kind["name"] for kind in unpacked(content)[0]["hazards"]]
@@ -113,33 +101,6 @@ def test_ground_not_yet_mapped_has_a_word_and_a_colour_of_its_own(content):
     assert words(figure).count("observed but not estimated") == 2
     none = changed(content, grid={**content.grid, "hazard": hazard & 63})
     assert "observed but not estimated" not in words(hazard_figure(none))
-
-
-def test_roughness_is_shown_by_area_whatever_the_size_of_the_leaf(content):
-    """A map whose leaves lie 7 mm off their planes in the mean, large ones and small ones."""
-    cells = dataclasses.replace(content.map, roughness=0.007 * content.map.size**2)
-    data, get = unpacked(changed(content, map=cells))
-    np.testing.assert_allclose(get(data["leaves"]["roughness"]), 0.007)
-
-
-def test_large_maps_stay_small_pages(content, monkeypatch):
-    monkeypatch.setattr(page_data, "MAX_GRID_POINTS", 500)
-    monkeypatch.setattr(page_data, "MAX_LEAVES", 10)
-    data, get = unpacked(content)
-    grid = data["grid"]
-    assert grid["nx"] * grid["ny"] <= 600 and grid["stride"] > 1
-    assert grid["spacing"] == pytest.approx(grid["stride"] * CONFIG.lss.spacing)
-    expected = content.grid["hazard"][:: grid["stride"], :: grid["stride"]]
-    np.testing.assert_array_equal(get(grid["hazard"]), expected.ravel())
-    assert "deviation" not in data["leaves"] and "level" in data["leaves"]
-
-
-def test_outliers_do_not_blacken_a_layer(content):
-    elevation = content.grid["elevation"].copy()
-    known = np.argwhere(np.isfinite(elevation))
-    elevation[tuple(known[0])] = 500.0
-    data, _ = unpacked(changed(content, grid={**content.grid, "elevation": elevation}))
-    assert data["grid"]["elevation"]["limits"][1] < 10.0
 
 
 def test_history_tells_at_what_time_ground_is_seen(result, text, content):
@@ -165,21 +126,6 @@ def test_rates_are_those_that_info_tells(result, text):
     assert f"<h1>Landing sites from {name}</h1>" in text
 
 
-def test_each_colour_of_a_class_means_one_thing():
-    kinds = [colour for _, _, colour in palette.HAZARDS]
-    other = [palette.CLEAR_COLOUR, palette.SAFE_COLOUR, palette.EXCLUDED_COLOUR]
-    assert len({*kinds, *other, palette.SITE_COLOUR}) == len(kinds) + 4
-
-
-def test_ground_of_single_heights_is_shaded_without_a_warning():
-    heights = np.full((4, 5), np.nan)
-    heights[1] = 3.0
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        image = palette.shaded(np.full((4, 5, 3), 0.5), heights, 1.0)
-    np.testing.assert_allclose(image, 0.5)
-
-
 def test_names_in_a_bag_cannot_become_markup(tmp_path):
     evil = "/points</script><script>alert(1)</script>"
     folder = tmp_path / "<b>bag"
@@ -194,15 +140,3 @@ def test_names_in_a_bag_cannot_become_markup(tmp_path):
 def test_a_page_can_be_made_again_from_the_folder(content, text):
     assert page(content) == text
     json.loads(Page(page(content)).scripts["data"])
-
-
-@pytest.mark.parametrize(("assessment", "limit"), [("touchdown", 10.8), ("probability", 12.0)])
-def test_the_slope_is_marked_where_the_reasons_say_it_ends(content, assessment, limit):
-    limits = {"lss.assessment": assessment, "vehicle.max_slope_deg": 12.0}
-    found = changed(content, config=config_from_values(limits, content.config))
-    assert unpacked(found)[0]["grid"]["slope"]["mark"] == pytest.approx(limit)
-
-
-@pytest.mark.parametrize("value", ["1 of 5000", "2.97 m", "-0.5", "98.74 %", "12,838 of 3,124,574"])
-def test_numbers_stand_to_the_right_and_words_to_the_left(value):
-    assert not pages.is_words(value) and pages.is_words(f"about {value}")

@@ -36,6 +36,7 @@ def test_it_opens_what_the_folder_is_of(names, first, opened, tmp_path, capsys):
     assert capsys.readouterr().out.strip() == str(tmp_path / first)
 
 
+@pytest.mark.slow
 def test_of_results_without_a_page_it_is_made(result, text, opened, tmp_path, capsys):
     out = shutil.copytree(result.out, tmp_path / "out")
     shutil.rmtree(out / "figures")
@@ -46,17 +47,3 @@ def test_of_results_without_a_page_it_is_made(result, text, opened, tmp_path, ca
         "opened": False,
     }
     assert not opened and (out / "report.html").read_text() == text
-
-
-def test_where_nothing_is_to_be_seen_is_one_line(opened, tmp_path, capsys):
-    for folder, words in ((tmp_path, "no page and no results"), (tmp_path / "x", "no such folder")):
-        assert main(["view", str(folder)]) == 1
-        assert words in capsys.readouterr().err
-    assert not opened
-
-
-def test_without_a_browser_it_says_what_to_open(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(webbrowser, "open", lambda address: False)
-    (tmp_path / "report.html").write_text("")
-    assert main(["view", str(tmp_path)]) == 0
-    assert capsys.readouterr().out.strip() == f"open {tmp_path / 'report.html'}"

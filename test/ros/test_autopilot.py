@@ -20,7 +20,7 @@ from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PX4
 from quadtree_lss.onboard.core.landing.target import State
 from quadtree_lss.onboard.messages.maps import STATUS_FIELDS
 from quadtree_lss.onboard.nodes.qos import latched, stream, target
-from quadtree_lss.onboard.nodes.ros_messages import header_message, time_message
+from quadtree_lss.onboard.nodes.ros_messages import time_message
 
 pytestmark = pytest.mark.xdist_group("ros_autopilot")
 FAST = {"gate_height": 5.0, "descent_speed": 1.5, "touchdown_speed": 0.5, "transit_speed": 4.0}
@@ -116,6 +116,7 @@ def scene(ros):
         end()
 
 
+@pytest.mark.quick("3")
 @pytest.mark.parametrize("kind", [ARDUPILOT, PX4])
 def test_it_lands_at_the_target_and_says_where_it_is(ros, scene, kind):
     heard = {}
@@ -157,6 +158,7 @@ def test_it_lands_at_the_target_and_says_where_it_is(ros, scene, kind):
     flight.wait(lambda: not ros.call(flight.listener, "/autopilot_node/land").success, 10.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["lss_node killed", "old map"])
 def test_what_happens_to_the_target_on_the_way_down(scene, fault):
     """As the node's own clock has it; what else may happen, autopilot/test_landing.py tries."""
@@ -175,6 +177,7 @@ def test_what_happens_to_the_target_on_the_way_down(scene, fault):
     assert np.hypot(*(flight.model.landed_at - (1.0, 1.0, 0.0))[:2]) < 0.1
 
 
+@pytest.mark.slow
 def test_who_has_to_land_now_lands_by_the_map_that_there_is(scene):
     flight = scene().handed_over().below(3.0)
     flight.says, flight.map_age = State.NOW, 9.0
@@ -182,6 +185,7 @@ def test_who_has_to_land_now_lands_by_the_map_that_there_is(scene):
     assert "wave_off" not in flight.states and np.hypot(*flight.model.landed_at[:2]) < 0.1
 
 
+@pytest.mark.slow
 def test_the_pilots_switch_and_a_jump_of_navigation(scene):
     flight = scene().handed_over().below(3.5)
     model = flight.model
@@ -198,37 +202,7 @@ def test_the_pilots_switch_and_a_jump_of_navigation(scene):
     assert model.landed_at is None
 
 
-def test_px4_that_is_armed_on_the_ground_stays_there(scene):
-    """Also while it has not said yet that it is there."""
-    flight = scene(PX4, place=(0.0, 0.0, 0.0))
-    flight.model.deaf = 1  # so that it is to be asked again
-    flight.handed_over().wait(lambda: 245 in flight.model._rates)
-    flight.listener.wait_for(lambda: False, timeout=1.0)
-    assert flight.states == ["pilot"] and flight.model.enu[2] < 0.1, flight.node.output()
-
-
-def test_guidances_area_and_dispersion_are_not_replaced_whatever_they_are_called(scene):
-    kinds = {"gnc/area": PolygonStamped, "gnc/dispersion": PoseWithCovarianceStamped}
-    remap = [f"{name.replace('gnc', 'landing')}:={name}" for name in kinds]
-    flight, heard = scene(place=(0.0, 0.0, 4.5), remap=remap), []
-    node = flight.listener.node
-    for name, kind in kinds.items():
-        guidance = node.create_publisher(kind, name, latched())
-        node.create_subscription(kind, name, heard.append, latched())
-        flight.wait(guidance.get_subscription_count)
-        flight.wait(lambda name=name: node.count_publishers(name) > 1)
-    flight.listener.wait_for(lambda: False, timeout=1.0)  # the node knows of them, too
-    flight.handed_over().until("descend")
-    assert not heard
-
-
-def test_an_autopilot_that_is_heard_and_hears_nothing_is_a_warning(scene):
-    flight = scene()
-    flight.wait(lambda: flight.odometry).model.hears_nothing = True
-    words = "autopilot_node", (DiagnosticStatus.WARN,), "does not answer"
-    flight.wait(lambda: flight.listener.told(*words))
-
-
+@pytest.mark.slow
 def test_all_ages_go_by_the_simulators_time_where_that_is_used(scene):
     """A simulator of a quarter of real time: a silence of 1.5 s is not even half a second."""
     flight = scene(place=(0.0, 0.0, 5.5), pace=0.25)
@@ -239,38 +213,7 @@ def test_all_ages_go_by_the_simulators_time_where_that_is_used(scene):
     flight.until("wave_off").flies_up_and_stays()
 
 
-def test_what_lss_node_never_says_is_passed_over(scene):
-    """A status of no point, and a target in a frame whose name would forge a line of the log."""
-    flight = scene(place=(0.0, 0.0, 4.5))
-    node = flight.listener.node
-    flight.wait(lambda: flight.states).silent = True  # so that no other status comes after it
-    status = node.create_publisher(PointCloud2, "landing/status", latched())
-    empty = np.zeros(0, dtype=STATUS_FIELDS)
-    status.publish(MAKE.cloud(empty, 0))
-    flight.wait(lambda: "landing/status has 0 points" in flight.node.output())
-    flight.listener.forget(status)
-    flight.silent = False
-    other = node.create_publisher(PoseWithCovarianceStamped, "landing/selected", target())
-    other.publish(PoseWithCovarianceStamped(header=header_message(0, "x\n[INFO] all is well" * 9)))
-    flight.wait(lambda: "landing/selected is in frame 'x" in flight.node.output())
-    assert "\n[INFO] all is well" not in flight.node.output()
-    flight.listener.forget(other)
-    flight.handed_over().until("touchdown")
-
-
-def test_two_that_send_a_target_and_a_node_without_an_autopilot(ros, scene):
-    flight = scene(place=(0.0, 0.0, 4.5))
-    node = flight.listener.node
-    other = node.create_publisher(PoseWithCovarianceStamped, "landing/selected", target())
-    flight.handed_over().until("wait")
-    flight.listener.wait_for(lambda: False, timeout=1.0)
-    assert flight.states[-1] == "wait" and "2 publishers" in flight.node.output()
-    flight.listener.forget(other)
-    flight.until("touchdown")
-    answer = ros.call(flight.listener, "/autopilot_node/land")
-    assert not answer.success and "may_command" in answer.message
-
-
+@pytest.mark.slow
 def test_hostile_targets_do_not_lower_the_vehicle(scene):
     """Places that are none, statuses of any bytes, at a thousand a second: HOSTILE sends more."""
     flight, rng = scene(place=(0.0, 0.0, 4.5)), np.random.default_rng(1)
@@ -292,3 +235,27 @@ def test_hostile_targets_do_not_lower_the_vehicle(scene):
     told = len(flight.node.output())
     assert flight.model.lowest > height - 0.5 and flight.states[-1] in ("hold", "give_up")
     assert flight.node.process.poll() is None and told < 200_000
+
+
+@pytest.mark.slow
+def test_two_that_send_a_target_and_a_node_without_an_autopilot(ros, scene):
+    flight = scene(place=(0.0, 0.0, 4.5))
+    node = flight.listener.node
+    other = node.create_publisher(PoseWithCovarianceStamped, "landing/selected", target())
+    flight.handed_over().until("wait")
+    flight.listener.wait_for(lambda: False, timeout=1.0)
+    assert flight.states[-1] == "wait" and "2 publishers" in flight.node.output()
+    flight.listener.forget(other)
+    flight.until("touchdown")
+    answer = ros.call(flight.listener, "/autopilot_node/land")
+    assert not answer.success and "may_command" in answer.message
+
+
+@pytest.mark.slow
+def test_px4_that_is_armed_on_the_ground_stays_there(scene):
+    """Also while it has not said yet that it is there."""
+    flight = scene(PX4, place=(0.0, 0.0, 0.0))
+    flight.model.deaf = 1  # so that it is to be asked again
+    flight.handed_over().wait(lambda: 245 in flight.model._rates)
+    flight.listener.wait_for(lambda: False, timeout=1.0)
+    assert flight.states == ["pilot"] and flight.model.enu[2] < 0.1, flight.node.output()

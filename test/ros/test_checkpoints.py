@@ -83,6 +83,7 @@ def _stamp_in(path):
     return mapper.stamp_ns
 
 
+@pytest.mark.slow
 def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
     path, args = keeping(ros)
     mapping = ros.start("mapping_node", *args)
@@ -99,21 +100,7 @@ def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
     assert mapping.stop() == 0
 
 
-def test_a_checkpoint_that_cannot_be_removed_does_not_hold_up_a_reset(ros):
-    path, args = keeping(ros)
-    mapping = ros.start("mapping_node", *args)
-    with ros.sensors() as (listener, sensors):
-        sensors.map(SCANS)
-        listener.until(path.exists)
-        path.unlink()
-        path.mkdir()
-        answer = ros.call(listener, "/mapping_node/reset")
-        assert answer.success, answer.message
-        listener.until_stamped(0, "map/cells")
-        listener.until(listener.at_least, "problems.checkpoint", 1)
-        assert "is a folder" in mapping.output()
-
-
+@pytest.mark.slow
 def test_a_last_checkpoint_that_fails_is_told(ros):
     """However lately another one was told."""
     folder = ros.folder / "disk"
@@ -130,6 +117,7 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
     assert "is lost" in last and "[ERROR]" in last
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):
     """Whatever it was, the map that it happened to may be half changed."""

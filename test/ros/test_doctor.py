@@ -15,6 +15,7 @@ from quadtree_lss.onboard.nodes.qos import latched, stream
 pytestmark = pytest.mark.xdist_group("ros")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("frame", "code"), [("map", 0), ("odom", 1)])
 def test_some_seconds_of_live_topics_are_looked_at(ros, frame, code):
     command = [program("quadtree-lss"), "doctor", "--seconds", "4", "--set", f"frames.map={frame}"]
@@ -51,6 +52,7 @@ def test_silence_is_told(ros):
     assert "nothing came in 0.5 s" in done.stderr
 
 
+@pytest.mark.slow
 def test_transforms_of_all_broadcasters_are_heard(ros, monkeypatch):
     """By messages of another type: no wheel has that of transforms."""
     monkeypatch.setattr(listen.types, "TRANSFORMS_TYPE", listen.types.GIMBAL_TYPE)

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from quadtree_lss.onboard.nodes import entry
-from quadtree_lss.onboard.nodes.publishing import MapStamps
 
 pytestmark = pytest.mark.xdist_group("ros")
 
@@ -61,35 +60,6 @@ def test_a_hangup_that_is_ignored_stays_ignored():
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
-def test_no_signal_kills_python_on_its_way_out():
-    """Python gives signals back before it is gone, but not those that are ignored."""
-    program = (
-        "import signal, sys; sys.argv = ['lss_node', '--help']\n"
-        "from quadtree_lss.onboard.nodes import entry\n"
-        "assert entry.lss_node() == 0\n"
-        "assert all(signal.getsignal(n) is signal.SIG_IGN for n in entry.SIGNALS)\n"
-    )
-    subprocess.run([sys.executable, "-c", program], check=True, stdout=subprocess.DEVNULL)
-
-
-def test_maps_that_differ_have_different_stamps_one_after_the_other():
-    stamps = MapStamps()
-
-    def published(newest_ns, changed=True):
-        stamps.content_changed |= changed
-        return stamps.next(newest_ns)
-
-    assert published(0) == 1, "a scan of stamp 0"
-    stamps.reset()
-    assert published(0, changed=False) == 0, "the empty map"
-    assert published(0) == 1
-    assert published(900) == 900
-    assert published(900, changed=False) == 900, "nothing new"
-    assert published(900) == 901 and published(900) == 902, "late scans"
-    assert published(902) == 903
-    assert published(500) == 500, "time jumped back"
-
-
 def test_who_asks_again_after_a_while_breaks_long_work_off(monkeypatch):
     before = {number: signal.getsignal(number) for number in entry.SIGNALS}
     try:
@@ -105,13 +75,3 @@ def test_who_asks_again_after_a_while_breaks_long_work_off(monkeypatch):
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def test_a_missing_package_of_ros_is_one_line():
-    code = (
-        "import sys; sys.modules['nav_msgs'] = None; sys.argv = ['mapping_node']\n"
-        "from quadtree_lss.onboard.nodes import entry\nsys.exit(entry.mapping_node())"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 1 and done.stderr.count("\n") == 1
-    assert "mapping_node cannot start" in done.stderr and "nav_msgs" in done.stderr

@@ -47,6 +47,7 @@ def test_time_jumps_back_and_forward(flight):
     assert "jumped back" in mapping.output()
 
 
+@pytest.mark.slow
 def test_a_second_publisher_is_told_and_no_loss_invented(flight):
     listener, sensors, mapping = flight
     sensors.publish(SCANS)
@@ -95,6 +96,7 @@ UNUSABLE = (
 )
 
 
+@pytest.mark.slow
 def test_messages_that_cannot_be_used_are_counted_on_every_topic_and_good_ones_taken(ros):
     mapping = ros.start("mapping_node", "-p", "domain.follow:=area")
     lss = ros.start("lss_node", "-p", "frames.map:=map")

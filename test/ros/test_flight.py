@@ -29,6 +29,7 @@ def live(tmp_path_factory):
     return fly_live(SEED, flight_settings(SHORT), tmp_path_factory.mktemp("live"))
 
 
+@pytest.mark.slow
 def test_it_lands_safely_by_what_the_nodes_say(live):
     figures = live.figures
     assert figures["outcome"] == "touchdown" and figures["safe"], figures
@@ -36,6 +37,7 @@ def test_it_lands_safely_by_what_the_nodes_say(live):
     assert any(d.what == "target" for d in live.flight.pilot.decisions)
 
 
+@pytest.mark.slow
 def test_its_page_shows_the_targets_that_the_nodes_published(live, tmp_path):
     write_flight(tmp_path, live)
     content = load_results(tmp_path)

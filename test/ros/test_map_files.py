@@ -72,34 +72,6 @@ def test_map_files_survive_what_disks_do(tmp_path):
     assert (tmp_path / "map.refused").exists() and not (tmp_path / "map").exists()
 
 
-def test_without_a_path_nothing_is_kept(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    mapper, checkpoints = small(), Checkpoints("")
-    assert checkpoints.take_up(mapper) == ""
-    checkpoints.changed()
-    checkpoints.forget()
-    assert checkpoints.work(mapper) is None and checkpoints.close(mapper) is None
-    assert not os.listdir(tmp_path)
-
-
-def test_a_link_stays_and_what_it_points_to_is_written_and_removed(tmp_path):
-    mapper = small()
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    link = tmp_path / "map"
-    link.symlink_to(disk / "real")
-    checkpoints = Checkpoints(link)
-    checkpoints.changed()
-    assert checkpoints.close(mapper) is None
-    assert link.is_symlink() and [path.name for path in disk.iterdir()] == ["real"]
-    checkpoints.forget()
-    assert link.is_symlink() and not list(disk.iterdir())
-    (disk / "real").write_bytes(b"damaged")
-    with pytest.raises(MapFileError, match="set aside"):
-        checkpoints.take_up(mapper)
-    assert os.listdir(disk) == ["real.refused"]
-
-
 def test_what_is_no_file_is_neither_read_nor_replaced_nor_moved(tmp_path):
     mapper = small()
     folder, pipe, device = tmp_path / "folder", tmp_path / "pipe", tmp_path / "device"

@@ -100,6 +100,7 @@ def test_live_equals_offline_cell_for_cell(ros):
     np.testing.assert_allclose(live.position, results.positions, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_what_nobody_subscribed_to_comes_to_whom_does_first_and_to_all_after(ros):
     ros.start("mapping_node"), ros.start("lss_node")
     with ros.sensors({"landing/status": PointCloud2}) as (_, sensors):
@@ -119,6 +120,7 @@ def test_incompatible_qos_is_told_with_its_remedy(ros):
     assert "'/lidar/points'" in mapping.output()
 
 
+@pytest.mark.quick("mapping_node")
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node"])
 def test_unknown_parameter_is_an_error_that_names_the_nearest(ros, name):
     node = ros.start(name, "-p", "domain.max_levle:=7")
@@ -128,6 +130,7 @@ def test_unknown_parameter_is_an_error_that_names_the_nearest(ros, name):
     assert "domain.max_levle" in lines[0] and "'domain.max_level'" in lines[0]
 
 
+@pytest.mark.slow
 def test_wrong_usage_and_missing_home(ros):
     for arguments in (["--params-file", "none.yaml"], ["-r", "a:b"], ["--wrong"]):
         wrong = ros.run(program("lss_node"), "--ros-args", *arguments)
@@ -142,6 +145,7 @@ def test_wrong_usage_and_missing_home(ros):
     assert node.stop() == 0
 
 
+@pytest.mark.slow
 def test_scans_lost_on_the_way_are_counted(ros):
     """Every scan sent is either lost and counted, or arrives and is dropped for want of a pose."""
     depth = ("-p", "qos_overrides./lidar/points.subscription.depth:=1")

@@ -46,6 +46,7 @@ def test_overrides_reach_the_configuration_and_integers_serve_as_floats(context)
     assert node.get_parameter("use_sim_time").value is True
 
 
+@pytest.mark.quick("lss_node")
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node"])
 def test_a_file_for_other_nodes_alone_ends_a_node(ros, name):
     ros.params.write_text(f"{name}:\n  ros__parameters:\n    lss.margin: 1.0\n")

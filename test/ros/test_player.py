@@ -2,8 +2,7 @@
 """Playing a bag into running nodes: the node receives all of it, with the bag's time."""
 
 import pytest
-from geometry_msgs.msg import PoseArray
-from replay.recordings import KEEP_OUT, START, LandingRecorder, flight, write_ros2
+from replay.recordings import KEEP_OUT, START, LandingRecorder, flight
 from ros_scene import last_scan_ns, write_bag
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosgraph_msgs.msg import Clock
@@ -11,10 +10,7 @@ from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.player.player import PlayError, play
-from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.live.processes import program
-from quadtree_lss.onboard.errors import OutsideInput
 
 pytestmark = pytest.mark.xdist_group("ros_faults")
 
@@ -26,11 +22,6 @@ def test_player_says_who_is_missing(ros):
     write_bag(bag, 1)
     with pytest.raises(PlayError, match="/lidar/points"):
         play(bag, wait=0.2, domain_id=ros.domain)
-
-
-def test_a_ros_1_bag_is_refused(tmp_path):
-    with pytest.raises(PlayError, match="ROS 1 bag: replay it offline"):
-        play(write_ros2(tmp_path / "flight.bag", scans=1))
 
 
 @pytest.mark.slow
@@ -49,21 +40,6 @@ def test_player_names_what_is_subscribed_and_reaches_it_by_namespace_and_name(ro
         listener.until_stamped(last_scan_ns(3), "/lander/map/cells")
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"remap": ["lidar/point:=/x"]}, "FROM is one of lidar/points, nav/pose"),
-        ({"remap": ["lidar/points"]}, "--remap"),
-        ({"namespace": "no space"}, "--namespace"),
-    ],
-)
-def test_names_that_are_none_are_refused_in_one_line(ros, options, words):
-    write_bag(ros.folder / "flight", 1)
-    with pytest.raises(PlayError, match=words) as caught:
-        play(ros.folder / "flight", wait=0.2, domain_id=ros.domain, **options)
-    assert "\n" not in str(caught.value)
-
-
 def test_what_was_asked_of_landing_is_played_latched(ros):
     bag = ros.folder / "flight"
     writer = Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP)
@@ -79,6 +55,7 @@ def test_what_was_asked_of_landing_is_played_latched(ros):
         listener.until(listener.has, "landing.keep_out", True, "lss_node")
 
 
+@pytest.mark.slow
 def test_the_clock_runs_at_the_rate_from_the_first_message_to_the_last(ros):
     bag, times = ros.folder / "flight", []
     write_bag(bag, SCANS)
@@ -95,35 +72,3 @@ def test_the_clock_runs_at_the_rate_from_the_first_message_to_the_last(ros):
     assert times == sorted(times) and len(times) > 10 and report.scans == SCANS
     assert report.duration >= 2.0 * seconds
     assert not {k: n for k, n in values.items() if k.startswith("scans.dropped") and n != "0"}
-
-
-def test_a_bag_of_maps_is_played_into_lss_node_alone(ros):
-    write_bag(ros.folder / "flight", SCANS)
-    config = load_config([ros.params])
-    made = replay(ros.folder / "flight", None, config, record=ros.folder / "products")
-    assert len(made.assessment.sites.score)
-    ros.start("lss_node")
-    told = []
-    with ros.listen({"landing/sites": PoseArray}) as listener:  # maps have one listener: the node
-        how = {"rate": 5.0, "domain_id": ros.domain, "progress": lambda *done: told.append(done)}
-        report = play(ros.folder / "products", **how)
-        assert report.maps > 1 and not report.scans and not report.poses
-        final = made.cells.stamp_ns
-        listener.until_stamped(final, "landing/sites")
-        poses = listener.newest["landing/sites"].poses
-        sites = [(p.position.x, p.position.y) for p in poses]
-    assert sites == [(x, y) for x, y, _ in made.assessment.sites.position]
-    with Bag(ros.folder / "products") as bag:
-        seconds = (bag.end_ns - bag.start_ns) / 1e9
-    assert told and [total for _, total in told] == pytest.approx([seconds] * len(told))
-    assert all(0.0 <= done <= total for done, total in told)
-
-
-def test_parts_and_rates_that_make_no_sense_are_told(ros):
-    write_bag(ros.folder / "flight", 1)
-    for limits in ({"start": 1e9}, {"duration": float("inf")}, {"duration": 0.0}):
-        with pytest.raises(OutsideInput, match="--"):
-            play(ros.folder / "flight", **limits)
-    for rate in (0.0, float("inf")):
-        with pytest.raises(PlayError, match=f"rate {rate:g}"):
-            play(ros.folder / "flight", rate=rate)

@@ -33,6 +33,7 @@ class OdometrySensors(Sensors):
         self.poses = listener.node.create_publisher(Odometry, "odometry/filtered", profile)
 
 
+@pytest.mark.slow
 def test_odometry_that_is_sent_best_effort_is_told_with_what_hears_it(ros):
     """As MAVROS sends its odometry, since it may lose some."""
     options = ("-p", "pose.source:=odometry", "-r", "nav/odometry:=odometry/filtered")

@@ -1,18 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Domains of their own for processes that are started at the same time."""
 
-import os
-import signal
 import subprocess
 import sys
-import threading
-import time
 from contextlib import ExitStack
 
 import pytest
 
 from quadtree_lss.lab.live import processes
-from quadtree_lss.lab.live.processes import NodeProcess, ProcessError, local_domain
+from quadtree_lss.lab.live.processes import ProcessError, local_domain
 
 pytestmark = pytest.mark.xdist_group("ros")
 
@@ -46,19 +42,3 @@ def test_processes_that_ask_at_once_get_domains_of_their_own(tmp_path, monkeypat
             assert domain.number == numbers[0]
         for other in others[1:]:
             other.communicate()
-
-
-def test_what_was_started_ends_with_sigterm_and_at_once_with_another(tmp_path, monkeypatch):
-    deaf, before = tmp_path / "deaf", signal.getsignal(signal.SIGTERM)
-    deaf.write_text("#!/bin/sh\ntrap '' INT\necho deaf\nexec sleep 100\n")
-    deaf.chmod(0o755)
-    monkeypatch.setattr(processes, "program", lambda name: deaf)
-    again = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGTERM))
-    with pytest.raises(KeyboardInterrupt), local_domain(tmp_path) as domain:
-        with NodeProcess("deaf", (), domain.env, tmp_path / "log") as node:
-            while not node.output():
-                time.sleep(0.01)
-            again.start()
-            signal.raise_signal(signal.SIGTERM)
-    assert node.process.poll() == -signal.SIGKILL
-    assert signal.getsignal(signal.SIGTERM) == before

@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from ros_vehicle import Vehicle
 
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.nodes import diagnostics, entry, received_map
+from quadtree_lss.onboard.nodes import received_map
 from quadtree_lss.onboard.nodes.diagnostics import Problems
 from quadtree_lss.onboard.nodes.received_map import ReceivedMap
 from quadtree_lss.onboard.nodes.ros_messages import map_messages
@@ -55,35 +55,11 @@ def test_a_refused_map_does_not_make_the_one_before_younger(monkeypatch, receive
     assert received.arrivals.count == 2
 
 
-def test_a_map_refused_for_how_landing_is_judged_is_used_once_it_is_judged_otherwise(cells):
-    lss = LssConfig(grid_spacing=0.001)
-    received = ReceivedMap(Problems(LOG), "map", lambda: lss, binding=False)
-    give(received, cells)
-    received.take()
-    assert received.cells is None and "lss.grid_spacing" in received.refused
-    lss = LssConfig()
-    received.take()
-    assert received.cells is None, "not again without a reason"
-    received.retry()
-    received.take()
-    assert received.cells is not None and not received.refused
-
-
-def test_age_counts_from_when_it_came_not_from_when_it_was_decoded(monkeypatch, received, cells):
-    clock = SimpleNamespace(monotonic=lambda: clock.now, now=100.0)
-    for module in (diagnostics, received_map):
-        monkeypatch.setattr(module, "time", clock)
-    give(received, cells)
-    give(received, cells)
-    clock.now += 5.0
-    received.take()
-    assert received.arrivals.age() == 5.0
-
-
 #: Withdraws its sites sooner.
 IMPATIENT = "from quadtree_lss.onboard.nodes import received_map; received_map.OLDEST_S = 8.0"
 
 
+@pytest.mark.slow
 def test_sites_are_withdrawn_when_maps_are_refused_for_too_long(ros, cells):
     ros.start("lss_node", "-p", "diagnostics.warn_age:=3.0", first=IMPATIENT)
     with ros.listen({}) as listener:
@@ -126,6 +102,7 @@ sites.LandingSiteSelector.assess = assess
 """A pass over its third map ends in an error."""
 
 
+@pytest.mark.slow
 def test_a_pass_that_ends_in_an_error_withholds_its_answer_and_the_node_lives(ros, cells):
     faulty = ros.start("lss_node", "-p", "diagnostics.warn_age:=60.0", first=FAULTY)
     with ros.listen({}) as listener:
@@ -160,19 +137,7 @@ def test_what_a_first_map_lacks(received, cells):
     assert not received.lacks()
 
 
-def test_who_waits_says_for_what_ever_less_often(monkeypatch):
-    clock = SimpleNamespace(monotonic=lambda: clock.now, now=100.0)
-    monkeypatch.setattr(entry, "time", clock)
-    lines, waiting = [], entry.Waiting("lss_node")
-    monkeypatch.setattr(entry, "_waiting", [waiting])
-    for _ in range(40):
-        clock.now += 1.0
-        for what in ("", "a map"):
-            entry.waits_for(what, lines.append)
-            waiting.look()
-    assert lines == ["waiting for a map"] * 3, "after 5, 15 and 35 s"
-
-
+@pytest.mark.slow
 def test_nodes_that_wait_say_so_in_the_log(ros):
     lss, mapping = ros.start("lss_node"), ros.start("mapping_node")
     with ros.listen({}) as listener:

@@ -59,6 +59,7 @@ def test_a_node_without_its_keys_does_not_start_unprotected(ros):
     assert ended.stderr.splitlines()[-1].startswith("error: ") and "SECURITY" in ended.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node", "autopilot_node"])
 def test_each_node_uses_what_the_policy_allows_it(ros, name):
     seen = set()

@@ -59,20 +59,6 @@ def test_reset_save_and_load(ros):
     assert "Traceback" not in mapping.output() + lss.output()
 
 
-def test_services_without_a_path_or_a_folder_say_so(ros):
-    mapping = ros.start("mapping_node")
-    where = f"map_file.path:={ros.folder}/none/a.map"
-    nowhere = ros.start("mapping_node", "-p", where, "-r", "__node:=nowhere")
-    with ros.listen() as listener:
-        for service in ("save_map", "load_map"):
-            answer = ros.call(listener, f"/mapping_node/{service}")
-            assert not answer.success and "map_file.path" in answer.message
-        answer = ros.call(listener, "/nowhere/save_map")
-        assert not answer.success and "No such file" in answer.message
-    mapping.check()
-    nowhere.check()
-
-
 def test_live_parameters_area_keep_out_and_target_move_the_sites(ros):
     ros.start("mapping_node"), ros.start("lss_node")
     with ros.sensors() as (listener, sensors):
@@ -129,6 +115,7 @@ def _same(listener, places):
     return np.array_equal(site_places(listener), places)
 
 
+@pytest.mark.slow
 def test_levels_follow_the_age_of_the_data(ros):
     limits = ("-p", "diagnostics.warn_age:=0.5", "-p", "lidar.range_noise:=0.02")
     limits += ("-p", "lss.assessment:=touchdown")
@@ -156,6 +143,7 @@ def test_levels_follow_the_age_of_the_data(ros):
         assert "no map on '/map/cells'" in listener.diagnostics["lss_node"].message
 
 
+@pytest.mark.slow
 def test_no_safe_site_and_a_wrong_range_noise_are_told(ros):
     ros.start("mapping_node")
     ros.start("lss_node", "-p", "vehicle.diameter:=40.0")
@@ -167,6 +155,7 @@ def test_no_safe_site_and_a_wrong_range_noise_are_told(ros):
         listener.until(listener.told, "mapping_node", levels, "lidar.range_noise")
 
 
+@pytest.mark.slow
 def test_mapping_node_follows_the_landing_area(ros):
     ros.start("mapping_node", "-p", "domain.follow:=area")
     with ros.sensors() as (listener, sensors):

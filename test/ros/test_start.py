@@ -61,6 +61,7 @@ sys.meta_path.insert(0, Late())
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "module", "what"),
     [
@@ -84,6 +85,7 @@ def test_a_node_that_starts_says_for_what_it_waits(ros, name, module, what):
         listener.until(listener.told, name, (), waits)
 
 
+@pytest.mark.quick("lss_node")
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node", "autopilot_node"])
 def test_a_node_on_simulated_time_says_that_it_has_none(ros, name):
     """As on a vehicle with the parameter file of its simulation."""
@@ -110,6 +112,7 @@ sys.meta_path.insert(0, Refused())
 """
 
 
+@pytest.mark.slow
 def test_both_nodes_fly_with_what_the_package_itself_requires(ros):
     """Without the other wings, and without what any extra brings but rclpy and its messages."""
     asked = (Requirement(line) for line in metadata.requires("quadtree_lss") or [])

@@ -4,7 +4,6 @@
 import dataclasses
 import itertools
 import signal
-import time
 
 import numpy as np
 import pytest
@@ -100,6 +99,7 @@ def test_the_target_is_withdrawn_with_its_reason_and_replaced(ros, pilot):
     pilot.until(lambda: pilot.values().get("target.reason") in ("first", "holds"))
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_is_low_is_committed_by_its_poses(ros, pilot):
     """A map that stays the same: without the poses the target would only hold."""
     profile, make = stream(5, reliable=True), pilot.listener.node.create_publisher
@@ -128,6 +128,7 @@ def test_a_vehicle_that_is_low_is_committed_by_its_poses(ros, pilot):
     pilot.until(low)
 
 
+@pytest.mark.slow
 def test_a_released_target_is_chosen_anew(ros, pilot):
     ros.start("lss_node")
     assert not ros.call(pilot.listener, "/lss_node/release").success, "there is none"
@@ -158,6 +159,7 @@ def test_land_now_gives_a_place_before_anything_is_settled(ros, pilot):
     pilot.until(lambda: pilot.status()["state"] == State.HOLDS)
 
 
+@pytest.mark.slow
 def test_a_dead_node_is_missed_by_the_middleware_and_a_silent_one_is_not(ros, pilot):
     missed, alive, heard = [], [], []
     callbacks = SubscriptionEventCallbacks(
@@ -182,33 +184,3 @@ def test_a_dead_node_is_missed_by_the_middleware_and_a_silent_one_is_not(ros, pi
     pilot.until(in_time)
     lss.stop(signal.SIGKILL)
     pilot.until(lambda: missed and alive[-1] == 0)
-
-
-SLOW = """\
-import time
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
-assess, passes = LandingSiteSelector.assess, []
-def slow(self, *args, **how):
-    passes.append(None)
-    time.sleep(3.0 if len(passes) == 3 else 0.0)
-    return assess(self, *args, **how)
-LandingSiteSelector.assess = slow
-"""
-
-
-def test_the_target_is_said_again_while_a_pass_is_at_work(ros, pilot):
-    """A third pass of three seconds, as of an overloaded computer."""
-    heard = []
-    pilot.listener.node.create_subscription(
-        PoseWithCovarianceStamped, "landing/selected", lambda _: heard.append(time.monotonic()), 50
-    )
-    ros.start("lss_node", first=SLOW)
-    pilot.send_map(0)
-    pilot.until(pilot.has_target)
-    before = pilot.status()["answer"]
-    pilot.send_map(1)
-    pilot.listener.wait_for(lambda: False, timeout=0.6)
-    pilot.send_map(2)
-    pilot.until(lambda: pilot.status()["answer"] > before + 1, timeout=30.0)
-    late = np.diff(heard)
-    assert late.max() < 2.0, late

@@ -81,13 +81,6 @@ def test_rays_that_miss_are_nan():
     assert np.isnan(ranges[1:]).all()
 
 
-@pytest.mark.parametrize(("middle", "around", "end"), [(5.0, 3.0, 0.0), (0.0, 3.0, 1.0)])
-def test_the_edge_of_a_dem_is_no_wall_and_from_below_there_is_nothing(middle, around, end):
-    terrain = _terrain(lambda x, y: np.where(np.abs(x + y) < 1.0, middle, around))
-    origin = np.array([-30.0, 0.0, 2.0])
-    assert np.isnan(terrain.cast(origin, _fan(origin, [[0.0, 0.0, 2.0], [0.0, 0.0, end]]))).all()
-
-
 def test_beams_follow_the_lidar_frame():
     directions = FlashLidar(field_of_view_deg=10.0).directions()
     assert directions.shape == (128, 128, 3)

@@ -108,16 +108,6 @@ def test_truth_has_the_agreed_arrays(morpheus):
     assert truth["safe"].dtype == bool
 
 
-def test_parabola_poses_bear_the_stamps_of_the_scans(tmp_path):
-    result = simulate("parabola", tmp_path / "bag", seed=2, duration=3.0, truth=False)
-    rows = _read(tmp_path / "bag")
-    assert result.truth_path is None and not (tmp_path / "truth.npz").exists()
-    scans, poses = (
-        [row[2] for row in rows if row[0] == topic] for topic in ("/lidar/points", "/nav/pose")
-    )
-    assert scans == poses and len(scans) == 4 and set(np.diff(scans)) == {10**9}
-
-
 def test_same_seed_same_messages(tmp_path, hill):
     options = {"duration": 1.0, "terrain": hill, "truth": False}
     bags = []
@@ -127,36 +117,6 @@ def test_same_seed_same_messages(tmp_path, hill):
             bags.append([(received, bytes(raw)) for _, received, raw in reader.messages()])
     assert bags[0] == bags[1]
     assert bags[0] != bags[2]
-
-
-def test_existing_bag_is_kept_unless_told_otherwise(tmp_path, hill):
-    options = {"seed": 1, "duration": 1.0, "terrain": hill, "truth": False}
-    simulate("descent", tmp_path / "bag", **options)
-    with pytest.raises(SimulationError, match="exists.*--overwrite"):
-        simulate("descent", tmp_path / "bag", **options)
-    simulate("descent", tmp_path / "bag", **options, overwrite=True)
-    (tmp_path / "precious").mkdir()
-    (tmp_path / "precious" / "thesis.txt").write_text("years of work")
-    with pytest.raises(SimulationError, match="not overwritten"):
-        simulate("descent", tmp_path / "precious", **options, overwrite=True)
-    assert (tmp_path / "precious" / "thesis.txt").exists()
-    (tmp_path / "thesis.txt").write_text("years of work")
-    with pytest.raises(SimulationError, match="not overwritten"):
-        simulate("descent", tmp_path / "thesis.txt", **options, overwrite=True)
-    assert (tmp_path / "thesis.txt").read_text()
-
-
-def test_truth_of_another_flight_is_kept_unless_told_otherwise(tmp_path, hill):
-    def fly(name, seed, **more):
-        simulate("descent", tmp_path / name, seed=seed, duration=1.0, terrain=hill, **more)
-        with np.load(tmp_path / "truth.npz") as truth:
-            return int(truth["seed"])
-
-    assert fly("a", 7) == 7
-    with pytest.raises(SimulationError, match="truth.npz exists.*--overwrite"):
-        fly("b", 8)
-    assert not (tmp_path / "b").exists()
-    assert fly("b", 8, overwrite=True) == 8
 
 
 @pytest.mark.parametrize(
@@ -191,20 +151,3 @@ def test_flights_follow_one_another(tmp_path, hill):
     poses = [row[3].pose.pose.position.x for row in rows if "nav" in row[0]]
     assert poses[0] != poses[len(poses) // 2]  # with other errors
     assert str(result.truth_path) in result.table()
-
-
-def test_a_flight_that_is_stopped_is_a_whole_shorter_one(tmp_path, hill):
-    asked, how = iter([False] * 60), {"seed": 5, "duration": 1.0, "terrain": hill}
-    until = {"stop": lambda: next(asked, True)}
-    part = simulate("morpheus", tmp_path / "part" / "bag", **how, **until)
-    whole = simulate("morpheus", tmp_path / "whole" / "bag", **how)
-    assert part.interrupted and not whole.interrupted
-    assert 0 < part.scans < whole.scans and part.scans + part.poses == 60
-    rows, all_rows = _read(part.bag_path), _read(whole.bag_path)
-    assert [row[:3] for row in rows] == [row[:3] for row in all_rows[:60]]
-    with np.load(part.truth_path) as truth, np.load(whole.truth_path) as full:
-        assert truth["scan_stamp_ns"].size == part.scans
-        np.testing.assert_array_equal(truth["safe"], full["safe"])
-    with pytest.raises(KeyboardInterrupt):
-        simulate("morpheus", tmp_path / "no" / "bag", seed=5, terrain=hill, stop=lambda: True)
-    assert not list((tmp_path / "no").iterdir())

@@ -1,19 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Terrain: interpolation, files; rocks: how many, and stone by stone against their formula."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from exchange.test_dem import Z, band
 
 from quadtree_lss.lab.simulation.hazard_field import (
     HazardField,
     hazard_field,
     sample_rock_diameters,
 )
-from quadtree_lss.lab.simulation.rocks import lay
-from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain, load_terrain
+from quadtree_lss.lab.simulation.terrain import Terrain
 
 SMALL = HazardField(size=30.0)
 
@@ -53,78 +49,3 @@ def test_field_has_what_was_asked_for():
     smooth = hazard_field(np.random.default_rng(3), bare)
     slopes = np.degrees(np.arctan(np.hypot(*np.gradient(smooth.elevation, 0.1))))
     assert slopes.max() < 8.0
-
-
-def test_crater_is_a_bowl_of_the_given_depth_with_a_low_rim():
-    bare = HazardField(size=40.0, rock_abundance=0.0, slope_rms_deg=0.0, texture=0.0)
-    field = replace(bare, craters=1.0 / 1600.0, crater_smallest=4.999)
-    grounds = [hazard_field(np.random.default_rng(seed), field).elevation for seed in range(30)]
-    ends = np.array([(-z.min(), z.max()) for z in grounds if 0.2 < -z.min() < 0.55])
-    depth, rim = ends.max(axis=0)
-    assert len(ends) > 5 and depth <= 0.5 and rim < 0.25 * depth
-
-
-def test_a_geotiff_is_read_and_its_gap_refused(tmp_path):
-    with pytest.raises(SimulationError, match="dem.tif: .* not finite"):
-        load_terrain(band(tmp_path / "dem.tif", np.where(Z == Z.max(), np.nan, Z)))
-
-
-def test_what_cannot_be_flown_over_is_one_clear_line(tmp_path):
-    """Which files are no elevation model, test/exchange/test_dem.py asks."""
-    path = tmp_path / "dem.npz"
-    path.write_text("no")
-    for name, text in ((path.name, "dem.npz: cannot be read"), ("nowhere.npz", "no such file")):
-        with pytest.raises(SimulationError, match=text) as caught:
-            load_terrain(tmp_path / name)
-        assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "shape", "text"),
-    [
-        (np.arange(3.0), np.arange(1.0), (1, 3), "must be vectors"),
-        (np.arange(3.0), np.arange(4.0), (3, 4), r"shape \(3, 4\), expected"),
-        (-np.arange(3.0), np.arange(4.0), (4, 3), "must be vectors that ascend"),
-        (np.zeros(3), np.arange(4.0), (4, 3), "must be vectors that ascend"),
-        (np.arange(3.0), np.arange(4.0) ** 2, (4, 3), "must be vectors that ascend"),
-    ],
-)
-def test_arrays_that_are_no_terrain(x, y, shape, text):
-    with pytest.raises(SimulationError, match=text):
-        Terrain(x, y, np.zeros(shape))
-
-
-AXIS = np.linspace(-3.0, 3.0, 61)
-
-
-def ellipsoid(x, y, height, long, short, yaw):
-    """Height of a half buried ellipsoid over all posts, (61, 61)."""
-    dx, dy = AXIS[None, :] - x, AXIS[:, None] - y
-    along = (np.cos(yaw) * dx + np.sin(yaw) * dy) / long
-    across = (np.cos(yaw) * dy - np.sin(yaw) * dx) / short
-    return height * np.sqrt(np.maximum(1.0 - along**2 - across**2, 0.0))
-
-
-def laid(stones, *, heaped):
-    rocks, rows = np.zeros((61, 61)), []
-    for x, y, height, long, short, yaw in stones:
-        rows.append([x, y, height, long, short, np.cos(yaw), np.sin(yaw)])
-    near = np.array([[s[1] - s[3], s[1] + s[3], s[0] - s[3], s[0] + s[3]] for s in stones])
-    lay(rocks, AXIS, np.searchsorted(AXIS, near), np.array(rows), heaped)
-    return rocks
-
-
-STONES = [
-    (0.3, -0.2, 0.5, 0.9, 0.6, 0.4),
-    (-1.1, 1.0, 0.3, 0.5, 0.45, 2.0),
-    (2.9, 0.0, 0.4, 0.6, 0.5, 1.0),  # over the edge
-    (0.5, 0.1, 0.4, 0.7, 0.5, 3.0),
-]
-
-
-def test_a_rock_of_a_heap_lies_on_those_below_its_centre():
-    alone, heap = laid(STONES, heaped=False), laid(STONES, heaped=True)
-    middle = np.abs(AXIS[:, None] - 0.1) + np.abs(AXIS[None, :] - 0.5) < 0.06
-    assert heap[middle].max() > alone[middle].max() + 0.1
-    apart = np.hypot(AXIS[None, :] + 1.1, AXIS[:, None] - 1.0) < 0.5
-    assert np.array_equal(heap[apart], alone[apart])
