@@ -8,18 +8,18 @@ from core.scenes import slope
 from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.landing.grid import GridSampler
+from quadtree_lss.onboard.core.landing.aim import GridSampler
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.lattice import (
     disc,
     disc_means,
     distance_from,
     ground_planes,
     grown,
+    lower_room,
     nearest_marked,
 )
 from quadtree_lss.onboard.core.landing.raster import rasterise
-from quadtree_lss.onboard.core.landing.score import lower_room
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.tree.domain import Domain
 
 
@@ -147,7 +147,7 @@ def test_grid_points_between_lattice_points_take_the_nearest():
     """Lattice points lie half a metre apart."""
     x, y = np.array([0.7, 1.3]), np.array([0.8, 1.9])
     sampler = GridSampler(Domain(0.0, 0.0, 4.0, 0, 3), x, y)
-    row, column = sampler.lattice(np.array([0, 1]), np.array([0, 1]))
+    row, column = sampler.nearest_row, sampler.nearest_column
     assert row.tolist() == [2, 4]
     assert column.tolist() == [1, 3]
     values = np.arange(81.0).reshape(9, 9)

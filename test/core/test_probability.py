@@ -13,23 +13,19 @@ from scipy.stats import norm
 
 from quadtree_lss.lab.evaluation.risk_fit import ASKED, risk_model_text, risks
 from quadtree_lss.onboard.config.risk import LOCAL, Cause, Curve, RiskModel, risk_model
-from quadtree_lss.onboard.core.landing import hazards, score
-from quadtree_lss.onboard.core.landing.contact import ContactCheck
-from quadtree_lss.onboard.core.landing.grid import TIE, probable_first
-from quadtree_lss.onboard.core.landing.probability import (
+from quadtree_lss.onboard.core.landing import hazards, raster, score
+from quadtree_lss.onboard.core.landing.aim import (
+    TIE,
     Dispersion,
-    Remainder,
-    RiskTable,
-    aimed,
-    contact_limits,
-    heading_word,
-    height_noise,
     normal_weights,
-    shown,
+    probable_first,
+    unsafe_aims,
 )
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.contact import ContactCheck
 from quadtree_lss.onboard.core.landing.raster import rasterise
-from quadtree_lss.onboard.core.landing.score import look_around
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.result import MainRisk, risk_texts, shown
+from quadtree_lss.onboard.core.landing.risk import RiskTable, contact_limits, height_noise
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
 Array = NDArray[np.float64]
@@ -102,19 +98,19 @@ def rough_ground():
 
 def landed(config, cells):
     lss = config.lss
-    raster = rasterise(cells, lss)
-    around = look_around(raster, lss)
-    contacts = ContactCheck(lss, contact_limits(MODEL, lss)).contacts(raster, around.needs_contact)
-    return raster, around.judged, around.planes, contacts
+    terrain = rasterise(cells, lss)
+    check = ContactCheck(lss, contact_limits(MODEL, lss))
+    return terrain, check.contacts(terrain, terrain.needs_contact)
 
 
 def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     config, cells = rough_ground
-    raster, judged, planes, contacts = landed(config, cells)
-    table, given = RiskTable(MODEL, config.lss, 0.06), (raster, planes, contacts)
+    terrain, contacts = landed(config, cells)
+    judged, planes, given = terrain.judged, terrain.planes, (terrain, contacts)
+    table = RiskTable(MODEL, config.lss, 0.06)
     found = dict(zip(LOCAL, table.features(*given), strict=True))
-    side, c, steep = raster.domain.finest_size, 0.3, np.tan(np.radians(10.0))
-    size, seen = len(judged), ~raster.bridged
+    side, c, steep = terrain.domain.finest_size, 0.3, np.tan(np.radians(10.0))
+    size, seen = len(judged), ~terrain.bridged
     for name, contact, limit, least in (
         ("rise", contacts.rise, c, 0.5),
         ("tilt", contacts.tilt, steep, 0.6),
@@ -125,7 +121,7 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
         four = padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]
         beside = np.maximum.reduce([own, *four])
         np.testing.assert_allclose(found[f"{name}_beside"], beside, rtol=1e-5)
-    count = np.bincount(raster.leaf[seen], minlength=len(cells.level))
+    count = np.bincount(terrain.leaf[seen], minlength=len(cells.level))
     with np.errstate(divide="ignore"):
         independent = -16.0 * np.log(1.0 - cells.coverage)
     returns = np.minimum(cells.count / np.maximum(count, 1), independent)
@@ -134,7 +130,7 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     heights[estimated] = 1.0 / np.linalg.inv(cells.covariance_range[estimated])[:, 2, 2]
     share = np.clip(heights * cells.count / 0.06**2, 1e-3, 1.0)
     assert np.median(share) < 1.0
-    returns = (returns / share)[raster.leaf]
+    returns = (returns / share)[terrain.leaf]
     density = np.pad(np.where(seen, returns * (c / side) ** 2, 0.0), 1, mode="edge")
     density = sliding_window_view(density, (3, 3)).mean(axis=(2, 3))
     known = np.log10(density + 1e-3)
@@ -142,11 +138,11 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     expected = square_means(known, under, under, size)
     expected -= 3.0 * np.log10(side / c / 0.85)  # noise is 0.2 clearances
     np.testing.assert_allclose(found["seen"], expected, atol=1e-4)
-    rough = np.nan_to_num(cells.roughness / cells.size**2)[raster.leaf] / c * seen
+    rough = np.nan_to_num(cells.roughness / cells.size**2)[terrain.leaf] / c * seen
     rough = np.sqrt(square_means(rough, under, under, size))
     np.testing.assert_allclose(found["roughness"], rough, atol=1e-4)
     corners = sliding_window_view(planes.elevation, (2, 2)).mean(axis=(2, 3))
-    over = np.clip((raster.elevation - corners) / c, 0.0, 5.0) * raster.seen
+    over = np.clip((terrain.elevation - corners) / c, 0.0, 5.0) * terrain.seen
     assert (over > 1.0).any()
     relief = np.sqrt(square_means(over**2, under, under, size))
     np.testing.assert_allclose(found["relief"], relief, atol=1e-4)
@@ -166,12 +162,12 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
 @pytest.mark.parametrize("noise", [0.06, 0.03])
 def test_the_fit_is_looked_up_as_its_equations_say(rough_ground, noise):
     config, cells = rough_ground
-    raster, judged, planes, contacts = landed(config, cells)
-    table = RiskTable(MODEL, config.lss, noise)
-    found, cause = table.risk(raster, judged, planes, contacts)
-    asked = table.features(raster, planes, contacts)[:, judged].astype(float)
+    terrain, contacts = landed(config, cells)
+    table, judged = RiskTable(MODEL, config.lss, noise), terrain.judged
+    found, cause = table.risk(terrain, contacts)
+    asked = table.features(terrain, contacts)[:, judged].astype(float)
     of = dict(zip(LOCAL, asked, strict=True))
-    of |= {"noise": np.log10(noise / 0.3), "cell": np.log10(raster.domain.finest_size / 0.3)}
+    of |= {"noise": np.log10(noise / 0.3), "cell": np.log10(terrain.domain.finest_size / 0.3)}
     of["clearance"] = np.log10(0.3 / 3.7)
     of["lean"] = np.log10(3.7 * np.tan(np.radians(10.0)) / np.sqrt(2.0) / 0.3)
     odds = []
@@ -237,7 +233,7 @@ def test_aims_are_means_over_the_touchdowns_drawn_from_the_dispersion():
     rng = np.random.default_rng(4)
     risk = (rng.random((41, 41)) < 0.3).astype(float)
     spread = Dispersion(0.8, 0.3)
-    found = aimed(risk, 0.25, spread)
+    found = unsafe_aims(risk, 0.25, spread)
     for row, column in ((20, 20), (1, 39), (8, 30)):
         steps = rng.normal(0.0, 1.0, (200_000, 2)) * (spread.y / 0.25, spread.x / 0.25)
         i, j = np.rint(steps + (row, column)).astype(int).T
@@ -251,7 +247,7 @@ def test_an_aim_is_the_weighted_mean_of_the_risk_about_it(spread):
     risk, beyond = np.random.default_rng(5).random((19, 25)), 30
     around = np.pad(risk, beyond, constant_values=1.0)
     along_y, along_x = (normal_weights(s / 0.25, beyond) for s in (spread.y, spread.x))
-    found = aimed(risk, 0.25, spread)
+    found = unsafe_aims(risk, 0.25, spread)
     for row, column in ((0, 0), (9, 12), (18, 3)):
         rows, columns = (
             np.arange(-(len(w) // 2), len(w) // 2 + 1) + at + beyond
@@ -266,7 +262,7 @@ def test_of_a_wide_dispersion_most_comes_down_beyond_the_map(sigma):
     places, side = np.arange(21), 0.25
     ends = np.array([[20.5], [-0.5]])
     within = -np.diff(norm.cdf((ends - places) * side / sigma), axis=0)[0]
-    unsafe = aimed(np.zeros((21, 21)), side, Dispersion(sigma, sigma))
+    unsafe = unsafe_aims(np.zeros((21, 21)), side, Dispersion(sigma, sigma))
     np.testing.assert_allclose(1.0 - unsafe, np.outer(within, within), rtol=2e-3, atol=1e-5)
 
 
@@ -318,7 +314,7 @@ def test_guidance_goes_before_the_configuration(beside_a_rock):
     own = selector.assess(beside_a_rock).probability
     theirs = selector.assess(beside_a_rock, dispersion=[0.2, 0.1]).probability
     np.testing.assert_array_equal(
-        theirs, 1.0 - aimed(selector.assess(beside_a_rock).risk, 0.25, Dispersion(0.2, 0.1))
+        theirs, 1.0 - unsafe_aims(selector.assess(beside_a_rock).risk, 0.25, Dispersion(0.2, 0.1))
     )
     assert theirs.max() > own.max()
 
@@ -341,7 +337,7 @@ def test_a_heading_counts_for_limits_and_not_for_the_risk_fitted_to_the_worst(be
 
 @pytest.mark.parametrize("given", [[1.0], [1.0, -1.0], [np.nan, 1.0], [1e9, 1.0], [1, 1, 0, 0]])
 def test_what_is_no_dispersion_is_refused(beside_a_rock, given):
-    with pytest.raises(ValueError, match="dispersion needs two deviations"):
+    with pytest.raises(ValueError, match="dispersion needs two standard deviations"):
         probable().assess(beside_a_rock, dispersion=given)
 
 
@@ -354,17 +350,18 @@ def test_reasons_say_what_is_left(beside_a_rock):
     assert "an obstacle" in nearest or "too steep" in nearest
 
 
-def test_words():
+def test_probabilities_and_risks_as_text():
     assert shown(0.9917) == "99.2 %"
     assert shown(0.99997) == "99.99 %"
     assert shown(float("nan")) == "-"
-    risk = "probability 99.2 %: the remaining risk is"
-    assert Remainder(0.9917, 3.14, 0.0, "obstacle").words() == f"{risk} an obstacle 3.1 m east"
-    assert Remainder(0.9917, 0.0, 0.0, "slope").words() == f"{risk} too steep a slope here"
-    little = Remainder(0.99997, 0.0, 0.0, "slope")
-    assert little.words() == "probability 99.99 %", "not worth a word"
-    words = ["east", "north-east", "north", "west", "south"]
-    assert [heading_word(np.radians(a)) for a in (0, 44, 91, 180, -91)] == words
+    risk = "probability 99.2 %: the remaining risk is a slope"
+    assert risk_texts([MainRisk(0.9917, "a slope", 0.0, 0.0)]) == [f"{risk} here; "]
+    little = risk_texts([MainRisk(0.99997, "a slope", 0.0, 3.0)])
+    assert little == ["probability 99.99 %; "], "negligible"
+    bearings = {0: "east", 44: "north-east", 91: "north", 180: "west", -91: "south"}
+    for bearing, name in bearings.items():
+        away = 3.14 * np.sin(np.radians(bearing)), 3.14 * np.cos(np.radians(bearing))
+        assert risk_texts([MainRisk(0.9917, "a slope", *away)]) == [f"{risk} 3.1 m {name}; "]
 
 
 def test_what_is_more_probable_comes_first_whatever_its_score():
@@ -392,7 +389,10 @@ def test_where_the_probability_is_the_same_the_clearance_decides(beside_a_rock, 
     nothing = Cause(-9.0, (Curve("lean", (0.0, 0.4), ((0.0, 0.0),)),))
     causes = dict(zip(MODEL.causes, (rock, steep, nothing), strict=True))
     (tmp_path / "model.yaml").write_text(risk_model_text(replace(MODEL, causes=causes)))
-    with mock.patch.object(score, "DISTANCE_CAP", 12.0):
+    with (
+        mock.patch.multiple(score, DISTANCE_CAP=12.0),
+        mock.patch.object(raster, "DISTANCE_CAP", 12.0),
+    ):
         selector = probable(dispersion=0.1, risk_model=str(tmp_path / "model.yaml"))
         found = selector.assess(beside_a_rock)
     first = found.sites.position[0, :2]
@@ -410,7 +410,7 @@ def test_where_the_probability_is_the_same_the_clearance_decides(beside_a_rock, 
 
 def test_a_heading_that_is_no_number_is_any():
     for heading in (np.nan, np.inf):
-        assert Dispersion.of((1.0, 1.0, heading), configured().lss).heading is None
+        assert Dispersion.from_values((1.0, 1.0, heading), configured().lss).heading is None
 
 
 @pytest.mark.parametrize("sigma", [1e-160, 1e-200, 1e-320, 1e-3])

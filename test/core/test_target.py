@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.landing import sites
-from quadtree_lss.onboard.core.landing.assessment import no_target
+from quadtree_lss.onboard.core.landing import choose as choosing
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.choose import ground_covariance
 from quadtree_lss.onboard.core.landing.lattice import ground_planes
-from quadtree_lss.onboard.core.landing.probability import shown
 from quadtree_lss.onboard.core.landing.raster import rasterise
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector, ground_covariance
+from quadtree_lss.onboard.core.landing.result import no_target, shown
 from quadtree_lss.onboard.core.landing.target import (
     GAIN,
     KEPT,
@@ -51,7 +51,7 @@ def situation(unsafe=(0.02,) * 4, *, confirmed=(1, 1, 1, 1), fault=Reason.HAZARD
     about = {"descent": HIGH, "settled": True, "now": None}
     about |= {name: given.pop(name) for name in about.keys() & given.keys()}
     ground = candidates(unsafe, **given)
-    confirmed = np.array([confirmed], dtype=bool) & ground.likely(LSS.min_probability)
+    confirmed = np.array([confirmed], dtype=bool) & ground.probable(LSS.min_probability)
     return Situation(ground, confirmed, LSS, lambda *_: fault, Reason.NO_SITE, **about)
 
 
@@ -171,7 +171,7 @@ def test_reach_is_that_of_speeding_up_and_slowing_down_aside():
 
 def choose(keeper: TargetKeeper, *unsafe, **given) -> Choice:
     """Return the last choice over some assessments."""
-    why = {"why_not": lambda *_: Reason.HAZARD, "why_none": Reason.NO_SITE, "reach": 9.0}
+    why = {"why_not": lambda *_: Reason.HAZARD, "why_none": Reason.NO_SITE}
     for each in unsafe:
         choice = keeper.choose(candidates(each, np.isfinite(each), **given), LSS, **why)
     return choice
@@ -406,7 +406,7 @@ def test_why_is_one_sentence_for_each_reason(level_ground, with_block):
 
 def test_land_now_takes_the_best_within_reach_at_once(monkeypatch, with_block):
     """Before anything is settled, and low: only what lies near enough, until it is released."""
-    monkeypatch.setattr(sites, "SETTLE_SHARE", 1.1)
+    monkeypatch.setattr(choosing, "SETTLE_SHARE", 1.1)
     monkeypatch.setitem(NEARER, "probability", 0.0)
     selector = LandingSiteSelector(by_risk(dispersion=0.3))
     low = (3.0, 0.5, 4.0, 4.0)

@@ -38,7 +38,7 @@ from quadtree_lss.onboard.autopilot.seen import Seen, Target, target_of
 from quadtree_lss.onboard.config.limits import pass_seconds
 from quadtree_lss.onboard.config.sections import AutopilotConfig
 from quadtree_lss.onboard.config.settings import Config, ConfigError, config_from_values, parameters
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.pose_gate import PATIENCE
 from quadtree_lss.onboard.core.tree.cell_map import CellMap

@@ -186,7 +186,7 @@ def test_a_dead_node_is_missed_by_the_middleware_and_a_silent_one_is_not(ros, pi
 
 SLOW = """\
 import time
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 assess, passes = LandingSiteSelector.assess, []
 def slow(self, *args, **how):
     passes.append(None)

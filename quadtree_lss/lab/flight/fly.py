@@ -20,8 +20,8 @@ from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.sections import CHECKPOINT_S
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 from quadtree_lss.onboard.core.landing.hazards import TOUCHDOWN, UNMAPPED, UNSEEN
+from quadtree_lss.onboard.core.landing.result import LandingAssessment
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.intake import Intake

@@ -13,7 +13,7 @@ from nav_msgs.msg import OccupancyGrid, Odometry
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
-from quadtree_lss.onboard.config.risk import doubt
+from quadtree_lss.onboard.config.risk import model_warning
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.clouds import MessageError
@@ -32,7 +32,7 @@ from quadtree_lss.onboard.nodes.ros_messages import TYPES, GridMap, message_make
 from quadtree_lss.onboard.nodes.target_output import TargetOutput
 
 if TYPE_CHECKING:
-    from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+    from quadtree_lss.onboard.core.landing.result import LandingAssessment
 
 LOOK_PERIOD_S = 0.2
 """How often the age of the map is looked at."""
@@ -99,10 +99,10 @@ class LssNode(BaseNode):
         steady_timer(self, LOOK_PERIOD_S, self._look_around)
         # This takes a while to load, in which the middleware already finds mapping_node.
         waits_for("what judges landing")
-        from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+        from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 
         self._selector = LandingSiteSelector(config)
-        if said := doubt(config):
+        if said := model_warning(config):
             self.get_logger().warning(said)
         self._announce()
 

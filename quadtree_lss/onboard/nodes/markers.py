@@ -23,7 +23,7 @@ from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.ros_messages import header_message
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
-    from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+    from quadtree_lss.onboard.core.landing.result import LandingAssessment
 
 
 class CdrWriter:

@@ -20,7 +20,7 @@ from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, serve, 
 from quadtree_lss.onboard.nodes.ros_messages import message_maker
 
 if TYPE_CHECKING:
-    from quadtree_lss.onboard.core.landing.assessment import LandingAssessment, Selected
+    from quadtree_lss.onboard.core.landing.result import LandingAssessment, Selected
 
 
 class TargetOutput:
