@@ -44,6 +44,7 @@ HAZARDS, SCORE = "landing/hazards", "landing/score"
 PROBABILITY = "landing/probability"
 GROUND = SITES, SITE_TABLE, HAZARDS, SCORE, PROBABILITY
 SELECTED, STATUS = "landing/selected", "landing/status"
+STATUS_TEXT = "landing/status_text"  # live only
 
 CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 GRID_TYPE = "nav_msgs/msg/OccupancyGrid"
