@@ -345,7 +345,7 @@ AREA = [(2.0, 6.0), (12.0, 6.0), (12.0, 15.0), (5.0, 15.0)]
 def test_the_zone_lies_in_the_landing_area_and_off_the_keep_out(cells):
     keep_out = [(6.0, 6.0), (8.0, 6.0), (8.0, 9.0)]
     free = assess(cells, small(margin=0.3))
-    found = assess(cells, small(margin=0.3), area=AREA, keep_out=keep_out)
+    found = assess(cells, small(margin=0.3), area=AREA, keep_outs=[keep_out])
     x, y = np.meshgrid(found.x, found.y)
     zone = RADIUS + 0.3
     allowed = (signed_distance(AREA, x, y) >= zone) & (signed_distance(keep_out, x, y) <= -zone)
@@ -449,7 +449,7 @@ def test_a_polygon_that_crosses_itself_has_both_its_lobes_inside(level_ground):
     assert allowed[16, 27]  # east of it
     assert not allowed[5, 16]
     assert not allowed[16, 16]
-    kept = np.isfinite(assess(level_ground, small(), keep_out=bow_tie).score)
+    kept = np.isfinite(assess(level_ground, small(), keep_outs=[bow_tie]).score)
     assert kept[5, 16]
     assert not kept[16, 5]
 

@@ -470,7 +470,7 @@ def test_land_now_heeds_keep_outs_and_takes_what_is_least_unsafe(with_block):
     assert first.state is State.NOW and first.reason is Reason.LAND_NOW
     assert max(abs(first.position[:2] - 8.0)) > 1.5, "the block is no place to land"
     kept = around(first.position, 2.0)
-    second = selector.assess(with_block, vehicle=here, keep_out=kept).selected
+    second = selector.assess(with_block, vehicle=here, keep_outs=[kept]).selected
     assert second.reason is Reason.LAND_NOW and second.id != first.id
     assert np.abs(second.position[:2] - first.position[:2]).max() > 2.0
     none = selector.assess(with_block, vehicle=here, withheld="unreadable").selected

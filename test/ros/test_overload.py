@@ -13,7 +13,14 @@ from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.nodes import losses
 from quadtree_lss.onboard.nodes.diagnostics import Durations, Problems, Status
-from quadtree_lss.onboard.nodes.losses import CALM_S, LEAST_S, SHARE, Overload, ScanGaps, allowance
+from quadtree_lss.onboard.nodes.losses import (
+    CALM_S,
+    MIN_ALLOWANCE_S,
+    OVERLOADED_SHARE,
+    Overload,
+    ScanGaps,
+    allowance,
+)
 from quadtree_lss.onboard.nodes.qos import latched
 
 pytestmark = pytest.mark.xdist_group("ros_faults")
@@ -56,7 +63,7 @@ def test_stamps_of_the_future_are_told_as_old_ones_are(delay_ms, level):
 def test_the_allowance_leaves_time_to_map_and_publish():
     config = load_config(overrides={"diagnostics.warn_age": 1.0, "publish.rate": 10.0})
     assert allowance(config, 50.0) == pytest.approx(0.8)
-    assert allowance(config, 5000.0) == LEAST_S, "or no scan would ever be mapped"
+    assert allowance(config, 5000.0) == MIN_ALLOWANCE_S, "or no scan would ever be mapped"
     slow = load_config(overrides={"diagnostics.warn_age": 1.0, "publish.rate": 0.1})
     assert allowance(slow, 0.0) == pytest.approx(0.5)
 
@@ -73,7 +80,7 @@ def test_a_hold_up_costs_nothing_and_an_overload_old_scans(monkeypatch):
     assert overload.takes(received(0.9 * limit), config, busy)
     assert not overload.takes(received(1.1 * limit), config, busy)
     assert not overload.takes(received(0.9 * limit), config, busy), "overloaded now"
-    assert overload.takes(received(0.8 * SHARE * limit), config, busy)
+    assert overload.takes(received(0.8 * OVERLOADED_SHARE * limit), config, busy)
     clock.now += 1.01 * CALM_S
     assert overload.takes(received(0.9 * limit), config, busy), "calm again"
     assert overload.takes(0, config, busy), "the middleware does not say when it came"

@@ -169,7 +169,7 @@ def test_who_waits_says_for_what_ever_less_often(monkeypatch):
         clock.now += 1.0
         for what in ("", "a map"):
             entry.waits_for(what, lines.append)
-            waiting.look()
+            waiting.report_if_due()
     assert lines == ["waiting for a map"] * 3, "after 5, 15 and 35 s"
 
 

@@ -55,7 +55,7 @@ class LssNode(BaseNode):
         self._inputs = LandingTopics(
             self, self._problems, self._on_input, config.lss.required_input
         )
-        self._navigation = self._inputs.wishes.navigation
+        self._navigation = self._inputs.requests.navigation
         self._map_topic = self.resolve_topic_name(CELLS)
         effect = "maps of either are assessed"
         self._map_publishers = Publishers(self._map_topic, "map_publishers", effect, self._problems)
@@ -157,7 +157,7 @@ class LssNode(BaseNode):
 
     def _why_withheld(self) -> str:
         """Return why no site may be published, empty if one may."""
-        reasons = (self._inputs.wishes.withheld, self._map.too_old())
+        reasons = (self._inputs.requests.withheld, self._map.too_old())
         return "; ".join(reason for reason in reasons if reason)
 
     def _check(self) -> None:
@@ -209,7 +209,7 @@ class LssNode(BaseNode):
         self._assessed, self._withheld, self._inputs_changed = cells, withheld, False
         self._take_pose()
         start = time.perf_counter()
-        restrictions = {**self._inputs.wishes.arguments(), "withheld": withheld}
+        restrictions = {**self._inputs.requests.arguments(), "withheld": withheld}
         try:
             self._failed = ""
             with self._target.repeated():

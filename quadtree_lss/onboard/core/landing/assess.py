@@ -71,7 +71,6 @@ class LandingSiteSelector:
         cells: CellMap,
         *,
         area: ArrayLike | None = None,
-        keep_out: ArrayLike | None = None,
         keep_outs: Sequence[ArrayLike] = (),
         target: ArrayLike | None = None,
         dispersion: ArrayLike | None = None,
@@ -84,7 +83,6 @@ class LandingSiteSelector:
         Args:
             cells: The map; points are never needed.
             area, keep_outs, target, withheld: As of `Restrictions`: where landing is wanted.
-            keep_out: Another one of ``keep_outs``.
             dispersion: Standard deviations of the touchdown about its aim point along x and y, m,
                 and optionally the vehicle's heading, rad, NaN for any; None for ``lss.dispersion``
                 and any heading. A heading matters only without a risk model, which was fitted to
@@ -99,7 +97,6 @@ class LandingSiteSelector:
         """
         lss, keeper = self.config.lss, self._keeper
         spread = Dispersion.from_values(dispersion, lss)
-        keep_outs = [*([] if keep_out is None else [keep_out]), *keep_outs]
         restrictions = Restrictions(area, keep_outs, target, withheld)
         keeper.apply_restrictions(restrictions, lss)
 
