@@ -397,7 +397,7 @@ def assert_empty_but_explained(found: LandingAssessment) -> None:
     [
         {"area": [(100.0, 100.0), (130.0, 100.0), (130.0, 130.0)]},
         {"area": [(5.0, 5.0), (6.0, 5.0), (6.0, 6.0)]},
-        {"keep_out": [(-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0)]},
+        {"keep_outs": [[(-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0)]]},
     ],
     ids=["elsewhere", "too small", "all closed"],
 )
@@ -418,8 +418,8 @@ TRIANGLE = [(1.0, 1.0), (15.0, 1.0), (8.0, 15.0)]
         ({"area": [(0.0, 0.0), (1.0, 1.0)]}, "polygon"),
         ({"area": []}, "polygon"),
         ({"area": [(0.0, 0.0), (9.0, np.nan), (9.0, 9.0)]}, "polygon"),
-        ({"keep_out": [(0.0, 0.0), (np.inf, 1.0), (9.0, 9.0)]}, "polygon"),
-        ({"keep_out": [(0.0, 0.0), (1.0, 1.0)], "area": TRIANGLE}, "polygon"),
+        ({"keep_outs": [[(0.0, 0.0), (np.inf, 1.0), (9.0, 9.0)]]}, "polygon"),
+        ({"keep_outs": [[(0.0, 0.0), (1.0, 1.0)]], "area": TRIANGLE}, "polygon"),
         ({"area": [(-1e300, -1e300), (1e300, 0.0), (0.0, 1e300)]}, "polygon"),
         ({"area": [(0.0, 0.0), (1.0,), (3.0, 3.0)]}, "no site"),
         ({"target": (np.nan, 1.0)}, "target"),

@@ -259,19 +259,19 @@ def test_the_target_is_the_first_site_and_every_answer_has_a_number(level_ground
 @pytest.mark.parametrize(
     ("where", "reason", "pending"),
     [
-        ({"keep_out": "around"}, Reason.KEEP_OUT, True),
+        ({"keep_outs": "around"}, Reason.KEEP_OUT, True),
         ({"withheld": "the map is too old"}, Reason.WITHHELD, False),
-        ({"keep_out": [(0.0, 0.0)]}, Reason.WITHHELD, False),
+        ({"keep_outs": [[(0.0, 0.0)]]}, Reason.WITHHELD, False),
         ({"keep_outs": "around"}, Reason.KEEP_OUT, True),
     ],
 )
 def test_a_withdrawn_target_says_why(level_ground, where, reason, pending):
     selector = LandingSiteSelector(small())
     place = target_of(selector, level_ground).selected.position
-    if where.get("keep_out") == "around":
-        where = {"keep_out": around(place, 1.0)}
     if where.get("keep_outs") == "around":
-        where = {"keep_out": around((2.0, 2.0), 1.0), "keep_outs": [around(place, 1.0)]}
+        where = {"keep_outs": [around(place, 1.0)]}
+    if where.get("keep_outs") == "around":
+        where = {"keep_outs": [around((2.0, 2.0), 1.0), around(place, 1.0)]}
     found = selector.assess(level_ground, **where)
     assert (found.selected.id, found.selected.reason) == (0, reason)
     assert found.pending is pending
