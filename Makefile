@@ -25,7 +25,7 @@ SOURCES := $(shell find quadtree_lss launch rviz foxglove security config exampl
 export PYTHONSAFEPATH := 1
 unexport VIRTUAL_ENV
 
-.PHONY: help setup lock audit demo test test-slow test-all test-checked test-vehicle test-autopilot lint docs figures bench clean
+.PHONY: help setup lock audit demo test test-slow test-all test-checked test-vehicle test-newest test-autopilot lint docs figures bench clean
 
 help:
 	@echo 'make demo      simulate a descent, run both nodes on it, rank landing sites (2 minutes)'
@@ -34,6 +34,7 @@ help:
 	@echo 'make test-checked  tests of the core with every index checked'
 	@echo 'make test-all  these three'
 	@echo 'make test-vehicle  test suite with the versions of a vehicle computer, where there is a Python 3.12'
+	@echo 'make test-newest  core, messages and a live test with the newest versions that pyproject.toml allows'
 	@echo 'make test-autopilot  landings with ArduCopter and PX4, software in the loop: ARDUCOPTER, PX4 name them'
 	@echo 'make lint      ruff, mypy, and the language of the documents'
 	@echo 'make docs      the site, into build/site/html'
@@ -161,6 +162,25 @@ $(VEHICLE)/.package: $(VEHICLE)/.dependencies $(SOURCES)
 	@rm -rf quadtree_lss.egg-info
 	@touch $@
 
+# The newest versions that pyproject.toml allows, in an environment of its own, with the newest Python
+# that has wheels of them. The ROS wheels stay as locked.
+NEWEST_PYTHON ?= $(shell for python in python3.13 "$${PYENV_ROOT:-$$HOME/.pyenv}"/versions/3.13*/bin/python3.13 \
+    $$(uv python find 3.13 2>/dev/null) $(PYTHON); do \
+    if $$python --version >/dev/null 2>&1; then echo $$python; break; fi; done)
+NEWEST_TESTS ?= test/core test/messages test/ros/test_nodes.py
+NEWEST := $(CURDIR)/.venv-newest
+NEWEST_PIP := $(NEWEST)/bin/python -m pip --disable-pip-version-check install --quiet --upgrade
+test-newest:
+	@rm -rf $(NEWEST) quadtree_lss.egg-info
+	@$(NEWEST_PYTHON) -m venv $(NEWEST)
+	@grep '^ros-' constraints.txt > $(NEWEST)/constraints.txt
+	@$(NEWEST_PIP) setuptools wheel cython
+	@$(NEWEST_PIP) -c $(NEWEST)/constraints.txt --no-build-isolation '.[desk,wheels,autopilot,test]'
+	@rm -rf quadtree_lss.egg-info
+	@$(NEWEST)/bin/python -c 'import numpy, scipy, Cython, sys; \
+	    print("Python", *sys.version_info[:2], "NumPy", numpy.__version__, "SciPy", scipy.__version__, "Cython", Cython.__version__)'
+	$(NEWEST)/bin/pytest $(WORKERS) $(PYTEST_ARGS) $(NEWEST_TESTS)
+
 # The core with every index checked, in a folder of its own before the installed one.
 CHECKED := $(VENV)/checked
 CHECKED_TESTS ?= test/core
@@ -199,6 +219,6 @@ bench: setup
 	done
 
 clean:
-	rm -rf .venv .venv-vehicle build demo_output quadtree_lss.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-vehicle .venv-newest build demo_output quadtree_lss.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find quadtree_lss -name '*.so' -delete
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

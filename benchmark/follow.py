@@ -32,7 +32,7 @@ from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.lab.simulation.trajectory import NORTH, look_at
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.messages.maps import decode_cells, encode_cells, round_trip

@@ -14,7 +14,7 @@ import numpy as np
 from common import Recording, configuration, machine, recording, table
 
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.maps import round_trip

@@ -31,8 +31,9 @@ from quadtree_lss.lab.simulation.simulation import Leg, Simulation
 from quadtree_lss.lab.simulation.trajectory import descent_trajectory
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.landing.probability import Dispersion, aimed
-from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.onboard.core.landing.aim import Dispersion, unsafe_aims
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.result import LandingAssessment
 from quadtree_lss.onboard.core.landing.target import Reason, State
 from quadtree_lss.onboard.messages.maps import round_trip
 
@@ -141,8 +142,10 @@ class Truth:
         dem, lander = simulation.legs[0].plan.terrain, lander_of(config)
         self.x, self.y = found.x, found.y
         self.safe: Mask = safety_map(dem, self.x, self.y, lander)
-        spread = Dispersion.of(None, config.lss)
-        self.probability = 1.0 - aimed(1.0 - self.safe.astype(float), config.lss.spacing, spread)
+        spread = Dispersion.from_values(None, config.lss)
+        self.probability = 1.0 - unsafe_aims(
+            1.0 - self.safe.astype(float), config.lss.spacing, spread
+        )
         xmin, xmax, ymin, ymax = simulation.box
         rows, columns = (self.y >= ymin) & (self.y <= ymax), (self.x >= xmin) & (self.x <= xmax)
         self.best = float(self.probability[np.ix_(rows, columns)].max())

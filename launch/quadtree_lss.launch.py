@@ -21,8 +21,8 @@ TOPICS = {  # each is an argument too, with "_" for "/"
     " landing/area map/cells map/observed map/markers",
     "lss_node": "map/cells map/observed nav/pose nav/odometry landing/area landing/keep_out"
     " landing/keep_outs landing/target landing/dispersion landing/sites landing/site_table"
-    " landing/selected landing/status landing/hazards landing/score landing/probability"
-    " landing/grid_map landing/markers",
+    " landing/selected landing/status landing/status_text landing/hazards landing/score"
+    " landing/probability landing/grid_map landing/markers",
     "autopilot_node": "nav/odometry landing/area landing/dispersion landing/selected"
     " landing/status landing/autopilot",
 }

@@ -17,7 +17,8 @@ from quadtree_lss.desk.replay.replay import Step, replay, scans, steps
 from quadtree_lss.desk.replay.results import ReplayResult
 from quadtree_lss.desk.replay.suggest import Suggestion, suggest_config
 from quadtree_lss.onboard.config.settings import Config, ConfigError
-from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector, Sites
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.result import LandingAssessment, Sites
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, Ground, Profile

@@ -21,7 +21,7 @@ from quadtree_lss.lab.evaluation.metrics import (
 )
 from quadtree_lss.lab.evaluation.results import TOP
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.register import register
 

@@ -10,7 +10,7 @@ import pytest
 
 from quadtree_lss.onboard.config.limits import why_too_much
 from quadtree_lss.onboard.config.settings import Config, config_from_values
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.messages.maps import round_trip

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from quadtree_lss.onboard.config.limits import YAWS
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing import hazards
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.contact import ContactCheck, ContactLimits, Contacts
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.tree.cell_map import SHAPE
 
 #: 16 x 16 finest cells of 0.5 m.

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.geometry import morton
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.core.mapping.contradiction import AGREEING
 from quadtree_lss.onboard.core.mapping.mapper import Mapper

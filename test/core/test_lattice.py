@@ -8,17 +8,17 @@ from core.scenes import slope
 from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.lattice import (
     disc,
     disc_means,
     distance_from,
     ground_planes,
     grown,
+    lower_room,
     nearest_marked,
 )
 from quadtree_lss.onboard.core.landing.raster import rasterise
-from quadtree_lss.onboard.core.landing.score import lower_room
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 
 
 def test_beyond_the_edge_the_ground_goes_on():

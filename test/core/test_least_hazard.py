@@ -10,7 +10,7 @@ from core.builders import BY_RISK, configured, mapped
 from quadtree_lss.lab.simulation.safety import LandingGear, contact_safe
 from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 
 #: Not of the least hazard: of the diameter, of the slope, and a rise over the pads' plane.
 OTHERS = {"grid_spacing", "min_separation", "max_gap", "hazard_growth", "reference_size"}

@@ -13,18 +13,11 @@ from numpy.typing import NDArray
 from quadtree_lss.lab.evaluation.risk_fit import ASKED, risks
 from quadtree_lss.onboard.config.risk import LOCAL, Cause, Curve, RiskModel, risk_model
 from quadtree_lss.onboard.core.landing import hazards
+from quadtree_lss.onboard.core.landing.aim import Dispersion, normal_weights, unsafe_aims
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.contact import ContactCheck
-from quadtree_lss.onboard.core.landing.probability import (
-    Dispersion,
-    RiskTable,
-    aimed,
-    contact_limits,
-    height_noise,
-    normal_weights,
-)
 from quadtree_lss.onboard.core.landing.raster import rasterise
-from quadtree_lss.onboard.core.landing.score import look_around
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.risk import RiskTable, contact_limits, height_noise
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
 Array = NDArray[np.float64]
@@ -97,19 +90,19 @@ def rough_ground():
 
 def landed(config, cells):
     lss = config.lss
-    raster = rasterise(cells, lss)
-    around = look_around(raster, lss)
-    contacts = ContactCheck(lss, contact_limits(MODEL, lss)).contacts(raster, around.needs_contact)
-    return raster, around.judged, around.planes, contacts
+    terrain = rasterise(cells, lss)
+    check = ContactCheck(lss, contact_limits(MODEL, lss))
+    return terrain, check.contacts(terrain, terrain.needs_contact)
 
 
 def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     config, cells = rough_ground
-    raster, judged, planes, contacts = landed(config, cells)
-    table, given = RiskTable(MODEL, config.lss, 0.06), (raster, planes, contacts)
+    terrain, contacts = landed(config, cells)
+    judged, planes, given = terrain.judged, terrain.planes, (terrain, contacts)
+    table = RiskTable(MODEL, config.lss, 0.06)
     found = dict(zip(LOCAL, table.features(*given), strict=True))
-    side, c, steep = raster.domain.finest_size, 0.3, np.tan(np.radians(10.0))
-    size, seen = len(judged), ~raster.bridged
+    side, c, steep = terrain.domain.finest_size, 0.3, np.tan(np.radians(10.0))
+    size, seen = len(judged), ~terrain.bridged
     for name, contact, limit, least in (
         ("rise", contacts.rise, c, 0.5),
         ("tilt", contacts.tilt, steep, 0.6),
@@ -120,7 +113,7 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
         four = padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]
         beside = np.maximum.reduce([own, *four])
         np.testing.assert_allclose(found[f"{name}_beside"], beside, rtol=1e-5)
-    count = np.bincount(raster.leaf[seen], minlength=len(cells.level))
+    count = np.bincount(terrain.leaf[seen], minlength=len(cells.level))
     with np.errstate(divide="ignore"):
         independent = -16.0 * np.log(1.0 - cells.coverage)
     returns = np.minimum(cells.count / np.maximum(count, 1), independent)
@@ -129,7 +122,7 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     heights[estimated] = 1.0 / np.linalg.inv(cells.covariance_range[estimated])[:, 2, 2]
     share = np.clip(heights * cells.count / 0.06**2, 1e-3, 1.0)
     assert np.median(share) < 1.0
-    returns = (returns / share)[raster.leaf]
+    returns = (returns / share)[terrain.leaf]
     density = np.pad(np.where(seen, returns * (c / side) ** 2, 0.0), 1, mode="edge")
     density = sliding_window_view(density, (3, 3)).mean(axis=(2, 3))
     known = np.log10(density + 1e-3)
@@ -137,11 +130,11 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     expected = square_means(known, under, under, size)
     expected -= 3.0 * np.log10(side / c / 0.85)  # noise is 0.2 clearances
     np.testing.assert_allclose(found["seen"], expected, atol=1e-4)
-    rough = np.nan_to_num(cells.roughness / cells.size**2)[raster.leaf] / c * seen
+    rough = np.nan_to_num(cells.roughness / cells.size**2)[terrain.leaf] / c * seen
     rough = np.sqrt(square_means(rough, under, under, size))
     np.testing.assert_allclose(found["roughness"], rough, atol=1e-4)
     corners = sliding_window_view(planes.elevation, (2, 2)).mean(axis=(2, 3))
-    over = np.clip((raster.elevation - corners) / c, 0.0, 5.0) * raster.seen
+    over = np.clip((terrain.elevation - corners) / c, 0.0, 5.0) * terrain.seen
     assert (over > 1.0).any()
     relief = np.sqrt(square_means(over**2, under, under, size))
     np.testing.assert_allclose(found["relief"], relief, atol=1e-4)
@@ -161,12 +154,12 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
 @pytest.mark.parametrize("noise", [0.06, 0.03])
 def test_the_fit_is_looked_up_as_its_equations_say(rough_ground, noise):
     config, cells = rough_ground
-    raster, judged, planes, contacts = landed(config, cells)
-    table = RiskTable(MODEL, config.lss, noise)
-    found, cause = table.risk(raster, judged, planes, contacts)
-    asked = table.features(raster, planes, contacts)[:, judged].astype(float)
+    terrain, contacts = landed(config, cells)
+    table, judged = RiskTable(MODEL, config.lss, noise), terrain.judged
+    found, cause = table.risk(terrain, contacts)
+    asked = table.features(terrain, contacts)[:, judged].astype(float)
     of = dict(zip(LOCAL, asked, strict=True))
-    of |= {"noise": np.log10(noise / 0.3), "cell": np.log10(raster.domain.finest_size / 0.3)}
+    of |= {"noise": np.log10(noise / 0.3), "cell": np.log10(terrain.domain.finest_size / 0.3)}
     of["clearance"] = np.log10(0.3 / 3.7)
     of["lean"] = np.log10(3.7 * np.tan(np.radians(10.0)) / np.sqrt(2.0) / 0.3)
     odds = []
@@ -233,7 +226,7 @@ def test_an_aim_is_the_weighted_mean_of_the_risk_about_it(spread):
     risk, beyond = np.random.default_rng(5).random((19, 25)), 30
     around = np.pad(risk, beyond, constant_values=1.0)
     along_y, along_x = (normal_weights(s / 0.25, beyond) for s in (spread.y, spread.x))
-    found = aimed(risk, 0.25, spread)
+    found = unsafe_aims(risk, 0.25, spread)
     for row, column in ((0, 0), (9, 12), (18, 3)):
         rows, columns = (
             np.arange(-(len(w) // 2), len(w) // 2 + 1) + at + beyond
@@ -295,7 +288,7 @@ def test_a_heading_counts_for_limits_and_not_for_the_risk_fitted_to_the_worst(be
 
 @pytest.mark.parametrize("given", [[1.0], [1.0, -1.0], [np.nan, 1.0], [1e9, 1.0], [1, 1, 0, 0]])
 def test_what_is_no_dispersion_is_refused(beside_a_rock, given):
-    with pytest.raises(ValueError, match="dispersion needs two deviations"):
+    with pytest.raises(ValueError, match="dispersion needs two standard deviations"):
         probable().assess(beside_a_rock, dispersion=given)
 
 
@@ -323,6 +316,6 @@ def test_guidance_goes_before_the_configuration(beside_a_rock):
     own = selector.assess(beside_a_rock).probability
     theirs = selector.assess(beside_a_rock, dispersion=[0.2, 0.1]).probability
     np.testing.assert_array_equal(
-        theirs, 1.0 - aimed(selector.assess(beside_a_rock).risk, 0.25, Dispersion(0.2, 0.1))
+        theirs, 1.0 - unsafe_aims(selector.assess(beside_a_rock).risk, 0.25, Dispersion(0.2, 0.1))
     )
     assert theirs.max() > own.max()

@@ -9,16 +9,16 @@ import pytest
 from core.builders import BY_RISK, configured, mapped
 from core.scenes import flat
 
-from quadtree_lss.onboard.config.risk import doubt
+from quadtree_lss.onboard.config.risk import model_warning
 from quadtree_lss.onboard.config.settings import config_from_values
-from quadtree_lss.onboard.core.landing.assessment import MOST_BRIDGED, coverage
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.risk import MAX_BRIDGED, bridging_warning
 
 
 def test_stereo_noise_that_grows_with_range_is_outside_the_fit():
     stereo = {"lidar.stereo_noise": 0.08 / (380.0 * 0.05)}
     for max_range, outside in ((2.0, False), (8.0, True)):
-        line = doubt(config_from_values({**stereo, "lidar.max_range": max_range}))
+        line = model_warning(config_from_values({**stereo, "lidar.max_range": max_range}))
         assert ("not one that grows to 0.27" in line) is outside, line
 
 
@@ -27,8 +27,8 @@ def test_more_bridged_ground_than_in_the_fit_gives_a_warning(more):
     place = np.arange(10_000).reshape(100, 100)
     judged = np.zeros((101, 101), dtype=np.bool_)
     judged[1:, 1:] = place < 8000
-    bridged = (place >= 8000) | (place < 8000 * (MOST_BRIDGED + more))
-    line = coverage(SimpleNamespace(bridged=bridged), judged)
+    bridged = (place >= 8000) | (place < 8000 * (MAX_BRIDGED + more))
+    line = bridging_warning(SimpleNamespace(bridged=bridged, judged=judged))
     assert line.startswith("7 % of the judged ground") if more > 0.0 else line == ""
 
 

@@ -9,7 +9,7 @@ from core.builders import configured
 from core.scenes import lattice, make_pose, pose_covariance, scan, scattered
 
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 

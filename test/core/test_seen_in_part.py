@@ -20,8 +20,8 @@ from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.simulation.safety import LandingGear, worst_contact
 from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.raster import rasterise
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 

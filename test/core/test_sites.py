@@ -13,8 +13,9 @@ from scipy.ndimage import distance_transform_edt
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.polygons import signed_distance
 from quadtree_lss.onboard.core.landing import hazards, score
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.raster import rasterise
-from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.onboard.core.landing.result import LandingAssessment
 from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
@@ -247,7 +248,7 @@ AREA = [(2.0, 6.0), (12.0, 6.0), (12.0, 15.0), (5.0, 15.0)]
 def test_the_zone_lies_in_the_landing_area_and_off_the_keep_out(cells):
     keep_out = [(6.0, 6.0), (8.0, 6.0), (8.0, 9.0)]
     free = assess(cells, small(margin=0.3))
-    found = assess(cells, small(margin=0.3), area=AREA, keep_out=keep_out)
+    found = assess(cells, small(margin=0.3), area=AREA, keep_outs=[keep_out])
     x, y = np.meshgrid(found.x, found.y)
     zone = RADIUS + 0.3
     allowed = (signed_distance(AREA, x, y) >= zone) & (signed_distance(keep_out, x, y) <= -zone)
@@ -271,7 +272,7 @@ def assert_empty_but_explained(found: LandingAssessment) -> None:
     [
         {"area": [(100.0, 100.0), (130.0, 100.0), (130.0, 130.0)]},
         {"area": [(5.0, 5.0), (6.0, 5.0), (6.0, 6.0)]},
-        {"keep_out": [(-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0)]},
+        {"keep_outs": [[(-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0)]]},
     ],
     ids=["elsewhere", "too small", "all closed"],
 )
@@ -292,8 +293,8 @@ TRIANGLE = [(1.0, 1.0), (15.0, 1.0), (8.0, 15.0)]
         ({"area": [(0.0, 0.0), (1.0, 1.0)]}, "polygon"),
         ({"area": []}, "polygon"),
         ({"area": [(0.0, 0.0), (9.0, np.nan), (9.0, 9.0)]}, "polygon"),
-        ({"keep_out": [(0.0, 0.0), (np.inf, 1.0), (9.0, 9.0)]}, "polygon"),
-        ({"keep_out": [(0.0, 0.0), (1.0, 1.0)], "area": TRIANGLE}, "polygon"),
+        ({"keep_outs": [[(0.0, 0.0), (np.inf, 1.0), (9.0, 9.0)]]}, "polygon"),
+        ({"keep_outs": [[(0.0, 0.0), (1.0, 1.0)]], "area": TRIANGLE}, "polygon"),
         ({"area": [(-1e300, -1e300), (1e300, 0.0), (0.0, 1e300)]}, "polygon"),
         ({"area": [(0.0, 0.0), (1.0,), (3.0, 3.0)]}, "no site"),
         ({"target": (np.nan, 1.0)}, "target"),

@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.landing import sites
-from quadtree_lss.onboard.core.landing.assessment import no_target
+from quadtree_lss.onboard.core.landing import choose as choosing
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.choose import ground_covariance
 from quadtree_lss.onboard.core.landing.lattice import ground_planes
-from quadtree_lss.onboard.core.landing.probability import shown
 from quadtree_lss.onboard.core.landing.raster import rasterise
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector, ground_covariance
+from quadtree_lss.onboard.core.landing.result import no_target, shown
 from quadtree_lss.onboard.core.landing.target import (
     GAIN,
     KEPT,
@@ -51,7 +51,7 @@ def situation(unsafe=(0.02,) * 4, *, confirmed=(1, 1, 1, 1), fault=Reason.HAZARD
     about = {"descent": HIGH, "settled": True, "now": None}
     about |= {name: given.pop(name) for name in about.keys() & given.keys()}
     ground = candidates(unsafe, **given)
-    confirmed = np.array([confirmed], dtype=bool) & ground.likely(LSS.min_probability)
+    confirmed = np.array([confirmed], dtype=bool) & ground.probable(LSS.min_probability)
     return Situation(ground, confirmed, LSS, lambda *_: fault, Reason.NO_SITE, **about)
 
 
@@ -164,7 +164,7 @@ def test_reach_is_that_of_speeding_up_and_slowing_down_aside():
 
 def choose(keeper: TargetKeeper, *unsafe, **given) -> Choice:
     """Return the last choice over some assessments."""
-    why = {"why_not": lambda *_: Reason.HAZARD, "why_none": Reason.NO_SITE, "reach": 9.0}
+    why = {"why_not": lambda *_: Reason.HAZARD, "why_none": Reason.NO_SITE}
     for each in unsafe:
         choice = keeper.choose(candidates(each, np.isfinite(each), **given), LSS, **why)
     return choice
@@ -252,19 +252,16 @@ def test_the_target_is_the_first_site_and_every_answer_has_a_number(level_ground
 @pytest.mark.parametrize(
     ("where", "reason", "pending"),
     [
-        ({"keep_out": "around"}, Reason.KEEP_OUT, True),
-        ({"withheld": "the map is too old"}, Reason.WITHHELD, False),
-        ({"keep_out": [(0.0, 0.0)]}, Reason.WITHHELD, False),
         ({"keep_outs": "around"}, Reason.KEEP_OUT, True),
+        ({"withheld": "the map is too old"}, Reason.WITHHELD, False),
+        ({"keep_outs": [[(0.0, 0.0)]]}, Reason.WITHHELD, False),
     ],
 )
 def test_a_withdrawn_target_says_why(level_ground, where, reason, pending):
     selector = LandingSiteSelector(small())
     place = target_of(selector, level_ground).selected.position
-    if where.get("keep_out") == "around":
-        where = {"keep_out": around(place, 1.0)}
     if where.get("keep_outs") == "around":
-        where = {"keep_out": around((2.0, 2.0), 1.0), "keep_outs": [around(place, 1.0)]}
+        where = {"keep_outs": [around((2.0, 2.0), 1.0), around(place, 1.0)]}
     found = selector.assess(level_ground, **where)
     assert (found.selected.id, found.selected.reason) == (0, reason)
     assert found.pending is pending
@@ -378,7 +375,7 @@ def test_why_is_one_sentence_for_each_reason(level_ground, with_block):
 
 def test_land_now_takes_the_best_within_reach_at_once(monkeypatch, with_block):
     """Before anything is settled, and low: only what lies near enough, until it is released."""
-    monkeypatch.setattr(sites, "SETTLE_SHARE", 1.1)
+    monkeypatch.setattr(choosing, "SETTLE_SHARE", 1.1)
     monkeypatch.setitem(NEARER, "probability", 0.0)
     selector = LandingSiteSelector(by_risk(dispersion=0.3))
     low = (3.0, 0.5, 4.0, 4.0)
@@ -406,7 +403,7 @@ def test_land_now_heeds_keep_outs_and_takes_what_is_least_unsafe(with_block):
     assert first.state is State.NOW and first.reason is Reason.LAND_NOW
     assert max(abs(first.position[:2] - 8.0)) > 1.5, "the block is no place to land"
     kept = around(first.position, 2.0)
-    second = selector.assess(with_block, vehicle=here, keep_out=kept).selected
+    second = selector.assess(with_block, vehicle=here, keep_outs=[kept]).selected
     assert second.reason is Reason.LAND_NOW and second.id != first.id
     assert np.abs(second.position[:2] - first.position[:2]).max() > 2.0
     none = selector.assess(with_block, vehicle=here, withheld="unreadable").selected

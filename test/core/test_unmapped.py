@@ -10,9 +10,9 @@ from core.scenes import flat, slope
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing import hazards
-from quadtree_lss.onboard.core.landing.grid import users_grid
+from quadtree_lss.onboard.core.landing.aim import users_grid
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.raster import rasterise
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.target import Reason
 
 SIDE = 0.25
@@ -141,6 +141,8 @@ def test_heights_keep_to_what_was_measured_there(level_ground):
     places = (middles / side).astype(int)
     known = known[places[:, None], places][:-1, :-1]
     heights = kept.at(middles, middles[:, None]).height[:-1, :-1]
-    np.testing.assert_allclose(at.ground(raster)[:-1, :-1][known], heights[known], atol=1e-9)
+    np.testing.assert_allclose(
+        at.leaf_elevation(raster)[:-1, :-1][known], heights[known], atol=1e-9
+    )
     line = kept.profile((0.1, 3.0), (15.9, 3.3))
     np.testing.assert_array_equal(line.height, kept.at(line.x, line.y).height)

@@ -15,8 +15,8 @@ from quadtree_lss.lab.evaluation.risk_families import FAMILIES
 from quadtree_lss.lab.evaluation.risk_fit import ASKED, Term, fit, risk_model_text, risks, unfitted
 from quadtree_lss.lab.evaluation.risk_flights import fly, land, table_of
 from quadtree_lss.onboard.config.parameter import ConfigError
-from quadtree_lss.onboard.config.risk import LOCAL, Cause, doubt, risk_model
-from quadtree_lss.onboard.core.landing.probability import COARSE
+from quadtree_lss.onboard.config.risk import LOCAL, Cause, model_warning, risk_model
+from quadtree_lss.onboard.core.landing.risk import COARSE
 
 SMALL = {
     "obstacle": (Term("rise", (0.4, 0.9, 1.5), begin=8.0), Term("noise", (-1.0, -0.5), 0)),
@@ -109,7 +109,7 @@ def test_a_file_that_holds_no_model_is_one_clear_error(tmp_path, place, value, s
 def test_a_model_of_another_vehicle_or_map_is_told(changes, said):
     if "domain.size" in changes:
         changes = changes | {"lidar.range_noise": 0.02}
-    found = doubt(load_config(["morpheus"], changes))
+    found = model_warning(load_config(["morpheus"], changes))
     assert said in found and bool(said) == bool(found)
 
 

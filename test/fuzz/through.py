@@ -38,7 +38,7 @@ from quadtree_lss.onboard.autopilot.seen import Seen, Target, target_of
 from quadtree_lss.onboard.config.limits import pass_seconds
 from quadtree_lss.onboard.config.sections import AutopilotConfig
 from quadtree_lss.onboard.config.settings import Config, ConfigError, config_from_values, parameters
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.pose_gate import PATIENCE
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -46,7 +46,7 @@ from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_file
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.intake import Intake
 from quadtree_lss.onboard.messages.landing_inputs import (
-    LandingWishes,
+    LandingRequests,
     name_of,
     polygon_from_message,
 )
@@ -223,7 +223,7 @@ class Landing:
         self.config = CONFIGS[0] if by_risk else one_of(rng, CONFIGS)
         self.selector = LandingSiteSelector(self.config)
         self.cells = mapped_scene(self.config).snapshot()
-        self.wishes, self.sent = LandingWishes("map"), 0
+        self.requests, self.sent = LandingRequests("map"), 0
 
 
 class Maps(Landing):
@@ -282,13 +282,15 @@ class Wishes(Landing):
         reason, message = TAKEN, self.MAKE[self.kind](self.rng)
         try:
             with np.errstate(all="raise", under="ignore"):
-                self.wishes.take(self.kind, message)
+                self.requests.take(self.kind, message)
         except MessageError as error:
-            assert str(error).isprintable() and name_of(self.kind, message) in self.wishes.unusable
+            assert (
+                str(error).isprintable() and name_of(self.kind, message) in self.requests.unusable
+            )
             reason = error.reason
         self.sent += 1
         if self.sent % 5 == 0:
-            judge(self.cells, self.selector, **self.wishes.arguments())
+            judge(self.cells, self.selector, **self.requests.arguments())
         return reason
 
     def close(self, told: Counter[str]) -> None:
@@ -512,7 +514,7 @@ class LandNow(Landing):
         self.sent += 1
         good = samples.pose(10**9 + 10**8 * self.sent, (*rng.normal(8.0, 6.0, 2), HEIGHT))
         with np.errstate(all="raise", under="ignore"):
-            told = self.wishes.navigation.take(cases.random_pose(rng, good))
+            told = self.requests.navigation.take(cases.random_pose(rng, good))
             if rng.random() < 0.5:
                 self.selector.land_now()
             if rng.random() < 0.1:
@@ -520,8 +522,8 @@ class LandNow(Landing):
         if rng.random() < 0.3:
             topic = one_of(rng, list(Wishes.MAKE))
             with suppress(MessageError):
-                self.wishes.take(topic, Wishes.MAKE[topic](rng))
-        judge(self.cells, self.selector, **self.wishes.arguments())
+                self.requests.take(topic, Wishes.MAKE[topic](rng))
+        judge(self.cells, self.selector, **self.requests.arguments())
         return TAKEN if told else "passed over"
 
     def close(self, told: Counter[str]) -> None:

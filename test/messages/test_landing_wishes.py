@@ -3,7 +3,7 @@
 
 from types import SimpleNamespace
 
-from quadtree_lss.onboard.messages.landing_inputs import AREA, LandingWishes
+from quadtree_lss.onboard.messages.landing_inputs import AREA, LandingRequests
 
 CORNERS = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)]
 
@@ -16,8 +16,8 @@ def message(corners, frame="map", number=None):
 
 
 def test_what_was_heard_before_the_maps_frame_is_known_counts_by_its_frame():
-    wishes = LandingWishes(None)
-    wishes.take(AREA, message(CORNERS))
-    assert not wishes.use_frame("map") and wishes.values[AREA].shape == (3, 2)
-    assert "frame" in str(wishes.use_frame("odom")[AREA]) and wishes.values[AREA] is None
-    assert "landing/area" in wishes.withheld
+    requests = LandingRequests(None)
+    requests.take(AREA, message(CORNERS))
+    assert not requests.use_frame("map") and requests.values[AREA].shape == (3, 2)
+    assert "frame" in str(requests.use_frame("odom")[AREA]) and requests.values[AREA] is None
+    assert "landing/area" in requests.withheld

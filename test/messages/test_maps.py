@@ -10,7 +10,7 @@ from core.builders import assert_same, configured, mapped
 from fuzz.cases import Types
 
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages import maps
 from quadtree_lss.onboard.messages.clouds import MessageError

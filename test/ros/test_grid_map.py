@@ -20,13 +20,10 @@ def test_the_message_can_be_serialised():
     from rclpy.serialization import deserialize_message, serialize_message
 
     from quadtree_lss.onboard.config.settings import Config
-    from quadtree_lss.onboard.core.landing.assessment import nothing_mapped
-    from quadtree_lss.onboard.core.landing.target import Reason
+    from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
     from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
-    axis = np.arange(4.0)
-    cells = Mapper(Config()).snapshot()
-    nothing = nothing_mapped(cells, 1, Reason.NOTHING_MAPPED, axis, axis)
+    nothing = LandingSiteSelector(Config()).assess(Mapper(Config()).snapshot())
     message = message_maker("map").grid_map(nothing)
     again = deserialize_message(serialize_message(message), GridMap)
-    assert again.layers == message.layers and again.info.length_x == 4.0
+    assert again.layers == message.layers and again.info.length_x == message.info.length_x

@@ -7,7 +7,7 @@ from ros_scene import mapped
 from visualization_msgs.msg import Marker, MarkerArray
 
 from quadtree_lss.desk.replay.configuration import load_config
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.messages.maps import round_trip
 from quadtree_lss.onboard.nodes.markers import site_markers
 

@@ -13,7 +13,7 @@ from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.nodes import losses
 from quadtree_lss.onboard.nodes.diagnostics import Problems
-from quadtree_lss.onboard.nodes.losses import CALM_S, SHARE, Overload, allowance
+from quadtree_lss.onboard.nodes.losses import CALM_S, OVERLOADED_SHARE, Overload, allowance
 from quadtree_lss.onboard.nodes.qos import latched
 
 pytestmark = pytest.mark.xdist_group("ros_faults")
@@ -47,7 +47,7 @@ def test_a_hold_up_costs_nothing_and_an_overload_old_scans(monkeypatch):
     assert overload.takes(received(0.9 * limit), config, busy)
     assert not overload.takes(received(1.1 * limit), config, busy)
     assert not overload.takes(received(0.9 * limit), config, busy), "overloaded now"
-    assert overload.takes(received(0.8 * SHARE * limit), config, busy)
+    assert overload.takes(received(0.8 * OVERLOADED_SHARE * limit), config, busy)
     clock.now += 1.01 * CALM_S
     assert overload.takes(received(0.9 * limit), config, busy), "calm again"
     assert overload.takes(0, config, busy), "the middleware does not say when it came"

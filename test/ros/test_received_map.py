@@ -87,9 +87,9 @@ def test_sites_are_withdrawn_when_maps_are_refused_for_too_long(ros, cells):
 
 
 FAULTY = """
-from quadtree_lss.onboard.core.landing import sites
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 
-whole, stamps = sites.LandingSiteSelector.assess, set()
+whole, stamps = LandingSiteSelector.assess, set()
 
 def assess(self, cells, **wanted):
     stamps.add(cells.stamp_ns)
@@ -97,7 +97,7 @@ def assess(self, cells, **wanted):
         raise OverflowError("math range error")
     return whole(self, cells, **wanted)
 
-sites.LandingSiteSelector.assess = assess
+LandingSiteSelector.assess = assess
 """
 """A pass over its third map ends in an error."""
 

@@ -22,7 +22,7 @@ def test_one_line_says_what_runs_and_one_that_it_works(ros):
     mapping = ros.start("mapping_node", "-p", "lidar.max_range:=900", "-r", "nav/pose:=/ekf/pose")
     lss = ros.start("lss_node", "-r", "__ns:=/lander", "-r", "map/cells:=/map/cells")
     with ros.listen() as listener:
-        listener.until(lambda: "takes" in lss.output() and "takes" in mapping.output())
+        listener.until(lambda: all("vehicle of" in node.output() for node in (lss, mapping)))
         lines = [line for line in mapping.output().splitlines() if "waiting for" not in line]
         assert len(lines) == 1
         for words in (
@@ -32,12 +32,8 @@ def test_one_line_says_what_runs_and_one_that_it_works(ros):
             "lidar.max_range=900.0 (from command line)",
             "domain x -16 ... 16, y -16 ... 16 m in frame 'map', cells 4 ... 0.5 m",
             "vehicle of 3.7 m diameter, margin 0 m",
-            "takes /lidar/points (reliable, 50), /ekf/pose (reliable, 200)",
-            "/map/cells (reliable, latched, 1)",
         ):
             assert words in lines[0], words
-        assert "/lander/landing/sites (reliable, latched, 1)" in lss.output()
-        assert "takes /map/cells" in lss.output() or ", /map/cells (reliable" in lss.output()
 
 
 def test_the_first_scan_and_the_first_sites_are_told_once(ros):
@@ -66,7 +62,7 @@ sys.meta_path.insert(0, Late())
     ("name", "module", "what"),
     [
         ("mapping_node", "rclpy.node", "its modules"),
-        ("lss_node", "quadtree_lss.onboard.core.landing.sites", "what judges landing"),
+        ("lss_node", "quadtree_lss.onboard.core.landing.assess", "what judges landing"),
         ("autopilot_node", "pymavlink", "its parameters and topics"),
     ],
 )

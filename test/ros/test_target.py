@@ -7,6 +7,7 @@ import signal
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile
@@ -28,11 +29,12 @@ class Pilot(Vehicle):
 
     def __init__(self, listener, cells):
         super().__init__(listener, cells)
-        self.targets, self.answers, self.tables = [], [], []
+        self.targets, self.answers, self.tables, self.texts = [], [], [], []
         for kind, topic, keep in (
             (PoseWithCovarianceStamped, "landing/selected", self.targets),
             (PointCloud2, "landing/status", self.answers),
             (PointCloud2, "landing/site_table", self.tables),
+            (DiagnosticStatus, "landing/status_text", self.texts),
         ):
             profile = QoSProfile(depth=50, durability=latched().durability)
             listener.node.create_subscription(kind, topic, keep.append, profile)
@@ -87,6 +89,10 @@ def test_the_target_is_withdrawn_with_its_reason_and_replaced(ros, pilot):
     pilot.until(pilot.has_target, before["answer"] + 1)
     assert np.hypot(*(pilot.place() - first)[:2]) > 2.0
     assert pilot.status()["id"] != before["id"]
+    texts = [{item.key: item.value for item in text.values} for text in pilot.texts]
+    assert {text["reason"] for text in texts} == {r.key for r in pilot.reasons().values()}
+    assert pilot.texts[-1].level == DiagnosticStatus.OK and pilot.texts[-1].message
+    assert float(texts[-1]["x"]) == pytest.approx(pilot.place()[0], abs=1e-3)
     # One map, one stamp, and every answer told apart.
     reasons = pilot.reasons()
     assert sorted(reasons) == list(range(1, max(reasons) + 1)), reasons

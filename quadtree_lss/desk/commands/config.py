@@ -21,7 +21,7 @@ from quadtree_lss.desk.replay.configuration import (
 )
 from quadtree_lss.onboard.config import settings
 from quadtree_lss.onboard.config.loading import check_reaches, read_values
-from quadtree_lss.onboard.config.risk import doubt
+from quadtree_lss.onboard.config.risk import model_warning
 from quadtree_lss.onboard.config.settings import Config, ConfigError, Parameter
 from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
 
@@ -95,7 +95,7 @@ def _check(options: argparse.Namespace) -> int:
     common.show(options, found, "\n".join(lines))
     for name in (name for name, errors in found.items() if not errors and not options.json):
         config = load_config([name])
-        if said := doubt(config):
+        if said := model_warning(config):
             warn(f"{name}: {said}")
     return common.ERROR if any(found.values()) else common.DONE
 

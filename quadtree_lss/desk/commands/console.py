@@ -15,7 +15,7 @@ from quadtree_lss.onboard.errors import one_line
 
 if TYPE_CHECKING:
     from quadtree_lss.desk.replay.results import ReplayResult
-    from quadtree_lss.onboard.core.landing.sites import Sites
+    from quadtree_lss.onboard.core.landing.result import Sites
 
 
 SCANS = """\
@@ -144,7 +144,7 @@ def _without_site(result: ReplayResult) -> str:
 
 
 def _site_rows(sites: Sites) -> list[Sequence[str]]:
-    from quadtree_lss.onboard.core.landing.probability import shown
+    from quadtree_lss.onboard.core.landing.result import shown
 
     columns = {
         "rank": map(str, range(1, len(sites) + 1)),

@@ -102,8 +102,8 @@ def play(
             publishers = _publishers(node, names)
             needed = [p for recorded, p in publishers.items() if names[recorded] not in OPTIONAL]
             wait_for_subscribers(node, needed, wait)
-            wishes = [recorded for recorded, name in names.items() if name in LANDING]
-            for message in source.messages(wishes, 0, part.start_ns):
+            requests = [recorded for recorded, name in names.items() if name in LANDING]
+            for message in source.messages(requests, 0, part.start_ns):
                 publishers[message.topic].publish(_serialised(message.raw))
             clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
             began_ns, began, sent = None, time.monotonic(), Counter[str]()

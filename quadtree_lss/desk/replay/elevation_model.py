@@ -15,11 +15,11 @@ from quadtree_lss.desk.exchange.dem import MOST_POSTS, ElevationModel, read_dem
 from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.replay.results import ReplayResult, run_summary, write_results
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config, config_from_values
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.errors import OutsideInput
-from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
+from quadtree_lss.onboard.messages.landing_inputs import LandingRequests
 
 #: Largest numbers of leaves and of grid points along a side.
 MOST_CELLS, MOST_POINTS = 1 << 10, 2000
@@ -69,7 +69,8 @@ def rank_sites(
         own["lss.grid_spacing"] = coarsest
     config = config_from_values(own, config)
     asked = time.perf_counter()
-    found = LandingSiteSelector(config).assess(cells, **wanted)
+    requests = LandingRequests(None, wanted)
+    found = LandingSiteSelector(config).assess(cells, **requests.arguments())
     lss_ms = 1e3 * (time.perf_counter() - asked)
     heights = model.elevation[np.isfinite(model.elevation)]
     upward = np.median(cells.normal[cells.measured, 2]) if cells.measured.any() else np.nan
@@ -78,7 +79,7 @@ def rank_sites(
         found,
         config,
         lss_ms,
-        landing=LandingWishes(None, wanted).as_lists(),
+        landing=requests.as_lists(),
         bag=name,
         posts=[len(model.x), len(model.y)],
         post_spacing=model.spacing,

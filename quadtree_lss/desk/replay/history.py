@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
-from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+from quadtree_lss.onboard.core.landing.result import LandingAssessment
 from quadtree_lss.onboard.messages.intake import ReadyScan
 
 ANSWERS, SCANS = 240, 4000

@@ -10,7 +10,8 @@ from math import hypot, inf
 from typing import Any, NamedTuple
 
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.landing.sites import LandingAssessment, LandingSiteSelector
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.result import LandingAssessment
 from quadtree_lss.onboard.core.landing.target import State
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.maps import round_trip

@@ -14,7 +14,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.replay.files import ReplayError, writing
-from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+from quadtree_lss.onboard.core.landing.result import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages import outputs
 

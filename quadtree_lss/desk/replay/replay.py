@@ -22,7 +22,7 @@ from quadtree_lss.desk.replay.stream import LandingTopics, MapPairs, Part, Progr
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.messages.intake import ReadyScan
-from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
+from quadtree_lss.onboard.messages.landing_inputs import LandingRequests
 
 
 def replay(
@@ -68,15 +68,15 @@ def replay(
     with ExitStack() as stack:
         opened = stack.enter_context(open_bag(bag))
         part = Part.of(opened, start, duration)
-        wishes = LandingWishes(config.frames.map, landing)
+        requests = LandingRequests(config.frames.map, landing)
         maps = MapPairs.alone(opened, scan_topic)
         source = maps or Stream(opened, config, scan_topic, pose_topic)
-        topics = LandingTopics(wishes, opened, part.start_ns)
+        topics = LandingTopics(requests, opened, part.start_ns)
         if folder is not None:
             stack.enter_context(made(folder, ReplayError))
             stack.enter_context(locked(folder, ReplayError))
         history = History()
-        passes = Passes(config, wishes.arguments)
+        passes = Passes(config, requests.arguments)
         passes.on_answer.append(history.landing)
         run = Run(opened, part, config, passes, topics, history, progress, stop)
         if record is not None:
@@ -116,7 +116,7 @@ def replay(
         bag=str(opened.path.resolve()),
         duration=seconds,
         real_time_factor=seconds / (time.perf_counter() - began),
-        landing=wishes.as_lists(),
+        landing=requests.as_lists(),
         target=passes.changes[-1].id if passes.changes else 0,
         target_changes=len(passes.changes),
         losses=losses,

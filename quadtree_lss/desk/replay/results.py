@@ -25,7 +25,7 @@ from quadtree_lss.desk.replay.files import ReplayError, plain
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.passes import TargetChange
 from quadtree_lss.onboard.config.settings import Config, values_from_config
-from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+from quadtree_lss.onboard.core.landing.result import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.messages.lost_points import REASONS, domain_text, lost_points_text

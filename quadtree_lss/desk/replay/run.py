@@ -150,7 +150,7 @@ class Run:
         return KeyboardInterrupt() if self.interrupted else ReplayError(text)
 
     def _map(self, mapper: Mapper, scan: ReadyScan) -> None:
-        mapper.look_at(self._landing.wishes.values[AREA])
+        mapper.look_at(self._landing.requests.values[AREA])
         began = time.perf_counter()
         report = mapper.update(scan.points_lidar, scan.pose, scan.sweep)
         map_ms = 1e3 * (time.perf_counter() - began) + self._decode_ms.pop(scan.stamp_ns, 0.0)
@@ -172,7 +172,7 @@ class Run:
 
     def _navigate(self, what: str, msg: Any, _: RawMessage) -> None:
         if what == "pose":
-            self._landing.wishes.navigation.take(msg)
+            self._landing.requests.navigation.take(msg)
 
     def _judge_poses(self, mapper: Mapper) -> None:
         notice = pose_notice(mapper.pose_gap())

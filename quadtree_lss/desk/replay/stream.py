@@ -33,7 +33,7 @@ from quadtree_lss.onboard.messages import outputs
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
 from quadtree_lss.onboard.messages.extrinsics import add_transforms
 from quadtree_lss.onboard.messages.intake import Intake, Notice, ReadyScan
-from quadtree_lss.onboard.messages.landing_inputs import TYPES, LandingWishes
+from quadtree_lss.onboard.messages.landing_inputs import TYPES, LandingRequests
 from quadtree_lss.onboard.messages.poses import mount_from_message
 
 SECOND_NS = 1_000_000_000
@@ -270,12 +270,12 @@ def mount_values(position: Array, turn: Array, digits: int = 3) -> dict[str, Any
 
 
 class LandingTopics:
-    """Feeds `LandingWishes` from an open bag, except the names that are fixed. Messages before
+    """Feeds `LandingRequests` from an open bag, except the names that are fixed. Messages before
     ``start_ns`` are taken at once, because these topics are latched."""
 
-    def __init__(self, wishes: LandingWishes, bag: Bag, start_ns: int) -> None:
-        self.wishes = wishes
-        self.names = topics.landing_topics(bag, without=tuple(wishes.fixed))
+    def __init__(self, requests: LandingRequests, bag: Bag, start_ns: int) -> None:
+        self.requests = requests
+        self.names = topics.landing_topics(bag, without=tuple(requests.fixed))
         self.notices: list[Notice] = []
         if self.names:
             for message in bag.messages(list(self.names), 0, start_ns):
@@ -289,10 +289,10 @@ class LandingTopics:
         msg = None
         try:
             msg = bag.decode(message.raw, TYPES[name])
-            self.wishes.take(name, msg)
+            self.requests.take(name, msg)
         except MessageError as error:
             if msg is None:
-                self.wishes.refuse(name, error)
+                self.requests.refuse(name, error)
             self.notices.append(Notice(f"{name}_{error.reason}", f"landing/{name}: {error}"))
         return True
 

@@ -19,7 +19,7 @@ from quadtree_lss.desk.replay.configuration import dump_values
 from quadtree_lss.desk.replay.files import ReplayError
 from quadtree_lss.desk.replay.stream import Part, Progress, Stream
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.config.risk import doubt
+from quadtree_lss.onboard.config.risk import model_warning
 from quadtree_lss.onboard.config.settings import (
     DEFAULTS,
     LEAST_STEPS,
@@ -203,7 +203,7 @@ class Seen:
                 f" {vehicle.diameter:g} m: cells of {by_data:.2g} m would suit them, it needs"
                 f" {most:.2g} m. Gaps wider than {config.lss.gap:.2g} m (lss.max_gap) stay unseen."
             )
-        notes += filter(None, [doubt(found)])
+        notes += filter(None, [model_warning(found)])
         return Suggestion(values, reasons, tuple(notes))
 
 

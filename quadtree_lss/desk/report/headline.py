@@ -18,8 +18,8 @@ from quadtree_lss.desk.exchange.saved import Results
 from quadtree_lss.desk.report.palette import excluding, slope_limit
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.core.landing.hazards import PARTLY_UNOBSERVED
-from quadtree_lss.onboard.core.landing.probability import shown
 from quadtree_lss.onboard.core.landing.ranking import equal_up_to
+from quadtree_lss.onboard.core.landing.result import shown
 from quadtree_lss.onboard.messages.intake import noise_notice
 
 #: Least probability of a good site: one landing in a hundred fails.

@@ -24,7 +24,7 @@ from quadtree_lss.desk.report.headline import (
 from quadtree_lss.desk.report.page_data import Layer, page_data
 from quadtree_lss.desk.report.pages import Columns, render
 from quadtree_lss.onboard.config.settings import parameters, values_from_config
-from quadtree_lss.onboard.core.landing.probability import shown
+from quadtree_lss.onboard.core.landing.result import shown
 
 ROOM = "how far the zone may move until it touches excluded or unobserved ground"
 FEATURE = "greatest height of a feature smaller than a cell in the zone"

@@ -17,7 +17,7 @@ from scipy.special import expit
 
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, OVERALL, Cause, Curve, RiskModel, Row
-from quadtree_lss.onboard.core.landing.probability import interpolation_weights
+from quadtree_lss.onboard.core.landing.risk import interpolation_weights
 
 #: Columns of the features.
 ASKED = LOCAL + OVERALL

@@ -35,9 +35,8 @@ from quadtree_lss.onboard.arrays import Array, Mask, Single
 from quadtree_lss.onboard.config.risk import OVERALL, RiskModel
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.contact import ContactCheck, Contacts
-from quadtree_lss.onboard.core.landing.probability import RiskTable, contact_limits
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
-from quadtree_lss.onboard.core.landing.score import Surroundings, look_around
+from quadtree_lss.onboard.core.landing.risk import RiskTable, contact_limits
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -158,18 +157,16 @@ class Landings:
     is observed, and the truth is known. ``failed`` (K,): whether the lander fails at these."""
 
     raster: TerrainRaster
-    around: Surroundings
     contacts: Contacts
     counts: Mask
     failed: Mask
 
     def risk(self, table: RiskTable) -> Array:
-        around = self.around
-        return table.risk(self.raster, around.judged, around.planes, self.contacts)[0][self.counts]
+        return table.risk(self.raster, self.contacts)[0][self.counts]
 
     def asked(self, table: RiskTable) -> Single:
         """Features (K, len(ASKED)) of a model."""
-        of = table.features(self.raster, self.around.planes, self.contacts)[:, self.counts].T
+        of = table.features(self.raster, self.contacts)[:, self.counts].T
         overall = table.overall(self.raster.domain.finest_size)
         all_over = np.tile([overall[name] for name in OVERALL], (len(of), 1))
         return np.hstack([of, all_over]).astype(np.float32)
@@ -179,10 +176,9 @@ def land(mapped: Mapped, model: RiskModel) -> Landings:
     """Compute the contact at every grid point, with the limits of a model."""
     lss = mapped.config.lss
     raster = rasterise(mapped.cells, lss)
-    around = look_around(raster, lss)
-    contacts = ContactCheck(lss, contact_limits(model, lss)).contacts(raster, around.needs_contact)
-    counts = around.judged & mapped.known
-    return Landings(raster, around, contacts, counts, ~mapped.safe[counts])
+    contacts = ContactCheck(lss, contact_limits(model, lss)).contacts(raster, raster.needs_contact)
+    counts = raster.judged & mapped.known
+    return Landings(raster, contacts, counts, ~mapped.safe[counts])
 
 
 def table_of(model: RiskModel, config: Config) -> RiskTable:

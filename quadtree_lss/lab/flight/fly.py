@@ -20,12 +20,12 @@ from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.sections import CHECKPOINT_S
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.landing.assessment import LandingAssessment
 from quadtree_lss.onboard.core.landing.hazards import TOUCHDOWN, UNMAPPED, UNSEEN
+from quadtree_lss.onboard.core.landing.result import LandingAssessment
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.intake import Intake
-from quadtree_lss.onboard.messages.landing_inputs import AREA, LandingWishes
+from quadtree_lss.onboard.messages.landing_inputs import AREA, LandingRequests
 
 #: Period at which ``landing/selected`` is repeated, as by lss_node.
 REPEAT_NS = 400_000_000
@@ -118,7 +118,7 @@ class LockstepNodes:
     def __init__(self, config: Config, history: History | None = None) -> None:
         self._config = config
         self._make = Messages(typestore(ros1=False).types, frame=config.frames.map)
-        self._wishes = LandingWishes(config.frames.map)
+        self._requests = LandingRequests(config.frames.map)
         self._checkpoint: Any = None
         self._checkpoint_ns = 0
         self._down: set[str] = set()
@@ -131,9 +131,9 @@ class LockstepNodes:
     def take(self, sent: Sent, now_ns: int) -> None:
         topic, message = sent.topic, sent.message(self._make)
         if topic == "nav/pose":
-            self._wishes.navigation.take(message)
+            self._requests.navigation.take(message)
         if topic.startswith("landing/"):
-            self._wishes.take(topic.removeprefix("landing/"), message)
+            self._requests.take(topic.removeprefix("landing/"), message)
             self._passes.landing_changed()
         elif "mapping" in self._down:
             return
@@ -146,7 +146,7 @@ class LockstepNodes:
         """Map and assess what is due; return new messages on ``landing/selected``: places (3,), or
         None for no target."""
         if "mapping" not in self._down:
-            self.mapper.look_at(self._wishes.values[AREA])
+            self.mapper.look_at(self._requests.values[AREA])
             for scan in self._intake.ready(now_ns):
                 report = self.mapper.update(scan.points_lidar, scan.pose, scan.sweep)
                 self._noise_ratio = report.noise_ratio
@@ -178,7 +178,7 @@ class LockstepNodes:
     def recorded(self, found: Flown) -> Flown:
         """Add the final map, its assessment, and values for the summary."""
         self._passes.finish(found.flight.stamp_ns, self.mapper.snapshot)
-        summary = {"landing": self._wishes.as_lists(), "range_noise_ratio": self._noise_ratio}
+        summary = {"landing": self._requests.as_lists(), "range_noise_ratio": self._noise_ratio}
         last, cells, targets = self._passes.last, self._passes.cells, tuple(self.targets)
         record = {"history": self.history, "targets": targets, "summary": summary}
         return replace(found, last=last, cells=cells, **record)
@@ -206,7 +206,7 @@ class LockstepNodes:
         self._waiting: list[tuple[int, LandingAssessment]] = []
         self._said: LandingAssessment | None = None
         self._said_ns, self._chosen = 0, False
-        self._passes = Passes(self._config, self._wishes.arguments)
+        self._passes = Passes(self._config, self._requests.arguments)
         self._passes.on_answer.append(self._answer)
         if self.history is not None:
             self._passes.on_answer.append(self.history.landing)

@@ -25,12 +25,12 @@ from quadtree_lss.lab.live.processes import NodeProcess, local_domain, refuse_ot
 from quadtree_lss.lab.simulation.recording import CLOUD, POSE, Messages
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages import landing_inputs
 from quadtree_lss.onboard.messages.clouds import stamp_ns
-from quadtree_lss.onboard.messages.landing_inputs import LandingWishes
+from quadtree_lss.onboard.messages.landing_inputs import LandingRequests
 from quadtree_lss.onboard.messages.outputs import (
     CELLS,
     OBSERVED,
@@ -69,18 +69,18 @@ def fly_live(
     with ExitStack() as stack:
         nodes = LiveNodes(stack, config, folder, domain)
         fly(flight, nodes, progress)
-        cells, wishes = nodes.map(), nodes.wishes
+        cells, requests = nodes.map(), nodes.requests
     last = None
     if cells is not None:  # as lss_node assessed it; only the target depends on the maps before
-        last = LandingSiteSelector(config).assess(cells, **wishes.arguments())
+        last = LandingSiteSelector(config).assess(cells, **requests.arguments())
     figures = figures_of(seed, flight, last)
-    targets, more = tuple(nodes.targets), {"landing": wishes.as_lists()}
+    targets, more = tuple(nodes.targets), {"landing": requests.as_lists()}
     more |= {"target": targets[-1].id if targets else 0, "target_changes": len(targets)}
     return Flown(flight, figures, last, cells, None, targets, more)
 
 
 class LiveNodes:
-    """Both nodes as processes that end with ``stack``. ``wishes``: the last inputs of guidance.
+    """Both nodes as processes that end with ``stack``. ``requests``: the last inputs of guidance.
     ``targets``: changes of the target in ``landing/status``."""
 
     def __init__(self, stack: ExitStack, config: Config, folder: Path, domain: int | None) -> None:
@@ -109,7 +109,7 @@ class LiveNodes:
         }
         self._service = node.create_client(Trigger, "lss_node/land_now")
         self._said: list[Array | None] = []
-        self.wishes, self.targets = LandingWishes(config.frames.map), list[TargetChange]()
+        self.requests, self.targets = LandingRequests(config.frames.map), list[TargetChange]()
         node.create_subscription(TOPICS[SELECTED], SELECTED, self._hear, latched())
         node.create_subscription(TOPICS[STATUS], STATUS, self._note, latched())
         refuse_others(node, dict.fromkeys(("/clock", *KINDS), 1) | dict.fromkeys(TOPICS, 0))
@@ -129,9 +129,9 @@ class LiveNodes:
         """Publish a message."""
         message = sent.message(self._make)
         if sent.topic.startswith("landing/"):
-            self.wishes.take(sent.topic.removeprefix("landing/"), message)
+            self.requests.take(sent.topic.removeprefix("landing/"), message)
         elif sent.topic == "nav/pose":
-            self.wishes.navigation.take(message)
+            self.requests.navigation.take(message)
         self._publishers[sent.topic].publish(message)
 
     def work(self, now_ns: int) -> list[Array | None]:

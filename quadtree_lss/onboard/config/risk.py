@@ -165,11 +165,11 @@ def risk_model(name: str) -> RiskModel:
         raise ConfigError(msg) from error
 
 
-def doubt(config: Config) -> str:
-    """In which way the model of a configuration was fitted to another vehicle or map; or nothing.
+def model_warning(config: Config) -> str:
+    """Return a warning if the risk model was fitted to another kind of vehicle or map, or "".
 
-    The provenance of a model says what it was ``fitted`` to, from and to: ``diameter``, m;
-    ``clearance`` and ``cell``, diameters; ``noise``, clearances; ``max_slope_deg``. Raises as of
+    The provenance of a model gives the ranges that it was ``fitted`` to: ``diameter``, m;
+    ``clearance`` and ``cell``, diameters; ``noise``, clearances; ``max_slope_deg``. Raises as
     `risk_model`.
     """
     lss, model = config.lss, risk_model(config.lss.risk_model)

@@ -52,6 +52,12 @@ class VehicleConfig:
         return self.diameter * tan(radians(self.max_slope_deg)) / sqrt(2.0)
 
     @property
+    def ground_radius(self) -> float:
+        """Radius of the disc whose plane is the ground at the vehicle's scale: three quarters of
+        its own, m."""
+        return 0.75 * 0.5 * self.diameter
+
+    @property
     def least_hazard(self) -> float:
         """Least height of one thing on level ground that makes it fail, m: it rises over the
         clearance, or leans the vehicle too far."""

@@ -18,15 +18,15 @@ from quadtree_lss.onboard.messages.clouds import MAX_POINTS, MessageError, bytes
 ENCODINGS = {"16UC1": ("u2", 1e-3), "mono16": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
 """NumPy's word for a pixel, and its unit in m."""
 STEEP = 4.0
-"""Depth that may lie between the rays of neighbouring pixels, in widths of a pixel: ground seen
-from 14 degrees over it."""
+"""Greatest depth difference of neighbouring pixels on one surface, pixel widths: ground at a
+grazing angle of 14 degrees."""
 COLUMNS = 320
-"""About so many columns are taken, evenly spaced, and rows as closely: neighbouring pixels of
-stereo err together, so that a quarter of 640 x 480 tells little less than all."""
+"""Columns that are used, evenly spaced, with rows at the same spacing: errors of neighbouring
+stereo pixels are correlated, so a quarter of 640 x 480 has nearly all information."""
 JUMP = 4.0
-"""And in deviations of the noise."""
+"""The same in standard deviations of the noise, which is added."""
 SHORTEST, FARTHEST = 1.0, 1e7
-"""Focal length of a camera, px, at least, and what that and the axis' place are at most."""
+"""Smallest focal length, and greatest focal length and position of the axis, px."""
 
 
 class DepthCamera:
@@ -36,8 +36,8 @@ class DepthCamera:
         lidar: Of which the noise matters.
 
     Attributes:
-        edges: Pixels of the last image that were dropped because they lie between what is near and
-            what is far: no surface is there.
+        edges: Pixels of the last image that were dropped because they lie between a near and a far
+            surface.
     """
 
     def __init__(self, lidar: LidarConfig) -> None:
@@ -47,8 +47,7 @@ class DepthCamera:
         self._key: tuple[object, ...] = ()
 
     def on_info(self, info: Any) -> None:
-        """Takes a ``CameraInfo``. Raises `MessageError`: ``focal_length``, it is none of a pinhole
-        camera."""
+        """Use a ``CameraInfo``. Raises `MessageError`: ``focal_length``, not a pinhole camera."""
         k, p = (np.array(given, dtype=np.float64) for given in (info.k, info.p))
         f = p[[0, 5, 2, 6]] if p[0] > 0.0 else k[[0, 4, 2, 5]]
         if not ((np.abs(f) <= FARTHEST).all() and (f[:2] >= SHORTEST).all()):
@@ -81,7 +80,7 @@ class DepthCamera:
         whole = np.ndarray((height, width), order + kind, data, 0, (image.step, size))
         step, f = max(round(width / COLUMNS), 1), self._info
         if self._rays is None:
-            self._rays = self._look(height, width, step)
+            self._rays = self._pixel_rays(height, width, step)
         z = np.asarray(whole[step // 2 :: step, step // 2 :: step], dtype=np.float32)
         with np.errstate(invalid="ignore", over="ignore"):  # numbers may be any
             z = z * np.float32(unit)
@@ -106,8 +105,8 @@ class DepthCamera:
         points[..., 2] = z
         return points
 
-    def _look(self, height: int, width: int, step: int) -> Array:
-        """(H, W, 2) float32 x / z and y / z of the pixels that are taken."""
+    def _pixel_rays(self, height: int, width: int, step: int) -> Array:
+        """Return (H, W, 2) float32 x / z and y / z of the used pixels."""
         u, v = np.meshgrid(
             np.arange(step // 2, width, step, dtype=np.float64),
             np.arange(step // 2, height, step, dtype=np.float64),
@@ -117,8 +116,8 @@ class DepthCamera:
 
 
 def _between(z: Points, before: Points, after: Points, most: Points) -> Array:
-    """Whether depths lie between those of both neighbours, farther than ``most`` from each; a
-    neighbour of depth 0 is none."""
+    """Return whether depths lie between those of both neighbours, by more than ``most`` from each;
+    a neighbour of depth 0 has no return."""
     down, up = z - before, after - z
     there = (before > 0.0) & (after > 0.0)
     return there & (((down > most) & (up > most)) | ((down < -most) & (up < -most)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the lidar sits on the body: by parameters, from ``lidar/gimbal`` or from ``/tf_static``."""
+"""Pose of the lidar on the body, from parameters, ``lidar/gimbal`` or ``/tf_static``."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.poses import mount_from_message
 
-#: Names of frames that are shown together, and the longest name of one.
-SHOWN, LONGEST = 50, 1000
+#: Most frames in a message, and the longest accepted name of a frame.
+MAX_SHOWN, MAX_NAME = 50, 1000
 
 
 class Extrinsics:
-    """Knows the frames of body and scans, and with ``mount.source: tf`` the way from one to the
-    other. ``config``: of which ``mount`` and ``frames.body`` matter."""
+    """Frames of body and scans, and with ``mount.source: tf`` the transform between them."""
 
     def __init__(self, config: Config) -> None:
         self.tf = config.mount.source == "tf"
@@ -33,11 +32,11 @@ class Extrinsics:
 
     @property
     def mount(self) -> Pose | None:
-        """Pose of the cloud's axes in body axes as far as known; the identity is None, too."""
+        """Pose of the cloud's axes in body axes; None if unknown or the identity."""
         return self._found if self.tf else self._fixed
 
     def turned(self, lidar: Pose) -> Pose:
-        """The cloud's axes, of a lidar that sits so on the body (``mount.axes``)."""
+        """Return the pose of the cloud's axes of a lidar with this pose (``mount.axes``)."""
         return replace(lidar, rotation_map_lidar=lidar.rotation_map_lidar @ self._turn)
 
     def check_body(self, frame: str) -> None:
@@ -46,7 +45,7 @@ class Extrinsics:
         frame = _usable(frame, "child_frame")
         if not self._body and frame:
             self._body = frame
-            self._look()
+            self._find_mount()
         if frame != self._body:
             text = f"odometry is of '{_shown(frame)}', expected '{_shown(self._body)}'"
             text += " (parameter frames.body)"
@@ -64,26 +63,26 @@ class Extrinsics:
             text = f"cloud is in frame '{_shown(frame)}', those before in '{_shown(self._lidar)}'"
             raise MessageError("frame", text)
         self._lidar = frame
-        self._look()
+        self._find_mount()
 
     def on_transforms(self, msg: Any) -> None:
         """Takes a ``tf2_msgs/TFMessage`` of ``/tf_static``. Raises as `add_transforms`."""
         try:
             add_transforms(self._tree, msg)
         finally:
-            self._look()
+            self._find_mount()
 
     def lack(self) -> str:
-        """Why the mount is not known yet."""
+        """Return why the mount is not known yet."""
         if not self._body:
             return "the body's frame is not known (frames.body, or the child frame of an odometry)"
-        told = ", ".join(map(_shown, self._tree.frames()[:SHOWN])) or "none"
+        told = ", ".join(map(_shown, self._tree.frames()[:MAX_SHOWN])) or "none"
         return (
             f"/tf_static has no chain from '{_shown(self._body)}' to '{_shown(self._lidar)}'"
             f" (mount.source tf); frames heard of: {told}"
         )
 
-    def _look(self) -> None:
+    def _find_mount(self) -> None:
         found = self._tree.between(self._body, self._lidar) if self._body and self._lidar else None
         if found is not None:
             self._found = self.turned(found)
@@ -109,8 +108,8 @@ def _usable(frame: object, reason: str) -> str:
     """Name of a frame without its slash. Raises `MessageError`: it is so long that it was hardly
     meant."""
     name = str(frame).lstrip("/")
-    if len(name) > LONGEST:
-        text = f"frame '{_shown(name)}' has a name of more than {LONGEST} characters"
+    if len(name) > MAX_NAME:
+        text = f"frame '{_shown(name)}' has a name of more than {MAX_NAME} characters"
         raise MessageError(reason, text)
     return name
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From messages to scans with their pose: the part that a node and a replay have in common."""
+"""From messages to scans with their pose, for nodes and replay."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ from quadtree_lss.onboard.messages.poses import (
 from quadtree_lss.onboard.messages.times import PointTimes, offsets_from_cloud
 
 NOISE_RATIO_LIMIT = 1.4
-"""Observed over configured range noise that is worth a warning, either way."""
+"""Ratio of observed and configured range noise from which a warning is given, either way."""
 
 GAP_NS = 1_500_000_000
-"""Between poses farther apart nothing is interpolated: one a second may be late by half."""
+"""Longest gap between poses that is interpolated: at 1 Hz a pose may be late by half a period."""
 BUFFER_NS = 30 * SECOND_NS
-"""Older poses are forgotten: by far more than a scan may wait for its own, or a pose come late."""
+"""Age at which poses are dropped, far above the waiting time of scans."""
 
 GAPS = 9
-"""Of so many gaps between clouds the median is their period: a few may be lost or sent twice."""
+"""Gaps between clouds whose median is their period; some clouds may be lost or sent twice."""
 
 
 class Notice(NamedTuple):
-    """Something to tell the user: a short key to count and throttle by, and one line of text."""
+    """A warning for the user: a key for counting and throttling, and one line of text."""
 
     reason: str
     text: str
@@ -56,8 +56,8 @@ class Notice(NamedTuple):
 class ReadyScan(NamedTuple):
     """A scan and the pose of the lidar at its stamp; points as of `points_from_cloud`.
 
-    ``sweep`` is how the lidar moved while it took the scan, None if that was at once; ``edges`` how
-    many pixels of a depth image are no returns for lying at the edge of something.
+    ``sweep``: motion of the lidar during the scan, None if it was instantaneous. ``edges``: pixels
+    of a depth image that were dropped at the edge of an object.
     """
 
     stamp_ns: int
@@ -67,7 +67,7 @@ class ReadyScan(NamedTuple):
     edges: int = 0
 
     def lost(self, dropped: Mapping[str, int]) -> dict[str, int]:
-        """Points of the scan that are not in the map, by reason, from ``ScanReport.dropped``."""
+        """Return dropped points by reason, from ``ScanReport.dropped`` and the edges."""
         if not self.edges:
             return dict(dropped)
         return {**dropped, "no_return": dropped["no_return"] - self.edges, "edge": self.edges}
@@ -78,7 +78,7 @@ class ReadyScan(NamedTuple):
 
 
 class _Cloud(NamedTuple):
-    """What waits for its pose."""
+    """A scan that waits for its pose."""
 
     points: Points
     times: PointTimes | None
@@ -132,18 +132,18 @@ class Intake:
 
     @property
     def mount(self) -> Pose | None:
-        """The lidar on the body where that does not move; None where it is not known."""
+        """Pose of the lidar on the body if it is fixed and known, else None."""
         return self._extrinsics.mount
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Scans that were not mapped, by reason: unusable clouds and those without a pose."""
+        """Scans that were not mapped, by reason."""
         clouds = {k: v for k, v in self.rejected.items() if k.startswith("cloud_")}
         return {**clouds, **self.queue.dropped}
 
     def on_pose(self, msg: Any) -> None:
-        """Takes a pose of the lidar, or of the body with a mount. ``msg``:
-        ``PoseWithCovarianceStamped``, or ``Odometry``, whose child frame is then checked."""
+        """Use a pose of the lidar, or with a mount of the body: ``PoseWithCovarianceStamped``, or
+        ``Odometry``, whose child frame is checked."""
         limits = self._pose_config
         try:
             if hasattr(msg, "child_frame_id"):
@@ -179,7 +179,7 @@ class Intake:
         self._mount()
 
     def on_gimbal(self, msg: Any) -> None:
-        """Takes a ``TransformStamped`` body to lidar."""
+        """Use a ``TransformStamped`` from body to lidar."""
         if self._gimbal is None:
             return
         try:
@@ -189,7 +189,7 @@ class Intake:
             self.reject("gimbal", error)
 
     def on_transforms(self, msg: Any) -> None:
-        """Takes a ``TFMessage`` of ``/tf_static``, which matters with ``mount.source: tf``."""
+        """Use a ``TFMessage`` of ``/tf_static``, for ``mount.source: tf``."""
         try:
             self._extrinsics.on_transforms(msg)
         except MessageError as error:
@@ -201,15 +201,15 @@ class Intake:
             self._mounted.mount = self._extrinsics.mount
 
     def on_camera_info(self, msg: Any) -> None:
-        """Takes the ``CameraInfo`` of the depth images to come."""
+        """Use the ``CameraInfo`` of the following depth images."""
         try:
             self.camera.on_info(msg)
         except MessageError as error:
             self.reject("camera_info", error)
 
     def on_cloud(self, msg: Any, arrival_ns: int) -> int | None:
-        """Takes a ``PointCloud2``, or a depth ``Image``; ``arrival_ns`` is of any steady clock, see
-        `ready`. Returns the scan's stamp, or None if it cannot be used."""
+        """Queue a ``PointCloud2`` or depth ``Image``; ``arrival_ns``: of any steady clock, see
+        `ready`. Return the scan's stamp, None if it is unusable."""
         depth = hasattr(msg, "encoding")
         try:
             points = self.camera.points(msg) if depth else points_from_cloud(msg)
@@ -243,19 +243,19 @@ class Intake:
         return stamp
 
     def _period_ns(self, stamp_ns: int) -> float | None:
-        """Median time from cloud to cloud up to one of this stamp; None for the first."""
+        """Return the median period of clouds up to this stamp; None for the first."""
         if self._stamp_ns and stamp_ns > self._stamp_ns:
             self._gaps_ns.append(stamp_ns - self._stamp_ns)
         self._stamp_ns = stamp_ns
         return float(np.median(self._gaps_ns)) if self._gaps_ns else None
 
     def ready(self, now_ns: int) -> list[ReadyScan]:
-        """Scans whose pose is known, oldest first; gives up those that have waited too long.
+        """Return scans whose pose is known, oldest first, and drop those that waited too long.
         ``now_ns``: present time on the clock of ``arrival_ns``."""
         scans = self.queue.pop_ready()
         drops = self.queue.expire(now_ns)
         while drops:
-            self._tell(drops)
+            self._report_drops(drops)
             scans += self.queue.pop_ready()
             drops = self.queue.expire(now_ns)
         return [self._with_sweep(*scan) for scan in scans]
@@ -268,16 +268,16 @@ class Intake:
         return ReadyScan(stamp, cloud.points, pose, sweep(offsets, pose, poses))
 
     def finish(self) -> None:
-        """Gives up what still waits, because nothing more will come."""
-        self._tell(self.queue.finish())
+        """Drop all waiting scans, at the end of the input."""
+        self._report_drops(self.queue.finish())
 
     def notices(self) -> list[Notice]:
-        """What there is to tell since the last call."""
+        """Return the warnings since the last call."""
         told, self._notices = self._notices, []
         return [Notice(reason, one_line(text)) for reason, text in told]
 
     def reject(self, what: str, error: MessageError) -> None:
-        """Counts and tells a message that cannot be used; ``what`` is cloud, pose or gimbal."""
+        """Count an unusable message and add a warning; ``what``: cloud, pose or gimbal."""
         self.rejected[f"{what}_{error.reason}"] += 1
         self._notices.append(Notice(f"{what}_{error.reason}", str(error)))
 
@@ -285,7 +285,7 @@ class Intake:
         return PoseBuffer(BUFFER_NS, GAP_NS, what=what)
 
     def _add(self, buffer: PoseBuffer, pose: Pose, what: str) -> bool:
-        """Whether the pose is used; one that is not, is counted as rejected."""
+        """Add a pose, or count it as rejected; return whether it is used."""
         reason = buffer.add(pose)
         if reason is None:
             return True
@@ -297,14 +297,13 @@ class Intake:
         self._notices.append(Notice(f"{what}_{reason}", text))
         return used
 
-    def _tell(self, drops: list[Drop]) -> None:
+    def _report_drops(self, drops: list[Drop]) -> None:
         self._notices += [Notice(drop.reason, drop.text) for drop in drops]
 
 
 def noise_notice(ratio: float, config: Config) -> Notice | None:
-    """Warning if the observed range noise is not the configured one; the leaf count hangs on it.
-    ``ratio``: observed over configured, as in ``ScanReport.noise_ratio``; NaN if unknown.
-    ``config``: of which ``lidar.range_noise`` matters."""
+    """Return a warning if the observed range noise differs from the configured one, on which the
+    leaf count depends. ``ratio``: observed over configured (``ScanReport.noise_ratio``)."""
     agrees = 1.0 / NOISE_RATIO_LIMIT <= ratio <= NOISE_RATIO_LIMIT
     if math.isnan(ratio) or agrees:
         return None
@@ -322,8 +321,8 @@ def noise_notice(ratio: float, config: Config) -> Notice | None:
 
 
 def pose_notice(gap: tuple[float, float] | None) -> Notice | None:
-    """Warning if scans contradict the covariances of their poses, on which those of the map depend.
-    ``gap``: of `Mapper.pose_gap`."""
+    """Return a warning if scans contradict the covariances of their poses, on which those of the
+    map depend. ``gap``: of `Mapper.pose_gap`."""
     if gap is None:
         return None
     text = (

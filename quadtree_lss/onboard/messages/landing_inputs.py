@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What guidance says: ``landing/area``, keep-outs, ``target`` and ``dispersion``; where it is."""
+"""Inputs from guidance: ``landing/area``, keep-outs, ``target``, ``dispersion`` and poses."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ TYPES = {
 }
 
 BINDING = (AREA, KEEP_OUT, KEEP_OUTS)
-"""Topics without regard to which no site may be given out."""
+"""Topics that must be respected: without them no site is published."""
 
 KNOWN_HEADING, WIDEST = np.radians(15.0), 100.0
-"""Deviation of a heading that counts as known, rad; greatest deviation of a touchdown, m."""
+"""Greatest standard deviation of a known heading, rad, and of a touchdown, m."""
 
 MAX_VERTICES, LONGEST_NAME = 1000, 256
-"""More are taken for a damaged message; so much is kept of the name of a frame."""
+"""Most vertices of a polygon; characters that are kept of a frame's name."""
 
 TOLD = 3
-"""So many inputs that cannot be used are named in a line."""
+"""Most unusable inputs that a line names."""
 
 SPEED_S = 0.5
-"""Over which the vehicle's speed is taken."""
+"""Time over which the vehicle's speed is measured."""
 
 MAX_KEEP_OUTS = 200
-"""Of the set; another one is refused."""
+"""Most keep-outs of the set; others are rejected."""
 
 
 def polygon_from_message(msg: Any, map_frame: str) -> Array | None:
@@ -107,25 +107,24 @@ DECODE = {
     DISPERSION: dispersion_from_message,
 }
 WHAT = {topic: topic for topic in TYPES} | dict.fromkeys((AREA, KEEP_OUT, KEEP_OUTS), "polygon")
-"""What a message of a topic is called."""
+"""Noun for a message of each topic, in error texts."""
 
 
-class LandingWishes:
-    """What was asked for last, as `assess` takes it.
+class LandingRequests:
+    """The restrictions of the last messages, as arguments of `assess`.
 
-    An area or a keep-out that was sent and cannot be used could be anywhere: no site may be given
-    out then. Of a target or dispersion that cannot be used the one before holds; it only makes
-    sites better. Each keep-out of the set has a name of its own, ``keep_outs/`` and its id.
+    An unusable area or keep-out could be anywhere, so no site is published. An unusable target or
+    dispersion leaves the one before. Each keep-out of the set is named ``keep_outs/`` and its id.
 
     Args:
-        frame: Of the map; None as long as it is not known: any frame will do.
-        fixed: Values (V, 2), (2,) or None by name that no message changes; of ``keep_outs`` a list.
+        frame: Frame of the map; None while unknown: any frame is accepted.
+        fixed: Values (V, 2), (2,) or None by name that no message changes; ``keep_outs`` is a list.
 
     Attributes:
-        values: What holds by name, None if nothing was asked for.
-        unusable: Why the last message of a name cannot be used, where it cannot.
-        heard: The last message by name: its frame, and its content or why that is unusable.
-        navigation: Of the vehicle.
+        values: Current value by name, None without one.
+        unusable: Why the last message of a name is unusable.
+        heard: Last message by name: its frame, and its content or error.
+        navigation: Motion of the vehicle.
     """
 
     def __init__(self, frame: str | None, fixed: Mapping[str, Any] | None = None) -> None:
@@ -140,8 +139,7 @@ class LandingWishes:
         self.navigation = Navigation()
 
     def take(self, topic: str, msg: Any) -> None:
-        """A message of the topic ``landing/`` and this name. Raises `MessageError`: it cannot be
-        used."""
+        """Use a message of ``landing/<topic>``. Raises `MessageError`: it is unusable."""
         if topic in self.fixed:
             return
         name = name_of(topic, msg)
@@ -175,7 +173,7 @@ class LandingWishes:
             self.heard.pop(name, None)
 
     def use_frame(self, frame: str) -> dict[str, MessageError]:
-        """The map is in this frame: what was heard counts for it or not; what is wrong, by name."""
+        """Check all messages against the frame of the map; return the errors by name."""
         wrong: dict[str, MessageError] = {}
         if frame != self._frame:
             self._frame = frame
@@ -188,7 +186,7 @@ class LandingWishes:
         return wrong
 
     def refuse(self, name: str, error: MessageError) -> None:
-        """A message of this name cannot be used."""
+        """Record that the last message of a name is unusable."""
         known = name in self.unusable or len(self.unusable) < 2 * MAX_KEEP_OUTS
         if known and topic_of(name) not in self.fixed:
             self.unusable[name] = f"landing/{name} cannot be used: {error}"
@@ -197,25 +195,25 @@ class LandingWishes:
 
     @property
     def withheld(self) -> str:
-        """Why no site may be given out, empty if nothing speaks against it."""
+        """Return why no site may be published, empty if one may."""
         whys = [why for name, why in self.unusable.items() if topic_of(name) in BINDING]
         more = len(whys) - TOLD
         return "; ".join(whys[:TOLD] + ([f"and {more} more"] if more > 0 else []))
 
     def arguments(self) -> dict[str, Any]:
-        """Keyword arguments of ``LandingSiteSelector.assess``."""
-        single = {name: v for name, v in self.values.items() if topic_of(name) == name}
-        many = [v for k, v in self.values.items() if k not in single and v is not None]
+        """Return keyword arguments of ``LandingSiteSelector.assess``."""
+        single = {name: self.values[name] for name in (AREA, TARGET, DISPERSION)}
+        keep_outs = [v for name, v in self.values.items() if name not in single and v is not None]
         vehicle = self.navigation.vehicle(self._frame or "")
-        return {**single, KEEP_OUTS: many, "withheld": self.withheld, "vehicle": vehicle}
+        return {**single, KEEP_OUTS: keep_outs, "withheld": self.withheld, "vehicle": vehicle}
 
     def as_lists(self) -> dict[str, Any]:
-        """Those that hold, for a summary."""
+        """Return the current values for a summary."""
         return {k: np.asarray(v).tolist() for k, v in self.values.items() if v is not None}
 
 
 class Navigation:
-    """Place and speed of the vehicle by its poses, on which its reach depends."""
+    """Position and speed of the vehicle from its poses."""
 
     def __init__(self) -> None:
         self._frame: str | None = None
@@ -223,8 +221,7 @@ class Navigation:
         self._from = (0, np.full(3, np.nan))
 
     def take(self, msg: Any) -> bool:
-        """A ``PoseWithCovarianceStamped`` or ``Odometry``; what is no height is passed over.
-        Whether it was taken."""
+        """Use a ``PoseWithCovarianceStamped`` or ``Odometry``; return whether it is usable."""
         at = msg.pose.pose.position
         place = np.array([at.x, at.y, at.z], dtype=np.float64)
         now = 10**9 * msg.header.stamp.sec + msg.header.stamp.nanosec
@@ -246,19 +243,19 @@ class Navigation:
 
     @property
     def known(self) -> bool:
-        """Whether there was a place in any frame."""
+        """Whether any pose was usable."""
         return self._vehicle is not None
 
     def vehicle(self, frame: str) -> Motion | None:
-        """In a frame; None if nobody knows."""
+        """Return the motion in a frame, None if unknown."""
         return self._vehicle if self._frame == frame.lstrip("/") else None
 
 
 def name_of(topic: str, msg: Any) -> str:
-    """Of what a message sets: of a set, each id has its own."""
+    """Return the name of what a message sets: each id of a set has its own."""
     return f"{topic}/{msg.polygon.id}" if topic == KEEP_OUTS else topic
 
 
 def topic_of(name: str) -> str:
-    """Without the id of one of a set."""
+    """Return the topic of a name."""
     return name.partition("/")[0]

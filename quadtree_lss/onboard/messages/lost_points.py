@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Why points of a scan did not enter the map, in words; and what would bring them there."""
+"""Texts about scans that did not enter the map, and the likely cause."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from quadtree_lss.onboard.core.sensing.pose_buffer import seconds
 from quadtree_lss.onboard.core.tree.domain import Domain
 
 TRIED_POINTS = 500
-"""As many points of a scan are tried with other axes and frames."""
+"""Points of a scan that are tried with other axes and frames."""
 
 NO_POINTS_USED = "no_points_used"
-"""Key of the notice that `unused_points_text` is the text of."""
+"""Key of the warning with `unused_points_text`."""
 
 MAP_OVERRULED = "map_overruled"
-"""Key of the notice that `overruled_text` is the text of."""
+"""Key of the warning with `overruled_text`."""
 
 REASONS = {
     "no_return": "without a return",
@@ -33,21 +33,18 @@ REASONS = {
     "above": "of scans above the lidar (poses or mount upside down)",
     "contradiction": "contradicting the map (their pose is farther off than it claims)",
 }
-"""What became of points that did not enter the map, by the keys of ``ScanReport.dropped``."""
+"""Texts for the keys of ``ScanReport.dropped``."""
 
 
 def misplaced(report: ScanReport) -> bool:
-    """Whether no point entered the map, mostly because they lie elsewhere or above the lidar."""
+    """Return whether no point entered the map, mostly because of position or axes."""
     lost = report.dropped.get("outside", 0) + report.dropped.get("above", 0)
     return not report.points_used and lost > report.dropped.get("contradiction", 0)
 
 
 def unused_points_text(report: ScanReport, domain: Domain, why: str = "") -> str | None:
-    """Why not one point of a scan entered the map, in one line; None if one did.
-
-    For the one notice `NO_POINTS_USED` that a flight may need: the domain is named with the scan's
-    middle if points missed it. ``why``: of `likely_reason`.
-    """
+    """Return why no point of a scan entered the map, in one line; None if one did. ``why``: of
+    `likely_reason`."""
     if report.points_used:
         return None
     text = f"no point of scan {seconds(report.stamp_ns)} entered the map: "
@@ -60,7 +57,7 @@ def unused_points_text(report: ScanReport, domain: Domain, why: str = "") -> str
 
 
 def overruled_text(report: ScanReport) -> str | None:
-    """That scans which contradicted the map have won, in one line; None if they did not."""
+    """Return a line if the map was changed to match rejected scans, else None."""
     if not report.overruled:
         return None
     return (
@@ -70,14 +67,14 @@ def overruled_text(report: ScanReport) -> str | None:
 
 
 def lost_points_text(lost: Mapping[str, int]) -> str:
-    """``16384 outside the domain, 3 without a return``: counts by reason, the largest first.
-    ``lost``: by the keys of `REASONS`."""
+    """Format counts by reason, the largest first: ``16384 outside the domain, 3 without a
+    return``."""
     told = sorted(((n, key) for key, n in lost.items() if n), reverse=True)
     return ", ".join(f"{n} {REASONS[key]}" for n, key in told)
 
 
 def domain_text(domain: Domain) -> str:
-    """Extent of the domain with the parameters that set it."""
+    """Describe the domain with the parameters that set it."""
     x, y, size = domain.xmin, domain.ymin, domain.size
     return (
         f"the domain is x {x:g} ... {x + size:g}, y {y:g} ... {y + size:g} m"
@@ -90,11 +87,10 @@ LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
 
 
 def likely_reason(points_lidar: Points, pose: Pose, config: Config) -> str:
-    """What would bring a scan into the domain and below the lidar, if all points are not there.
+    """Find the error in axes or frames that explains why a scan is outside or above the lidar.
 
-    Each usual mistake about axes and frames is mended on some of the points: which of them lie in
-    the domain then, and below the lidar, decides. ``points_lidar``: (..., 3) as they were mapped,
-    m. ``pose``: as they were mapped with, ``mount.axes`` included.
+    Each common error is undone on some of the points; the one with most points inside the domain
+    and below the lidar is returned. ``points_lidar``: (..., 3), m. ``pose``: with ``mount.axes``.
     """
     points = points_lidar.reshape(-1, 3).astype(np.float64)
     points = points[np.isfinite(points).all(axis=1)]
@@ -130,7 +126,7 @@ def likely_reason(points_lidar: Points, pose: Pose, config: Config) -> str:
 
 
 def _share_inside(points_map: Array, config: Config, lidar: Array) -> float:
-    """Share of the points over the domain, which may follow the lidar, and below that."""
+    """Return the share of points in the domain (which may follow the lidar) and below the lidar."""
     d = config.domain
     west, south = d.xmin, d.ymin
     if d.follow == "vehicle":

@@ -26,7 +26,7 @@ from quadtree_lss.onboard.core.tree.soundness import sound_planes
 from quadtree_lss.onboard.messages.clouds import MessageError
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
-    from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+    from quadtree_lss.onboard.core.landing.result import LandingAssessment
 
 
 #: ``sensor_msgs/PointField`` datatype of a NumPy scalar type.

@@ -36,7 +36,7 @@ from quadtree_lss.onboard.messages.maps import (
 )
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
-    from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+    from quadtree_lss.onboard.core.landing.result import LandingAssessment
 
 CELLS, OBSERVED = "map/cells", "map/observed"
 SITES, SITE_TABLE = "landing/sites", "landing/site_table"
@@ -44,6 +44,7 @@ HAZARDS, SCORE = "landing/hazards", "landing/score"
 PROBABILITY = "landing/probability"
 GROUND = SITES, SITE_TABLE, HAZARDS, SCORE, PROBABILITY
 SELECTED, STATUS = "landing/selected", "landing/status"
+STATUS_TEXT = "landing/status_text"  # live only
 
 CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 GRID_TYPE = "nav_msgs/msg/OccupancyGrid"

@@ -161,11 +161,11 @@ class AutopilotNode(BaseNode):
         began = self._controller.landing.state
         order = self._controller.step(*self._target(self._now()))
         if order is None or self._controller.nav is None:
-            self._tell(Order(PILOT, f"waiting for {lack}", None, None))
+            self._publish_state(Order(PILOT, f"waiting for {lack}", None, None))
             return
         if order.state != began:
             self._on_change(order, self._controller.nav)
-        self._tell(order)
+        self._publish_state(order)
 
     def _lacks(self) -> str:
         """What there is not yet of all that a landing takes, empty after it came."""
@@ -185,13 +185,13 @@ class AutopilotNode(BaseNode):
             self.get_logger().info(text)
         self._link.tell(f"lss {text}", warn=warn)
         if order.point is not None:
-            if self._alone_on(self._dispersion):
+            if self._is_only_publisher(self._dispersion):
                 self._send_dispersion(nav)
-            if self._order.state == PILOT and self._alone_on(self._area):
+            if self._order.state == PILOT and self._is_only_publisher(self._area):
                 self._send_reach(nav)
 
-    def _alone_on(self, publisher: Publisher) -> bool:
-        """Whether nobody else sends there, as guidance may."""
+    def _is_only_publisher(self, publisher: Publisher) -> bool:
+        """Return whether no other node, such as guidance, publishes there."""
         return bool(self.count_publishers(publisher.topic_name) <= 1)
 
     def _send_reach(self, nav: Nav) -> None:
@@ -213,7 +213,7 @@ class AutopilotNode(BaseNode):
     def _frame(self) -> str:
         return self._config.frames.map
 
-    def _tell(self, order: Order) -> None:
+    def _publish_state(self, order: Order) -> None:
         self._order = order
         status = DiagnosticStatus(level=LEVELS.get(order.state, OK), name="landing")
         status.message = f"{order.state}: {order.text}"

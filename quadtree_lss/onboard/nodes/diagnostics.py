@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The state of a node on ``/diagnostics``: ages, rates and durations of what passes through, what
-went wrong, at a level that its data's age sets."""
+"""State of a node on ``/diagnostics``: ages, rates, durations and counted problems."""
 
 from __future__ import annotations
 
@@ -23,39 +22,38 @@ class Logger(Protocol):
 
 
 class Problems:
-    """Counts by reason; of each reason the first goes to the log, then one per ``interval`` s;
-    ``latest`` is the text of the last one."""
+    """Counts problems by reason, and logs at most one per reason and ``interval``, s. ``latest``:
+    text of the last one."""
 
     def __init__(self, logger: Logger, interval: float = 5.0) -> None:
         self.counts: Counter[str] = Counter()
         self.latest = ""
         self._logger = logger
         self._interval = interval
-        self._told: dict[str, tuple[float, int]] = {}
+        self._logged: dict[str, tuple[float, int]] = {}
 
     def report(self, reason: str, text: str, number: int = 1) -> None:
-        """Count ``number``, and say so if this reason was not heard of lately."""
+        """Count ``number`` problems, and log the text unless this reason was logged lately."""
         self.counts[reason] += number
         self.latest = text = one_line(text)
         now = time.monotonic()
-        told_at, told_count = self._told.get(reason, (-self._interval, 0))
+        told_at, told_count = self._logged.get(reason, (-self._interval, 0))
         if now - told_at < self._interval:
             return
         more = self.counts[reason] - told_count - number
         suffix = f" ({more} more of this kind since the last such line)" if more else ""
         self._logger.warning(text + suffix)
-        self._told[reason] = (now, self.counts[reason])
+        self._logged[reason] = (now, self.counts[reason])
 
 
 def failure(what: str, error: Exception, logger: Logger) -> str:
-    """What to say of an error that should not be; the log gets where it arose."""
+    """Log the traceback of an unexpected error, and return one line about it."""
     logger.warning("".join(traceback.format_exception(error)))
     return f"{what} failed: {one_line(repr(error), 200)}"
 
 
 class Arrivals:
-    """Messages of one kind: how many, how often, and how long ago the last one came. ``count``:
-    number since the start."""
+    """Number (``count``), rate and age of the messages of one kind."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -63,16 +61,16 @@ class Arrivals:
         self._counted = 0
 
     def add(self, at: float | None = None) -> None:
-        """One came just now, or at that time of the monotonic clock, s."""
+        """Count a message that came now, or at a time of the monotonic clock, s."""
         self.count += 1
         self._last = time.monotonic() if at is None else at
 
     def age(self) -> float:
-        """Seconds since the last one, or since the start if none came."""
+        """Return the time since the last one, or since the start, s."""
         return time.monotonic() - self._last
 
     def rate(self) -> float:
-        """Number per second since this was last asked, Hz."""
+        """Return the rate since the last call, Hz."""
         now = time.monotonic()
         rate = (self.count - self._counted) / max(now - self._looked, 1e-9)
         self._looked, self._counted = now, self.count
@@ -90,19 +88,19 @@ class Span(NamedTuple):
 
 
 class Durations:
-    """Durations since they were last asked for. ``last``: the last one, ms."""
+    """Durations since the last `take`. ``last``: the last one, ms."""
 
     def __init__(self) -> None:
         self.last = 0.0
         self._since: list[float] = []
 
     def add(self, milliseconds: float) -> None:
-        """One more."""
+        """Add a duration."""
         self.last = milliseconds
         self._since.append(milliseconds)
 
     def take(self) -> Span | None:
-        """Mean and worst since the last call, None if there were none."""
+        """Return mean and worst since the last call, None without any."""
         since, self._since = self._since, []
         return Span(sum(since) / len(since), max(since)) if since else None
 
@@ -111,7 +109,7 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 
 class Status:
-    """What a node has to say: the worst of its levels, one text, values by key."""
+    """Status of a node: the worst level, one text, values by key."""
 
     def __init__(self) -> None:
         self.level = OK
@@ -119,12 +117,12 @@ class Status:
         self._notes: list[tuple[bytes, str]] = []
 
     def note(self, level: bytes, text: str) -> None:
-        """Something to say at a level."""
+        """Add a text with a level."""
         self.level = max(self.level, level)
         self._notes.append((level, text))
 
     def add(self, values: Mapping[str, object]) -> None:
-        """Values by key; a mean and worst duration becomes two keys, None is left out."""
+        """Add values by key; a `Span` becomes two keys, None is left out."""
         for key, value in values.items():
             if isinstance(value, Span):
                 self.values[key] = f"{value.mean:.2f}"
@@ -133,7 +131,7 @@ class Status:
                 self.values[key] = f"{value:.2f}" if isinstance(value, float) else value
 
     def judge_age(self, what: str, topic: str, of: Arrivals, limits: DiagnosticsConfig) -> None:
-        """Warning or error if the last message of a kind is too old."""
+        """Add age and rate, and a warning or error if the last message is too old."""
         age = of.age()
         self.add({f"{what}.age_s": age, f"{what}.rate_hz": of.rate(), f"{what}.received": of.count})
         if age > limits.warn_age:
@@ -142,14 +140,13 @@ class Status:
             self.note(level, f"no {what} on '{topic}' {lack} {age:.1f} s")
 
     def judge_delay(self, text: str, delay: Span | None, limits: DiagnosticsConfig) -> None:
-        """Warning or error if what is sent was too old already, or by its stamp is of the future:
-        ``text`` and for how long."""
+        """Add a warning or error, ``text`` and the delay, if the delay is too long or negative."""
         if delay is not None and abs(delay.worst) > 1e3 * limits.warn_age:
             level = ERROR if abs(delay.worst) > 1e3 * limits.error_age else WARN
             self.note(level, f"{text} {1e-3 * delay.worst:.1f} s")
 
     @property
     def text(self) -> str:
-        """The worst first."""
+        """Return all texts, the worst level first."""
         ordered = sorted(self._notes, key=lambda note: note[0], reverse=True)
         return "; ".join(text for _, text in ordered)

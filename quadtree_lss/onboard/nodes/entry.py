@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes' console scripts. Signals are heard before anything that takes long is imported."""
+"""Console scripts of the nodes; they handle signals before the slow imports."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from types import FrameType
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 PATIENCE_S = 3.0
-"""So long a callback may go on; a terminal and ``launch`` may both send the first signal."""
+"""Time after the first signal in which further ones are ignored, because a terminal and ``launch``
+may both send it; after it a signal interrupts the callback in progress."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -24,9 +25,8 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 class StopOnSignal:
     """Remembers SIGINT, SIGTERM and SIGHUP, so that a callback in progress ends before the node.
 
-    ROS's own handlers invalidate the context at once, and whatever is being published fails.
-    SIGHUP stays ignored if it is, as under ``nohup``. Who asks again after `PATIENCE_S`, as
-    ``launch`` does, breaks the callback off.
+    ROS's own handlers invalidate the context at once, so that publishing in progress fails. SIGHUP
+    stays ignored if it is, as under ``nohup``.
     """
 
     def __init__(self) -> None:
@@ -39,7 +39,7 @@ class StopOnSignal:
 
     @contextlib.contextmanager
     def breaking(self) -> Iterator[None]:
-        """Within it, asking again raises KeyboardInterrupt; what was at work is then half done."""
+        """Raise KeyboardInterrupt within this context on a signal after `PATIENCE_S`."""
         self._breaks = True
         try:
             yield
@@ -55,31 +55,29 @@ class StopOnSignal:
 
 
 class Waiting:
-    """Says what a node waits for before it has given anything out: after five seconds, then each
-    time after twice as long. ``name``: of the node, which has no log of its own at first.
+    """Logs what a node waits for after five seconds, then after twice as long each time.
 
-    Attributes:
-        what: It waits for at present; nothing is said of nothing.
-        say: Takes a line.
+    ``name``: of the node. ``what``: what it waits for, empty for nothing. ``say``: logs a line; the
+    node has no log at first.
     """
 
     def __init__(self, name: str) -> None:
         self.what, self._name = "its modules", name
         self.say: Callable[[str], object] = self._print
-        self._told, self._period = time.monotonic(), 5.0
+        self._reported, self._period = time.monotonic(), 5.0
 
     def watch(self) -> None:
-        """Goes on for ever; for a thread, since whoever waits may be at work."""
+        """Log until the process ends; runs in a thread of its own."""
         while True:
             time.sleep(0.5)
-            self.look()
+            self.report_if_due()
 
-    def look(self) -> None:
-        """Says what it is time to say."""
+    def report_if_due(self) -> None:
+        """Log a line if it is due."""
         now = time.monotonic()
-        if self.what and now - self._told >= self._period:
+        if self.what and now - self._reported >= self._period:
             self.say(f"waiting for {self.what}")
-            self._told, self._period = now, 2.0 * self._period
+            self._reported, self._period = now, 2.0 * self._period
 
     def _print(self, line: str) -> None:
         head = f"[WARN] [{time.time():.9f}] [{self._name}]"
@@ -90,7 +88,7 @@ _waiting: list[Waiting] = []
 
 
 def waits_for(what: str, say: Callable[[str], object] | None = None) -> None:
-    """What the node of this process is at, empty if nothing; ``say``: its log, once it has one."""
+    """Set what this process waits for, empty for nothing; ``say``: log of the node."""
     for waiting in _waiting:
         waiting.what, waiting.say = what, say or waiting.say
 
@@ -99,7 +97,7 @@ _early: list[StopOnSignal] = []
 
 
 def stop_on_signal() -> StopOnSignal:
-    """What the process's console script began with, once; else a new one."""
+    """Return the signal handler of the console script, or install one."""
     return _early.pop() if _early else StopOnSignal()
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scans that are lost on the way, or come faster than they can be mapped; and whose they are."""
+"""Lost scans, overload, and topics with several publishers."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from quadtree_lss.onboard.nodes.diagnostics import WARN, Durations, Problems, St
 
 
 class Publishers:
-    """Counts the publishers of a topic that match at present (``number``); of more than one it
-    tells ``problems`` the ``reason`` and the ``effect``, and `judge` the status, while they are."""
+    """Counts the matched publishers of a topic (``number``), and warns while there is more than
+    one; ``reason``: key of the problem; ``effect``: consequence, for the text."""
 
     def __init__(self, topic: str, reason: str, effect: str, problems: Problems) -> None:
         self.number = 0
@@ -20,13 +20,13 @@ class Publishers:
         self._problems = problems
 
     def changed(self, number: int) -> None:
-        """Publishers came or went."""
+        """Set the number of publishers."""
         before, self.number = self.number, number
         if number > max(before, 1):
             self._problems.report(self._reason, self._text())
 
     def judge(self, status: Status) -> None:
-        """Warning while there is more than one."""
+        """Add a warning while there is more than one."""
         if self.number > 1:
             status.note(WARN, self._text())
 
@@ -38,11 +38,9 @@ class Publishers:
 
 
 class ScanGaps:
-    """Looks for gaps in the numbers that a publisher gives its messages.
+    """Finds gaps in the sequence numbers of scans, and reports them as ``scan_lost``.
 
-    Two publishers number theirs apart, and a message does not say whose it is: while there are two,
-    gaps cannot be found, and that there are two is a problem of its own. ``topic``: full name.
-    ``problems``: where losses are counted as ``scan_lost``.
+    With two publishers, which number their messages separately, gaps cannot be found.
     """
 
     def __init__(self, topic: str, problems: Problems) -> None:
@@ -53,12 +51,12 @@ class ScanGaps:
         self._last = 0
 
     def on_publishers(self, number: int) -> None:
-        """Publishers came or went."""
+        """Set the number of publishers."""
         self.publishers.changed(number)
         self._last = 0
 
     def on_scan(self, number: int | None) -> None:
-        """A scan arrived with this number; None of a middleware that gives none (Cyclone DDS)."""
+        """Check a scan's number; None from a middleware without numbers (Cyclone DDS)."""
         number = number or 0
         last, self._last = self._last, number
         missing = number - last - 1
@@ -71,7 +69,7 @@ class ScanGaps:
 
 
 def best_effort_hint(topic: str) -> str:
-    """What to set if scans are sent on a topic and none comes by best effort."""
+    """Return the setting that helps if scans are sent, but none arrives by best effort."""
     try:
         limit = int(Path("/proc/sys/net/core/rmem_max").read_text(encoding="ascii"))
     except (OSError, ValueError):
@@ -82,29 +80,29 @@ def best_effort_hint(topic: str) -> str:
     )
 
 
-SHARE = 0.25
-"""Of the allowance, which a scan may have waited while scans are being left out."""
+OVERLOADED_SHARE = 0.25
+"""Share of the allowance that holds while the node is overloaded."""
 CALM_S = 5.0
-"""For how long after the last scan that was left out."""
-LEAST_S = 0.1
-"""A scan that waited no longer is mapped however long that takes, or none would ever be."""
+"""Time without a dropped scan after which the node is no longer overloaded."""
+MIN_ALLOWANCE_S = 0.1
+"""Scans that waited less are always mapped, so that some are mapped at any load."""
 
 
 def allowance(config: Config, work_ms: float) -> float:
-    """How long a scan may have waited, s, for the map to stay younger than ``warn_age``.
-    ``config``: of which ``diagnostics.warn_age`` and ``publish.rate`` matter. ``work_ms``: what it
-    takes to map a scan and publish the map; it may have to wait for as much."""
+    """Return how long a scan may have waited for the map to stay younger than ``warn_age``, s.
+    ``work_ms``: time to map a scan and publish the map, for which it may have to wait again."""
     young = config.diagnostics.warn_age
-    return max(young - min(1.0 / config.publish.rate, 0.5 * young) - 2e-3 * work_ms, LEAST_S)
+    return max(
+        young - min(1.0 / config.publish.rate, 0.5 * young) - 2e-3 * work_ms, MIN_ALLOWANCE_S
+    )
 
 
 class Overload:
-    """Judges scans by how long they have waited in the middleware, by this computer's clock.
+    """Drops scans that waited in the middleware for too long, by this computer's clock.
 
-    A short hold-up leaves nothing out: a scan may wait as long as the map stays young enough. Once
-    one has waited longer the node is overloaded, and only scans that have waited for a quarter of
-    that are mapped: the map is much younger than it need be, and what is left out (``dropped``)
-    lies scattered. ``waits`` holds how long the others had waited.
+    A scan may wait as long as the map stays young enough (`allowance`). After the first that waited
+    longer, only scans that waited for a quarter of that are mapped, so that drops are spread
+    evenly. ``dropped``: their number; ``waits``: waiting times of the others.
     """
 
     def __init__(self, topic: str, problems: Problems) -> None:
@@ -114,13 +112,13 @@ class Overload:
         self._overloaded_until = 0.0
 
     def takes(self, received_ns: int, config: Config, work_ms: float) -> bool:
-        """True if a scan is to be mapped. ``received_ns``: when the middleware received it, by the
-        system's clock; 0 if it does not say. ``config``, ``work_ms``: as of `allowance`."""
+        """Return whether to map a scan. ``received_ns``: when the middleware received it, by the
+        system's clock; 0 if unknown. ``config``, ``work_ms``: as of `allowance`."""
         waited = max(1e-9 * (time.time_ns() - received_ns), 0.0) if received_ns > 0 else 0.0
         now = time.monotonic()
         limit = allowance(config, work_ms)
         if now < self._overloaded_until:
-            limit = max(SHARE * limit, LEAST_S)
+            limit = max(OVERLOADED_SHARE * limit, MIN_ALLOWANCE_S)
         if waited <= limit:
             self.waits.add(1e3 * waited)
             return True

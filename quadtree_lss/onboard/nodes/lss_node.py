@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The map in, ranked landing sites out. Computes nothing: the core does."""
+"""Node that publishes ranked landing sites and the target; `core.landing` computes them."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -13,7 +13,7 @@ from nav_msgs.msg import OccupancyGrid, Odometry
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
-from quadtree_lss.onboard.config.risk import doubt
+from quadtree_lss.onboard.config.risk import model_warning
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.clouds import MessageError
@@ -32,21 +32,30 @@ from quadtree_lss.onboard.nodes.ros_messages import TYPES, GridMap, message_make
 from quadtree_lss.onboard.nodes.target_output import TargetOutput
 
 if TYPE_CHECKING:
-    from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+    from quadtree_lss.onboard.core.landing.result import LandingAssessment
 
-LOOK_PERIOD_S = 0.2
-"""How often the age of the map is looked at."""
+CHECK_PERIOD_S = 0.2
+"""Period of the checks that need no message: age of the map, settling."""
 
 
 class LssNode(BaseNode):
-    """Takes the map and where landing is wanted, publishes ``landing/``; see ``msg_docs``."""
+    """Subscribes to the map and the landing inputs, publishes ``landing/``; see ``msg_docs``."""
 
     def __init__(self) -> None:
         super().__init__("lss_node")
         config = self._config
+        self._first_map_s = math.nan
+        self._result: LandingAssessment | None = None
+        self._assessed: CellMap | None = None
+        self._failed = self._withheld = ""
+        self._inputs_changed = self._logged_first = False
+        self._lss_ms, self._delays = Durations(), Durations()
+        self._had_subscribers: set[str] = set()
         self._output = ChangePublisher(self, config.publish.lss_rate, self._assess)
-        # Before the map: of what is there when the node starts, they are to be looked at first.
-        self._inputs = LandingTopics(self, self._problems, self._ask, config.lss.required_input)
+        self._inputs = LandingTopics(
+            self, self._problems, self._on_input, config.lss.required_input
+        )
+        self._navigation = self._inputs.requests.navigation
         self._map_topic = self.resolve_topic_name(CELLS)
         effect = "maps of either are assessed"
         self._map_publishers = Publishers(self._map_topic, "map_publishers", effect, self._problems)
@@ -54,41 +63,11 @@ class LssNode(BaseNode):
         self._map = ReceivedMap(
             self._problems, config.frames.map, lambda: self._config.lss, binding=binding
         )
-        kinds, told = (PointCloud2, OccupancyGrid), self._map_publishers.changed
-        subscribe(self, kinds[0], CELLS, self._on_cells, latched(), told, raw=True)
-        # It is sent first: the cells take it along.
-        other = WhenWanted(lambda: self._map.lacks_observed)
-        self._observed = subscribe(
-            self, kinds[1], OBSERVED, self._on_observed, latched(), group=other, raw=True
-        )
-        poses = config.pose.source
-        self._pose_kind: Any = {"pose": PoseWithCovarianceStamped, "odometry": Odometry}[poses]
-        self._navigation = self._inputs.wishes.navigation
-        # Best effort: it matches any publisher. The newest is enough, and taken when it is needed.
-        first = WhenWanted(lambda: not self._navigation.known)
-        kind, profile = self._pose_kind, stream(1, reliable=False)
-        self._poses = subscribe(
-            self, kind, f"nav/{poses}", self._on_pose, profile, group=first, raw=True
-        )
-        self._began = float("nan")
-        self._result: LandingAssessment | None = None
-        self._failed = ""
-        self._assessed: CellMap | None = None
-        self._withheld = ""
-        self._asked = False
-        self._first_told = False
-        self._lss_ms, self._delays = Durations(), Durations()
-        self._heard: set[str] = set()
         self._landing = {
-            topic: advertise(self, TYPES[TOPIC_TYPES[topic]], topic, latched(), self._on_listener)
+            topic: advertise(self, TYPES[TOPIC_TYPES[topic]], topic, latched(), self._on_subscriber)
             for topic in GROUND
         }
-        self._target = TargetOutput(
-            self,
-            self._age,
-            lambda: self._at_once(self._selector.release),
-            lambda: self._at_once(self._selector.land_now),
-        )
+        self._target = TargetOutput(self, self._age, self._release, self._land_now)
         self._markers = MarkerPublisher(
             self, advertise(self, MarkerArray, "landing/markers", latched()), self._site_markers
         )
@@ -96,36 +75,65 @@ class LssNode(BaseNode):
         if GridMap is not None:
             publisher = advertise(self, GridMap, GRID_MAP, latched())
             self._grid_map = MarkerPublisher(self, publisher, self._grid_map_message)
-        steady_timer(self, LOOK_PERIOD_S, self._look_around)
-        # This takes a while to load, in which the middleware already finds mapping_node.
+        self._subscribe()
+        # Loading the core takes a while, in which the middleware already finds mapping_node.
         waits_for("what judges landing")
-        from quadtree_lss.onboard.core.landing.sites import LandingSiteSelector
+        from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 
         self._selector = LandingSiteSelector(config)
-        if said := doubt(config):
-            self.get_logger().warning(said)
+        if warning := model_warning(config):
+            self.get_logger().warning(warning)
+        steady_timer(self, CHECK_PERIOD_S, self._check)
         self._announce()
+
+    def _subscribe(self) -> None:
+        """Subscribe to map and poses. Messages of topics with a `WhenWanted` group do not wake the
+        node while they are not wanted: they are taken together with the map."""
+        subscribe(
+            self,
+            PointCloud2,
+            CELLS,
+            self._on_cells,
+            latched(),
+            self._map_publishers.changed,
+            raw=True,
+        )
+        wanted = WhenWanted(lambda: self._map.lacks_observed)
+        self._observed = subscribe(
+            self, OccupancyGrid, OBSERVED, self._on_observed, latched(), group=wanted, raw=True
+        )
+        source = self._config.pose.source
+        self._pose_kind: Any = {"pose": PoseWithCovarianceStamped, "odometry": Odometry}[source]
+        profile = stream(1, reliable=False)  # matches any publisher
+        wanted = WhenWanted(lambda: not self._navigation.known)
+        self._poses = subscribe(
+            self, self._pose_kind, f"nav/{source}", self._on_pose, profile, group=wanted, raw=True
+        )
 
     def _reconfigure(self, config: Config) -> None:
         self._selector.configure(config)
         self._map.retry()
-        self._ask()
+        self._on_input()
 
-    def _ask(self) -> None:
-        """Something else than the map changed."""
-        self._asked = True
+    def _on_input(self) -> None:
+        """Assess the map again, because something else changed."""
+        self._inputs_changed = True
         self._output.changed()
 
-    def _at_once(self, ask: Callable[[], None]) -> None:
-        """Somebody asked the selector for another target, or for the best within reach."""
-        ask()
-        self._asked = True
+    def _release(self) -> None:
+        self._selector.release()
+        self._inputs_changed = True
+        self._output.now()
+
+    def _land_now(self) -> None:
+        self._selector.land_now()
+        self._inputs_changed = True
         self._output.now()
 
     def _age(self, stamp_ns: int) -> float:
-        """Of what has a stamp, by the node's clock, s; NaN if the two are not of one time."""
+        """Return the age of a stamp, s; NaN if stamp and clock are not of the same time."""
         latency = self._latency_ms(stamp_ns)
-        return float("nan") if latency is None else 1e-3 * latency
+        return math.nan if latency is None else 1e-3 * latency
 
     def _on_cells(self, raw: bytes) -> None:
         for observed in arrived(self._observed):
@@ -147,30 +155,29 @@ class LssNode(BaseNode):
         for raw in arrived(self._poses):
             self._on_pose(raw)
 
-    def _withhold(self) -> str:
-        """Why no site may be given out, empty if nothing speaks against it."""
-        reasons = (self._inputs.wishes.withheld, self._map.too_old())
+    def _why_withheld(self) -> str:
+        """Return why no site may be published, empty if one may."""
+        reasons = (self._inputs.requests.withheld, self._map.too_old())
         return "; ".join(reason for reason in reasons if reason)
 
-    def _look_around(self) -> None:
-        """Withdraws the sites when the map has become too old; says what it waits for; ends the
-        wait for a target."""
+    def _check(self) -> None:
+        """Withdraw the sites of an old map; end settling; report what the node waits for."""
         self._take_pose()
-        waits_for(self._lacks() or self._why_none())
+        waits_for(self._lacks() or self._why_no_site_yet())
         if self._result is None:
             return
-        if self._withhold() != self._withheld:
+        if self._why_withheld() != self._withheld:
             self._output.now()
         settling = self._result.selected.reason.key == "settling"
         if settling and self._waited() >= self._config.lss.settle_time:
-            self._ask()
+            self._on_input()
 
     def _waited(self) -> float:
-        """Since the first map, s."""
-        return time.monotonic() - self._began
+        """Return the time since the first map, s."""
+        return time.monotonic() - self._first_map_s
 
     def _lacks(self) -> str:
-        """What there is not yet of all that the first answer takes, empty after it."""
+        """Return which inputs the first assessment still waits for, empty after it."""
         if self._result is not None:
             return ""
         if lack := self._map.lacks():
@@ -178,11 +185,12 @@ class LssNode(BaseNode):
             return f"{lack} (publishers known on '{self._map_topic}': {number})"
         return " and ".join(f"landing/{name}" for name in self._inputs.unheard())
 
-    def _why_none(self) -> str:
-        """Why no site was given out yet, though there are answers."""
-        if self._first_told or self._result is None:
+    def _why_no_site_yet(self) -> str:
+        """Return why no assessment had a site yet, empty after the first one."""
+        if self._logged_first or self._result is None:
             return ""
-        return f"the first site: {self._withhold() or self._failed or self._result.explanation}"
+        why = self._why_withheld() or self._failed or self._result.explanation
+        return f"the first site: {why}"
 
     def _assess(self) -> None:
         self._map.take()
@@ -190,36 +198,37 @@ class LssNode(BaseNode):
         if cells is None:
             return
         self._inputs.use_frame(self._map.frame)
-        self._began = time.monotonic() if math.isnan(self._began) else self._began
-        withheld = self._withhold()
-        if cells is self._assessed and withheld == self._withheld and not self._asked:
-            return  # what came was refused
+        if math.isnan(self._first_map_s):
+            self._first_map_s = time.monotonic()
+        withheld = self._why_withheld()
+        if cells is self._assessed and withheld == self._withheld and not self._inputs_changed:
+            return  # the new map was rejected
         if not self._inputs.settled():
             return
         new = cells is not self._assessed
-        self._assessed, self._withheld, self._asked = cells, withheld, False
+        self._assessed, self._withheld, self._inputs_changed = cells, withheld, False
         self._take_pose()
         start = time.perf_counter()
-        restrictions = {**self._inputs.wishes.arguments(), "withheld": withheld}
+        restrictions = {**self._inputs.requests.arguments(), "withheld": withheld}
         try:
             self._failed = ""
-            with self._target.held_up():
+            with self._target.repeated():
                 result = self._selector.assess(cells, waited=self._waited(), **restrictions)
-            self._give(result, new)
+            self._send(result, new)
         except Exception as error:
             self._failed = failure("the landing site pass", error, self.get_logger())
             self._problems.report("pass_failed", self._failed)
-            self._give(self._selector.withhold(cells, self._failed), new)
+            self._send(self._selector.withhold(cells, self._failed), new)
         self._lss_ms.add(1e3 * (time.perf_counter() - start))
 
-    def _give(self, result: LandingAssessment, new: bool) -> None:
-        """Send an answer; ``new`` if it is of another map than the one before."""
+    def _send(self, result: LandingAssessment, new: bool) -> None:
+        """Publish an assessment; ``new``: of another map than the one before."""
         self._target.send(result, self._map.frame)
         self._result = result
-        self._send_ground(self._heard)
+        self._send_ground(self._had_subscribers)
         if result.pending:
-            self._ask()
-        self._tell_first(result)
+            self._on_input()
+        self._log_first(result)
         self._markers.changed()
         if self._grid_map is not None:
             self._grid_map.changed()
@@ -227,10 +236,11 @@ class LssNode(BaseNode):
         if new and latency is not None:
             self._delays.add(latency)
 
-    def _on_listener(self, _: Any) -> None:
-        """What nobody has ever subscribed to is not made; whoever comes first gets it then."""
-        new = {one for one in GROUND if self._landing[one].get_subscription_count()} - self._heard
-        self._heard |= new
+    def _on_subscriber(self, _: Any) -> None:
+        """Publish the topics that have a subscriber for the first time; others are not computed."""
+        subscribed = {topic for topic, of in self._landing.items() if of.get_subscription_count()}
+        new = subscribed - self._had_subscribers
+        self._had_subscribers |= new
         self._send_ground(new)
 
     def _send_ground(self, topics: set[str]) -> None:
@@ -238,11 +248,11 @@ class LssNode(BaseNode):
             for topic, message in message_maker(self._map.frame).of_ground(self._result, topics):
                 self._landing[topic].publish(message)
 
-    def _tell_first(self, result: LandingAssessment) -> None:
-        """One line when there are sites for the first time."""
+    def _log_first(self, result: LandingAssessment) -> None:
+        """Log the first sites."""
         sites = result.sites
-        if not self._first_told and len(sites.score):
-            self._first_told = True
+        if not self._logged_first and len(sites.score):
+            self._logged_first = True
             x, y, z = sites.position[0]
             self.get_logger().info(
                 f"first sites: {len(sites.score)}, the best at x {x:.2f}, y {y:.2f}, z {z:.2f} m;"
@@ -261,7 +271,7 @@ class LssNode(BaseNode):
     def _collect(self, status: Status) -> None:
         limits = self._config.diagnostics
         if self._map.arrivals.age() > limits.warn_age:
-            self._map.take()  # one that waits for its turn counts if it can be used
+            self._map.take()  # a map that was not decoded yet counts if it is usable
         status.judge_age("map", self._map_topic, self._map.arrivals, limits)
         latency = self._delays.take()
         text = "by the map's stamp and this node's clock, sites are sent after"
@@ -277,7 +287,7 @@ class LssNode(BaseNode):
             }
         )
         status.add({f"landing.{name}": state for name, state in self._inputs.states().items()})
-        withheld = self._withhold()
+        withheld = self._why_withheld()
         if self._failed:
             status.note(ERROR, f"no site is given out: {self._failed}")
         if withheld:

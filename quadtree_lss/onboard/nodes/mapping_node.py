@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lidar scans and poses in, the quadtree map out. Computes nothing: the core does."""
+"""Node that publishes the quadtree map; `core.mapping` computes it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import Any
 from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.qos import ReliabilityPolicy
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
@@ -68,42 +69,44 @@ DEPTH, CAMERA = "depth/image", "depth/camera_info"
 ODOMETRY, TRANSFORMS = "nav/odometry", "/tf_static"
 MAP_LATE = "by the scans' stamps and this node's clock, maps are sent after"
 SCAN_DEPTH, POSE_DEPTH = 50, 200
-"""What the middleware may queue: 2.5 s of scans of 20 Hz, and of poses ten times as many."""
-LOOK_PERIOD_S = 0.1
-"""How often poses are taken and waiting scans looked at while no scan comes."""
+"""Depth of the middleware's queues: 2.5 s of scans at 20 Hz, 1 s of poses at 200 Hz."""
+CHECK_PERIOD_S = 0.1
+"""Period of taking poses and mapping waiting scans while no scan comes."""
 
 
 class MappingNode(BaseNode):
-    """Takes scans, poses and gimbal angles, publishes the map; see ``msg_docs``."""
+    """Subscribes to scans, poses and gimbal angles, publishes the map; see ``msg_docs``."""
 
     def __init__(self) -> None:
         super().__init__("mapping_node")
         config = self._config
         self._frame = config.frames.map
-        self._mapper = Mapper(config)
-        odometry = config.pose.source == "odometry"
+        self._scans = self._divisions_refused = 0
+        self._logged_first = False
+        self._failed = ""
+        self._points_dropped: Counter[str] = Counter()
+        self._report: ScanReport | None = None
+        self._map_ms, self._publish_ms, self._delays = Durations(), Durations(), Durations()
+        self._mapper, self._stamps = Mapper(config), MapStamps()
+        depth, odometry = config.lidar.source == "depth", config.pose.source == "odometry"
+        self._scan_kind = Image if depth else PointCloud2
         self._pose_kind = Odometry if odometry else PoseWithCovarianceStamped
-        self._scan_kind = Image if config.lidar.source == "depth" else PointCloud2
-        scans = DEPTH if config.lidar.source == "depth" else SCANS
-        names = {"scan": scans, "pose": ODOMETRY if odometry else POSES, "gimbal": GIMBAL}
+        names = {
+            "scan": DEPTH if depth else SCANS,
+            "pose": ODOMETRY if odometry else POSES,
+            "gimbal": GIMBAL,
+        }
         self._topics = {what: self.resolve_topic_name(name) for what, name in names.items()}
-        topics = {f"{what}_topic": name for what, name in self._topics.items()}
-        self._intake = Intake(config, **topics)
+        self._arrived = {"scan": Arrivals(), "pose": Arrivals()}
+        if config.mount.source == "gimbal":
+            self._arrived["gimbal"] = Arrivals()
+        self._intake = Intake(config, **{f"{k}_topic": name for k, name in self._topics.items()})
         self._gaps = ScanGaps(self._topics["scan"], self._problems)
         self._overload = Overload(self._topics["scan"], self._problems)
         effect = "they are taken as one's; scans are mapped between poses of different ones"
         self._pose_publishers = Publishers(
             self._topics["pose"], "pose_publishers", effect, self._problems
         )
-        self._arrived = {"scan": Arrivals(), "pose": Arrivals()}
-        if config.mount.source == "gimbal":
-            self._arrived["gimbal"] = Arrivals()
-        self._scans = 0
-        self._first_told = False
-        self._divisions_refused = 0
-        self._points_dropped: Counter[str] = Counter()
-        self._report: ScanReport | None = None
-        self._map_ms, self._publish_ms, self._delays = Durations(), Durations(), Durations()
         self._cells = advertise(self, PointCloud2, "map/cells", latched())
         self._observed = advertise(self, OccupancyGrid, "map/observed", latched())
         self._markers = MarkerPublisher(
@@ -111,54 +114,64 @@ class MappingNode(BaseNode):
             advertise(self, MarkerArray, "map/markers", latched()),
             lambda: cell_markers(self._mapper.snapshot(), self._frame),
         )
-        self._stamps = MapStamps()
         self._output = ChangePublisher(self, config.publish.rate, self._publish)
-        self._failed = ""
         self._checkpoints = Checkpoints(config.checkpoint.path)
         waits_for(f"checkpoint.path {config.checkpoint.path}")
-        self._take_up_checkpoint()
+        self._restore_checkpoint()
         serve(self, "reset", self._reset)
         serve(self, "save_map", self._save_map)
         serve(self, "load_map", self._load_map)
-        self._subscribe()
-        steady_timer(self, LOOK_PERIOD_S, self._look_around)
+        self._waiting_for_poses = WhenWanted(lambda: len(self._intake.queue) > 0)
+        self._best_effort = self._subscribe_scans()
+        self._pose_sources = self._subscribe_poses()
+        steady_timer(self, CHECK_PERIOD_S, self._check)
         self._announce()
 
     def finish(self) -> None:
-        """Before the node ends in good order, what the checkpoint lacks is written."""
+        """Write what the checkpoint lacks before the node ends in good order."""
         error = self._checkpoints.close(self._mapper)
         if error is not None:
             self.get_logger().error(f"{error}; what it lacks is lost")
 
-    def _subscribe(self) -> None:
-        scan_qos = stream(SCAN_DEPTH, reliable=False)
-        pose_qos = stream(POSE_DEPTH, reliable=True)
-        topic, told = self._topics["scan"], self._gaps.on_publishers
-        clouds = self._scan_kind is PointCloud2
-        scans = subscribe(self, self._scan_kind, topic, self._on_scan, scan_qos, told, raw=clouds)
-        self._best_effort = scans.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT
+    def _subscribe_scans(self) -> bool:
+        """Subscribe to scans and what belongs to them; return whether scans are best effort."""
+        raw = self._scan_kind is PointCloud2
+        scans = subscribe(
+            self,
+            self._scan_kind,
+            self._topics["scan"],
+            self._on_scan,
+            stream(SCAN_DEPTH, reliable=False),
+            self._gaps.on_publishers,
+            raw=raw,
+        )
         if self._scan_kind is Image:
-            subscribe(
-                self, CameraInfo, CAMERA, self._intake.on_camera_info, stream(1, reliable=False)
-            )
+            profile = stream(1, reliable=False)
+            subscribe(self, CameraInfo, CAMERA, self._intake.on_camera_info, profile)
         if self._config.domain.follow == "area":
             subscribe_twice(self, PolygonStamped, f"landing/{AREA}", self._on_area)
-        ahead = WhenWanted(lambda: len(self._intake.queue) > 0)
-        poses, kind = self._topics["pose"], self._pose_kind
-        take = self._and_work(self._take_pose)
-        pose = subscribe(self, kind, poses, take, pose_qos, group=ahead, raw=True)
-        self._ahead = [(pose, self._take_pose)]
-        if self._config.mount.source == "gimbal":
-            take = self._and_work(self._take_gimbal)
-            gimbal = subscribe(self, TransformStamped, GIMBAL, take, pose_qos, group=ahead)
-            self._ahead.append((gimbal, self._take_gimbal))
-        if self._config.mount.source == "tf":
-            # As tf2's own listeners: every broadcaster keeps its transforms for whoever comes late.
-            kept = latched(100)
-            take = self._and_work(self._intake.on_transforms)
-            subscribe(self, transforms_type(), TRANSFORMS, take, kept)
+        return scans.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT
 
-    def _take_up_checkpoint(self) -> None:
+    def _subscribe_poses(self) -> list[tuple[Subscription, Callable[[Any], None]]]:
+        """Subscribe to poses and to where the lidar is mounted. Return the subscriptions whose
+        messages scans need, which wake the node only while a scan waits for a pose."""
+        profile, group = stream(POSE_DEPTH, reliable=True), self._waiting_for_poses
+        take = self._then_map(self._take_pose)
+        poses = subscribe(
+            self, self._pose_kind, self._topics["pose"], take, profile, group=group, raw=True
+        )
+        sources = [(poses, self._take_pose)]
+        if self._config.mount.source == "gimbal":
+            take = self._then_map(self._take_gimbal)
+            gimbal = subscribe(self, TransformStamped, GIMBAL, take, profile, group=group)
+            sources.append((gimbal, self._take_gimbal))
+        if self._config.mount.source == "tf":
+            # As tf2's listeners: every broadcaster keeps its transforms for late subscribers.
+            take = self._then_map(self._intake.on_transforms)
+            subscribe(self, transforms_type(), TRANSFORMS, take, latched(100))
+        return sources
+
+    def _restore_checkpoint(self) -> None:
         try:
             if said := self._checkpoints.take_up(self._mapper):
                 self.get_logger().info(said)
@@ -171,14 +184,14 @@ class MappingNode(BaseNode):
         arrival_ns = time.monotonic_ns()
         self._arrived["scan"].add()
         self._gaps.on_scan(info["publication_sequence_number"])
-        self._take_ahead()
+        self._take_poses()
         work_ms = self._map_ms.last + self._publish_ms.last
         if self._overload.takes(info["received_timestamp"], self._config, work_ms):
             self._take_scan(message, arrival_ns)
-        self._look_around()
+        self._check()
 
     def _take_scan(self, message: Any, arrival_ns: int) -> None:
-        """An image, or the bytes of a cloud."""
+        """Queue a scan: a depth image, or the bytes of a cloud."""
         try:
             scan = cloud_message(message) if isinstance(message, bytes) else message
         except MessageError as error:
@@ -186,13 +199,13 @@ class MappingNode(BaseNode):
         else:
             self._intake.on_cloud(scan, arrival_ns)
 
-    def _and_work(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Callback of what scans may be waiting for."""
+    def _then_map(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Return a callback for messages that scans may wait for."""
 
         def on_message(message: Any) -> None:
             take(message)
-            self._take_ahead()
-            self._work()
+            self._take_poses()
+            self._map_ready_scans()
 
         return on_message
 
@@ -214,29 +227,29 @@ class MappingNode(BaseNode):
         self._arrived["gimbal"].add()
         self._intake.on_gimbal(message)
 
-    def _take_ahead(self) -> None:
-        """All poses and gimbal angles that have arrived, at once.
+    def _take_poses(self) -> None:
+        """Take all poses and gimbal angles that have arrived.
 
-        The executor takes one message of each topic in turn; poses come several to a scan, and
-        after a pause the scans would run ahead of them and fill their queue.
+        The executor takes one message of each topic in turn. There are several poses per scan, so
+        after a pause scans would overtake them and fill the queue.
         """
-        for source, take in self._ahead:
+        for source, take in self._pose_sources:
             for message in arrived(source):
                 take(message)
                 if len(self._intake.queue):
-                    self._work()
+                    self._map_ready_scans()
 
-    def _look_around(self) -> None:
-        """What is due with each scan, and where none comes all the same."""
-        self._take_ahead()
-        self._work()
+    def _check(self) -> None:
+        """Do what is due after each scan, and periodically if no scan comes."""
+        self._take_poses()
+        self._map_ready_scans()
         waits_for(self._lacks())
         error = self._checkpoints.work(self._mapper)
         if error is not None:
             self._problems.report("checkpoint", error)
 
     def _lacks(self) -> str:
-        """What the first scan to be mapped takes and has not come, empty after it."""
+        """Return which inputs the first mapped scan still waits for, empty after it."""
         if self._scans:
             return ""
         silent = [self._topics[what] for what, of in self._arrived.items() if not of.count]
@@ -250,8 +263,8 @@ class MappingNode(BaseNode):
         waiting = f"{len(self._intake.queue)} wait for a pose at their stamp"
         return f"a scan that can be mapped ({', '.join([waiting, *gone])})"
 
-    def _work(self) -> None:
-        """Map every scan whose pose is there; say what could not be used."""
+    def _map_ready_scans(self) -> None:
+        """Map every scan whose pose is known; report inputs that were not used."""
         try:
             for scan in self._intake.ready(time.monotonic_ns()):
                 self._map(scan)
@@ -261,11 +274,11 @@ class MappingNode(BaseNode):
             self._problems.report(notice.reason, notice.text)
 
     def _fail(self, error: Exception) -> None:
-        """A scan ended in an error, which may have left the map half changed: it goes on from its
-        checkpoint, or if there is none as it is, provided that it is sound."""
+        """Recover from an exception that may have left the map half changed: restore the
+        checkpoint, or without one keep the map if it is sound, else start with an empty map."""
         failed, state = failure("a scan", error, self.get_logger()), self._mapper.export_state()
         self._mapper.reset()
-        self._take_up_checkpoint()
+        self._restore_checkpoint()
         how = "the map is that of the checkpoint"
         if not self._mapper.stamp_ns:
             try:
@@ -284,8 +297,8 @@ class MappingNode(BaseNode):
         self._map_ms.add(1e3 * (time.perf_counter() - start))
         self._scans += 1
         self._report, self._failed = report, ""
-        if report.points_used and not self._first_told:
-            self._first_told = True
+        if report.points_used and not self._logged_first:
+            self._logged_first = True
             self.get_logger().info(
                 f"first scan mapped: {seconds(report.stamp_ns)}, {report.points_used} of"
                 f" {report.points} points, {report.leaves} leaves"
@@ -354,7 +367,7 @@ class MappingNode(BaseNode):
 
     def _collect(self, status: Status) -> None:
         config, report = self._config, self._report
-        # Not by an event: those of poses are looked at only while a scan waits.
+        # Not by an event: events of the poses' group are handled only while a scan waits.
         self._pose_publishers.changed(self.count_publishers(self._topics["pose"]))
         self._pose_publishers.judge(status)
         self._gaps.publishers.judge(status)

@@ -23,7 +23,7 @@ from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.ros_messages import header_message
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
-    from quadtree_lss.onboard.core.landing.sites import LandingAssessment
+    from quadtree_lss.onboard.core.landing.result import LandingAssessment
 
 
 class CdrWriter:
@@ -34,17 +34,17 @@ class CdrWriter:
         self._size = 0
 
     def numbers(self, code: str, *values: float) -> CdrWriter:
-        """Numbers of one ``struct`` code, for instance ``i``, ``I``, ``d``, ``f`` or ``?``."""
+        """Append numbers of one ``struct`` code, such as ``I`` or ``d``."""
         self._align(struct.calcsize(f"<{code}"))
         return self._append(struct.pack(f"<{len(values)}{code}", *values))
 
     def string(self, text: str) -> CdrWriter:
-        """A string with its length and final zero."""
+        """Append a string with its length and final zero."""
         content = text.encode() + b"\x00"
         return self.numbers("I", len(content))._append(content)
 
     def rows(self, values: NDArray[Any], code: str) -> CdrWriter:
-        """A sequence of messages that consist of equal numbers: (N, k) with ``struct`` code."""
+        """Append a sequence of N messages of k equal numbers (N, k)."""
         self.numbers("I", len(values))
         if len(values):
             self._align(struct.calcsize(f"<{code}"))
@@ -52,7 +52,7 @@ class CdrWriter:
         return self
 
     def message(self) -> bytes:
-        """The message, ready to publish."""
+        """Return the serialised message."""
         return b"".join(self._parts)
 
     def _align(self, size: int) -> None:
@@ -85,9 +85,8 @@ OTHER_COLOUR = ColorRGBA(r=0.2, g=0.6, b=1.0, a=1.0)
 
 
 class MarkerPublisher:
-    """Publishes what is for viewers on a slow timer, while somebody subscribes and it changed.
-    ``node``: owner of the timer. ``publisher``: of a ``MarkerArray`` or another message. ``build``:
-    the message, or its bytes."""
+    """Publishes messages for viewers on a slow timer, if they changed and somebody subscribes.
+    ``build`` returns the message, or its bytes."""
 
     def __init__(
         self, node: Node, publisher: Publisher, build: Callable[[], MarkerArray | bytes | None]
@@ -99,11 +98,11 @@ class MarkerPublisher:
         steady_timer(node, VIEWER_PERIOD_S, self._send)
 
     def changed(self) -> None:
-        """What the markers show changed."""
+        """Note a change."""
         self._changed = True
 
     def delete_all(self, header: Header) -> None:
-        """Take away every marker, of late subscribers too, at once."""
+        """Delete every marker at once, also for late subscribers."""
         deletion = Marker(header=header, action=Marker.DELETEALL)
         self._publisher.publish(MarkerArray(markers=[deletion]))
         self._changed = False
@@ -120,7 +119,7 @@ class MarkerPublisher:
 
 
 def cell_markers(cells: CellMap, frame: str) -> bytes:
-    """``map/markers``, serialised: of each level one marker with two triangles per plane."""
+    """Serialise ``map/markers``: one marker per level, with two triangles per plane."""
     known = np.flatnonzero(cells.estimated)
     colour = elevation_colours(cells.heights(known, cells.x[known], cells.y[known]))
     writer = CdrWriter()
@@ -150,10 +149,8 @@ def cell_markers(cells: CellMap, frame: str) -> bytes:
 
 
 def patch_vertices(cells: CellMap, rows: Index) -> Array:
-    """Corners (K, 6, 3) of two triangles on the planes of leaves ``rows``, map frame, m.
-
-    They keep to what was measured in the leaf: the corners of a steep one may lie level.
-    """
+    """Return corners (K, 6, 3) of two triangles on the planes of leaves ``rows``, map frame, m,
+    within the bounds of the leaf's points."""
     offset = CORNERS * cells.size[rows, None, None]
     out = np.empty((len(rows), len(CORNERS), 3))
     out[..., 0] = cells.x[rows, None] + offset[..., 0]
@@ -163,7 +160,7 @@ def patch_vertices(cells: CellMap, rows: Index) -> Array:
 
 
 def elevation_colours(z: Array) -> Array:
-    """Opaque colours (K, 4) of elevations (K,), from the second lowest per cent to the highest."""
+    """Return opaque colours (K, 4) of elevations (K,), scaled from their 2nd to 98th percentile."""
     out = np.ones((len(z), 4))
     if len(z):
         low, high = np.percentile(z, [2.0, 98.0])
@@ -175,7 +172,7 @@ def elevation_colours(z: Array) -> Array:
 
 
 def site_markers(assessment: LandingAssessment, frame: str, zone_radius: float) -> MarkerArray:
-    """``landing/markers``: of each site its zone's circle, its normal and its rank."""
+    """Make ``landing/markers``: circle of the zone, normal and rank of each site."""
     header = header_message(assessment.stamp_ns, frame)
     sites = assessment.sites
     markers = [Marker(header=header, action=Marker.DELETEALL)]

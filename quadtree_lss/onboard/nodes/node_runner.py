@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all nodes have: parameters, counted problems, their state on ``/diagnostics``; and how they
-start and end: arguments, one line of the log, signals."""
+"""Base of all nodes: parameters, counted problems, ``/diagnostics``, start, signals and exit."""
 
 from __future__ import annotations
 
@@ -8,9 +7,8 @@ import contextlib
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -30,7 +28,7 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.nodes.diagnostics import WARN, Problems, Status
 from quadtree_lss.onboard.nodes.entry import stop_on_signal, waits_for
 from quadtree_lss.onboard.nodes.executor import steady_timer
-from quadtree_lss.onboard.nodes.parameters import ROS_TOPICS, NodeParameters
+from quadtree_lss.onboard.nodes.parameters import NodeParameters
 
 ARGUMENT_ERRORS = (
     rclpy_implementation.RCLInvalidROSArgsError,
@@ -42,7 +40,7 @@ WRONG_CONFIGURATION = 78
 """Exit code after which another start ends the same way (EX_CONFIG of sysexits.h); so does 2."""
 
 STOP_PERIOD_S = 0.2
-"""How often an idle node looks whether it was asked to end."""
+"""Period in which an idle node checks for a signal."""
 
 TRANSPORTS = "UDPv4?sockets_size=16MB"
 """Of Fast DDS, unless the environment says otherwise: no shared memory, and room for many scans.
@@ -53,9 +51,9 @@ net.core.rmem_max allows; measured in studies/RESULTS.md.
 """
 
 STATUS_S = 1.0
-"""A status on ``/diagnostics`` comes so often, as aggregators and monitors of ROS expect."""
+"""Period of ``/diagnostics``, as ROS's aggregators expect."""
 MEANINGFUL_LATENCY_S = 600.0
-"""Beyond, stamps and the node's clock are not of the same time: a bag without ``/clock``."""
+"""With a larger difference, stamps and clock are not of the same time: a bag without ``/clock``."""
 
 
 class BaseNode(Node):
@@ -94,15 +92,12 @@ class BaseNode(Node):
         return 1e3 * latency if abs(latency) < MEANINGFUL_LATENCY_S else None
 
     def _announce(self) -> None:
-        """At the end of the start: version and build, what is configured and by whom, domain,
-        vehicle, topics in one line; overrides of topics that there are not."""
+        """Log version, build, configuration, domain and vehicle, and unused QoS overrides."""
         self._settings.tell_unused(self)
         parts = (
             f"quadtree_lss {quadtree_lss.__version__} ({self._build})",
             configuration_text(self._config, sys.argv),
             *ground_text(self._config),
-            f"takes {topics_text(self.subscriptions)}",
-            f"sends {topics_text(self.publishers)}",
         )
         waits_for("", self.get_logger().warning)
         self.get_logger().info("; ".join(parts))
@@ -172,7 +167,7 @@ def _spin(make_node: Callable[[], BaseNode], argv: list[str]) -> int:
         return _wrong_arguments(error)
     waits_for("its parameters and topics")
     try:
-        node = _made(make_node)
+        node = _create_node(make_node)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         with contextlib.suppress(ExternalShutdownException), stop.breaking():
@@ -193,19 +188,19 @@ def _spin(make_node: Callable[[], BaseNode], argv: list[str]) -> int:
     return 0
 
 
-def _made(make_node: Callable[[], BaseNode]) -> BaseNode:
-    """The node. Raises `ConfigError`: it cannot be made of these parameters, names and overrides;
-    or `QuadtreeLssError`: the middleware fails."""
+def _create_node(make_node: Callable[[], BaseNode]) -> BaseNode:
+    """Create the node. Raises `ConfigError`: wrong parameters, names or overrides;
+    `QuadtreeLssError`: the middleware failed."""
     try:
         return make_node()
     except (NameValidationException, ParameterException) as error:
-        raise ConfigError(_line(error)) from None
+        raise ConfigError(_rcl_message(error)) from None
     except rclpy_implementation.RCLError as error:
-        raise QuadtreeLssError(_line(error)) from None
+        raise QuadtreeLssError(_rcl_message(error)) from None
 
 
-def _line(error: Exception) -> str:
-    """What rcl says, without where in its source."""
+def _rcl_message(error: Exception) -> str:
+    """Return rcl's message without its source location."""
     return " ".join(str(error).split(", at /")[0].split())
 
 
@@ -214,14 +209,14 @@ def _wrong_arguments(error: Exception) -> int:
     if isinstance(error, rclpy_implementation.UnknownROSArgsError):
         text = f"unknown ROS arguments {error}"
     else:
-        text = _line(error)
+        text = _rcl_message(error)
     print(f"error: {text}", file=sys.stderr)
     return 2
 
 
 def configuration_text(config: Config, arguments: Sequence[str]) -> str:
-    """What differs from the defaults, each with the file that sets it. ``config``: what holds.
-    ``arguments``: of the command line; what stands in none of its files came otherwise."""
+    """Describe what differs from the defaults, with the file that sets it; ``arguments``: of the
+    command line."""
     origin: dict[str, str] = {}
     for option, value in pairwise(arguments):
         if option == "--params-file":
@@ -245,7 +240,7 @@ def configuration_text(config: Config, arguments: Sequence[str]) -> str:
 
 
 def ground_text(config: Config) -> list[str]:
-    """Domain, cells and vehicle."""
+    """Describe domain, cells and vehicle."""
     d, lss = config.domain, config.lss
     sizes = [d.size / 2**level for level in (d.min_level, d.max_level)]
     return [
@@ -253,15 +248,3 @@ def ground_text(config: Config) -> list[str]:
         f" in frame '{config.frames.map}', cells {sizes[0]:g} ... {sizes[1]:g} m",
         f"vehicle of {lss.vehicle.diameter:g} m diameter, margin {lss.margin:g} m",
     ]
-
-
-def topics_text(ends: Iterable[Any]) -> str:
-    """Publishers' or subscriptions' topics as remapped, each with its quality of service."""
-    found: dict[str, list[str]] = {}
-    for end in ends:
-        if end.topic_name not in ROS_TOPICS:
-            qos = end.qos_profile
-            words = [qos.reliability.name.lower().replace("_", " ")]
-            words += ["latched"] * (qos.durability.name == "TRANSIENT_LOCAL")
-            found.setdefault(end.topic_name, []).append(", ".join([*words, str(qos.depth)]))
-    return ", ".join(f"{topic} ({' and '.join(ways)})" for topic, ways in found.items())

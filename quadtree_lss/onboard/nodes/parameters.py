@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameter table of ``config.settings`` declared on a node."""
+"""ROS parameters of a node, from the table of ``config.settings``."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from quadtree_lss.onboard.config.settings import (
 
 QOS = "qos_overrides."
 LIVE_OF = {"vehicle": "lss_node", "lss": "lss_node", "autopilot": "autopilot_node"}
-"""The node in which live changes of a section have an effect; those of others have one in each."""
+"""Node in which live changes of a section have an effect; other sections: every node."""
 ROS_TOPICS = ("/clock", "/parameter_events", "/rosout")
 
-#: What may be overridden of a topic's QoS, and the words for it; none for a number.
+#: QoS policies that can be overridden, and their values; none for a number.
 QOS_POLICIES: dict[str, list[str]] = {
     "depth": [],
     "durability": DurabilityPolicy.short_keys(),
@@ -46,12 +46,12 @@ QOS_POLICIES: dict[str, list[str]] = {
 
 
 def is_ros_own(name: str) -> bool:
-    """True for parameters that belong to ROS itself."""
+    """Return whether a parameter belongs to ROS itself."""
     return ROS_OWN.fullmatch(name) is not None
 
 
 def descriptor(row: Parameter) -> ParameterDescriptor:
-    """What ``ros2 param describe`` shows of a row of the table."""
+    """Describe a row of the table for ``ros2 param describe``."""
     result = ParameterDescriptor(name=row.name, read_only=not row.live)
     result.description = f"{row.doc} [{row.unit}]" if row.unit else row.doc
     if row.choices:
@@ -67,8 +67,7 @@ def descriptor(row: Parameter) -> ParameterDescriptor:
 
 
 def checked_qos_overrides(values: Mapping[str, object]) -> list[tuple[str, str]]:
-    """Topics, each with ``publisher`` or ``subscription``, whose QoS is overridden. ``values``:
-    parameters by name: those that begin with ``qos_overrides.`` are looked at. Raises
+    """Return topics whose QoS is overridden, each with ``publisher`` or ``subscription``. Raises
     `ConfigError`: not of the form ``qos_overrides.TOPIC.subscription.POLICY``, an unknown policy
     (names the nearest one) or an impossible value."""
     found = []
@@ -95,19 +94,18 @@ def checked_qos_overrides(values: Mapping[str, object]) -> list[tuple[str, str]]
 
 
 class NodeParameters:
-    """The configuration of a node, kept in step with its ROS parameters.
+    """Configuration of a node from its ROS parameters.
 
-    The node must have been made with ``automatically_declare_parameters_from_overrides=True``:
-    that is how the overrides of command line and parameter files can be seen at all, those of
-    unknown name included.
+    The node needs ``automatically_declare_parameters_from_overrides=True``, without which overrides
+    of unknown names are not visible.
 
     Args:
         node: Its overrides are checked, then every row of the table is declared on it.
         changed: Called with the new configuration after live parameters were set.
-        kind: The program, as ``lss_node``: live parameters of another one cannot be changed.
+        kind: Executable, as ``lss_node``: live parameters of another one cannot be changed.
 
     Attributes:
-        config: As it is now.
+        config: Current configuration.
         given: Names that the command line or a file set at the start.
 
     Raises:
@@ -122,7 +120,7 @@ class NodeParameters:
             if option == "--params-file":
                 check_reaches(path, node.get_fully_qualified_name())
         given = node.get_parameters_by_prefix("")
-        # Declared anew, with descriptors, by whoever they belong to.
+        # They are declared again with descriptors, QoS overrides by rclpy.
         for name in given:
             if not is_ros_own(name) or name.startswith(QOS):
                 node.undeclare_parameter(name)
@@ -142,7 +140,7 @@ class NodeParameters:
         node.add_post_set_parameters_callback(self._apply)
 
     def tell_unused(self, node: Node) -> None:
-        """A warning for topics of overrides that the node has not; other nodes may share a file."""
+        """Warn of overrides for topics that the node does not have; nodes may share a file."""
         has = {
             "subscription": sorted({item.topic_name for item in node.subscriptions}),
             "publisher": sorted({item.topic_name for item in node.publishers}),
@@ -180,14 +178,14 @@ class NodeParameters:
 
 
 class _UnknownParameterError(ParameterNotDeclaredException):
-    """As rclpy's, whose services answer with its text, but with the name and the nearest one."""
+    """As rclpy's, whose text its services return, but with the nearest name."""
 
     def __init__(self, name: str) -> None:
         Exception.__init__(self, unknown_parameter(name))
 
 
 def _converted(changes: list[RosParameter]) -> list[RosParameter]:
-    """New values before rclpy looks at names and types: whole numbers serve as floats. Raises
+    """Convert whole numbers of float parameters, before rclpy checks types. Raises
     `_UnknownParameterError`: a name is neither in the table nor ROS's own."""
     types = {row.name: row.type for row in parameters()}
     result = []
@@ -201,7 +199,7 @@ def _converted(changes: list[RosParameter]) -> list[RosParameter]:
 
 
 def _checked(config: Config) -> Config:
-    """The same, if paths are those of files; else raises `ConfigError`."""
+    """Return the configuration. Raises `ConfigError`: a path is not that of a file."""
     paths = {"map_file.path": config.map_file.path, "checkpoint.path": config.checkpoint.path}
     for name, path in paths.items():
         if path and (path.rpartition("/")[2] in ("", ".", "..") or "\0" in path):

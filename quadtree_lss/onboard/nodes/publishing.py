@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a node publishes: what changed, not too often, and never without the last change."""
+"""Publishing at changes, at a limited rate, always with the last change."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class ChangePublisher:
 
     def _send(self) -> None:
         self._timer.cancel()
-        # One that is late does not make all that follow late: their phase stays.
+        # Keep the publishing phase after a late send.
         now_ns = time.monotonic_ns()
         in_step = now_ns - self._due_ns < self._period_ns
         self._due_ns = (self._due_ns if in_step else now_ns) + self._period_ns

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arrays to rclpy messages, filled through ``array.array``, which rclpy takes unlooked."""
+"""Arrays to rclpy messages, through ``array.array``, which rclpy accepts without a check."""
 
 from __future__ import annotations
 
@@ -67,8 +67,8 @@ def _without_content(frame: str, domain: Domain) -> tuple[bytes, bytes]:
 
 
 def map_messages(cells: CellMap, frame: str) -> tuple[bytes, bytes]:
-    """``map/cells`` and ``map/observed``, serialised. Their content, which is nearly all of them,
-    is copied once: into what rclpy makes of them without it."""
+    """Serialise ``map/cells`` and ``map/observed``. Their arrays are copied only once, into
+    messages that rclpy serialised without them."""
     records, values = encode_cells(cells), encode_observed(cells.observed, cells.known)
     cloud, grid = map(bytearray, _without_content(frame, cells.domain))
     stamp = divmod(cells.stamp_ns, 1_000_000_000)
@@ -84,7 +84,7 @@ def map_messages(cells: CellMap, frame: str) -> tuple[bytes, bytes]:
 
 
 def _filled(raw: bytearray, end: int, content: NDArray[Any]) -> bytes:
-    """A message whose empty array of bytes ends at ``end``, with that content."""
+    """Insert content into a message whose empty array of bytes ends at ``end``."""
     length = struct.pack("<I", content.nbytes)
     return b"".join((raw[: end - len(length)], length, content.view(np.uint8).data, raw[end:]))
 
@@ -101,7 +101,7 @@ def header_message(stamp: int, frame: str) -> Header:
 
 
 def deserialised(raw: bytes, kind: Any) -> Any:
-    """A message from its bytes. Raises `MessageError`: they are none of this kind (``damaged``)."""
+    """Deserialise a message. Raises `MessageError`: not of this type (``damaged``)."""
     try:
         return deserialize_message(raw, kind)
     except RuntimeError:  # of the middleware
@@ -181,7 +181,7 @@ def cloud_message(raw: bytes) -> Any:
 
 
 def packed(values: NDArray[Any]) -> array[int]:
-    """What rclpy takes unlooked for an array of bytes."""
+    """Convert to what rclpy accepts without a check as an array."""
     result = array(values.dtype.char)
     result.frombytes(values.view(np.uint8).data)
     return result

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``landing/selected`` and ``landing/status``, said again before anybody misses them."""
+"""``landing/selected``, ``landing/status`` and ``landing/status_text``, with a deadline."""
 
 from __future__ import annotations
 
@@ -8,26 +8,35 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.config.limits import LONGEST
 from quadtree_lss.onboard.errors import QuadtreeLssError
-from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS
+from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, STATUS_TEXT
+from quadtree_lss.onboard.nodes.diagnostics import OK, WARN
 from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, serve, target
 from quadtree_lss.onboard.nodes.ros_messages import message_maker
 
 if TYPE_CHECKING:
-    from quadtree_lss.onboard.core.landing.assessment import LandingAssessment, Selected
+    from quadtree_lss.onboard.core.landing.result import LandingAssessment, Selected
+
+REPEAT_S = 0.4 * TARGET_S
+"""Period of repeating the target: two repetitions fit into the deadline."""
 
 
 class TargetOutput:
-    """Publishes the target with every assessment, and between them while there is no new one.
-    ``node``: owner; a change of the target goes to its log. ``age``: age of a map by its stamp, s;
-    NaN if unknown. ``release``, ``land_now``: called when somebody asks for another target, or for
-    the best within reach, which is then assessed and sent before the call returns."""
+    """Publishes the target with every assessment, and repeats it until the next one.
+
+    Args:
+        node: Owner; changes of the target go to its log.
+        age: Returns the age of a map by its stamp, s; NaN if unknown.
+        release, land_now: Request another target, or the best within reach; the target is assessed
+            and published before they return.
+    """
 
     def __init__(
         self,
@@ -36,46 +45,44 @@ class TargetOutput:
         release: Callable[[], None],
         land_now: Callable[[], None],
     ) -> None:
-        self._logger, self._age, self._release = node.get_logger(), age, release
-        self._land_now, self._urgent = land_now, False
-        self._publishers = {
-            SELECTED: advertise(node, PoseWithCovarianceStamped, SELECTED, target()),
-            STATUS: advertise(node, PointCloud2, STATUS, latched()),
-        }
+        self._logger, self._age = node.get_logger(), age
+        self._release, self._land_now = release, land_now
+        self._selected = advertise(node, PoseWithCovarianceStamped, SELECTED, target())
+        self._status = advertise(node, PointCloud2, STATUS, latched())
+        self._status_text = advertise(node, DiagnosticStatus, STATUS_TEXT, latched())
         self._result: LandingAssessment | None = None
-        self._chosen = False
         self._frame = ""
-        self._again = steady_timer(node, 0.4 * TARGET_S, self._say)
+        self._decided = self._landing_now = False
+        self._timer = steady_timer(node, REPEAT_S, self._publish)
         serve(node, "release", self._on_release)
         serve(node, "land_now", self._on_land_now)
 
     def send(self, result: LandingAssessment, frame: str) -> None:
-        """Publishes the target of an assessment.
+        """Publish the target of an assessment.
 
-        A node that has not decided yet says nothing of the target: "none" would withdraw the one
-        of the node before it, if that was killed.
+        Before its first decision the node does not publish "no target", which would withdraw the
+        target of a node that was killed before it.
         """
         self._log_change(result)
         self._result, self._frame = result, frame
-        self._chosen = self._chosen or not result.undecided
-        self._again.reset()
-        self._say()
+        self._decided = self._decided or not result.undecided
+        self._timer.reset()
+        self._publish()
 
     @contextmanager
-    def held_up(self) -> Iterator[None]:
-        """Within it a thread says the target again: a pass may take longer than the deadline.
+    def repeated(self) -> Iterator[None]:
+        """Repeat the target in a thread, because an assessment can take longer than the deadline.
 
-        It ends after the longest that a pass may be configured to take: that one is stuck.
-        """
+        It ends after the longest time that an assessment may be configured to take."""
         over = threading.Event()
 
-        def say() -> None:
-            for _ in range(int(LONGEST / (0.4 * TARGET_S))):
-                if over.wait(0.4 * TARGET_S):
+        def repeat() -> None:
+            for _ in range(int(LONGEST / REPEAT_S)):
+                if over.wait(REPEAT_S):
                     return
-                self._say()
+                self._publish()
 
-        thread = threading.Thread(target=say, daemon=True)
+        thread = threading.Thread(target=repeat, daemon=True)
         thread.start()
         try:
             yield
@@ -83,14 +90,16 @@ class TargetOutput:
             over.set()
             thread.join()
 
-    def _say(self) -> None:
+    def _publish(self) -> None:
         result = self._result
         if result is None:
             return
-        maker, age = message_maker(self._frame), self._age(result.stamp_ns)
-        for topic, message in maker.of_target(result, age):
-            if topic == STATUS or self._chosen:
-                self._publishers[topic].publish(message)
+        age = self._age(result.stamp_ns)
+        messages = dict(message_maker(self._frame).of_target(result, age))
+        if self._decided:
+            self._selected.publish(messages[SELECTED])
+        self._status.publish(messages[STATUS])
+        self._status_text.publish(status_text(result, age))
 
     def _log_change(self, result: LandingAssessment) -> None:
         """Log a change of the target, or of the reason why there is none."""
@@ -106,20 +115,19 @@ class TargetOutput:
     def _on_release(self) -> str:
         before = self._result
         held = 0 if before is None else before.selected.id
-        if not (held or self._urgent):
+        if not (held or self._landing_now):
             msg = "there is no target"
             raise QuadtreeLssError(msg)
-        self._urgent = False
+        self._landing_now = False
         self._release()
         text = f"target {held} is released" if held else "landing now is not asked for any more"
         now = self._result
         if now is None or now is before:
             return f"{text}: the next map decides"
-        chosen = now.selected
-        return f"{text}: now {_text(chosen) if chosen.id else now.why}"
+        return f"{text}: now {_text(now.selected) if now.selected.id else now.why}"
 
     def _on_land_now(self) -> str:
-        self._urgent = True
+        self._landing_now = True
         self._land_now()
         result = self._result
         if result is None or not result.selected.id:
@@ -129,6 +137,29 @@ class TargetOutput:
         return f"{_text(result.selected)}, safe with probability {result.selected.probability:.3f}"
 
 
-def _text(chosen: Selected) -> str:
-    x, y, z = chosen.position
-    return f"target {chosen.id} at x {x:.2f}, y {y:.2f}, z {z:.2f} m"
+def status_text(result: LandingAssessment, age: float) -> DiagnosticStatus:
+    """Make ``landing/status_text``: ``landing/status`` for people, plots and C++ nodes."""
+    selected = result.selected
+    status = DiagnosticStatus(level=OK if selected.id else WARN, name="target", message=result.why)
+    values: dict[str, object] = {
+        "id": selected.id,
+        "state": selected.state.name.lower(),
+        "reason": selected.reason.key,
+        "probability": f"{selected.probability:.5f}",
+        "age": f"{age:.3f}",
+        "seen": f"{result.seen:.4f}",
+        "offset_z": f"{result.offset_z:.3f}",
+        "answer": result.number,
+    }
+    if selected.id:
+        values |= {
+            axis: f"{value:.3f}" for axis, value in zip("xyz", selected.position, strict=True)
+        }
+        values["hazard_distance"] = f"{selected.site.hazard_distance[0]:.2f}"
+    status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+    return status
+
+
+def _text(selected: Selected) -> str:
+    x, y, z = selected.position
+    return f"target {selected.id} at x {x:.2f}, y {y:.2f}, z {z:.2f} m"

@@ -39,7 +39,7 @@ from quadtree_lss.onboard.core.tree.cell_map import SHAPE
 from quadtree_lss.onboard.core.tree.domain import Domain, carried
 
 #: Higher than any ground, m.
-FAR = cython.declare(cython.double, 1e9)
+HIGHER = cython.declare(cython.double, 1e9)
 
 
 @dataclass(frozen=True)
@@ -217,7 +217,7 @@ class ContactKernel:
         cython.declare(k=cython.Py_ssize_t, cell=cython.Py_ssize_t)
         cython.declare(south=cython.Py_ssize_t, north=cython.Py_ssize_t)
         # The last span of a row may go on beyond it.
-        self.highest = np.full((self.reach + 1, self.width + SPAN), -FAR)
+        self.highest = np.full((self.reach + 1, self.width + SPAN), -HIGHER)
         self.pad_cell = np.asarray(self.pad_row) * self.width + np.asarray(self.pad_column)
         for i in np.flatnonzero(np.asarray(due).any(axis=1)):
             with cython.nogil:
@@ -257,8 +257,8 @@ class ContactKernel:
                 x, y = self.ground[1, i + p] * u, self.ground[2, i + p] * v
                 self.pad_z[k * SPAN + p] = self.ground[0, i + p] + x + y
         for p in range(SPAN):
-            self.steep[p], self.z_low[p] = 0.0, FAR
-            self.z_east[p] = self.z_west[p] = self.z_north[p] = self.z_south[p] = FAR
+            self.steep[p], self.z_low[p] = 0.0, HIGHER
+            self.z_east[p] = self.z_west[p] = self.z_north[p] = self.z_south[p] = HIGHER
         for k in range(HEADINGS):
             cos, sin, i = self.cos[k], self.sin[k], k * SPAN
             for p in range(SPAN):
@@ -287,7 +287,7 @@ class ContactKernel:
         cython.declare(j=cython.Py_ssize_t, p=cython.Py_ssize_t, first=cython.Py_ssize_t)
         cython.declare(half=cython.Py_ssize_t)
         for p in range(SPAN):
-            self.most[p] = -FAR
+            self.most[p] = -HIGHER
             self.z_east[p] -= self.z_low[p]
             self.z_west[p] -= self.z_low[p]
             self.z_north[p] -= self.z_low[p]

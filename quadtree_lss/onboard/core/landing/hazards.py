@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Avoided features of leaves (paper V.B), and the bits that say what is wrong with ground."""
+"""Avoided features of leaves (paper V.B), and the bits of the hazard grid."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.tree.ancestors import fuse_to_level
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
-#: A leaf with a larger share of exceptions is a hazard. Since rocks divide leaves, few are left:
-#: finest ones, and all where the map is full.
+#: Greatest share of exceptions of a leaf that is no hazard. Rocks divide leaves, so only finest
+#: leaves, and all leaves of a full map, contain exceptions.
 MAX_EXCEPTION_FRACTION = 0.05
 SLOPE, ELEVATION, EXCEPTION, TOUCHDOWN, UNCERTAIN = 1, 2, 4, 8, 16
-#: The ground point is observed, but the landing zone about it is not: it cannot be judged.
+#: The grid point is observed, but not the whole landing zone about it.
 PARTLY_UNOBSERVED = 32
 UNMAPPED, UNSEEN = 64, 128
 FEATURE = SLOPE | ELEVATION | EXCEPTION
-#: Bits that say what is wrong with the ground. The others say that nobody knows: ground that is
-#: seen but not yet mapped has both of them.
+#: Bits of identified hazards. The others mark unknown ground; observed ground that is not estimated
+#: has both `UNMAPPED` and `UNSEEN`.
 IDENTIFIED = FEATURE | TOUCHDOWN | UNCERTAIN
 
 
 def slope(normal: Array) -> Array:
-    """Eq. 54: angle in rad between normals (..., 3) and the vertical."""
+    """Compute the angle between normals (..., 3) and the vertical, rad (Eq. 54)."""
     return np.arctan2(np.hypot(normal[..., 0], normal[..., 1]), normal[..., 2])
 
 
 def reference_level(cells: CellMap, reference_size: float) -> int:
-    """Level whose cells are nearest in size to ``reference_size`` (m), within the tree."""
+    """Return the level whose cells are nearest in size to ``reference_size``, m."""
     ratio = cells.domain.size / reference_size
     level = int(np.rint(np.log2(max(ratio, 1.0))))
     return min(level, cells.domain.max_level)
 
 
 def avoided_features(cells: CellMap, config: LssConfig) -> Bytes:
-    """Bits (M,) of the avoided features each leaf contains; unmeasured leaves have none."""
+    """Return the bits (M,) of the avoided features of each leaf; 0 for unmeasured leaves."""
     level = reference_level(cells, config.vehicle.lengths.reference_size)
     with np.errstate(invalid="ignore"):
         east, north, up = cells.normal.T
@@ -50,7 +50,7 @@ def avoided_features(cells: CellMap, config: LssConfig) -> Bytes:
 
 
 def elevation_deviation(cells: CellMap, level: int) -> Array:
-    """Greatest distance (M,), m, of each leaf's plane from the fused plane of a higher level (see
-    `Ancestors.off`): 0 for leaves of the level or above, and NaN for leaves without a plane."""
+    """Compute the greatest distance (M,) of each leaf's plane from the fused plane of its ancestor
+    of ``level``, m: 0 for leaves that are not deeper, NaN without a plane."""
     off = np.where(cells.level > level, fuse_to_level(cells, level).off, 0.0)
     return np.where(cells.estimated, off, np.nan)

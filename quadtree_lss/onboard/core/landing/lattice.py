@@ -10,10 +10,10 @@ from typing import TypeVar
 
 import cython
 import numpy as np
-from cython.cimports.libc.math import sqrt
+from cython.cimports.libc.math import fabs, sqrt
 from numpy.typing import NDArray
 
-from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask
+from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask, Single
 
 #: Distances of so many steps fit `find_distances`; beyond, SciPy's transform takes less time.
 NEAR = 126
@@ -267,6 +267,82 @@ def disc_moments(
                     length[row, j] = sqrt(x * x + y * y)  # a power is rounded otherwise
             for j in range(first, after):
                 mean[row, j] = level + share * mean[row, j]
+
+
+@cython.boundscheck(False)
+@cython.locals(marked=cython.uchar[:, ::1], x=cython.double[::1], y=cython.double[::1])
+@cython.locals(room=cython.double[::1])
+def lower_room(
+    marked: Bytes, half: float, x: Array, y: Array, side: float, reach: float, room: Array
+) -> None:
+    """Lower ``room`` (K,) to the distances of points from what is marked, less ``reach``, m.
+
+    Args:
+        marked: (ny, nx) cells (``half`` = 0.5) or points (``half`` = 0) of a lattice.
+        half: Half the width of what is marked, steps.
+        x, y: (K,) points, from the first point of the lattice, m.
+        side: Step of the lattice, m.
+        reach: m.
+        room: (K,) m.
+    """
+    cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    cython.declare(ring=cython.Py_ssize_t, row=cython.Py_ssize_t, column=cython.Py_ssize_t)
+    farthest: cython.Py_ssize_t = max(marked.shape[0], marked.shape[1])
+    with cython.nogil:
+        for k in range(x.shape[0]):
+            u, v = x[k] / side, y[k] / side
+            column, row = cython.cast(cython.Py_ssize_t, u), cython.cast(cython.Py_ssize_t, v)
+            ring = 0
+            # Beyond a ring, everything is at least as many steps away.
+            while (ring - 1) * side - reach < room[k] and ring <= farthest:
+                for i in range(row - ring, row + ring + 1):
+                    if not 0 <= i < marked.shape[0]:
+                        continue
+                    j = column - ring
+                    while j <= column + ring:
+                        if 0 <= j < marked.shape[1] and marked[i, j]:
+                            dx = max(fabs(u - j - half) - half, 0.0)
+                            dy = max(fabs(v - i - half) - half, 0.0)
+                            room[k] = min(room[k], sqrt(dx * dx + dy * dy) * side - reach)
+                        j += 1 if i == row - ring or i == row + ring else 2 * ring
+                ring += 1
+
+
+@cython.boundscheck(False)
+@cython.locals(values=cython.float[:, ::1])
+def blur(values: Single, weights: Array) -> Single:
+    """Average padded values along each row in single precision, and transpose.
+
+    Args:
+        values: (ny, nx + K + 2); the last 3 columns are not used.
+        weights: (K,); the rest of their sum to 1 is the weight of ones farther away.
+
+    Returns:
+        (nx, ny) means.
+    """
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+    cython.declare(a=cython.float, b=cython.float, c=cython.float, d=cython.float)
+    rows: cython.Py_ssize_t = values.shape[0]
+    columns: cython.Py_ssize_t = values.shape[1] - len(weights) - 2
+    beyond: cython.float = 1.0 - np.sum(weights)
+    # Four at a time, so that a sum is stored less often.
+    fours = np.zeros((len(weights) + 3) // 4 * 4, dtype=np.float32)
+    fours[: len(weights)] = weights
+    weight = cython.declare(cython.float[::1], fours)
+    line = cython.declare(cython.float[::1], np.empty(columns, dtype=np.float32))
+    out = cython.declare(cython.float[:, ::1], np.empty((columns, rows), dtype=np.float32))
+    with cython.nogil:
+        for i in range(rows):
+            line[:] = beyond
+            for k in range(0, weight.shape[0], 4):
+                a, b, c, d = weight[k], weight[k + 1], weight[k + 2], weight[k + 3]
+                for j in range(columns):
+                    line[j] += (a * values[i, j + k] + b * values[i, j + k + 1]) + (
+                        c * values[i, j + k + 2] + d * values[i, j + k + 3]
+                    )
+            for j in range(columns):
+                out[j, i] = line[j]
+    return np.asarray(out)
 
 
 @cython.boundscheck(False)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The map on its finest cells, the input of hazard detection and scoring."""
+"""Step 1 of an assessment: the terrain on the finest cells of the map."""
 
 from __future__ import annotations
 
@@ -11,43 +11,66 @@ from cython.cimports.libc.math import erf, exp, fabs, sqrt
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.landing.lattice import grown, nearest_marked
+from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
+from quadtree_lss.onboard.core.landing.lattice import (
+    GroundPlanes,
+    distance_from,
+    ground_planes,
+    grown,
+    nearest_marked,
+    touching,
+    with_neighbours,
+)
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 
 TWO_PI = cython.declare(cython.double, 2.0 * np.pi)
-#: Independent returns in each known finest cell of a leaf, in the mean, among which a cell without
-#: any is no chance (e^-6 is one in 400): it lies in a shadow, of a rock or of a drop.
+#: Most independent returns per known finest cell of a leaf (mean) with which a cell without returns
+#: may be chance (e^-6 is one in 400); with more, the cell lies in the shadow of a rock or a drop.
 CHANCE = cython.declare(cython.double, 6.0)
 #: Parts of a finest cell of which `CellMap.coverage` counts those with a return.
 PARTS = 16.0
+#: Greatest distance to a hazard that improves a score, m for the default vehicle (in proportion for
+#: others); no larger distance is computed.
+DISTANCE_CAP = 10.0
+#: Relative rounding error of a length.
+SLACK = 1e-9
 
 
 @dataclass(frozen=True)
 class TerrainRaster:
-    """(n, n) arrays [iy, ix] over the finest cells.
+    """The terrain on the finest cells, (n, n) [iy, ix], and about their corners, the grid points,
+    (n + 1, n + 1).
 
     Attributes:
         domain: Extent and levels.
-        leaf: Row of the leaf over each cell.
-        elevation: Height at the cell's centre: the leaf's plane within its bounds, or where the
-            leaf was not measured (rock shadows, gaps) the nearest known cell's; NaN if none is, m.
-        slope_x, slope_y: dz/dx, dz/dy of the leaf's plane; 0 where bridged.
-        subscale: Mean height of the leaf's subscale feature over the cell (Eq. 57), m.
-        subscale_peak: Its greatest height within the cell, m; 0 where that is negligible.
-        seen: True where the ground is known or lies within the set gap of a known cell; never where
-            it is ``unmapped``, nor in a gap between so many returns that it is a shadow.
-        firm: True where the ground is known or the gap is bridged from all around. Seen ground that
-            is not borders on unseen ground: it may be the drop that casts the shadow.
-        unmapped: True where a point fell whose return is not part of the map yet: seen by the
-            lidar, but nobody knows what is there.
-        bridged: True where the height is the nearest known cell's.
-        returns: (M,) independent returns of each leaf on one of its known finest cells, in the mean
-            (see `independent_returns`).
         cells: The map.
+        leaf: (n, n) row of the leaf over each cell.
+        elevation: (n, n) height at the cell's centre, m: of the leaf's plane within its bounds, or,
+            where ``bridged``, of the nearest known cell; NaN if there is none.
+        slope_x, slope_y: (n, n) dz/dx, dz/dy of the leaf's plane; 0 where ``bridged``.
+        subscale: (n, n) mean height of the leaf's subscale feature over the cell (Eq. 57), m.
+        subscale_peak: (n, n) greatest height of it within the cell, m; 0 where negligible.
+        seen: (n, n) known, or within ``lss.gap`` of a known cell; never where ``unmapped`` or where
+            the gap is in a shadow.
+        firm: (n, n) known, or bridged from all around. Other seen ground borders on unseen ground,
+            which may be the drop that casts the shadow.
+        unmapped: (n, n) observed, but not estimated.
+        bridged: (n, n) the height is that of the nearest known cell.
+        returns: (M,) independent returns of each leaf per known finest cell, in the mean (see
+            `independent_returns`).
+        planes: The ground at the vehicle's scale at each grid point.
+        room: Distance of each grid point to ground that is not firm, outside the domain, or
+            unmapped, m, as far as it matters. Pads must not reach over unmapped ground, so it
+            counts as nearer by their radius.
+        to_unmapped: Distance of each grid point to unmapped ground, m, as far as it matters.
+        judged: Grid points at which all ground under the vehicle is seen and mapped.
+        needs_contact: Those and their neighbours, on which the predicted risk also depends, as far
+            as the vehicle fits into the domain.
     """
 
     domain: Domain
+    cells: CellMap
     leaf: Index
     elevation: Array
     slope_x: Array
@@ -59,29 +82,32 @@ class TerrainRaster:
     unmapped: Mask
     bridged: Mask
     returns: Array
-    cells: CellMap
+    planes: GroundPlanes
+    room: Array
+    to_unmapped: Array
+    judged: Mask
+    needs_contact: Mask
+
+    @property
+    def unknown_bits(self) -> Bytes:
+        """Return the hazard bits (n, n) of unseen and unmapped finest cells."""
+        bits = ~self.seen * np.uint8(UNSEEN)
+        bits |= self.unmapped * np.uint8(UNMAPPED)
+        return np.asarray(bits)
 
 
 def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
-    """Lay out the map.
-
-    Args:
-        cells: The map.
-        lss: Ground farther than its ``gap`` from any finest cell that is known (distance of the
-            centres less half a cell) is unseen. So is what lies nearer where the leaf of the
-            nearest known cell has more than `CHANCE` returns in each.
-    """
-    max_gap, negligible = lss.gap, lss.vehicle.lengths.negligible
+    """Lay out a map on its finest cells and evaluate the ground about each grid point."""
     domain = cells.domain
     n, side = domain.finest_count, domain.finest_size
     leaf = np.empty((n, n), dtype=np.intp)
     elevation, slope_x, slope_y, subscale, peak = layers = np.empty((5, n, n))
     layers[3:] = 0.0
-    lay_out(cells, side, negligible, leaf, layers)
+    lay_out(cells, side, lss.vehicle.lengths.negligible, leaf, layers)
     known = cells.observed & cells.known & ~np.isnan(elevation)
     bridged = ~known
     unmapped = cells.observed & ~known
-    seen = grown(known, max_gap, side, short=0.5) & ~unmapped
+    seen = grown(known, lss.gap, side, short=0.5) & ~unmapped
     share = np.zeros(len(cells.level), dtype=np.int32)
     count_known(leaf, known.view(np.uint8), share)
     returns = np.minimum(cells.count / np.maximum(share, 1), independent_returns(cells.coverage))
@@ -89,16 +115,54 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
         elevation[:] = np.nan
     elif bridged.any():
         bridge(nearest_marked(known), leaf, returns, layers, seen.view(np.uint8))
-    firm = known | ~grown(~seen, max_gap, side, short=0.5)
-    found = (elevation, slope_x, slope_y, subscale, peak, seen, firm, unmapped, bridged, returns)
-    return TerrainRaster(domain, leaf, *found, cells)
+    firm = known | ~grown(~seen, lss.gap, side, short=0.5)
+    radius = min(lss.vehicle.ground_radius, 0.5 * domain.size)
+    border = np.minimum(np.arange(n + 1), np.arange(n, -1, -1)) * side
+    room, to_unmapped = _distances(firm, unmapped, border, side, lss)
+    needed = (0.5 - SLACK) * lss.vehicle.diameter
+    judged, inside = room >= needed, border >= needed
+    return TerrainRaster(
+        domain=domain,
+        cells=cells,
+        leaf=leaf,
+        elevation=elevation,
+        slope_x=slope_x,
+        slope_y=slope_y,
+        subscale=subscale,
+        subscale_peak=peak,
+        seen=seen,
+        firm=firm,
+        unmapped=unmapped,
+        bridged=bridged,
+        returns=returns,
+        planes=ground_planes(elevation, seen, side, radius),
+        room=room,
+        to_unmapped=to_unmapped,
+        judged=judged,
+        needs_contact=with_neighbours(judged) & inside & inside[:, None],
+    )
+
+
+def _distances(
+    firm: Mask, unmapped: Mask, border: Array, side: float, lss: LssConfig
+) -> tuple[Array, Array]:
+    """Compute `TerrainRaster.room` and `TerrainRaster.to_unmapped`; ``border``: (n + 1,) distance
+    of rows and columns of grid points to the domain's border, m."""
+    limit = max(lss.zone, DISTANCE_CAP * lss.vehicle.size)
+    room = distance_from(touching((~firm).view(np.uint8)) > 0, side, limit)
+    farthest = max(lss.zone, 0.5 * lss.vehicle.diameter) + lss.vehicle.pad_radius + side
+    to_unmapped = distance_from(touching(unmapped.view(np.uint8)) > 0, side, farthest)
+    np.minimum(room, to_unmapped - lss.vehicle.pad_radius, out=room)
+    np.minimum(room, border, out=room)
+    np.minimum(room, border[:, None], out=room)
+    return room, to_unmapped
 
 
 def independent_returns(coverage: Array) -> Array:
-    """Number of returns at random places of a finest cell that covers this share (M,) of its parts.
+    """Estimate how many independent returns cover this share (M,) of a finest cell's parts.
 
-    Returns at the same place again, as in a hover, cover nothing new. Infinite where all is
-    covered: then any number of returns may be independent.
+    Repeated returns of the same places, as in a hover, cover no new parts. Infinite where all parts
+    are covered.
     """
     with np.errstate(divide="ignore"):
         return np.asarray(-PARTS * np.log1p(-np.minimum(coverage, 1.0)))
@@ -107,15 +171,15 @@ def independent_returns(coverage: Array) -> Array:
 @cython.boundscheck(False)
 @cython.locals(leaf=cython.Py_ssize_t[:, ::1], layers=cython.double[:, :, ::1])
 def lay_out(cells: CellMap, side: float, negligible: float, leaf: Index, layers: Array) -> None:
-    """Fill the finest cells under leaves (M).
+    """Fill the finest cells of each leaf.
 
     Args:
         cells: The map.
-        side: Of the finest cells, m.
-        negligible: Lower tails of a feature are no feature, m.
+        side: Side of the finest cells, m.
+        negligible: Lower parts of a feature are ignored, m.
         leaf: (n, n), set to the row of the leaf.
-        layers: (5, n, n), set to elevation, slopes in x and y; where there is a feature, the last
-            two to its mean and its greatest height.
+        layers: (5, n, n), set to elevation and slopes in x and y, and where there is a feature, to
+            its mean and its greatest height.
     """
     cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t, width=cython.Py_ssize_t)
@@ -129,7 +193,7 @@ def lay_out(cells: CellMap, side: float, negligible: float, leaf: Index, layers:
     highest = cython.declare(cython.double[::1], cells.high)
     feature = cython.declare(cython.double[:, ::1], cells.feature)
     half = 0.5 * side
-    # Of a feature, column by column: its share, and the square of the distance.
+    # Column by column, the feature's share and the squared distance to it.
     shares = cython.declare(cython.double[::1], np.empty(leaf.shape[1]))
     squares = cython.declare(cython.double[::1], np.empty(leaf.shape[1]))
     with cython.nogil:
@@ -178,7 +242,7 @@ def lay_out(cells: CellMap, side: float, negligible: float, leaf: Index, layers:
 @cython.locals(leaf=cython.Py_ssize_t[:, ::1])
 @cython.locals(known=cython.uchar[:, ::1], count=cython.int[::1])
 def count_known(leaf: Index, known: Bytes, count: Ints) -> None:
-    """Add up the ``known`` finest cells (n, n) of each leaf (M,)."""
+    """Count the ``known`` finest cells (n, n) of each leaf (M,)."""
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     with cython.nogil:
         for i in range(leaf.shape[0]):
@@ -191,12 +255,12 @@ def count_known(leaf: Index, known: Bytes, count: Ints) -> None:
 @cython.locals(returns=cython.double[::1], layers=cython.double[:, :, ::1])
 @cython.locals(seen=cython.uchar[:, ::1])
 def bridge(place: Ints, leaf: Index, returns: Array, layers: Array, seen: Bytes) -> None:
-    """Level ground as high as the known cell that is nearest, unseen where that is in a shadow.
+    """Make bridged ground level and as high as the nearest known cell; unseen if in a shadow.
 
     Args:
         place: (n, n) flat index of the nearest known cell.
-        leaf, layers: Of `lay_out`; the heights are set.
-        returns, seen: Of `TerrainRaster`; the latter is set.
+        leaf, layers: As in `lay_out`; heights and slopes are changed.
+        returns, seen: As in `TerrainRaster`; ``seen`` is changed.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     n: cython.Py_ssize_t = place.shape[0]
@@ -216,6 +280,6 @@ def bridge(place: Ints, leaf: Index, returns: Array, layers: Array, seen: Bytes)
 @cython.nogil
 @cython.exceptval(check=False)
 def bell_share(x: cython.double, half: cython.double, sigma: cython.double) -> cython.double:
-    """Of a normal density about 0 between x - half and x + half."""
+    """Integrate a normal density about 0 from x - half to x + half."""
     scale = 1.0 / (sqrt(2.0) * sigma)
     return 0.5 * (erf((x + half) * scale) - erf((x - half) * scale))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Restrictions of the landing place: area, keep-outs and a preferred place."""
+"""Restrictions of the landing site: area, keep-outs and a preferred point."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Restrictions:
     Attributes:
         area: (V, 2) polygon that contains the landing zone.
         keep_outs: (V, 2) polygons that the zone does not touch.
-        target: (2,) or (3,) preferred place.
+        target: (2,) or (3,) preferred point.
         withheld: Why no site may be given out, such as an unreadable keep-out; empty if none.
     """
 
@@ -34,9 +34,9 @@ class Restrictions:
     target: ArrayLike | None = None
     withheld: str = ""
 
-    def apply(self, cost: Array, x: Array, y: Array, lss: LssConfig) -> str:
-        """Exclude grid points (ny, nx), and add the cost of the distance to the preferred place.
-        Return why all of them are excluded; empty if they are not."""
+    def apply_to(self, cost: Array, x: Array, y: Array, lss: LssConfig) -> str:
+        """Set the cost (ny, nx) of excluded grid points to NaN, and add the cost of the distance to
+        the preferred point. Return why all of them are excluded; empty if they are not."""
         why = self.withheld
         try:
             self._exclude(cost, x, y, lss)
@@ -63,8 +63,8 @@ class Restrictions:
             left += NEARER[lss.ranking] * np.hypot(x[column] - goal[0], y[row] - goal[1])
         cost[row, column] = left
 
-    def beside(self, x: Array, y: Array) -> str:
-        """Return that the area lies outside of the grid; empty if it does not."""
+    def outside_domain(self, x: Array, y: Array) -> str:
+        """Return that the landing area lies outside the grid; empty if it does not."""
         if self.area is None:
             return ""
         area = np.array([np.min(self.area, axis=0), np.max(self.area, axis=0)]).T[:2]
@@ -77,7 +77,7 @@ class Restrictions:
         )
         return "the landing area, {}, lies outside the domain, {} m".format(*texts)
 
-    def share(self, observed: Mask, x: Array, y: Array) -> float:
+    def observed_share(self, observed: Mask, x: Array, y: Array) -> float:
         """Return the observed share of the grid points (ny, nx) in the area, or of all."""
         if self.area is not None:
             step = max(len(x) // 64, 1)  # 64 x 64 points give the share to 1 %
@@ -88,16 +88,16 @@ class Restrictions:
                 return 0.0
         return float(np.count_nonzero(observed) / observed.size) if observed.size else 0.0
 
-    def fault(self, x: float, y: float, lss: LssConfig) -> Reason | None:
-        """Return why landing is not wanted at a place, None if it is."""
-        if not self.area_holds(x, y, lss):
+    def reason_against(self, x: float, y: float, lss: LssConfig) -> Reason | None:
+        """Return why landing is not wanted at a point, None if it is."""
+        if not self.area_contains(x, y, lss):
             return Reason.OUTSIDE_AREA
         at = np.array([x]), np.array([y])
         touched = any(signed_distance(polygon, *at)[0] > -lss.zone for polygon in self.keep_outs)
         return Reason.KEEP_OUT if touched else None
 
-    def area_holds(self, x: float, y: float, lss: LssConfig) -> bool:
-        """Return whether the area, if there is one, contains the zone around a place."""
+    def area_contains(self, x: float, y: float, lss: LssConfig) -> bool:
+        """Return whether the landing area, if there is one, contains the zone around a point."""
         if self.area is None:
             return True
         try:
@@ -107,7 +107,7 @@ class Restrictions:
         return bool(inside >= lss.zone)
 
     def is_near(self, x: float, y: float, reach: float) -> bool:
-        """Return whether the preferred place is within ``reach`` of this one."""
+        """Return whether the preferred point is within ``reach`` of this one, m."""
         try:
             goal = np.asarray(self.target, dtype=np.float64)
             return bool(np.hypot(goal[0] - x, goal[1] - y) <= reach)

@@ -59,7 +59,7 @@ Place = tuple[int, int]
 
 class Reason(IntEnum):
     """Why the target is this one (below 16), or why there is none, and the sentence for it; an
-    empty one needs figures (`assessment.LandingAssessment.why`)."""
+    empty one needs figures (`result.LandingAssessment.why`)."""
 
     text: str
 
@@ -166,20 +166,20 @@ class Candidates:
     @cached_property
     def best(self) -> Place | None:
         """Return row and column of the grid point that ranks first, None without one."""
-        return self.first(self.cost)
+        return self.rank_first(self.cost)
 
-    def first(self, cost: Array) -> Place | None:
+    def rank_first(self, cost: Array) -> Place | None:
         """Return the same by another cost (ny, nx), NaN or infinite where excluded."""
         return best_among_equals(cost, self.unsafe, self.clearance)
 
-    def likely(self, least: float) -> Mask:
+    def probable(self, least: float) -> Mask:
         """Return (ny, nx) where landing is permitted and succeeds with probability ``least``."""
         if self.unsafe is None:
             return self.permitted
         return self.permitted & ~(self.unsafe > 1.0 - least)
 
-    def at(self, x: float, y: float) -> Place | None:
-        """Return row and column of the grid point at a place, None if there is none."""
+    def find(self, x: float, y: float) -> Place | None:
+        """Return row and column of the grid point at x and y, m, None if there is none."""
         slack = SAME * float(self.x[1] - self.x[0]) if len(self.x) > 1 else 0.0
         row, column = bisect_left(self.y, y - slack), bisect_left(self.x, x - slack)
         found = row < len(self.y) and column < len(self.x)
@@ -213,6 +213,12 @@ class Choice:
     best: Place | None = None
 
 
+def same_site_distance(lss: LssConfig) -> float:
+    """Return the distance up to which two places are the same site, m: less than half of the least
+    distance between ranked sites."""
+    return 0.49 * min(lss.vehicle.diameter, lss.vehicle.lengths.min_separation)
+
+
 class Places:
     """Numbers of places, from 1; none is given twice. A place keeps its number while the grid point
     where it was first ranked, or where it became the target, is safe."""
@@ -223,19 +229,20 @@ class Places:
 
     def forget(self, ground: Candidates) -> None:
         """Drop the places that are not safe any more."""
-        found = {k: ground.at(*place) for k, place in self._known.items()}
+        found = {k: ground.find(*place) for k, place in self._known.items()}
         gone = [k for k, place in found.items() if place is None or not ground.safe[place]]
         for number in (*gone, *list(self._known)[:-MAX_PLACES]):
             self._known.pop(number, None)
 
-    def numbers(self, places: Array, reach: float) -> Numbers:
+    def numbers(self, places: Array, lss: LssConfig) -> Numbers:
         """Return numbers (K,) of places (K, 2), m."""
-        return np.array([self.number(x, y, reach) for x, y in places.tolist()], dtype=np.uint32)
+        return np.array([self.number(x, y, lss) for x, y in places.tolist()], dtype=np.uint32)
 
-    def number(self, x: float, y: float, reach: float) -> int:
-        """Return the number of one place, a new one if none is known within ``reach``, m."""
+    def number(self, x: float, y: float, lss: LssConfig) -> int:
+        """Return the number of one place, a new one if none is known within
+        `same_site_distance`."""
         nearest = min(self._known, key=lambda k: dist(self._known[k], (x, y)), default=0)
-        if not nearest or dist(self._known[nearest], (x, y)) > reach:
+        if not nearest or dist(self._known[nearest], (x, y)) > same_site_distance(lss):
             self._last = nearest = self._last + 1
             self._known[nearest] = (x, y)
         return nearest
@@ -295,40 +302,41 @@ class Situation:
             return None, self.why_none
         if not (self.settled or self.is_low or released):
             return None, Reason.SETTLING
-        if not self.ground.likely(self.lss.min_probability).any():
+        if not self.ground.probable(self.lss.min_probability).any():
             return None, Reason.UNLIKELY
-        place = self.ground.first(np.where(self.confirmed, self.ground.cost, inf))
+        place = self.ground.rank_first(np.where(self.confirmed, self.ground.cost, inf))
         if place is None:
             return None, Reason.UNCONFIRMED
         return place, Reason.FIRST if held is None else Reason.RELEASED
 
     def _keep(self, held: tuple[float, float]) -> tuple[Place | None, Reason]:
         """Keep the target, change it for a better one, or withdraw it."""
-        place = self.ground.at(*held)
+        place = self.ground.find(*held)
         if place is None:
             return None, Reason.OUTSIDE_MAP
-        fault = self._fault(place)
-        if fault not in (None, Reason.UNLIKELY):
-            return None, fault
+        reason = self._reason_to_withdraw(place)
+        if reason not in (None, Reason.UNLIKELY):
+            return None, reason
         if not self.is_low:
             descent, commit = self.descent, self.lss.commit_height
             left = None if descent is None else Descent(descent.height - commit, descent.speed)
             if better := self._better(self.ground, self.confirmed, place, left):
                 return better, Reason.BETTER
-        return (place, Reason.HOLDS) if fault is None else (None, fault)
+        return (place, Reason.HOLDS) if reason is None else (None, reason)
 
-    def _fault(self, place: Place) -> Reason | None:
+    def _reason_to_withdraw(self, place: Place) -> Reason | None:
         """Return why the target cannot stay, None if it can."""
         most, unsafe = 1.0 - self.lss.min_probability, self.ground.unsafe
         if self.ground.permitted[place]:
-            likely = self.is_low or unsafe is None or not unsafe[place] > most
-            return None if likely else Reason.UNLIKELY
-        fault = self.why_not(*place)
-        if fault is not Reason.HAZARD or unsafe is None or not unsafe[place] <= most:
-            return fault
-        return None if self.is_low or self._worst(place) <= KEPT * self.lss.max_risk else fault
+            probable = self.is_low or unsafe is None or not unsafe[place] > most
+            return None if probable else Reason.UNLIKELY
+        reason = self.why_not(*place)
+        if reason is not Reason.HAZARD or unsafe is None or not unsafe[place] <= most:
+            return reason
+        tolerable = self.is_low or self._risk_nearby(place) <= KEPT * self.lss.max_risk
+        return None if tolerable else reason
 
-    def _worst(self, place: Place) -> float:
+    def _risk_nearby(self, place: Place) -> float:
         """Return the greatest risk within half of ``lss.margin``, the target's own without one."""
         if self.ground.risk is None:
             return inf
@@ -339,7 +347,7 @@ class Situation:
     def _land_now(self, held: tuple[float, float] | None) -> tuple[Place | None, Reason]:
         """Keep the target while it is observed and wanted, whatever its risk, unless another one
         within reach is better; else choose the best within reach."""
-        now, place = self.now, None if held is None else self.ground.at(*held)
+        now, place = self.now, None if held is None else self.ground.find(*held)
         excluded = place is None or np.isnan(self.ground.cost[place])
         if place is None or (excluded and self.why_not(*place) is not Reason.HAZARD):
             best = None if now is None else now.best
@@ -370,14 +378,18 @@ class Situation:
             price = np.where(part < 1.0, price / np.maximum(1.0 - part, 1e-9), inf)
         net = np.full(ground.cost.shape, inf)
         net[row, column] = ground.cost[row, column] + price
-        place = ground.first(net)
+        place = ground.rank_first(net)
         return place if place is not None and net[place] < cost else None
 
 
 class TargetKeeper:
-    """The target from one assessment to the next: ``held``, x and y, m, None without a target."""
+    """The target from one assessment to the next.
+
+    ``held``: x and y, m, None without a target. ``assessments``: number of assessments.
+    """
 
     def __init__(self) -> None:
+        self.assessments = 0
         self.places = Places()
         self.held: tuple[float, float] | None = None
         self._state, self._request = State.NONE, Request.NONE
@@ -393,19 +405,20 @@ class TargetKeeper:
         """Request the best grid point within reach, until `release`."""
         self._request = Request.LAND_NOW
 
-    def heed(self, wanted: Restrictions, reach: float, lss: LssConfig) -> None:
-        """Request another choice if the area excludes the target, or another place is preferred.
+    def apply_restrictions(self, restrictions: Restrictions, lss: LssConfig) -> None:
+        """Request another choice if the area excludes the target, or another point is preferred.
 
-        Guidance repeats what it can reach and where it flies. So an area that contains the target's
-        zone, and a preferred place within ``reach`` (m) of the target, request nothing.
+        Guidance repeats what it can reach and where it flies, so an area that contains the target's
+        zone, and a preferred point at the target, request nothing.
         """
-        goal = wanted.target
+        goal = restrictions.target
         preferred = None if goal is None else np.ravel(np.asarray(goal, dtype=object)).tolist()
         changed, self._preferred = preferred != self._preferred, preferred
         if self.held is None or State.NOW is self._state or self._request is Request.LAND_NOW:
             return
-        moved = changed and not wanted.is_near(*self.held, reach)
-        if moved or not wanted.area_holds(*self.held, lss):
+        moved = changed and not restrictions.is_near(*self.held, same_site_distance(lss))
+        area = restrictions.area
+        if moved or (area is not None and not restrictions.area_contains(*self.held, lss)):
             self.release()
 
     def choose(
@@ -413,20 +426,19 @@ class TargetKeeper:
         ground: Candidates,
         lss: LssConfig,
         *,
-        reach: float,
         why_not: Callable[[int, int], Reason],
         why_none: Reason,
         descent: Descent | None = None,
         settled: bool = True,
         now: Candidates | None = None,
     ) -> Choice:
-        """Return the target after one more assessment. Arguments are those of `Situation`;
-        ``reach``: places no farther apart have the same number, m."""
+        """Return the target after one more assessment; arguments as of `Situation`."""
+        self.assessments += 1
         self.places.forget(ground)
         before, self._before = self._before, ground
         confirmed = np.zeros_like(ground.safe)
         if before is not None:
-            confirmed = ground.likely(lss.min_probability) & before.safe_on(ground)
+            confirmed = ground.probable(lss.min_probability) & before.safe_on(ground)
         given = Situation(ground, confirmed, lss, why_not, why_none, descent, settled, now)
         self._state, place, reason = given.transition(self._state, self._request, self.held)
         self._request, self.held = Request.NONE, None
@@ -434,6 +446,6 @@ class TargetKeeper:
             return Choice(None, 0, reason, self._state, ground.best)
         self.held = float(ground.x[place[1]]), float(ground.y[place[0]])
         if reason is not Reason.HOLDS:
-            self._id = self.places.number(*self.held, reach)
+            self._id = self.places.number(*self.held, lss)
         self.places.pin(self._id, *self.held)
         return Choice(place, self._id, reason, self._state)

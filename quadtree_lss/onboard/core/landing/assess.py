@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Assessment of landing sites on a map (paper V), in five steps:
+
+1. ``raster``: map -> terrain on the finest cells and about their corners, the grid points
+2. ``contact``: per grid point -> rise and tilt of the vehicle at rest, over all headings
+3. ``risk``, ``score``: per grid point -> predicted risk of a touchdown there, hazards and score
+4. ``aim``: user's grid -> probability of success with the touchdown dispersion, and restrictions
+5. ``choose``: user's grid -> ranked sites with reasons, and the target
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import inf
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from quadtree_lss.onboard.arrays import Bytes, keep_memory
+from quadtree_lss.onboard.config.risk import risk_model
+from quadtree_lss.onboard.config.settings import DEFAULTS, Config
+from quadtree_lss.onboard.core.landing.aim import Dispersion, aim, users_grid
+from quadtree_lss.onboard.core.landing.choose import choose
+from quadtree_lss.onboard.core.landing.contact import ContactCheck
+from quadtree_lss.onboard.core.landing.hazards import UNSEEN
+from quadtree_lss.onboard.core.landing.lattice import touching
+from quadtree_lss.onboard.core.landing.raster import rasterise
+from quadtree_lss.onboard.core.landing.restrictions import Restrictions
+from quadtree_lss.onboard.core.landing.result import LandingAssessment, no_sites, no_target
+from quadtree_lss.onboard.core.landing.risk import RiskTable, contact_limits
+from quadtree_lss.onboard.core.landing.score import assess_points
+from quadtree_lss.onboard.core.landing.target import Candidates, Motion, Reason, TargetKeeper
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+
+
+class LandingSiteSelector:
+    """Assesses successive maps.
+
+    Keeps the target (`target.TargetKeeper`), and the contacts, which are computed again only where
+    the ground changed.
+    """
+
+    def __init__(self, config: Config = DEFAULTS) -> None:
+        self._keeper = TargetKeeper()
+        keep_memory()
+        self.configure(config)
+
+    def configure(self, config: Config) -> None:
+        """Use another configuration from now on, and forget the contacts."""
+        self.config, lss = config, config.lss
+        self._risk_table: RiskTable | None = None
+        self._contact_check: ContactCheck | None = None
+        if lss.ranking == "probability":
+            model = risk_model(lss.risk_model)
+            self._risk_table = RiskTable(model, lss, config.lidar.range_noise)
+            self._contact_check = ContactCheck(lss, contact_limits(model, lss))
+        elif lss.assessment == "touchdown":
+            self._contact_check = ContactCheck(lss)
+
+    def release(self) -> None:
+        """Give up the target: the next assessment chooses as if there were none."""
+        self._keeper.release()
+
+    def land_now(self) -> None:
+        """Make the best grid point within reach the target until `release`."""
+        self._keeper.land_now()
+
+    def assess(
+        self,
+        cells: CellMap,
+        *,
+        area: ArrayLike | None = None,
+        keep_outs: Sequence[ArrayLike] = (),
+        target: ArrayLike | None = None,
+        dispersion: ArrayLike | None = None,
+        withheld: str = "",
+        vehicle: Sequence[float] | None = None,
+        waited: float = inf,
+    ) -> LandingAssessment:
+        """Rank landing sites on a map, and choose the target.
+
+        Args:
+            cells: The map; points are never needed.
+            area, keep_outs, target, withheld: As of `Restrictions`: where landing is wanted.
+            dispersion: Standard deviations of the touchdown about its aim point along x and y, m,
+                and optionally the vehicle's heading, rad, NaN for any; None for ``lss.dispersion``
+                and any heading. A heading matters only without a risk model, which was fitted to
+                the maximum over all headings.
+            vehicle: As of `Motion`: height and downward speed, and optionally position and
+                velocity; None if unknown.
+            waited: Time since the first map, s: after ``lss.settle_time`` a target is chosen
+                even if too little is observed.
+
+        Raises:
+            ValueError: not a dispersion.
+        """
+        lss, keeper = self.config.lss, self._keeper
+        spread = Dispersion.from_values(dispersion, lss)
+        restrictions = Restrictions(area, keep_outs, target, withheld)
+        keeper.apply_restrictions(restrictions, lss)
+
+        raster = rasterise(cells, lss)
+        if not raster.seen.any():
+            reason = Reason.WITHHELD if withheld else Reason.NOTHING_MAPPED
+            return self._nothing(cells, reason, raster.unknown_bits)
+        contacts = None
+        if self._contact_check is not None:
+            heading = None if self._risk_table is not None else spread.heading
+            contacts = self._contact_check.contacts(raster, raster.needs_contact, heading)
+        points = assess_points(raster, contacts, self._contact_check, self._risk_table, lss)
+        motion = None
+        if vehicle is not None:  # its height is navigation's, which differs from the map's
+            height, *others = vehicle
+            motion = Motion(height - np.nan_to_num(cells.offset_z), *others)
+        aims = aim(points, spread, restrictions, motion, keeper.held, lss)
+        return choose(points, aims, keeper, waited, self.config)
+
+    def withhold(self, cells: CellMap, why: str) -> LandingAssessment:
+        """Return neither site nor target, because the assessment of a map failed."""
+        self.configure(self.config)  # contacts may be incomplete
+        unseen = np.full((cells.domain.finest_count,) * 2, UNSEEN, dtype=np.uint8)
+        nothing = self._nothing(cells, Reason.WITHHELD, unseen)
+        return replace(nothing, explanation=f"no site is given out: {why}")
+
+    def _nothing(self, cells: CellMap, reason: Reason, bits: Bytes) -> LandingAssessment:
+        """Return the assessment of a map without known ground; ``bits``: hazards (n, n)."""
+        lss, grid = self.config.lss, users_grid(cells.domain, self.config.lss.spacing)
+        shape = (len(grid.y), len(grid.x))
+        none, never = np.full(shape, np.nan), np.zeros(shape, dtype=np.bool_)
+        ground = Candidates(grid.x, grid.y, never, none)
+        self._keeper.choose(ground, lss, why_not=lambda *_: reason, why_none=reason)
+        return LandingAssessment(
+            stamp_ns=cells.stamp_ns,
+            number=self._keeper.assessments,
+            selected=no_target(reason),
+            seen=0.0,
+            pending=False,
+            sites=no_sites(),
+            now=np.full(4, np.nan),
+            x=grid.x,
+            y=grid.y,
+            hazard=grid.any(touching(bits)),
+            safe=never,
+            score=none,
+            probability=np.zeros(shape),
+            risk=np.ones(shape),
+            explanation="nothing is mapped yet",
+            offset_z=cells.offset_z,
+            offset_variance=cells.offset_variance,
+            lss=lss,
+        )

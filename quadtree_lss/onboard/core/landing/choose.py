@@ -1,0 +1,264 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Step 5 of an assessment: ranked sites with reasons, and the target."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from quadtree_lss.onboard.arrays import Array, Index
+from quadtree_lss.onboard.config.settings import Config, LssConfig
+from quadtree_lss.onboard.core.landing import hazards
+from quadtree_lss.onboard.core.landing.aim import Aims, main_risks
+from quadtree_lss.onboard.core.landing.lattice import disc, lower_room
+from quadtree_lss.onboard.core.landing.ranking import ranked_points
+from quadtree_lss.onboard.core.landing.raster import SLACK, TerrainRaster
+from quadtree_lss.onboard.core.landing.result import (
+    LandingAssessment,
+    Selected,
+    Sites,
+    no_target,
+    risk_texts,
+)
+from quadtree_lss.onboard.core.landing.risk import risk_warnings
+from quadtree_lss.onboard.core.landing.score import PointAssessment
+from quadtree_lss.onboard.core.landing.target import (
+    SETTLE_SHARE,
+    Choice,
+    Place,
+    Reason,
+    TargetKeeper,
+)
+from quadtree_lss.onboard.core.tree.cell_map import height_by_error
+
+#: Reasons without a target that another assessment of the same map does not change.
+WAITING = (Reason.SETTLING, Reason.UNLIKELY)
+#: Variance of a heading of which nothing is known (uniform distribution), rad^2.
+ANY_HEADING = np.pi**2 / 3.0
+
+
+def choose(
+    points: PointAssessment, aims: Aims, keeper: TargetKeeper, waited: float, config: Config
+) -> LandingAssessment:
+    """Rank sites and choose the target.
+
+    Args:
+        points: Risk and score on the finest lattice.
+        aims: The points of the user's grid as aim points.
+        keeper: The target of the assessments before; updated.
+        waited: Time since the first map, s.
+        config: Limits.
+    """
+    lss, cells, grid, candidates = config.lss, points.raster.cells, aims.grid, aims.candidates
+    seen = aims.restrictions.observed_share(aims.hazard & hazards.UNSEEN == 0, grid.x, grid.y)
+    choice = keeper.choose(
+        candidates,
+        lss,
+        why_not=partial(_why_not, points, aims, lss),
+        why_none=Reason.WITHHELD if aims.withheld else Reason.NO_SITE,
+        descent=aims.descent,
+        settled=seen >= SETTLE_SHARE or waited >= lss.settle_time,
+        now=aims.now,
+    )
+    apart = lss.vehicle.lengths.min_separation
+    steps = apart / (grid.x[1] - grid.x[0]) if len(grid.x) > 1 else 0.0
+    cost, unsafe, clearance = candidates.cost, candidates.unsafe, candidates.clearance
+    ranked = [*zip(*ranked_points(cost, unsafe, clearance, steps, lss.sites), strict=True)]
+    described = ranked if choice.place is None else [*ranked, choice.place]
+    sites = _describe(points, aims, described, keeper, lss)
+    now = np.full(4, np.nan)
+    if (best := aims.now.best) is not None:
+        now[:] = grid.x[best[1]], grid.y[best[0]], aims.elevation[best], aims.probability[best]
+    landable = bool(candidates.permitted.any())
+    return LandingAssessment(
+        stamp_ns=cells.stamp_ns,
+        number=keeper.assessments,
+        selected=_selected(choice, sites, aims, points.raster, lss),
+        seen=seen,
+        pending=landable and choice.place is None and choice.reason not in WAITING,
+        sites=sites[: len(ranked)],
+        now=now,
+        x=grid.x,
+        y=grid.y,
+        hazard=aims.hazard,
+        safe=candidates.safe,
+        score=aims.score,
+        probability=aims.probability,
+        risk=aims.risk,
+        explanation=_explanation(points, aims, lss),
+        offset_z=cells.offset_z,
+        offset_variance=cells.offset_variance,
+        lss=lss,
+        terrain=(grid, points),
+        warnings=risk_warnings(config, points.raster) if lss.ranking == "probability" else (),
+    )
+
+
+def _selected(
+    choice: Choice, sites: Sites, aims: Aims, raster: TerrainRaster, lss: LssConfig
+) -> Selected:
+    """Return the target, which is the last of ``sites``."""
+    if choice.place is None:
+        best = float("nan") if choice.best is None else float(aims.probability[choice.best])
+        return no_target(choice.reason, choice.state, best)
+    site = replace(sites[-1:], id=np.array([choice.id], dtype=np.uint32))
+    x, y, _ = site.position[0]
+    covariance = ground_covariance(raster, x, y, lss.vehicle.ground_radius)
+    return Selected(choice.reason, choice.state, float(site.probability[0]), site, covariance)
+
+
+def _describe(
+    points: PointAssessment, aims: Aims, places: list[Place], keeper: TargetKeeper, lss: LssConfig
+) -> Sites:
+    """Describe sites at grid points, given by row and column."""
+    vehicle, planes, grid = lss.vehicle, points.raster.planes, aims.grid
+    rows, columns = np.array(places, dtype=np.intp).reshape(-1, 2).T
+    position = np.column_stack([grid.x[columns], grid.y[rows]])
+    nearest = grid.nearest_row[rows], grid.nearest_column[columns]
+    rough, raised, room = _describe_zones(points, nearest, position, lss)
+    slope_x, slope_y = planes.slope_x[nearest], planes.slope_y[nearest]
+    normal = np.column_stack([-slope_x, -slope_y, np.ones_like(slope_x)])
+    slope_deg = np.degrees(np.arctan(planes.gradient[nearest]))
+    risks = [""] * len(places)
+    if lss.ranking == "probability":
+        risks = risk_texts(main_risks(points, aims.dispersion, *nearest, lss))
+    limit = vehicle.max_slope_deg
+    if lss.assessment == "touchdown":
+        limit = vehicle.lengths.touchdown_slope_deg
+    reasons = (
+        f"{risk}slope {slope:.1f}° of {limit:g}°, {clear:.1f} m clear of hazards and "
+        f"unobserved ground, roughness {roughness:.3f} m, "
+        + (
+            f"features up to {feature:.2f} m"
+            if feature >= vehicle.lengths.negligible
+            else "no subscale feature"
+        )
+        for risk, slope, clear, roughness, feature in zip(
+            risks, slope_deg, room, rough, raised, strict=True
+        )
+    )
+    return Sites(
+        position=np.column_stack([position, aims.elevation[rows, columns]]),
+        normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
+        score=aims.score[rows, columns],
+        probability=aims.probability[rows, columns],
+        slope_deg=slope_deg,
+        roughness=rough,
+        hazard_distance=room,
+        subscale_height=raised,
+        id=keeper.places.numbers(position, lss),
+        reasons=tuple(reasons),
+    )
+
+
+def _describe_zones(
+    points: PointAssessment, nearest: tuple[Index, Index], position: Array, lss: LssConfig
+) -> tuple[Array, Array, Array]:
+    """Describe the landing zones about positions (K, 2), m.
+
+    ``nearest``: rows and columns (K,) of the nearest points of the lattice. Returns (K,) each, m:
+    greatest roughness; greatest height of a subscale feature; how far the zone can move in any
+    direction until it touches a hazard (with the touchdown check: until a touchdown within the
+    margin fails), unobserved ground or the domain's border.
+    """
+    raster, domain, zone = points.raster, points.raster.domain, lss.zone
+    side, last = domain.finest_size, domain.finest_count - 1
+    over = disc(min(zone, 0.5 * domain.size), side)
+    # Beyond the border, the cells at the border continue.
+    row = np.clip(nearest[0][:, None] + over.row, 0, last)
+    column = np.clip(nearest[1][:, None] + over.column, 0, last)
+    rough, raised = points.roughness[raster.leaf[row, column]], raster.subscale_peak[row, column]
+    x, y = position[:, 0] - domain.xmin, position[:, 1] - domain.ymin
+    room = np.minimum(np.minimum(x, domain.size - x), np.minimum(y, domain.size - y)) - zone
+    for marked, reach in (
+        (points.excluded, points.distance),
+        (~raster.firm, zone),
+        (raster.unmapped, zone + lss.vehicle.pad_radius),
+    ):
+        # Cells have an extent, points of the lattice have none.
+        half = 0.5 * (domain.finest_count + 1 - len(marked))
+        lower_room(marked.view(np.uint8), half, x, y, side, reach, room)
+    return rough.max(axis=1), raised.max(axis=1), np.maximum(room, 0.0)
+
+
+def _why_not(points: PointAssessment, aims: Aims, lss: LssConfig, row: int, column: int) -> Reason:
+    """Return why landing is not permitted at a grid point."""
+    grid, raster = aims.grid, points.raster
+    if aims.withheld or aims.above[row, column]:
+        return Reason.WITHHELD
+    if reason := aims.restrictions.reason_against(grid.x[column], grid.y[row], lss):
+        return reason
+    if grid.all(raster.room >= (1.0 - SLACK) * lss.zone)[row, column]:
+        return Reason.HAZARD
+    reach = (1.0 - SLACK) * (lss.zone + lss.vehicle.pad_radius)
+    mapped = grid.all(raster.to_unmapped >= reach)[row, column]
+    return Reason.UNSEEN if mapped else Reason.UNMAPPED
+
+
+def _explanation(points: PointAssessment, aims: Aims, lss: LssConfig) -> str:
+    """Return how many grid points are safe, or why there are no sites."""
+    safe, raster = aims.candidates.safe, points.raster
+    if aims.withheld:
+        return f"no site is given out: {aims.withheld}"
+    if aims.candidates.permitted.any():
+        return f"{np.count_nonzero(safe)} of {safe.size} grid points are safe"
+    if outside := aims.restrictions.outside_domain(aims.grid.x, aims.grid.y):
+        return f"no safe site: {outside}"
+    if safe.any():
+        text = "no safe ground within the landing area and outside the keep-outs"
+        if aims.above.any():
+            text += " that does not lie above the vehicle: poses in NED, or the lidar's mount is"
+            text += " another; quadtree-lss doctor says which"
+        return text
+    seen, unmapped = float(np.mean(raster.seen)), float(np.mean(raster.unmapped))
+    hazardous = (points.hazard & hazards.IDENTIFIED > 0) & (points.hazard & hazards.UNSEEN == 0)
+    return (
+        f"no safe site: {100.0 * seen:.0f} % of the domain is seen, "
+        + (f"{100.0 * unmapped:.0f} % seen but not yet mapped, " if unmapped > 0.0 else "")
+        + f"{100.0 * float(np.mean(hazardous)):.0f} % shows a hazard, and no zone of "
+        f"{lss.zone:.2f} m radius is both seen and allowed"
+    )
+
+
+def ground_covariance(raster: TerrainRaster, x: float, y: float, radius: float) -> Array:
+    """Compute the covariance (6, 6) of the ground's plane at the vehicle's scale about x and y.
+
+    Order and axes are those of ``PoseWithCovariance``: x, y, z in m, rotations about the map's
+    fixed axes in rad. The position in x and y is exact: its rows are 0. Height and tilt are those
+    of the least-squares plane over the leaves' planes in a disc (see `lattice.ground_planes`).
+    Range noise is independent between leaves; the pose error is common to all of them and enters
+    as that of the nearest plane. Slopes are small.
+
+    ``raster``: the terrain. ``x``, ``y``: map frame, m. ``radius``: of the disc, m.
+    """
+    cells, domain = raster.cells, raster.domain
+    side, last = domain.finest_size, domain.finest_count - 1
+    over = disc(radius, side)
+    at_x, at_y = (x - domain.xmin) / side, (y - domain.ymin) / side
+    row = (round(at_y) + over.row).clip(0, last)
+    column = (round(at_x) + over.column).clip(0, last)
+    leaf, of_cell = np.unique(raster.leaf[row, column], return_inverse=True)
+    known = cells.measured[leaf]
+    if not known.any():
+        return np.full((6, 6), np.nan)
+    size = domain.cell_size(cells.level[leaf])
+    middle_x = domain.xmin + (cells.ix[leaf] + 0.5) * size
+    middle_y = domain.ymin + (cells.iy[leaf] + 0.5) * size
+    normal = cells.normal[leaf]
+    heights = height_by_error(
+        normal[of_cell], x + over.x - middle_x[of_cell], y + over.y - middle_y[of_cell]
+    )
+    of_leaf = (of_cell == np.flatnonzero(known)[:, None])[:, None] * over.to_plane @ heights
+    out = np.sum(of_leaf @ cells.covariance_range[leaf[known]] @ of_leaf.swapaxes(1, 2), axis=0)
+    nearest = of_cell[np.argmin(np.where(known[of_cell], np.hypot(over.x, over.y), np.inf))]
+    across = x + over.x - middle_x[nearest], y + over.y - middle_y[nearest]
+    common = over.to_plane @ height_by_error(normal[nearest, None], *across)
+    out += common @ cells.covariance_pose[leaf[nearest]] @ common.T
+    # Ground that rises along y is rotated about x, ground that rises along x about -y.
+    turn = np.zeros((6, 3))
+    turn[2, 0], turn[3, 2], turn[4, 1] = 1.0, 1.0, -1.0
+    covariance = turn @ out @ turn.T
+    covariance[5, 5] = ANY_HEADING
+    return np.asarray(covariance)

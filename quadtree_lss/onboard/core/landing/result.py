@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Results of an assessment: ranked sites, the target and the grid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import cached_property
+from math import isnan
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from quadtree_lss.onboard.arrays import Array, Bytes, Mask, Numbers
+from quadtree_lss.onboard.config.settings import LssConfig
+from quadtree_lss.onboard.core.landing import hazards
+from quadtree_lss.onboard.core.landing.target import SETTLE_SHARE, Reason, State
+
+if TYPE_CHECKING:
+    from quadtree_lss.onboard.core.landing.aim import GridSampler
+    from quadtree_lss.onboard.core.landing.score import PointAssessment
+
+
+def shown(probability: float) -> str:
+    """Format a probability in per cent, with more digits near certainty; never 100 %."""
+    if isnan(probability):
+        return "-"
+    share = 100.0 * min(probability, 0.9999)
+    return f"{share:.2f} %" if share > 99.9 else f"{share:.1f} %"
+
+
+class MainRisk(NamedTuple):
+    """Where most of the risk at an aim point comes from: probability of success, cause, and how far
+    it lies north and east of the aim point, m."""
+
+    probability: float
+    cause: str
+    north: float
+    east: float
+
+
+def risk_texts(risks: list[MainRisk]) -> list[str]:
+    """Describe main risks, as in "probability 99.2 %: the remaining risk is an obstacle 3.1 m
+    east; "; negligible ones are not described."""
+    texts = []
+    names = "east north-east north north-west west south-west south south-east".split()
+    for probability, cause, north, east in risks:
+        text, away = f"probability {shown(probability)}", float(np.hypot(east, north))
+        bearing = round(float(np.arctan2(north, east)) / (0.25 * np.pi)) % 8
+        where = "here" if away < 0.1 else f"{away:.1f} m {names[bearing]}"
+        if probability < 0.9999:
+            text += f": the remaining risk is {cause} {where}"
+        texts.append(f"{text}; ")
+    return texts
+
+
+@dataclass(frozen=True, repr=False)
+class Sites:
+    """Ranked sites, best first; K rows, map frame.
+
+    Attributes:
+        position: (K, 3) on the plane of the ground at the vehicle's scale, m.
+        normal: (K, 3) of that plane.
+        score: (K,) mean score density over the zone (Eq. 59), lower is better.
+        probability: (K,) probability of success of the aim point; NaN without a risk model.
+        slope_deg: (K,) at the vehicle's scale.
+        roughness: (K,) greatest mean deviation from the plane beyond noise in the zone: Eq. 55's
+            volume over the leaf's area, m.
+        hazard_distance: (K,) how far the zone can move in any direction until it touches a hazard
+            or unobserved ground, m.
+        subscale_height: (K,) greatest height of a subscale feature in the zone, m.
+        id: (K,) number of the site, which stays while landing there is permitted (`target.Places`).
+        reasons: One sentence per site.
+    """
+
+    position: Array
+    normal: Array
+    score: Array
+    probability: Array
+    slope_deg: Array
+    roughness: Array
+    hazard_distance: Array
+    subscale_height: Array
+    id: Numbers
+    reasons: tuple[str, ...]
+
+    def __getitem__(self, rows: slice) -> Sites:
+        return Sites(*(getattr(self, column.name)[rows] for column in fields(self)))
+
+    def columns(self) -> dict[str, Any]:
+        """Return the columns of ``sites.csv`` by name, and the ``reason`` of each site."""
+        positions = {axis: self.position[:, k] for k, axis in enumerate("xyz")}
+        normals = {f"n{axis}": self.normal[:, k] for k, axis in enumerate("xyz")}
+        names = "score slope_deg roughness hazard_distance subscale_height id probability".split()
+        values = {name: getattr(self, name) for name in names}
+        rank = np.arange(1, len(self) + 1)
+        return {"rank": rank, **positions, **normals, **values, "reason": list(self.reasons)}
+
+    def to_dataframe(self) -> Any:
+        """Return the columns as a ``pandas.DataFrame``; pandas must be installed."""
+        import pandas  # type: ignore[import-untyped]
+
+        return pandas.DataFrame(self.columns())
+
+    def _repr_html_(self) -> str:
+        """Return a table for notebooks."""
+        formats = {"x": ".2f", "y": ".2f", "z": ".2f", "probability": ".4f", "slope_deg": ".1f"}
+        formats |= {"hazard_distance": ".1f", "reason": ""}
+        columns = self.columns()
+        lines = [("th", ["rank", *formats])]
+        for k in range(len(self)):
+            values = [format(columns[name][k], form) for name, form in formats.items()]
+            lines.append(("td", [str(k + 1), *values]))
+        rows = ("".join(f"<{tag}>{text}</{tag}>" for text in texts) for tag, texts in lines)
+        return f"<table>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+    def __repr__(self) -> str:
+        if not len(self):
+            return "<Sites: none>"
+        x, y, z = self.position[0]
+        return f"<Sites: {len(self)}, the best at x {x:.2f}, y {y:.2f}, z {z:.2f} m>"
+
+
+@dataclass(frozen=True)
+class Selected:
+    """The target, or why there is none.
+
+    Attributes:
+        reason: Why it is this one, or why there is none.
+        state: State of the target.
+        probability: Probability of success of the target, or without one of the best permitted
+            grid point; NaN without either, or without a risk model.
+        site: One row, none without a target.
+        covariance: (6, 6) of x, y, z and rotations about fixed axes, map frame (see
+            `choose.ground_covariance`); NaN without a target.
+    """
+
+    reason: Reason
+    state: State
+    probability: float
+    site: Sites
+    covariance: Array
+
+    @property
+    def id(self) -> int:
+        """Number of the site, 0 without a target."""
+        return int(self.site.id[0]) if len(self.site.id) else 0
+
+    @property
+    def position(self) -> Array:
+        """(3,) m, NaN without a target."""
+        return self.site.position[0] if self.id else np.full(3, np.nan)
+
+
+@dataclass(frozen=True, repr=False)
+class LandingAssessment:
+    """Where the map allows landing.
+
+    Attributes:
+        stamp_ns: Stamp of the map.
+        number: Number of the assessment since the selector was made, from 1.
+        selected: The target, which holds from assessment to assessment.
+        seen: Observed share of the landing area, or without one of the domain.
+        pending: There is no target yet, but another assessment of the same map would give one.
+        sites: Ranked sites, none if no ground is safe.
+        now: (4,) x, y, z, m, and probability of success of the best aim point within reach at this
+            moment (see `aim.within_reach`), NaN without one.
+        x, y: (nx,), (ny,) of the grid points, m.
+        hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown (a touchdown here, or
+            within ``lss.margin``, fails or has too great a risk), 16 uncertain (only the risk is
+            too great: on the map the vehicle stands), 32 unobserved ground under the vehicle, 64
+            observed but not estimated (128 too), 128 unobserved. Landing is allowed exactly where
+            none of 8, 32 and 128 is set; with the paper's rules 1, 2 and 4 exclude, too.
+        safe: (ny, nx) the ground allows landing centred here.
+        score: (ny, nx) Eq. 59, NaN where excluded (unsafe, keep-out, outside the landing area).
+        probability: (ny, nx) probability of success of the aim point, with the dispersion.
+        risk: (ny, nx) predicted risk of a touchdown exactly here; both NaN without a risk model.
+        explanation: Why there are no sites, or how many grid points are safe.
+        offset_z, offset_variance: Of the map from navigation, as in ``CellMap``, m, m^2.
+        terrain: Sources of the layers `elevation`, `plane_elevation` and `slope_deg`.
+        warnings: Why the risks may be wrong, one line per reason (see `risk.risk_warnings`).
+        lss: Settings of the assessment.
+    """
+
+    stamp_ns: int
+    number: int
+    selected: Selected
+    seen: float
+    pending: bool
+    sites: Sites
+    now: Array
+    x: Array
+    y: Array
+    hazard: Bytes
+    safe: Mask
+    score: Array
+    probability: Array
+    risk: Array
+    explanation: str
+    offset_z: float
+    offset_variance: float
+    lss: LssConfig
+    terrain: tuple[GridSampler, PointAssessment] | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def why(self) -> str:
+        """Return why the target is this one, or why there is none, in one sentence."""
+        selected = self.selected
+        if not selected.id:
+            return f"no target: {self._why_no_target()}"
+        why, sites = selected.reason.text, self.sites
+        if selected.state is State.COMMITTED and selected.reason is Reason.HOLDS:
+            why = "the vehicle is committed to it"
+        elif selected.reason is Reason.HOLDS and len(sites) and sites.id[0] != selected.id:
+            away = float(np.hypot(*(sites.position[0] - selected.position)[:2]))
+            why = f"site 1 ({shown(sites.probability[0])}, {away:.1f} m away) gains less than the"
+            why += " divert costs"
+        return f"target {selected.id} ({shown(selected.probability)}): {why}"
+
+    def _why_no_target(self) -> str:
+        reason, lss = self.selected.reason, self.lss
+        if reason is Reason.SETTLING:
+            return f"{self.seen:.0%} is observed, required {SETTLE_SHARE:.0%}"
+        if reason is Reason.UNLIKELY:
+            required = 100.0 * lss.min_probability
+            return f"best grid point {shown(self.selected.probability)}, required {required:g} %"
+        observed = np.where(self.hazard & hazards.UNSEEN == 0, self.probability, np.nan)
+        if reason is not Reason.NO_SITE or np.isnan(observed).all():
+            return reason.text or self.explanation.partition(": ")[2] or self.explanation
+        if self.safe.any():
+            return self.explanation
+        best = f"best grid point {shown(float(np.nanmax(observed)))}, but none has a risk"
+        return f"{best} of at most {100.0 * lss.max_risk:g} % and {lss.margin:g} m of margin"
+
+    @property
+    def undecided(self) -> bool:
+        """Whether another observation decides if there is a target."""
+        return self.selected.reason in (Reason.UNCONFIRMED, Reason.SETTLING)
+
+    def __repr__(self) -> str:
+        ny, nx = self.score.shape
+        return f"<LandingAssessment: {nx} x {ny} grid points; {self.explanation}; {self.sites}>"
+
+    def _repr_html_(self) -> str:
+        """Return the explanation and the table of sites for notebooks."""
+        return f"<p>{self.explanation}</p>{self.sites._repr_html_()}"
+
+    def _layer(self, compute: Callable[[GridSampler, PointAssessment], Array]) -> Array:
+        out = np.full(self.score.shape, np.nan)
+        if self.terrain is not None:
+            np.copyto(out, compute(*self.terrain), where=self.hazard & hazards.UNSEEN == 0)
+        return out
+
+    @cached_property
+    def elevation(self) -> Array:
+        """(ny, nx) height of the leaves' planes at the grid point, m, NaN if unobserved."""
+        return self._layer(lambda sampler, points: sampler.leaf_elevation(points.raster))
+
+    @cached_property
+    def plane_elevation(self) -> Array:
+        """(ny, nx) height of the plane at the vehicle's scale, m, NaN if unobserved."""
+        return self._layer(lambda sampler, points: sampler.linear(points.raster.planes.elevation))
+
+    @cached_property
+    def slope_deg(self) -> Array:
+        """(ny, nx) slope at the vehicle's scale, NaN if unobserved."""
+        return self._layer(
+            lambda sampler, points: np.degrees(
+                np.arctan(sampler.nearest(points.raster.planes.gradient))
+            )
+        )
+
+
+def no_target(
+    reason: Reason, state: State = State.NONE, probability: float = float("nan")
+) -> Selected:
+    """Return that there is no target."""
+    return Selected(reason, state, probability, no_sites(), np.full((6, 6), np.nan))
+
+
+def no_sites() -> Sites:
+    """Return an empty ranking."""
+    none = np.zeros(0)
+    number = np.zeros(0, dtype=np.uint32)
+    return Sites(np.zeros((0, 3)), np.zeros((0, 3)), *(none,) * 6, number, ())

@@ -1,0 +1,418 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Step 3 of an assessment: the predicted risk of a touchdown at each grid point.
+
+The risk model (``config.risk.RiskModel``) was fitted to simulated flights: how often a vehicle with
+this contact on the map, on ground observed this densely, fails on the true ground. All features are
+relative to the vehicle's diameter and clearance. On ground that is not judged the risk is 1.
+"""
+
+from __future__ import annotations
+
+from math import log10, radians, tan
+
+import cython
+import numpy as np
+
+from quadtree_lss.onboard.arrays import Array, Bytes, Single
+from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, RiskModel, Row, model_warning
+from quadtree_lss.onboard.config.settings import Config, LssConfig
+from quadtree_lss.onboard.core.landing.contact import ContactLimits, Contacts
+from quadtree_lss.onboard.core.landing.lattice import with_neighbours
+from quadtree_lss.onboard.core.landing.raster import TerrainRaster
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+
+#: Side of the square of ground under the vehicle, diameters.
+FOOTPRINT = 0.9
+#: Greatest height over the ground at the vehicle's scale, clearances; larger ones are cut to it.
+MAX_HEIGHT = 5.0
+#: Returns on a square as wide as the least hazard that stand for none (finite in the logarithm).
+NO_RETURNS = 1e-3
+#: A cell counts as raised between these heights over the ground at the vehicle's scale, clearances,
+#: if no neighbour is higher: walls, cars and trees say nothing about hidden rocks.
+RAISED = 0.5, 1.0
+#: Side of the square about a grid point in which raised cells are counted, diameters.
+NEIGHBOURHOOD = 8.0
+#: Least share of the range variance in a height: below, rounding decides.
+LEAST_SHARE = 1e-3
+#: Prior of the share of raised cells, and the side of the square of observed ground that it counts
+#: as, diameters (half a rock of 0.5 m for a vehicle of 3.7 m). Of three choices of both sides these
+#: had the best log score on 208 flights outside the fit.
+PRIOR_SHARE, PRIOR_SIDE = 0.02, 0.7
+#: Entries of a table along a curve, and along the density of returns.
+FINE = cython.declare(cython.int, 128)
+COARSE = 48
+#: Index of the density of returns in `LOCAL`.
+SEEN = cython.declare(cython.Py_ssize_t, LOCAL.index("seen"))
+#: Range of log odds in the table of exp, and its entries.
+MIN_ODDS = cython.declare(cython.double, -14.0)
+MAX_ODDS = cython.declare(cython.double, 10.0)
+EXPS = cython.declare(cython.int, 4096)
+#: Greatest bridged share of the judged ground for which the risk is fitted: flights of the fit have
+#: up to 0.02.
+MAX_BRIDGED = 0.05
+
+
+def height_noise(cells: CellMap, noise: float) -> Array:
+    """Return the variance of single heights over that of ranges for each leaf (M,), at most 1.
+
+    A ray that meets the ground at a grazing angle carries little of its range noise into the
+    height. The plane's least variance of height, that at the centroid of the returns, times their
+    number is the variance of one. ``noise``: standard deviation of ranges, m.
+    """
+    covariance = cells.covariance_range
+    xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    x, y = covariance[:, 0, 2], covariance[:, 1, 2]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        explained = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+        single = (covariance[:, 2, 2] - explained) * cells.count
+    return np.asarray(np.maximum(np.fmin(single / noise**2, 1.0), LEAST_SHARE))
+
+
+def contact_limits(model: RiskModel, lss: LssConfig) -> ContactLimits:
+    """Return the contacts of which the risk model and the touchdown limits need exact values."""
+    vehicle, lengths = lss.vehicle, lss.vehicle.lengths
+    least_rise, most_tilt = model.span("rise")[0], model.span("tilt")[1]
+    return ContactLimits(
+        min(least_rise * vehicle.clearance, lengths.touchdown_roughness),
+        max(
+            most_tilt * tan(radians(vehicle.max_slope_deg)),
+            tan(radians(lengths.touchdown_slope_deg)),
+        ),
+    )
+
+
+class RiskTable:
+    """Tables of a model's log odds for one vehicle.
+
+    Args:
+        model: The fitted model.
+        lss: The vehicle and its limits.
+        noise: Configured range noise, one standard deviation, m.
+
+    Attributes:
+        low, per, last: (F,) per feature in the order of `LOCAL`: its value at the first entry of
+            its tables, entries per unit, and the last entry.
+        terms: (T, 4) per table: cause, feature, index of the first entry, and entries per row; the
+            last is 0 for tables that do not depend on the density of returns.
+        tables: Log odds of all tables.
+        exps: (EXPS,) exp of log odds between `MIN_ODDS` and `MAX_ODDS`.
+    """
+
+    def __init__(self, model: RiskModel, lss: LssConfig, noise: float) -> None:
+        self._model, self._vehicle, self._noise = model, lss.vehicle, noise
+        spans = {name: model.span(name) for name in LOCAL}
+        steps = {
+            name: np.linspace(*span, COARSE if name == "seen" else FINE)
+            for name, span in spans.items()
+        }
+        self.low = np.array([at[0] for at in steps.values()])
+        self.last = np.array([len(at) - 1.0 for at in steps.values()])
+        self.per = self.last / [high - low for low, high in spans.values()]
+        tables, terms, first = [], [], 0
+        for number, name in enumerate(CAUSES):
+            for curve in model.causes[name].curves:
+                if curve.of in LOCAL:
+                    rows = interpolation_weights(steps[curve.of], curve.knots)
+                    odds = np.array(curve.odds) @ rows.T
+                    wide = len(odds) > 1
+                    if wide:
+                        odds = interpolation_weights(steps["seen"], model.seen) @ odds
+                    terms.append((number, LOCAL.index(curve.of), first, FINE * wide))
+                    tables.append(odds.ravel())
+                    first += odds.size
+        self.tables = np.concatenate(tables, dtype=np.float32, casting="same_kind")
+        self.terms = np.array(terms, dtype=np.int32)
+        self.exps = np.exp(np.linspace(MIN_ODDS, MAX_ODDS, EXPS))
+        # Of finest cells of one side, as of the map before.
+        self._constant: tuple[float, Array] | None = None
+
+    def overall(self, side: float) -> dict[str, float]:
+        """Return the features `OVERALL` of a map with finest cells of ``side``, m."""
+        clearance, diameter = self._vehicle.clearance, self._vehicle.diameter
+        return {
+            "noise": log10(self._noise / clearance),
+            "cell": log10(side / clearance),
+            "clearance": log10(clearance / diameter),
+            "lean": log10(self._vehicle.leaning / clearance),
+        }
+
+    def _information_loss(self, side: float) -> float:
+        """Return log10 of how many returns are worth one at a noise of 0.2 h on cells of 0.85 h,
+        on finest cells of ``side``, m; h is the least hazard. The number of returns whose mean
+        shows h goes with the square of the noise."""
+        least = self._vehicle.least_hazard
+        wide = max(log10(side / (0.85 * least)), 0.0)
+        return 2.0 * log10(self._noise / (0.2 * least)) + 3.0 * wide
+
+    def features(self, raster: TerrainRaster, contacts: Contacts) -> Single:
+        """Compute the features of each grid point, (F, n + 1, n + 1) in the order of `LOCAL`."""
+        vehicle, side, planes = self._vehicle, raster.domain.finest_size, raster.planes
+        clearance, steep = vehicle.clearance, tan(radians(vehicle.max_slope_deg))
+        found = np.empty((len(LOCAL), *contacts.rise.shape), dtype=np.float32)
+        for k, contact, limit in ((0, contacts.rise, clearance), (2, contacts.tilt, steep)):
+            # Contacts that were not needed are NaN.
+            np.fmax(contact / np.float32(limit), np.float32(self.low[k]), out=found[k])
+            found[k + 1] = with_neighbours(found[k])
+        n, wide = raster.domain.finest_count, NEIGHBOURHOOD * vehicle.diameter / side
+        cell_values = self._describe_cells(raster)
+        # Probability that a return falls on something as wide as the least hazard.
+        hit = 1.0 - np.exp(-cell_values[0])
+        block = min(1 << max(int(np.log2(max(wide / 16.0, 1.0))), 0), n)
+        starts = np.arange(0, n, block)
+        blocks = [
+            np.add.reduceat(np.add.reduceat(values, starts), starts, 1)
+            for values in (cell_values[3], hit)
+        ]
+        cell_values[0] = log10(np.e) * np.log(cell_values[0] + np.float32(NO_RETURNS))
+        means = square_means(
+            cell_values[:3], max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1)
+        )
+        np.subtract(means[0], np.float32(self._information_loss(side)), out=found[4])
+        np.divide(planes.gradient, steep, out=found[5], casting="same_kind")
+        # Rounding can make the mean of zeros negative.
+        np.sqrt(np.maximum(means[1:], np.float32(0.0)), out=found[6:8])
+        raised, hits = square_means(np.stack(blocks), max(round(0.5 * wide / block), 1)) / block**2
+        prior = (PRIOR_SIDE / NEIGHBOURHOOD) ** 2
+        share = np.maximum((raised + prior * PRIOR_SHARE) / (hits + prior), np.float32(1e-6))
+        index = np.minimum((np.arange(n + 1) + block // 2) // block, n // block)
+        found[8] = np.log10(share)[np.ix_(index, index)]
+        return found
+
+    def _describe_cells(self, raster: TerrainRaster) -> Single:
+        """Return the values (4, n, n) of `describe_cells`."""
+        vehicle, cells, n = self._vehicle, raster.cells, raster.domain.finest_count
+        share = (vehicle.least_hazard / raster.domain.finest_size) ** 2
+        returns = raster.returns * share
+        returns = (returns / height_noise(cells, self._noise)).astype(np.float32)
+        rough = np.fmax(cells.roughness / (vehicle.clearance * cells.size**2), 0.0)
+        rough = np.minimum(rough, 2.0).astype(np.float32)
+        out = np.empty((4, n, n), dtype=np.float32)
+        describe_cells(raster, returns, rough, vehicle.clearance, out)
+        return out
+
+    def risk(self, raster: TerrainRaster, contacts: Contacts) -> tuple[Array, Bytes]:
+        """Predict the risk (n + 1, n + 1) at each grid point, 1 where it is not judged.
+
+        Also return the cause of most of it, as an index of `CAUSES`.
+        """
+        features, side = self.features(raster, contacts), raster.domain.finest_size
+        if self._constant is None or self._constant[0] != side:
+            overall = self.overall(side)
+            odds = [self._model.causes[name].at(overall) for name in CAUSES]
+            self._constant = side, np.array(odds)
+        judged = raster.judged
+        out, cause = np.ones(judged.shape), np.zeros(judged.shape, dtype=np.uint8)
+        look_up(self, features, judged.view(np.uint8), self._constant[1], out, cause)
+        return out, cause
+
+
+def risk_warnings(config: Config, raster: TerrainRaster) -> tuple[str, ...]:
+    """List why the predicted risks may be wrong, one line per reason."""
+    return tuple(filter(None, (model_warning(config), bridging_warning(raster))))
+
+
+def bridging_warning(raster: TerrainRaster) -> str:
+    """Return a warning if more of the judged ground is bridged than in the fit, or ""."""
+    judged = raster.judged[1:, 1:]
+    share = np.count_nonzero(raster.bridged & judged) / (np.count_nonzero(judged) or 1)
+    if share <= MAX_BRIDGED:
+        return ""
+    return (
+        f"{100.0 * share:.0f} % of the judged ground has no return and is bridged: the risk was"
+        f" fitted where at most {100.0 * MAX_BRIDGED:.0f} % is"
+    )
+
+
+@cython.boundscheck(False)
+@cython.locals(returns=cython.float[::1], rough=cython.float[::1])
+@cython.locals(clearance=cython.double, out=cython.float[:, :, ::1])
+def describe_cells(
+    raster: TerrainRaster,
+    returns: Single,
+    rough: Single,
+    clearance: float,
+    out: Single,
+) -> None:
+    """Describe each finest cell by itself and its neighbours.
+
+    Args:
+        raster: The terrain.
+        returns: (M,) returns of each leaf on a square as wide as the least hazard.
+        rough: (M,) mean distance of a leaf's points from its plane, clearances.
+        clearance: m.
+        out: (4, n, n), set to the mean of ``returns`` over 3 x 3 cells, ``rough``, the squared
+            height over the ground at the vehicle's scale, clearances, and 1 for a raised cell.
+    """
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+    cython.declare(above=cython.Py_ssize_t, below=cython.Py_ssize_t)
+    cython.declare(before=cython.Py_ssize_t, after=cython.Py_ssize_t)
+    n: cython.Py_ssize_t = out.shape[1]
+    corner = cython.declare(cython.double[:, ::1], raster.planes.elevation)
+    leaf = cython.declare(cython.Py_ssize_t[:, ::1], raster.leaf)
+    bridged = cython.declare(cython.uchar[:, ::1], raster.bridged.view(np.uint8))
+    seen = cython.declare(cython.uchar[:, ::1], raster.seen.view(np.uint8))
+    elevation = cython.declare(cython.double[:, ::1], raster.elevation)
+    # Height over the ground and returns of known cells; then maximum and sum of three in a row.
+    rise = cython.declare(cython.float[:, ::1], np.zeros((n, n), dtype=np.float32))
+    tops = cython.declare(cython.float[:, ::1], np.empty((n, n), dtype=np.float32))
+    count = cython.declare(cython.float[::1], np.zeros(n, dtype=np.float32))
+    sums = cython.declare(cython.float[:, ::1], np.empty((n, n), dtype=np.float32))
+    highest: cython.double = MAX_HEIGHT
+    low: cython.float = RAISED[0]
+    high: cython.float = RAISED[1]
+    ninth: cython.float = 1.0 / 9.0
+    with cython.nogil:
+        for i in range(n):
+            for j in range(n):
+                k = leaf[i, j]
+                ground = corner[i, j] + corner[i, j + 1] + corner[i + 1, j] + corner[i + 1, j + 1]
+                over = max((elevation[i, j] - 0.25 * ground) / clearance, 0.0)
+                over = min(over, highest)
+                out[1, i, j] = count[j] = 0.0
+                out[2, i, j] = over * over * seen[i, j]
+                if not bridged[i, j]:
+                    out[1, i, j] = rough[k]
+                    rise[i, j], count[j] = over, returns[k]
+            for j in range(n):
+                before, after = max(j - 1, 0), min(j + 1, n - 1)
+                sums[i, j] = count[before] + count[j] + count[after]
+                tops[i, j] = max(max(rise[i, before], rise[i, j]), rise[i, after])
+        for i in range(n):
+            above, below = max(i - 1, 0), min(i + 1, n - 1)
+            for j in range(n):
+                out[0, i, j] = ninth * (sums[above, j] + sums[i, j] + sums[below, j])
+                top: cython.float = max(max(tops[above, j], tops[i, j]), tops[below, j])
+                out[3, i, j] = rise[i, j] > low and top <= high
+
+
+def interpolation_weights(values: Array, knots: Row) -> Array:
+    """Return the weights (N, K) of knots in the linear interpolation at values (N,)."""
+    ones = np.eye(len(knots))
+    return np.column_stack([np.interp(values, knots, one) for one in ones])
+
+
+def square_means(values: Single, reach: int) -> Single:
+    """Average values of finest cells (F, n, n) over the part inside the domain of the square of
+    2 ``reach`` x 2 ``reach`` cells about each grid point; returns (F, n + 1, n + 1)."""
+    count = values.shape[1]
+    out = np.empty((len(values), count + 1, count + 1), dtype=np.float32)
+    sum_squares(values, reach, 1.0 / (2 * reach), out)
+    point = np.arange(count + 1)
+    inside = np.minimum(point + reach, count) - np.maximum(point - reach, 0)
+    inside = inside / (2.0 * reach)
+    out /= np.outer(inside, inside)
+    return out
+
+
+@cython.boundscheck(False)
+@cython.locals(features=cython.float[:, :, ::1], judged=cython.uchar[:, ::1])
+@cython.locals(constant=cython.double[::1])
+@cython.locals(out=cython.double[:, ::1], cause=cython.uchar[:, ::1])
+def look_up(
+    table: RiskTable, features: Single, judged: Bytes, constant: Array, out: Array, cause: Bytes
+) -> None:
+    """Set the risk at the ``judged`` grid points (ny, nx), and the most probable cause.
+
+    Args:
+        table: Tables of the model.
+        features: (F, ny, nx) as of `RiskTable.features`.
+        constant: (C,) constant log odds of each cause.
+        out, cause: (ny, nx), set where ``judged``.
+    """
+    low = cython.declare(cython.double[::1], table.low)
+    per = cython.declare(cython.double[::1], table.per)
+    last = cython.declare(cython.double[::1], table.last)
+    terms = cython.declare(cython.int[:, ::1], table.terms)
+    tables = cython.declare(cython.float[::1], table.tables)
+    exps = cython.declare(cython.double[::1], table.exps)
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, t=cython.Py_ssize_t)
+    cython.declare(c=cython.Py_ssize_t, f=cython.Py_ssize_t, k=cython.Py_ssize_t)
+    cython.declare(first=cython.Py_ssize_t, after=cython.Py_ssize_t)
+    columns: cython.Py_ssize_t = out.shape[1]
+    causes: cython.Py_ssize_t = constant.shape[0]
+    count: cython.Py_ssize_t = features.shape[0]
+    entry = cython.declare(cython.int[:, ::1], np.zeros((count, columns), dtype=np.int32))
+    seen = cython.declare(cython.int[::1], np.zeros(columns, dtype=np.int32))
+    odds = cython.declare(cython.double[:, ::1], np.zeros((causes, columns)))
+    least: cython.double = MIN_ODDS
+    end: cython.double = EXPS - 1
+    step: cython.double = (EXPS - 1) / (MAX_ODDS - MIN_ODDS)
+    with cython.nogil:
+        for i in range(out.shape[0]):
+            first, after = 0, columns
+            while first < after and not judged[i, first]:
+                first += 1
+            while after > first and not judged[i, after - 1]:
+                after -= 1
+            for f in range(count):
+                base: cython.double = low[f]
+                scale: cython.double = per[f]
+                top: cython.double = last[f]
+                for j in range(first, after):
+                    x: cython.double = (features[f, i, j] - base) * scale + 0.5
+                    x = x if x > 0.0 else 0.0  # also for NaN
+                    x = x if x < top else top
+                    entry[f, j] = cython.cast(cython.int, x)
+            for j in range(first, after):
+                seen[j] = FINE * entry[SEEN, j]
+            for c in range(causes):
+                for j in range(first, after):
+                    odds[c, j] = constant[c]
+            for t in range(terms.shape[0]):
+                c, f, k = terms[t, 0], terms[t, 1], terms[t, 2]
+                if terms[t, 3]:
+                    for j in range(first, after):
+                        odds[c, j] += tables[k + seen[j] + entry[f, j]]
+                else:
+                    for j in range(first, after):
+                        odds[c, j] += tables[k + entry[f, j]]
+            for j in range(first, after):
+                if not judged[i, j]:
+                    continue
+                likeliest: cython.uchar = 0
+                most: cython.double = odds[0, j]
+                worse: cython.double = 1.0
+                for c in range(causes):
+                    z: cython.double = odds[c, j]
+                    likeliest = c if z > most else likeliest
+                    most = z if z > most else most
+                    z = (z - least) * step + 0.5
+                    z = z if z > 0.0 else 0.0
+                    z = z if z < end else end
+                    worse *= 1.0 + exps[cython.cast(cython.Py_ssize_t, z)]
+                out[i, j], cause[i, j] = 1.0 - 1.0 / worse, likeliest
+
+
+@cython.boundscheck(False)
+@cython.locals(values=cython.float[:, :, ::1], out=cython.float[:, :, ::1])
+def sum_squares(
+    values: Single, reach: cython.Py_ssize_t, share: cython.double, out: Single
+) -> None:
+    """Set ``out`` (F, n + 1, n + 1) to sums over squares, times ``share`` along each axis; other
+    arguments as of `square_means`."""
+    cython.declare(f=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
+    n: cython.Py_ssize_t = values.shape[1]
+    columns = cython.declare(cython.double[::1], np.empty(n))
+    # Zero outside the domain.
+    line = cython.declare(cython.float[::1], np.zeros(n + 2 * reach + 2, dtype=np.float32))
+    with cython.nogil:
+        for f in range(values.shape[0]):
+            columns[:] = 0.0
+            for i in range(1 - reach, n + 1):
+                if i + reach <= n:
+                    for j in range(n):
+                        columns[j] += values[f, i + reach - 1, j]
+                if i > reach:
+                    for j in range(n):
+                        columns[j] -= values[f, i - reach - 1, j]
+                if i < 0:
+                    continue
+                for j in range(n):
+                    line[reach + 1 + j] = share * columns[j]
+                total = 0.0
+                for j in range(reach):
+                    total += line[reach + 1 + j]
+                for j in range(n + 1):
+                    out[f, i, j] = share * total
+                    after: cython.double = line[j + 2 * reach + 1]
+                    total += after - line[j + 1]
