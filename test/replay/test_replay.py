@@ -55,7 +55,7 @@ def test_the_folder_holds_the_files_and_nothing_else(result):
     names = {p.name for p in result.out.iterdir()}
     assert names == FILES | {"report.html", "figures"}
     figures = {p.name for p in (result.out / "figures").iterdir()}
-    layers = ("elevation", "slope", "hazards", "score", "probability", "timing")
+    layers = ("elevation", "hazards", "score", "probability")
     assert figures == {f"{name}.png" for name in layers}
 
 
