@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.core.mapping.measure import RUN
-from quadtree_lss.onboard.core.tree.leaves import MEASURED, NOTHING, blank
+from quadtree_lss.onboard.core.tree.leaves import ESTIMATED, UNKNOWN, blank_leaf
 
 Array = np.ndarray
 
@@ -120,9 +120,9 @@ def fit(
 ):
     """All points (N, 3) fitted in one cell: a record of type `measure.RUN`."""
     run = np.zeros(1, dtype=RUN).view(np.recarray)
-    leaf = blank().view(np.recarray)
+    leaf = blank_leaf().view(np.recarray)
     leaf.x, leaf.y, leaf.z, leaf.normal = x, y, z, prior
-    leaf.known = NOTHING if np.isnan(z) else MEASURED
+    leaf.state = UNKNOWN if np.isnan(z) else ESTIMATED
     points = np.ascontiguousarray(points)
     measure.measure(rules, leaf, run, points, len(points), np.zeros(3), sigma, side)
     return run

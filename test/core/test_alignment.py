@@ -6,7 +6,7 @@ import pytest
 from core.builders import configured, look, mapped
 from core.scenes import ABOVE, flat, lattice, make_pose, pose_covariance, scattered
 
-from quadtree_lss.onboard.core.mapping.alignment import lift, offset_of
+from quadtree_lss.onboard.core.mapping.alignment import height_offset, lift_map
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 
 NOISE = 0.02
@@ -14,7 +14,7 @@ CELLS = {"min_level": 4, "max_level": 4}
 
 
 def cells_of(rise, own=1e-4, of_scan=0.09, of_map=0.01, first=0.0, last=0.0) -> np.ndarray:
-    """What `offset_of` takes, of cells with this rise."""
+    """What `height_offset` takes, of cells with this rise."""
     rise = np.asarray(rise, dtype=np.float64)
     columns = (rise, own, of_scan, of_map, first, last)
     return np.array([np.broadcast_to(column, rise.shape) for column in columns], dtype=np.float64)
@@ -24,7 +24,7 @@ def test_the_offset_is_the_weighted_mean():
     rng = np.random.default_rng(1)
     own = rng.uniform(0.01, 0.3, 500) ** 2
     rise = 0.2 + np.sqrt(own) * rng.uniform(-1.5, 1.5, 500)
-    found = offset_of(cells_of(rise, own), 0.0, 0.0)
+    found = height_offset(cells_of(rise, own), 0.0, 0.0)
     expected = np.average(rise, weights=1.0 / own)
     assert found.height == pytest.approx(expected, abs=0.005)
     assert found.height == pytest.approx(0.2, abs=0.01)
@@ -35,7 +35,7 @@ def test_a_few_wild_cells_do_not_move_a_scan(wild):
     """Off by what poses may be, or by far more."""
     rise = np.random.default_rng(2).normal(0.0, 0.01, 200)
     rise[:20] = wild
-    assert abs(offset_of(cells_of(rise), 0.0, 0.0).height) < 0.01
+    assert abs(height_offset(cells_of(rise), 0.0, 0.0).height) < 0.01
 
 
 @pytest.mark.parametrize(("of_scan", "of_map"), [(0.25, 0.25), (0.01, 0.2), (0.2, 0.01)])
@@ -46,7 +46,7 @@ def test_an_offset_divides_as_the_pose_errors_do(of_scan, of_map):
     map_error = np.sqrt(of_map) * rng.standard_normal(400_000)
     offset = scan_error - map_error + 0.04 * rng.standard_normal(400_000)
     near = np.abs(offset - 0.3) < 0.02
-    found = offset_of(cells_of(np.full(50, 0.3), 1e-6, of_scan, of_map), 0.0, 0.0)
+    found = height_offset(cells_of(np.full(50, 0.3), 1e-6, of_scan, of_map), 0.0, 0.0)
     assert found.scan == pytest.approx(scan_error[near].mean(), abs=0.01)
     assert found.map == pytest.approx(-map_error[near].mean(), abs=0.01)
 
@@ -58,14 +58,14 @@ def steps(x, y):
 
 def test_an_error_that_persists_stays_as_it_is_and_one_that_is_old_is_news():
     cells = cells_of(np.full(50, 0.05), last=10.0)
-    small, large = (offset_of(cells, 10.0 + later, 100.0) for later in (0.05, 1000.0))
+    small, large = (height_offset(cells, 10.0 + later, 100.0) for later in (0.05, 1000.0))
     assert abs(small.scan) < 0.003
-    assert large.scan == pytest.approx(offset_of(cells, 10.0, 0.0).scan, rel=1e-3)
+    assert large.scan == pytest.approx(height_offset(cells, 10.0, 0.0).scan, rel=1e-3)
 
 
 def test_a_jump_is_news_however_soon():
     cells = cells_of(np.full(50, 0.5), last=10.0)
-    assert offset_of(cells, 10.05, 300.0) == offset_of(cells, 10.05, 0.0)
+    assert height_offset(cells, 10.05, 300.0) == height_offset(cells, 10.05, 0.0)
 
 
 def test_leaves_are_lifted_as_far_as_they_share_the_error():
@@ -74,8 +74,8 @@ def test_leaves_are_lifted_as_far_as_they_share_the_error():
     rows = mapper.leaves.rows
     rows.z[:] = rows.low[:] = rows.high[:] = 0.0
     rows.first_time[:4], rows.last_time[:4] = (0.0, 0.0, 6.0, 8.0), (10.0, 4.0, 6.0, 20.0)
-    rows.known[4] = 0
-    lift(mapper.leaves, 0.2, 5.0)
+    rows.state[4] = 0
+    lift_map(mapper.leaves, 0.2, 5.0)
     for name in ("z", "low", "high"):
         np.testing.assert_allclose(rows[name][:5], [0.1, 0.0, 0.2, 0.2, 0.0], atol=1e-4)
 

@@ -39,7 +39,7 @@ def test_a_restored_mapper_goes_on_as_if_nothing_had_happened(content):
     whole = flown(Mapper(CONFIG), range(9))
     restored = Mapper(CONFIG)
     restored.import_state(from_file(io.BytesIO(content)))
-    known = restored.leaves.rows.known[: restored.leaves.count]
+    known = restored.leaves.rows.state[: restored.leaves.count]
     assert set(known.tolist()) == {0, 1, 2, 3}, "the scene has leaves of every kind"
     flown(restored, range(5, 9))
     assert_same(restored.snapshot(), whole.snapshot())
@@ -88,7 +88,7 @@ SPOILS = {
     "other columns": become("leaves", lambda leaves: leaves[["level", "ix", "iy"]].copy()),
     "downward": put("leaves", (0.0, 0.0, -1.0), "normal"),
     "infinite": put("leaves", np.inf, "pose_part"),
-    "unheard of": put("leaves", 4, "known"),
+    "unheard of": put("leaves", 4, "state"),
     "unseen": become("observed", lambda observed: observed[:-1]),
     "two stamps": become("stamp_ns", lambda _: np.zeros(2, dtype=np.int64)),
 }

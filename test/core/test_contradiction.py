@@ -7,7 +7,7 @@ from core.builders import configured, look
 from core.scenes import flat, make_pose, pose_covariance, scan, scattered
 
 from quadtree_lss.onboard.core.geometry.rotations import exp
-from quadtree_lss.onboard.core.mapping.contradiction import AGREEING
+from quadtree_lss.onboard.core.mapping.alignment import OVERRULING_SCANS
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 
@@ -98,10 +98,10 @@ def test_a_scan_that_contradicts_the_map_changes_nothing(wrong):
 
 def test_a_few_wrong_poses_in_a_row_do_not_win_and_neither_do_many_that_disagree():
     flight = Flight(scans=3)
-    for _ in range(AGREEING - 1):
+    for _ in range(OVERRULING_SCANS - 1):
         flight.fly(off=(0.0, 0.0, 4.0))
     flight.fly()
-    for number in range(3 * AGREEING):
+    for number in range(3 * OVERRULING_SCANS):
         assert flight.fly(off=(0.0, 0.0, 4.0 * (2 + number % 3))).points_used == 0
     flight.fly()
     assert np.abs(flight.errors()).max() < 0.2
@@ -110,8 +110,8 @@ def test_a_few_wrong_poses_in_a_row_do_not_win_and_neither_do_many_that_disagree
 def test_many_that_agree_win_and_what_was_mapped_goes_with_them():
     flight = Flight(scans=5)
     leaves = flight.mapper.leaves.count
-    reports = [flight.fly(off=(0.0, 0.0, 4.0), extent=(0.0, 8.0)) for _ in range(AGREEING)]
-    assert [report.overruled for report in reports] == [False] * (AGREEING - 1) + [True]
+    reports = [flight.fly(off=(0.0, 0.0, 4.0), extent=(0.0, 8.0)) for _ in range(OVERRULING_SCANS)]
+    assert [report.overruled for report in reports] == [False] * (OVERRULING_SCANS - 1) + [True]
     assert flight.mapper.leaves.count >= leaves
     # The half that was not seen again was lifted, too.
     assert np.abs(flight.errors(4.0)).max() < 0.2
@@ -122,7 +122,7 @@ def test_a_view_narrower_than_the_leaves_contradicts_the_map_too(east):
     flight = Flight(ground=lambda x, y: 0.0 * x, scans=5)  # leaves of 4 m: one is touched, or two
     before = rows(flight.mapper)
     view = {"extent": (east - 1.5, east), "along": (4.5, 6.0)}
-    for _ in range(AGREEING - 1):
+    for _ in range(OVERRULING_SCANS - 1):
         assert flight.fly(off=(0.0, 0.0, 0.6), **view).dropped["contradiction"] == 6000
     assert rows(flight.mapper) == before
     assert flight.fly(off=(0.0, 0.0, 0.6), **view).overruled
@@ -131,7 +131,7 @@ def test_a_view_narrower_than_the_leaves_contradicts_the_map_too(east):
 
 def test_a_map_that_cannot_be_lifted_to_them_is_forgotten():
     flight = Flight(size=64.0, scans=5)
-    for _ in range(AGREEING):
+    for _ in range(OVERRULING_SCANS):
         report = flight.fly(turned=(0.2, 0.0, 0.0))
     assert report.overruled
     assert report.points_used > 1000
@@ -270,6 +270,6 @@ def test_poses_that_err_as_they_claim_are_not_refused(paper):
 
 def test_rejected_scans_agree_if_they_differ_by_no_more_than_their_poses_claim():
     flight, claimed = Flight(ground=flat(), scans=5), pose_covariance(0.3, 1e-3)
-    heights = 9.0 + 0.3 * flight.rng.standard_normal(AGREEING)
+    heights = 9.0 + 0.3 * flight.rng.standard_normal(OVERRULING_SCANS)
     reports = [flight.fly(off=(0.0, 0.0, high), claimed=claimed) for high in heights]
-    assert [report.overruled for report in reports] == [False] * (AGREEING - 1) + [True]
+    assert [report.overruled for report in reports] == [False] * (OVERRULING_SCANS - 1) + [True]

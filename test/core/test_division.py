@@ -59,4 +59,4 @@ def test_a_leaf_is_rough_by_two_deviations_of_the_mean_residual(count, deviation
     mean, spread = halfnorm.mean(), halfnorm.std() / np.sqrt(count)
     leaf.residuals, leaf.noise_sum = count, count * 0.05 * mean
     leaf.distance_sum = count * 0.05 * (rules.division_factor * mean + deviations * spread)
-    assert division.rough(rules, leaf) == rough
+    assert division.residuals_divide(rules, leaf) == rough

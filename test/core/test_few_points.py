@@ -74,7 +74,7 @@ def test_a_strip_first_does_not_starve_a_steep_cell(seed):
         pose = make_pose(ABOVE, stamp_ns=100 + k)
         look(mapper, ground, *scattered(rng, 8.0, 8.0, 1.0, 40), rng, 0.05, pose)
     leaf = leaf_at(mapper, 8.5, 8.5)
-    assert leaf.known == 3
+    assert leaf.state == 3
     assert leaf.z == pytest.approx(8.5, abs=0.1)
     assert -leaf.normal[0] / leaf.normal[2] == pytest.approx(1.0, abs=0.15)
 

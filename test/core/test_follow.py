@@ -15,7 +15,7 @@ from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.geometry import morton
 from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.target import Reason
-from quadtree_lss.onboard.core.mapping.contradiction import AGREEING
+from quadtree_lss.onboard.core.mapping.alignment import OVERRULING_SCANS
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_file, to_bytes
 from quadtree_lss.onboard.core.tree.domain import ASTRAY, Domain
@@ -84,7 +84,7 @@ def test_ground_that_stays_inside_has_the_bits_of_a_fixed_map():
     following, fixed = fly((Mapper(FOLLOWING), Mapper(FIXED)), 40)
     assert following.domain.xmin >= 16.0, "the vehicle left the first square altogether"
     one = by_place(following, following.domain)
-    assert np.count_nonzero(one.known == 3) > 300 and len(set(one.level)) > 1
+    assert np.count_nonzero(one.state == 3) > 300 and len(set(one.level)) > 1
     assert_same_bits(one, by_place(fixed, following.domain))
     east, north = round(8 * (following.domain.xmin + 64)), round(8 * (following.domain.ymin + 64))
     own, whole = following.snapshot(), fixed.snapshot()
@@ -104,9 +104,9 @@ def test_a_wrong_pose_does_not_drop_the_map():
     (mapper,) = fly((Mapper(FOLLOWING),), 6)
     before, domain = mapper.snapshot(), mapper.domain
     away = make_pose((9e3, 8.0, 30.0), pose_covariance(0.03, 1e-3), stamp_ns=7 * 10**8)
-    for k in range(2 * AGREEING - 1):
+    for k in range(2 * OVERRULING_SCANS - 1):
         assert mapper.domain == domain
-        if k == AGREEING - 1:  # those before a state is taken up do not count
+        if k == OVERRULING_SCANS - 1:  # those before a state is taken up do not count
             mapper.import_state(mapper.export_state())
         places = scattered(np.random.default_rng(k), 8995.0, 3.0, 10.0, 500)
         look(mapper, flat(), *places, pose=away)

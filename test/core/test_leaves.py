@@ -95,7 +95,7 @@ def known_leaf(domain: Domain) -> LeafTable:
     """One leaf with a steep, well-known plane."""
     tree = LeafTable(domain, 1000)
     leaf = tree.rows[0]
-    leaf.known, leaf.z = 3, 2.0
+    leaf.state, leaf.z = 3, 2.0
     leaf.normal[:] = np.array([0.3, -0.2, 1.0]) / np.sqrt(1.13)
     leaf.range_part[:] = np.diag([1e-4, 2e-4, 1e-3]).ravel()
     leaf.pose_part[:] = np.diag([2e-4, 1e-4, 4e-3]).ravel()
@@ -109,7 +109,7 @@ def test_inherited_planes_are_the_parents():
     assert divide(tree, 0)
     assert tree.count == 4
     for child in tree.rows[:4]:
-        assert child.known == 2
+        assert child.state == 2
         off = np.array([child.x - parent.x, child.y - parent.y, child.z - parent.z])
         assert parent.normal @ off == pytest.approx(0.0, abs=1e-12)
         np.testing.assert_array_equal(child.normal, parent.normal)

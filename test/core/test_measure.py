@@ -55,7 +55,7 @@ def fitted(
 ) -> Found:
     run = fit(of, points - lidar, *(np.array(centre) - lidar[:2]), side, prior, sigma)[0]
     parts = run.range_part.reshape(3, 3), run.pose_part.reshape(3, 3)
-    rest = run.unseen, run.alone, run.own, run.lever
+    rest = run.unobserved, run.height_only, run.mean_variance, run.lever
     return Found(run.normal, run.z + lidar[2], *parts, *rest)
 
 
@@ -120,7 +120,7 @@ def test_a_strip_tells_its_height_alone(middle, width):
 def test_noise_of_stereo_goes_with_the_square_of_the_depth():
     """And is common to range and depth by the angle between them: seen from beside, too."""
     of = Rules(configured(lidar={"range_noise": 0.02, "stereo_noise": 0.1 / 20.0}))
-    of.look(np.array([0.0, 0.0, -1.0]))
+    of.set_boresight(np.array([0.0, 0.0, -1.0]))
     cloud, given = tilted(np.random.default_rng(13), 7, 0.0), (2.0, NORMAL, NO_POSE)
     for up, aside in ((2.0, 0.0), (8.0, 0.0), (8.0, 8.0)):
         found = fit(of, cloud + (aside, 0.0, -up), aside, 0.0, *given)[0]
@@ -168,7 +168,7 @@ def test_residuals_beyond_two_deviations_of_their_mean_square_are_misfit(
     noise = np.sqrt(run.square / most) / run.cosine
     run = fit(rules(noise=noise), cloud - LIDAR, *-LIDAR[:2], *given)[0]
     assert run.square / run.variance == pytest.approx(most, rel=1e-3)
-    excess = run.own - run.variance / per_side**2
+    excess = run.mean_variance - run.variance / per_side**2
     assert (excess > 1e-3 * run.variance) == misfit
 
 
@@ -178,7 +178,7 @@ def test_what_the_parents_plane_left_out_makes_the_unseen_half_less_certain():
     look(mapper, flat(), x[x < 2.0], y[x < 2.0])
     x, y = np.meshgrid(*[np.linspace(0.1, 3.9, 9)] * 2)
     before, uneven = mapper.snapshot().at(x, y).deviation, 0.02
-    mapper.leaves.rows.uneven[mapper.leaves.rows.known == 3] = uneven
+    mapper.leaves.rows.parent_misfit[mapper.leaves.rows.state == 3] = uneven
     after = mapper.snapshot().at(x, y).deviation
     unseen, tilt = 0.5, 12.0 * uneven / 4.0**2
     expected = unseen**2 * tilt * ((x - 1.0) ** 2 + (y - 2.0) ** 2)

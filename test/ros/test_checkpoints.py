@@ -25,7 +25,7 @@ left = [3]
 def update(self, *scan):
     left[0] -= 1
     if left[0] == -1:
-        self.leaves.plant()
+        self.leaves.reset()
         self.stamp_ns = 1
         raise ValueError("math domain error")
     return whole(self, *scan)

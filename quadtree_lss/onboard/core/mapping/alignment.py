@@ -1,49 +1,106 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scan brought to the height of the map: the one step that needs all of its cells at once.
+"""A scan against the map: their common motion, whether it is plausible, and the height offset.
 
-Eq. 20 gives each scan of a cell its own offset; pose error is common to all points of a scan, so
-here the offset is the scan's. Cells that other scans have seen than their neighbours would
-otherwise average other errors: level ground would come out in steps.
+Pose error moves all points of a scan at once. The cells that a scan and the map have in common
+therefore give its rigid motion (`rigid_motion`) far more precisely than any single cell, and it is
+tested against the covariance that the poses claim. A scan that fails the test is rejected, until
+`OVERRULING_SCANS` consecutive rejected scans agree with each other (`RejectedScans`). The height
+offset of an accepted scan is divided between scan and map (`height_offset`). Eq. 20 has one offset
+for each scan and cell; a common one avoids steps between cells that different scans have observed.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from enum import Enum
 from typing import NamedTuple
 
 import cython
 import numpy as np
 from cython.cimports.libc.math import INFINITY, exp, fabs, sqrt
+from cython.cimports.quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
 from cython.cimports.quadtree_lss.onboard.core.mapping import update as row
-from cython.cimports.quadtree_lss.onboard.core.tree.leaves import HINTS, LeafTable
+from cython.cimports.quadtree_lss.onboard.core.tree.leaves import INCOMPLETE, LeafTable
 
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.geometry.bounds import HEIGHTS
-from quadtree_lss.onboard.core.mapping.departure import BEYOND, FLOOR, MIN_CELLS, Departure
 
-#: A cell that departs from the others by more than this many deviations counts less.
+# Lengths are those of a vehicle with ``VehicleConfig.height`` 1 m, and scale with it.
+#: Residuals beyond this many standard deviations get Huber's lower weight: one Gaussian cell in 22.
 HUBER = cython.declare(cython.double, 2.0)
-#: Variance of a cell's height from what no covariance tells (ground that planes smooth), m^2.
-MODEL_VARIANCE = cython.declare(cython.double, 0.02**2)
-#: Variance of an exact pose, m^2.
-EXACT = cython.declare(cython.double, 1e-9)
-#: An offset of so many deviations is a jump of the pose's error.
-JUMP = 3.0
-#: The map is lifted when it ought to be by so much, m: landing looks anew at ground that moved.
-LEAST_LIFT = 5e-4
-#: What a single scan counts as, s.
+#: Iterations of the reweighting; weights then change by less than 1 %.
+ITERATIONS = cython.declare(cython.int, 5)
+#: Variance of a cell's height from terrain that planes smooth, m^2, for the test of a scan (with
+#: less, one sound scan in 1,000 over simulated cliffs is rejected) and for its offset.
+SMOOTHED = cython.declare(cython.double, 0.01**2)
+OFFSET_SMOOTHED = cython.declare(cython.double, 0.02**2)
+#: Share of a scan's cells that may have the same error that no rigid motion explains: a quarter of
+#: its width, squared. With 1/32 a sound scan over simulated cliffs is rejected.
+CORRELATED_SHARE = cython.declare(cython.double, 1.0 / 16.0)
+#: Cells observed within this time are of the same scans, s; shorter than a scan period.
 INSTANT = cython.declare(cython.double, 1e-3)
-#: A plane is higher or lower at no cell's centre, m.
+#: Variance of a scan's height that more cells do not reduce: the common error of ranges, m^2.
+FLOOR = 0.04**2
+FLOOR_VARIANCE = cython.declare(cython.double, FLOOR)
+#: Variance of the height of an exact pose, m^2; avoids a division by zero.
+EXACT = cython.declare(cython.double, 1e-9)
+#: A pose may be off by this many times the claimed standard deviation.
+POSE_EXCESS = cython.declare(cython.double, 5.0)
+#: Cells needed for a motion of three degrees of freedom.
+MIN_CELLS = 3
+#: An offset of more standard deviations than this is a jump of the pose error.
+JUMP_SIGMAS = 3.0
+#: Least height by which the map is lifted, m; landing reassesses ground that moves.
+MIN_LIFT = 5e-4
+#: Greatest height of a plane at a cell's centre, m.
 HIGHEST = cython.declare(cython.double, HEIGHTS)
+#: A scan is inconsistent if less than this share of its cells agrees with the map, ...
+AGREEING_SHARE = 1.0 / 3.0
+#: ... or if its motion exceeds so many standard deviations: of three degrees of freedom, one sound
+#: scan in 7,000 does.
+MAX_SIGMAS = 4.5
+LIMIT = cython.declare(cython.double, MAX_SIGMAS)
+#: Least share of a scan's points in estimated leaves that lie in comparable ones, for a test: sound
+#: scans over simulated cliffs with up to 0.22 would be rejected.
+COMPARABLE_SHARE = 0.25
+#: A field of view narrower than the leaves touches at most so many of them.
+NARROW_CELLS = 4
+#: Consecutive, mutually consistent rejected scans that overrule the map.
+OVERRULING_SCANS = 10
+
+
+class Motion(NamedTuple):
+    """Rigid motion of a scan against the map.
+
+    Attributes:
+        share: Of the cells whose heights agree within both pose covariances, each by itself.
+        height: Of the scan over the map at ``centre``, m.
+        tilt: (2,) rise along x and y that the scan's attitude error explains if its pose is
+            `POSE_EXCESS` times worse than claimed.
+        centre: (2,) weighted mean of the agreeing cells, x and y about the lidar, m.
+        claimed, mapped: Variance of ``height`` from the scan's and from the map's pose errors, m^2.
+        noise: Variance of ``height`` from the noise of the cells, m^2.
+        sigmas: Mahalanobis length of height and tilt; 0 with fewer than `MIN_CELLS` cells.
+    """
+
+    share: float
+    height: float
+    tilt: tuple[float, float]
+    centre: tuple[float, float]
+    claimed: float
+    mapped: float
+    noise: float
+    sigmas: float
 
 
 class Offset(NamedTuple):
-    """Where a scan lies by its pose, against the map.
+    """Height offset between a scan and the map.
 
     Attributes:
-        height: Of the scan over the map, b, m.
-        scan: What of it is the scan's error, to take out of the scan, m.
-        map: What of it is the map's, to lift the map by, m.
-        since: Mean time of the first scan in the planes that the scan was compared with, s.
+        height: Of the scan over the map, m.
+        scan: Share of it that is the scan's error and is subtracted from the scan, m.
+        map: Share of it that is the map's error, by which the map is lifted, m.
+        since: Mean time of the first scan in the compared planes, s.
         variance: Of ``height``, m^2.
     """
 
@@ -54,39 +111,358 @@ class Offset(NamedTuple):
     variance: float
 
 
+class Verdict(Enum):
+    """Decision about a scan. OVERRULES: the map is lifted to the scan, or restarted if a lift does
+    not make them consistent."""
+
+    ACCEPTED = 0
+    REJECTED = 1
+    OVERRULES = 2
+
+
+@dataclass
+class RejectedScans:
+    """Consecutive rejected scans that agree with each other.
+
+    Attributes:
+        count: Number of these scans.
+        height: Median height of the last one's ground over the map, m.
+        variance: Variance of that height from its own pose and noise, m^2.
+    """
+
+    count: int = 0
+    height: float = 0.0
+    variance: float = 0.0
+
+    def decide(self, cells: Array, inconsistent: bool) -> Verdict:
+        """Accept a scan, reject it, or let it overrule the map.
+
+        Rejected scans agree if their heights differ by no more than their own poses claim.
+        ``cells``: of `ScanUpdate.fit` or `ScanUpdate.fit_finest`.
+        """
+        if not inconsistent:
+            self.count = 0
+            return Verdict.ACCEPTED
+        height = float(np.median(cells[row.RISE]))
+        variance = float(np.median(cells[row.OWN] + cells[row.OF_SCAN]))
+        allowed = MAX_SIGMAS**2 * (variance + self.variance)
+        agrees = self.count > 0 and (height - self.height) ** 2 <= allowed
+        self.count = self.count + 1 if agrees else 1
+        self.height, self.variance = height, variance
+        if self.count < OVERRULING_SCANS:
+            return Verdict.REJECTED
+        self.count = 0
+        return Verdict.OVERRULES
+
+
+def is_inconsistent(motion: Motion | None) -> bool:
+    """Return whether a scan contradicts the map: too few cells agree, or their common motion
+    exceeds `MAX_SIGMAS`. Rocks, shadows and errors of the map affect a few cells only."""
+    return motion is not None and (motion.share < AGREEING_SHARE or motion.sigmas > MAX_SIGMAS)
+
+
+def is_inconsistent_narrow(finest: Array, length_unit: float) -> bool:
+    """Return the same for a scan with too few leaves for a `Motion`: whether less than
+    `AGREEING_SHARE` of its estimated finest cells agree. ``finest``: (4, M) of
+    `ScanUpdate.fit_finest`. ``length_unit``: as in `rigid_motion`."""
+    height, own, of_scan, of_map = finest
+    allowed = MAX_SIGMAS**2 * (own + of_scan + of_map + FLOOR * length_unit**2)
+    count = len(height)
+    agreeing = int(np.count_nonzero(height**2 <= allowed))
+    return count >= MIN_CELLS and agreeing < AGREEING_SHARE * count
+
+
 @cython.boundscheck(False)
-def offset_of(
-    cells: Array, now: float, correlation_time: float, metre: float = 1.0
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+@cython.locals(cells=cython.double[:, :], out=cython.p_double)
+def _pose_jacobian(cells: Array, i: cython.Py_ssize_t, out: Array) -> cython.void:
+    """J_i (6): derivative of the ground's height in a cell by the pose error."""
+    x, y, z = cells[row.PLACE_X, i], cells[row.PLACE_Y, i], cells[row.PLACE_Z, i]
+    out[0] = -cells[row.SLOPE_X, i]
+    out[1] = -cells[row.SLOPE_Y, i]
+    out[2] = 1.0
+    out[3] = y - z * out[1]
+    out[4] = z * out[0] - x
+    out[5] = x * out[1] - y * out[0]
+
+
+@cython.boundscheck(False)
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+@cython.locals(cells=cython.double[:, :], kept=cython.Py_ssize_t[::1])
+@cython.locals(work=cython.double[:, ::1], centre=cython.p_double)
+def _agreeing_cells(
+    cells: Array, length_unit: cython.double, kept: Array, work: Array, centre: Array
+) -> cython.Py_ssize_t:
+    """Select the cells that the poses explain: columns ``kept``, rows 0 and 1 of ``work`` with
+    their standard deviation, m, and weight, and their weighted ``centre`` (2), m. Return their
+    number."""
+    i: cython.Py_ssize_t
+    agreeing: cython.Py_ssize_t = 0
+    floor: cython.double = FLOOR_VARIANCE * length_unit * length_unit
+    smoothed: cython.double = SMOOTHED * length_unit * length_unit
+    x = y = whole = 0.0
+    for i in range(cells.shape[1]):
+        allowed = cells[row.OWN, i] + cells[row.OF_SCAN, i] + cells[row.OF_MAP, i] + floor
+        if cells[row.RISE, i] * cells[row.RISE, i] <= LIMIT * LIMIT * allowed:
+            variance = cells[row.OWN, i] + smoothed
+            w = 1.0 / variance
+            whole += w
+            x += w * cells[row.PLACE_X, i]
+            y += w * cells[row.PLACE_Y, i]
+            work[0, agreeing], work[1, agreeing], kept[agreeing] = sqrt(variance), w, i
+            agreeing += 1
+    if agreeing:
+        centre[0], centre[1] = x / whole, y / whole
+    return agreeing
+
+
+@cython.boundscheck(False)
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+@cython.locals(cells=cython.double[:, :], kept=cython.Py_ssize_t[::1])
+@cython.locals(work=cython.double[:, ::1], centre=cython.p_double, theta=cython.p_double)
+@cython.locals(normal=cython.p_double, inverse=cython.p_double)
+def _fit_motion(
+    cells: Array,
+    kept: Array,
+    agreeing: cython.Py_ssize_t,
+    work: Array,
+    centre: Array,
+    theta: Array,
+    normal: Array,
+    inverse: Array,
+) -> cython.void:
+    """Fit height and tilt ``theta`` (3) by iteratively reweighted least squares.
+
+    ``cells``, ``kept``, ``agreeing``, ``work``, ``centre``: of `_agreeing_cells`. Row 2 of ``work``
+    is set to the last of Huber's weights, ``normal`` and ``inverse`` (9) to A and A^-1 with them.
+    """
+    right = cython.declare(cython.double[3])
+    cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.Py_ssize_t, step=cython.int)
+    theta[0] = theta[1] = theta[2] = 0.0
+    for step in range(ITERATIONS + 1):
+        for j in range(9):
+            normal[j] = 0.0
+        right[0] = right[1] = right[2] = 0.0
+        for k in range(agreeing):
+            i = kept[k]
+            x, y = cells[row.PLACE_X, i] - centre[0], cells[row.PLACE_Y, i] - centre[1]
+            off = fabs(cells[row.RISE, i] - theta[0] - theta[1] * x - theta[2] * y)
+            w = work[1, k]
+            if off > HUBER * work[0, k]:
+                w *= HUBER * work[0, k] / off
+            work[2, k] = w
+            normal[0] += w
+            normal[1] += w * x
+            normal[2] += w * y
+            normal[4] += w * x * x
+            normal[5] += w * x * y
+            normal[8] += w * y * y
+            right[0] += w * cells[row.RISE, i]
+            right[1] += w * x * cells[row.RISE, i]
+            right[2] += w * y * cells[row.RISE, i]
+        inverse_symmetric(normal, inverse)
+        if step < ITERATIONS:  # the last iteration only updates the weights
+            for j in range(3):
+                theta[j] = 0.0
+                for k in range(3):
+                    theta[j] += inverse[3 * j + k] * right[k]
+
+
+@cython.boundscheck(False)
+@cython.cfunc
+@cython.nogil
+@cython.exceptval(check=False)
+@cython.locals(sigma=cython.double[:, ::1], gain=cython.p_double, inverse=cython.p_double)
+@cython.locals(theta=cython.p_double, out=cython.p_double)
+def _explained_tilt(
+    sigma: Array, gain: Array, inverse: Array, theta: Array, out: Array
+) -> cython.void:
+    """Rise along x and y, ``out`` (2), that the attitude error k^2 Sigma T^T (k^2 P + V)^-1 theta
+    explains; ``gain``: T (3, 6), ``inverse``: (k^2 P + V)^-1."""
+    cython.declare(j=cython.int, m=cython.int)
+    excess: cython.double = POSE_EXCESS * POSE_EXCESS
+    out[0] = out[1] = 0.0
+    for j in range(3):
+        off = excess * (
+            inverse[3 * j] * theta[0]
+            + inverse[3 * j + 1] * theta[1]
+            + inverse[3 * j + 2] * theta[2]
+        )
+        for m in range(6):
+            out[0] -= sigma[4, m] * gain[6 * j + m] * off
+            out[1] += sigma[3, m] * gain[6 * j + m] * off
+
+
+@cython.boundscheck(False)
+@cython.locals(cells=cython.double[:, :], sigma=cython.double[:, ::1])
+def rigid_motion(
+    cells: Array,
+    sigma: Array,
+    now: float,
+    correlation_time: float,
+    length_unit: float = 1.0,
+) -> Motion | None:
+    """Estimate the rigid motion of a scan from M cells and test it; None with fewer than 3.
+
+    The offsets b_i = h + t.(r_i - r_0) + noise_i give theta = (h, t), height and tilt, by least
+    squares: with rows (1, r_i - r_0) of X and Huber's weights W over v_i, the cell's own variance
+    plus `SMOOTHED`, theta = A^-1 X^T W b, A = X^T W X. Cells that neither pose explains,
+    b_i^2 > `MAX_SIGMAS`^2 (v_i + S_i + M_i + `FLOOR`), are left out (rocks, errors of the map).
+
+    A pose error e = (dm, dw) lifts the ground of cell i by J_i e, J_i = (m_i, a_i x m_i) with
+    m_i = (-g_i, 1) of its slope g_i and its place a_i about the lidar. If both poses are as good as
+    they claim, theta has the covariance V, the sum of
+
+    - P = T Sigma T^T, T = A^-1 X^T W J, from the scan's pose;
+    - the map's, from the height variance M and the slope variance Q that its cells claim. Common
+      error cancels: P_hh + M - 2 rho sqrt(P_hh M) remains, rho = exp(-dt / correlation_time), but
+      at least the larger of both, because errors may be whiter than claimed. Tilts likewise; if
+      different scans have observed the cells, M also tilts: Q + M / (mean square of r - r_0);
+    - `FLOOR` for the height;
+    - s^2 A^-1 from noise, s^2 = (sum of squares over v_i + 3) / max(N, 3) for the effective number
+      N = (sum w)^2 / sum w^2 of cells. Excess over v_i may be the same in `CORRELATED_SHARE` of
+      them: max(s^2 - 1, 0) `CORRELATED_SHARE` N A^-1 more, so that rough or partly observed ground
+      does not reject a scan.
+
+    theta^T V^-1 theta is chi^2 with three degrees of freedom. For a pose that is k = `POSE_EXCESS`
+    times worse than claimed, its error is k^2 Sigma T^T (k^2 P + V)^-1 theta.
+
+    Args:
+        cells: (ROWS, M) of `ScanUpdate.fit`.
+        sigma: (6, 6) pose covariance of the scan.
+        now: Time of the scan, s.
+        correlation_time: Of pose errors, s; 0 if they are white.
+        length_unit: Scale of the constants of this module (``VehicleConfig.height``), m.
+    """
+    centre = cython.declare(cython.double[2])
+    tilt = cython.declare(cython.double[2])
+    theta = cython.declare(cython.double[3])
+    normal = cython.declare(cython.double[9])
+    inverse = cython.declare(cython.double[9])
+    lift = cython.declare(cython.double[6])
+    moved = cython.declare(cython.double[18])
+    gain = cython.declare(cython.double[18])
+    scan = cython.declare(cython.double[9])
+    total = cython.declare(cython.double[9])
+    cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int, m=cython.int, n=cython.int)
+    count: cython.Py_ssize_t = cells.shape[1]
+    excess: cython.double = POSE_EXCESS * POSE_EXCESS
+    if count < MIN_CELLS:
+        return None
+    kept = cython.declare(cython.Py_ssize_t[::1], np.empty(count, dtype=np.intp))
+    work = cython.declare(cython.double[:, ::1], np.empty((3, count)))
+    agreeing: cython.Py_ssize_t = _agreeing_cells(cells, length_unit, kept, work, centre)
+    share: cython.double = agreeing
+    share /= count
+    if agreeing < MIN_CELLS:
+        return Motion(share, 0.0, (0.0, 0.0), (0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+    _fit_motion(cells, kept, agreeing, work, centre, theta, normal, inverse)
+    square = weights = mapped = tilted = last = 0.0
+    early, late = INFINITY, -INFINITY
+    for j in range(18):
+        moved[j] = 0.0
+    for k in range(agreeing):
+        i, w = kept[k], work[2, k]
+        x, y = cells[row.PLACE_X, i] - centre[0], cells[row.PLACE_Y, i] - centre[1]
+        off = cells[row.RISE, i] - theta[0] - theta[1] * x - theta[2] * y
+        _pose_jacobian(cells, i, lift)
+        for m in range(6):  # X^T W J
+            moved[m] += w * lift[m]
+            moved[6 + m] += w * x * lift[m]
+            moved[12 + m] += w * y * lift[m]
+        square += w * off * off
+        weights += w * w
+        mapped += w * cells[row.OF_MAP, i]
+        tilted += w * cells[row.OF_SLOPE, i]
+        last += w * (cells[row.LAST_TIME, i] - now)
+        early = min(early, 0.5 * (cells[row.FIRST_TIME, i] + cells[row.LAST_TIME, i]))
+        late = max(late, 0.5 * (cells[row.FIRST_TIME, i] + cells[row.LAST_TIME, i]))
+    whole = normal[0]
+    mapped /= whole
+    tilted /= whole
+    other = mapped if late - early > INSTANT else 0.0
+    common = 0.0
+    if correlation_time > 0.0:
+        common = exp(-fabs(last / whole) / correlation_time)
+    effective = whole * whole / weights
+    square = (square + 3.0) / max(effective, 3.0)
+    noise = square + max(square - 1.0, 0.0) * CORRELATED_SHARE * effective
+    for j in range(3):
+        for k in range(6):
+            gain[6 * j + k] = 0.0
+            for m in range(3):
+                gain[6 * j + k] += inverse[3 * j + m] * moved[6 * m + k]
+    for j in range(3):
+        for k in range(3):
+            scan[3 * j + k] = 0.0
+            for m in range(6):
+                for n in range(6):
+                    scan[3 * j + k] += gain[6 * j + m] * sigma[m, n] * gain[6 * k + n]
+    for j in range(9):
+        total[j] = scan[j] + noise * inverse[j]
+    for j in range(3):
+        of_map = mapped if j == 0 else tilted + other * whole * inverse[4 * j]
+        apart = scan[4 * j] + of_map - 2.0 * common * sqrt(max(scan[4 * j] * of_map, 0.0))
+        total[4 * j] += max(scan[4 * j], max(of_map, apart)) - scan[4 * j]
+    total[0] += FLOOR_VARIANCE * length_unit * length_unit
+    height_noise = noise * inverse[0]
+    inverse_symmetric(total, inverse)
+    square = 0.0
+    for j in range(3):
+        for k in range(3):
+            square += theta[j] * inverse[3 * j + k] * theta[k]
+    for j in range(9):
+        total[j] += excess * scan[j]
+    inverse_symmetric(total, inverse)
+    _explained_tilt(sigma, gain, inverse, theta, tilt)
+    return Motion(
+        share=share,
+        height=theta[0],
+        tilt=(tilt[0], tilt[1]),
+        centre=(centre[0], centre[1]),
+        claimed=scan[0],
+        mapped=mapped,
+        noise=height_noise,
+        sigmas=sqrt(max(square, 0.0)),
+    )
+
+
+@cython.boundscheck(False)
+def height_offset(
+    cells: Array, now: float, correlation_time: float, length_unit: float = 1.0
 ) -> Offset | None:
-    """How a scan's offset from the map divides between the two; None if there is no overlap.
+    """Estimate the height offset of a scan and divide it between scan and map; None with fewer than
+    3 common cells.
 
-    Over the M cells seen before, the scan's planes stand b over the map's: a weighted mean with
-    Huber's weights about the weighted median, of variance R. With S and M the shares
-    1 - exp(-dt / correlation_time), which are news, of the variances that pose error gives the
-    height of the scan's ground and of the map's best known cell there, to which the others are
-    lifted, b = e_scan - e_map + noise is of variance S + M + R, so that S / (S + M + R) of it is
-    expected to be the scan's error and M / (S + M + R) the map's. Either is bounded by what it
-    claims: a scan of a hopeless pose comes to lie on the map, one of an exact pose moves it, and
-    errors that persist stay as they are.
+    The scan's planes are b above the map's: a weighted mean over M cells with Huber's weights about
+    the weighted median, of variance R. S and M are the variances that pose error gives the height
+    of the scan and of the map's best known cell, times the share 1 - exp(-dt / correlation_time)
+    that is not common to both. With b = e_scan - e_map + noise, S / (S + M + R) of b is the
+    expected error of the scan and M / (S + M + R) that of the map. So a scan with a poor pose is
+    moved to the map, a scan with an exact pose moves the map, and persistent errors stay.
 
-    An offset that is out of proportion to the news, b^2 > `JUMP`^2 (S + M + R), shows a jump: then
-    all error is news. If n^2 = b^2 / max(S, M, R) is more than `JUMP`^2, too, and the map is of
-    several scans, this one's pose is worse than it claims: S counts (n / `JUMP`)^6 times, but
-    `BEYOND`^2 times at most. So the map follows five deviations by less than a tenth, and an exact
-    pose stays where it is. ``cells``: of `ScanUpdate.fit`. ``now``: time of the scan, s.
-    ``correlation_time``: s; 0 if the error is another one in each scan. ``metre``:
-    what the constants above have for one (``VehicleConfig.height``).
+    If b^2 > `JUMP_SIGMAS`^2 (S + M + R), the pose error jumped, and nothing of it is common. If
+    n^2 = b^2 / max(S, M, R) exceeds `JUMP_SIGMAS`^2 as well and the map has several scans, the pose
+    is worse than it claims: S counts (n / `JUMP_SIGMAS`)^6 times, at most `POSE_EXCESS`^2 times. So
+    the map follows an error of five standard deviations by less than a tenth. Arguments are those
+    of `rigid_motion`.
     """
     i: cython.Py_ssize_t
     column = cython.declare(cython.double[:, :], cells)
     count: cython.Py_ssize_t = column.shape[1]
     if count < MIN_CELLS:
         return None
-    floor: cython.double = FLOOR * metre * metre
-    model: cython.double = MODEL_VARIANCE * metre * metre
-    exact: cython.double = EXACT * metre * metre
-    jump: cython.double = JUMP
-    beyond: cython.double = BEYOND
+    floor: cython.double = FLOOR * length_unit * length_unit
+    model: cython.double = OFFSET_SMOOTHED * length_unit * length_unit
+    exact: cython.double = EXACT * length_unit * length_unit
+    jump: cython.double = JUMP_SIGMAS
+    beyond: cython.double = POSE_EXCESS
     weights = np.empty(count)
     weight = cython.declare(cython.double[::1], weights)
     for i in range(count):
@@ -102,7 +478,7 @@ def offset_of(
         of_scan += w * column[row.OF_SCAN, i]
         since += w * column[row.FIRST_TIME, i]
         until += w * column[row.LAST_TIME, i]
-        # On slopes either error is another one: the cell best known for what the scan knows of it.
+        # Relative to the scan's, because on slopes sideways errors add to both.
         least = min(least, column[row.OF_MAP, i] / (column[row.OF_SCAN, i] + exact))
     height /= total
     of_scan /= total
@@ -125,7 +501,7 @@ def offset_of(
 
 @cython.boundscheck(False)
 def weighted_median(values: Array, weights: Array) -> float:
-    """The value of (N,), one at least, up to which in their order half of the weights (N,) lie."""
+    """Weighted median of values (N,), N at least 1."""
     i: cython.Py_ssize_t = 0
     order = cython.declare(cython.Py_ssize_t[::1], values.argsort())
     value = cython.declare(cython.double[:], values)
@@ -141,33 +517,31 @@ def weighted_median(values: Array, weights: Array) -> float:
     return median
 
 
-def lower(points: Array, found: Departure) -> None:
-    """Tilt points (N, 3) about the lidar in place, m, so that a scan lies along the map.
+def remove_tilt(points: Array, motion: Motion) -> None:
+    """Tilt points (N, 3) about the lidar in place, m, so that the scan is parallel to the map.
 
-    That is done to a scan that departs by more than is claimed (`JUMP`), and which is not refused:
-    fused, it would tilt the map by its share, for pose errors in common decide nothing there.
+    For an accepted scan whose motion exceeds `JUMP_SIGMAS`: fusion would tilt the map.
     """
-    # As the offsets (`Mapper`), so that the order of the cells changes no bit.
-    along_x, along_y, x, y = (round(of, 9) for of in (*found.tilt, *found.centre))
+    # Rounded, as the offsets are, so that the order of the cells does not change the last bits.
+    along_x, along_y, x, y = (round(value, 9) for value in (*motion.tilt, *motion.centre))
     points[:, 2] -= along_x * (points[:, 0] - x) + along_y * (points[:, 1] - y)
 
 
 @cython.boundscheck(False)
 @cython.locals(table=LeafTable)
-def lift(table: LeafTable, height: float, since: float) -> None:
-    """Lift the leaves, as far as they share the map's error where a scan was compared with it.
+def lift_map(table: LeafTable, height: float, since: float) -> None:
+    """Lift the leaves by ``height``, m, as far as they share the error of the compared ground.
 
-    Their errors are means over scans; of the scans from ``first_time`` to ``last_time`` of a leaf,
-    those from ``since`` on are in the ground that was compared, too. ``table``: the leaves.
-    ``height``: m. ``since``: s.
+    The error of a leaf is a mean over its scans from ``first_time`` to ``last_time``; those from
+    ``since`` (s) on are also in the compared ground.
     """
     row: cython.Py_ssize_t
     leaf = table.leaf
     for row in range(table.count):
-        if leaf[row].known >= HINTS:
+        if leaf[row].state >= INCOMPLETE:
             first = leaf[row].first_time
             last = leaf[row].last_time
-            shared = 1.0  # of a leaf in which time went back
+            shared = 1.0  # a leaf in which time stepped back
             if last >= first:
                 shared = (last - max(first, since) + INSTANT) / (last - first + INSTANT)
             rise = height * min(max(shared, 0.0), 1.0)
@@ -175,4 +549,4 @@ def lift(table: LeafTable, height: float, since: float) -> None:
             leaf[row].low += rise
             leaf[row].high += rise
             if not fabs(leaf[row].z) < HIGHEST:
-                table.forget(table.at(row))
+                table.reset_leaf(table.at(row))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a cell's plane does not describe (Eq. 48, Eq. 55), and when that divides the cell (paper
-IV.D): two criteria, and rocks."""
+"""Residual statistics of a leaf (Eq. 48, Eq. 55), and the conditions for its division (paper IV.D):
+the misfit of its plane, its exceptions, and rocks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cython.cimports.quadtree_lss.onboard.core.geometry.plane import inverse_sym
 from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at
 from cython.cimports.quadtree_lss.onboard.core.mapping.features import feature_height
 from cython.cimports.quadtree_lss.onboard.core.mapping.measure import few, partial, pose_variance
-from cython.cimports.quadtree_lss.onboard.core.tree.leaves import MEASURED
+from cython.cimports.quadtree_lss.onboard.core.tree.leaves import ESTIMATED
 
 from quadtree_lss.onboard.core.geometry.sphere import Vector
 from quadtree_lss.onboard.core.mapping.measure import Rules
@@ -22,17 +22,16 @@ MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
 SPREAD_CHI_1 = cython.declare(cython.double, 0.6028102749890869)
 MEAN_CHI_3 = cython.declare(cython.double, 1.5957691216057308)
 SPREAD_CHI_3 = cython.declare(cython.double, 0.6734368740430634)
-#: Mean residuals are looked at after each scan: by so many deviations they must exceed what noise
-#: makes of them.
-SURE = cython.declare(cython.double, 2.0)
-#: Share of measurements that stray returns, let through by the outlier gate, make exceptions.
-STRAY = cython.declare(cython.double, 2e-4)
-#: A view of a part shows something where points lie off by so many root mean square residuals.
-OUTSTANDING = cython.declare(cython.double, 4.0)
-#: Of what a plane leaves out, so many deviations are no rock.
-MISFITS = cython.declare(cython.double, 4.0)
-#: Depths of stereo err together with their neighbours': of so many one is asked for exceptions.
-ALIKE = cython.declare(cython.Py_ssize_t, 4)
+#: Standard errors by which a mean residual must exceed that of noise; it is tested after each scan.
+RESIDUAL_SIGMAS = cython.declare(cython.double, 2.0)
+#: Share of measurements that are exceptions because stray returns pass the outlier gate.
+STRAY_SHARE = cython.declare(cython.double, 2e-4)
+#: Points of a partial view are unexplained beyond so many root mean square residuals.
+UNEXPLAINED_RMS = cython.declare(cython.double, 4.0)
+#: Standard deviations of the misfit that are not a rock.
+MISFIT_SIGMAS = cython.declare(cython.double, 4.0)
+#: Stereo depths have the same errors as their neighbours: one of so many counts for exceptions.
+STEREO_STRIDE = cython.declare(cython.Py_ssize_t, 4)
 
 
 def normal_tail(x: cython.double) -> cython.double:
@@ -49,7 +48,7 @@ def mean_distance(
     x, y, z = normal[0], normal[1], normal[2]
     d = x * through[0] + y * through[1] + z * through[2]
     total[0] = total[1] = 0.0
-    # Two sums side by side: one would wait for itself.
+    # Two sums, so that additions overlap.
     for i in range(0, 3 * count - 3, 6):
         for k in range(2):
             at = i + 3 * k
@@ -110,7 +109,7 @@ def mahalanobis_factor(
     return 1.0 / (cosine * sqrt(total_along))
 
 
-def judge(
+def set_statistic(
     rules: Rules,
     leaf: Record,
     run: Record,
@@ -118,11 +117,11 @@ def judge(
     origin: Vector,
     sigma: Vector,
 ) -> None:
-    """The division statistic of a run that is not `few`, before its fit is fused.
+    """Set the division statistic of a run with more than three points, before its fit is fused.
 
-    ``lack_of_fit``: mean residual about the run's own fit over range noise, with sqrt(N / (N - 3)),
-    of expectation E[chi_1] on planar ground. ``mahalanobis``: the paper's mean d_M of prefit
-    residuals; a measured leaf is judged by the plane it had, a new one by its fit ("the fit quality
+    By default the mean residual about the run's own fit over range noise, times sqrt(N / (N - 3)),
+    of expectation E[chi_1] on planar ground. With the paper's rule the mean d_M of prefit
+    residuals: about the leaf's plane if it is estimated, else about the fit ("the fit quality
     between measurements and the initial estimate"). ``points`` (3 N) are about the lidar,
     ``origin`` (3) is that in the map, m.
     """
@@ -137,7 +136,7 @@ def judge(
         run.statistic = distance * sqrt(count / ((count - 3.0) * run.variance))
         return
     along = run.variance / (run.cosine * run.cosine)
-    if leaf.known != MEASURED:
+    if leaf.state != ESTIMATED:
         distance = mean_distance(points, number, run.normal, run.centroid)
         run.statistic = distance * mahalanobis_factor(run.centroid, run.cosine, sigma, along, 0.0)
         return
@@ -158,106 +157,109 @@ def judge(
     run.statistic = distance * mahalanobis_factor(run.centroid, run.cosine, sigma, along, plane)
 
 
-def asks(rules: Rules, leaf: Record, run: Record) -> cython.bint:
-    """Update the running mean of a leaf's division statistic; whether it asks to be divided.
+def add_statistic(leaf: Record, run: Record) -> None:
+    """Add the division statistic of a run, unless it is a partial view, to the mean of its leaf.
 
-    The mean is over all processed measurements (Eq. 47). A scan counts by the residuals that its
-    fit left free, N - 3: near the edge of a scan cells get four or five points at a time, and the
-    single free residual of many such scans would outvote one full view. A mean of n residuals
-    scatters by its chi distribution's deviation over sqrt(n); it must exceed the threshold by
-    `CONFIDENCE` of these, or cells with few points would divide by chance. A view of
-    less than half of the cell does not judge it: no corner outvotes the whole.
+    The mean is over all measurements (Eq. 47), weighted by the N - 3 free residuals of each fit:
+    otherwise, many scans with four points would outweigh one full view.
     """
     if partial(run):
-        return False
+        return
     weight = max(run.points - 3.0, 0.0)
     leaf.division_sum += weight * run.statistic
     leaf.square_sum += weight * run.square
     leaf.division_weight += weight
+
+
+def misfit_divides(rules: Rules, leaf: Record, run: Record) -> cython.bint:
+    """Return whether the mean division statistic of a leaf exceeds the threshold.
+
+    It must exceed it by `CONFIDENCE` standard errors of n residuals, so that cells with few points
+    are not divided by chance. After a partial view the leaf is not tested.
+    """
     total = leaf.division_weight
-    if total < rules.min_residuals:
+    if partial(run) or total < rules.min_residuals:
         return False
     expected = MEAN_CHI_3 if rules.mahalanobis else MEAN_CHI_1
     spread = SPREAD_CHI_3 if rules.mahalanobis else SPREAD_CHI_1
-    doubt = rules.division_confidence * spread / sqrt(total)
-    return leaf.division_sum > total * (rules.division_factor * expected + doubt)
+    margin = rules.division_confidence * spread / sqrt(total)
+    return leaf.division_sum > total * (rules.division_factor * expected + margin)
 
 
-def hides_rock(rules: Rules, leaf: Record) -> cython.bint:
-    """Whether a leaf holds a rock, which the mean over a large leaf hides.
+def shows_rock(rules: Rules, leaf: Record) -> cython.bint:
+    """Return whether a leaf holds a rock that the mean over the leaf does not show.
 
-    A rock of twenty points among ten thousand does not move Eq. 47's mean. It shows by its
-    exceptions (Eq. 48), if beyond what noise makes of them they amount to `ROCK_EXCEPTIONS`
-    measurements and to more than stray returns leave; or as a feature as high and narrow as a
-    rock. A leaf has one feature, and what is lower than an exception shows in the pile of a finest
-    cell (`ScanUpdate._mound`).
+    A rock of twenty points among ten thousand does not change the mean of Eq. 47. It shows by its
+    exceptions (Eq. 48): `ROCK_EXCEPTIONS` measurements more than noise and stray returns explain;
+    or as a feature as high and narrow as a rock. Lower rocks show in `ScanUpdate._shows_mound`.
     """
     noise = leaf.exception_noise
-    least = max(rules.divide_exceptions, STRAY * leaf.residuals)
+    least = max(rules.divide_exceptions, STRAY_SHARE * leaf.residuals)
     if leaf.exception_sum >= noise + max(least, 3.0 * sqrt(noise)):
         return True
     return leaf.feature[4] <= rules.rock_sigma and feature_height(leaf.feature) >= rules.rock_height
 
 
-def rough(rules: Rules, leaf: Record) -> cython.bint:
-    """Whether points that came to rest lie farther from a leaf's plane than noise puts them.
+def residuals_divide(rules: Rules, leaf: Record) -> cython.bint:
+    """Return whether the mean residual about a leaf's plane exceeds that of noise.
 
-    The mean of n residuals must be over ``rules.division_factor`` times that of noise, by `SURE` of
-    its deviations. Where scans leave three points and fewer in a leaf, no fit of their own tells.
+    It must be more than ``rules.division_factor`` times that of noise, by `RESIDUAL_SIGMAS`
+    standard errors. Finds misfits where scans have three points or fewer in a leaf, and no fit of
+    their own.
     """
     count = leaf.residuals
     if rules.mahalanobis or count < rules.min_residuals:
         return False
-    doubt = SURE * SPREAD_CHI_1 / (MEAN_CHI_1 * sqrt(count))
+    doubt = RESIDUAL_SIGMAS * SPREAD_CHI_1 / (MEAN_CHI_1 * sqrt(count))
     return leaf.distance_sum > leaf.noise_sum * (rules.division_factor + doubt)
 
 
-def left_out(leaf: Record, variance: float) -> cython.double:
-    """Mean square of what a leaf's plane leaves out, beyond what noise makes of residuals, m^2.
-
-    Of those about the scans' own fits, or about the plane: a scan that sees a part fits it well.
-    """
+def misfit_square(leaf: Record, variance: float) -> cython.double:
+    """Return the mean square misfit of a leaf's plane beyond noise, m^2: the larger one of
+    residuals about the scans' own fits and about the plane, because a partial view fits its part
+    well."""
     mean = leaf.distance_sum / max(leaf.residuals, 1.0) / MEAN_CHI_1
     square = max(leaf.square_sum / max(leaf.division_weight, 1.0), mean * mean)
     return max(square - variance, 0.0)
 
 
-def standing_out(rules: Rules, leaf: Record, variance: float) -> cython.double:
-    """From which distance to its leaf's plane on a return of a view of a part stands out, m."""
+def unexplained_distance(rules: Rules, leaf: Record, variance: float) -> cython.double:
+    """Return the distance from the leaf's plane beyond which a return of a partial view is
+    unexplained, m."""
     usual = variance
     if leaf.division_weight > 0.0:
         usual = max(leaf.square_sum / leaf.division_weight, variance)
-    return max(rules.rock_height, OUTSTANDING * sqrt(usual))
+    return max(rules.rock_height, UNEXPLAINED_RMS * sqrt(usual))
 
 
-def raised_from(rules: Rules, leaf: Record, variance: float) -> cython.double:
-    """From which distance to its leaf's plane on a return that came to rest is raised, m.
+def raised_distance(rules: Rules, leaf: Record, variance: float) -> cython.double:
+    """Return the distance from the leaf's plane beyond which a return is raised, m.
 
-    Where ground is plane that is the height of a rock, three deviations of noise at least; where
-    the plane leaves something out, more, but no more than what stands out.
+    On planar ground it is the height of a rock, at least three standard deviations of noise; on
+    other ground more, at most `unexplained_distance`.
     """
     misfit = 0.0
     if leaf.division_weight > 0.0:
         misfit = max(leaf.square_sum / leaf.division_weight - variance, 0.0)
-    curved = rules.rock_height + MISFITS * sqrt(misfit)
-    return min(curved, standing_out(rules, leaf, variance))
+    curved = rules.rock_height + MISFIT_SIGMAS * sqrt(misfit)
+    return min(curved, unexplained_distance(rules, leaf, variance))
 
 
-def departs(
+def view_shows_misfit(
     rules: Rules, leaf: Record, run: Record, points: Vector, origin: Vector, side: float
 ) -> cython.bint:
-    """Whether a view of a part of a leaf shows what the leaf's plane does not describe.
+    """Return whether a partial view of a leaf contradicts the leaf's plane.
 
-    It is held against the plane as it was before: a rock that fills the view would bend it. What
-    the offset of the view may be, ``run.doubt``, is no rock. ``points``, ``origin``: as of `judge`.
-    ``side``: of the leaf, m.
+    The plane is the one before fusion, because a rock that fills the view would turn it. The offset
+    of the view is removed up to ``run.offset_limit``. ``points``, ``origin``: as in
+    `set_statistic`. ``side``: of the leaf, m.
     """
     i: cython.Py_ssize_t
     n_x, n_y, n_z = leaf.normal[0], leaf.normal[1], leaf.normal[2]
     d = n_x * (leaf.x - origin[0]) + n_y * (leaf.y - origin[1]) + n_z * (leaf.z - origin[2])
     off = n_x * run.centroid[0] + n_y * run.centroid[1] + n_z * run.centroid[2] - d
-    d += min(max(off, -run.doubt), run.doubt)
-    high = standing_out(rules, leaf, run.variance)
+    d += min(max(off, -run.offset_limit), run.offset_limit)
+    high = unexplained_distance(rules, leaf, run.variance)
     out = greatest = 0.0
     for i in range(cython.cast(cython.Py_ssize_t, run.points)):
         e = fabs(n_x * points[3 * i] + n_y * points[3 * i + 1] + n_z * points[3 * i + 2] - d)
@@ -269,17 +271,16 @@ def departs(
     return True
 
 
-def rest(
+def add_residuals(
     rules: Rules, leaf: Record, run: Record, points: Vector, residual: Vector, origin: Vector
 ) -> None:
-    """Add a run to the running statistics of the leaf it came to rest in.
+    """Add a run to the running statistics of its leaf.
 
-    Residuals (N), which are written, m, are n.(r - mean): without the scan's common offset in the
-    cell, which pose error and not the ground explains; it takes one degree of freedom. Of so few
-    points that no fit of their own tells, only the likeliest offset is taken out: b p / (p + v / N)
-    for a mean b off the plane, p the variance of what they have in common and v that of noise. What
-    is left of a residual has the variance v (1 - p / (N p + v)). ``points``, ``origin``: as of
-    `judge`.
+    Writes the residuals n.(r - mean) (N), m: without the scan's common offset in the cell, which
+    pose error explains; it takes one degree of freedom. With too few points for a fit, only the
+    most likely offset b p / (p + v / N) is removed, for a mean b off the plane, p the variance of
+    common errors and v that of noise. The residuals then have the variance v (1 - p / (N p + v)).
+    ``points``, ``origin``: as in `set_statistic`.
     """
     i: cython.Py_ssize_t
     count = run.points
@@ -290,10 +291,10 @@ def rest(
     off = d - n_x * (leaf.x - origin[0]) - n_y * (leaf.y - origin[1]) - n_z * (leaf.z - origin[2])
     shared = 1.0
     if few(run):
-        shared = run.shared
+        shared = run.common_share
     if few(run) or partial(run):
-        d -= off - min(max(shared * off, -run.doubt), run.doubt)
-    high = raised_from(rules, leaf, variance)
+        d -= off - min(max(shared * off, -run.offset_limit), run.offset_limit)
+    high = raised_distance(rules, leaf, variance)
     clip = rules.clip
     total = greatest = 0.0
     low = high_z = points[2]
@@ -308,8 +309,8 @@ def rest(
         total += e if e < clip else clip
     leaf.low = min(leaf.low, low + origin[2])
     leaf.high = max(leaf.high, high_z + origin[2])
-    run.raised_by = high
-    run.greatest = greatest
+    run.raised_limit = high
+    run.max_residual = greatest
     leaf.greatest = max(leaf.greatest, min(greatest, clip))
     noise = variance * max(1.0 - shared / count, 0.5)
     leaf.distance_sum += total
@@ -317,7 +318,7 @@ def rest(
     # xi of a residual that is noise itself: the noise counts twice.
     leaf.exception_noise += 2.0 * count * normal_tail(rules.tolerance / sqrt(2.0 * variance))
     if greatest > rules.tolerance - 3.0 * sqrt(noise):
-        every: cython.Py_ssize_t = ALIKE if rules.stereo > 0.0 else 1
+        every: cython.Py_ssize_t = STEREO_STRIDE if rules.stereo > 0.0 else 1
         leaf.exception_sum += exceptions(residual, number, every, rules.tolerance, sqrt(noise))
     leaf.residuals += count
 
@@ -329,12 +330,12 @@ def exceptions(
     tolerance: float,
     deviation: float,
 ) -> cython.double:
-    """Eq. 48's sum of xi: probability mass beyond the roughness tolerance t.
+    """Return Eq. 48's sum of xi: probability mass beyond the roughness tolerance t.
 
-    xi = P(|e + s N(0, 1)| > t) with e the ``count`` residuals of a run, m, of which one of
-    ``every`` so many stands for all, and s the ``deviation`` that range noise leaves in it, m. How
-    uncertain the plane's slope is does not count: of a leaf that was seen in part that is the other
-    part's.
+    xi = P(|e + s N(0, 1)| > t) with the residuals e (``count``), m, of which every ``every``-th is
+    used, and s the standard deviation from range noise, ``deviation``, m. The uncertainty of the
+    plane's slope is not included, because in a leaf that is partly observed it concerns the other
+    part.
     """
     i: cython.Py_ssize_t = 0
     asked = mass = 0.0

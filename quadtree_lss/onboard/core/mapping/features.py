@@ -354,7 +354,7 @@ def update_feature(
     x, y, up = leaf.x - origin[0], leaf.y - origin[1], leaf.normal[2]
     known: cython.bint = isfinite(leaf.feature[1])
     gate = max(HIGH * sqrt(run.variance), 0.5 * rules.feature_height * up)
-    if not known and run.greatest > gate:
+    if not known and run.max_residual > gate:
         for i in range(number):
             # A number and not a truth, which compilers do not count two at a time.
             one = 1.0 if residual[i] > gate else 0.0

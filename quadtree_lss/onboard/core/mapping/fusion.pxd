@@ -7,16 +7,16 @@ from quadtree_lss.onboard.core.tree.leaves cimport Leaf
 cdef class Fusion:
     cdef Rules rules
     cdef bint aligned
-    cdef double now, common_at, common_is
+    cdef double now, correlation_at, correlation_is
     cdef double origin[3]
     cdef double sigma[36]
-    cpdef align(self, double down)
-    cdef bint contradicts(self, Leaf* leaf, Run* run) noexcept nogil
-    cdef void place(self, Leaf* leaf, Run* run, double* out) noexcept nogil
-    cdef void doubt(self, Leaf* leaf, Run* run) noexcept nogil
+    cpdef lower(self, double down)
+    cdef bint is_elsewhere(self, Leaf* leaf, Run* run) noexcept nogil
+    cdef void offset_at(self, Leaf* leaf, Run* run, double* out) noexcept nogil
+    cdef void limit_offset(self, Leaf* leaf, Run* run) noexcept nogil
     cdef void fuse(self, Leaf* leaf, Run* run, bint same_scan) noexcept nogil
-    cdef void _along(self, Leaf* leaf, Run* run, double* out) noexcept nogil
-    cdef double _height(self, double* known) noexcept nogil
-    cdef void _turn(self, Leaf* leaf, Run* run) noexcept nogil
-    cdef bint _apart(self, Leaf* leaf, Run* run) noexcept nogil
-    cdef double common(self, double time) noexcept nogil
+    cdef void _ray_in_plane(self, Leaf* leaf, Run* run, double* out) noexcept nogil
+    cdef double _height_variance(self, double* known) noexcept nogil
+    cdef void _set_line_bias(self, Leaf* leaf, Run* run) noexcept nogil
+    cdef bint _is_spread(self, Leaf* leaf, Run* run) noexcept nogil
+    cdef double correlation(self, double time) noexcept nogil

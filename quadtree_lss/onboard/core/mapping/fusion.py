@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a leaf knew and what a scan says of it made one (paper IV.C); how far they may differ."""
+"""Fusion of a scan's fit with the plane of a leaf (paper IV.C), and limits of their difference."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from quadtree_lss.onboard.core.mapping.measure import Rules
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan
 from quadtree_lss.onboard.core.tree.leaves import Record
 
-#: Before anything is known, ground is level but for this (rad, one sigma) ...
+#: Standard deviation of the slope before the first scan, rad, ...
 LEVEL_SIGMA = cython.declare(cython.double, 0.5)
-#: ... and this high or low, m.
+#: ... and of the height, m.
 HEIGHT_SIGMA = cython.declare(cython.double, 1e3)
-#: Variance of the places of a first plane along the ray, over that of noise, at least.
-APART = cython.declare(cython.double, 4.0)
-#: Noise turns no plane by more, rad.
-TURNED = cython.declare(cython.double, 1.5)
-#: A run contradicts a plane that is so many deviations off.
-CONTRADICTING = cython.declare(cython.double, 30.0)
+#: Least variance of the places of a first plane along the ray, over that of noise.
+MIN_SPREAD = cython.declare(cython.double, 4.0)
+#: Greatest turn of a plane by noise, rad.
+MAX_TURN = cython.declare(cython.double, 1.5)
+#: Standard deviations beyond which a run and a plane are not the same ground.
+ELSEWHERE_SIGMAS = cython.declare(cython.double, 30.0)
 
 
 class Fusion:
-    """One scan's fits and what leaves knew.
+    """Fusion of one scan's fits with the leaves.
 
     Attributes:
-        origin: (3) of the lidar, map frame, m; lowered by `align`.
+        origin: (3) of the lidar, map frame, m; lowered by `lower`.
         sigma: (36) covariance of the scan's pose.
-        aligned: Whether the scan was brought to the height of the map.
+        aligned: Whether the scan was shifted to the height of the map.
         now: Time of the scan, s.
     """
 
@@ -48,38 +48,39 @@ class Fusion:
         for i in range(36):
             self.sigma[i] = covariance[i]
         self.aligned = False
-        self.now = self.common_at = now
-        self.common_is = 1.0
+        self.now = self.correlation_at = now
+        self.correlation_is = 1.0
 
-    def align(self, down: float) -> None:
-        """Lower the scan to where the map lies, by so many m."""
+    def lower(self, down: float) -> None:
+        """Lower the scan by ``down``, m."""
         self.origin[2] -= down
         self.aligned = True
 
-    def common(self, time: float) -> cython.double:
-        """Correlation of this scan's pose error with that of another time, s."""
+    def correlation(self, time: float) -> cython.double:
+        """Return the correlation of this scan's pose error with that of another time, s."""
         if self.rules.correlation_time <= 0.0:
             return 0.0
-        if time != self.common_at:  # many leaves were last seen by the same scan
-            self.common_at = time
-            self.common_is = exp(-fabs(self.now - time) / self.rules.correlation_time)
-        return self.common_is
+        if time != self.correlation_at:  # many leaves were last seen by the same scan
+            self.correlation_at = time
+            self.correlation_is = exp(-fabs(self.now - time) / self.rules.correlation_time)
+        return self.correlation_is
 
-    def contradicts(self, leaf: Record, run: Record) -> cython.bint:
-        """Whether a run is of another place altogether than a plane, beyond any covariance.
+    def is_elsewhere(self, leaf: Record, run: Record) -> cython.bint:
+        """Return whether a run and a plane are so far apart that no covariance explains it.
 
-        A scan with a wrong pose over ground that no other had seen leaves such planes; to average
-        with them would keep them for ever. They are kept apart, and points are votes.
+        A scan with a wrong pose over ground that no other scan had observed leaves such planes.
+        They are not fused; each run removes as many points from the plane as it has, until the
+        plane is replaced.
         """
-        if leaf.known < leaves.INHERITED:
+        if leaf.state < leaves.INHERITED:
             return False
         variance = leaf.range_part[8] + leaf.pose_part[8] + run.range_part[8] + run.pose_part[8]
         off = (leaf.z - self.origin[2] - run.z) * leaf.normal[2]
-        return off * off > CONTRADICTING * CONTRADICTING * (variance + self.rules.slack)
+        return off * off > ELSEWHERE_SIGMAS * ELSEWHERE_SIGMAS * (variance + self.rules.slack)
 
-    def place(self, leaf: Record, run: Record, out: Vector) -> None:
-        """Where a leaf's plane is at the middle of a run, from its centre along its tangent axes,
-        and how high the run lies over it there (3), m."""
+    def offset_at(self, leaf: Record, run: Record, out: Vector) -> None:
+        """Compute the place of a run's centroid along the tangent axes of a leaf's plane, from the
+        cell's centre, and the height of the run over the plane there: (3), m."""
         basis = cython.declare(cython.double[6])
         basis_at(leaf.normal, basis)
         x = run.centroid[0] - (leaf.x - self.origin[0])
@@ -89,69 +90,81 @@ class Fusion:
         out[1] = basis[3] * x + basis[4] * y + basis[5] * z
         out[2] = run.centroid[2] - z - (leaf.z - self.origin[2])
 
-    def doubt(self, leaf: Record, run: Record) -> None:
-        """How far a run may lie off a leaf's plane where it was seen and both be right, m.
+    def limit_offset(self, leaf: Record, run: Record) -> None:
+        """Set the greatest plausible offset of a run from a leaf's plane, m, and its common share.
 
-        Twice the deviation: of the plane at the run's place, of the run, of what a plane leaves
-        out that passes for one, and what is news of the pose's error. Its height is taken out
-        where the scan was aligned. Besides, the share of its offset that is the plane's and the
-        pose's, p / (p + v / N) with their variance p and that of noise v.
+        The limit is twice the standard deviation of the plane at the run's place, the run, a
+        tolerated misfit and the part of pose error that is not common; without its height if the
+        scan is aligned. The share p / (p + v / N) compares the variance p of plane and pose with
+        that of noise, v.
         """
         place = cython.declare(cython.double[3])
-        self.place(leaf, run, place)
+        self.offset_at(leaf, run, place)
         first, second = place[0], place[1]
         factor = self.rules.division_factor
         own = run.variance * (1.0 / run.points + factor * factor - 1.0)
-        news = 1.0 - self.common(leaf.last_time)
+        news = 1.0 - self.correlation(leaf.last_time)
         known = planes.offset_variance(leaf.pose_part, first, second)
         # That of the pose's height, z.
         high = leaf.normal[2] * leaf.normal[2] * self.sigma[14] if self.aligned else 0.0
         plane = planes.offset_variance(leaf.range_part, first, second)
-        run.doubt = 2.0 * sqrt(own + plane + news * max(known + run.pose_part[8] - 2.0 * high, 0.0))
+        run.offset_limit = 2.0 * sqrt(
+            own + plane + news * max(known + run.pose_part[8] - 2.0 * high, 0.0)
+        )
         plane += news * (known + max(run.pose_part[8] - high, 0.0))
-        run.shared = plane / (plane + run.variance / run.points)
+        run.common_share = plane / (plane + run.variance / run.points)
 
     def fuse(self, leaf: Record, run: Record, same_scan: cython.bint) -> None:
-        """Fuse a run's fit with what the leaf knows (paper IV.C), however little either is.
+        """Fuse a run's fit with the plane of a leaf (paper IV.C).
 
-        A first estimate of level ground is fused like any other. What a leaf inherited lies at the
-        height of the map, as an aligned scan does, or at that of this very scan: then pose error
-        is common to both, decides nothing between them and stays as it was. But what an aligned
-        scan is off sideways slopes make a height, which is news: n_xy^T C n_xy, C the covariance of
-        its ground's place.
+        The first estimate is level ground of great variance. An inherited plane is at the height of
+        the map, as an aligned scan is, or was made by this scan: then pose error is common to both
+        and stays as it is. But the sideways error of an aligned scan changes heights on slopes, by
+        the variance n_xy^T C n_xy for the position covariance C of its ground.
         """
         rise = cython.declare(cython.double[1])
         sideways = cython.declare(cython.double[3])
         i: cython.int
-        fresh: cython.bint = leaf.known <= leaves.HINTS
-        if leaf.known == leaves.NOTHING:
+        fresh: cython.bint = leaf.state <= leaves.INCOMPLETE
+        if leaf.state == leaves.UNKNOWN:
             leaf.first_time = self.now
             leaf.z = run.z + self.origin[2]
             for i in range(9):
                 leaf.range_part[i] = leaf.pose_part[i] = 0.0
             leaf.range_part[0] = leaf.range_part[4] = LEVEL_SIGMA * LEVEL_SIGMA
             leaf.range_part[8] = HEIGHT_SIGMA * HEIGHT_SIGMA
-        if same_scan or (self.aligned and leaf.known == leaves.INHERITED):
+        if same_scan or (self.aligned and leaf.state == leaves.INHERITED):
             common = 1.0
             if not same_scan:
                 sideways[0], sideways[1], sideways[2] = run.normal[0], run.normal[1], 0.0
-                news = 1.0 - self.common(leaf.last_time)
+                news = 1.0 - self.correlation(leaf.last_time)
                 news *= pose_variance(sideways, run.centroid, self.sigma)
                 run.range_part[8] += news
-                run.own += news
+                run.mean_variance += news
             for i in range(9):
                 run.pose_part[i] = leaf.pose_part[i]
         else:
-            common = self.common(leaf.last_time)
-        if leaf.known == leaves.INHERITED:
+            common = self.correlation(leaf.last_time)
+        if leaf.state == leaves.INHERITED:
             # An inherited slope counts as a fit as certain as it.
             leaf.bias[WEIGHT] = run.variance / (leaf.range_part[0] + leaf.range_part[4])
         ranges, poses = leaf.range_part, leaf.pose_part
         off = leaf.z - self.origin[2] - run.z
-        if run.alone:
+        if run.height_only:
             place, pose = run.lever, run.pose_part
-            sloped: cython.bint = run.sloped > 0.0
-            fuse_height(leaf.normal, off, ranges, poses, place, run.own, pose, common, sloped, rise)
+            sloped: cython.bint = run.has_slope > 0.0
+            fuse_height(
+                leaf.normal,
+                off,
+                ranges,
+                poses,
+                place,
+                run.mean_variance,
+                pose,
+                common,
+                sloped,
+                rise,
+            )
         else:
             of_range, of_pose = run.range_part, run.pose_part
             fuse(leaf.normal, off, ranges, poses, run.normal, of_range, of_pose, common, rise)
@@ -169,15 +182,15 @@ class Fusion:
         if fresh:
             steep = leaf.range_part[0] + leaf.range_part[4]
             few: cython.bint = leaf.points < self.rules.min_points
-            if few or steep > leaves.NO_SLOPE or not self._apart(leaf, run):
-                leaf.known = leaves.HINTS
+            if few or steep > leaves.NO_SLOPE or not self._is_spread(leaf, run):
+                leaf.state = leaves.INCOMPLETE
                 return
         if leaf.bias[WEIGHT] == 0.0:
-            self._turn(leaf, run)
-        leaf.known = leaves.MEASURED
+            self._set_line_bias(leaf, run)
+        leaf.state = leaves.ESTIMATED
 
-    def _along(self, leaf: Record, run: Record, out: Vector) -> None:
-        """The ray to a run, of length one, along the tangent axes of a leaf's plane (2)."""
+    def _ray_in_plane(self, leaf: Record, run: Record, out: Vector) -> None:
+        """Compute the unit ray to a run along the tangent axes of a leaf's plane (2)."""
         basis = cython.declare(cython.double[6])
         basis_at(leaf.normal, basis)
         x, y, z = run.centroid[0], run.centroid[1], run.centroid[2]
@@ -185,49 +198,47 @@ class Fusion:
         out[0] = per * (basis[0] * x + basis[1] * y + basis[2] * z)
         out[1] = per * (basis[3] * x + basis[4] * y + basis[5] * z)
 
-    def _height(self, known: Vector) -> cython.double:
-        """Variance of a plane's height where its slope does not matter, m^2."""
+    def _height_variance(self, known: Vector) -> cython.double:
+        """Return the variance of a plane's height at the centroid of its points, m^2."""
         x = known[4] * known[2] - known[1] * known[5]
         y = known[0] * known[5] - known[1] * known[2]
         share = 1.0 / max(known[0] * known[4] - known[1] * known[1], 1e-300)
         return known[8] - share * (x * known[2] + y * known[5])
 
-    def _turn(self, leaf: Record, run: Record) -> None:
-        """What noise along the ray may turn a plane by of which lines of points alone tell.
+    def _set_line_bias(self, leaf: Record, run: Record) -> None:
+        """Set the bias of a plane that only lines of points determine, from noise along the ray.
 
-        A^-1 q, as of a fit (`measure._bias`). Here A is the covariance of the places of all scans
-        together. It follows from the covariance V of the slope and the variance h of the height:
-        A^-1 = V / h.
+        A^-1 q as for a fit (`measure._bias`), with the covariance A of the places of all scans. It
+        follows from the covariance V of the slope and the variance h of the height: A^-1 = V / h.
         """
         ray = cython.declare(cython.double[2])
-        self._along(leaf, run, ray)
+        self._ray_in_plane(leaf, run, ray)
         known = leaf.range_part
         x = known[0] * ray[0] + known[1] * ray[1]
         y = known[1] * ray[0] + known[4] * ray[1]
-        height = max(self._height(known), 1e-300)
+        height = max(self._height_variance(known), 1e-300)
         lean = run.variance / (run.cosine * leaf.normal[2] * height)
-        lean *= min(1.0, TURNED / max(lean * sqrt(x * x + y * y), 1e-300))
+        lean *= min(1.0, MAX_TURN / max(lean * sqrt(x * x + y * y), 1e-300))
         lean *= lean
         leaf.bias[0] = lean * x * x
         leaf.bias[1] = lean * x * y
         leaf.bias[2] = lean * y * y
 
-    def _apart(self, leaf: Record, run: Record) -> cython.bint:
-        """Whether a first plane is of places that lie farther apart along the ray than noise puts
-        them: else it is turned towards the ray.
+    def _is_spread(self, leaf: Record, run: Record) -> cython.bint:
+        """Return whether the points of a first plane are farther apart along the ray than noise
+        puts them.
 
-        A slope of variance v from heights whose mean has the variance h is of places of variance
-        h (1 / v - 1 / v_0), v_0 that of a first estimate; a line that stands on one place seems to
-        have that which noise moves its points by along the plane, var(e) |B^T u|^2 over their
-        number.
+        Otherwise the plane may be turned towards the ray. A slope variance v with a height variance
+        h means a variance h (1 / v - 1 / v_0) of the places, v_0 that of the first estimate. Points
+        on one place seem to have the variance var(e) |B^T u|^2 / N from noise along the plane.
         """
         ray = cython.declare(cython.double[2])
-        self._along(leaf, run, ray)
+        self._ray_in_plane(leaf, run, ray)
         known = leaf.range_part
         flat = ray[0] * ray[0] + ray[1] * ray[1]
         slope = ray[0] * ray[0] * known[0] + 2.0 * ray[0] * ray[1] * known[1]
         slope += ray[1] * ray[1] * known[4]
         sure = flat / max(slope, 1e-300) - 1.0 / (LEVEL_SIGMA * LEVEL_SIGMA)
-        height = self._height(known)
+        height = self._height_variance(known)
         noise = run.variance / (run.cosine * run.cosine * run.points)
-        return height * sure >= APART * noise * flat
+        return height * sure >= MIN_SPREAD * noise * flat

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The map: what one scan does to it (paper IV)."""
+"""Mapping of scans into the quadtree (paper IV)."""
 
 from __future__ import annotations
 
@@ -13,33 +13,32 @@ from numpy.typing import ArrayLike
 from quadtree_lss.onboard.arrays import Array, Points
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config
 from quadtree_lss.onboard.core.mapping.alignment import (
-    JUMP,
-    LEAST_LIFT,
+    AGREEING_SHARE,
+    COMPARABLE_SHARE,
+    FLOOR,
+    JUMP_SIGMAS,
+    MIN_LIFT,
+    NARROW_CELLS,
+    OVERRULING_SCANS,
+    Motion,
     Offset,
-    lift,
-    lower,
-    offset_of,
+    RejectedScans,
+    Verdict,
+    height_offset,
+    is_inconsistent,
+    is_inconsistent_narrow,
+    lift_map,
+    remove_tilt,
+    rigid_motion,
     weighted_median,
 )
-from quadtree_lss.onboard.core.mapping.contradiction import (
-    AGREEING,
-    DEVIATIONS,
-    NARROW,
-    SHARE,
-    SMOOTH,
-    Contradiction,
-    Verdict,
-    departs,
-    stands_apart,
-)
-from quadtree_lss.onboard.core.mapping.departure import FLOOR, Departure, departure
 from quadtree_lss.onboard.core.mapping.measure import Rules, unseen_parts
 from quadtree_lss.onboard.core.mapping.update import (
     OF_MAP,
     OF_SCAN,
     OWN,
     RISE,
-    Room,
+    ScanBuffers,
     ScanUpdate,
 )
 from quadtree_lss.onboard.core.sensing.lidar import Pose
@@ -52,46 +51,40 @@ from quadtree_lss.onboard.core.tree.checkpoint import State
 from quadtree_lss.onboard.core.tree.columns import leaf_columns
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.held_returns import HeldReturns
-from quadtree_lss.onboard.core.tree.leaves import LeafTable, unfold
+from quadtree_lss.onboard.core.tree.leaves import LeafTable, to_grid
 
-#: A scan older than the map by more than this is no late one: time jumped back (`ScanQueue`).
+#: A scan that is older than the map by more than this is not late: time jumped back (`ScanQueue`).
 JUMP_NS = SECOND_NS
-#: Cells that a scan must have to tell the range noise.
+#: Least number of cells of a scan for an estimate of the range noise.
 NOISE_CELLS = 3
 #: Share of a new scan in the running mean of the observed range noise.
 NOISE_SHARE = 0.1
-#: Last scans of which `Mapper.pose_gap` takes the median.
+#: Number of scans in the median of `Mapper.pose_gap`.
 GAP_SCANS = 20
-#: Standard deviations from which on heights contradict the poses' covariances. Of Gaussian errors 3
-#: in 1,000 exceed them; half of `GAP_SCANS` scans do so only if the errors are 4.5 times the claim.
+#: Heights that exceed so many standard deviations contradict the covariances of the poses: 3 in
+#: 1,000 Gaussian errors do. Half of `GAP_SCANS` scans do only if the errors are 4.5 times the
+#: claim.
 GAP_SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
 class ScanReport:
-    """What became of one scan.
+    """Result of mapping one scan.
 
     Attributes:
-        stamp_ns: The scan's stamp.
-        points: Points in the message.
-        points_used: Points of the scan that entered the map; with ``dropped`` they are all points.
-        dropped: Points that were unsound or outside, by reason (``sensing.register``), or all the
-            others as ``contradiction``: the scan was refused. ``isolated`` are also those held
-            back, which may enter with a later scan.
-        admitted: Isolated returns of earlier scans that entered with this one, because it is
-            the third to show their places. They count as ``isolated`` in the report of their own
-            scan, and in ``points`` of no other.
-        leaves: Leaves after the scan.
-        divisions: Cells divided by it.
-        refused_divisions: Cells that ``mapping.max_cells`` left whole.
-        noise_ratio: Observed over configured range noise (running mean of the scans' medians), NaN
-            if unknown.
-        centre: x and y of the middle of the sound returns, map frame, m, if all were outside the
-            domain; else None.
-        offset: By how much the scan's ground lay over the map's by its pose, m; 0 where that was
-            not compared.
-        overruled: Whether the map was lifted to the scan, or forgotten, because the last scans
-            contradicted it and agreed with each other.
+        stamp_ns: The scan's stamp. points: Points in the message. points_used: Points of the scan
+        that entered the map. With ``dropped``, they are all points. dropped: Number of dropped
+        points by reason (``sensing.register``); ``contradiction`` for all points of a rejected
+        scan. ``isolated`` ones are held back and may enter later.
+        leaves: Leaves after the scan. divisions: Cells that the scan divided. refused_divisions:
+        Cells that ``mapping.max_cells`` left undivided. noise_ratio: Observed over configured range
+        noise (running mean of the medians of scans), NaN if unknown.
+        centre: If all returns are outside the domain: x and y of their mean, map frame, m. offset:
+        Height of the scan's ground over the map's, by its pose, m; 0 if not compared. overruled:
+        Whether this scan lifted or restarted the map, because the last scans contradicted it and
+        agreed with each other.
+        admitted: Isolated returns of earlier scans that entered with this one, because it is the
+            third to show their places; ``isolated`` in the reports of their own scans.
     """
 
     stamp_ns: int
@@ -109,14 +102,18 @@ class ScanReport:
 
 
 class Mapper:
-    """Keeps the quadtree; ``update`` takes a scan and its pose, ``snapshot`` gives the map.
+    """Builds the quadtree map: ``update`` maps a scan with its pose, ``snapshot`` copies the map.
 
-    Not thread-safe. A scan either enters whole or, if none of its points is sound or it contradicts
-    the map, changes nothing. With ``domain.follow`` the square is then moved, if what it follows is
-    no longer near its middle (`Domain.steps_to`); scans that no point entered of move it only as
-    the tenth in a row, so that a wrong pose does not drop the map. ``stamp_ns`` is that of the
-    newest scan since time last jumped back (a looping bag, a clock set right; leaves may then be of
-    later stamps), 0 if nothing is mapped.
+    Not thread-safe. A scan enters as a whole, or changes nothing if none of its points is usable or
+    it contradicts the map. With ``domain.follow`` the square then moves, if the followed point left
+    its middle (`Domain.steps_to`). Scans without a mapped point move it only after
+    `OVERRULING_SCANS` in a row, so that a wrong pose does not discard the map.
+
+    Attributes:
+        config: The configuration.
+        leaves: The table of leaves.
+        stamp_ns: Stamp of the newest scan since time last jumped back (looping bag, clock set
+            back); 0 if nothing is mapped.
     """
 
     def __init__(self, config: Config = DEFAULTS) -> None:
@@ -124,7 +121,7 @@ class Mapper:
         self.leaves = LeafTable(Domain.of(config.domain), config.mapping.max_cells)
         self._area: tuple[float, float] | None = None
         self._rules = Rules(config)
-        self._room = Room()
+        self._buffers = ScanBuffers()
         self._held = HeldReturns(self.domain)
         self.reset()
 
@@ -137,13 +134,13 @@ class Mapper:
 
     @property
     def domain(self) -> Domain:
-        """The square as it lies now."""
+        """Current square of the map."""
         domain: Domain = self.leaves.domain
         return domain
 
     def look_at(self, area: ArrayLike | None) -> None:
-        """The landing area (V, 2), m, or None for none: where ``domain.follow: area`` goes to, with
-        the next scan. Raises `ValueError`: it is asked for, and is no polygon."""
+        """Set the landing area (V, 2), m, that the square follows with ``domain.follow: area``,
+        from the next scan on. Raises `ValueError`: it is not a polygon."""
         self._area = None
         if area is not None and self.config.domain.follow == "area":
             corners = np.asarray(area, dtype=np.float64).reshape(-1, 2)
@@ -151,61 +148,63 @@ class Mapper:
             self._area = x, y
 
     def reset(self) -> None:
-        """Forget everything that was mapped."""
-        self.leaves.plant()
+        """Clear the map."""
+        self.leaves.reset()
         self._held.clear()
         self.stamp_ns = 0
         self._start_ns = 0
         self._noise_ratio = float("nan")
         self._offset = (float("nan"), float("nan"))
-        self._against = Contradiction()
-        # Lift of the map that is due and too small to be done yet, m.
-        self._owed = 0.0
-        # Scans in a row of which no point entered the map.
-        self._missed = 0
-        # Of the last scans compared with the map: squared height over it, and its variance from the
-        # claimed pose errors and from anything else, m^2.
+        self._rejected = RejectedScans()
+        # Lift of the map that is known and too small to be applied yet, m.
+        self._pending_offset = 0.0
+        # Consecutive scans without a mapped point.
+        self._unmapped_scans = 0
+        # For the last scans: squared height over the map, its variance from the claimed pose
+        # errors, and from other causes, m^2.
         self._gaps: deque[tuple[float, float, float]] = deque(maxlen=GAP_SCANS)
 
     def update(self, points_lidar: Points, pose: Pose, sweep: Sweep | None = None) -> ScanReport:
-        """Map one scan of points (H, W, 3) organised or (N, 3), lidar axes (z boresight), m, of
-        which rows that are not finite are no returns, from the lidar's pose at its stamp; ``sweep``
-        is how the lidar moved while it took the scan, None if at once. Raises `TypeError`: the pose
-        is no `Pose`; `ValueError`: the points have another shape."""
-        if not isinstance(pose, Pose):
-            kind = type(pose).__name__
-            raise TypeError(f"pose is of type {kind}; Pose.from_matrix(matrix, stamp_ns) makes one")
-        if np.ndim(points_lidar) not in (2, 3) or np.shape(points_lidar)[-1] != 3:
-            shape = np.shape(points_lidar)
-            raise ValueError(f"points_lidar has shape {shape}; it needs (N, 3) or (H, W, 3)")
+        """Map one scan.
+
+        Args:
+            points_lidar: (H, W, 3) organised or (N, 3) points in lidar axes (z boresight), m; rows
+                that are not finite are not returns.
+            pose: Of the lidar at the scan's stamp.
+            sweep: Motion of the lidar during the scan, None for an instantaneous one.
+
+        Raises:
+            TypeError: The pose is not a `Pose`.
+            ValueError: The points have another shape.
+        """
+        _check_arguments(points_lidar, pose)
         if not self.stamp_ns or self.config.domain.follow == "area":
-            self._follow(pose)  # there is nothing to drop yet, or no pose decides
+            self._follow(pose)  # nothing can be lost, or the pose does not decide
         if pose.stamp_ns < self.stamp_ns - JUMP_NS:
-            self._held.clear()  # time jumped back
+            self._held.clear()
         lidar = self.config.lidar
+        # Register the points and order them by their finest cells.
         scan, dropped = register(points_lidar, pose, lidar, self.domain, sweep, self._held)
-        used = len(scan.key) - scan.admitted
+        used, offset, verdict = len(scan.key) - scan.admitted, 0.0, Verdict.ACCEPTED
         divisions = refused = 0
-        offset, verdict = 0.0, Verdict.SOUND
         if used:
             now = 1e-9 * (pose.stamp_ns - (self._start_ns or pose.stamp_ns))
-            change, cells, verdict = self._confront(scan, now)
-            if verdict is Verdict.REFUSED:
-                dropped["contradiction"], used = used, 0
-                offset = self._against.height
+            # Fit the touched leaves, and decide by their height and tilt over the map.
+            change, cells, verdict = self._compare_and_decide(scan, now)
+            if verdict is Verdict.REJECTED:
+                dropped["contradiction"], used, offset = used, 0, self._rejected.height
             else:
-                if not self.stamp_ns - JUMP_NS <= pose.stamp_ns <= self.stamp_ns:
-                    self.stamp_ns = pose.stamp_ns
-                self._start_ns = self._start_ns or pose.stamp_ns
+                self._note_time(pose.stamp_ns)
                 if not self.config.mapping.by_paper("covariance"):
                     offset = self._align(change, cells, now)
-                change.settle()
-                self._check_noise(change.ratio)
+                # Fuse the fits; divide leaves where the plane does not suffice.
+                change.update_leaves()
+                self._update_noise_ratio(change.ratio)
                 divisions, refused = change.divisions, change.refused
-        if verdict is not Verdict.REFUSED and "above" not in dropped:
-            self._held.keep(scan.isolated if verdict is Verdict.SOUND else None)
-        self._missed = 0 if used else self._missed + 1
-        if used or self._missed >= AGREEING:
+        if verdict is not Verdict.REJECTED and "above" not in dropped:
+            self._held.keep(scan.isolated if verdict is Verdict.ACCEPTED else None)
+        self._unmapped_scans = 0 if used else self._unmapped_scans + 1
+        if used or self._unmapped_scans >= OVERRULING_SCANS:
             self._follow(pose)
         return ScanReport(
             stamp_ns=pose.stamp_ns,
@@ -222,8 +221,14 @@ class Mapper:
             admitted=scan.admitted if used else 0,
         )
 
+    def _note_time(self, stamp_ns: int) -> None:
+        """Advance the map's stamp, or set it back if time jumped back."""
+        if not self.stamp_ns - JUMP_NS <= stamp_ns <= self.stamp_ns:
+            self.stamp_ns = stamp_ns
+        self._start_ns = self._start_ns or stamp_ns
+
     def _follow(self, pose: Pose) -> None:
-        """Move the square after what it follows."""
+        """Move the square towards the followed point."""
         if self.config.domain.follow == "none":
             return
         at = self._area if self.config.domain.follow == "area" else pose.position[:2].tolist()
@@ -234,85 +239,83 @@ class Mapper:
                 cells = 1 << (self.domain.max_level - self.domain.min_level)
                 self._held.follow(east * cells, north * cells)
 
-    def _confront(self, scan: RegisteredScan, now: float) -> tuple[ScanUpdate, Array, Verdict]:
-        """A scan fitted to the leaves, how it compares with them, and what is to become of it.
+    def _compare_and_decide(
+        self, scan: RegisteredScan, now: float
+    ) -> tuple[ScanUpdate, Array, Verdict]:
+        """Fit a scan to the leaves and accept, reject or overrule; apply the decision to the map or
+        to the tilt of the scan.
 
-        Where it overrules the map, that is put right.
+        Returns the update, the compared cells (`ScanUpdate.fit`) and the decision.
         """
-        change, cells, found = self._compare(scan, now)
-        compared, contradicts = cells, departs(found)
-        if found is not None:
-            self._note_gap(cells, found)
-        smooth = change.compared > SMOOTH * change.estimated
-        if not contradicts and smooth and cells.shape[1] <= NARROW:
-            compared = change.parts()
-            contradicts = stands_apart(compared, self.config.vehicle.height)
-        verdict = self._against.judge(compared, contradicts)
+        change, cells, motion = self._compare(scan, now)
+        compared, inconsistent = cells, is_inconsistent(motion)
+        if motion is not None:
+            self._record_gap(cells, motion)
+        comparable = change.compared > COMPARABLE_SHARE * change.estimated
+        if not inconsistent and comparable and cells.shape[1] <= NARROW_CELLS:
+            compared = change.fit_finest()
+            inconsistent = is_inconsistent_narrow(compared, self.config.vehicle.height)
+        verdict = self._rejected.decide(compared, inconsistent)
         if verdict is Verdict.OVERRULES:
             height = float(np.median(compared[RISE]))
-            self._owed = 0.0
+            self._pending_offset = 0.0
             cells[RISE] -= height
-            if departs(self._departure(scan, cells, now)):
-                self.leaves.plant()
+            if is_inconsistent(self._motion(scan, cells, now)):
+                self.leaves.reset()
             else:
-                lift(self.leaves, height, -np.inf)
-            self._held.clear()  # the map lies elsewhere than was compared
-            change, cells, found = self._compare(scan, now)
+                lift_map(self.leaves, height, -np.inf)
+            self._held.clear()
+            change, cells, _ = self._compare(scan, now)
             self._gaps.clear()
-        elif found is not None and found.deviations > JUMP and verdict is Verdict.SOUND:
-            lower(scan.points, found)
-            change, cells, found = self._compare(scan, now)
+        elif verdict is Verdict.ACCEPTED and motion is not None and motion.sigmas > JUMP_SIGMAS:
+            remove_tilt(scan.points, motion)
+            change, cells, _ = self._compare(scan, now)
         return change, cells, verdict
 
-    def _compare(
-        self, scan: RegisteredScan, now: float
-    ) -> tuple[ScanUpdate, Array, Departure | None]:
-        """A scan fitted to the leaves, its cells beside the map's, and what they have in common."""
-        change = ScanUpdate(self.leaves, self._rules, scan, now, self._room)
+    def _compare(self, scan: RegisteredScan, now: float) -> tuple[ScanUpdate, Array, Motion | None]:
+        """Fit a scan to the leaves; return the update, the compared cells and their motion."""
+        change = ScanUpdate(self.leaves, self._rules, scan, now, self._buffers)
         cells = change.fit()
-        if change.compared < SMOOTH * change.estimated:
+        if change.compared < COMPARABLE_SHARE * change.estimated:
             return change, cells, None
-        return change, cells, self._departure(scan, cells, now)
+        return change, cells, self._motion(scan, cells, now)
 
-    def _note_gap(self, cells: Array, found: Departure) -> None:
-        """Remember how far a scan, rejected or not, lay from the map, for `pose_gap`."""
-        values = [found.height, found.claimed, found.mapped, found.noise]
-        if found.share < SHARE:  # too few cells agree to give a common height
+    def _motion(self, scan: RegisteredScan, cells: Array, now: float) -> Motion | None:
+        time, height = self.config.pose.correlation_time, self.config.vehicle.height
+        motion: Motion | None = rigid_motion(cells, scan.pose.covariance, now, time, height)
+        return motion
+
+    def _record_gap(self, cells: Array, motion: Motion) -> None:
+        """Record the height of a scan over the map, accepted or not, for `pose_gap`."""
+        values = [motion.height, motion.claimed, motion.mapped, motion.noise]
+        if motion.share < AGREEING_SHARE:  # too few cells for a common height
             values = np.median(cells[[RISE, OF_SCAN, OF_MAP, OWN]], axis=1).tolist()
         height, claimed, mapped, noise = values
         floor = FLOOR * self.config.vehicle.height**2
         self._gaps.append((height**2, claimed + mapped, noise + floor))
 
-    def _departure(self, scan: RegisteredScan, cells: Array, now: float) -> Departure | None:
-        time = self.config.pose.correlation_time
-        found: Departure | None = departure(
-            cells, scan.pose.covariance, now, time, DEVIATIONS, self.config.vehicle.height
-        )
-        return found
-
     def _align(self, change: ScanUpdate, cells: Array, now: float) -> float:
-        """Let the scan and the map meet at one height; by how much it lay over the map, m.
-        ``change``: the scan. ``cells``: of `ScanUpdate.fit`. ``now``: time of the scan, s."""
-        cells[RISE] -= self._owed
-        time, metre = self.config.pose.correlation_time, self.config.vehicle.height
-        offset: Offset | None = offset_of(cells, now, time, metre)
+        """Remove the height offset between scan and map; return it, m."""
+        cells[RISE] -= self._pending_offset
+        time, length_unit = self.config.pose.correlation_time, self.config.vehicle.height
+        offset: Offset | None = height_offset(cells, now, time, length_unit)
         if offset is None:
             return 0.0
-        # Cells are summed up in an order that follows from where the square lies: it is to change
-        # no bit.
+        # Rounded, because the order of the cells depends on where the square is, and results must
+        # not.
         of_scan, of_map = round(offset.scan, 9), round(offset.map, 9)
-        self._owed += of_map
-        if abs(self._owed) >= LEAST_LIFT * metre:
-            lift(self.leaves, self._owed, round(offset.since, 9))
-            self._held.lifted += self._owed
-            self._owed = 0.0
-        self._offset = (offset.height - of_map + self._owed, offset.variance)
-        change.align(of_scan + self._owed)
+        self._pending_offset += of_map
+        if abs(self._pending_offset) >= MIN_LIFT * length_unit:
+            lift_map(self.leaves, self._pending_offset, round(offset.since, 9))
+            self._held.lifted += self._pending_offset
+            self._pending_offset = 0.0
+        self._offset = (offset.height - of_map + self._pending_offset, offset.variance)
+        change.lower(of_scan + self._pending_offset)
         return offset.height
 
     def pose_gap(self) -> tuple[float, float] | None:
-        """By how much the last scans and the map differ in height and the standard deviation that
-        their poses claim of that, m; None if the claim explains it or it is not known yet."""
+        """Return the height difference of the last scans and the map, and the standard deviation
+        that the poses claim for it, m; None if the claim explains it, or with too few scans."""
         if len(self._gaps) < GAP_SCANS:
             return None
         square, claimed, other = np.median(np.array(self._gaps), axis=0).tolist()
@@ -320,8 +323,8 @@ class Mapper:
             return None
         return math.sqrt(square), math.sqrt(claimed)
 
-    def _check_noise(self, ratio: Array) -> None:
-        """Running mean of observed over configured range noise.
+    def _update_noise_ratio(self, ratio: Array) -> None:
+        """Update the running mean of observed over configured range noise.
 
         Each scan gives the median over its points on level ground of the residual's standard
         deviation about their cell's own plane, over what the configured range noise makes of it.
@@ -337,10 +340,10 @@ class Mapper:
             self._noise_ratio += NOISE_SHARE * (median - self._noise_ratio)
 
     def snapshot(self) -> CellMap:
-        """The map as it stands; copies, so that later scans do not change it."""
-        rows, n = self.leaves.in_order(), self.domain.finest_count
+        """Return a copy of the map."""
+        rows, n = self.leaves.rows_in_morton_order(), self.domain.finest_count
         observed, range_part = np.empty((n, n), dtype=np.uint8), np.empty((len(rows), 9))
-        unfold(self.leaves.observed, observed)
+        to_grid(self.leaves.observed, observed)
         unseen_parts(self.leaves, rows, range_part)
         return CellMap(
             stamp_ns=self.stamp_ns,
@@ -368,8 +371,8 @@ class Mapper:
             "start_ns": np.array(self._start_ns),
             "noise_ratio": np.array(self._noise_ratio),
             "offset": np.array(self._offset),
-            "against": np.array(astuple(self._against), dtype=np.float64),
-            "owed": np.array(self._owed),
+            "against": np.array(astuple(self._rejected), dtype=np.float64),
+            "owed": np.array(self._pending_offset),
         }
         return checkpoint.identified(state, self.domain)
 
@@ -380,8 +383,8 @@ class Mapper:
         most = self.config.mapping.max_cells
         domain = checkpoint.check(state, like, self.domain, most, follows=follows)
         leaves = state["leaves"]
-        self.leaves.lie_on(domain)
-        self.leaves.take_up({name: leaves[name] for name in leaves.dtype.names or ()})
+        self.leaves.set_domain(domain)
+        self.leaves.set_leaves({name: leaves[name] for name in leaves.dtype.names or ()})
         self.leaves.observed[:] = state["observed"]
         self.leaves.piled[:] = state["piled"]
         self.leaves.hit_parts[:] = state["hit_parts"]
@@ -395,8 +398,17 @@ class Mapper:
         self._noise_ratio = float(state["noise_ratio"])
         height, variance = state["offset"].tolist()
         self._offset = (height, variance)
-        self._owed = float(state["owed"])
-        self._missed = 0
+        self._pending_offset = float(state["owed"])
+        self._unmapped_scans = 0
         self._gaps.clear()
         count, height, variance = state["against"].tolist()
-        self._against = Contradiction(int(count), height, variance)
+        self._rejected = RejectedScans(int(count), height, variance)
+
+
+def _check_arguments(points: Points, pose: Pose) -> None:
+    if not isinstance(pose, Pose):
+        kind = type(pose).__name__
+        raise TypeError(f"pose is of type {kind}; Pose.from_matrix(matrix, stamp_ns) makes one")
+    if np.ndim(points) not in (2, 3) or np.shape(points)[-1] != 3:
+        shape = np.shape(points)
+        raise ValueError(f"points_lidar has shape {shape}; it needs (N, 3) or (H, W, 3)")

@@ -11,14 +11,14 @@ cdef struct Run:
     double variance
     double square
     double statistic
-    double unseen
-    double sloped
-    double alone
-    double own
-    double raised_by
-    double doubt
-    double greatest
-    double shared
+    double unobserved
+    double has_slope
+    double height_only
+    double mean_variance
+    double raised_limit
+    double offset_limit
+    double max_residual
+    double common_share
     double lever[2]
     double range_part[9]
     double pose_part[9]

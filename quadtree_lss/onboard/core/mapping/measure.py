@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the points of one scan in one cell say of its plane (paper IV.A).
+"""Fit of a plane to the points of one scan in one cell (paper IV.A).
 
-Each scan has its own offset there (Eq. 20, Eq. 21): only how its points lie to one another tells
-the slope, and pose error, which is theirs in common, is a part of the covariance by itself.
+Each scan has its own offset in a cell (Eq. 20, Eq. 21): only the relative positions of its points
+determine the slope. Pose error is common to them and has its own part of the covariance.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from cython.cimports.libc.math import fabs, sqrt
 from cython.cimports.quadtree_lss.onboard.core.geometry import plane
 from cython.cimports.quadtree_lss.onboard.core.geometry.morton import encode, squeeze
 from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at
-from cython.cimports.quadtree_lss.onboard.core.tree.leaves import LIFT, NOTHING, WEIGHT
+from cython.cimports.quadtree_lss.onboard.core.tree.leaves import LIFT, UNKNOWN, WEIGHT
 
 from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.config.settings import Config
@@ -21,81 +21,81 @@ from quadtree_lss.onboard.core.geometry.sphere import Vector
 from quadtree_lss.onboard.core.sensing import lidar
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
 
-#: |n.u| is taken to be at least this (grazing incidence).
+#: Lower bound of |n.u| (grazing incidence).
 MIN_COSINE = cython.declare(cython.double, 0.05)
 MAX_VARIANCE = cython.declare(cython.double, lidar.MAX_VARIANCE)
-#: An orthogonal fit that stands so much steeper than the regression of height (n_z over n_z) is of
-#: points that are as far apart in height as in place: no plane.
+#: Below this ratio of the n_z of an orthogonal fit and of the regression of height, points are as
+#: far apart in height as in place and are not a plane; the regression is used.
 OVERTURNED = cython.declare(cython.double, 0.5)
-#: A view that leaves out more than this share of a cell's width does not stand for the cell.
+#: A view is partial if it leaves at least this share of the cell's width unobserved.
 PARTIAL = cython.declare(cython.double, 0.5)
-#: How a strip as thin as noise may be lifted: see `_bias`.
+#: Lift of a strip that is as thin as noise, see `_bias`.
 TAIL = cython.declare(cython.double, 12.0)
-#: Of the variance by which noise along the ray may turn a fit, so much across that: the edges of
-#: what was seen lie otherwise than its moments say.
+#: Share of the turn by noise along the ray that also acts across it: the edges of the observed area
+#: differ from those of its moments.
 ACROSS = cython.declare(cython.double, 0.1)
-#: A view is a line where noise along the ray may make so much of its thinner variance, and that is
-#: below such a share of the cell's square (a full cell's is 1 / 12).
+#: A view is a line if noise along the ray may be this share of its smaller variance, and if that
+#: variance is below this share of the cell's area (1 / 12 for a full cell).
 LINE_NOISE = cython.declare(cython.double, 0.3)
 LINE_WIDTH = cython.declare(cython.double, 1.0 / 48.0)
-#: What is not known of a slope, rad.
+#: Standard deviation of an unknown slope, rad.
 UNKNOWN_TILT = cython.declare(cython.double, 10.0)
-#: By how much a cell's slope may differ from that of the part of it which was seen, rad.
+#: Standard deviation of the slope difference between a cell and its observed part, rad.
 UNSEEN_TILT = cython.declare(cython.double, 0.1)
-#: By how many standard deviations the mean of a cell's misfit must exceed the threshold (Eq. 47).
+#: Standard errors by which the mean of the division statistic must exceed the threshold (Eq. 47).
 CONFIDENCE = 0.5
-#: Free residuals (points less three a scan) before this mean counts.
+#: Least number of free residuals (points minus three per scan) for a division by this mean.
 LEAST_RESIDUALS = 8.0
-#: Exceptions, in measurements, that show a rock and divide a leaf: more than one stray return. They
-#: find what rises nowhere: a pit 0.6 m wide and deep.
+#: Exceptions, in measurements, that divide a leaf: more than one stray return. They also find pits
+#: (0.6 m wide and deep).
 ROCK_EXCEPTIONS = 1.5
-#: Points of one scan that make a first fit: a plane has as many unknowns.
+#: Points of one scan for a first fit: a plane has three unknowns.
 FIT_POINTS = 3.0
-#: Share of the least hazard by which the mean of a finest cell's returns rises where a rock is: one
-#: as narrow as the cell is seldom in its middle, and poses spread its returns over the neighbours.
+#: Share of the least hazard by which the mean of a finest cell's returns must rise to show a rock:
+#: a rock as narrow as the cell is rarely centred, and pose errors spread its returns.
 MOUND = 1.0 / 3.0
-#: What a parent's slope is worth to a child, in points that fill it. With half as many, 46 and not
-#: 52 % of the safe ground was kept under much noise, at as many hazards found.
+#: Weight of a parent's slope in a child, in points that fill the child. With half of it, 46 instead
+#: of 52 % of the safe ground was kept with much noise, with as many hazards found.
 SLOPE_POINTS = 10.0
-#: A wider feature (sigma), in widths of the cell, is the form of the ground.
+#: Greatest sigma of a feature, in widths of the cell; wider ones are the shape of the ground.
 FEATURE_WIDTH = 0.3
-#: Points of one scan that a feature takes, for its five numbers.
+#: Least points of one scan for a feature's five parameters.
 FEATURE_POINTS = 12.0
 
-#: The points of a scan in a cell, about the lidar:
+#: Fit of a scan's points in a cell, about the lidar:
 #:
-#: - points: how many; centroid, m, and scatter, m^2: `geometry.plane.moments`;
+#: - points: number; centroid, m, and scatter, m^2: `geometry.plane.moments`;
 #: - normal, z: the fitted plane's upward unit normal and height at the cell's centre, m;
 #: - cosine: |n.u|, u the ray to the centroid; variance: of a residual from range noise, m^2;
 #: - square: mean square residual about the fit, m^2; statistic: of division;
-#: - sloped: 0 of a strip too thin to tell a slope, else 1; alone: 1 of points that tell their
-#:   height alone, else 0; own: variance of their mean from range noise, m^2; lever: (2) from
-#:   (centre, z) to it, along the tangent axes, m;
-#: - unseen: share of the cell's width that the points leave out, 0 .. 1;
-#: - raised_by: from which distance to the leaf's plane on points stand out, m; greatest: of them,
-#:   m; doubt: how far the run's mean may lie off that plane and both be right, m; shared: of that,
-#:   what its points have in common by pose and plane, and not by noise, 0 .. 1;
-#: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z); of points that tell
-#:   their height alone, range_part has the variance of dd and no other;
-#: - bias: what noise along the ray may turn the fit by, t t^T as xx, xy, yy, rad^2, and lift it by
-#:   (`LIFT`), m, and how much the slope of the fit counts (`WEIGHT`), m^2 (`_bias`).
+#: - has_slope: 0 for a strip too thin to determine a slope, else 1; height_only: 1 for points that
+#:   determine the height only, else 0; mean_variance: of their mean height from range noise, m^2;
+#:   lever: (2) from (centre, z) to the mean along the tangent axes, m;
+#: - unobserved: share of the cell's width without points, 0 .. 1;
+#: - raised_limit: distance from the leaf's plane beyond which points are raised, m; max_residual:
+#:   greatest distance, m; offset_limit: greatest plausible offset of the mean from that plane, m;
+#:   common_share: share of the offset from pose and plane, not noise, 0 .. 1;
+#: - range_part, pose_part: covariances (9) of (dphi, dd) about (centre, z); with height_only,
+#:   range_part has the variance of dd only;
+#: - bias: turn of the fit by noise along the ray, t t^T as xx, xy, yy, rad^2, its lift (`LIFT`), m,
+#:   and the weight of its slope (`WEIGHT`), m^2 (`_bias`).
+NUMBERS = "z cosine variance square statistic unobserved has_slope height_only mean_variance"
+NUMBERS += " raised_limit offset_limit max_residual common_share"
 RUN = np.dtype(
     [("points", "f8"), ("centroid", "f8", 3), ("scatter", "f8", 6), ("normal", "f8", 3)]
-    + [(name, "f8") for name in ("z", "cosine", "variance", "square", "statistic", "unseen")]
-    + [(name, "f8") for name in ("sloped", "alone", "own", "raised_by", "doubt", "greatest")]
-    + [("shared", "f8"), ("lever", "f8", 2), ("range_part", "f8", 9), ("pose_part", "f8", 9)]
-    + [("bias", "f8", 5)]
+    + [(name, "f8") for name in NUMBERS.split()]
+    + [("lever", "f8", 2), ("range_part", "f8", 9), ("pose_part", "f8", 9), ("bias", "f8", 5)]
 )
 
 
 class Rules:
-    """The numbers of a configuration that the kernels of mapping go by."""
+    """Parameters of the mapping kernels, from a configuration."""
 
     def __init__(self, config: Config) -> None:
         mapping, lengths = config.mapping, config.vehicle.lengths
         self.range_noise = config.lidar.range_noise
         self.stereo = config.lidar.stereo_noise
-        self.look(np.zeros(3))
+        self.set_boresight(np.zeros(3))
         self.ml = mapping.by_paper("fit")
         self.independent = mapping.by_paper("covariance")
         self.mahalanobis = mapping.by_paper("division")
@@ -118,25 +118,25 @@ class Rules:
         self.rock_height = max(lengths.rock_height, 3.0 * self.range_noise)
         self.rock_sigma = lengths.rock_sigma
 
-    def look(self, boresight: Array) -> None:
-        """Take over the boresight of the next scan, a unit vector (3,) in map axes: the noise of a
-        depth camera depends on it."""
+    def set_boresight(self, boresight: Array) -> None:
+        """Set the boresight of the next scan, a unit vector (3,) in map axes; the noise of a depth
+        camera depends on it."""
         self.ahead_x, self.ahead_y, self.ahead_z = boresight.tolist()
 
 
 def partial(run: Record) -> cython.bint:
-    """Whether a run shows less than half of its cell's width, and does not stand for the cell."""
-    return run.unseen >= PARTIAL
+    """Return whether a run covers less than half of its cell's width: a partial view."""
+    return run.unobserved >= PARTIAL
 
 
 def few(run: Record) -> cython.bint:
-    """Whether a plane goes through all points of a run: they do not test a fit of their own."""
+    """Return whether a run has at most three points, so that its own fit has no residuals."""
     return run.points <= 3.0
 
 
 def pose_variance(normal: Vector, arm: Vector, sigma: Vector) -> cython.double:
-    """Variance that pose error, ``sigma`` (36), gives n.r at a point ``arm`` (3) from the lidar,
-    m^2 (Eq. 17)."""
+    """Return the variance of n.r from pose error ``sigma`` (36) at a point ``arm`` (3) from the
+    lidar, m^2 (Eq. 17)."""
     row = cython.declare(cython.double[6])
     cython.declare(i=cython.int, j=cython.int)
     for i in range(3):
@@ -152,8 +152,8 @@ def pose_variance(normal: Vector, arm: Vector, sigma: Vector) -> cython.double:
 
 
 def range_noise(rules: Rules, centroid: Vector, distance: float) -> cython.double:
-    """Deviation of ranges at a place (3) about the lidar, so many m away, but for what grows with
-    range, m. The depth z of a stereo camera errs by c z^2, its range r by as much times r / z."""
+    """Return the standard deviation of ranges at a place (3) about the lidar, ``distance`` m away,
+    m. The depth z of a stereo camera has the error c z^2, its range r that times r / z."""
     noise = rules.range_noise
     if rules.stereo > 0.0:
         depth = rules.ahead_x * centroid[0] + rules.ahead_y * centroid[1]
@@ -163,10 +163,10 @@ def range_noise(rules: Rules, centroid: Vector, distance: float) -> cython.doubl
 
 
 def _unseen(square: float, correlation: float, side: float) -> cython.double:
-    """Width of a cell, along one of its axes, that points leave out, m.
+    """Return the width of a cell, along one of its axes, without points, m.
 
-    Points of variance ``square`` fill sqrt(3 square) to either side of their mean; correlated with
-    the other axis, they fill a diagonal band only.
+    Points of variance ``square`` fill sqrt(3 square) on both sides of their mean. If they are
+    correlated with the other axis, they fill a diagonal band only.
     """
     return side - 2.0 * sqrt(max(3.0 * square * (1.0 - correlation), 0.0))
 
@@ -174,25 +174,29 @@ def _unseen(square: float, correlation: float, side: float) -> cython.double:
 def _bias(
     run: Record, ray_x: float, ray_y: float, deviation: float, lean: float, sloped: cython.bint
 ) -> None:
-    """What range noise may turn a fit by, and lift it, that scans from one side do not average out.
+    """Compute the turn and lift of a fit by range noise that scans from one side do not average
+    out.
 
-    Noise e moves a point along the ray u, in height over the plane by e (n.u) / n_z and in place by
-    e (u_x, u_y). Regression of height on place then errs by A^-1 q, A the covariance of the points'
-    x and y, q = var(e) (n.u) / n_z (u_x, u_y), where all edges of what was seen are edges of the
-    scan. Where the ground goes on they are the cell's, and points that noise moves over them, one
-    way and the other, take that away; where they are both, half is left. How much of the edges is
-    which, a leaf does not know: all is taken where half of its width is unseen, half where none is.
+    Noise e moves a point along the ray u: its height over the plane by e (n.u) / n_z and its place
+    by e (u_x, u_y). Regression of height on place then has the error A^-1 q, with the covariance A
+    of the points' x and y and q = var(e) (n.u) / n_z (u_x, u_y), if all edges of the observed area
+    are edges of the scan. At the cell's edges, where the ground continues, points that noise moves
+    across them cancel it; with both kinds of edges half remains. All of it is used if half of the
+    cell's width is unobserved, half of it if none is.
 
-    An edge on one side alone lifts the mean by r = sqrt(var(e)) |(u_x, u_y)| / w of a deviation
-    in height, w the width of what was seen along the ray; a strip of less than four deviations may
-    be nothing but what noise moved there: `TAIL` r^2 stands for that, four deviations at most.
+    An edge on one side lifts the mean by r = sqrt(var(e)) |(u_x, u_y)| / w standard deviations of
+    height, w the width of the observed area along the ray. A strip of less than four standard
+    deviations may consist of noise only: `TAIL` r^2, at most four standard deviations, accounts for
+    that.
 
     Args:
-        run: Record of type `RUN`: points, scatter and unseen are read, the bias is written.
-        ray_x, ray_y: Of u. deviation: sqrt(var(e)), m. lean: |n.u| / n_z.
+        run: Record of type `RUN`: reads points, scatter and unobserved, writes the bias.
+        ray_x, ray_y: Components of u.
+        deviation: sqrt(var(e)), m.
+        lean: |n.u| / n_z.
         sloped: Whether the slope was fitted.
     """
-    share = 0.5 + min(run.unseen, 0.5)
+    share = 0.5 + min(run.unobserved, 0.5)
     per = 1.0 / run.points
     xx = run.scatter[0] * per
     xy = run.scatter[1] * per
@@ -229,23 +233,23 @@ def measure(
     sigma: Vector,
     side: float,
 ) -> None:
-    """Fit a plane to a run of points in a leaf; it is written to ``run``, without the statistic.
+    """Fit a plane to a run of points in a leaf and write it to ``run``, without the division
+    statistic.
 
-    Range noise moves points along the ray, in place as in height, and would turn the fit of a thin
-    view towards it. A view of less than half of the cell, so thin that its slope is known no better
-    than to `UNSEEN_TILT`, tells its height alone, and the slope is taken to be the one before: so
-    is a strip at the edge of a scan. Other points on a line, and fewer than `FIT_POINTS`, tell the
-    slope along it (`line_normal`); their variance is not that of a plane at a flatter angle than
-    level ground, or a plane turned towards the ray would take its points for exact. Residuals
-    beyond what noise makes of them are of ground that is no plane: as scans see it from elsewhere,
-    its height is as uncertain, however many points there are, and its slope by as much more noise.
-    Too few points to show it have as much more as the leaf's ``uneven`` says. What a view leaves
-    out may differ in slope by `UNSEEN_TILT`.
+    - A partial view that is so thin that its slope is known no better than to `UNSEEN_TILT`
+      determines the height only, and keeps the previous slope: range noise would turn the fit
+      towards the ray.
+    - Other points on a line, and fewer than `FIT_POINTS`, determine the slope along the line
+      (`line_normal`). Their variance is that of level ground or a steeper angle of incidence,
+      because a plane turned towards the ray would have exact points.
+    - Misfit beyond noise adds to the variance of height and slope, because it does not average out.
+      With too few points for an estimate, the leaf's ``parent_misfit`` is used.
+    - The unobserved part may differ in slope by `UNSEEN_TILT`.
 
     Args:
-        leaf: Record of type `LEAF`, read: its normal is kept to where points do not tell the slope.
-        run: Record of type `RUN`.
-        points, number: Of the run (3 N), map axes about the lidar, m, and N.
+        leaf: Record of type `LEAF`, read.
+        run: Record of type `RUN`, written.
+        points, number: Points (3 N) of the run in map axes about the lidar, m, and N.
         origin: (3) of the lidar, map frame, m.
         sigma: (36) pose covariance.
         side: Of the cell, m.
@@ -267,12 +271,12 @@ def measure(
     off_y = run.centroid[1] - y
     # Variances of the points along the longer and the thinner width of what was seen: half + root
     # and half - root.
-    run.unseen = half = root = 0.0
+    run.unobserved = half = root = 0.0
     if count > 1.0:
         correlation = xy * xy / max(xx * yy, 1e-300)
         wide = max(_unseen(xx / count, correlation, side), _unseen(yy / count, correlation, side))
         # What a full cell leaves out by chance does not count.
-        run.unseen = min(max(wide / side - 1.0 / sqrt(count), 0.0), 1.0)
+        run.unobserved = min(max(wide / side - 1.0 / sqrt(count), 0.0), 1.0)
         half = 0.5 * (xx + yy) / count
         root = sqrt(max(half * half - (xx * yy - xy * xy) / (count * count), 0.0))
     distance = sqrt(
@@ -286,8 +290,8 @@ def measure(
     ray_x = run.centroid[0] / distance
     ray_y = run.centroid[1] / distance
     ray_z = run.centroid[2] / distance
-    run.sloped = 1.0
-    run.alone = 0.0
+    run.has_slope = 1.0
+    run.height_only = 0.0
     noise = range_noise(rules, run.centroid, distance)
     least = max(half - root, 1e-12)
     square = noise * noise
@@ -295,14 +299,14 @@ def measure(
     if partial(run):
         # The slope across the thinner width: of noise, and of what that turns it by.
         if sqrt(square / (count * least)) + 0.5 * square / least > UNSEEN_TILT:
-            run.sloped = 0.0
+            run.has_slope = 0.0
     else:
         level = ray_x * ray_x + ray_y * ray_y
         line = square * level > LINE_NOISE * least and least < LINE_WIDTH * side * side
         line = line and square * level < LINE_NOISE * (half + root)
-    telling = run.scatter  # for the covariance: all of it, but of a line
-    if run.sloped == 0.0 or (count < rules.min_points and not line):
-        run.alone = 1.0
+    telling = run.scatter  # for the covariance; of a line, the part along it
+    if run.has_slope == 0.0 or (count < rules.min_points and not line):
+        run.height_only = 1.0
         for i in range(3):
             run.normal[i] = prior[i]
     elif line:
@@ -321,7 +325,7 @@ def measure(
                 run.normal[0] = first
                 run.normal[1] = second
                 run.normal[2] = up
-    # Long before it is asked for: of what was just stored, a processor is slow to take two numbers.
+    # Computed early: reading two fresh stores as one vector stalls (store forwarding).
     basis_at(run.normal, basis)
     up = run.normal[2]
     cosine = fabs(run.normal[0] * ray_x + run.normal[1] * ray_y + up * ray_z)
@@ -347,53 +351,55 @@ def measure(
         )
         free = max(count - 3.0, 1.0)
         run.square = max(quadratic, 0.0) / free
-        # Noise makes no more of it, mostly.
+        # Upper limit of what noise explains.
         most = run.variance * (1.0 + 2.0 * sqrt(2.0 / free))
         misfit = max(run.square - most, 0.0)
-    # A plane that noise has turned towards the ray is not free of it.
+    # A plane that noise turned towards the ray has a noise of height, too.
     lean = max(cosine / up, -ray_z)
-    _bias(run, ray_x, ray_y, noise, lean, run.alone == 0.0 and not line)
-    if run.sloped == 0.0 and leaf.known != NOTHING:
-        # Of a strip that is as wide as the noise, place and height err together, along the ray u:
-        # a range off by e lifts the plane by e (n.u) / n_z, which is a height of -e cosine / up.
-        # Rays are exact: the place, off - e u, is where the ray meets the plane that is known.
+    _bias(run, ray_x, ray_y, noise, lean, run.height_only == 0.0 and not line)
+    if run.has_slope == 0.0 and leaf.state != UNKNOWN:
+        # In a strip as wide as the noise, errors of place and height are correlated along the ray
+        # u: a range error e lifts the plane by e (n.u) / n_z, a height of -e cosine / up. The ray
+        # is exact, so the place, off - e u, is where it meets the known plane.
         gap = run.z - (leaf.z - origin[2])
         most = 3.0 * sqrt(variance / count) / up
         gap = min(max(gap, -most), most) * up / cosine
         off_x += gap * ray_x
         off_y += gap * ray_y
         rise = (run.normal[0] * off_x + run.normal[1] * off_y) / up
-    run.own = variance / count + misfit
+    run.mean_variance = variance / count + misfit
     run.lever[0] = first = basis[0] * off_x + basis[1] * off_y - basis[2] * rise
     run.lever[1] = second = basis[3] * off_x + basis[4] * off_y - basis[5] * rise
-    if run.alone > 0.0:
+    if run.height_only > 0.0:
         flat = first * first + second * second
-        run.range_part[8] = run.own + UNKNOWN_TILT * UNKNOWN_TILT * flat
+        run.range_part[8] = run.mean_variance + UNKNOWN_TILT * UNKNOWN_TILT * flat
     else:
-        plane.slope_covariance(telling, run.normal, variance + max(misfit, leaf.uneven), slope)
+        plane.slope_covariance(
+            telling, run.normal, variance + max(misfit, leaf.parent_misfit), slope
+        )
         if not line:
-            tilt = run.unseen * UNSEEN_TILT
+            tilt = run.unobserved * UNSEEN_TILT
             slope[0] += tilt * tilt
             slope[3] += tilt * tilt
-        plane.covariance_about(slope, run.own, first, second, run.range_part)
+        plane.covariance_about(slope, run.mean_variance, first, second, run.range_part)
     if rules.independent:
         for i in range(9):
             run.pose_part[i] = 0.0
     else:
         plane.pose_part(run.normal, basis, arm, sigma, run.pose_part)
-    run.statistic = run.greatest = run.raised_by = run.doubt = 0.0
-    run.shared = 1.0
+    run.statistic = run.max_residual = run.raised_limit = run.offset_limit = 0.0
+    run.common_share = 1.0
 
 
 @cython.boundscheck(False)
 def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
-    """What the parts of leaves (M,) that were never seen add to their covariance (M, 9) of (dphi,
-    dd).
+    """Add to the covariance (M, 9) of (dphi, dd) of leaves (M,) what their unobserved parts
+    contribute.
 
-    However often a part is seen, it says nothing of the rest. The slope there may differ by
-    `UNSEEN_TILT`, and by what its parent's plane left out: a tilt about the middle of the finest
-    cells in which a point fell, by as much of the leaf's width as these leave out. Noise along the
-    rays turned the plane about there, too.
+    Repeated views of one part contain no information about the rest. The slope there may differ by
+    `UNSEEN_TILT` and by the parent's misfit: a tilt about the mean of the observed finest cells, in
+    proportion to the unobserved share of the width. The bias from noise along the rays acts about
+    the same point.
     """
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])
@@ -403,7 +409,7 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
     observed = table.seen
     with cython.nogil:
         for i in range(rows.shape[0]):
-            table.expect(rows[min(i + 4, rows.shape[0] - 1)])
+            table.prefetch_leaf(rows[min(i + 4, rows.shape[0] - 1)])
             leaf = table.at(rows[i])
             slope[0] = leaf.bias[0]
             slope[1] = slope[2] = leaf.bias[1]
@@ -415,7 +421,7 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
             seen = 0
             for k in range(first, first + number):
                 seen += 1 if observed[k] else 0
-            if seen == 0 or seen == number or leaf.known < 3:
+            if seen == 0 or seen == number or leaf.state < 3:
                 plane.covariance_about(slope, lift, 0.0, 0.0, part)
                 for j in range(9):
                     out[i, j] = part[j]
@@ -432,7 +438,7 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
                     syy += y * y
             x = sx / seen
             y = sy / seen
-            # Of few, the mean lies nearer to them than to the ground; each is a square of side one.
+            # Bessel's correction; each cell is a square of side one.
             free = max(seen - 1.0, 1.0)
             sxx = (sxx - seen * x * x) / free + 1.0 / 12.0
             syy = (syy - seen * y * y) / free + 1.0 / 12.0
@@ -442,7 +448,11 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
             wide = max(_unseen(sxx, correlation, across), _unseen(syy, correlation, across))
             wide = min(max(wide / across, 0.0), 1.0)
             side = table.side(leaf.level)
-            tilt = wide * wide * (UNSEEN_TILT * UNSEEN_TILT + 12.0 * leaf.uneven / (side * side))
+            tilt = (
+                wide
+                * wide
+                * (UNSEEN_TILT * UNSEEN_TILT + 12.0 * leaf.parent_misfit / (side * side))
+            )
             slope[0] += tilt
             slope[3] += tilt
             side /= across

@@ -9,23 +9,23 @@ cpdef enum:  # rows of `ScanUpdate.fit`
     RISE, OWN, OF_SCAN, OF_MAP, FIRST_TIME, LAST_TIME,
     PLACE_X, PLACE_Y, PLACE_Z, SLOPE_X, SLOPE_Y, OF_SLOPE, ROWS
 
-cdef void put(unsigned char[::1] seen, long long[::1] key, Py_ssize_t begin, Py_ssize_t end, unsigned char state) noexcept nogil
+cdef void set_states(unsigned char[::1] seen, long long[::1] key, Py_ssize_t begin, Py_ssize_t end, unsigned char state) noexcept nogil
 
-cdef class Room:
+cdef class ScanBuffers:
     cdef Py_ssize_t points, cells
     cdef Py_ssize_t[::1] begins, rows
     cdef double[::1] residual, ratios, weights
     cdef object ratio
     cdef Heights heights
     cdef Run[::1] runs
-    cpdef hold(self, Py_ssize_t points)
-    cpdef hold_runs(self, Py_ssize_t cells)
+    cpdef reserve_points(self, Py_ssize_t points)
+    cpdef reserve_runs(self, Py_ssize_t cells)
 
 @cython.final
 cdef class ScanUpdate:
     cdef LeafTable table
     cdef Rules rules
-    cdef Room room
+    cdef ScanBuffers buffers
     cdef Fusion fusion
     cdef double[:, ::1] points
     cdef double[::1] residual
@@ -38,24 +38,24 @@ cdef class ScanUpdate:
     cdef double[::1] ratios
     cdef double[::1] weights
     cdef readonly Py_ssize_t cells
-    cdef Py_ssize_t rested
+    cdef Py_ssize_t noise_count
     cdef readonly Py_ssize_t divisions
     cdef readonly Py_ssize_t estimated
     cdef readonly Py_ssize_t compared
     cdef readonly Py_ssize_t refused
     cdef Run* _run(self, Py_ssize_t at) noexcept nogil
     cdef Leaf* _leaf(self, Py_ssize_t row) noexcept nogil
-    cdef double* _from(self, Py_ssize_t begin) noexcept nogil
+    cdef double* _points_from(self, Py_ssize_t begin) noexcept nogil
     cdef double* _residual_from(self, Py_ssize_t begin) noexcept nogil
-    cdef void _level(self, Leaf* leaf) noexcept nogil
+    cdef void _assume_level(self, Leaf* leaf) noexcept nogil
     cdef void _measure(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
     cdef bint _comparable(self, Leaf* leaf) noexcept nogil
-    cdef void _compare(self, Leaf* leaf, Run* run, Py_ssize_t at) noexcept nogil
+    cdef void _write_comparison(self, Leaf* leaf, Run* run, Py_ssize_t at) noexcept nogil
     cdef bint _divide(self, Py_ssize_t row, Run* run) noexcept nogil
-    cdef void _settle(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, Run* run, bint same_scan) noexcept nogil
-    cdef void _go_on(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, bint same_scan) noexcept nogil
+    cdef void _update_leaf(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, Run* run, bint same_scan) noexcept nogil
+    cdef void _update_children(self, Py_ssize_t row, Py_ssize_t begin, Py_ssize_t end, bint same_scan) noexcept nogil
     cdef void _record_hits(self, Py_ssize_t begin, Py_ssize_t end) noexcept nogil
-    cdef void _mark(self, Py_ssize_t begin, Py_ssize_t end, unsigned char state) noexcept nogil
-    cdef void _residuals(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
-    cdef bint _mound(self, Py_ssize_t begin, Py_ssize_t end, double variance, double sign) noexcept nogil
-    cdef void _rest(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
+    cdef void _raise_states(self, Py_ssize_t begin, Py_ssize_t end, unsigned char state) noexcept nogil
+    cdef void _update_residuals(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
+    cdef bint _shows_mound(self, Py_ssize_t begin, Py_ssize_t end, double variance, double sign) noexcept nogil
+    cdef void _update_statistics(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil

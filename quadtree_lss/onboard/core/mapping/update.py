@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one scan does to the leaves: fit, fuse, judge, divide, come to rest (paper IV)."""
+"""Update of the leaves by one scan: fit, fuse, divide, residual statistics (paper IV)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from cython.cimports.libc.math import INFINITY, fabs, sqrt
 from cython.cimports.quadtree_lss.onboard.core.geometry.plane import offset_variance
 from cython.cimports.quadtree_lss.onboard.core.mapping import division, measure
 from cython.cimports.quadtree_lss.onboard.core.mapping import update as row
-from cython.cimports.quadtree_lss.onboard.core.mapping.division import departs, hides_rock, judge
+from cython.cimports.quadtree_lss.onboard.core.mapping.division import (
+    set_statistic,
+    shows_rock,
+    view_shows_misfit,
+)
 from cython.cimports.quadtree_lss.onboard.core.mapping.features import update_feature
 from cython.cimports.quadtree_lss.onboard.core.mapping.update import OF_MAP as OF_MAP
 from cython.cimports.quadtree_lss.onboard.core.mapping.update import OF_SCAN as OF_SCAN
@@ -27,26 +31,26 @@ from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
 from quadtree_lss.onboard.core.sensing.register import KEPT_POINTS, RegisteredScan
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
 
-#: Share of a finest cell, of 6 cm in 25, on which nothing stands out that matters.
-FEW = cython.declare(cython.double, 1.0 / 16.0)
-#: A plane that moved by such a share of what stands out is another one.
-MOVED = cython.declare(cython.double, 0.75)
-#: The mean of a finest cell's returns rises so many deviations over a plane: of 65,536 cells noise
-#: lifts two so far.
-PILED = cython.declare(cython.double, 4.0)
-#: Of the mean square that a plane leaves out, what planes half as wide leave out: residuals go with
-#: the width.
-LESS = cython.declare(cython.double, 0.25)
-#: Points of a scan in a cell that tell the range noise, and the least z of its normal (30 degrees
-#: of slope): facades and trees tell nothing.
+#: A finest cell is explained if at most this share of its returns stands out: (6 cm / 25 cm)^2.
+UNEXPLAINED_SHARE = cython.declare(cython.double, 1.0 / 16.0)
+#: A finest cell is no longer explained when its plane moves by more than this share of
+#: `division.unexplained_distance`.
+MOVED_SHARE = cython.declare(cython.double, 0.75)
+#: Standard deviations by which the mean height of a finest cell must exceed its plane to show a
+#: rock; noise does so in two of 65,536 cells.
+MOUND_SIGMAS = cython.declare(cython.double, 4.0)
+#: Mean square misfit of a child over that of its parent: residuals are proportional to the width.
+CHILD_MISFIT = cython.declare(cython.double, 0.25)
+#: Least points of a scan in a cell for an estimate of the range noise, and least z of its normal (a
+#: slope of 30 degrees), which excludes facades and trees.
 NOISE_POINTS = cython.declare(cython.double, 8.0)
-LEVEL = cython.declare(cython.double, 0.866)
-#: A plane is higher or lower at no cell's centre, m.
+MIN_NORMAL_Z = cython.declare(cython.double, 0.866)
+#: Greatest height of a plane at a cell's centre, m.
 HIGHEST = cython.declare(cython.double, HEIGHTS)
 
 
 @cython.boundscheck(False)
-def put(
+def set_states(
     seen: Bytes, key: Keys, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, state: cython.uchar
 ) -> None:
     """Set the state of the finest cells under the points ``begin`` to ``end`` of keys (N,)."""
@@ -55,25 +59,22 @@ def put(
         seen[key[i]] = state
 
 
-class Room:
-    """Memory for what is found of one scan, kept for the next: its points and its cells.
-
-    To ask for it anew and to tell what its records are took a twentieth of a scan. What was in it
-    is lost as it grows.
+class ScanBuffers:
+    """Memory of a scan's points and cells, reused by the next scan (allocation took 5 % of a scan).
 
     Attributes:
-        begins, rows: Of each cell, the first of its points, and its row in the table.
+        begins, rows: First point of each cell, and its row in the table.
         residual: Of each point, m.
-        ratio: (2, N) of cells that tell the range noise.
-        heights: For the feature of a cell.
+        ratio: (2, N), see `ScanUpdate`.
+        heights: Work space of `features.update_feature`.
         runs: Records of type `RUN`, one for each cell.
     """
 
     def __init__(self) -> None:
         self.points = self.cells = -1
 
-    def hold(self, points: cython.Py_ssize_t) -> None:
-        """Have room for so many points."""
+    def reserve_points(self, points: cython.Py_ssize_t) -> None:
+        """Grow to this number of points; the contents are lost."""
         if points > self.points:
             self.points = points
             self.begins, self.rows = np.empty((2, points + 1), dtype=np.intp)
@@ -82,25 +83,25 @@ class Room:
             self.ratios, self.weights = self.ratio
             self.heights = Heights(points)
 
-    def hold_runs(self, cells: cython.Py_ssize_t) -> None:
-        """Have room for the records of so many cells."""
+    def reserve_runs(self, cells: cython.Py_ssize_t) -> None:
+        """Grow to this number of cells; the contents are lost."""
         if cells > self.cells:
             self.cells = 2 * cells
             self.runs = np.empty(self.cells, dtype=RUN)
 
 
 class ScanUpdate:
-    """One scan on its way through the leaves.
+    """Update of a leaf table by one scan: `fit`, `lower` if it is aligned, then `update_leaves`.
 
-    Points lie about the lidar, in Morton order, so that those of a cell of any level are one run.
+    Points are in map axes about the lidar, in Morton order, so that each cell of any level has one
+    run of them.
 
     Attributes:
-        cells: Leaves that the scan touches.
-        estimated, compared: Points in leaves with a plane of their own, and in those of them that
-            `fit` compares.
-        divisions, refused: Cells divided, and divisions for which there was no room.
-        ratio: (2, R) of the cells in which points came to rest and that tell the range noise:
-            observed over configured deviation, and points; until the next scan.
+        cells: Number of leaves with points of the scan.
+        estimated, compared: Points in estimated leaves, and in those of them that `fit` compares.
+        divisions, refused: Number of divisions, and of divisions beyond ``max_cells``.
+        ratio: (2, R) for the cells with an estimate of the range noise: observed over configured
+            standard deviation, and points. Valid until the next scan.
     """
 
     def __init__(
@@ -109,31 +110,30 @@ class ScanUpdate:
         rules: Rules,
         scan: RegisteredScan,
         now: float,
-        room: Room | None = None,
+        buffers: ScanBuffers | None = None,
     ) -> None:
         count = len(scan.key)
         self.table = table
         self.fusion = Fusion(rules, scan, now)
         self.rules = rules
-        rules.look(scan.pose.rotation_map_lidar[:, 2])
+        rules.set_boresight(scan.pose.rotation_map_lidar[:, 2])
         self.points = scan.points
         self.key = scan.key
-        self.room = Room() if room is None or count > KEPT_POINTS else room
-        self.room.hold(count)
-        self.residual = self.room.residual
-        self.divisions = self.refused = self.rested = self.estimated = self.compared = 0
-        self._gather()
+        self.buffers = ScanBuffers() if buffers is None or count > KEPT_POINTS else buffers
+        self.buffers.reserve_points(count)
+        self.residual = self.buffers.residual
+        self.divisions = self.refused = self.noise_count = self.estimated = self.compared = 0
+        self._find_runs()
 
     @cython.boundscheck(False)
-    def _gather(self) -> None:
-        """Find the runs of points that share a leaf: in steps that double until one leads out of
-        it, and then halve."""
+    def _find_runs(self) -> None:
+        """Find the runs of points that share a leaf, by exponential search."""
         i: cython.Py_ssize_t = 0
         step: cython.Py_ssize_t
         cells: cython.Py_ssize_t = 0
         count: cython.Py_ssize_t = len(self.key)
         row: cython.Py_ssize_t
-        self.begins, self.rows = self.room.begins, self.room.rows
+        self.begins, self.rows = self.buffers.begins, self.buffers.rows
         while i < count:
             row = self.table.over[self.key[i]]
             self.begins[cells] = i
@@ -150,43 +150,43 @@ class ScanUpdate:
             i += 1
         self.begins[cells] = count
         self.cells = cells
-        self.room.hold_runs(cells + self.table.max_level + 1)
-        self.runs = self.room.runs
+        self.buffers.reserve_runs(cells + self.table.max_level + 1)
+        self.runs = self.buffers.runs
 
     @cython.boundscheck(False)
     def _run(self, at: cython.Py_ssize_t) -> Record:
-        """One record of type `measure.RUN`, to read and to write."""
+        """Return a pointer to a record of type `measure.RUN`."""
         return cython.address(self.runs[at])
 
     @cython.boundscheck(False)
     def _leaf(self, row: cython.Py_ssize_t) -> Record:
-        """One leaf, to read and to write."""
+        """Return a pointer to a leaf."""
         return cython.address(self.table.leaf[row])
 
     @cython.boundscheck(False)
-    def _from(self, begin: cython.Py_ssize_t) -> Any:
-        """Points from one on, x, y and z of one after the other."""
+    def _points_from(self, begin: cython.Py_ssize_t) -> Any:
+        """Return a pointer to the points from ``begin`` on (x, y, z interleaved)."""
         return cython.address(self.points[begin, 0])
 
     @cython.boundscheck(False)
     def _residual_from(self, begin: cython.Py_ssize_t) -> Any:
-        """Residuals of the points from one on."""
+        """Return a pointer to the residuals from ``begin`` on."""
         return cython.address(self.residual[begin])
 
     @cython.boundscheck(False)
     def fit(self) -> Array:
-        """Fit the touched leaves; the scan beside the map in the M that were measured before.
+        """Fit the scan in each touched leaf, and compare it with the M estimated ones.
 
-        Where there is no plane to compare with, `settle` fits, while the leaf is near for more.
-        Leaves divided from rough ground (tree crowns) are not compared: their planes depend on
-        which returns a scan happens to have, not on its pose.
+        Leaves without a plane are fitted in `update_leaves`. Leaves divided from rough ground (tree
+        crowns) are not compared, because their planes depend on the returns of a scan more than on
+        its pose.
 
         Returns:
-            (ROWS, M), by row. `RISE`: scan's height over the map, m; `OWN`: variance of that but
-            for pose error, m^2. `OF_SCAN`, `OF_MAP`: variance of the height of either from pose
-            error, m^2. `FIRST_TIME`, `LAST_TIME`: of the scans in the map's plane, s. `PLACE_X`,
-            `PLACE_Y`, `PLACE_Z`: of the cell about the lidar, m. `SLOPE_X`, `SLOPE_Y`: the map's,
-            and `OF_SLOPE`: variance of either from pose error.
+            (ROWS, M) with the rows `RISE`: height of the scan over the map, m; `OWN`: its variance
+            without pose errors, m^2; `OF_SCAN`, `OF_MAP`: variance of either height from pose
+            errors, m^2; `FIRST_TIME`, `LAST_TIME`: of the scans in the map's plane, s; `PLACE_X`,
+            `PLACE_Y`, `PLACE_Z`: of the cell about the lidar, m; `SLOPE_X`, `SLOPE_Y`: of the map's
+            plane; `OF_SLOPE`: variance of either from pose errors.
         """
         i: cython.Py_ssize_t
         found: cython.Py_ssize_t = 0
@@ -194,25 +194,25 @@ class ScanUpdate:
         self.columns = out
         with cython.nogil:
             for i in range(self.cells):
-                self.table.glance(self.rows[min(i + 16, self.cells - 1)])
+                self.table.prefetch_header(self.rows[min(i + 16, self.cells - 1)])
                 leaf = self._leaf(self.rows[i])
-                if leaf.known <= leaves.HINTS:
-                    self._level(leaf)
+                if leaf.state <= leaves.INCOMPLETE:
+                    self._assume_level(leaf)
                     continue
-                self.table.expect(self.rows[min(i + 4, self.cells - 1)])
+                self.table.prefetch_leaf(self.rows[min(i + 4, self.cells - 1)])
                 run = self._run(i)
                 self._measure(leaf, self.begins[i], self.begins[i + 1], run)
-                if leaf.known == leaves.MEASURED:
+                if leaf.state == leaves.ESTIMATED:
                     self.estimated += self.begins[i + 1] - self.begins[i]
                 if self._comparable(leaf):
                     self.compared += self.begins[i + 1] - self.begins[i]
-                    self._compare(leaf, run, found)
+                    self._write_comparison(leaf, run, found)
                     found += 1
         return out[:, :found]
 
     @cython.boundscheck(False)
-    def parts(self) -> Array:
-        """`RISE` to `OF_MAP`, (4, M), of the finest cells that were known, each by its mean."""
+    def fit_finest(self) -> Array:
+        """Return `RISE` to `OF_MAP` as (4, M), for the mean in each explained finest cell."""
         cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t)
         found: cython.Py_ssize_t = 0
         out = np.empty((4, len(self.key)))
@@ -235,7 +235,7 @@ class ScanUpdate:
                 total += along_x * (self.points[k, 0] - x) + along_y * (self.points[k, 1] - y)
                 count += 1.0
                 if k + 1 == self.begins[i + 1] or self.key[k + 1] != self.key[k]:
-                    if self.table.seen[self.key[k]] == leaves.KNOWN:
+                    if self.table.seen[self.key[k]] == leaves.EXPLAINED:
                         own = run.variance / count + leaf.range_part[8]
                         self.columns[row.RISE, found] = total / count
                         self.columns[row.OWN, found] = own / (up * up) + max(misfit, 0.0)
@@ -246,22 +246,22 @@ class ScanUpdate:
         return out[:, :found]
 
     def _comparable(self, leaf: Record) -> cython.bint:
-        """Whether the height of a scan over a leaf tells the scan's offset from the map."""
-        return leaf.known == leaves.MEASURED and leaf.uneven <= self.rules.slack
+        """Return whether the leaf is estimated, and smooth enough for a comparison."""
+        return leaf.state == leaves.ESTIMATED and leaf.parent_misfit <= self.rules.slack
 
-    def _compare(self, leaf: Record, run: Record, at: cython.Py_ssize_t) -> None:
-        """One column of what `fit` returns; few points are compared where they lie, for what they
-        say of the cell's centre is the slope that the map has."""
+    def _write_comparison(self, leaf: Record, run: Record, at: cython.Py_ssize_t) -> None:
+        """Write a column of the result of `fit`. Few points are compared at their centroid, because
+        at the cell's centre they depend on the map's slope."""
         place = cython.declare(cython.double[3])
         square = leaf.normal[2] * leaf.normal[2]
         own = run.range_part[8] + leaf.range_part[8]
         misfit = leaf.square_sum / max(leaf.division_weight, 1.0) - run.variance
         self.columns[row.RISE, at] = run.z + self.fusion.origin[2] - leaf.z
         if measure.few(run):
-            self.fusion.place(leaf, run, place)
+            self.fusion.offset_at(leaf, run, place)
             own = run.variance / run.points + offset_variance(leaf.range_part, place[0], place[1])
             self.columns[row.RISE, at] = place[2]
-        seen = max(1.0 - run.unseen, 0.1)
+        seen = max(1.0 - run.unobserved, 0.1)
         own += self.rules.uneven * (1.0 / (seen * seen) - 1.0)
         self.columns[row.OWN, at] = own / square + max(misfit, 0.0)
         pose = run.pose_part[8]
@@ -279,22 +279,22 @@ class ScanUpdate:
         tilt = 0.5 * (leaf.pose_part[0] + leaf.pose_part[4])
         self.columns[row.OF_SLOPE, at] = tilt / (square * square)
 
-    def align(self, down: float) -> None:
-        """Lower the scan to where the map lies, by so many m."""
-        self.fusion.align(down)
+    def lower(self, down: float) -> None:
+        """Lower the scan by ``down``, m."""
+        self.fusion.lower(down)
 
     @cython.boundscheck(False)
-    def settle(self) -> None:
-        """Fuse, judge and divide until no cell asks for it; then count the residuals."""
+    def update_leaves(self) -> None:
+        """Fuse the fits, divide where a plane does not suffice, update residual statistics."""
         cython.declare(i=cython.Py_ssize_t, begin=cython.Py_ssize_t, end=cython.Py_ssize_t)
         cython.declare(levels=cython.Py_ssize_t)
-        self.ratios, self.weights = self.room.ratios, self.room.weights
+        self.ratios, self.weights = self.buffers.ratios, self.buffers.weights
         with cython.nogil:
             for i in range(self.cells):
-                self.table.expect(self.rows[min(i + 4, self.cells - 1)])
+                self.table.prefetch_leaf(self.rows[min(i + 4, self.cells - 1)])
                 begin, end = self.begins[i], self.begins[i + 1]
                 leaf, run = self._leaf(self.rows[i]), self._run(i)
-                if leaf.known <= leaves.HINTS:
+                if leaf.state <= leaves.INCOMPLETE:
                     run = self._run(self.cells)
                     self._measure(leaf, begin, end, run)
                 levels = self.table.max_level - leaf.level
@@ -303,30 +303,30 @@ class ScanUpdate:
                     if self.table.count + levels > self.table.capacity:
                         with cython.gil:
                             self.table.reserve(levels)
-                self._settle(self.rows[i], begin, end, run, False)
-        self.ratio = self.room.ratio[:, : self.rested]
+                self._update_leaf(self.rows[i], begin, end, run, False)
+        self.ratio = self.buffers.ratio[:, : self.noise_count]
 
-    def _level(self, leaf: Record) -> None:
-        """Where nothing is known, ground is taken to be level."""
-        if leaf.known == leaves.NOTHING:
+    def _assume_level(self, leaf: Record) -> None:
+        """Start with level ground in a leaf without any information."""
+        if leaf.state == leaves.UNKNOWN:
             leaf.normal[0] = leaf.normal[1] = 0.0
             leaf.normal[2] = 1.0
 
     def _measure(
         self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record
     ) -> None:
-        """Fit a run of points in a leaf."""
-        points, side = self._from(begin), self.table.sides[leaf.level]
+        """Fit the points ``begin`` to ``end`` in a leaf."""
+        points, side = self._points_from(begin), self.table.sides[leaf.level]
         origin, sigma = self.fusion.origin, self.fusion.sigma
         measure.measure(self.rules, leaf, run, points, end - begin, origin, sigma, side)
 
     def _divide(self, row: cython.Py_ssize_t, run: Record) -> cython.bint:
-        """Divide a leaf above the finest level, if there is room.
+        """Divide a leaf, unless it is a finest cell or ``max_cells`` is reached.
 
-        What the plane did not describe, its mean square residual, makes its height less certain to
-        the children. Its slope is worth `slope_points` measurements that fill a child, which have
-        the horizontal variance side^2 / 12; what is `left_out` counts twice, for neighbours have
-        it in common. Points of a child may be too few to show it and have it all the same.
+        The parent's mean square residual makes the children's heights less certain. The parent's
+        slope counts as much as `slope_points` measurements that fill a child (horizontal variance
+        side^2 / 12); its misfit counts twice, because neighbouring residuals are correlated. The
+        children keep the misfit, because their own points may be too few to show it.
         """
         leaf = self._leaf(row)
         if leaf.level >= self.table.max_level:
@@ -334,18 +334,18 @@ class ScanUpdate:
         square = run.variance
         if leaf.division_weight > 0.0:
             square = max(leaf.square_sum / leaf.division_weight, square)
-        uneven = max(division.left_out(leaf, run.variance), leaf.uneven)
+        uneven = max(division.misfit_square(leaf, run.variance), leaf.parent_misfit)
         side = 0.5 * self.table.side(leaf.level)
         tilt = run.variance + 2.0 * uneven
         tilt *= 12.0 / (self.rules.slope_points * side * side)
-        spread = division.standing_out(self.rules, leaf, run.variance)
-        if not self.table.divide(row, square, tilt, spread, LESS * uneven):
+        spread = division.unexplained_distance(self.rules, leaf, run.variance)
+        if not self.table.divide(row, square, tilt, spread, CHILD_MISFIT * uneven):
             self.refused += 1
             return False
         self.divisions += 1
         return True
 
-    def _settle(
+    def _update_leaf(
         self,
         row: cython.Py_ssize_t,
         begin: cython.Py_ssize_t,
@@ -353,92 +353,103 @@ class ScanUpdate:
         run: Record,
         same_scan: cython.bint,
     ) -> None:
-        """Take a run of points into a leaf or its descendants.
+        """Update a leaf, or its descendants if it is divided, with a run of points.
 
-        A strip that tells no plane of a fresh leaf waits while it grows from scan to scan, as where
-        a scan comes in: the next shows more. Else it goes on in smaller leaves, which can hold what
-        this one cannot. A view of a part of a leaf is held against the plane as it was: a rock that
-        fills the view would bend it. The others are fused, judged and come to rest, or divide the
-        leaf.
+        A new leaf whose points do not determine a plane waits while they cover more of its width
+        with each scan, as at the edge of the scanned area; otherwise it is divided. A partial view
+        is compared with the plane before fusion, because a rock that fills the view would turn it.
+        All other runs are fused; then the leaf is divided or its residual statistics are updated.
         """
         leaf = self._leaf(row)
         side = self.table.sides[leaf.level]
-        if self.fusion.contradicts(leaf, run):
+        if self.fusion.is_elsewhere(leaf, run):
             leaf.points -= run.points
             if leaf.points > 0.0:
-                if run.points > 1.0:  # one return alone is no evidence
-                    put(self.table.seen, self.key, begin, end, leaves.SEEN)
+                if run.points > 1.0:  # a single return is not evidence
+                    set_states(self.table.seen, self.key, begin, end, leaves.OBSERVED)
                 else:
-                    self._mark(begin, end, leaves.SEEN)
+                    self._raise_states(begin, end, leaves.OBSERVED)
                 return
-            self.table.forget(leaf)
+            self.table.reset_leaf(leaf)
             self._measure(leaf, begin, end, run)
-        fresh: cython.bint = leaf.known <= leaves.HINTS
-        if fresh and run.sloped == 0.0:
-            seen = 1.0 - run.unseen
-            grows: cython.bint = seen > leaf.strip
-            leaf.strip = max(leaf.strip, seen)
+        fresh: cython.bint = leaf.state <= leaves.INCOMPLETE
+        if fresh and run.has_slope == 0.0:
+            seen = 1.0 - run.unobserved
+            grows: cython.bint = seen > leaf.strip_width
+            leaf.strip_width = max(leaf.strip_width, seen)
             enough: cython.bint = run.points >= self.rules.min_residuals
             if enough and not grows and self._divide(row, run):
-                self._go_on(row, begin, end, False)
+                self._update_children(row, begin, end, False)
             else:
-                self._mark(begin, end, leaves.SEEN)
+                self._raise_states(begin, end, leaves.OBSERVED)
             return
-        if leaf.known >= leaves.INHERITED:
-            self.fusion.doubt(leaf, run)
+        if leaf.state >= leaves.INHERITED:
+            self.fusion.limit_offset(leaf, run)
             if (
                 measure.partial(run)
                 and leaf.level < self.table.max_level
-                and departs(self.rules, leaf, run, self._from(begin), self.fusion.origin, side)
+                and view_shows_misfit(
+                    self.rules, leaf, run, self._points_from(begin), self.fusion.origin, side
+                )
             ):
-                self._residuals(leaf, begin, end, run)
+                self._update_residuals(leaf, begin, end, run)
                 if self._divide(row, run):
-                    self._go_on(row, begin, end, False)
+                    self._update_children(row, begin, end, False)
                     return
         if not measure.few(run):
-            judge(self.rules, leaf, run, self._from(begin), self.fusion.origin, self.fusion.sigma)
+            set_statistic(
+                self.rules,
+                leaf,
+                run,
+                self._points_from(begin),
+                self.fusion.origin,
+                self.fusion.sigma,
+            )
         x, y, z, up = leaf.normal[0], leaf.normal[1], leaf.z, leaf.normal[2]
         self.fusion.fuse(leaf, run, same_scan)
-        if not fabs(leaf.z) < HIGHEST:  # planes of places far above each other lead anywhere
-            self.table.forget(leaf)
-            self._mark(begin, end, leaves.SEEN)
+        if not fabs(leaf.z) < HIGHEST:
+            self.table.reset_leaf(leaf)
+            self._raise_states(begin, end, leaves.OBSERVED)
             return
-        if not fresh:  # by no plane was anything known
+        if not fresh:
             moved = fabs(leaf.normal[0] / leaf.normal[2] - x / up)
             moved += fabs(leaf.normal[1] / leaf.normal[2] - y / up)
-            most = MOVED * division.standing_out(self.rules, leaf, run.variance)
+            most = MOVED_SHARE * division.unexplained_distance(self.rules, leaf, run.variance)
             if fabs(leaf.z - z) + 0.5 * side * moved > most:
                 turn_x = x / up - leaf.normal[0] / leaf.normal[2]
                 turn_y = y / up - leaf.normal[1] / leaf.normal[2]
                 if not self.table.unmark_moved(leaf, leaf.z - z, turn_x, turn_y, most):
                     leaf.low, leaf.high = INFINITY, -INFINITY
-        if leaf.known != leaves.MEASURED:
-            self._mark(begin, end, leaves.SEEN)
+        if leaf.state != leaves.ESTIMATED:
+            self._raise_states(begin, end, leaves.OBSERVED)
             return
-        asked: cython.bint = division.asks(self.rules, leaf, run)
+        division.add_statistic(leaf, run)
+        asked: cython.bint = division.misfit_divides(self.rules, leaf, run)
         if asked and leaf.level < self.table.max_level:
-            self._residuals(leaf, begin, end, run)
+            self._update_residuals(leaf, begin, end, run)
         if not (asked and self._divide(row, run)):
-            self._rest(leaf, begin, end, run)
+            self._update_statistics(leaf, begin, end, run)
             if asked or leaf.level == self.table.max_level:
                 return
-            mound: cython.bint = self._mound(begin, end, run.variance, 1.0)
-            if not (mound or hides_rock(self.rules, leaf) or division.rough(self.rules, leaf)):
+            mound: cython.bint = self._shows_mound(begin, end, run.variance, 1.0)
+            if not (
+                mound or shows_rock(self.rules, leaf) or division.residuals_divide(self.rules, leaf)
+            ):
                 return
             if not self._divide(row, run):
                 return
-            self._mound(begin, end, run.variance, -1.0)  # they are to come to rest once
-        self._go_on(row, begin, end, same_scan or fresh)
+            self._shows_mound(begin, end, run.variance, -1.0)  # the children add them again
+        self._update_children(row, begin, end, same_scan or fresh)
 
     @cython.boundscheck(False)
-    def _go_on(
+    def _update_children(
         self,
         row: cython.Py_ssize_t,
         begin: cython.Py_ssize_t,
         end: cython.Py_ssize_t,
         same_scan: cython.bint,
     ) -> None:
-        """The quarters of a run go on in the leaves that their cell was divided into."""
+        """Update the children of a divided leaf, each with its part of the run."""
         run = self._run(self.cells + self._leaf(row).level)
         cython.declare(child=cython.Py_ssize_t, stop=cython.Py_ssize_t)
         while begin < end:
@@ -447,14 +458,16 @@ class ScanUpdate:
             while stop < end and self.table.over[self.key[stop]] == child:
                 stop += 1
             leaf = self._leaf(child)
-            self._level(leaf)
+            self._assume_level(leaf)
             self._measure(leaf, begin, stop, run)
-            self._settle(child, begin, stop, run, same_scan)
+            self._update_leaf(child, begin, stop, run, same_scan)
             begin = stop
 
     @cython.boundscheck(False)
-    def _mark(self, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, state: cython.uchar) -> None:
-        """The finest cells under a run are `SEEN` at least, or `KNOWN`."""
+    def _raise_states(
+        self, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, state: cython.uchar
+    ) -> None:
+        """Raise the states of the finest cells of a run to at least ``state``."""
         i: cython.Py_ssize_t
         for i in range(begin, end):
             if self.table.seen[self.key[i]] < state:
@@ -475,45 +488,44 @@ class ScanUpdate:
             self.table.hits[self.key[i]] |= 1 << ((column & 3) | (line & 3) << 2)
 
     @cython.boundscheck(False)
-    def _residuals(
+    def _update_residuals(
         self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record
     ) -> None:
-        """A run held against a leaf's plane: what stands out, and where.
+        """Compute the residuals of a run, and the states of its finest cells.
 
-        Of each finest cell the last look decides, and in it more than `FEW` of the cell's returns:
-        one of noise's tail among many does not last. One return alone, of few, is no evidence of
-        either: the cell stays what it was.
+        A finest cell becomes unexplained if more than `UNEXPLAINED_SHARE` of its returns in this
+        scan, and at least two, stand out from the plane. With a single one it keeps its state.
         """
         cython.declare(i=cython.Py_ssize_t)
         out = count = 0.0
         self._record_hits(begin, end)
-        points, residual = self._from(begin), self._residual_from(begin)
-        division.rest(self.rules, leaf, run, points, residual, self.fusion.origin)
-        if run.greatest <= run.raised_by:
-            put(self.table.seen, self.key, begin, end, leaves.KNOWN)
+        points, residual = self._points_from(begin), self._residual_from(begin)
+        division.add_residuals(self.rules, leaf, run, points, residual, self.fusion.origin)
+        if run.max_residual <= run.raised_limit:
+            set_states(self.table.seen, self.key, begin, end, leaves.EXPLAINED)
             return
         for i in range(begin, end):
             count += 1.0
-            if fabs(self.residual[i]) > run.raised_by:
+            if fabs(self.residual[i]) > run.raised_limit:
                 out += 1.0
             if i == end - 1 or self.key[i + 1] != self.key[i]:
-                if out <= FEW * count:
-                    self.table.seen[self.key[i]] = leaves.KNOWN
+                if out <= UNEXPLAINED_SHARE * count:
+                    self.table.seen[self.key[i]] = leaves.EXPLAINED
                 elif out > 1.0:
-                    self.table.seen[self.key[i]] = leaves.OUT
+                    self.table.seen[self.key[i]] = leaves.UNEXPLAINED
                 else:
-                    self._mark(i, i + 1, leaves.SEEN)
+                    self._raise_states(i, i + 1, leaves.OBSERVED)
                 out = count = 0.0
 
     @cython.boundscheck(False)
-    def _mound(
+    def _shows_mound(
         self, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, variance: float, sign: float
     ) -> cython.bint:
-        """Whether a finest cell rises over its leaf's plane as under a rock, by `MOUND`.
+        """Return whether a finest cell rises over its leaf's plane by `measure.MOUND`.
 
-        What noise of ``variance`` v hides in each scan, the mean of n returns of all of them shows:
-        it must rise by `PILED` sqrt(v / n), too. Those of this run are added, or with a ``sign`` of
-        -1 taken away again.
+        The mean of all n returns shows rocks that noise of variance v hides in each scan. It must
+        also exceed `MOUND_SIGMAS` sqrt(v / n). Adds the returns of this run; a ``sign`` of -1
+        removes them again.
         """
         i: cython.Py_ssize_t
         found: cython.bint = False
@@ -527,19 +539,19 @@ class ScanUpdate:
                 self.table.pile[self.key[i], 0] = cython.cast(cython.float, total)
                 self.table.pile[self.key[i], 1] = cython.cast(cython.float, count)
                 high: cython.bint = total > self.rules.mound_height * count
-                found |= high and total * total > PILED * PILED * variance * count
+                found |= high and total * total > MOUND_SIGMAS * MOUND_SIGMAS * variance * count
                 total = count = 0.0
         return found
 
-    def _rest(
+    def _update_statistics(
         self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record
     ) -> None:
-        """Points came to rest: residuals, and the leaf's feature."""
-        if run.points >= NOISE_POINTS and leaf.normal[2] >= LEVEL:
-            self.ratios[self.rested] = sqrt(run.square / run.variance)
-            self.weights[self.rested] = run.points
-            self.rested += 1
-        self._residuals(leaf, begin, end, run)
-        points, residual = self._from(begin), self._residual_from(begin)
+        """Update the residual statistics and the feature of a leaf."""
+        if run.points >= NOISE_POINTS and leaf.normal[2] >= MIN_NORMAL_Z:
+            self.ratios[self.noise_count] = sqrt(run.square / run.variance)
+            self.weights[self.noise_count] = run.points
+            self.noise_count += 1
+        self._update_residuals(leaf, begin, end, run)
+        points, residual = self._points_from(begin), self._residual_from(begin)
         origin, side = self.fusion.origin, self.table.sides[leaf.level]
-        update_feature(self.rules, leaf, run, points, residual, origin, side, self.room.heights)
+        update_feature(self.rules, leaf, run, points, residual, origin, side, self.buffers.heights)

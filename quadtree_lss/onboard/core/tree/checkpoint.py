@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.held_returns import SHOWN
-from quadtree_lss.onboard.core.tree.leaves import LEAF, MEASURED, leaf_raster
+from quadtree_lss.onboard.core.tree.leaves import ESTIMATED, LEAF, leaf_raster
 from quadtree_lss.onboard.core.tree.soundness import sound_planes
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 #: Increases whenever the arrays of `Mapper.export_state` change their meaning.
-FORMAT = 9
+FORMAT = 10
 
 #: Tolerance of a principal minor of a correlation matrix. Fusion leaves this much when the pose
 #: variance is up to 10^18 times the range variance (`geometry.plane.keep_possible`).
@@ -112,8 +112,8 @@ def _check_leaves(leaves: NDArray[Any], domain: Domain) -> None:
         leaf_raster(level.astype(np.uint8), ix.astype(np.uint32), iy.astype(np.uint32), raster)
     tiled = sound.all() and np.sum(0.25 ** level.astype(np.float64)) == 1.0
     _see(tiled and (raster >= 0).all(), "has leaves that do not tile the domain")
-    known = leaves["known"]
-    possible = ((known >= 0) & (known <= MEASURED)).all()
+    known = leaves["state"]
+    possible = ((known >= 0) & (known <= ESTIMATED)).all()
     for name in LEAF.names or ():
         if LEAF[name].base.kind == "f" and name not in {"low", "high", "feature"}:
             possible &= np.isfinite(leaves[name]).all()

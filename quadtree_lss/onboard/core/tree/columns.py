@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Leaves as columns, one array for each thing that is published of them."""
+"""Columns of `cell_map.CellMap` from the table of leaves."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from cython.cimports.libc.math import NAN
 from cython.cimports.quadtree_lss.onboard.core.geometry.morton import encode
 from cython.cimports.quadtree_lss.onboard.core.tree.leaves import (
+    ESTIMATED,
     INHERITED,
-    MEASURED,
-    SEEN,
+    OBSERVED,
     LeafTable,
 )
 
@@ -27,8 +27,9 @@ WIDER = cython.declare(cython.double, SHAPE**0.5)
 @cython.boundscheck(False)
 @cython.locals(table=LeafTable, rows=cython.Py_ssize_t[::1], range_part=cython.double[:, ::1])
 def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, Any]:
-    """Columns of ``cell_map.CellMap``, by name, of leaves (M,), NaN where a leaf has none of it.
-    ``range_part`` (M, 9) becomes one: what the leaves know is added to what it holds."""
+    """Return the columns of ``cell_map.CellMap``, by name, of leaves (M,), NaN where a leaf has no
+    value. ``range_part`` (M, 9): extra covariance, to which that of the leaves is added in place.
+    """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, m=cython.Py_ssize_t)
     m = rows.shape[0]
     whole, bits, single = np.empty((3, m), np.uint32), np.empty((2, m), np.uint8), np.empty((6, m))
@@ -45,17 +46,16 @@ def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, 
     down = cython.declare(cython.int)
     with cython.nogil:
         for i in range(rows.shape[0]):
-            table.expect(rows[min(i + 4, m - 1)])
+            table.prefetch_leaf(rows[min(i + 4, m - 1)])
             leaf = table.at(rows[i])
-            own = leaf.known == MEASURED
-            # Adding a number that is none makes none of what is not known.
-            unknown = 0.0 if leaf.known >= INHERITED else NAN
+            own = leaf.state == ESTIMATED
+            # Adding NaN marks missing values without a branch.
+            unknown = 0.0 if leaf.state >= INHERITED else NAN
             unmeasured = 0.0 if own else NAN
             mark[0, i], mark[1, i], number[0, i], number[1, i] = leaf.level, own, leaf.ix, leaf.iy
             number[2, i] = cython.cast(cython.uint, leaf.points) if own else 0
             counted = max(leaf.residuals, 1.0)
-            # On flat ground noise is all there is, and times a large cell's area it would look
-            # rough; a depth camera's makes exceptions.
+            # Without the noise floor, which a large cell's area would turn into roughness.
             mean = max(leaf.distance_sum - leaf.noise_sum, 0.0) / counted
             excepted = max(leaf.exception_sum - leaf.exception_noise, 0.0) / counted
             side = table.side(leaf.level)
@@ -68,7 +68,7 @@ def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, 
             code = encode(leaf.ix, leaf.iy) << down
             mapped = covered = 0.0
             for j in range(code, code + (1 << down)):
-                if table.seen[j] > SEEN:
+                if table.seen[j] > OBSERVED:
                     mapped += 1.0
                     hits = table.hits[j]
                     while hits:

@@ -2,10 +2,10 @@
 cimport cython
 
 cpdef enum:
-    NOTHING, HINTS, INHERITED, MEASURED
+    UNKNOWN, INCOMPLETE, INHERITED, ESTIMATED
 
 cpdef enum:
-    SEEN = 1, KNOWN, OUT
+    OBSERVED = 1, EXPLAINED, UNEXPLAINED
 
 #: Of ``bias``: behind t t^T.
 cpdef enum:
@@ -15,7 +15,7 @@ cdef struct Leaf:
     int level
     int ix
     int iy
-    int known
+    int state
     double x
     double y
     double z
@@ -36,15 +36,15 @@ cdef struct Leaf:
     double low
     double high
     double greatest
-    double strip
-    double uneven
+    double strip_width
+    double parent_misfit
     double bias[5]
     double feature[5]
     double feature_information[25]
 
 cdef double NO_SLOPE
 
-cdef void clear(Leaf* leaf) noexcept nogil
+cdef void reset_statistics(Leaf* leaf) noexcept nogil
 
 @cython.final
 cdef class LeafTable:
@@ -66,16 +66,16 @@ cdef class LeafTable:
     cdef readonly int max_level
     cdef double xmin, ymin
     cdef double sides[32]
-    cdef void glance(self, Py_ssize_t row) noexcept nogil
-    cdef void expect(self, Py_ssize_t row) noexcept nogil
+    cdef void prefetch_header(self, Py_ssize_t row) noexcept nogil
+    cdef void prefetch_leaf(self, Py_ssize_t row) noexcept nogil
     cdef Leaf* at(self, Py_ssize_t row) noexcept nogil
     cdef double side(self, int level) noexcept nogil
     cdef void _place(self, Py_ssize_t row, int level, int ix, int iy) noexcept nogil
     cdef bint unmark_moved(self, Leaf* leaf, double rise, double slope_x, double slope_y, double limit) noexcept nogil
-    cdef void forget(self, Leaf* leaf) noexcept nogil
+    cdef void reset_leaf(self, Leaf* leaf) noexcept nogil
     cdef bint _stands_out(self, int level, int ix, int iy) noexcept nogil
-    cpdef bint divide(self, Py_ssize_t row, double square, double tilt, double spread, double uneven) noexcept nogil
+    cpdef bint divide(self, Py_ssize_t row, double square, double tilt, double spread, double parent_misfit) noexcept nogil
     cpdef reserve(self, Py_ssize_t more)
 
-cpdef unfold(unsigned char[::1] values, unsigned char[:, ::1] out)
+cpdef to_grid(unsigned char[::1] values, unsigned char[:, ::1] out)
 cpdef leaf_raster(unsigned char[::1] level, unsigned int[::1] ix, unsigned int[::1] iy, int[:, ::1] out)
