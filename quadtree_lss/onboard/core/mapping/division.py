@@ -9,7 +9,11 @@ from cython.cimports.libc.math import erfc, fabs, sqrt
 from cython.cimports.quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
 from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at
 from cython.cimports.quadtree_lss.onboard.core.mapping.features import feature_height
-from cython.cimports.quadtree_lss.onboard.core.mapping.measure import few, partial, pose_variance
+from cython.cimports.quadtree_lss.onboard.core.mapping.measure import (
+    has_few_points,
+    is_partial,
+    pose_variance,
+)
 from cython.cimports.quadtree_lss.onboard.core.tree.leaves import ESTIMATED
 
 from quadtree_lss.onboard.core.geometry.sphere import Vector
@@ -163,7 +167,7 @@ def add_statistic(leaf: Record, run: Record) -> None:
     The mean is over all measurements (Eq. 47), weighted by the N - 3 free residuals of each fit:
     otherwise, many scans with four points would outweigh one full view.
     """
-    if partial(run):
+    if is_partial(run):
         return
     weight = max(run.points - 3.0, 0.0)
     leaf.division_sum += weight * run.statistic
@@ -178,7 +182,7 @@ def misfit_divides(rules: Rules, leaf: Record, run: Record) -> cython.bint:
     are not divided by chance. After a partial view the leaf is not tested.
     """
     total = leaf.division_weight
-    if partial(run) or total < rules.min_residuals:
+    if is_partial(run) or total < rules.min_residuals:
         return False
     expected = MEAN_CHI_3 if rules.mahalanobis else MEAN_CHI_1
     spread = SPREAD_CHI_3 if rules.mahalanobis else SPREAD_CHI_1
@@ -290,9 +294,9 @@ def add_residuals(
     d = n_x * run.centroid[0] + n_y * run.centroid[1] + n_z * run.centroid[2]
     off = d - n_x * (leaf.x - origin[0]) - n_y * (leaf.y - origin[1]) - n_z * (leaf.z - origin[2])
     shared = 1.0
-    if few(run):
+    if has_few_points(run):
         shared = run.common_share
-    if few(run) or partial(run):
+    if has_few_points(run) or is_partial(run):
         d -= off - min(max(shared * off, -run.offset_limit), run.offset_limit)
     high = raised_distance(rules, leaf, variance)
     clip = rules.clip

@@ -16,7 +16,7 @@ cdef class Heights:
 cdef double bell(double square) noexcept nogil
 cdef void bells(Heights heights, double* state) noexcept nogil
 cdef double feature_height(double* state) noexcept nogil
-cdef double promise(Heights heights, double* state) noexcept nogil
+cdef double max_gain(Heights heights, double* state) noexcept nogil
 cdef double _linearise(Heights heights, double* state, double* mean, double* information, double* system) noexcept nogil
 cdef bint _solve(double* system, double damping, double* step) noexcept nogil
 cdef double estimate(Heights heights, double* state, double* information, bint known, double half, double finest) noexcept nogil

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Subscale features: one bell in a leaf, smaller than the leaf (paper V.C).
 
-Heights are above the cell's plane, so that a slope is no feature. The state is Eq. 51's
+Heights are above the cell's plane, so that a slope is not a feature. The state is Eq. 51's
 (A, k, mu_x, mu_y, sigma), the centre relative to the cell's; the height over the plane is
 A + p exp(-r^2 / 2 sigma^2) with p = k^2 / (2 pi sigma^2), so that k^2 is the bump's volume
 (Eq. 49, Eq. 50, Eq. 51 and Eq. 57 with their errata).
@@ -20,26 +20,26 @@ from quadtree_lss.onboard.core.tree.leaves import Record
 
 PI = cython.declare(cython.double, 3.141592653589793)
 #: Points this many standard deviations above the plane make a cell a candidate.
-HIGH = cython.declare(cython.double, 3.0)
-#: Fraction of points that noise alone raises so high, P(N(0, 1) > 3).
+RAISED_SIGMAS = cython.declare(cython.double, 3.0)
+#: Share of points that noise raises so high, P(N(0, 1) > 3).
 CHANCE = cython.declare(cython.double, 0.00135)
 #: Half side of the square around a feature whose points are used, in sigma.
 WINDOW = cython.declare(cython.double, 5.0)
 #: A first estimate must lower the cost (a chi-square) by this much against flat ground.
 SIGNIFICANCE = cython.declare(cython.double, 25.0)
-#: Points of one scan that a feature is estimated from, at most, and that start its estimate.
+#: Greatest number of points of one scan in an estimate, and in the first state.
 MAX_SAMPLES = cython.declare(cython.Py_ssize_t, 512)
 MAX_RAISED = cython.declare(cython.Py_ssize_t, 24)
 SHAPE = cython.declare(cython.double, cell_map.SHAPE)
-#: Updates of a first estimate at most.
+#: Greatest number of updates of a first estimate.
 ITERATIONS = cython.declare(cython.int, 5)
 #: Relative change of the cost at which an estimate has converged.
-SETTLED = cython.declare(cython.double, 5e-2)
+CONVERGED = cython.declare(cython.double, 5e-2)
 
 
 class Heights:
-    """Heights of one scan over one cell, those that may tell of a feature; ``near``: which of the
-    scan's ``most`` points lie near it."""
+    """Heights of one scan over one cell near a feature. ``near``: indices of the scan's points, at
+    most ``most``."""
 
     def __init__(self, most: int) -> None:
         self.near = np.empty(most + 1, dtype=np.intp)
@@ -49,13 +49,13 @@ class Heights:
         self.weight = 0.0
 
     def clear(self, weight: float) -> None:
-        """Forget them; ``weight`` is one over the variance of the next ones, m^-2."""
+        """Remove all heights; ``weight`` is the inverse variance of the next ones, m^-2."""
         self.count = 0
         self.weight = weight
 
     @cython.boundscheck(False)
     def add(self, x: float, y: float, z: float) -> None:
-        """A height above the plane, at a place relative to the cell's centre, m."""
+        """Add a height above the plane at a place relative to the cell's centre, m."""
         self.x[self.count] = x
         self.y[self.count] = y
         self.z[self.count] = z
@@ -63,11 +63,11 @@ class Heights:
 
 
 def bell(square: float) -> cython.double:
-    """exp(-square / 2) of a squared distance over sigma^2, to a billionth up to 20 and next to
-    nothing from 80 on.
+    """Return exp(-square / 2) for a squared distance over sigma^2, to 1e-9 up to 20, almost 0 from
+    80 on.
 
-    It is 1 / (1 + r + r^2 / 2 + ...)^256, r = square / 512: numbers only and no choice, so that
-    many are computed at once.
+    Computed as 1 / (1 + r + r^2 / 2 + ...)^256, r = square / 512, without branches, so that loops
+    vectorise.
     """
     r = square * (1.0 / 512.0)
     e = 1.0 + r * (1.0 + r * (0.5 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0)))))
@@ -78,8 +78,7 @@ def bell(square: float) -> cython.double:
 
 @cython.boundscheck(False)
 def bells(heights: Heights, state: Vector) -> None:
-    """What `bell` is at the place of each height, for the centre and sigma of a state (5), to
-    ``heights.bell``."""
+    """Write `bell` at each height to ``heights.bell``, for the centre and sigma of a state (5)."""
     i: cython.Py_ssize_t
     x, y = state[2], state[3]
     inverse = 1.0 / (state[4] * state[4])
@@ -90,19 +89,19 @@ def bells(heights: Heights, state: Vector) -> None:
 
 
 def feature_height(state: Vector) -> cython.double:
-    """Height of the rock that a fitted bell (5) stands for, m.
+    """Return the height of the rock that a fitted bell (5) represents, m.
 
-    A bell fitted to a hemisphere by least squares peaks a quarter above it.
+    A bell fitted to a hemisphere by least squares is a quarter higher than it.
     """
     return state[1] * state[1] / (2.0 * PI * state[4] * state[4] * SHAPE)
 
 
 @cython.boundscheck(False)
-def promise(heights: Heights, state: Vector) -> cython.double:
-    """How much a feature of the state's place and width can lower the flat cost at best.
+def max_gain(heights: Heights, state: Vector) -> cython.double:
+    """Return the greatest reduction of the flat cost by a feature of the state's place and width.
 
-    Linear in height, so in closed form: w (sum g z)^2 / sum g^2 with the bell g freed of its mean;
-    0 where the best height is negative.
+    In closed form, because the model is linear in the height: w (sum g z)^2 / sum g^2 with the bell
+    g minus its mean; 0 if the best height is negative.
     """
     i: cython.Py_ssize_t
     total = square = product = high = 0.0
@@ -122,14 +121,13 @@ def promise(heights: Heights, state: Vector) -> cython.double:
 def _linearise(
     heights: Heights, state: Vector, mean: Vector, information: Vector, system: Vector
 ) -> cython.double:
-    """The MAP cost about ``state``: Gauss-Newton matrix and descent direction, (5, 6) in system.
+    """Linearise the MAP cost about ``state``: Gauss-Newton matrix and descent direction, (5, 6).
 
-    cost = sum (z - h(X))^2 / variance + (X - mean)^T information (X - mean), returned; the
-    measurements' part of it is system[30], all of it system[31].
+    cost = sum (z - h(X))^2 / variance + (X - mean)^T information (X - mean). Returns it; system[30]
+    is the part of the measurements, system[31] the total.
     """
-    # Whole rows of sums, of which the lower half is not used, are computed two at a time, and apart
-    # from what they are of: two numbers that were just stored one by one a processor is slow to
-    # take as a pair.
+    # Whole rows of sums vectorise although their lower halves are not used. Separate loops, because
+    # reading two fresh stores as one vector stalls.
     total = cython.declare(cython.double[30])
     cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int)
     for j in range(30):
@@ -174,7 +172,8 @@ def _linearise(
 
 
 def _solve(system: Vector, damping: float, step: Vector) -> cython.bint:
-    """Step (5) of the damped normal equations by Cholesky; False if they are not definite."""
+    """Compute a step (5) of the damped normal equations by Cholesky; False if they are not
+    definite."""
     lower = cython.declare(cython.double[25])
     cython.declare(i=cython.int, j=cython.int, k=cython.int)
     for i in range(5):
@@ -211,13 +210,12 @@ def estimate(
     half: float,
     finest: float,
 ) -> cython.double:
-    """Damped, iterated batch EKF update of a state (Levenberg-Marquardt on the MAP cost); returns
-    the measurements' part of the cost.
+    """Update a state by a damped, iterated batch EKF (Levenberg-Marquardt on the MAP cost).
 
-    A state that earlier scans estimated (``known``) takes one full step, if that lowers its cost:
-    scan by scan it goes on from there. ``state`` (5) and its inverse covariance ``information``
-    (25) are prior and start, and replaced. The centre stays inside ``half`` the cell's side, sigma
-    is at least ``finest``, m.
+    A state from earlier scans (``known``) takes one full step, if that lowers the cost. ``state``
+    (5) and its inverse covariance ``information`` (25) are prior and start, and are replaced. The
+    centre stays inside the cell (``half`` its side, m), sigma is at least ``finest``, m. Returns
+    the measurements' part of the cost.
     """
     mean = cython.declare(cython.double[5])
     trial = cython.declare(cython.double[5])
@@ -249,7 +247,7 @@ def estimate(
                 system[i] = found[i]
         else:
             damping *= 6.0
-        if known or fabs(gain) < SETTLED * (1.0 + found[31]) or damping > 1e6:
+        if known or fabs(gain) < CONVERGED * (1.0 + found[31]) or damping > 1e6:
             break
     for i in range(5):
         for j in range(5):
@@ -260,7 +258,7 @@ def estimate(
 def insert_high(
     high: Vector, held: cython.Py_ssize_t, x: float, y: float, z: float
 ) -> cython.Py_ssize_t:
-    """Keep a raised sample among the ``MAX_RAISED`` highest (x, y, z each); how many are held."""
+    """Insert a raised sample into the `MAX_RAISED` highest (x, y, z each); return their number."""
     i: cython.Py_ssize_t = held
     if held == MAX_RAISED:
         if z <= high[3 * held - 1]:
@@ -280,13 +278,13 @@ def insert_high(
 def first_state(
     raised: cython.Py_ssize_t, high: Vector, count: float, area: float, least: float, out: Vector
 ) -> None:
-    """First state (5) from the data instead of Eq. 52's constants.
+    """Compute the first state (5) from the data instead of Eq. 52's constants.
 
-    Every raised sample collects the heights of the raised samples near it; the richest one is the
-    centre, which a single outlier is not. Those near it stand for the feature: their share of the
-    cell's area, m^2, gives sigma, their mean height over the rest its volume. ``high`` (3 raised)
-    are x, y, z of each sample that stands out, one at least; all ``count`` heights of the cell sum
-    to zero. ``least``: height of the lowest feature, m.
+    Each raised sample sums the heights of raised samples near it; the centre is that of the
+    greatest sum, which is not a single outlier. The samples near it give sigma by their share of
+    the cell's area, m^2, and the volume by their mean height. ``high``: (3 raised) x, y, z of each
+    raised sample, at least one; the ``count`` heights of the cell have the sum zero. ``least``:
+    height of the lowest feature, m.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     best: cython.Py_ssize_t = 0
@@ -328,16 +326,18 @@ def update_feature(
     side: float,
     heights: Heights,
 ) -> None:
-    """Update the feature of a leaf that a run shows one in, or that had one.
+    """Update the feature of a leaf, or start one.
 
-    A leaf is a candidate if clearly more points stand out than noise raises on flat ground; a
-    feature that later scans do not show fades away.
+    A feature starts if clearly more points are raised than noise explains on flat ground, and ends
+    if later scans do not show it.
 
     Args:
+        rules: Parameters.
+        leaf, run: Records of type `LEAF` and `RUN`.
         points, residual: Of the run, (3 N) about the lidar and (N) n.(r - mean), m.
         origin: (3) of the lidar, map frame, m.
         side: Of the cell, m.
-        heights: Working memory, for a scan's points.
+        heights: Work space for a scan's points.
     """
     high = cython.declare(cython.double[72])
     state = cython.declare(cython.double[5])
@@ -353,10 +353,10 @@ def update_feature(
     number: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, count)
     x, y, up = leaf.x - origin[0], leaf.y - origin[1], leaf.normal[2]
     known: cython.bint = isfinite(leaf.feature[1])
-    gate = max(HIGH * sqrt(run.variance), 0.5 * rules.feature_height * up)
+    gate = max(RAISED_SIGMAS * sqrt(run.variance), 0.5 * rules.feature_height * up)
     if not known and run.max_residual > gate:
         for i in range(number):
-            # A number and not a truth, which compilers do not count two at a time.
+            # A float rather than a bool, so that the loop vectorises.
             one = 1.0 if residual[i] > gate else 0.0
             raised += cython.cast(cython.int, one)
     chance = CHANCE * count
@@ -374,8 +374,7 @@ def update_feature(
                 east, north = points[3 * i] - x, points[3 * i + 1] - y
                 held = insert_high(high, held, east, north, residual[i] / up)
         first_state(held, high, count, side * side, rules.feature_height, state)
-        # Eq. 52's unit covariance, of a unit that is 1 m for the vehicle of the defaults; k^2 is a
-        # volume.
+        # Eq. 52's unit covariance, in a unit that is 1 m for the default vehicle; k^2 is a volume.
         unit = 10.0 * rules.feature_height
         for k in range(25):
             information[k] = 1.0 / (unit * unit) if k % 6 == 0 else 0.0
@@ -383,7 +382,7 @@ def update_feature(
     reach = min(max(WINDOW * state[4], 5.0 * rules.feature_height), side)
     middle_x, middle_y = x + state[2], y + state[3]
     for i in range(number):
-        # Without a branch, which nobody could foretell.
+        # Branch-free: mispredictions are costly here.
         heights.near[inside] = i
         off = max(fabs(points[3 * i] - middle_x), fabs(points[3 * i + 1] - middle_y))
         inside += off <= reach
@@ -393,7 +392,7 @@ def update_feature(
         i = heights.near[at]
         heights.add(points[3 * i] - x, points[3 * i + 1] - y, residual[i] / up)
         at += stride
-    if not known and promise(heights, state) < 0.5 * SIGNIFICANCE:
+    if not known and max_gain(heights, state) < 0.5 * SIGNIFICANCE:
         return
     total = square = 0.0
     for i in range(heights.count):

@@ -32,7 +32,7 @@ from quadtree_lss.onboard.core.mapping.alignment import (
     rigid_motion,
     weighted_median,
 )
-from quadtree_lss.onboard.core.mapping.measure import Rules, unseen_parts
+from quadtree_lss.onboard.core.mapping.measure import Rules, unobserved_parts
 from quadtree_lss.onboard.core.mapping.update import (
     OF_MAP,
     OF_SCAN,
@@ -344,7 +344,7 @@ class Mapper:
         rows, n = self.leaves.rows_in_morton_order(), self.domain.finest_count
         observed, range_part = np.empty((n, n), dtype=np.uint8), np.empty((len(rows), 9))
         to_grid(self.leaves.observed, observed)
-        unseen_parts(self.leaves, rows, range_part)
+        unobserved_parts(self.leaves, rows, range_part)
         return CellMap(
             stamp_ns=self.stamp_ns,
             domain=self.domain,

@@ -36,11 +36,11 @@ cdef class Rules:
     cdef readonly double feature_height, feature_volume, feature_width, feature_points
     cdef readonly double rock_height, rock_sigma
 
-cdef bint partial(Run* run) noexcept nogil
-cdef bint few(Run* run) noexcept nogil
+cdef bint is_partial(Run* run) noexcept nogil
+cdef bint has_few_points(Run* run) noexcept nogil
 cdef double pose_variance(double* normal, double* arm, double* sigma) noexcept nogil
 cdef double range_noise(Rules rules, double* centroid, double distance) noexcept nogil
-cdef double _unseen(double square, double correlation, double side) noexcept nogil
+cdef double _unobserved_width(double square, double correlation, double side) noexcept nogil
 cdef void _bias(Run* run, double ray_x, double ray_y, double deviation, double lean, bint sloped) noexcept nogil
 cdef void measure(Rules rules, Leaf* leaf, Run* run, double* points, Py_ssize_t number, double* origin, double* sigma, double side) noexcept nogil
-cpdef unseen_parts(LeafTable table, Py_ssize_t[::1] rows, double[:, ::1] out)
+cpdef unobserved_parts(LeafTable table, Py_ssize_t[::1] rows, double[:, ::1] out)

@@ -41,7 +41,7 @@ LINE_WIDTH = cython.declare(cython.double, 1.0 / 48.0)
 #: Standard deviation of an unknown slope, rad.
 UNKNOWN_TILT = cython.declare(cython.double, 10.0)
 #: Standard deviation of the slope difference between a cell and its observed part, rad.
-UNSEEN_TILT = cython.declare(cython.double, 0.1)
+UNOBSERVED_TILT = cython.declare(cython.double, 0.1)
 #: Standard errors by which the mean of the division statistic must exceed the threshold (Eq. 47).
 CONFIDENCE = 0.5
 #: Least number of free residuals (points minus three per scan) for a division by this mean.
@@ -124,12 +124,12 @@ class Rules:
         self.ahead_x, self.ahead_y, self.ahead_z = boresight.tolist()
 
 
-def partial(run: Record) -> cython.bint:
+def is_partial(run: Record) -> cython.bint:
     """Return whether a run covers less than half of its cell's width: a partial view."""
     return run.unobserved >= PARTIAL
 
 
-def few(run: Record) -> cython.bint:
+def has_few_points(run: Record) -> cython.bint:
     """Return whether a run has at most three points, so that its own fit has no residuals."""
     return run.points <= 3.0
 
@@ -162,7 +162,7 @@ def range_noise(rules: Rules, centroid: Vector, distance: float) -> cython.doubl
     return noise
 
 
-def _unseen(square: float, correlation: float, side: float) -> cython.double:
+def _unobserved_width(square: float, correlation: float, side: float) -> cython.double:
     """Return the width of a cell, along one of its axes, without points, m.
 
     Points of variance ``square`` fill sqrt(3 square) on both sides of their mean. If they are
@@ -236,7 +236,7 @@ def measure(
     """Fit a plane to a run of points in a leaf and write it to ``run``, without the division
     statistic.
 
-    - A partial view that is so thin that its slope is known no better than to `UNSEEN_TILT`
+    - A partial view that is so thin that its slope is known no better than to `UNOBSERVED_TILT`
       determines the height only, and keeps the previous slope: range noise would turn the fit
       towards the ray.
     - Other points on a line, and fewer than `FIT_POINTS`, determine the slope along the line
@@ -244,7 +244,7 @@ def measure(
       because a plane turned towards the ray would have exact points.
     - Misfit beyond noise adds to the variance of height and slope, because it does not average out.
       With too few points for an estimate, the leaf's ``parent_misfit`` is used.
-    - The unobserved part may differ in slope by `UNSEEN_TILT`.
+    - The unobserved part may differ in slope by `UNOBSERVED_TILT`.
 
     Args:
         leaf: Record of type `LEAF`, read.
@@ -274,7 +274,10 @@ def measure(
     run.unobserved = half = root = 0.0
     if count > 1.0:
         correlation = xy * xy / max(xx * yy, 1e-300)
-        wide = max(_unseen(xx / count, correlation, side), _unseen(yy / count, correlation, side))
+        wide = max(
+            _unobserved_width(xx / count, correlation, side),
+            _unobserved_width(yy / count, correlation, side),
+        )
         # What a full cell leaves out by chance does not count.
         run.unobserved = min(max(wide / side - 1.0 / sqrt(count), 0.0), 1.0)
         half = 0.5 * (xx + yy) / count
@@ -296,9 +299,9 @@ def measure(
     least = max(half - root, 1e-12)
     square = noise * noise
     line = False
-    if partial(run):
+    if is_partial(run):
         # The slope across the thinner width: of noise, and of what that turns it by.
-        if sqrt(square / (count * least)) + 0.5 * square / least > UNSEEN_TILT:
+        if sqrt(square / (count * least)) + 0.5 * square / least > UNOBSERVED_TILT:
             run.has_slope = 0.0
     else:
         level = ray_x * ray_x + ray_y * ray_y
@@ -378,7 +381,7 @@ def measure(
             telling, run.normal, variance + max(misfit, leaf.parent_misfit), slope
         )
         if not line:
-            tilt = run.unobserved * UNSEEN_TILT
+            tilt = run.unobserved * UNOBSERVED_TILT
             slope[0] += tilt * tilt
             slope[3] += tilt * tilt
         plane.covariance_about(slope, run.mean_variance, first, second, run.range_part)
@@ -392,14 +395,14 @@ def measure(
 
 
 @cython.boundscheck(False)
-def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
+def unobserved_parts(table: LeafTable, rows: Index, out: Array) -> None:
     """Add to the covariance (M, 9) of (dphi, dd) of leaves (M,) what their unobserved parts
     contribute.
 
     Repeated views of one part contain no information about the rest. The slope there may differ by
-    `UNSEEN_TILT` and by the parent's misfit: a tilt about the mean of the observed finest cells, in
-    proportion to the unobserved share of the width. The bias from noise along the rays acts about
-    the same point.
+    `UNOBSERVED_TILT` and by the parent's misfit: a tilt about the mean of the observed finest
+    cells, in proportion to the unobserved share of the width. The bias from noise along the rays
+    acts about the same point.
     """
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])
@@ -445,13 +448,16 @@ def unseen_parts(table: LeafTable, rows: Index, out: Array) -> None:
             sxy = (sxy - seen * x * y) / free
             across = sqrt(number)
             correlation = sxy * sxy / (sxx * syy)
-            wide = max(_unseen(sxx, correlation, across), _unseen(syy, correlation, across))
+            wide = max(
+                _unobserved_width(sxx, correlation, across),
+                _unobserved_width(syy, correlation, across),
+            )
             wide = min(max(wide / across, 0.0), 1.0)
             side = table.side(leaf.level)
             tilt = (
                 wide
                 * wide
-                * (UNSEEN_TILT * UNSEEN_TILT + 12.0 * leaf.parent_misfit / (side * side))
+                * (UNOBSERVED_TILT * UNOBSERVED_TILT + 12.0 * leaf.parent_misfit / (side * side))
             )
             slope[0] += tilt
             slope[3] += tilt

@@ -257,7 +257,7 @@ class ScanUpdate:
         own = run.range_part[8] + leaf.range_part[8]
         misfit = leaf.square_sum / max(leaf.division_weight, 1.0) - run.variance
         self.columns[row.RISE, at] = run.z + self.fusion.origin[2] - leaf.z
-        if measure.few(run):
+        if measure.has_few_points(run):
             self.fusion.offset_at(leaf, run, place)
             own = run.variance / run.points + offset_variance(leaf.range_part, place[0], place[1])
             self.columns[row.RISE, at] = place[2]
@@ -386,7 +386,7 @@ class ScanUpdate:
         if leaf.state >= leaves.INHERITED:
             self.fusion.limit_offset(leaf, run)
             if (
-                measure.partial(run)
+                measure.is_partial(run)
                 and leaf.level < self.table.max_level
                 and view_shows_misfit(
                     self.rules, leaf, run, self._points_from(begin), self.fusion.origin, side
@@ -396,7 +396,7 @@ class ScanUpdate:
                 if self._divide(row, run):
                     self._update_children(row, begin, end, False)
                     return
-        if not measure.few(run):
+        if not measure.has_few_points(run):
             set_statistic(
                 self.rules,
                 leaf,
