@@ -110,6 +110,7 @@ def test_ranks_are_explained_by_probability_and_room():
         "less probable than 2",
     ]
     assert words([0.9995, 0.9996], [4.7, 0.5])[0] == "as probable as any, most room"
+    assert words([0.9996, 0.9995], [8.0, 9.0])[1] == "as probable as 1"
     assert words([np.nan, np.nan], [1.0, 1.0]) == ["lowest score", "higher score"]
     assert words([], []) == []
     table = {"probability": np.array([0.99, 0.9]), "hazard_distance": np.array([1.0, 2.0])}

@@ -308,7 +308,7 @@ def _find_mount_angle(flight: Flight, config: Config) -> list[Finding]:
     if angle < LEAST_DEG or fit.fun > GAIN * cost or cost < alone:
         if min(max(costs[:2]), max(costs[2:])) * GAIN > max(cost, alone):
             return []
-        text = "the flight is too calm to find a short lag, or a mount that is off by"
+        text = "the lidar turns too little to find a short lag, or a mount that is off by"
         text += f" {CALM_DEG:g} deg: turn and sway the vehicle while you record"
         return [Finding("calm", text)]
     mount = flight.mounts[0] @ turn @ cloud_turn(config.mount).T

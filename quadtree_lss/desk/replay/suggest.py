@@ -199,9 +199,10 @@ class Seen:
         notes = [f"Suggested for {bag} from {len(self.places)} of its {self._scans} scans.", *notes]
         if by_data > most:
             notes.append(
-                f"The returns of a scan or their noise are too coarse for a vehicle of"
-                f" {vehicle.diameter:g} m: cells of {by_data:.2g} m would suit them, it needs"
-                f" {most:.2g} m. Gaps wider than {config.lss.gap:.2g} m (lss.max_gap) stay unseen."
+                f"The returns of a scan are too coarse for a vehicle of {vehicle.diameter:g} m, or"
+                f" too noisy: they support cells of {by_data:.2g} m, but the vehicle needs"
+                f" {most:.2g} m. Gaps wider than {config.lss.gap:.2g} m (lss.max_gap) stay"
+                f" unobserved."
             )
         notes += filter(None, [model_warning(found)])
         return Suggestion(values, reasons, tuple(notes))

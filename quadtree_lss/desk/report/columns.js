@@ -52,7 +52,7 @@ const short = v => (v === null || Number.isNaN(v) ? "–" : Math.abs(v) >= 100 ?
   String(parseFloat(v.toPrecision(3))));
 const few = v => (v >= 9.95 || !v ? Math.round(v).toLocaleString("en") : String(parseFloat(v.toPrecision(2))));
 const shareText = v => (Number.isNaN(v) ? "–" : // per cent; never 100
-  v > 99.9 ? Math.min(v, 99.99).toFixed(2) : v.toFixed(1));
+  v >= 99.85 ? Math.min(v, 99.99).toFixed(2) : v.toFixed(1));
 const withUnit = (v, digits, unit) => (Number.isNaN(v) ? "–" : v.toFixed(digits) + " " + unit);
 const probe = document.body.appendChild(document.createElement("i"));
 function ink(name) { // a colour of page.css as it is now, light or dark

@@ -185,7 +185,18 @@ def verdict(content: Results, moment: Moment | None = None) -> Verdict:
     answer = f"{LEVELS[level]}: {words}{', but ' + against if against else ''}."
     place = ", ".join(f"{n} {v:.2f}" for n, v in zip("xyz", moment.position[0], strict=False))
     why = ": " + re.sub(r"^probability [^:;]*[:;] ", "", content.reasons[0]) if at_end else ""
-    return Verdict(level, answer, f"Site 1 is at {place} m{why}. {ground}.", facts)
+    details = f"Site 1 is at {place} m{why}. {ground}."
+    if at_end and moment.target is not None and _target_site(content, moment) != 1:
+        told = f"{content.summary['target_why']}"
+        details += f" {told[:1].upper()}{told[1:]}."
+    return Verdict(level, answer, details, facts)
+
+
+def _target_site(content: Results, moment: Moment) -> int:
+    """Rank of the site at the target; 0 if no site is there."""
+    away = np.hypot(*(moment.position[:, :2] - moment.target).T)
+    near = np.flatnonzero(away < 0.5 * content.config.vehicle.diameter)
+    return int(near[0]) + 1 if len(near) else 0
 
 
 def _facts(content: Results, moment: Moment) -> list[Fact]:
@@ -204,10 +215,8 @@ def _facts(content: Results, moment: Moment) -> list[Fact]:
     spread = " × ".join(f"{s:.3g}" for s in dict.fromkeys(content.dispersion))
     facts.append(Fact("touchdown dispersion, 1 σ", f"{spread} m"))
     if moment.target is not None:
-        (x, y), away = moment.target, np.hypot(*(moment.position[:, :2] - moment.target).T)
-        near = np.flatnonzero(away < 0.5 * vehicle.diameter)
-        place = f"site {near[0] + 1}" if len(near) else f"x {x:.2f}, y {y:.2f}"
-        facts.append(Fact("target", place))
+        (x, y), rank = moment.target, _target_site(content, moment)
+        facts.append(Fact("target", f"site {rank}" if rank else f"x {x:.2f}, y {y:.2f}"))
     ratio, noise = summary.get("range_noise_ratio"), content.config.lidar.range_noise
     if ratio is not None:
         level = "" if noise_notice(ratio, content.config) is None else "care"
@@ -225,9 +234,13 @@ def rank_reasons(sites: Mapping[str, Array], wanted: bool = False) -> list[str]:
     risks = 1.0 - np.asarray(probability, np.float64)
     words = ["as probable as any, most room" if risks.min() < risks[0] else "most probable"]
     for k in range(1, len(risks)):
-        less_room = risks[k] <= equal_up_to(risks[k - 1]) and clear[k] <= clear[k - 1]
-        less = "farther from the wanted place" if wanted else f"less probable than {k}"
-        words.append(f"as probable as {k}, less room" if less_room else less)
+        equal = risks[k] <= equal_up_to(risks[k - 1])
+        if equal and clear[k] <= clear[k - 1]:
+            words.append(f"as probable as {k}, less room")
+        elif wanted:
+            words.append("farther from the wanted place")
+        else:
+            words.append(f"as probable as {k}" if equal else f"less probable than {k}")
     if wanted:
         words[0] = "near the wanted place"
     return words

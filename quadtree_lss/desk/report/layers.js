@@ -24,7 +24,7 @@ function makeLayers() {
       none: "no estimate" });
   const chance = { power: 10, percent: true, map: "score" };
   const how = grid.risk || grid.score;
-  onGrid(LANDING, grid.risk ? "Where to land: chance that a touchdown here fails" :
+  onGrid(LANDING, grid.risk ? "Where to land: predicted risk" :
     "Where to land: score, lower is better", "", how, "score", UNSEEN.name,
     { ofTime: true, states: true, ...(grid.risk && { ...chance, mark: Math.log10(data.limit.risk),
       markName: "limit (lss.max_risk)" }) });
@@ -163,7 +163,7 @@ function stateKeys() { // of the first picture, with areas
     [EXCLUDED]: HATCHED, [PARTLY]: `background:repeating-linear-gradient(135deg,#333 0 1px,${PARTLY_UNOBSERVED.colour} 1px 4px)`,
     [UNOBSERVED]: `background:${UNSEEN.colour}`, [UNESTIMATED]: `background:${UNMAPPED.colour}` };
   const names = ["allowed", "excluded", "excluded: " + PARTLY_UNOBSERVED.name, UNSEEN.name, UNMAPPED.name];
-  return found.map((area, k) => (area ? swatch(style[k], names[k], `${few(area)} m²`) : "")).join("");
+  return found.map((area, k) => (area ? swatch(style[k], names[k], `${grid.stride > 1 ? "≈ " : ""}${few(area)} m²`) : "")).join("");
 }
 function legend() {
   const layer = LAYERS[view.layer], box = byId("legend");

@@ -39,7 +39,7 @@ SITES = (
     ("feature", "m", "subscale_height", "{:.2f}", FEATURE),
 )
 """Columns of the table of sites: heading, unit, name in ``sites.csv``, format, meaning."""
-EQUAL = "equal: within the error of the risk model; then more room ranks first"
+EQUAL = "as probable: within the error of the risk model; then more room ranks first"
 
 
 def report_files(folder: str | Path) -> dict[str, bytes]:
@@ -79,7 +79,7 @@ def page(
         "warnings": [*summary.get("losses", ()), *summary.get("warnings", ())],
         "head": [
             *((word, unit, meaning) for word, unit, _, _, meaning in shown_columns),
-            ("ranks here as", "", EQUAL),
+            ("why this rank", "", EQUAL),
         ],
         "rows": [
             [*(_cell(name, sites[name][k], form) for _, _, name, form, _ in shown_columns), why[k]]

@@ -136,9 +136,10 @@ def demonstrate(out: Path, seed: int) -> bool:
     sites = result.position.shape == results.positions.shape and np.allclose(
         result.position, results.positions, rtol=0.0, atol=SITE_TOLERANCE_M
     )
-    print(f"5. Nodes against offline replay: cells differ in {', '.join(cells) or 'nothing'},")
     agree = sites and not cells
-    print("   The same map and the same sites." if agree else "   THEY DIFFER.")
+    unequal = [f"cells ({', '.join(cells)})"] * bool(cells) + ["sites"] * (not sites)
+    told = "the same map and the same sites" if agree else f"different {' and '.join(unequal)}"
+    print(f"5. Nodes against offline replay: {told}")
     print("6. A lander flies the last 260 m by landing/selected, over DDS", flush=True)
     short = {"slant_range": 260.0, "speed": 26.0, "half": 12.0, "survey": 4.0}
     nodes = out / "lander" / "nodes"

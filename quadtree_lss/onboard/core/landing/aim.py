@@ -43,7 +43,7 @@ TAIL = 4.0
 CAUSE_TEXTS = {
     "obstacle": "an obstacle",
     "slope": "too steep a slope",
-    "hidden": "what the map may not show",
+    "hidden": "an undetected hazard",
 }
 #: Greatest accepted standard deviation of the touchdown, m.
 MAX_DISPERSION = 100.0

@@ -26,7 +26,7 @@ def shown(probability: float) -> str:
     if isnan(probability):
         return "-"
     share = 100.0 * min(probability, 0.9999)
-    return f"{share:.2f} %" if share > 99.9 else f"{share:.1f} %"
+    return f"{share:.2f} %" if share >= 99.85 else f"{share:.1f} %"
 
 
 class MainRisk(NamedTuple):

@@ -218,8 +218,8 @@ def bridging_warning(raster: TerrainRaster) -> str:
     if share <= MAX_BRIDGED:
         return ""
     return (
-        f"{100.0 * share:.0f} % of the judged ground has no return and is bridged: the risk was"
-        f" fitted where at most {100.0 * MAX_BRIDGED:.0f} % is"
+        f"{100.0 * share:.0f} % of the judged ground has no return and is bridged; the risk model"
+        f" was fitted to flights with at most {100.0 * MAX_BRIDGED:.0f} %"
     )
 
 
