@@ -167,8 +167,8 @@ def explain_text(row: Parameter) -> str:
 
 def lengths_text(vehicle: VehicleConfig) -> str:
     """What follows from a vehicle, value and rule of each, a line each."""
-    of = f"{vehicle.diameter:g} m that clears {vehicle.clearance:g} m"
-    lines = [f"what follows from a vehicle of {of}:"]
+    of = f"{vehicle.diameter:g} m with a clearance of {vehicle.clearance:g} m"
+    lines = [f"values derived from a vehicle of {of}:"]
     for item in dataclasses.fields(Lengths):
         value = f"{getattr(vehicle.lengths, item.name):.4g} {item.metadata['unit']}"
         text = f"{rule(item.name)}: {item.metadata['doc']}"

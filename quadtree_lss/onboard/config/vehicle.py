@@ -93,8 +93,8 @@ class Lengths:
 
     least_hazard: float = _follows(
         0.3,
-        "least height of one thing on level ground that makes the vehicle fail: it rises over the"
-        " clearance, or leans the vehicle too far from under one pad",
+        "least height of a single object on level ground that makes a landing fail: it exceeds the"
+        " clearance, or tilts the vehicle too far if one pad stands on it",
         "least_hazard",
         rule="min(vehicle.clearance, 0.707 x vehicle.diameter x tan vehicle.max_slope_deg)",
     )
@@ -104,7 +104,7 @@ class Lengths:
     max_gap: float = _follows(0.6, "lss.max_gap where it is below 0", "diameter")
     hazard_growth: float = _follows(
         0.25,
-        "unsafe ground is extended by this, in whole finest cells, for errors of the map's place",
+        "unsafe ground is extended by this, in whole finest cells, for position errors of the map",
         "diameter",
     )
     touchdown_slope_deg: float = _follows(
@@ -114,48 +114,54 @@ class Lengths:
         0.25, "greatest rise of ground that the touchdown check allows on the map", "clearance"
     )
     reference_size: float = _follows(
-        4.0, "about the side of the cells that leaves' elevation is compared with", "diameter"
+        4.0,
+        "approximate side of the ancestor that the elevation of a leaf is compared with",
+        "diameter",
     )
     outlier_gate: float = _follows(
         0.4,
-        "returns farther from all others (and than five times their usual spacing) are noise: a"
-        " third more than the top of what must be seen rises over the ground beside it",
+        "returns farther than this from all others, and farther than five times the usual spacing,"
+        " are noise",
         "least_hazard",
     )
-    negligible: float = _follows(0.005, "lower tails of a feature are no feature", "least_hazard")
-    rock_height: float = _follows(
-        0.15, "what stands out so high, and by three range noises, is a rock", "least_hazard"
+    negligible: float = _follows(
+        0.005, "a feature lower than this is ignored at a grid point", "least_hazard"
     )
-    rock_sigma: float = _follows(0.5, "a feature of greater sigma divides no leaf", "least_hazard")
+    rock_height: float = _follows(
+        0.15, "height over the plane, and at least three range noises, of a rock", "least_hazard"
+    )
+    rock_sigma: float = _follows(
+        0.5, "features with a larger sigma do not divide a leaf", "least_hazard"
+    )
     rock_area: float = _follows(
         0.04,
-        "what stands out over this area in a view of a part divides a leaf",
+        "area of points off the plane that divides a partly viewed leaf",
         "least_hazard",
         "m^2",
         2,
     )
     tolerance: float = _follows(
-        0.3, "a measurement farther from its plane is an exception (Eq. 48)", "least_hazard"
+        0.3, "a return farther from its plane is an exception (Eq. 48)", "least_hazard"
     )
     uneven: float = _follows(
         2.25e-4,
-        "variance by which a view of 70 % of a cell's width may lie off its leaf besides; one of"
-        " half of it three times as much: ground is no plane",
+        "additional variance between leaf and a view of 70 % of its width, because ground is not"
+        " plane; three times as much for a view of half",
         "least_hazard",
         "m^2",
         2,
     )
     slack: float = _follows(
         0.01,
-        "variance granted before a view contradicts its leaf altogether",
+        "additional variance before a view contradicts its leaf",
         "least_hazard",
         "m^2",
         2,
     )
-    clip: float = _follows(1.0, "residuals count at most this much", "least_hazard")
+    clip: float = _follows(1.0, "larger residuals are limited to this value", "least_hazard")
     feature_height: float = _follows(0.1, "lower features are noise", "least_hazard")
     feature_volume: float = _follows(
-        0.002, "features of less volume k^2 are noise", "least_hazard", "m^3", 3
+        0.002, "features with a smaller volume k^2 are noise", "least_hazard", "m^3", 3
     )
 
 
