@@ -70,7 +70,7 @@ def test_no_site_names_the_largest_circle_and_what_ends_it(content):
             "good",
             "Good: a touchdown at site 1, the best of 5, succeeds with 99.5 %.",
         ),
-        (0.995, ["another lander"], 1.0, "care", "does not fit"),
+        (0.995, ["another lander"], 1.0, "care", "its risk may be wrong"),
         (0.995, [], 0.01, "care", "of the ground within"),
         (0.93, [], 1.0, "care", "succeeds with 93.0 %, but that is less than 99.0 %"),
         (0.2, [], 1.0, "none", "Not good enough: a touchdown at site 1, the best of 5, succeeds"),
@@ -115,7 +115,7 @@ def test_ranks_are_explained_by_probability_and_room():
     assert words([], []) == []
     table = {"probability": np.array([0.99, 0.9]), "hazard_distance": np.array([1.0, 2.0])}
     near = headline.rank_reasons(table, wanted=True)
-    assert near == ["near the wanted place", "farther from the wanted place"]
+    assert near == ["near the planned point", "farther from the planned point"]
 
 
 def test_ground_is_allowed_and_only_a_touchdown_is_safe(text):

@@ -33,7 +33,7 @@ Ctrl-C stops at once.
 SITES = "Rank landing sites straight on an elevation model: GeoTIFF, or .npz with x, y, elevation."
 SITES_EXAMPLES = """examples:
   quadtree-lss sites dem.tif                                    (results in results/<time>, latest)
-  quadtree-lss sites apollo15.npz --set vehicle.diameter=9 --out apollo
+  quadtree-lss sites apollo15.npz --vehicle 9,0.75 --out apollo
   quadtree-lss sites dem.tif --area='0,0 400,0 400,400 0,400'   (cuts the model to the area)
 
 Results are those of replay; coordinates are the model's, which must be in metres with north up.

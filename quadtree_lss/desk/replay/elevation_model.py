@@ -74,6 +74,7 @@ def rank_sites(
     lss_ms = 1e3 * (time.perf_counter() - asked)
     heights = model.elevation[np.isfinite(model.elevation)]
     upward = np.median(cells.normal[cells.measured, 2]) if cells.measured.any() else np.nan
+    coarse, many = _notes(model, block)
     summary = run_summary(
         cells,
         found,
@@ -87,7 +88,8 @@ def rank_sites(
         median_slope_deg=float(np.degrees(np.arccos(upward))),
         crs=model.crs,
         duration=time.perf_counter() - began,
-        warnings=[*found.warnings, *_notes(model, block)],
+        doubts=[*found.warnings, *coarse],
+        warnings=[*found.warnings, *coarse, *many],
     )
     result = ReplayResult(None if out is None else Path(out), cells, found, (), summary)
     if result.out is not None:
@@ -95,11 +97,12 @@ def rank_sites(
     return result
 
 
-def _notes(model: ElevationModel, block: int) -> list[str]:
+def _notes(model: ElevationModel, block: int) -> tuple[list[str], list[str]]:
+    """Return notes about hazards that the model does not show, and about the size of the leaves."""
     many = f"a leaf has {block} x {block} of the model's cells, which are too many for a map;"
     many += " an area (--area) cuts the model to it"
-    coarse = f"posts are {model.spacing:g} m apart: what is smaller, as rocks, is not in the model"
-    return [many] * (block > 1) + [coarse] * (model.spacing > 0.5)
+    coarse = f"posts are {model.spacing:g} m apart: the model and the risk leave out smaller rocks"
+    return [coarse] * (model.spacing > 0.5), [many] * (block > 1)
 
 
 def cells_of(model: ElevationModel, deviation: float) -> tuple[CellMap, int]:

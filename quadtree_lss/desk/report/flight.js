@@ -17,7 +17,7 @@ function moment(i) { // the map and its sites as they were then, and the lander
   }
   byId("instant").value = view.moment;
   byId("clock").textContent = `${momentTime().toFixed(1)} s · ` +
-    `${f.height[view.moment].toFixed(1)} m · ${f.speed[view.moment].toFixed(1)} m/s`;
+    `${f.height[view.moment].toFixed(1)} m over the aim · ${f.speed[view.moment].toFixed(1)} m/s`;
   for (const row of eventRows()) {
     row.style.opacity = Number(row.cells[0].textContent) <= momentTime() + 0.05 ? 1 : 0.4;
   }

@@ -158,7 +158,7 @@ def ratings(content: Results, moment: Moment) -> list[tuple[str, str]]:
             against += [f"only {few(100.0 * share)} % of {near}"]
         if warnings:
             level = "none" if level == "none" else "care"
-            against += ["the risk model does not fit this case (see the warnings)"]
+            against += ["its risk may be wrong (see the warnings)"]
         found.append((level, "; ".join(against)))
     return found
 
@@ -201,7 +201,7 @@ def _target_site(content: Results, moment: Moment) -> int:
 
 def _facts(content: Results, moment: Moment) -> list[Fact]:
     lss, vehicle, summary = content.config.lss, content.config.vehicle, content.summary
-    facts, warnings = [], len(summary.get("doubts", ()))
+    facts, warnings = [], summary.get("doubts", ())
     if len(moment.position):
         best, share = float(moment.probability[0]), float(allowed_around(content, moment)[0])
         level = "none" if best < lss.min_probability else "good" if best >= GOOD else "care"
@@ -210,7 +210,7 @@ def _facts(content: Results, moment: Moment) -> list[Fact]:
         around = Fact("allowed around site 1", near, "good" if share >= AROUND else "care")
         facts = [Fact("success at site 1", *aim), around]
     if "probability" in (lss.assessment, lss.ranking):
-        bad = f"does not fit: {warnings} in the warnings", "care"
+        bad = "may be wrong, see warnings", "care"
         facts.append(Fact("risk model", *(bad if warnings else ("fits", "good"))))
     spread = " × ".join(f"{s:.3g}" for s in dict.fromkeys(content.dispersion))
     facts.append(Fact("touchdown dispersion, 1 σ", f"{spread} m"))
@@ -227,7 +227,7 @@ def _facts(content: Results, moment: Moment) -> list[Fact]:
 
 def rank_reasons(sites: Mapping[str, Array], wanted: bool = False) -> list[str]:
     """Why each site ranks where it does, in few words (see ``landing.ranking``). ``wanted``: sites
-    near a wanted place rank before others."""
+    near a planned point rank before others."""
     probability, clear = sites.get("probability"), sites["hazard_distance"]
     if probability is None or not len(clear) or np.isnan(probability).any():
         return ["lowest score"] * (len(clear) > 0) + ["higher score"] * (len(clear) - 1)
@@ -238,11 +238,11 @@ def rank_reasons(sites: Mapping[str, Array], wanted: bool = False) -> list[str]:
         if equal and clear[k] <= clear[k - 1]:
             words.append(f"as probable as {k}, less room")
         elif wanted:
-            words.append("farther from the wanted place")
+            words.append("farther from the planned point")
         else:
             words.append(f"as probable as {k}" if equal else f"less probable than {k}")
     if wanted:
-        words[0] = "near the wanted place"
+        words[0] = "near the planned point"
     return words
 
 

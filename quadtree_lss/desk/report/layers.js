@@ -33,7 +33,7 @@ function makeLayers() {
                            none: "not known" };
   }
   if (grid.aim) {
-    onGrid("aim", "Chance of failure if aimed here", "", grid.aim, "score", UNSEEN.name,
+    onGrid("aim", "Risk if aimed here", "", grid.aim, "score", UNSEEN.name,
       { ...chance, mark: Math.log10(data.limit.good), markName: "good",
         note: "With the dispersion of the touchdown. Sites are ranked by this." });
   }
@@ -146,6 +146,7 @@ function reliefPicture(k = -1) { // of what was observed by the k-th assessment,
 // ---- legend ------------------------------------------------------------------------------------
 const swatch = (style, name, value = "") =>
   `<span class="key"><i style="${style}"></i>${name}<b>${value}</b></span>`;
+const FLIGHT_MARKS = "Blue: path. ×: planned point. Orange: decisions. Red: faults.";
 const HATCHED = "background:repeating-linear-gradient(135deg,#333 0 1px,#aaa 1px 4px)";
 function areas(count, classOf) { // m2 of each class; at the edge of the grid, half a cell
   const found = new Array(count).fill(0), { nx, ny } = grid;
@@ -180,6 +181,7 @@ function legend() {
   } else box.innerHTML += layer.states ? stateKeys() :
     swatch(`background:rgb(${UNKNOWN})`, layer.none) + hatch;
   box.innerHTML += note && `<p class="note">${note}</p>`;
+  if (data.flight) box.innerHTML += `<p class="note">${FLIGHT_MARKS}</p>`;
   if (!layer.classes) scale(box.firstChild, layer);
 }
 function scale(canvas, layer) { // colours with round numbers, and the mark of a limit
