@@ -232,7 +232,9 @@ def rank_reasons(sites: Mapping[str, Array], wanted: bool = False) -> list[str]:
     if probability is None or not len(clear) or np.isnan(probability).any():
         return ["lowest score"] * (len(clear) > 0) + ["higher score"] * (len(clear) - 1)
     risks = 1.0 - np.asarray(probability, np.float64)
-    words = ["as probable as any, most room" if risks.min() < risks[0] else "most probable"]
+    words = ["most probable"]
+    if risks.min() < risks[0]:
+        words = ["as probable as any" + ", most room" * bool(clear[0] >= max(clear))]
     for k in range(1, len(risks)):
         equal = risks[k] <= equal_up_to(risks[k - 1])
         if equal and clear[k] <= clear[k - 1]:
