@@ -13,8 +13,8 @@ from autopilot_model import LOITER, Autopilot
 from fuzz.cases import damaged, random_of_autopilot
 
 from quadtree_lss.onboard.autopilot.controller import Controller
-from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, dialect
-from quadtree_lss.onboard.autopilot.seen import Target
+from quadtree_lss.onboard.autopilot.inputs import Target
+from quadtree_lss.onboard.autopilot.link import ARDUPILOT, GUIDED_MODES, dialect
 from quadtree_lss.onboard.config.sections import AutopilotConfig
 
 TURNS_M = 1.2
@@ -93,7 +93,7 @@ class Ride:
         return self
 
     def handed_over(self):
-        follows = FOLLOWS[self.model.kind]
+        follows = GUIDED_MODES[self.model.kind]
         return self.until(
             lambda: self.order and (self.model.mode == follows or self.model.switch(follows))
         )

@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.onboard.autopilot.frames import (
-    Jumps,
+    JumpDetector,
     Nav,
     RemoteClock,
     attitude,
@@ -99,12 +99,12 @@ def nav(own_s, x, speed, offset_s=0.0):
 
 
 def test_only_what_velocity_does_not_explain_is_a_jump():
-    jumps = Jumps()
-    assert jumps.size(nav(0.0, 0.0, 5.0)) == 0.0
-    assert jumps.size(nav(0.1, 0.5, 5.0)) == pytest.approx(0.0, abs=1e-9)
-    assert jumps.size(nav(0.2, 2.0, 5.0)) == pytest.approx(1.0)
+    jumps = JumpDetector()
+    assert jumps.jump(nav(0.0, 0.0, 5.0)) == 0.0
+    assert jumps.jump(nav(0.1, 0.5, 5.0)) == pytest.approx(0.0, abs=1e-9)
+    assert jumps.jump(nav(0.2, 2.0, 5.0)) == pytest.approx(1.0)
     better = nav(0.3, 2.5, 5.0, offset_s=-0.2)
-    assert jumps.size(better) == pytest.approx(0.0, abs=1e-9), "its clock is better known, no more"
+    assert jumps.jump(better) == pytest.approx(0.0, abs=1e-9), "its clock is better known, no more"
 
 
 @pytest.mark.parametrize(
@@ -119,6 +119,6 @@ def test_only_what_velocity_does_not_explain_is_a_jump():
     ],
 )
 def test_a_gap_explains_no_more_than_the_vehicle_flies_in_it(gap, way, speed, size):
-    jumps = Jumps()
-    jumps.size(nav(10.0, 0.0, 1.0))
-    assert jumps.size(nav(10.0 + gap, way, speed)) == pytest.approx(size)
+    jumps = JumpDetector()
+    jumps.jump(nav(10.0, 0.0, 1.0))
+    assert jumps.jump(nav(10.0 + gap, way, speed)) == pytest.approx(size)

@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
+from quadtree_lss.onboard.autopilot import inputs as limits
 from quadtree_lss.onboard.autopilot import landing
-from quadtree_lss.onboard.autopilot import seen as limits
+from quadtree_lss.onboard.autopilot.inputs import Inputs, Target, target_from_status
 from quadtree_lss.onboard.autopilot.landing import Landing
-from quadtree_lss.onboard.autopilot.seen import Seen, Target, target_of
 from quadtree_lss.onboard.config.sections import AutopilotConfig
 from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.messages.maps import STATUS_FIELDS
@@ -48,7 +48,7 @@ class Flight:
         landed = down if self.says is None else self.says
         if landed is not self.landed:
             self.landed, self.landed_at = landed, self.now
-        seen = Seen(
+        seen = Inputs(
             self.now, self.ours, self.armed, landed, self.now - self.landed_at, self.heartbeat_age,
             self.pose_age, *self.seen, self.jump, target, self.why,
         )  # fmt: skip
@@ -269,12 +269,12 @@ def test_a_jump_of_navigation_ends_at_the_pilot():
 def test_it_waits_no_longer_than_its_patience_and_is_waved_off_no_more_often_than_it_may():
     flight = Flight()
     flight.target = None
-    flight.on(landing.PATIENCE_S - 1.0)
+    flight.on(landing.WAIT_LIMIT_S - 1.0)
     assert flight.order.state == WAIT
     np.testing.assert_allclose(flight.position, [10.0, 5.0, 25.0], atol=1e-9)
     assert flight.on(2.0).order.state == GIVE_UP
     flight = Flight()
-    for _ in range(landing.WAVE_OFFS + 1):
+    for _ in range(landing.MAX_WAVE_OFFS + 1):
         flight.until(in_state(DESCEND)).on(1.0)
         flight.target = None
         flight.step()
@@ -337,9 +337,9 @@ def test_a_place_that_is_none_withdraws_the_target_with_its_reason():
     status = np.zeros(1, STATUS_FIELDS)[0]
     status["reason"], status["offset_z"], status["age"] = Reason.HAZARD, math.nan, 0.5
     for place in ((math.nan,) * 3, (1e300, 0.0, 0.0)):
-        target, why = target_of(np.array(place), status, 0.1, 0.2)
+        target, why = target_from_status(np.array(place), status, 0.1, 0.2)
         assert target is None and why.startswith("there is no target: ") and "unknown" not in why
     status["offset_z"] = 2.0
-    target, why = target_of(SITE, status, 0.1, 0.2)
+    target, why = target_from_status(SITE, status, 0.1, 0.2)
     np.testing.assert_array_equal(target.place, SITE + (0.0, 0.0, 2.0))
     assert (target.age, target.map_age, why) == (0.1, 0.7, "")

@@ -78,7 +78,7 @@ def test_a_pose_without_a_velocity_is_none():
     with Ride() as ride:
         ride.handed_over().within("transit").model.knows_velocity = False
         ride.within("hold")
-        assert ride.controller.link.refused["velocity"] > 0
+        assert ride.controller.link.rejected["velocity"] > 0
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ import pytest
 from autopilot_model import LOITER, PX4_HOLD, Autopilot
 
 from quadtree_lss.onboard.autopilot import link as module
-from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PX4, Link
+from quadtree_lss.onboard.autopilot.link import ARDUPILOT, GUIDED_MODES, PX4, Link
 from quadtree_lss.onboard.config.settings import ConfigError
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -55,7 +55,7 @@ def test_poses_are_the_vehicles_by_this_computers_clock(fly, kind, body_velocity
     with model._lock:
         model.body_velocity = body_velocity
         model.goal = model.position + (8.0, -4.0, 1.0)  # it moves: a wrong stamp is a wrong place
-        model.mode = FOLLOWS[ARDUPILOT] if kind == ARDUPILOT else PX4_HOLD
+        model.mode = GUIDED_MODES[ARDUPILOT] if kind == ARDUPILOT else PX4_HOLD
     wait(link, lambda navs: len(navs) > 10)
     navs, late = [], []
     while len(navs) < 20:
@@ -80,7 +80,7 @@ def test_poses_are_the_vehicles_by_this_computers_clock(fly, kind, body_velocity
 def test_precision_landing_gets_the_target_in_the_frame_that_it_takes(fly, kind):
     model, link = fly(kind)
     navs = wait(link, lambda navs: len(navs) > 3)
-    link.show_target(np.array([1.0, 2.0, 0.5]), navs[-1])
+    link.send_landing_target(np.array([1.0, 2.0, 0.5]), navs[-1])
     wait(link, lambda _: model.targets)
     np.testing.assert_allclose(model.targets[-1][1], [2.0, 1.0, -0.5], atol=1e-5)
 
@@ -91,8 +91,8 @@ def test_the_ground_station_gets_every_word(fly):
     wait(link, lambda _: link.kind is not None)
     lines = ["x" * 49, *("".join(map(str, range(n)))[:n] for n in (50, 51, 99, 100, 101, 180))]
     for line in lines:
-        link.tell(line, warn=True)
-    link.tell("the last", warn=False)
+        link.send_text(line, warn=True)
+    link.send_text("the last", warn=False)
     wait(link, lambda _: "the last" in model.texts)
     assert model.texts == [*lines, "the last"]
 
@@ -104,7 +104,7 @@ def test_heartbeats_of_others_are_not_the_autopilots(fly):
     model._say("heartbeat", 6, 8, 0, 4, 4)  # a ground station that says "mode 4"
     model._link.mav.srcSystem = kept
     wait(link, lambda navs: len(navs) > 3)
-    assert link.mode == LOITER and not link.follows
+    assert link.mode == LOITER and not link.accepts_set_points
 
 
 def test_a_time_that_begins_anew_as_a_simulators_does_holds_nothing_up():
@@ -144,11 +144,11 @@ def test_a_connection_that_is_none_is_one_line():
 def test_who_takes_off_in_guided_follows_no_set_points_yet(fly):
     """ArduCopter's take-off ends with the first one: seen in its simulator, 0.15 m up."""
     model, link = fly(ARDUPILOT)
-    model.mode, model.takes_off = FOLLOWS[ARDUPILOT], True
+    model.mode, model.takes_off = GUIDED_MODES[ARDUPILOT], True
     wait(link, lambda _: link.mode == model.mode and link.landed is not None)
-    assert not link.follows and not link.landed
+    assert not link.accepts_set_points and not link.landed
     model.takes_off = False
-    wait(link, lambda _: link.follows)
+    wait(link, lambda _: link.accepts_set_points)
 
 
 def beat():
@@ -164,12 +164,14 @@ def test_an_autopilot_on_a_serial_line_is_heard_by_one_node_also_while_it_takes_
     with pytest.raises(QuadtreeLssError, match="cannot be opened"):
         Link(os.ttyname(theirs), time.time_ns)
     # In a thread, for it would wait for ever.
-    says = Thread(target=lambda: [link.fly_to(np.zeros(3)) for _ in range(999)], daemon=True)
+    says = Thread(
+        target=lambda: [link.send_set_point(np.zeros(3)) for _ in range(999)], daemon=True
+    )
     says.start()
     says.join(10.0)
     assert not says.is_alive()
     os.write(ours, beat())
-    wait(link, lambda _: link.kind == ARDUPILOT and link.follows and link.armed)
+    wait(link, lambda _: link.kind == ARDUPILOT and link.accepts_set_points and link.armed)
     link.close()
     os.close(ours)
     os.close(theirs)
@@ -184,7 +186,7 @@ def test_a_tcp_peer_that_has_gone_holds_nothing_up_and_is_heard_when_it_is_back(
     begin = time.monotonic()
     for _ in range(10):
         link.poll()
-        link.fly_to(np.zeros(3))
+        link.send_set_point(np.zeros(3))
     assert time.monotonic() - begin < 5.0  # pymavlink sleeps for a second in each
     link.close()  # there is nothing to close
     with socket.create_server(("127.0.0.1", port)) as door:

@@ -16,7 +16,7 @@ from ros_scene import MAKE
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PX4
+from quadtree_lss.onboard.autopilot.link import ARDUPILOT, GUIDED_MODES, PX4
 from quadtree_lss.onboard.core.landing.target import State
 from quadtree_lss.onboard.messages.maps import STATUS_FIELDS
 from quadtree_lss.onboard.nodes.qos import latched, stream, target
@@ -83,7 +83,9 @@ class Scene:
         """The pilot switches, again until it is taken."""
         kind = self.model.kind
         self.wait(lambda: self.odometry and self.states)
-        self.wait(lambda: self.model.mode == FOLLOWS[kind] or self.model.switch(FOLLOWS[kind]))
+        self.wait(
+            lambda: self.model.mode == GUIDED_MODES[kind] or self.model.switch(GUIDED_MODES[kind])
+        )
         return self
 
     def until(self, state):

@@ -54,8 +54,8 @@ def test_a_hangup_that_is_ignored_stays_ignored():
         "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
         "from quadtree_lss.onboard.nodes.entry import stop_on_signal\n"
         "stop = stop_on_signal()\n"
-        "signal.raise_signal(signal.SIGHUP); assert not stop.asked\n"
-        "signal.raise_signal(signal.SIGTERM); assert stop.asked\n"
+        "signal.raise_signal(signal.SIGHUP); assert not stop.requested\n"
+        "signal.raise_signal(signal.SIGTERM); assert stop.requested\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
 
@@ -64,11 +64,11 @@ def test_who_asks_again_after_a_while_breaks_long_work_off(monkeypatch):
     before = {number: signal.getsignal(number) for number in entry.SIGNALS}
     try:
         stop = entry.StopOnSignal()
-        with stop.breaking():
+        with stop.interrupting():
             for _ in range(2):  # a terminal and launch both send the first
                 os.kill(os.getpid(), signal.SIGINT)
-            assert stop.asked
-            monkeypatch.setattr(entry, "PATIENCE_S", 0.0)
+            assert stop.requested
+            monkeypatch.setattr(entry, "INTERRUPT_AFTER_S", 0.0)
             with pytest.raises(KeyboardInterrupt):
                 os.kill(os.getpid(), signal.SIGTERM)
         os.kill(os.getpid(), signal.SIGINT)  # what ends a node is not broken off

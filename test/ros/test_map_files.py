@@ -63,12 +63,12 @@ def test_map_files_survive_what_disks_do(tmp_path):
     checkpoints = Checkpoints(tmp_path / "map")
     checkpoints.changed()
     assert checkpoints.close(mapper) is None and checkpoints.written == 1
-    assert "taken up" in checkpoints.take_up(mapper)
-    checkpoints.forget()
-    assert "no checkpoint" in checkpoints.take_up(mapper)
+    assert "taken up" in checkpoints.restore(mapper)
+    checkpoints.remove()
+    assert "no checkpoint" in checkpoints.restore(mapper)
     save(tmp_path / "map", small(max_level=7))
     with pytest.raises(MapFileError, match="another domain.*starting with an empty map"):
-        checkpoints.take_up(mapper)
+        checkpoints.restore(mapper)
     assert (tmp_path / "map.refused").exists() and not (tmp_path / "map").exists()
 
 
@@ -86,11 +86,11 @@ def test_what_is_no_file_is_neither_read_nor_replaced_nor_moved(tmp_path):
                 use(path, mapper)
         checkpoints = Checkpoints(path)
         with pytest.raises(MapFileError, match="starting with an empty map"):
-            checkpoints.take_up(mapper)
+            checkpoints.restore(mapper)
         checkpoints.changed()
         assert "not a file" in checkpoints.close(mapper)
         with pytest.raises(MapFileError, match="not a file"):
-            checkpoints.forget()
+            checkpoints.remove()
     assert sorted(tmp_path.iterdir()) == before and (folder / "precious").exists()
     with pytest.raises(MapFileError, match="null"):
         save(tmp_path / "a\0b", mapper)

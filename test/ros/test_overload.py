@@ -44,15 +44,15 @@ def test_a_hold_up_costs_nothing_and_an_overload_old_scans(monkeypatch):
     config, busy = load_config(), 50.0
     limit = allowance(config, busy)
     overload = Overload("scans", Problems(SimpleNamespace(warning=print)))
-    assert overload.takes(received(0.9 * limit), config, busy)
-    assert not overload.takes(received(1.1 * limit), config, busy)
-    assert not overload.takes(received(0.9 * limit), config, busy), "overloaded now"
-    assert overload.takes(received(0.8 * OVERLOADED_SHARE * limit), config, busy)
+    assert overload.admits(received(0.9 * limit), config, busy)
+    assert not overload.admits(received(1.1 * limit), config, busy)
+    assert not overload.admits(received(0.9 * limit), config, busy), "overloaded now"
+    assert overload.admits(received(0.8 * OVERLOADED_SHARE * limit), config, busy)
     clock.now += 1.01 * CALM_S
-    assert overload.takes(received(0.9 * limit), config, busy), "calm again"
-    assert overload.takes(0, config, busy), "the middleware does not say when it came"
-    assert overload.takes(received(-100.0), config, busy), "the clock was set back"
-    assert overload.dropped == 2 and overload.waits.take().worst < 1e3 * limit
+    assert overload.admits(received(0.9 * limit), config, busy), "calm again"
+    assert overload.admits(0, config, busy), "the middleware does not say when it came"
+    assert overload.admits(received(-100.0), config, busy), "the clock was set back"
+    assert overload.dropped == 2 and overload.waits.pop_span().worst < 1e3 * limit
 
 
 @pytest.mark.slow

@@ -35,28 +35,28 @@ def broken(cells):
 
 def give(received, cells):
     cloud, grid = map_messages(cells, "map")
-    assert not received.complete_with("observed", grid)
-    assert received.complete_with("cells", cloud)
+    assert not received.add_half("observed", grid)
+    assert received.add_half("cells", cloud)
 
 
 def test_a_refused_map_does_not_make_the_one_before_younger(monkeypatch, received, cells):
     give(received, cells)
-    received.take()
+    received.decode_newest()
     first, age = received.cells, received.arrivals.age()
     give(received, broken(cells))
-    received.take()
+    received.decode_newest()
     assert received.cells is first and received.arrivals.count == 1 and received.refusals == 1
     assert received.arrivals.age() > age and "cannot be used" in received.refused
-    assert not received.too_old()
-    monkeypatch.setattr(received_map, "OLDEST_S", 1e-9)
-    assert "cannot be used" in received.too_old()
+    assert not received.withdrawal_reason()
+    monkeypatch.setattr(received_map, "MAX_MAP_AGE_S", 1e-9)
+    assert "cannot be used" in received.withdrawal_reason()
     give(received, cells)
-    assert received.too_old() and not received.refused, "what waits is looked at first"
+    assert received.withdrawal_reason() and not received.refused, "what waits is looked at first"
     assert received.arrivals.count == 2
 
 
 #: Withdraws its sites sooner.
-IMPATIENT = "from quadtree_lss.onboard.nodes import received_map; received_map.OLDEST_S = 8.0"
+IMPATIENT = "from quadtree_lss.onboard.nodes import received_map; received_map.MAX_MAP_AGE_S = 8.0"
 
 
 @pytest.mark.slow
@@ -126,15 +126,15 @@ def test_a_pass_that_ends_in_an_error_withholds_its_answer_and_the_node_lives(ro
 
 def test_what_a_first_map_lacks(received, cells):
     cloud, grid = map_messages(cells, "map")
-    assert "nothing came" in received.lacks()
-    received.complete_with("cells", cloud)
-    assert "map/cells came, the other half" in received.lacks()
+    assert "nothing came" in received.missing()
+    received.add_half("cells", cloud)
+    assert "map/cells came, the other half" in received.missing()
     later = dataclasses.replace(cells, stamp_ns=1)
-    received.complete_with("observed", map_messages(later, "map")[1])
-    assert "both halves of one stamp did not" in received.lacks()
-    received.complete_with("observed", grid)
-    received.take()
-    assert not received.lacks()
+    received.add_half("observed", map_messages(later, "map")[1])
+    assert "both halves of one stamp did not" in received.missing()
+    received.add_half("observed", grid)
+    received.decode_newest()
+    assert not received.missing()
 
 
 @pytest.mark.slow

@@ -114,7 +114,7 @@ def risks(model: RiskModel, given: ArrayLike) -> Array:
     for cause in model.causes.values():
         odds = np.full(len(places), cause.constant)
         for curve in cause.curves:
-            along = interpolation_weights(places[:, ASKED.index(curve.of)], curve.knots)
+            along = interpolation_weights(places[:, ASKED.index(curve.feature)], curve.knots)
             rows = along @ np.array(curve.odds).T
             odds += rows[:, 0] if len(curve.odds) == 1 else np.sum(rows * seen, axis=1)
         safe -= np.logaddexp(0.0, odds)

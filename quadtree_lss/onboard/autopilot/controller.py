@@ -6,10 +6,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from quadtree_lss.onboard.autopilot.frames import Jumps, Nav
+from quadtree_lss.onboard.autopilot.frames import JumpDetector, Nav
+from quadtree_lss.onboard.autopilot.inputs import POSE_S, Inputs, Target
 from quadtree_lss.onboard.autopilot.landing import HEARTBEAT_S, PILOT, Landing, Order
 from quadtree_lss.onboard.autopilot.link import PX4, Link
-from quadtree_lss.onboard.autopilot.seen import POSE_S, Seen, Target
 from quadtree_lss.onboard.config.sections import AutopilotConfig
 
 
@@ -31,9 +31,9 @@ class Controller:
         self.link = Link(config.connection, clock, now)
         self.landing = Landing(config)
         self.nav: Nav | None = None
-        self._jumps, self._jump = Jumps(), 0.0
+        self._jumps, self._jump = JumpDetector(), 0.0
         self._clock, self._now = clock, now
-        self._was_landed_told = False
+        self._landed_received = False
 
     def configure(self, config: AutopilotConfig) -> None:
         """Other limits, speeds and permissions; the connection stays."""
@@ -41,13 +41,13 @@ class Controller:
         self.landing.configure(config)
 
     @property
-    def lack(self) -> str:
+    def missing(self) -> str:
         if self.link.kind is None:
             return f"the heartbeat of an autopilot on {self.config.connection}"
         if self.nav is None:
             return "a pose of the autopilot"
-        self._was_landed_told |= self.link.landed is not None
-        if not self._was_landed_told:
+        self._landed_received |= self.link.landed is not None
+        if not self._landed_received:
             return "EXTENDED_SYS_STATE of the autopilot: whether it is on the ground"
         return ""
 
@@ -62,25 +62,25 @@ class Controller:
     def step(self, target: Target | None, why: str) -> Order | None:
         """Decide, and send what follows from it; None while something lacks. ``why``: there is no
         target."""
-        if self.lack or self.nav is None:
+        if self.missing or self.nav is None:
             return None
         link, nav = self.link, self.nav
         age = abs(1e-9 * (self._clock() - nav.stamp_ns))
         now = self._now()
-        seen = Seen(
-            now, link.follows, link.armed, link.landed, link.landed_for, now - link.heard, age,
+        inputs = Inputs(
+            now, link.accepts_set_points, link.armed, link.landed, link.landed_for, now - link.last_heartbeat, age,
             nav.position, nav.velocity, self._jump, target, why,
         )  # fmt: skip
         self._jump = 0.0
-        order = self.landing.step(seen)
+        order = self.landing.step(inputs)
         point = order.point
         if link.kind == PX4 and order.state == PILOT:
-            fresh = seen.heartbeat_age <= HEARTBEAT_S and age <= POSE_S
-            point = self.landing.stay(seen) if fresh else None
+            fresh = inputs.heartbeat_age <= HEARTBEAT_S and age <= POSE_S
+            point = self.landing.idle_set_point(inputs) if fresh else None
         if point is not None:
-            link.fly_to(point, order.sink)
+            link.send_set_point(point, order.sink)
         if order.target is not None:
-            link.show_target(order.target.place, nav)
-        if order.settles and self.config.may_command != "nothing":
-            link.settle(disarm=self.config.may_command == "arming")
+            link.send_landing_target(order.target.place, nav)
+        if order.may_stop_motors and self.config.may_command != "nothing":
+            link.stop_motors(disarm=self.config.may_command == "arming")
         return order

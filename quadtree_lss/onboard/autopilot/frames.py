@@ -14,9 +14,9 @@ from quadtree_lss.onboard.core.geometry.rotations import (
     rotation_from_quaternion,
 )
 
-SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+R_ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """Takes north, east, down to east, north, up, and back."""
-FLIP = np.array([1.0, -1.0, -1.0])
+FRD_TO_FLU = np.array([1.0, -1.0, -1.0])
 """Takes forward, right, down to forward, left, up, and back."""
 
 UPPER = np.triu_indices(6)
@@ -45,18 +45,18 @@ class Nav(NamedTuple):
 
 def enu(north_east_down: Array) -> Array:
     """(3,) in the other axes; its own inverse."""
-    return SWAP @ north_east_down
+    return R_ENU_NED @ north_east_down
 
 
 def attitude(q_wxyz: Array) -> Array:
     """(4,) x, y, z, w of FLU axes to ENU, from w, x, y, z of FRD axes to NED."""
     w, x, y, z = q_wxyz
-    return quaternion_from_rotation(SWAP @ rotation_from_quaternion((x, y, z, w)) * FLIP)
+    return quaternion_from_rotation(R_ENU_NED @ rotation_from_quaternion((x, y, z, w)) * FRD_TO_FLU)
 
 
 def body_frd(vector_enu: Array, quaternion: Array) -> Array:
     """(3,) along forward, right, down of a body whose FLU axes the quaternion takes to ENU."""
-    return FLIP * (rotation_from_quaternion(quaternion).T @ vector_enu)
+    return FRD_TO_FLU * (rotation_from_quaternion(quaternion).T @ vector_enu)
 
 
 def covariance_enu(upper: Array, quaternion: Array) -> Array | None:
@@ -76,7 +76,7 @@ def covariance_enu(upper: Array, quaternion: Array) -> Array | None:
     if not full.diagonal().all():
         return None
     turn = np.zeros((6, 6))
-    turn[:3, :3], turn[3:, 3:] = SWAP, rotation_from_quaternion(quaternion) * FLIP
+    turn[:3, :3], turn[3:, 3:] = R_ENU_NED, rotation_from_quaternion(quaternion) * FRD_TO_FLU
     return turn @ full @ turn.T
 
 
@@ -127,13 +127,13 @@ EXPLAINS_S = 3.0
 """Velocity explains no more of a gap: without new set-points the vehicle flies for two seconds."""
 
 
-class Jumps:
+class JumpDetector:
     """Finds motion that navigation's own velocity does not explain, as of a position reset."""
 
     def __init__(self) -> None:
         self._last: Nav | None = None
 
-    def size(self, nav: Nav) -> float:
+    def jump(self, nav: Nav) -> float:
         """Return how far this place is from all that the velocities before and after explain since
         the last pose, along each axis, m; 0 for the first pose."""
         last, self._last = self._last, nav

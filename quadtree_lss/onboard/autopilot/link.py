@@ -29,9 +29,9 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 
 ARDUPILOT, PX4 = 3, 12
 """MAV_AUTOPILOT of a heartbeat."""
-FOLLOWS = {ARDUPILOT: 4, PX4: 6 << 16}
+GUIDED_MODES = {ARDUPILOT: 4, PX4: 6 << 16}
 """Custom mode in which set-points are followed: guided, offboard."""
-LAND = {ARDUPILOT: 9}
+LAND_MODES = {ARDUPILOT: 9}
 """Custom mode in which an autopilot on the ground stops its motors; PX4 needs none."""
 COPTERS = (2, 3, 4, 13, 14, 15, 29, 35)
 """MAV_TYPE of what hovers: the modes of others have other numbers."""
@@ -40,33 +40,33 @@ DO_SET_MODE, SET_INTERVAL, ARM_DISARM = 176, 511, 400
 HEARTBEAT, ATTITUDE, POSITION, EXTENDED, ODOMETRY = 0, 31, 32, 245, 331
 STREAMS = {ARDUPILOT: (POSITION, ATTITUDE), PX4: (ODOMETRY,)}
 POSE_HZ, STATE_HZ = 50.0, 5.0
-PLACE_ALONE = 0b0000_1101_1111_1000
+POSITION_MASK = 0b0000_1101_1111_1000
 """Type mask of a set-point that is a place: no velocity, acceleration, yaw or rate of it."""
-SINKS = PLACE_ALONE ^ 0b10_0000
+POSITION_SINK_MASK = POSITION_MASK ^ 0b10_0000
 """The same with a speed down, without which PX4 does not look for the ground."""
 LOCAL_NED, BODY_FRD = 1, 12
 PEER_S = 5.0
 """An autopilot that was silent for longer may speak from another address."""
-MOST_MESSAGES, POLL_S = 200, 0.02
+MAX_MESSAGES, POLL_S = 200, 0.02
 """One call of `Link.poll` takes no more messages, and works no longer: both autopilots send some
 120 messages in a second, and it is called a hundred times."""
-PIECE, MOST_PIECES, TELLS = 65536, 2000, 600
+READ_BYTES, MAX_DROPPED_READS, PROBE_BYTES = 65536, 2000, 600
 """Bytes of one read; reads that one call drops after it took all that it may; bytes in which a
 stranger has to say that it is an autopilot."""
-SAYS_S = 2.5
+LANDED_STATE_S = 2.5
 """An older word of whether it is on the ground counts for nothing: it comes five times a second."""
 BAUD = 921600
 """Of a serial device, where its connection names no other."""
 ONBOARD_COMPUTER, SEVERITY = 191, {True: 4, False: 6}
-SYNC_S, BEAT_S, ASK_S = 0.2, 1.0, 2.0
-TEXT = 50
+TIMESYNC_PERIOD_S, HEARTBEAT_PERIOD_S, REQUEST_PERIOD_S = 0.2, 1.0, 2.0
+TEXT_LENGTH = 50
 """Most characters of a message of text."""
 DAMAGED = -1
 """Number that pymavlink gives to bytes which are no message."""
-WRONG = frozenset("damaged clock position velocity attitude stamp order".split())
+REJECT_REASONS = frozenset("damaged clock position velocity attitude stamp order".split())
 """Why a message cannot be used: no bytes of one, before the autopilot's clock is known, …"""
-PASSED = "passed_over"
-MOST_NS = 2**31 * 10**9
+IGNORED = "passed_over"
+STAMP_LIMIT_NS = 2**31 * 10**9
 """Stamps of ROS's messages end there."""
 
 
@@ -87,7 +87,7 @@ class Link:
 
     ``clock`` is this computer's time, ns, which poses are stamped by; ``now`` a steady one, s, of
     what is due, of ``heard``, when the last heartbeat came, and of ``answered``, when the last
-    answer did. ``kind`` is ``ARDUPILOT``, ``PX4`` or None before the first. ``heard_of`` counts
+    answer did. ``kind`` is ``ARDUPILOT``, ``PX4`` or None before the first. ``message_counts`` counts
     messages that told a ``pose``, ``half`` of one, the vehicle's ``state``, or nothing: those that
     were ``passed_over``, of others or without a meaning here; ``refused`` those that could not be
     used, by reason. Together these are all, but for the reads of a ``backlog`` that was dropped.
@@ -102,43 +102,45 @@ class Link:
         now: Callable[[], float] = time.monotonic,
     ) -> None:
         self._connection = connection
-        self._port = self._opened()
+        self._port = self._open()
         self._clock, self._now = clock, now
         self.kind: int | None = None
         self.mode, self.armed = -1, False
         self._landed: bool | None = None
         self._landed_since = 0.0
         self._takes_off = False
-        self.heard = self.answered = -np.inf
+        self.last_heartbeat = self.last_answer = -np.inf
         self.remote = RemoteClock()
-        self.heard_of: Counter[str] = Counter()
-        self.refused: Counter[str] = Counter()
+        self.message_counts: Counter[str] = Counter()
+        self.rejected: Counter[str] = Counter()
         self._system = 0
         self._due = dict.fromkeys(("sync", "beat", "ask", "settle", "connect"), 0.0)
-        self._asked: deque[int] = deque(maxlen=RemoteClock.KEPT)
+        self._timesync_sent: deque[int] = deque(maxlen=RemoteClock.KEPT)
         self._attitudes: list[tuple[int, Array]] = []
         self._positions: list[tuple[int, Array, Array]] = []
         self._last_nav = self._last_state = -np.inf
         self._peer: Any = None
-        self._newest, self._told = 0, 0
+        self._last_stamp, self._text_id = 0, 0
 
     @property
-    def follows(self) -> bool:
+    def accepts_set_points(self) -> bool:
         """Whether it flies to set-points by its mode, and is not taking off in that: ArduCopter
         would break off."""
-        return self.kind is not None and self.mode == FOLLOWS[self.kind] and not self._takes_off
+        return (
+            self.kind is not None and self.mode == GUIDED_MODES[self.kind] and not self._takes_off
+        )
 
     @property
     def landed(self) -> bool | None:
         """Whether it says that it is on the ground; None if it has not said so lately."""
-        return self._landed if self._now() - self._last_state <= SAYS_S else None
+        return self._landed if self._now() - self._last_state <= LANDED_STATE_S else None
 
     @property
     def landed_for(self) -> float:
         """Since when it has said nothing else, s."""
         return self._now() - self._landed_since
 
-    def _opened(self) -> Any:
+    def _open(self) -> Any:
         mavutil = dialect()
         device, _, rate = self._connection.partition(",")
         # Of the system that most autopilots are until it is heard: 255 is a ground station's.
@@ -165,39 +167,41 @@ class Link:
         """Takes what has come, says what is due; new poses, oldest first."""
         navs: list[Nav] = []
         for message in self._messages():
-            told = self._take(message)
+            told = self._handle(message)
             if isinstance(told, Nav):
                 navs.append(told)
-            elif told in WRONG:
-                self.refused[told] += 1
+            elif told in REJECT_REASONS:
+                self.rejected[told] += 1
                 continue
-            self.heard_of["pose" if isinstance(told, Nav) else told] += 1
+            self.message_counts["pose" if isinstance(told, Nav) else told] += 1
         now = self._now()
         if navs:
             self._last_nav = now
-        if self._is_due("beat", BEAT_S, now):
-            self._say("heartbeat", 18, 8, 0, 0, 4)  # an onboard controller, not an autopilot
+        if self._is_due("beat", HEARTBEAT_PERIOD_S, now):
+            self._send("heartbeat", 18, 8, 0, 0, 4)  # an onboard controller, not an autopilot
         if self.kind is not None:
-            if self._is_due("sync", SYNC_S, now):
-                self._asked.append(self._clock())
-                self._say("timesync", 0, self._asked[-1])
+            if self._is_due("sync", TIMESYNC_PERIOD_S, now):
+                self._timesync_sent.append(self._clock())
+                self._send("timesync", 0, self._timesync_sent[-1])
             last = min(self._last_nav, self._last_state)
-            if (now - last > 1.0 or not self._due["ask"]) and self._is_due("ask", ASK_S, now):
+            if (now - last > 1.0 or not self._due["ask"]) and self._is_due(
+                "ask", REQUEST_PERIOD_S, now
+            ):
                 for number in STREAMS[self.kind]:
                     self._command(SET_INTERVAL, number, 1e6 / POSE_HZ)
                 for number in (EXTENDED, HEARTBEAT):
                     self._command(SET_INTERVAL, number, 1e6 / STATE_HZ)
-        if self._peer is not None and now - self.heard > PEER_S:
-            self._find_anew()
+        if self._peer is not None and now - self.last_heartbeat > PEER_S:
+            self._reopen()
         return navs
 
-    def fly_to(self, point: Array, sink: float = 0.0) -> None:
+    def send_set_point(self, point: Array, sink: float = 0.0) -> None:
         """A set-point: a place in the map; ``sink``: how fast it goes down to the ground, m/s."""
-        mask = SINKS if sink and self.kind == PX4 else PLACE_ALONE
+        mask = POSITION_SINK_MASK if sink and self.kind == PX4 else POSITION_MASK
         to, speed, nothing = (0, self._system, 1, LOCAL_NED, mask), (0.0, 0.0, sink), (0.0,) * 5
-        self._say("set_position_target_local_ned", *to, *enu(point), *speed, *nothing)
+        self._send("set_position_target_local_ned", *to, *enu(point), *speed, *nothing)
 
-    def show_target(self, place: Array, nav: Nav) -> None:
+    def send_landing_target(self, place: Array, nav: Nav) -> None:
         """LANDING_TARGET, for the autopilot's own precision landing if it takes over."""
         vector, frame = enu(place), LOCAL_NED
         if self.kind == ARDUPILOT:
@@ -205,31 +209,31 @@ class Link:
         offset = self.remote.offset_ns or 0
         stamp_us = max(nav.stamp_ns - offset, 0) // 1000
         distance = float(np.linalg.norm(place - nav.position))
-        seen, level = (0.0, 0.0, distance, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
-        self._say("landing_target", stamp_us, 0, frame, *seen, *vector, level, 3, 1)
+        angles, level = (0.0, 0.0, distance, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+        self._send("landing_target", stamp_us, 0, frame, *angles, *vector, level, 3, 1)
 
-    def follow(self) -> None:
+    def request_guided_mode(self) -> None:
         """Asks for the mode in which set-points are followed."""
         if self.kind is not None:
-            self._set_mode(FOLLOWS[self.kind])
+            self._set_mode(GUIDED_MODES[self.kind])
 
-    def settle(self, *, disarm: bool) -> None:
+    def stop_motors(self, *, disarm: bool) -> None:
         """On the ground: asks for land mode, where that stops the motors, or disarms; of calls
         within a second once, so call it until it is done."""
-        if not self._is_due("settle", BEAT_S, self._now()):
+        if not self._is_due("settle", HEARTBEAT_PERIOD_S, self._now()):
             return
         if disarm:
             self._command(ARM_DISARM, 0.0)
-        elif self.kind in LAND:
-            self._set_mode(LAND[self.kind])
+        elif self.kind in LAND_MODES:
+            self._set_mode(LAND_MODES[self.kind])
 
-    def tell(self, text: str, *, warn: bool) -> None:
+    def send_text(self, text: str, *, warn: bool) -> None:
         """A line for the pilot's ground station, in as many pieces as it takes."""
-        line, self._told = text.encode("ascii", "replace"), self._told % 0xFFFF + 1
-        pieces = range(0, len(line) + 1, TEXT) if len(line) > TEXT else (0,)
+        line, self._text_id = text.encode("ascii", "replace"), self._text_id % 0xFFFF + 1
+        pieces = range(0, len(line) + 1, TEXT_LENGTH) if len(line) > TEXT_LENGTH else (0,)
         for number, begin in enumerate(pieces):  # a piece that is not full is the last
-            piece, whole = line[begin : begin + TEXT], len(pieces) == 1
-            self._say("statustext", SEVERITY[warn], piece, 0 if whole else self._told, number)
+            piece, whole = line[begin : begin + TEXT_LENGTH], len(pieces) == 1
+            self._send("statustext", SEVERITY[warn], piece, 0 if whole else self._text_id, number)
 
     def _set_mode(self, mode: int) -> None:
         parts = (mode >> 16 & 0xFF, mode >> 24) if self.kind == PX4 else (mode,)
@@ -237,12 +241,12 @@ class Link:
 
     def _command(self, command: int, *values: float) -> None:
         padded = [*values, *[0.0] * (7 - len(values))]
-        self._say("command_long", self._system, 1, command, 0, *padded)
+        self._send("command_long", self._system, 1, command, 0, *padded)
 
-    def _say(self, name: str, *values: Any) -> None:
+    def _send(self, name: str, *values: Any) -> None:
         """Sends; a link that is gone is seen by the age of its heartbeats."""
         with suppress(OSError):
-            if not self._is_away():
+            if not self._is_disconnected():
                 getattr(self._port.mav, f"{name}_send")(*values)
 
     def _write(self, content: bytes) -> None:
@@ -254,10 +258,10 @@ class Link:
         except OSError:  # unplugged
             self._port.reset()
 
-    def _is_away(self) -> bool:
+    def _is_disconnected(self) -> bool:
         """True while a TCP peer has gone and it is too early to look for it again."""
         gone = getattr(self._port, "port", 0) is None
-        return gone and not self._is_due("connect", ASK_S, self._now())
+        return gone and not self._is_due("connect", REQUEST_PERIOD_S, self._now())
 
     def _is_due(self, what: str, period: float, now: float) -> bool:
         if 0.0 < self._due[what] - now <= period:  # more if a simulator began anew
@@ -273,52 +277,52 @@ class Link:
             while message is not None:
                 yield message
                 taken += 1
-                message = parse(b"") if taken < MOST_MESSAGES else None
-            if taken >= MOST_MESSAGES or time.thread_time() > end:
+                message = parse(b"") if taken < MAX_MESSAGES else None
+            if taken >= MAX_MESSAGES or time.thread_time() > end:
                 self._drop()
                 return
 
     def _drop(self) -> None:
         self._port.mav.buf, self._port.mav.buf_index = bytearray(), 0
-        for _ in range(MOST_PIECES):
+        for _ in range(MAX_DROPPED_READS):
             if self._read() is None:
                 break
-            self.refused["backlog"] += 1
+            self.rejected["backlog"] += 1
 
     def _read(self) -> bytes | None:
         """Bytes that came; none of another than the autopilot; None if there are no more."""
         with suppress(OSError):
-            if self._is_away():
+            if self._is_disconnected():
                 return None
             if not getattr(self._port, "udp_server", False):
-                return self._port.recv(PIECE) or None
-            piece, address = self._port.port.recvfrom(PIECE)
-            if self._peer is None and self._speaks(piece):
+                return self._port.recv(READ_BYTES) or None
+            piece, address = self._port.port.recvfrom(READ_BYTES)
+            if self._peer is None and self._is_from_autopilot(piece):
                 self._peer, self._port.clients = address, {address}
                 self._port.port.connect(address)  # nobody else is queued
             if address == self._peer:
                 return bytes(piece)
-            self.heard_of[PASSED] += 1
+            self.message_counts[IGNORED] += 1
             return b""
         return None
 
-    def _speaks(self, piece: bytes) -> bool:
+    def _is_from_autopilot(self, piece: bytes) -> bool:
         """Whether an autopilot that counts speaks here."""
         says = dialect().mavlink.MAVLink(None)
         says.robust_parsing = True
         return any(
-            message.get_msgId() == HEARTBEAT and self._counts(message)
-            for message in says.parse_buffer(piece[:TELLS]) or ()
+            message.get_msgId() == HEARTBEAT and self._is_accepted(message)
+            for message in says.parse_buffer(piece[:PROBE_BYTES]) or ()
         )
 
-    def _find_anew(self) -> None:
+    def _reopen(self) -> None:
         """Listens to every address again, as the autopilot may have got another one."""
         with suppress(QuadtreeLssError):
             self._port.close()
-            self._port, self._peer = self._opened(), None
+            self._port, self._peer = self._open(), None
             self._port.mav.srcSystem = self._system
 
-    def _take(self, message: Any) -> Nav | str:
+    def _handle(self, message: Any) -> Nav | str:
         """Takes one message: the pose that is known by it, or what it is instead."""
         number = message.get_msgId()
         if number == HEARTBEAT:
@@ -326,10 +330,14 @@ class Link:
         if number == DAMAGED:
             return "damaged"
         if message.get_srcSystem() != self._system or message.get_srcComponent() != 1:
-            return PASSED
-        if message.get_type() == "TIMESYNC" and message.tc1 > 0 and message.ts1 in self._asked:
+            return IGNORED
+        if (
+            message.get_type() == "TIMESYNC"
+            and message.tc1 > 0
+            and message.ts1 in self._timesync_sent
+        ):
             self.remote.add(message.ts1, message.tc1, self._clock())
-            self.answered = self._now()
+            self.last_answer = self._now()
             return "state"
         if number == EXTENDED:
             if message.landed_state:  # 0: it does not know
@@ -346,27 +354,27 @@ class Link:
             place = np.array([message.x, message.y, message.z])
             velocity = np.array([message.vx, message.vy, message.vz])
             self._positions = [*self._positions[-3:], (message.time_boot_ms, place, velocity)]
-            return self._paired()
+            return self._nav_from_pair()
         if number == ATTITUDE and self.kind == ARDUPILOT:
             q = np.array([message.q1, message.q2, message.q3, message.q4])
             self._attitudes = [*self._attitudes[-3:], (message.time_boot_ms, q)]
-            return self._paired()
-        return PASSED
+            return self._nav_from_pair()
+        return IGNORED
 
     def _on_heartbeat(self, message: Any) -> str:
-        if not self._counts(message):
-            return PASSED
+        if not self._is_accepted(message):
+            return IGNORED
         if self.kind is None:
             self.kind, self._system = message.autopilot, message.get_srcSystem()
             self._port.mav.srcSystem = self._system
-        self.heard = self._now()
+        self.last_heartbeat = self._now()
         self.mode = message.custom_mode
         self.armed = bool(message.base_mode & ARMED)
         return "state"
 
-    def _counts(self, message: Any) -> bool:
+    def _is_accepted(self, message: Any) -> bool:
         """Whether a heartbeat is the autopilot's, or of one while there is none yet."""
-        known = message.autopilot in FOLLOWS and message.type in COPTERS
+        known = message.autopilot in GUIDED_MODES and message.type in COPTERS
         same = (message.autopilot, message.get_srcSystem()) == (self.kind, self._system)
         return known and message.get_srcComponent() == 1 and (same or self.kind is None)
 
@@ -378,7 +386,7 @@ class Link:
         return self._nav(1000 * message.time_usec, place, q, velocity, upper, of_body=of_body)
 
     @np.errstate(invalid="ignore")  # judged by `_nav`
-    def _paired(self) -> Nav | str:
+    def _nav_from_pair(self) -> Nav | str:
         """Place and velocity of one moment, with the attitude between the two about it."""
         for at, place, velocity in reversed(self._positions):
             for (before, q0), (after, q1) in pairwise(self._attitudes):
@@ -404,11 +412,11 @@ class Link:
             return "velocity"
         if not abs(length - 1.0) < 0.05:
             return "attitude"
-        if not 0 <= stamp < MOST_NS:
+        if not 0 <= stamp < STAMP_LIMIT_NS:
             return "stamp"
-        if 0 <= self._newest - stamp < 1_000_000_000:  # the offset has just become better known
+        if 0 <= self._last_stamp - stamp < 1_000_000_000:  # the offset has just become better known
             return "order"
-        self._newest = stamp
+        self._last_stamp = stamp
         turned = attitude(q / length)
         if of_body:
             velocity = rotation_from_quaternion(turned) @ (velocity * (1.0, -1.0, -1.0))

@@ -16,10 +16,10 @@ from quadtree_lss.onboard.config.parameter import ConfigError
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.config.yaml_text import YamlError, read_yaml
 
-SHIPPED = "flash_lidar.yaml"
+DEFAULT_MODEL = "flash_lidar.yaml"
 Row = tuple[float, ...]
 #: What a fit was made with may differ from what it is used with by such a share.
-NEAR = 0.3
+FIT_TOLERANCE = 0.3
 
 
 #: Why a landing fails: on something that rises under the lander, on ground too steep, and on what
@@ -58,12 +58,12 @@ class Cause:
     constant: float
     curves: tuple[Curve, ...]
 
-    def at(self, overall: Mapping[str, float]) -> float:
+    def map_log_odds(self, overall: Mapping[str, float]) -> float:
         """The constant, and the curves of what is the same all over the map."""
         return self.constant + sum(
-            float(np.interp(overall[curve.of], curve.knots, curve.odds[0]))
+            float(np.interp(overall[curve.feature], curve.knots, curve.odds[0]))
             for curve in self.curves
-            if curve.of in OVERALL
+            if curve.feature in OVERALL
         )
 
 
@@ -109,7 +109,7 @@ class RiskModel:
     def span(self, name: str) -> tuple[float, float]:
         """Between which values of something that is asked the odds differ."""
         curves = [curve for cause in self.causes.values() for curve in cause.curves]
-        ends = [end for curve in curves if curve.of == name for end in curve.knots]
+        ends = [end for curve in curves if curve.feature == name for end in curve.knots]
         ends += self.seen if name == "seen" else ()
         return (min(ends), max(ends)) if ends else (0.0, 1.0)
 
@@ -131,15 +131,15 @@ class RiskModel:
                 msg = f"{name} has numbers that are not finite"
                 raise ConfigError(msg)
             for curve in cause.curves:
-                what = f"{name}: {curve.of}"
-                if curve.of not in LOCAL + OVERALL:
+                what = f"{name}: {curve.feature}"
+                if curve.feature not in LOCAL + OVERALL:
                     msg = f"{what} is not known"
                     raise ConfigError(msg)
                 count = len(curve.knots)
                 if count < 2 or any(len(row) != count for row in curve.odds):
                     msg = f"{what} has {count} knots and other odds"
                     raise ConfigError(msg)
-                rows = {1} if curve.of in ("seen", *OVERALL) else {1, len(self.seen)}
+                rows = {1} if curve.feature in ("seen", *OVERALL) else {1, len(self.seen)}
                 if len(curve.odds) not in rows:
                     wanted = " or ".join(map(str, sorted(rows)))
                     msg = f"{what} has {len(curve.odds)} rows of odds, not {wanted}"
@@ -153,15 +153,15 @@ class RiskModel:
 def risk_model(name: str) -> RiskModel:
     """The model in a file, or for an empty name the one that comes with the package. Raises
     `ConfigError`: there is no such file, or it holds no model."""
-    file = Path(name).expanduser() if name else Path(__file__).with_name(SHIPPED)
+    file = Path(name).expanduser() if name else Path(__file__).with_name(DEFAULT_MODEL)
     try:
         return _from_values(read_yaml(file))
     except YamlError as error:
-        msg = f"lss.risk_model: {name or SHIPPED} {error}"
+        msg = f"lss.risk_model: {name or DEFAULT_MODEL} {error}"
         raise ConfigError(msg) from error
     except (ConfigError, KeyError, TypeError, ValueError, AttributeError) as error:
         why = f"{error} is missing" if isinstance(error, KeyError) else error
-        msg = f"lss.risk_model: {name or SHIPPED} is no risk model: {why}"
+        msg = f"lss.risk_model: {name or DEFAULT_MODEL} is no risk model: {why}"
         raise ConfigError(msg) from error
 
 
@@ -186,15 +186,15 @@ def model_warning(config: Config) -> str:
     far, fitted = [], model.provenance.get("fitted") or {}
     for name, (text, value, unit) in used.items():
         low, high = (unit * float(of) for of in fitted.get(name) or (value / unit,) * 2)
-        if not (1.0 - NEAR) * low <= value <= (1.0 + NEAR) * high:
+        if not (1.0 - FIT_TOLERANCE) * low <= value <= (1.0 + FIT_TOLERANCE) * high:
             given = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
             far.append(f"{text.format(given)}, not {value:.4g}")
     noise, stereo = config.lidar.range_noise, config.lidar.stereo_noise * config.lidar.max_range**2
-    if np.hypot(noise, stereo) > (1.0 + NEAR) * noise:
+    if np.hypot(noise, stereo) > (1.0 + FIT_TOLERANCE) * noise:
         far.append(f"a noise of {noise:g} m at any range, not one that grows to {stereo:.2g}")
     if not far:
         return ""
-    name = lss.risk_model or SHIPPED
+    name = lss.risk_model or DEFAULT_MODEL
     return f"the risk model {name} was fitted for {'; '.join(far)}: fit-risk makes another"
 
 

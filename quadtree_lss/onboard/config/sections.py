@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from quadtree_lss.onboard.config.limits import MOST_LEAVES, MOST_LEVELS, STEP_LEVEL
+from quadtree_lss.onboard.config.limits import MAX_LEAVES, MAX_LEVEL, STEP_LEVEL
 from quadtree_lss.onboard.config.parameter import declared as _p
 from quadtree_lss.onboard.config.parameter import live as _live
 from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
@@ -24,11 +24,11 @@ class DomainConfig:
         " of landing/area); ground outside is dropped",
         choices=("none", "vehicle", "area"),
     )
-    min_level: int = _p(4, "level of the coarsest cells", (0, MOST_LEVELS))
+    min_level: int = _p(4, "level of the coarsest cells", (0, MAX_LEVEL))
     max_level: int = _p(
         8,
         "level of the finest cells: size / 2^level; an assessment takes 1.3 GB at 11",
-        (0, MOST_LEVELS),
+        (0, MAX_LEVEL),
     )
 
     @property
@@ -145,7 +145,7 @@ class MappingConfig:
     division_factor: float = _p(
         1.2, "a cell divides above this multiple of the expected residual", (1.0, 100.0)
     )
-    max_cells: int = _p(200000, "most leaves, of up to 1.5 kB each", (1, MOST_LEAVES))
+    max_cells: int = _p(200000, "most leaves, of up to 1.5 kB each", (1, MAX_LEAVES))
 
     def by_paper(self, rule: str) -> bool:
         """Whether the paper's fit, covariance or division holds."""

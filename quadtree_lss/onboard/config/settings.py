@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 
 from quadtree_lss.onboard.config import sections
-from quadtree_lss.onboard.config.limits import why_too_much
+from quadtree_lss.onboard.config.limits import exceeded_limit
 from quadtree_lss.onboard.config.parameter import ConfigError as ConfigError
 from quadtree_lss.onboard.config.parameter import Parameter as Parameter
 from quadtree_lss.onboard.config.parameter import Value, checked_value
@@ -25,7 +25,7 @@ from quadtree_lss.onboard.config.vehicle import VehicleConfig as VehicleConfig
 
 #: Least level of the coarsest cells of a domain that follows: moved by one it is within a sixteenth
 #: of its side of where it is to be, half of what moves it (`Domain.steps_to`).
-LEAST_STEPS = 3
+MIN_FOLLOW_LEVEL = 3
 
 #: Removed parameters and sections, by what applies instead.
 _REMOVED = {
@@ -112,23 +112,23 @@ def parameters() -> tuple[Parameter, ...]:
     )
 
 
-def removed(key: str) -> str:
+def removal_reason(key: str) -> str:
     """What applies instead of a removed parameter; empty if it was not removed."""
     return REMOVED.get(key) or REMOVED.get(key.partition(".")[0], "")
 
 
 def unknown_parameter(key: str) -> str:
     """What to say of a name that no parameter has: what replaced it, or the nearest one."""
-    if reason := removed(key):
+    if reason := removal_reason(key):
         return f"{key} was removed: {reason}"
     names = [row.name for row in parameters()]
     near = difflib.get_close_matches(key, names, n=1, cutoff=0.0) if key.strip(" .") else []
     return f"unknown parameter '{key}'" + "".join(f"; did you mean '{name}'?" for name in near)
 
 
-def still_parameters(values: Mapping[str, object]) -> dict[str, object]:
+def without_removed(values: Mapping[str, object]) -> dict[str, object]:
     """Dotted values of an earlier run, without what are parameters no more."""
-    return {key: value for key, value in values.items() if not removed(key)}
+    return {key: value for key, value in values.items() if not removal_reason(key)}
 
 
 def flatten(values: Mapping[str, object], prefix: str = "") -> dict[str, object]:
@@ -203,7 +203,7 @@ def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
     if mount.source != "fixed" and mount != MountConfig(source=mount.source, axes=mount.axes):
         yield f"mount.source is {mount.source}: leave mount.x ... mount.yaw_deg at 0"
     lss = dataclasses.replace(config.lss, vehicle=config.vehicle)
-    reason = why_too_much(domain.size, 1 << domain.max_level, lss)
+    reason = exceeded_limit(domain.size, 1 << domain.max_level, lss)
     if reason is not None:
         yield f"domain.size = {domain.size:g} m, domain.max_level = {domain.max_level}: {reason}"
 
@@ -213,10 +213,10 @@ def _cannot_follow(config: Config | SimpleNamespace) -> Iterator[str]:
     domain, step = config.domain, config.domain.step
     spacing = dataclasses.replace(config.lss, vehicle=config.vehicle).spacing
     parts = max(round(step / spacing), 1)
-    if domain.min_level < LEAST_STEPS:
+    if domain.min_level < MIN_FOLLOW_LEVEL:
         yield (
             f"domain.follow moves the domain by coarsest cells, of {step:g} m, too much at once for"
-            f" {domain.size:g} m: domain.min_level is to be {LEAST_STEPS} or more"
+            f" {domain.size:g} m: domain.min_level is to be {MIN_FOLLOW_LEVEL} or more"
         )
     elif abs(step - parts * spacing) > 1e-6 * spacing:
         yield (

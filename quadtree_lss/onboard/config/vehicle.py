@@ -32,17 +32,17 @@ class VehicleConfig:
     pad_radius: float = declared(0.15, "radius of a landing pad", (0.0, 10.0), "m")
 
     @property
-    def size(self) -> float:
+    def diameter_ratio(self) -> float:
         """Its diameter over that of the vehicle that all was tried with."""
         return self._ratio("diameter")
 
     @property
-    def height(self) -> float:
+    def clearance_ratio(self) -> float:
         """Its clearance over that vehicle's."""
         return self._ratio("clearance")
 
     @property
-    def leaning(self) -> float:
+    def tilt_height(self) -> float:
         """Height under one of its four pads on level ground that leans it too far, m.
 
         On something of height h the diagonal through that pad carries, its middle h / 2 high. Along
@@ -61,7 +61,7 @@ class VehicleConfig:
     def least_hazard(self) -> float:
         """Least height of one thing on level ground that makes it fail, m: it rises over the
         clearance, or leans the vehicle too far."""
-        return min(self.clearance, self.leaning)
+        return min(self.clearance, self.tilt_height)
 
     @property
     def lengths(self) -> Lengths:

@@ -14,7 +14,7 @@ import yaml
 
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-MOST_BYTES = 1 << 20
+MAX_YAML_BYTES = 1 << 20
 """Of a text; a configuration of all parameters, explained, has 20,000."""
 
 
@@ -64,7 +64,7 @@ def read_yaml(path: str | os.PathLike[str]) -> object:
     """What stands in a file. Raises `YamlError`: as of `parse_yaml`, or it cannot be read."""
     try:
         with open(path, encoding="utf-8") as file:
-            return parse_yaml(file.read(MOST_BYTES + 1))
+            return parse_yaml(file.read(MAX_YAML_BYTES + 1))
     except (OSError, UnicodeDecodeError) as error:
         msg = f"cannot be read: {getattr(error, 'strerror', None) or error}"
         raise YamlError(msg) from None
@@ -73,8 +73,8 @@ def read_yaml(path: str | os.PathLike[str]) -> object:
 def parse_yaml(text: str, *, aliases: bool = False) -> object:
     """What stands in a text of one document; ``aliases`` are read for a caller who follows few of
     them. Raises `YamlError`: it cannot be understood, or is too long or too deep."""
-    if len(text) > MOST_BYTES:
-        msg = f"{len(text)} characters of YAML; {MOST_BYTES} is the most"
+    if len(text) > MAX_YAML_BYTES:
+        msg = f"{len(text)} characters of YAML; {MAX_YAML_BYTES} is the most"
         raise YamlError(msg)
     try:
         return yaml.load(text, Loader=_WithAliases if aliases else _Loader)

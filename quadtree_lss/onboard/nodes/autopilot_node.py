@@ -22,6 +22,7 @@ from sensor_msgs.msg import PointCloud2
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.autopilot.controller import Controller
 from quadtree_lss.onboard.autopilot.frames import Nav
+from quadtree_lss.onboard.autopilot.inputs import Target, target_from_status
 from quadtree_lss.onboard.autopilot.landing import (
     GIVE_UP,
     HEARTBEAT_S,
@@ -31,7 +32,6 @@ from quadtree_lss.onboard.autopilot.landing import (
     Order,
 )
 from quadtree_lss.onboard.autopilot.link import PX4
-from quadtree_lss.onboard.autopilot.seen import Target, target_of
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -39,7 +39,7 @@ from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, status_from_message
 from quadtree_lss.onboard.messages.poses import check_frame
 from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Status
-from quadtree_lss.onboard.nodes.entry import waits_for
+from quadtree_lss.onboard.nodes.entry import set_waiting_for
 from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.node_runner import BaseNode, run
@@ -132,7 +132,7 @@ class AutopilotNode(BaseNode):
             if sources.number > 1:
                 return None, f"{sources.number} nodes send {topic}"
         (at, place), (told_at, status) = self._selected, self._status
-        return target_of(place, status, now - min(at, told_at), now - told_at)
+        return target_from_status(place, status, now - min(at, told_at), now - told_at)
 
     def _poll(self) -> None:
         for nav in self._controller.poll():
@@ -157,20 +157,20 @@ class AutopilotNode(BaseNode):
 
     def _step(self) -> None:
         self._poll()  # a pilot who took over meanwhile gets no set-point
-        waits_for(lack := self._lacks())
+        set_waiting_for(missing := self._missing_inputs())
         began = self._controller.landing.state
         order = self._controller.step(*self._target(self._now()))
         if order is None or self._controller.nav is None:
-            self._publish_state(Order(PILOT, f"waiting for {lack}", None, None))
+            self._publish_state(Order(PILOT, f"waiting for {missing}", None, None))
             return
         if order.state != began:
             self._on_change(order, self._controller.nav)
         self._publish_state(order)
 
-    def _lacks(self) -> str:
+    def _missing_inputs(self) -> str:
         """What there is not yet of all that a landing takes, empty after it came."""
-        if lack := self._controller.lack:
-            return lack
+        if missing := self._controller.missing:
+            return missing
         if self._selected is None or self._status is None:
             known = self._sources[SELECTED].number
             return f"{SELECTED} and {STATUS} (publishers known: {known})"
@@ -183,7 +183,7 @@ class AutopilotNode(BaseNode):
             self.get_logger().warning(text)
         else:
             self.get_logger().info(text)
-        self._link.tell(f"lss {text}", warn=warn)
+        self._link.send_text(f"lss {text}", warn=warn)
         if order.point is not None:
             if self._is_only_publisher(self._dispersion):
                 self._send_dispersion(nav)
@@ -230,28 +230,28 @@ class AutopilotNode(BaseNode):
         self._state.publish(status)
 
     def _on_land(self) -> str:
-        lack = "" if self._now() - self._link.heard <= HEARTBEAT_S else "no heartbeat"
+        missing = "" if self._now() - self._link.last_heartbeat <= HEARTBEAT_S else "no heartbeat"
         if self._config.autopilot.may_command == "nothing":
-            lack = "autopilot.may_command is nothing"
-        if lack:
-            msg = f"{lack}: the pilot switches to guided or offboard"
+            missing = "autopilot.may_command is nothing"
+        if missing:
+            msg = f"{missing}: the pilot switches to guided or offboard"
             raise QuadtreeLssError(msg)
-        self._link.follow()
+        self._link.request_guided_mode()
         return "asked for the mode that follows set-points"
 
     def _collect(self, status: Status) -> None:
         status.note(LEVELS.get(self._order.state, OK), f"{self._order.state}: {self._order.text}")
-        if lack := self._lacks():
-            status.note(WARN, f"waiting for {lack}")
-        heard = self._now() - self._link.heard
+        if missing := self._missing_inputs():
+            status.note(WARN, f"waiting for {missing}")
+        heard = self._now() - self._link.last_heartbeat
         status.add({"autopilot.kind": {None: "none", PX4: "px4"}.get(self._link.kind, "ardupilot")})
         status.add({"heartbeat.age_s": heard, "target.publishers": self._sources[SELECTED].number})
-        status.add({f"autopilot.heard.{what}": n for what, n in self._link.heard_of.items()})
-        status.add({f"autopilot.refused.{why}": n for why, n in self._link.refused.items()})
+        status.add({f"autopilot.heard.{what}": n for what, n in self._link.message_counts.items()})
+        status.add({f"autopilot.refused.{why}": n for why, n in self._link.rejected.items()})
         if heard > HEARTBEAT_S:
             connection = self._config.autopilot.connection
             status.note(ERROR, f"no heartbeat of an autopilot on {connection}")
-        elif self._now() - self._link.answered > HEARTBEAT_S:
+        elif self._now() - self._link.last_answer > HEARTBEAT_S:
             status.note(WARN, "the autopilot does not answer: does it hear anything?")
         if (uncertainty := self._link.remote.uncertainty_ns) is not None:
             status.add({"clock.uncertainty_ms": 1e-6 * uncertainty})

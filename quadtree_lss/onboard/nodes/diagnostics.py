@@ -88,7 +88,7 @@ class Span(NamedTuple):
 
 
 class Durations:
-    """Durations since the last `take`. ``last``: the last one, ms."""
+    """Durations since the last `pop_span`. ``last``: the last one, ms."""
 
     def __init__(self) -> None:
         self.last = 0.0
@@ -99,7 +99,7 @@ class Durations:
         self.last = milliseconds
         self._since.append(milliseconds)
 
-    def take(self) -> Span | None:
+    def pop_span(self) -> Span | None:
         """Return mean and worst since the last call, None without any."""
         since, self._since = self._since, []
         return Span(sum(since) / len(since), max(since)) if since else None
@@ -130,7 +130,7 @@ class Status:
             elif value is not None:
                 self.values[key] = f"{value:.2f}" if isinstance(value, float) else value
 
-    def judge_age(self, what: str, topic: str, of: Arrivals, limits: DiagnosticsConfig) -> None:
+    def check_age(self, what: str, topic: str, of: Arrivals, limits: DiagnosticsConfig) -> None:
         """Add age and rate, and a warning or error if the last message is too old."""
         age = of.age()
         self.add({f"{what}.age_s": age, f"{what}.rate_hz": of.rate(), f"{what}.received": of.count})
@@ -139,7 +139,7 @@ class Status:
             lack = "for" if of.count else "since the start,"
             self.note(level, f"no {what} on '{topic}' {lack} {age:.1f} s")
 
-    def judge_delay(self, text: str, delay: Span | None, limits: DiagnosticsConfig) -> None:
+    def check_delay(self, text: str, delay: Span | None, limits: DiagnosticsConfig) -> None:
         """Add a warning or error, ``text`` and the delay, if the delay is too long or negative."""
         if delay is not None and abs(delay.worst) > 1e3 * limits.warn_age:
             level = ERROR if abs(delay.worst) > 1e3 * limits.error_age else WARN

@@ -18,9 +18,9 @@ def steady_timer(node: Node, period_s: float, callback: Callable[[], None]) -> T
     return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
-class WhenWanted(CallbackGroup):
+class OnDemandGroup(CallbackGroup):
     """Subscriptions that wake the node only while ``wanted()`` is true. At other times their
-    messages stay in the middleware's queue, and `arrived` takes them.
+    messages stay in the middleware's queue, and `take_waiting` takes them.
 
     A scan takes the poses that arrived before it. Only a scan that waits for a pose needs the next
     one at once, and each wake-up costs as much as taking several messages.
@@ -42,7 +42,7 @@ class WhenWanted(CallbackGroup):
         """Do nothing: there is only one thread."""
 
 
-def arrived(subscription: Subscription) -> Iterator[Any]:
+def take_waiting(subscription: Subscription) -> Iterator[Any]:
     """Take the messages that wait at a subscription, the oldest first."""
     handle = subscription.handle
     with handle:

@@ -27,7 +27,7 @@ from quadtree_lss.onboard.messages.landing_inputs import (
 )
 from quadtree_lss.onboard.nodes.diagnostics import Problems
 from quadtree_lss.onboard.nodes.executor import steady_timer
-from quadtree_lss.onboard.nodes.qos import subscribe_twice
+from quadtree_lss.onboard.nodes.qos import subscribe_any_durability
 from quadtree_lss.onboard.nodes.ros_messages import TYPES as ROS_TYPES
 
 JOIN_S = 3.0
@@ -73,7 +73,7 @@ class LandingTopics:
             kind, topic = ROS_TYPES[kind], f"landing/{name}"
             kept = MAX_KEEP_OUTS if name == KEEP_OUTS else 1
             self._samples[name] = deque(maxlen=2 * kept)
-            self._latched[name] = subscribe_twice(node, kind, topic, take, kept)
+            self._latched[name] = subscribe_any_durability(node, kind, topic, take, kept)
 
     def states(self) -> dict[str, object]:
         """Return whether each topic is set, for the diagnostics."""

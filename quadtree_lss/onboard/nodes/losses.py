@@ -25,7 +25,7 @@ class Publishers:
         if number > max(before, 1):
             self._problems.report(self._reason, self._text())
 
-    def judge(self, status: Status) -> None:
+    def add_warning(self, status: Status) -> None:
         """Add a warning while there is more than one."""
         if self.number > 1:
             status.note(WARN, self._text())
@@ -111,7 +111,7 @@ class Overload:
         self._topic, self._problems = topic, problems
         self._overloaded_until = 0.0
 
-    def takes(self, received_ns: int, config: Config, work_ms: float) -> bool:
+    def admits(self, received_ns: int, config: Config, work_ms: float) -> bool:
         """Return whether to map a scan. ``received_ns``: when the middleware received it, by the
         system's clock; 0 if unknown. ``config``, ``work_ms``: as of `allowance`."""
         waited = max(1e-9 * (time.time_ns() - received_ns), 0.0) if received_ns > 0 else 0.0

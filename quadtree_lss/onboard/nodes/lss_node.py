@@ -19,8 +19,8 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.outputs import CELLS, GRID_MAP, GROUND, OBSERVED, TOPIC_TYPES
 from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Durations, Status, failure
-from quadtree_lss.onboard.nodes.entry import waits_for
-from quadtree_lss.onboard.nodes.executor import WhenWanted, arrived, steady_timer
+from quadtree_lss.onboard.nodes.entry import set_waiting_for
+from quadtree_lss.onboard.nodes.executor import OnDemandGroup, steady_timer, take_waiting
 from quadtree_lss.onboard.nodes.landing_topics import LandingTopics
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, site_markers
@@ -77,7 +77,7 @@ class LssNode(BaseNode):
             self._grid_map = MarkerPublisher(self, publisher, self._grid_map_message)
         self._subscribe()
         # Loading the core takes a while, in which the middleware already finds mapping_node.
-        waits_for("what judges landing")
+        set_waiting_for("what judges landing")
         from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 
         self._selector = LandingSiteSelector(config)
@@ -87,7 +87,7 @@ class LssNode(BaseNode):
         self._announce()
 
     def _subscribe(self) -> None:
-        """Subscribe to map and poses. Messages of topics with a `WhenWanted` group do not wake the
+        """Subscribe to map and poses. Messages of topics with a `OnDemandGroup` group do not wake the
         node while they are not wanted: they are taken together with the map."""
         subscribe(
             self,
@@ -98,14 +98,14 @@ class LssNode(BaseNode):
             self._map_publishers.changed,
             raw=True,
         )
-        wanted = WhenWanted(lambda: self._map.lacks_observed)
+        wanted = OnDemandGroup(lambda: self._map.lacks_observed)
         self._observed = subscribe(
             self, OccupancyGrid, OBSERVED, self._on_observed, latched(), group=wanted, raw=True
         )
         source = self._config.pose.source
         self._pose_kind: Any = {"pose": PoseWithCovarianceStamped, "odometry": Odometry}[source]
         profile = stream(1, reliable=False)  # matches any publisher
-        wanted = WhenWanted(lambda: not self._navigation.known)
+        wanted = OnDemandGroup(lambda: not self._navigation.known)
         self._poses = subscribe(
             self, self._pose_kind, f"nav/{source}", self._on_pose, profile, group=wanted, raw=True
         )
@@ -136,13 +136,13 @@ class LssNode(BaseNode):
         return math.nan if latency is None else 1e-3 * latency
 
     def _on_cells(self, raw: bytes) -> None:
-        for observed in arrived(self._observed):
+        for observed in take_waiting(self._observed):
             self._on_observed(observed)
-        if self._map.complete_with("cells", raw):
+        if self._map.add_half("cells", raw):
             self._output.changed()
 
     def _on_observed(self, raw: bytes) -> None:
-        if self._map.complete_with("observed", raw):
+        if self._map.add_half("observed", raw):
             self._output.changed()
 
     def _on_pose(self, raw: bytes) -> None:
@@ -152,18 +152,18 @@ class LssNode(BaseNode):
             self._problems.report(f"pose_{error.reason}", f"pose not used: {error}")
 
     def _take_pose(self) -> None:
-        for raw in arrived(self._poses):
+        for raw in take_waiting(self._poses):
             self._on_pose(raw)
 
     def _why_withheld(self) -> str:
         """Return why no site may be published, empty if one may."""
-        reasons = (self._inputs.requests.withheld, self._map.too_old())
+        reasons = (self._inputs.requests.withheld, self._map.withdrawal_reason())
         return "; ".join(reason for reason in reasons if reason)
 
     def _check(self) -> None:
         """Withdraw the sites of an old map; end settling; report what the node waits for."""
         self._take_pose()
-        waits_for(self._lacks() or self._why_no_site_yet())
+        set_waiting_for(self._missing_inputs() or self._why_no_site_yet())
         if self._result is None:
             return
         if self._why_withheld() != self._withheld:
@@ -176,13 +176,13 @@ class LssNode(BaseNode):
         """Return the time since the first map, s."""
         return time.monotonic() - self._first_map_s
 
-    def _lacks(self) -> str:
+    def _missing_inputs(self) -> str:
         """Return which inputs the first assessment still waits for, empty after it."""
         if self._result is not None:
             return ""
-        if lack := self._map.lacks():
+        if missing := self._map.missing():
             number = self._map_publishers.number
-            return f"{lack} (publishers known on '{self._map_topic}': {number})"
+            return f"{missing} (publishers known on '{self._map_topic}': {number})"
         return " and ".join(f"landing/{name}" for name in self._inputs.unheard())
 
     def _why_no_site_yet(self) -> str:
@@ -193,7 +193,7 @@ class LssNode(BaseNode):
         return f"the first site: {why}"
 
     def _assess(self) -> None:
-        self._map.take()
+        self._map.decode_newest()
         cells = self._map.cells
         if cells is None:
             return
@@ -271,18 +271,18 @@ class LssNode(BaseNode):
     def _collect(self, status: Status) -> None:
         limits = self._config.diagnostics
         if self._map.arrivals.age() > limits.warn_age:
-            self._map.take()  # a map that was not decoded yet counts if it is usable
-        status.judge_age("map", self._map_topic, self._map.arrivals, limits)
-        latency = self._delays.take()
+            self._map.decode_newest()  # a map that was not decoded yet counts if it is usable
+        status.check_age("map", self._map_topic, self._map.arrivals, limits)
+        latency = self._delays.pop_span()
         text = "by the map's stamp and this node's clock, sites are sent after"
-        status.judge_delay(text, latency, limits)
-        self._map_publishers.judge(status)
+        status.check_delay(text, latency, limits)
+        self._map_publishers.add_warning(status)
         status.add(
             {
                 "map.refused": self._map.refusals,
                 "map.publishers": self._map_publishers.number,
                 "assessments": 0 if self._result is None else self._result.number,
-                "lss_ms": self._lss_ms.take(),
+                "lss_ms": self._lss_ms.pop_span(),
                 "latency_ms": latency,
             }
         )
@@ -295,8 +295,8 @@ class LssNode(BaseNode):
         elif self._map.refused:
             status.note(ERROR, f"{self._map.refused}; the one before it holds")
         result = self._result
-        if lack := self._lacks():
-            status.note(WARN, f"no site is given out yet: waiting for {lack}")
+        if missing := self._missing_inputs():
+            status.note(WARN, f"no site is given out yet: waiting for {missing}")
         if result is None or self._map.cells is None:
             return
         count = len(result.sites.score)

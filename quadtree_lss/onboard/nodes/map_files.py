@@ -64,7 +64,7 @@ class Checkpoints:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self._none = path == ""
+        self._is_disabled = path == ""
         self.path = Path(path)
         self.written = 0
         self._error: str | None = None
@@ -72,10 +72,10 @@ class Checkpoints:
         self._changed = False
         self._due = time.monotonic()
 
-    def take_up(self, mapper: Mapper) -> str:
+    def restore(self, mapper: Mapper) -> str:
         """Continue from the file if there is one; return a line for the log. Raises `MapFileError`:
         the file cannot be used; the mapper is then unchanged."""
-        if self._none:
+        if self._is_disabled:
             return ""
         try:
             if not regular_file(self.path).exists():
@@ -97,9 +97,9 @@ class Checkpoints:
 
     def changed(self) -> None:
         """Note that the map changed."""
-        self._changed = not self._none
+        self._changed = not self._is_disabled
 
-    def work(self, mapper: Mapper) -> str | None:
+    def write_if_due(self, mapper: Mapper) -> str | None:
         """Write if it is time; call often. Return the error of the last checkpoint, if any."""
         if self._thread is not None and not self._thread.is_alive():
             self._thread = None
@@ -113,9 +113,9 @@ class Checkpoints:
         error, self._error = self._error, None
         return error
 
-    def forget(self) -> None:
+    def remove(self) -> None:
         """Remove the file: the map was reset. Raises `MapFileError`: it cannot be removed."""
-        if self._none:
+        if self._is_disabled:
             return
         if not self._join():
             self._changed = True  # the empty map then replaces the checkpoint in progress

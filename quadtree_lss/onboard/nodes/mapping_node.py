@@ -40,8 +40,8 @@ from quadtree_lss.onboard.nodes.diagnostics import (
     Status,
     failure,
 )
-from quadtree_lss.onboard.nodes.entry import waits_for
-from quadtree_lss.onboard.nodes.executor import WhenWanted, arrived, steady_timer
+from quadtree_lss.onboard.nodes.entry import set_waiting_for
+from quadtree_lss.onboard.nodes.executor import OnDemandGroup, steady_timer, take_waiting
 from quadtree_lss.onboard.nodes.files import MapFileError
 from quadtree_lss.onboard.nodes.losses import Overload, Publishers, ScanGaps, best_effort_hint
 from quadtree_lss.onboard.nodes.map_files import Checkpoints, load, save
@@ -54,7 +54,7 @@ from quadtree_lss.onboard.nodes.qos import (
     serve,
     stream,
     subscribe,
-    subscribe_twice,
+    subscribe_any_durability,
 )
 from quadtree_lss.onboard.nodes.ros_messages import (
     cloud_message,
@@ -116,12 +116,12 @@ class MappingNode(BaseNode):
         )
         self._output = ChangePublisher(self, config.publish.rate, self._publish)
         self._checkpoints = Checkpoints(config.checkpoint.path)
-        waits_for(f"checkpoint.path {config.checkpoint.path}")
+        set_waiting_for(f"checkpoint.path {config.checkpoint.path}")
         self._restore_checkpoint()
         serve(self, "reset", self._reset)
         serve(self, "save_map", self._save_map)
         serve(self, "load_map", self._load_map)
-        self._waiting_for_poses = WhenWanted(lambda: len(self._intake.queue) > 0)
+        self._waiting_for_poses = OnDemandGroup(lambda: len(self._intake.queue) > 0)
         self._best_effort = self._subscribe_scans()
         self._pose_sources = self._subscribe_poses()
         steady_timer(self, CHECK_PERIOD_S, self._check)
@@ -149,7 +149,7 @@ class MappingNode(BaseNode):
             profile = stream(1, reliable=False)
             subscribe(self, CameraInfo, CAMERA, self._intake.on_camera_info, profile)
         if self._config.domain.follow == "area":
-            subscribe_twice(self, PolygonStamped, f"landing/{AREA}", self._on_area)
+            subscribe_any_durability(self, PolygonStamped, f"landing/{AREA}", self._on_area)
         return scans.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT
 
     def _subscribe_poses(self) -> list[tuple[Subscription, Callable[[Any], None]]]:
@@ -173,7 +173,7 @@ class MappingNode(BaseNode):
 
     def _restore_checkpoint(self) -> None:
         try:
-            if said := self._checkpoints.take_up(self._mapper):
+            if said := self._checkpoints.restore(self._mapper):
                 self.get_logger().info(said)
         except MapFileError as error:
             self._problems.report("checkpoint", str(error))
@@ -186,7 +186,7 @@ class MappingNode(BaseNode):
         self._gaps.on_scan(info["publication_sequence_number"])
         self._take_poses()
         work_ms = self._map_ms.last + self._publish_ms.last
-        if self._overload.takes(info["received_timestamp"], self._config, work_ms):
+        if self._overload.admits(info["received_timestamp"], self._config, work_ms):
             self._take_scan(message, arrival_ns)
         self._check()
 
@@ -234,7 +234,7 @@ class MappingNode(BaseNode):
         after a pause scans would overtake them and fill the queue.
         """
         for source, take in self._pose_sources:
-            for message in arrived(source):
+            for message in take_waiting(source):
                 take(message)
                 if len(self._intake.queue):
                     self._map_ready_scans()
@@ -243,12 +243,12 @@ class MappingNode(BaseNode):
         """Do what is due after each scan, and periodically if no scan comes."""
         self._take_poses()
         self._map_ready_scans()
-        waits_for(self._lacks())
-        error = self._checkpoints.work(self._mapper)
+        set_waiting_for(self._missing_inputs())
+        error = self._checkpoints.write_if_due(self._mapper)
         if error is not None:
             self._problems.report("checkpoint", error)
 
-    def _lacks(self) -> str:
+    def _missing_inputs(self) -> str:
         """Return which inputs the first mapped scan still waits for, empty after it."""
         if self._scans:
             return ""
@@ -348,7 +348,7 @@ class MappingNode(BaseNode):
         self._output.now()
         self._markers.delete_all(header_message(0, self._frame))
         try:
-            self._checkpoints.forget()
+            self._checkpoints.remove()
         except MapFileError as error:  # the map is empty all the same
             self._problems.report("checkpoint", f"checkpoint {error}")
         return "map emptied"
@@ -369,17 +369,17 @@ class MappingNode(BaseNode):
         config, report = self._config, self._report
         # Not by an event: events of the poses' group are handled only while a scan waits.
         self._pose_publishers.changed(self.count_publishers(self._topics["pose"]))
-        self._pose_publishers.judge(status)
-        self._gaps.publishers.judge(status)
+        self._pose_publishers.add_warning(status)
+        self._gaps.publishers.add_warning(status)
         for what, of in self._arrived.items():
-            status.judge_age(what, self._topics[what], of, config.diagnostics)
+            status.check_age(what, self._topics[what], of, config.diagnostics)
         other = "pose" if config.pose.source == "odometry" else "odometry"
         unused = self.resolve_topic_name(f"nav/{other}")
         if not self._arrived["pose"].count and self.count_publishers(unused):
             status.note(WARN, f"'{unused}' is published: pose.source: {other} takes it")
-        wait, latency = self._overload.waits.take(), self._delays.take()
-        status.judge_delay("scans wait to be mapped for", wait, config.diagnostics)
-        status.judge_delay(MAP_LATE, latency, config.diagnostics)
+        wait, latency = self._overload.waits.pop_span(), self._delays.pop_span()
+        status.check_delay("scans wait to be mapped for", wait, config.diagnostics)
+        status.check_delay(MAP_LATE, latency, config.diagnostics)
         dropped = Counter(self._intake.dropped, overload=self._overload.dropped)
         status.add(
             {
@@ -390,8 +390,8 @@ class MappingNode(BaseNode):
                 "map.stamp_ns": self._mapper.stamp_ns,
                 "map.leaves": self._mapper.leaves.count,
                 "map.refused_divisions": self._divisions_refused,
-                "map_ms": self._map_ms.take(),
-                "publish_ms": self._publish_ms.take(),
+                "map_ms": self._map_ms.pop_span(),
+                "publish_ms": self._publish_ms.pop_span(),
                 "wait_ms": wait,
                 "latency_ms": latency,
             }
@@ -402,8 +402,8 @@ class MappingNode(BaseNode):
             status.note(ERROR, self._failed)
         if report is None:
             status.note(OK, "no scan mapped since the start, a reset or load")
-            if lack := self._lacks():
-                status.note(WARN, f"waiting for {lack}")
+            if missing := self._missing_inputs():
+                status.note(WARN, f"waiting for {missing}")
             return
         status.note(OK, f"mapping, {self._mapper.leaves.count} leaves")
         status.add(

@@ -26,7 +26,7 @@ from quadtree_lss.onboard.config.loading import read_values
 from quadtree_lss.onboard.config.settings import Config, ConfigError, parameters, values_from_config
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.nodes.diagnostics import WARN, Problems, Status
-from quadtree_lss.onboard.nodes.entry import stop_on_signal, waits_for
+from quadtree_lss.onboard.nodes.entry import set_waiting_for, stop_on_signal
 from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.parameters import NodeParameters
 
@@ -93,13 +93,13 @@ class BaseNode(Node):
 
     def _announce(self) -> None:
         """Log version, build, configuration, domain and vehicle, and unused QoS overrides."""
-        self._settings.tell_unused(self)
+        self._settings.warn_unused(self)
         parts = (
             f"quadtree_lss {quadtree_lss.__version__} ({self._build})",
             configuration_text(self._config, sys.argv),
             *ground_text(self._config),
         )
-        waits_for("", self.get_logger().warning)
+        set_waiting_for("", self.get_logger().warning)
         self.get_logger().info("; ".join(parts))
 
     def _send_status(self) -> None:
@@ -158,20 +158,20 @@ def _spin(make_node: Callable[[], BaseNode], argv: list[str]) -> int:
     executor: SingleThreadedExecutor | None = None
     node: BaseNode | None = None
     stop = stop_on_signal()
-    if stop.asked:
+    if stop.requested:
         return 0
-    waits_for("ROS and its middleware")
+    set_waiting_for("ROS and its middleware")
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     except ARGUMENT_ERRORS as error:
         return _wrong_arguments(error)
-    waits_for("its parameters and topics")
+    set_waiting_for("its parameters and topics")
     try:
         node = _create_node(make_node)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        with contextlib.suppress(ExternalShutdownException), stop.breaking():
-            while not stop.asked:
+        with contextlib.suppress(ExternalShutdownException), stop.interrupting():
+            while not stop.requested:
                 executor.spin_once(timeout_sec=STOP_PERIOD_S)
         node.finish()  # not after an exception: what it holds may be broken then
     except KeyboardInterrupt:  # what it had at work is half done, and is not written

@@ -32,7 +32,7 @@ from quadtree_lss.onboard.config.settings import (
 )
 
 QOS = "qos_overrides."
-LIVE_OF = {"vehicle": "lss_node", "lss": "lss_node", "autopilot": "autopilot_node"}
+LIVE_NODES = {"vehicle": "lss_node", "lss": "lss_node", "autopilot": "autopilot_node"}
 """Node in which live changes of a section have an effect; other sections: every node."""
 ROS_TOPICS = ("/clock", "/parameter_events", "/rosout")
 
@@ -139,7 +139,7 @@ class NodeParameters:
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
 
-    def tell_unused(self, node: Node) -> None:
+    def warn_unused(self, node: Node) -> None:
         """Warn of overrides for topics that the node does not have; nodes may share a file."""
         has = {
             "subscription": sorted({item.topic_name for item in node.subscriptions}),
@@ -159,7 +159,7 @@ class NodeParameters:
             return SetParametersResult(successful=False, reason=str(error))
         now = values_from_config(self.config)
         for name in [item.name for item in changes if item.name in now]:
-            owner = LIVE_OF.get(name.partition(".")[0], self._kind)
+            owner = LIVE_NODES.get(name.partition(".")[0], self._kind)
             if self._kind and owner != self._kind and values[name] != now[name]:
                 reason = f"{name} has an effect in {owner}, not in {self._kind}: set it there"
                 return SetParametersResult(successful=False, reason=reason)

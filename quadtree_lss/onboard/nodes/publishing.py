@@ -10,7 +10,7 @@ from rclpy.node import Node
 
 from quadtree_lss.onboard.nodes.executor import steady_timer
 
-LATE = 0.6
+WAIT_FRACTION = 0.6
 """How long after it was due the next change is waited for, in intervals between changes."""
 
 
@@ -42,7 +42,9 @@ class ChangePublisher:
         if soon and not self._at_work:
             self._send()
         elif self._timer.is_canceled():
-            self._timer.timer_period_ns = 1 if soon else wait_ns + round(LATE * interval_ns)
+            self._timer.timer_period_ns = (
+                1 if soon else wait_ns + round(WAIT_FRACTION * interval_ns)
+            )
             self._timer.reset()
 
     def now(self) -> None:

@@ -44,14 +44,14 @@ def stream(depth: int, *, reliable: bool) -> QoSProfile:
     )
 
 
-TARGET_S = 1.0
+TARGET_DEADLINE_S = 1.0
 """A subscriber that hears nothing of the target for so long may take its publisher for dead."""
 
 
 def target() -> QoSProfile:
     """Latched, and said again in time: whoever asks for a deadline learns of a dead publisher."""
     profile = latched()
-    profile.deadline = profile.liveliness_lease_duration = Duration(seconds=TARGET_S)
+    profile.deadline = profile.liveliness_lease_duration = Duration(seconds=TARGET_DEADLINE_S)
     profile.liveliness = LivelinessPolicy.MANUAL_BY_TOPIC
     return profile
 
@@ -105,7 +105,7 @@ def subscribe(
     )
 
 
-def subscribe_twice(
+def subscribe_any_durability(
     node: Node, kind: Any, topic: str, callback: Any, kept: int = 1
 ) -> Subscription:
     """Latched, to get what was sent before, which is returned; and volatile, which matches

@@ -19,7 +19,7 @@ from quadtree_lss.onboard.nodes.ros_messages import cloud_message, deserialised
 STAMP = slice(4, 12)
 """Of a serialised message that begins with a header."""
 
-OLDEST_S = 30.0
+MAX_MAP_AGE_S = 30.0
 """Sites are withdrawn when no map that can be used has come for longer: a killed mapping_node is
 back well before, and nobody should fly on for half a minute by what is looked at no more."""
 
@@ -53,7 +53,7 @@ class ReceivedMap:
         """True while cells wait for ``map/observed``, and before the first map."""
         return self.cells is None or "cells" in self._halves
 
-    def complete_with(self, half: str, raw: bytes) -> bool:
+    def add_half(self, half: str, raw: bytes) -> bool:
         """Takes one of a map's two messages, ``cells`` or ``observed``: it is complete when both
         carry the same stamp.
 
@@ -69,7 +69,7 @@ class ReceivedMap:
         self._whole = (cells, observed, time.monotonic())
         return True
 
-    def lacks(self) -> str:
+    def missing(self) -> str:
         """What is not there yet of a first map, empty once there is one."""
         if self.cells is not None:
             return ""
@@ -82,7 +82,7 @@ class ReceivedMap:
         """Landing is judged otherwise now: the next `take` decodes a map that was refused again."""
         self._whole = self._whole or self._kept
 
-    def take(self) -> None:
+    def decode_newest(self) -> None:
         """Decodes the newest complete map if that was not done yet."""
         if self._whole is None:
             return
@@ -104,12 +104,12 @@ class ReceivedMap:
             self.frame = frame
             self.arrivals.add(arrival)
 
-    def too_old(self) -> str:
+    def withdrawal_reason(self) -> str:
         """Why sites on the map are to be withdrawn, empty if they are not."""
-        if self.cells is None or self.arrivals.age() <= OLDEST_S:
+        if self.cells is None or self.arrivals.age() <= MAX_MAP_AGE_S:
             return ""
-        self.take()  # one that waits for its turn counts if it can be used
-        if self.arrivals.age() <= OLDEST_S:
+        self.decode_newest()  # one that waits for its turn counts if it can be used
+        if self.arrivals.age() <= MAX_MAP_AGE_S:
             return ""
-        text = f"no map that could be used came for {OLDEST_S:g} s"
+        text = f"no map that could be used came for {MAX_MAP_AGE_S:g} s"
         return f"{text}; {self.refused}" if self.refused else text

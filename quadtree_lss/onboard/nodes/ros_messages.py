@@ -74,7 +74,7 @@ def map_messages(cells: CellMap, frame: str) -> tuple[bytes, bytes]:
     stamp = divmod(cells.stamp_ns, 1_000_000_000)
     for raw in (cloud, grid):
         struct.pack_into("<iI", raw, 4, *stamp)
-    _, at = _text(cloud, 12)
+    _, at = _read_string(cloud, 12)
     at += -at % 4
     struct.pack_into("<iI", grid, at, *stamp)  # when the map was loaded
     struct.pack_into("<I", cloud, at + 4, len(records))  # the width
@@ -113,7 +113,7 @@ LITTLE_ENDIAN = b"\x00\x01"
 """What is serialised begins with it, as far as it is read here."""
 
 
-def _text(raw: bytes, at: int) -> tuple[str, int]:
+def _read_string(raw: bytes, at: int) -> tuple[str, int]:
     """A string that begins at ``at`` or up to three bytes behind, and where it ends."""
     at += -at % 4
     (length,) = struct.unpack_from("<I", raw, at)
@@ -127,7 +127,7 @@ def pose_message(raw: bytes, kind: Any) -> Any:
     try:
         seconds, nanoseconds = struct.unpack_from("<iI", raw, 4)
         for _ in range(2 if kind is Odometry else 1):
-            name, at = _text(raw, at)
+            name, at = _read_string(raw, at)
             names.append(name)
         numbers = np.frombuffer(raw, "<f8", 7 + 36, at + (4 - at) % 8)
     except (struct.error, ValueError):
@@ -151,11 +151,11 @@ def cloud_message(raw: bytes) -> Any:
     fields = []
     try:
         seconds, nanoseconds = struct.unpack_from("<iI", raw, 4)
-        frame, at = _text(raw, 12)
+        frame, at = _read_string(raw, 12)
         height, width, count = struct.unpack_from("<3I", raw, at + -at % 4)
         at += -at % 4 + 12
         for _ in range(count):
-            name, at = _text(raw, at)
+            name, at = _read_string(raw, at)
             offset, kind, number = struct.unpack_from("<IB3xI", raw, at + -at % 4)
             at += -at % 4 + 12
             of = {"name": name, "offset": offset, "datatype": kind, "count": number}

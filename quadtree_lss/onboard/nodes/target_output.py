@@ -13,18 +13,18 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.onboard.config.limits import LONGEST
+from quadtree_lss.onboard.config.limits import MAX_ASSESSMENT_S
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, STATUS_TEXT
 from quadtree_lss.onboard.nodes.diagnostics import OK, WARN
 from quadtree_lss.onboard.nodes.executor import steady_timer
-from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, serve, target
+from quadtree_lss.onboard.nodes.qos import TARGET_DEADLINE_S, advertise, latched, serve, target
 from quadtree_lss.onboard.nodes.ros_messages import message_maker
 
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.landing.result import LandingAssessment, Selected
 
-REPEAT_S = 0.4 * TARGET_S
+REPEAT_S = 0.4 * TARGET_DEADLINE_S
 """Period of repeating the target: two repetitions fit into the deadline."""
 
 
@@ -77,7 +77,7 @@ class TargetOutput:
         over = threading.Event()
 
         def repeat() -> None:
-            for _ in range(int(LONGEST / REPEAT_S)):
+            for _ in range(int(MAX_ASSESSMENT_S / REPEAT_S)):
                 if over.wait(REPEAT_S):
                     return
                 self._publish()

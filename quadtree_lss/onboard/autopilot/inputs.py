@@ -21,7 +21,7 @@ STILL_M_S = 0.5
 """A vehicle on the ground is slower; one that follows a set-point 1 m below it is faster."""
 STILL_M, STILL_S = 0.2, 2.0
 """A vehicle that moves less than this for so long stands still; ten reports at 5 Hz."""
-TOLD_M = 0.5
+COMMANDED_M = 0.5
 """A set-point so far away moves a vehicle that is in the air."""
 OFFSET_M = 0.5
 """The vehicle descends only so near beside the target, and commits within half of it; a target that
@@ -47,7 +47,9 @@ class Target(NamedTuple):
     offset: float
 
 
-def target_of(place: Array, status: np.void, age: float, since: float) -> tuple[Target | None, str]:
+def target_from_status(
+    place: Array, status: np.void, age: float, since: float
+) -> tuple[Target | None, str]:
     """What lss_node says, by navigation's height; else why there is none. ``place``: (3,) of
     ``landing/selected``. ``status``: the record of ``landing/status``. ``age``, ``since``: of the
     older of the two, and since the latter came, s."""
@@ -60,12 +62,12 @@ def target_of(place: Array, status: np.void, age: float, since: float) -> tuple[
     return Target(place, age, map_age, offset), ""
 
 
-class Seen(NamedTuple):
+class Inputs(NamedTuple):
     """What is known at a moment.
 
     Attributes:
         now: Of a steady clock, s.
-        ours: Whether the autopilot is in the mode in which it follows set-points.
+        accepts_set_points: Whether the autopilot is in the mode in which it follows set-points.
         armed: As it says.
         landed: Whether it says that it is on the ground; None if it has not said so lately.
         landed_for: Since when it has not said anything else, s.
@@ -77,7 +79,7 @@ class Seen(NamedTuple):
     """
 
     now: float
-    ours: bool
+    accepts_set_points: bool
     armed: bool
     landed: bool | None
     landed_for: float
@@ -105,25 +107,25 @@ class GroundContact:
     def _reset(self) -> None:
         self.made = self.rests = self.refuted = False
         self.place: Array | None = None
-        self._since = self._resists = 0.0
+        self._since = self._not_commanded = 0.0
 
-    def update(self, seen: Seen, ground_z: float | None, told: Array | None) -> None:
+    def update(self, inputs: Inputs, ground_z: float | None, told: Array | None) -> None:
         """Judge one moment. ``ground_z``: the height at which ground is expected, m; ``told``: the
         last set-point, (3,); None for none."""
-        if not seen.landed:
+        if not inputs.landed:
             self._reset()
             return
-        position, now = seen.position, seen.now
-        slow = float(np.linalg.norm(seen.velocity)) <= STILL_M_S
+        position, now = inputs.position, inputs.now
+        slow = float(np.linalg.norm(inputs.velocity)) <= STILL_M_S
         near = ground_z is not None and abs(position[2] - ground_z) <= NEAR_M
         self.made |= near and slow
-        self.refuted |= seen.armed and not slow and not self.made
+        self.refuted |= inputs.armed and not slow and not self.made
         moved = self.place is None or float(np.linalg.norm(position - self.place)) > STILL_M
-        if moved or seen.pose_age > POSE_S or seen.landed_for < now - self._since:
-            self.place, self._since, self._resists = position.copy(), now, now
-        if told is None or float(np.linalg.norm(told - position)) < TOLD_M:
-            self._resists = now
-        self.made |= now - self._resists >= STILL_S
+        if moved or inputs.pose_age > POSE_S or inputs.landed_for < now - self._since:
+            self.place, self._since, self._not_commanded = position.copy(), now, now
+        if told is None or float(np.linalg.norm(told - position)) < COMMANDED_M:
+            self._not_commanded = now
+        self.made |= now - self._not_commanded >= STILL_S
         self.refuted &= not self.made
         self.rests = not self.refuted and now - self._since >= STILL_S
 
@@ -132,15 +134,15 @@ class MapHeight:
     """Follows the height of the map over navigation's, which drifts, but does not jump."""
 
     def __init__(self) -> None:
-        self._then = 0.0
+        self._last_step = 0.0
         self._offset = math.nan
         self._place: Array | None = None
 
     def shift(self, now: float, target: Target) -> float:
         """Return by how much the height of the target, or of the whole map, differs from the one
         that drift explains, m."""
-        drift = DRIFT_M_S * max(now - self._then, 0.0)
-        self._then = now
+        drift = DRIFT_M_S * max(now - self._last_step, 0.0)
+        self._last_step = now
         away = target.offset - self._offset
         if not math.isfinite(away):
             self._offset, away = target.offset, 0.0
