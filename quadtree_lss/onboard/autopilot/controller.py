@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flies the landing over a link: messages in, one decision at a time, set-points out."""
+"""Connection of the MAVLink link with the state machine of the landing."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from quadtree_lss.onboard.config.sections import AutopilotConfig
 
 
 class Controller:
-    """Connects `Link` and `Landing`.
+    """Connect `Link` and `Landing`.
 
     Attributes:
         nav: The newest pose; None before the first.
-        lack: What a landing takes and has not come yet of the autopilot; empty afterwards.
     """
 
     def __init__(
@@ -36,23 +35,24 @@ class Controller:
         self._landed_received = False
 
     def configure(self, config: AutopilotConfig) -> None:
-        """Other limits, speeds and permissions; the connection stays."""
+        """Set new limits, speeds and permissions; the connection does not change."""
         self.config = config
         self.landing.configure(config)
 
     @property
     def missing(self) -> str:
+        """The first input from the autopilot that has not arrived yet; empty if none is missing."""
         if self.link.kind is None:
             return f"the heartbeat of an autopilot on {self.config.connection}"
         if self.nav is None:
             return "a pose of the autopilot"
         self._landed_received |= self.link.landed is not None
         if not self._landed_received:
-            return "EXTENDED_SYS_STATE of the autopilot: whether it is on the ground"
+            return "EXTENDED_SYS_STATE of the autopilot (on the ground or in the air)"
         return ""
 
     def poll(self) -> list[Nav]:
-        """Take what has come and say what is due; return new poses, oldest first."""
+        """Handle received messages and send the periodic ones; return new poses, oldest first."""
         navs = self.link.poll()
         for nav in navs:
             self._jump = max(self._jump, self._jumps.size(nav))
@@ -60,16 +60,16 @@ class Controller:
         return navs
 
     def step(self, target: Target | None, why: str) -> Order | None:
-        """Decide, and send what follows from it; None while something lacks. ``why``: there is no
-        target."""
+        """Run one step of the landing and send its commands; return None while an input is missing.
+        ``why``: the reason why ``target`` is None."""
         if self.missing or self.nav is None:
             return None
         link, nav = self.link, self.nav
         age = abs(1e-9 * (self._clock() - nav.stamp_ns))
         now = self._now()
         inputs = Inputs(
-            now, link.accepts_set_points, link.armed, link.landed, link.landed_for, now - link.last_heartbeat, age,
-            nav.position, nav.velocity, self._jump, target, why,
+            now, link.accepts_set_points, link.armed, link.landed, link.landed_for,
+            now - link.last_heartbeat, age, nav.position, nav.velocity, self._jump, target, why,
         )  # fmt: skip
         self._jump = 0.0
         order = self.landing.step(inputs)

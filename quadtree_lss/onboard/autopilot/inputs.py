@@ -13,32 +13,34 @@ from quadtree_lss.onboard.core.landing.target import Reason, State
 from quadtree_lss.onboard.messages.poses import MAX_POSITION
 
 POSE_S = 0.5
-"""With an older pose, by its stamp, the vehicle only holds: they are asked for at 50 Hz."""
+"""Maximum age of a pose, by its stamp; with an older one the vehicle holds. Poses come at 50 Hz."""
 NEAR_M = 0.5
-"""Within this height of the expected ground one report of contact is enough: the height of a body
-on its legs, and the error of navigation's height."""
+"""Height above or below the expected ground within which one report of contact is sufficient:
+height of the body on its legs plus the error of navigation's height."""
 STILL_M_S = 0.5
-"""A vehicle on the ground is slower; one that follows a set-point 1 m below it is faster."""
+"""Upper speed limit of a vehicle on the ground; one that follows a set-point 1 m lower is faster."""
 STILL_M, STILL_S = 0.2, 2.0
-"""A vehicle that moves less than this for so long stands still; ten reports at 5 Hz."""
+"""A vehicle that moves less than this distance in this time stands still; ten reports at 5 Hz."""
 COMMANDED_M = 0.5
-"""A set-point so far away moves a vehicle that is in the air."""
+"""Distance of a set-point that moves a vehicle in the air."""
 OFFSET_M = 0.5
-"""The vehicle descends only so near beside the target, and commits within half of it; a target that
-moves farther is another one. Four times what ArduCopter misses one by (``docs/evidence.md``)."""
+"""Horizontal distance from the target up to which the vehicle descends; it commits within half of
+it, and a target that moves farther is a different one. Four times ArduCopter's largest landing
+error (``docs/evidence.md``)."""
 DRIFT_M_S = 0.1
-"""Drift of a barometer against the map."""
+"""Largest drift of a barometer relative to the map."""
 REASONS = {int(reason): reason.key for reason in Reason}
 
 
 class Target(NamedTuple):
-    """Where to land.
+    """Location at which to land.
 
     Attributes:
-        place: (3,) in the map by navigation's height, m.
-        age: Since it was last said, s.
-        map_age: Since the newest scan of its map, s; NaN if that cannot be known.
-        offset: Height of navigation over the map's, in ``place``, m; NaN if it is not known.
+        place: (3,) in the map, with the height of navigation, m.
+        age: Time since the target was last received, s.
+        map_age: Time since the newest scan of its map, s; NaN if unknown.
+        offset: Height of navigation minus that of the map, included in ``place``, m; NaN if
+            unknown.
     """
 
     place: Array
@@ -48,34 +50,39 @@ class Target(NamedTuple):
 
 
 def target_from_status(
-    place: Array, status: np.void, age: float, since: float
+    place: Array, status: np.void, age: float, status_age: float
 ) -> tuple[Target | None, str]:
-    """What lss_node says, by navigation's height; else why there is none. ``place``: (3,) of
-    ``landing/selected``. ``status``: the record of ``landing/status``. ``age``, ``since``: of the
-    older of the two, and since the latter came, s."""
+    """Return the target of lss_node and "", or None and the reason why there is none.
+
+    Args:
+        place: (3,) position of ``landing/selected``, m.
+        status: The record of ``landing/status``.
+        age: Time since the older of the two messages was received, s.
+        status_age: Time since ``landing/status`` was received, s.
+    """
     offset = float(status["offset_z"])
     place = place + (0.0, 0.0, offset if math.isfinite(offset) else 0.0)
     if not (np.abs(place) <= MAX_POSITION).all():
         return None, f"there is no target: {REASONS.get(int(status['reason']), 'unknown')}"
-    # Who has to land now, lands by the map that there is.
-    map_age = 0.0 if status["state"] == State.NOW else float(status["age"]) + since
+    # A vehicle that has to land now uses the map at any age.
+    map_age = 0.0 if status["state"] == State.NOW else float(status["age"]) + status_age
     return Target(place, age, map_age, offset), ""
 
 
 class Inputs(NamedTuple):
-    """What is known at a moment.
+    """Inputs of one step.
 
     Attributes:
-        now: Of a steady clock, s.
-        accepts_set_points: Whether the autopilot is in the mode in which it follows set-points.
-        armed: As it says.
-        landed: Whether it says that it is on the ground; None if it has not said so lately.
-        landed_for: Since when it has not said anything else, s.
-        heartbeat_age, pose_age: Since the last heartbeat and the last pose's stamp, s.
+        now: Time of a steady clock, s.
+        accepts_set_points: The autopilot is in the mode that follows set-points.
+        armed: The autopilot reports that it is armed.
+        landed: The autopilot reports that it is on the ground; None without a recent report.
+        landed_for: Time since ``landed`` changed, s.
+        heartbeat_age, pose_age: Time since the last heartbeat and the last pose's stamp, s.
         position, velocity: (3,) in the map, m and m/s.
-        jump: By which navigation's place jumped since the last step, m.
+        jump: Jump of the position since the last step, m.
         target: None while there is none.
-        why: Why there is none.
+        why: The reason why there is none.
     """
 
     now: float
@@ -93,12 +100,15 @@ class Inputs(NamedTuple):
 
 
 class GroundContact:
-    """Checks the autopilot's "on the ground" against the vehicle's motion.
+    """Check the autopilot's "on the ground" against the vehicle's motion.
 
-    ``made`` becomes true near the expected ground, or once the vehicle has not moved for
-    ``STILL_S`` although a set-point told it to. ``rests``: it stands still at ``place``, which
-    proves nothing where no set-point tells it to move. ``refuted``: it is armed and moves. All
-    three end when the autopilot says "in the air", or says nothing any more.
+    Attributes:
+        made: Contact is confirmed: near the expected ground, or the vehicle has not moved for
+            ``STILL_S`` although a set-point commanded it to.
+        rests: The vehicle stands still at ``place``; without a commanded motion it may hover.
+        refuted: The vehicle is armed and moves.
+
+    All three are reset when the autopilot reports "in the air" or stops reporting.
     """
 
     def __init__(self) -> None:
@@ -109,9 +119,9 @@ class GroundContact:
         self.place: Array | None = None
         self._since = self._not_commanded = 0.0
 
-    def update(self, inputs: Inputs, ground_z: float | None, told: Array | None) -> None:
-        """Judge one moment. ``ground_z``: the height at which ground is expected, m; ``told``: the
-        last set-point, (3,); None for none."""
+    def update(self, inputs: Inputs, ground_z: float | None, set_point: Array | None) -> None:
+        """Process the inputs of one step. ``ground_z``: expected height of the ground, m;
+        ``set_point``: the last one (3,); None if unknown."""
         if not inputs.landed:
             self._reset()
             return
@@ -123,7 +133,7 @@ class GroundContact:
         moved = self.place is None or float(np.linalg.norm(position - self.place)) > STILL_M
         if moved or inputs.pose_age > POSE_S or inputs.landed_for < now - self._since:
             self.place, self._since, self._not_commanded = position.copy(), now, now
-        if told is None or float(np.linalg.norm(told - position)) < COMMANDED_M:
+        if set_point is None or float(np.linalg.norm(set_point - position)) < COMMANDED_M:
             self._not_commanded = now
         self.made |= now - self._not_commanded >= STILL_S
         self.refuted &= not self.made
@@ -131,7 +141,7 @@ class GroundContact:
 
 
 class MapHeight:
-    """Follows the height of the map over navigation's, which drifts, but does not jump."""
+    """Track the height offset between navigation and map, which drifts but does not jump."""
 
     def __init__(self) -> None:
         self._last_step = 0.0
@@ -139,16 +149,16 @@ class MapHeight:
         self._place: Array | None = None
 
     def shift(self, now: float, target: Target) -> float:
-        """Return by how much the height of the target, or of the whole map, differs from the one
-        that drift explains, m."""
+        """Return the height change of the target, or of the whole map, that drift does not explain,
+        m."""
         drift = DRIFT_M_S * max(now - self._last_step, 0.0)
         self._last_step = now
-        away = target.offset - self._offset
-        if not math.isfinite(away):
-            self._offset, away = target.offset, 0.0
-        self._offset += min(max(away, -drift), drift)
+        change = target.offset - self._offset
+        if not math.isfinite(change):
+            self._offset, change = target.offset, 0.0
+        self._offset += min(max(change, -drift), drift)
         if self._place is None or np.hypot(*(target.place - self._place)[:2]) > OFFSET_M:
             self._place = target.place.copy()
-        below = float(target.place[2] - self._place[2])
-        self._place[2] += min(max(below, -drift), drift)
-        return max(abs(away), abs(below))
+        rise = float(target.place[2] - self._place[2])
+        self._place[2] += min(max(rise, -drift), drift)
+        return max(abs(change), abs(rise))

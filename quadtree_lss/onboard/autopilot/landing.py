@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The landing as a machine of states: what is known at a moment in, where to fly to out.
+"""State machine of the landing; ``docs/autopilot.md`` has the table of states.
 
-``docs/autopilot.md`` has the table of states and its picture. Nothing in here waits, sends or looks
-at a clock: whoever calls `Landing.step` some ten times a second does.
+It does not wait, send or read a clock. The caller runs `Landing.step` ten times a second.
 """
 
 from __future__ import annotations
@@ -27,43 +26,47 @@ COMMIT, TOUCHDOWN, HOLD = "commit", "touchdown", "hold"
 WAVE_OFF, GIVE_UP = "wave_off", "give_up"
 STATES = (PILOT, WAIT, CLIMB, TRANSIT, DESCEND, COMMIT, TOUCHDOWN, HOLD, WAVE_OFF, GIVE_UP)
 BELOW_GATE = (DESCEND, COMMIT)
-"""Below the gate: what is lost here, is answered by a climb."""
+"""States in which a lost target leads to a climb."""
 
 LEAD_S, LEAD_M = 2.0, 0.5
-"""A set-point goes ahead of the vehicle by what it flies in so long, and this: an autopilot that
-hears no more stays at the last one."""
+"""Largest distance of a set-point from the vehicle: the flight of this time plus this distance. An
+autopilot that receives nothing more stops at the last set-point."""
 BELOW_GROUND_M = 1.0
-"""Below the ground the last set-points lead, so that the vehicle presses on it."""
+"""Depth of the last set-points below the ground, so that the vehicle presses on it."""
 HEIGHT_TOLERANCE_M, HOVER_M_S = 1.0, 1.0
-"""Of the gate's height and of standing still."""
+"""Tolerance of the gate's height; upper speed limit of a hovering vehicle."""
 COMMIT_SHARE = 0.25
-"""Of the gate's height: below it the vehicle comes down for good, 2 m over the ground from 8 m."""
+"""Fraction of the gate's height below which the vehicle commits: 2 m over the target for 8 m."""
 HEARTBEAT_S = 2.5
-"""Without a younger heartbeat nothing is commanded: both autopilots send one a second."""
+"""Maximum age of a heartbeat; nothing is commanded without one. Autopilots send one per second."""
 TARGET_S = 1.0
-"""A target that was not repeated for longer counts as withdrawn: lss_node says it again every
-0.4 s (``nodes.target_output``), so two may be lost."""
+"""Time without repetition after which a target counts as withdrawn: lss_node repeats it every 0.4 s
+(``nodes.target_output``), so two messages may be lost."""
 MAP_S = 3.0
-"""A target on an older map counts as withdrawn, until the vehicle commits: in three seconds the
-vehicle comes down by as many metres, to ground that nobody has looked at since."""
+"""Maximum age of the target's map, until the vehicle commits: it descends 3 m in this time."""
 JUMP_M = 0.5
-"""A greater jump of the position, against its own velocity, ends the landing: the map lies
-elsewhere, by more than a target may be missed by."""
+"""A larger jump of the position ends the landing, because the map is shifted by more than the
+landing error that is tolerated."""
 STEADY_S = 2.0
-"""A place that jumped more recently is not held: it may be wrong."""
+"""Time after a jump in which the position may be wrong; the landing does not start."""
 MAX_WAVE_OFFS = 3
-"""After more the pilot has to take over: what goes wrong four times, will not go right."""
+"""The pilot has to take over after more wave-offs."""
 WAIT_LIMIT_S = 60.0
-"""So long it waits for a target before the pilot has to take over: a killed lss_node that is
-back has one again after 20 s (``docs/autopilot.md``)."""
+"""Time without a target after which the pilot has to take over; a restarted lss_node has one again
+after 20 s (``docs/autopilot.md``)."""
 
 
 @dataclass(frozen=True)
 class Order:
-    """What to do, one of `STATES`, and why. ``point``: (3,) set-point in the map, m; None: nothing
-    is to be commanded. ``target``: the one that landing goes by; None while landing anywhere is out
-    of the question. ``sink``: how fast it comes down to the ground and presses on it, else 0, m/s.
-    ``may_stop_motors``: it stands where it was to land, so that its motors may stop.
+    """Result of one step.
+
+    Attributes:
+        state: One of `STATES`.
+        text: The reason for it.
+        point: (3,) set-point in the map, m; None to command nothing.
+        target: The target of the landing; None if no landing is possible.
+        sink: Speed at which the vehicle descends to the ground and presses on it, m/s; else 0.
+        may_stop_motors: The vehicle rests at the target.
     """
 
     state: str
@@ -75,8 +78,12 @@ class Order:
 
 
 class Landing:
-    """Flies to the gate over the target, down to it, and up again when it may not go on. ``state``
-    is the present one; ``wave_offs`` counts since the pilot handed over."""
+    """Fly to the gate over the target, descend, and wave off if the descent may not continue.
+
+    Attributes:
+        state: Current state.
+        wave_offs: Number of wave-offs since the pilot handed over.
+    """
 
     def __init__(self, config: AutopilotConfig) -> None:
         self._config = config
@@ -88,8 +95,8 @@ class Landing:
     def _reset(self) -> None:
         self.wave_offs = 0
         self._point: Array | None = None
-        self._place: Array | None = None  # of the target that is descended to
-        self._handover_position = np.zeros(3)  # where the pilot handed over
+        self._place: Array | None = None  # of the target during the descent
+        self._handover_position = np.zeros(3)
         self._gate_height = self._config.gate_height
         self._gate_z = -np.inf
         self._map_height = MapHeight()
@@ -98,14 +105,14 @@ class Landing:
         self._shift_reason = ""
 
     def configure(self, config: AutopilotConfig) -> None:
-        """Other limits from the next step on; another gate once the vehicle is not below it."""
+        """Set new limits; a new gate height applies once the vehicle is not below the gate."""
         self._config = config
 
     def _enter(self, state: str, text: str, now: float) -> None:
         self.state, self._text, self._since = state, text, now
 
     def step(self, inputs: Inputs) -> Order:
-        """The order of this moment."""
+        """Process the inputs of one moment."""
         ground_z = None if self._place is None else float(self._place[2])
         self._contact.update(inputs, ground_z, self._point)
         if self._contact.made and self.state not in (PILOT, TOUCHDOWN):
@@ -113,13 +120,12 @@ class Landing:
         if inputs.jump > JUMP_M:
             self._jumped_at = inputs.now
         if inputs.jump > JUMP_M and self.state != PILOT:
-            self._on_map_shift(
-                inputs, f"navigation jumped by {inputs.jump:.1f} m: the map lies elsewhere now"
-            )
+            why = f"navigation jumped by {inputs.jump:.1f} m: the map does not fit it any more"
+            self._on_map_shift(inputs, why)
         if inputs.heartbeat_age > HEARTBEAT_S:
             if self.state != PILOT:
                 self._hold(inputs, f"no heartbeat for {inputs.heartbeat_age:.1f} s")
-            return Order(self.state, self._text, None, None)  # whoever flies now, is not known
+            return Order(self.state, self._text, None, None)  # the mode is unknown
         if not inputs.accepts_set_points or not inputs.armed:
             self._end_control(inputs)
             return Order(self.state, self._text, None, None)
@@ -147,26 +153,26 @@ class Landing:
         return Order(self.state, self._text, point.copy(), target, sink)
 
     def idle_set_point(self, inputs: Inputs) -> Array | None:
-        """A set-point (3,) that changes nothing, for an autopilot that wants some before it follows
-        them; None while it is not known whether the vehicle stands on the ground, where PX4 takes
-        off for any point that does not lie below it."""
+        """Return a set-point (3,) that keeps the vehicle in place, because PX4 requires set-points
+        before offboard. None while contact with the ground is unknown: on the ground, PX4 takes off
+        for a set-point that is not below it."""
         contact = self._contact
         if contact.rests and contact.place is not None:
             return contact.place - (0.0, 0.0, BELOW_GROUND_M)
         return inputs.position if inputs.landed is False or contact.refuted else None
 
     def _height_over_place(self, inputs: Inputs) -> float:
-        """The height over the ground that the vehicle descended to, infinite if it did not, m."""
+        """Return the height over the target of the descent, m; infinity before a descent."""
         return np.inf if self._place is None else float(inputs.position[2] - self._place[2])
 
     def _touch_down(self, inputs: Inputs) -> None:
-        over, text = self._height_over_place(inputs), "on the ground"
-        if over > HEIGHT_TOLERANCE_M:
-            text += " elsewhere than planned: pilot, take over"
+        text = "on the ground"
+        if self._height_over_place(inputs) > HEIGHT_TOLERANCE_M:
+            text += ", not at the target: pilot, take over"
         self._enter(TOUCHDOWN, text, inputs.now)
 
     def _press_on_ground(self, inputs: Inputs) -> Order:
-        """On the ground: presses on it, where a newer pose may show it, until the motors stop."""
+        """Press on the ground until the motors stop."""
         self._point = inputs.position - (0.0, 0.0, BELOW_GROUND_M)
         may_stop_motors = (
             self._contact.rests and self._height_over_place(inputs) <= HEIGHT_TOLERANCE_M
@@ -175,7 +181,7 @@ class Landing:
         return Order(TOUCHDOWN, self._text, self._point, None, sink, may_stop_motors)
 
     def _resume_in_air(self, inputs: Inputs) -> None:
-        """In the air again: goes on down to the target if that is still below, else up."""
+        """Continue the descent if the vehicle is still low over the target, else wave off."""
         self._enter(COMMIT, "in the air again", inputs.now)
         if self._shift_reason:
             self._on_map_shift(inputs, self._shift_reason)
@@ -183,17 +189,17 @@ class Landing:
             self._wave_off(inputs, self._text)
 
     def _wait_for_air(self, inputs: Inputs) -> Order:
-        """Nothing is commanded: to stay where it was once seen is to fly."""
+        """Command nothing until the vehicle flies with a fresh, steady pose."""
         text = f"the pose is {inputs.pose_age:.1f} s old"
         if inputs.pose_age <= POSE_S:
             text = f"navigation jumped less than {STEADY_S:g} s ago"
         if inputs.landed is not False:
-            text = "on the ground" if inputs.landed else "on the ground or not: nothing says so"
+            text = "on the ground" if inputs.landed else "ground contact unknown: no recent report"
         self._enter(PILOT, text, inputs.now)
         return Order(PILOT, self._text, None, None)
 
     def _on_map_shift(self, inputs: Inputs, why: str) -> None:
-        """Where the map lies by navigation is not known any more."""
+        """Give up, because the position of the map relative to navigation is unknown."""
         if self.state == TOUCHDOWN:
             self._shift_reason = why
             return
@@ -201,7 +207,7 @@ class Landing:
         self._give_up(inputs, why)
 
     def _end_control(self, inputs: Inputs) -> None:
-        """Somebody else flies, or nobody does any more."""
+        """Enter the state for a mode without set-points, or for disarmed motors."""
         self._control_ended = True
         if self.state == COMMIT and (inputs.landed or not inputs.armed):
             self._enter(TOUCHDOWN, "on the ground", inputs.now)
@@ -209,26 +215,26 @@ class Landing:
             self._enter(PILOT, "the autopilot is in another mode: the pilot flies", inputs.now)
 
     def _usable(self, inputs: Inputs) -> tuple[Target | None, str]:
-        """The target if it may be landed at, else why not."""
+        """Return the target if a landing is possible, else the reason why not."""
         target, config = inputs.target, self._config
         if target is None:
             return None, inputs.why
         if target.age > TARGET_S:
-            return None, f"the target was last said {target.age:.1f} s ago: lss_node is silent"
+            return None, f"no target from lss_node for {target.age:.1f} s"
         if not abs(target.map_age) <= MAP_S and self.state != COMMIT:
             if not target.map_age > 0.0:
-                return None, "how old the map is cannot be known: its stamps are of another clock"
+                return None, "the age of the map is unknown: its stamps are of a different clock"
             return None, f"the map is {target.map_age:.1f} s old"
-        away = float(np.hypot(*(target.place - self._handover_position)[:2]))
-        if away > config.reach:
-            return None, f"the target is {away:.0f} m from where the pilot handed over"
+        distance = float(np.hypot(*(target.place - self._handover_position)[:2]))
+        if distance > config.reach:
+            return None, f"the target is {distance:.0f} m from where the pilot handed over"
         if target.place[2] > inputs.position[2] + HEIGHT_TOLERANCE_M:
-            over = target.place[2] - inputs.position[2]
-            return None, f"the target lies {over:.1f} m above the vehicle: quadtree-lss doctor"
+            above = target.place[2] - inputs.position[2]
+            return None, f"the target is {above:.1f} m above the vehicle: run quadtree-lss doctor"
         return target, ""
 
     def _decide(self, inputs: Inputs, target: Target | None, why: str) -> None:
-        """The next state."""
+        """Enter the next state."""
         now = inputs.now
         if self.state == GIVE_UP:
             return
@@ -236,7 +242,7 @@ class Landing:
             self._hold(inputs, f"the pose is {inputs.pose_age:.1f} s old")
             return
         if self.state == HOLD and inputs.position[2] < self._gate_z - HEIGHT_TOLERANCE_M:
-            self._wave_off(inputs, self._text)  # it stood still below the gate, and may go on again
+            self._wave_off(inputs, self._text)  # a hold below the gate that may end
         if target is None and self.state in BELOW_GATE:
             self._wave_off(inputs, why)
         elif target is None and self.state in (CLIMB, TRANSIT):
@@ -256,15 +262,15 @@ class Landing:
             self._enter(HOLD, self._text, now)
 
     def _advance(self, inputs: Inputs, target: Target) -> None:
-        """The next state while there is a target."""
+        """Enter the next state of a landing with a target."""
         now, place = inputs.now, target.place
         gate_z = place[2] + self._gate_height
-        off = float(np.hypot(*(place - inputs.position)[:2]))
+        distance = float(np.hypot(*(place - inputs.position)[:2]))
         if self.state in BELOW_GATE and self._place is not None:
             if np.hypot(*(place - self._place)[:2]) > OFFSET_M:
-                self._wave_off(inputs, "the target is another one")
-            elif self.state == COMMIT and off > 2.0 * OFFSET_M:
-                self._wave_off(inputs, f"{off:.1f} m beside the target")
+                self._wave_off(inputs, "the target has moved")
+            elif self.state == COMMIT and distance > 2.0 * OFFSET_M:
+                self._wave_off(inputs, f"{distance:.1f} m beside the target")
         if self.state in (WAIT, HOLD):
             low = inputs.position[2] < gate_z - HEIGHT_TOLERANCE_M
             self._enter(CLIMB if low else TRANSIT, "to the gate over the target", now)
@@ -273,24 +279,24 @@ class Landing:
         if self.state == CLIMB and inputs.position[2] > gate_z - HEIGHT_TOLERANCE_M:
             self._enter(TRANSIT, self._text, now)
         still = float(np.linalg.norm(inputs.velocity)) < HOVER_M_S
-        above = abs(inputs.position[2] - gate_z) < HEIGHT_TOLERANCE_M
-        if self.state == TRANSIT and off < OFFSET_M and still and above:
+        at_gate = distance < OFFSET_M and abs(inputs.position[2] - gate_z) < HEIGHT_TOLERANCE_M
+        if self.state == TRANSIT and at_gate and still:
             self._place = place.copy()
             self._enter(DESCEND, "over the target", now)
         low = inputs.position[2] - place[2] < COMMIT_SHARE * self._gate_height + LEAD_M
-        if self.state == DESCEND and low and off < 0.5 * OFFSET_M:
+        if self.state == DESCEND and low and distance < 0.5 * OFFSET_M:
             self._enter(COMMIT, "close over the target", now)
 
     def _wave_off(self, inputs: Inputs, why: str) -> None:
         self.wave_offs += 1
         self._point = None
         if self.wave_offs > MAX_WAVE_OFFS:
-            self._give_up(inputs, f"waved off {self.wave_offs} times, now: {why}")
+            self._give_up(inputs, f"{self.wave_offs} wave-offs, the last: {why}")
         else:
             self._enter(WAVE_OFF, why, inputs.now)
 
     def _hold(self, inputs: Inputs, why: str) -> None:
-        """Stays where the vehicle was last inputs: that needs no present pose."""
+        """Hold the last known position, which requires no current pose."""
         if self.state not in (HOLD, GIVE_UP, TOUCHDOWN):
             self._enter(HOLD, why, inputs.now)
             self._point = inputs.position.copy()
@@ -298,15 +304,14 @@ class Landing:
             self._give_up(inputs, f"{why}, for {WAIT_LIMIT_S:g} s")
 
     def _give_up(self, inputs: Inputs, why: str) -> None:
-        """Up to the gate, by no more than its height, and stay until the pilot takes over."""
+        """Climb to the gate, at most by its height, and stay until the pilot takes over."""
         self._gate_z = min(self._gate_z, inputs.position[2] + self._gate_height)
         if self.state != GIVE_UP:
             self._enter(GIVE_UP, f"pilot, take over: {why}", inputs.now)
             self._point = None if inputs.pose_age <= POSE_S else self._point
 
     def _move(self, point: Array, inputs: Inputs, target: Target | None, dt: float) -> float:
-        """The set-point moves to the state's goal, at its speed and not too far ahead; `Order`'s
-        ``sink``."""
+        """Move the set-point ``point`` towards the goal of the state; return `Order`'s ``sink``."""
         config, position, sink = self._config, inputs.position, 0.0
         goal, across, down = point.copy(), config.transit_speed, config.transit_speed
         if self.state in (WAVE_OFF, CLIMB, GIVE_UP):
@@ -327,8 +332,8 @@ class Landing:
             if length > 0.0:
                 point[part] += way[part] * min(1.0, speed * dt / length)
             ahead = point[part] - position[part]
-            most = LEAD_S * speed + LEAD_M
+            limit = LEAD_S * speed + LEAD_M
             length = float(np.linalg.norm(ahead))
-            if length > most and self.state not in (WAIT, HOLD):
-                point[part] = position[part] + ahead * (most / length)
+            if length > limit and self.state not in (WAIT, HOLD):
+                point[part] = position[part] + ahead * (limit / length)
         return sink

@@ -87,8 +87,8 @@ class LssNode(BaseNode):
         self._announce()
 
     def _subscribe(self) -> None:
-        """Subscribe to map and poses. Messages of topics with a `OnDemandGroup` group do not wake the
-        node while they are not wanted: they are taken together with the map."""
+        """Subscribe to map and poses. Messages of topics in an `OnDemandGroup` do not wake the node
+        while they are not needed; they are read together with the map."""
         subscribe(
             self,
             PointCloud2,
