@@ -105,7 +105,7 @@ def test_odd_keys_are_configuration_errors_too(key):
         ({"lidar.min_range": 10.0, "lidar.max_range": 10.0}, "lidar.min_range"),
         ({"domain.size": 50_000.0, "lss.grid_spacing": 0.1}, "lss.grid_spacing"),
         ({"domain.max_level": 12}, "domain.max_level"),
-        ({"domain.max_level": 11, "domain.size": 2000.0}, "GB for a landing site pass"),
+        ({"domain.max_level": 11, "domain.size": 2000.0}, "GB for an assessment"),
         ({"domain.max_level": 11, "lss.grid_spacing": 0.1}, "vehicle.diameter"),
         ({"domain.max_level": 11, "domain.size": 900.0, "lss.sites": 1000}, "lss.sites"),
     ],

@@ -18,7 +18,7 @@ NEAR_M = 0.5
 """Height above or below the expected ground within which one report of contact is sufficient:
 height of the body on its legs plus the error of navigation's height."""
 STILL_M_S = 0.5
-"""Upper speed limit of a vehicle on the ground; one that follows a set-point 1 m lower is faster."""
+"""Upper speed limit of a vehicle on the ground; following a set-point 1 m lower is faster."""
 STILL_M, STILL_S = 0.2, 2.0
 """A vehicle that moves less than this distance in this time stands still; ten reports at 5 Hz."""
 COMMANDED_M = 0.5

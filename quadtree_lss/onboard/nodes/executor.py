@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Timers and subscriptions that suit nodes in rclpy's `SingleThreadedExecutor`."""
+"""Timers and subscriptions for nodes in rclpy's `SingleThreadedExecutor`."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ def steady_timer(node: Node, period_s: float, callback: Callable[[], None]) -> T
 
 class OnDemandGroup(CallbackGroup):
     """Subscriptions that wake the node only while ``wanted()`` is true. At other times their
-    messages stay in the middleware's queue, and `take_waiting` takes them.
+    messages stay in the middleware's queue until `take_waiting` reads them.
 
-    A scan takes the poses that arrived before it. Only a scan that waits for a pose needs the next
-    one at once, and each wake-up costs as much as taking several messages.
+    A wake-up costs as much as reading several messages, and poses are needed immediately only while
+    a scan waits for one.
     """
 
     def __init__(self, wanted: Callable[[], bool]) -> None:
@@ -31,7 +31,7 @@ class OnDemandGroup(CallbackGroup):
         self.wanted = wanted
 
     def can_execute(self, entity: Any) -> bool:
-        """Tell the executor, before it waits and after it woke, whether to serve the group."""
+        """Return whether the executor serves the group; called before and after it waits."""
         return self.wanted()
 
     def beginning_execution(self, entity: Any) -> bool:
@@ -43,7 +43,7 @@ class OnDemandGroup(CallbackGroup):
 
 
 def take_waiting(subscription: Subscription) -> Iterator[Any]:
-    """Take the messages that wait at a subscription, the oldest first."""
+    """Read the messages that wait at a subscription, oldest first."""
     handle = subscription.handle
     with handle:
         while (taken := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
