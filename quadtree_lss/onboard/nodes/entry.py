@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Console scripts of the nodes; they handle signals before the slow imports."""
+"""Console scripts of the nodes. They install signal handlers before the slow imports."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 
 INTERRUPT_AFTER_S = 3.0
 """Time after the first signal in which further ones are ignored, because a terminal and ``launch``
-may both send it; after it a signal interrupts the callback in progress."""
+may both send one. After it, a signal interrupts the callback in progress."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class StopOnSignal:
-    """Remembers SIGINT, SIGTERM and SIGHUP, so that a callback in progress ends before the node.
+    """Record SIGINT, SIGTERM and SIGHUP, so that a callback in progress completes before the exit.
 
-    ROS's own handlers invalidate the context at once, so that publishing in progress fails. SIGHUP
-    stays ignored if it is, as under ``nohup``.
+    ROS's own handlers invalidate the context immediately, and publishing in progress fails. SIGHUP
+    stays ignored if it was ignored, as under ``nohup``.
     """
 
     def __init__(self) -> None:
@@ -55,10 +55,11 @@ class StopOnSignal:
 
 
 class Waiting:
-    """Logs what a node waits for after five seconds, then after twice as long each time.
+    """Log what a node waits for after five seconds, then after twice as long each time.
 
-    ``name``: of the node. ``what``: what it waits for, empty for nothing. ``log``: logs a line; the
-    node has no log at first.
+    Attributes:
+        what: The input or step that the node waits for; empty for none.
+        log: Function that logs a line; standard error until the node has a logger.
     """
 
     def __init__(self, name: str) -> None:
@@ -67,7 +68,7 @@ class Waiting:
         self._reported, self._period = time.monotonic(), 5.0
 
     def watch(self) -> None:
-        """Log until the process ends; runs in a thread of its own."""
+        """Log until the process ends, in a thread of its own."""
         while True:
             time.sleep(0.5)
             self.report_if_due()
@@ -88,7 +89,7 @@ _waiting: list[Waiting] = []
 
 
 def set_waiting_for(what: str, log: Callable[[str], object] | None = None) -> None:
-    """Set what this process waits for, empty for nothing; ``log``: log of the node."""
+    """Set what this process waits for, empty for nothing, and optionally the function that logs."""
     for waiting in _waiting:
         waiting.what, waiting.log = what, log or waiting.log
 
@@ -108,12 +109,12 @@ def _run(name: str) -> int:
     try:
         main: Callable[[], int] = import_module(f"quadtree_lss.onboard.nodes.{name}").main
     except (QuadtreeLssError, ImportError) as error:
-        # The core is not compiled, or of other sources; or a package of ROS is missing.
+        # The core is not compiled from these sources, or a ROS package is missing.
         print(f"error: {name} cannot start: {' '.join(str(error).split())}", file=sys.stderr)
         return 1
     try:
         return main()
-    finally:  # Python ends, and gives signals back that would kill it on its way
+    finally:  # the interpreter restores default handlers, with which a signal would kill it
         set_waiting_for("")
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
