@@ -73,7 +73,7 @@ def test_a_node_that_waits_for_the_other_type_says_so(ros):
     mapping = ros.start("mapping_node", "-r", "nav/odometry:=odometry/filtered")
     with ros.listen() as listener:
         OdometrySensors(listener)
-        hint = "'/odometry/filtered' is published: pose.source: odometry takes it"
+        hint = "'/odometry/filtered' is published: set pose.source to odometry to use it"
         listener.until(listener.told, "mapping_node", (), hint)
     assert mapping.stop() == 0
 

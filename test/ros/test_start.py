@@ -62,7 +62,7 @@ sys.meta_path.insert(0, Late())
     ("name", "module", "what"),
     [
         ("mapping_node", "rclpy.node", "its modules"),
-        ("lss_node", "quadtree_lss.onboard.core.landing.assess", "what judges landing"),
+        ("lss_node", "quadtree_lss.onboard.core.landing.assess", "the landing modules"),
         ("autopilot_node", "pymavlink", "its parameters and topics"),
     ],
 )

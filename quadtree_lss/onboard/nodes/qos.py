@@ -49,7 +49,7 @@ TARGET_DEADLINE_S = 1.0
 
 
 def target() -> QoSProfile:
-    """Profile of the target: latched, with a deadline by which subscribers detect a dead publisher."""
+    """Profile of the target: latched, with a deadline that reveals a dead publisher."""
     profile = latched()
     profile.deadline = profile.liveliness_lease_duration = Duration(seconds=TARGET_DEADLINE_S)
     profile.liveliness = LivelinessPolicy.MANUAL_BY_TOPIC
