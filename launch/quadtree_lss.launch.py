@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Launch the nodes: ``ros2 launch quadtree_lss quadtree_lss.launch.py params_file:=vehicle.yaml``."""
-
+"""Launch file: `ros2 launch quadtree_lss quadtree_lss.launch.py params_file:=vehicle.yaml`."""
 import os
 import sys
 from difflib import get_close_matches
@@ -69,7 +68,7 @@ def _nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     names = list(TOPICS)[: 3 if _boolean(given, "autopilot") else 2]
 
     def on_exit(event: ProcessExited, context: LaunchContext) -> list[LaunchDescriptionEntity]:
-        """Stop restarting a node after one of `FINAL_CODES`; fail the launch after the last node."""
+        """Do not restart a node after one of `FINAL_CODES`; fail the launch after the last node."""
         final = event.returncode in FINAL_CODES
         text = f"{event.process_name} ended with exit code {event.returncode}: its arguments or"
         text += " its configuration are wrong, see its line above; it is not started again"

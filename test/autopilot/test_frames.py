@@ -25,7 +25,7 @@ def mavlink(rotation):
 
 
 @pytest.mark.parametrize("k", range(20))
-def test_the_bodys_axes_point_where_they_did(k):
+def test_attitude_preserves_directions_of_body_axes(k):
     """Each axis of the body, looked at from north, east, down and from east, north, up."""
     ned_frd = ATTITUDES[k]
     enu_flu = Rotation.from_quat(attitude(mavlink(ned_frd)))
@@ -34,7 +34,7 @@ def test_the_bodys_axes_point_where_they_did(k):
         np.testing.assert_allclose(enu_flu.apply(flu), [east, north, -down], atol=1e-12)
 
 
-def test_a_place_seen_from_the_body_is_forward_right_and_down():
+def test_body_frd_of_a_place():
     for k in range(20):
         vector_ned = RNG.normal(size=3)
         seen = body_frd(enu(vector_ned), attitude(mavlink(ATTITUDES[k])))
@@ -42,7 +42,7 @@ def test_a_place_seen_from_the_body_is_forward_right_and_down():
 
 
 @pytest.mark.parametrize("k", range(2))
-def test_covariances_are_those_of_what_is_turned(k):
+def test_covariance_enu_matches_sampled_errors(k):
     """By drawing: errors in the autopilot's terms, each turned, have the covariance that is said.
 
     The pose's error along ROS's fixed axes is what the true attitude must be turned by.
@@ -60,13 +60,13 @@ def test_covariances_are_those_of_what_is_turned(k):
     np.testing.assert_allclose(seen / scale, told / scale, atol=0.1)
 
 
-def test_a_covariance_that_says_nothing_is_none():
+def test_unknown_covariance_is_none():
     level = np.array([0.0, 0.0, 0.0, 1.0])
     assert covariance_enu(np.full(21, np.nan), level) is None
     assert covariance_enu(np.zeros(21), level) is None
 
 
-def test_the_other_clock_is_known_to_half_the_quickest_exchange():
+def test_clock_error_is_at_most_half_the_fastest_exchange():
     """Ways there and back as a loaded computer has them: some quick, most slow and uneven."""
     clock, true = RemoteClock(), 5_000_000_000_000
     assert clock.offset_ns is None
@@ -77,7 +77,7 @@ def test_the_other_clock_is_known_to_half_the_quickest_exchange():
     assert abs(clock.offset_ns - true) <= clock.uncertainty_ns < 4e6
 
 
-def test_a_clock_that_was_started_anew_is_followed_at_once():
+def test_restarted_clock_is_followed_immediately():
     clock = RemoteClock()
     for k in range(10):
         clock.add(k * 10**9, k * 10**9 - 100, k * 10**9 + 10**6)
@@ -85,7 +85,7 @@ def test_a_clock_that_was_started_anew_is_followed_at_once():
     assert clock.offset_ns == 11 * 10**9 + 10**6 - 5
 
 
-def test_where_time_comes_in_steps_the_exchange_that_waited_least_counts():
+def test_largest_offset_is_used_with_a_stepped_clock():
     clock = RemoteClock()
     for waited in (30, 10, 50):
         clock.add(10**9, 10**9 + waited * 10**6, 10**9)
@@ -98,7 +98,7 @@ def nav(own_s, x, speed, offset_s=0.0):
     return Nav(stamp, place, level, velocity, None, round(1e9 * own_s))
 
 
-def test_only_what_velocity_does_not_explain_is_a_jump():
+def test_jump_is_motion_that_velocity_does_not_explain():
     jumps = JumpDetector()
     assert jumps.jump(nav(0.0, 0.0, 5.0)) == 0.0
     assert jumps.jump(nav(0.1, 0.5, 5.0)) == pytest.approx(0.0, abs=1e-9)
@@ -118,7 +118,7 @@ def test_only_what_velocity_does_not_explain_is_a_jump():
         (-5.0, 3.0, 1.0, 3.0),  # the autopilot started anew
     ],
 )
-def test_a_gap_explains_no_more_than_the_vehicle_flies_in_it(gap, way, speed, size):
+def test_velocity_is_integrated_over_limited_gaps(gap, way, speed, size):
     jumps = JumpDetector()
     jumps.jump(nav(10.0, 0.0, 1.0))
     assert jumps.jump(nav(10.0 + gap, way, speed)) == pytest.approx(size)

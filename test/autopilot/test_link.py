@@ -50,7 +50,7 @@ def wait(link, condition, seconds=60.0):
 
 
 @pytest.mark.parametrize(("kind", "body_velocity"), [(ARDUPILOT, False), (PX4, False), (PX4, True)])
-def test_poses_are_the_vehicles_by_this_computers_clock(fly, kind, body_velocity):
+def test_poses_match_the_vehicle_by_this_computers_clock(fly, kind, body_velocity):
     model, link = fly(kind)
     with model._lock:
         model.body_velocity = body_velocity
@@ -77,7 +77,7 @@ def test_poses_are_the_vehicles_by_this_computers_clock(fly, kind, body_velocity
 
 
 @BOTH
-def test_precision_landing_gets_the_target_in_the_frame_that_it_takes(fly, kind):
+def test_landing_target_frame(fly, kind):
     model, link = fly(kind)
     navs = wait(link, lambda navs: len(navs) > 3)
     link.send_landing_target(np.array([1.0, 2.0, 0.5]), navs[-1])
@@ -85,7 +85,7 @@ def test_precision_landing_gets_the_target_in_the_frame_that_it_takes(fly, kind)
     np.testing.assert_allclose(model.targets[-1][1], [2.0, 1.0, -0.5], atol=1e-5)
 
 
-def test_the_ground_station_gets_every_word(fly):
+def test_status_text_is_complete(fly):
     """Of lines longer than a message, too; more than one begin alike."""
     model, link = fly(ARDUPILOT)
     wait(link, lambda _: link.kind is not None)
@@ -97,7 +97,7 @@ def test_the_ground_station_gets_every_word(fly):
     assert model.texts == [*lines, "the last"]
 
 
-def test_heartbeats_of_others_are_not_the_autopilots(fly):
+def test_heartbeats_of_other_systems_are_ignored(fly):
     model, link = fly(ARDUPILOT)
     wait(link, lambda _: link.kind is not None)
     model._link.mav.srcSystem, kept = 255, model._link.mav.srcSystem
@@ -107,7 +107,7 @@ def test_heartbeats_of_others_are_not_the_autopilots(fly):
     assert link.mode == LOITER and not link.accepts_set_points
 
 
-def test_a_time_that_begins_anew_as_a_simulators_does_holds_nothing_up():
+def test_restarted_simulation_time_does_not_block():
     now, said = [1000.0, 1000.0, 1.0, 1.0], []
     link = Link("udpout:127.0.0.1:9", lambda: 0, lambda: now.pop(0))
     link._port.write = said.append
@@ -118,7 +118,7 @@ def test_a_time_that_begins_anew_as_a_simulators_does_holds_nothing_up():
 
 
 @BOTH
-def test_nothing_is_said_in_the_name_of_a_ground_station(fly, kind):
+def test_source_system_is_not_a_ground_station(fly, kind):
     """ArduPilot's failsafe waits for heartbeats of system 255 once it has heard one."""
     model, link = fly(kind)
     link.close()
@@ -130,7 +130,7 @@ def test_nothing_is_said_in_the_name_of_a_ground_station(fly, kind):
     assert said == [1]
 
 
-def test_a_connection_that_is_none_is_one_line():
+def test_invalid_connection_is_a_one_line_error():
     with pytest.raises(ConfigError, match="autopilot.connection = 'tcp:nowhere:1:2'"):
         Link("tcp:nowhere:1:2", time.time_ns)
     with pytest.raises(ConfigError, match="port must be 0-65535"):
@@ -141,7 +141,7 @@ def test_a_connection_that_is_none_is_one_line():
     assert not isinstance(raised.value, ConfigError), "the node is to be started again"
 
 
-def test_who_takes_off_in_guided_follows_no_set_points_yet(fly):
+def test_takeoff_in_guided_does_not_accept_set_points(fly):
     """ArduCopter's take-off ends with the first one: seen in its simulator, 0.15 m up."""
     model, link = fly(ARDUPILOT)
     model.mode, model.takes_off = GUIDED_MODES[ARDUPILOT], True
@@ -157,7 +157,7 @@ def beat():
     return says.heartbeat_encode(2, ARDUPILOT, 129, 4, 4).pack(says)
 
 
-def test_an_autopilot_on_a_serial_line_is_heard_by_one_node_also_while_it_takes_nothing():
+def test_serial_device_is_exclusive_and_never_blocks():
     ours, theirs = pty.openpty()
     tty.setraw(theirs)
     link = Link(f"{os.ttyname(theirs)},57600", time.time_ns)
@@ -177,7 +177,7 @@ def test_an_autopilot_on_a_serial_line_is_heard_by_one_node_also_while_it_takes_
     os.close(theirs)
 
 
-def test_a_tcp_peer_that_has_gone_holds_nothing_up_and_is_heard_when_it_is_back():
+def test_lost_tcp_peer_does_not_block_and_reconnects():
     door = socket.create_server(("127.0.0.1", 0))
     port = door.getsockname()[1]
     link = Link(f"tcp:127.0.0.1:{port}", time.time_ns)

@@ -42,7 +42,7 @@ SLOW_ONCE = (
 )
 
 
-def test_what_took_minutes_comes_to_an_end():
+def test_expensive_configurations_terminate():
     """All of them, in a program that is waited for; they take a few seconds."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     subprocess.run([sys.executable, __file__], env=environment, check=True, timeout=120.0)
@@ -52,7 +52,7 @@ def test_what_took_minutes_comes_to_an_end():
     ("size", "finest", "word"),
     [(12_000.0, 4096, "grid_spacing"), (1000.0, 4096, "GB"), (60.0, 2048, "vehicle.diameter")],
 )
-def test_the_reason_names_what_is_too_much(size, finest, word):
+def test_exceeded_limit_is_named(size, finest, word):
     assert word in exceeded_limit(size, finest, Config().lss)
     assert exceeded_limit(120.0, 256, Config().lss) is None
 

@@ -120,7 +120,7 @@ def scene(ros):
 
 @pytest.mark.quick("3")
 @pytest.mark.parametrize("kind", [ARDUPILOT, PX4])
-def test_it_lands_at_the_target_and_says_where_it_is(ros, scene, kind):
+def test_landing_at_the_target_with_outputs(ros, scene, kind):
     heard = {}
     flight = scene(kind, may_command="arming")
     node = flight.listener.node
@@ -162,7 +162,7 @@ def test_it_lands_at_the_target_and_says_where_it_is(ros, scene, kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["lss_node killed", "old map"])
-def test_what_happens_to_the_target_on_the_way_down(scene, fault):
+def test_target_faults_during_the_descent(scene, fault):
     """As the node's own clock has it; what else may happen, autopilot/test_landing.py tries."""
     flight = scene().handed_over().below(2.5)
     if fault == "old map":
@@ -180,7 +180,7 @@ def test_what_happens_to_the_target_on_the_way_down(scene, fault):
 
 
 @pytest.mark.slow
-def test_who_has_to_land_now_lands_by_the_map_that_there_is(scene):
+def test_land_now_accepts_an_old_map(scene):
     flight = scene().handed_over().below(3.0)
     flight.says, flight.map_age = State.NOW, 9.0
     flight.until("touchdown")
@@ -188,7 +188,7 @@ def test_who_has_to_land_now_lands_by_the_map_that_there_is(scene):
 
 
 @pytest.mark.slow
-def test_the_pilots_switch_and_a_jump_of_navigation(scene):
+def test_mode_change_and_navigation_jump(scene):
     flight = scene().handed_over().below(3.5)
     model = flight.model
     model.switch(LOITER)
@@ -205,7 +205,7 @@ def test_the_pilots_switch_and_a_jump_of_navigation(scene):
 
 
 @pytest.mark.slow
-def test_all_ages_go_by_the_simulators_time_where_that_is_used(scene):
+def test_ages_use_simulated_time(scene):
     """A simulator of a quarter of real time: a silence of 1.5 s is not even half a second."""
     flight = scene(place=(0.0, 0.0, 5.5), pace=0.25)
     flight.handed_over().below(4.0)
@@ -240,7 +240,7 @@ def test_hostile_targets_do_not_lower_the_vehicle(scene):
 
 
 @pytest.mark.slow
-def test_two_that_send_a_target_and_a_node_without_an_autopilot(ros, scene):
+def test_two_target_publishers_and_a_node_without_autopilot(ros, scene):
     flight = scene(place=(0.0, 0.0, 4.5))
     node = flight.listener.node
     other = node.create_publisher(PoseWithCovarianceStamped, "landing/selected", target())
@@ -254,7 +254,7 @@ def test_two_that_send_a_target_and_a_node_without_an_autopilot(ros, scene):
 
 
 @pytest.mark.slow
-def test_px4_that_is_armed_on_the_ground_stays_there(scene):
+def test_px4_armed_on_the_ground_stays_there(scene):
     """Also while it has not said yet that it is there."""
     flight = scene(PX4, place=(0.0, 0.0, 0.0))
     flight.model.deaf = 1  # so that it is to be asked again

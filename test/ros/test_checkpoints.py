@@ -41,7 +41,7 @@ def keeping(ros):
     return path, ("-p", f"checkpoint.path:={path}")
 
 
-def test_killed_mapping_node_takes_up_its_checkpoint(ros):
+def test_killed_mapping_node_restores_its_checkpoint(ros):
     """The sensors stay and are heard by the successor, as on a vehicle."""
     path, args = keeping(ros)
     mapping = ros.start("mapping_node", *args)
@@ -84,7 +84,7 @@ def _stamp_in(path):
 
 
 @pytest.mark.slow
-def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
+def test_unwritable_checkpoint_is_reported_and_has_no_other_effect(ros):
     path, args = keeping(ros)
     mapping = ros.start("mapping_node", *args)
     before = resource.prlimit(mapping.process.pid, resource.RLIMIT_FSIZE)
@@ -101,7 +101,7 @@ def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
 
 
 @pytest.mark.slow
-def test_a_last_checkpoint_that_fails_is_told(ros):
+def test_failed_last_checkpoint_is_logged(ros):
     """However lately another one was told."""
     folder = ros.folder / "disk"
     folder.mkdir()
@@ -119,7 +119,7 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kept", [True, False])
-def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):
+def test_scan_with_an_error_is_dropped_and_the_node_continues(ros, kept):
     """Whatever it was, the map that it happened to may be half changed."""
     path, args = keeping(ros)
     faulty = ros.start("mapping_node", *(args if kept else ()), first=FAULTY)

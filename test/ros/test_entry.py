@@ -28,7 +28,7 @@ def hears(pid: int, number: int) -> bool:
     ("name", "number"),
     list(zip(("mapping_node", "lss_node", "autopilot_node"), entry.SIGNALS, strict=True)),
 )
-def test_a_signal_while_a_node_starts_ends_it_cleanly(ros, name, number):
+def test_signal_during_the_start_is_a_clean_exit(ros, name, number):
     node = ros.start(name)
     while not hears(node.process.pid, signal.SIGHUP):  # the last that it comes to hear
         node.check()
@@ -37,7 +37,7 @@ def test_a_signal_while_a_node_starts_ends_it_cleanly(ros, name, number):
     assert len(lines) <= 1 and all("[INFO]" in line for line in lines), "none, or that it started"
 
 
-def test_signals_are_heard_before_anything_slow_is_imported():
+def test_signal_handlers_precede_slow_imports():
     program = (
         "import sys; before = set(sys.modules)\n"
         "import quadtree_lss.onboard.nodes.entry\n"
@@ -49,7 +49,7 @@ def test_signals_are_heard_before_anything_slow_is_imported():
     assert "quadtree_lss" in loaded and not loaded & {"numpy", "scipy", "rclpy", "yaml"}
 
 
-def test_a_hangup_that_is_ignored_stays_ignored():
+def test_ignored_sighup_stays_ignored():
     program = (
         "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
         "from quadtree_lss.onboard.nodes.entry import stop_on_signal\n"
@@ -60,7 +60,7 @@ def test_a_hangup_that_is_ignored_stays_ignored():
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
-def test_who_asks_again_after_a_while_breaks_long_work_off(monkeypatch):
+def test_second_signal_interrupts_a_callback(monkeypatch):
     before = {number: signal.getsignal(number) for number in entry.SIGNALS}
     try:
         stop = entry.StopOnSignal()

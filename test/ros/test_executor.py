@@ -19,7 +19,7 @@ def spin(executor, until, limit=10.0):
         executor.spin_once(0.1)
 
 
-def test_messages_are_served_only_while_they_are_wanted(node, executor):
+def test_messages_are_served_only_while_wanted(node, executor):
     heard, wanted = [], []
     group = OnDemandGroup(lambda: bool(wanted))
     subscribe(node, Int32, "ahead", heard.append, stream(9, reliable=True), group=group)

@@ -64,7 +64,7 @@ def test_a_restarted_node_has_all_keep_outs_of_the_latched_set(ros, vehicle):
 
 
 @pytest.mark.slow
-def test_a_required_input_is_waited_for(ros, vehicle):
+def test_no_site_before_a_required_input(ros, vehicle):
     """However late it comes: longer than any wait for what may come."""
     ros.start("lss_node", "-p", "lss.required_input:=keep_out")
     stamp = vehicle.send_map(0)
@@ -76,7 +76,7 @@ def test_a_required_input_is_waited_for(ros, vehicle):
 
 
 @pytest.mark.slow
-def test_a_keep_out_counts_in_the_frame_of_the_map_whenever_it_came(ros, vehicle):
+def test_keep_out_is_checked_against_the_frame_of_the_map(ros, vehicle):
     vehicle.send("landing/keep_out", polygon(WEST, "moon"))
     ros.start("lss_node", *PATIENT)
     vehicle.until(vehicle.has, "landing.keep_out", True)
@@ -97,7 +97,7 @@ def test_a_keep_out_counts_in_the_frame_of_the_map_whenever_it_came(ros, vehicle
     vehicle.until(vehicle.told, DiagnosticStatus.OK, "sites")
 
 
-def test_no_site_while_the_last_polygon_cannot_be_used(ros, vehicle):
+def test_no_site_while_the_last_polygon_is_unusable(ros, vehicle):
     ros.start("lss_node")
     stamp = vehicle.send_map(0)
     vehicle.until(vehicle.sites_of, stamp, anywhere)
@@ -121,7 +121,7 @@ def test_no_site_while_the_last_polygon_cannot_be_used(ros, vehicle):
 
 
 @pytest.mark.slow
-def test_halves_of_two_maps_are_not_joined(ros, vehicle):
+def test_messages_of_different_maps_are_not_joined(ros, vehicle):
     """Neither those of one stamp that belong to two maps, nor those of two frames."""
     ros.start("lss_node", "-p", "publish.lss_rate:=50.0")
     stamp = vehicle.send_map(0)

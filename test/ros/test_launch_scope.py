@@ -119,7 +119,7 @@ def launch(request, ros, tmp_path):
     return running
 
 
-def test_a_killed_node_is_started_again_and_a_foreign_one_goes_on(launch):
+def test_killed_node_is_restarted_and_foreign_ones_continue(launch):
     with launch("lss.margin: 1.0") as running:
         running.until(lambda: running.pid("lss_node") and running.pid("time.sleep"))
         killed, foreign = running.pid("lss_node"), running.pid("time.sleep")
@@ -129,7 +129,7 @@ def test_a_killed_node_is_started_again_and_a_foreign_one_goes_on(launch):
         assert "__ns:=/vehicle" in running.output() or running.pid("__ns:=/vehicle")
 
 
-def test_a_wrong_configuration_ends_only_the_nodes_that_have_it(launch):
+def test_wrong_configuration_stops_only_its_nodes(launch):
     with launch("lss.margn: 1.0") as running:
         running.until(lambda: running.output().count("it is not started again") == 2)
         running.until(lambda: not running.pid("lss_node") and not running.pid("mapping_node"))

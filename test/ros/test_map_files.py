@@ -26,7 +26,7 @@ def small(max_level=6):
     return Mapper(load_config(overrides={"domain": domain}))
 
 
-def test_a_writer_killed_at_any_moment_leaves_a_whole_file(tmp_path):
+def test_killed_writer_leaves_a_complete_file(tmp_path):
     path, part = tmp_path / "map", tmp_path / "map.part"
     program = (
         "from pathlib import Path; import sys\n"
@@ -51,7 +51,7 @@ def test_a_writer_killed_at_any_moment_leaves_a_whole_file(tmp_path):
     assert path.read_bytes() == b"new" and not part.exists()
 
 
-def test_map_files_survive_what_disks_do(tmp_path):
+def test_map_files_survive_disk_faults(tmp_path):
     mapper = small()
     file = tmp_path / "file"
     file.write_text("x")
@@ -72,7 +72,7 @@ def test_map_files_survive_what_disks_do(tmp_path):
     assert (tmp_path / "map.refused").exists() and not (tmp_path / "map").exists()
 
 
-def test_what_is_no_file_is_neither_read_nor_replaced_nor_moved(tmp_path):
+def test_only_regular_files_are_read_or_replaced(tmp_path):
     mapper = small()
     folder, pipe, device = tmp_path / "folder", tmp_path / "pipe", tmp_path / "device"
     folder.mkdir()
@@ -96,7 +96,7 @@ def test_what_is_no_file_is_neither_read_nor_replaced_nor_moved(tmp_path):
         save(tmp_path / "a\0b", mapper)
 
 
-def test_a_write_that_fails_leaves_nothing_behind(tmp_path):
+def test_failed_write_leaves_no_file(tmp_path):
     path = tmp_path / "map"
     write_atomically(path, b"old")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -124,7 +124,7 @@ def kept(path, scans):
 
 @pytest.mark.parametrize("name", ["range_part", "pose_part"])
 @pytest.mark.parametrize("value", [-1.0, np.nan, "indefinite"])
-def test_a_broken_map_never_replaces_a_good_checkpoint(tmp_path, name, value):
+def test_broken_map_never_replaces_a_checkpoint(tmp_path, name, value):
     path = tmp_path / "map"
     checkpoints, mapper = kept(path, 2)
     good = path.read_bytes()

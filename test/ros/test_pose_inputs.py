@@ -34,7 +34,7 @@ class OdometrySensors(Sensors):
 
 
 @pytest.mark.slow
-def test_odometry_that_is_sent_best_effort_is_told_with_what_hears_it(ros):
+def test_best_effort_odometry_is_logged_with_the_fix(ros):
     """As MAVROS sends its odometry, since it may lose some."""
     options = ("-p", "pose.source:=odometry", "-r", "nav/odometry:=odometry/filtered")
     override = "qos_overrides./odometry/filtered.subscription.reliability"
@@ -69,7 +69,7 @@ def test_a_gimbal_moves_the_lidar(ros):
     np.testing.assert_allclose(cells.z[beside], 0.02 * cells.x[beside], atol=0.05)
 
 
-def test_a_node_that_waits_for_the_other_type_says_so(ros):
+def test_unused_pose_topic_is_reported(ros):
     mapping = ros.start("mapping_node", "-r", "nav/odometry:=odometry/filtered")
     with ros.listen() as listener:
         OdometrySensors(listener)
@@ -79,7 +79,7 @@ def test_a_node_that_waits_for_the_other_type_says_so(ros):
 
 
 @pytest.mark.skipif(has_tf, reason="tf2_msgs is there")
-def test_a_mount_from_tf_without_tf2_msgs_is_an_error_of_configuration(ros):
+def test_mount_from_tf_without_tf2_msgs_is_a_configuration_error(ros):
     node = ros.start("mapping_node", "-p", "mount.source:=tf")
     assert node.process.wait(30.0) == WRONG_CONFIGURATION
     assert node.output().splitlines()[-1].startswith("error: mount.source tf needs tf2_msgs")

@@ -26,7 +26,7 @@ with processes.local_domain(Path(sys.argv[1])) as domain:
 """
 
 
-def test_processes_that_ask_at_once_get_domains_of_their_own(tmp_path, monkeypatch):
+def test_concurrent_processes_get_different_domains(tmp_path, monkeypatch):
     """As many as there are domains; none has a participant yet that could be seen."""
     monkeypatch.setattr(processes, "DOMAINS", SPARE)
     command = [sys.executable, "-c", HOLD, str(tmp_path)]

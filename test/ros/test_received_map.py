@@ -39,7 +39,7 @@ def give(received, cells):
     assert received.add_half("cells", cloud)
 
 
-def test_a_refused_map_does_not_make_the_one_before_younger(monkeypatch, received, cells):
+def test_rejected_map_does_not_refresh_the_previous_one(monkeypatch, received, cells):
     give(received, cells)
     received.decode_newest()
     first, age = received.cells, received.arrivals.age()
@@ -60,7 +60,7 @@ IMPATIENT = "from quadtree_lss.onboard.nodes import received_map; received_map.M
 
 
 @pytest.mark.slow
-def test_sites_are_withdrawn_when_maps_are_refused_for_too_long(ros, cells):
+def test_sites_are_withdrawn_when_maps_are_rejected_for_too_long(ros, cells):
     ros.start("lss_node", "-p", "diagnostics.warn_age:=3.0", first=IMPATIENT)
     with ros.listen({}) as listener:
         vehicle = Vehicle(listener, cells)
@@ -103,7 +103,7 @@ LandingSiteSelector.assess = assess
 
 
 @pytest.mark.slow
-def test_a_pass_that_ends_in_an_error_withholds_its_answer_and_the_node_lives(ros, cells):
+def test_failed_assessment_withholds_sites_and_the_node_continues(ros, cells):
     faulty = ros.start("lss_node", "-p", "diagnostics.warn_age:=60.0", first=FAULTY)
     with ros.listen({}) as listener:
         vehicle = Vehicle(listener, cells)
@@ -124,7 +124,7 @@ def test_a_pass_that_ends_in_an_error_withholds_its_answer_and_the_node_lives(ro
     assert "OverflowError: math range error" in faulty.output()
 
 
-def test_what_a_first_map_lacks(received, cells):
+def test_missing_messages_of_the_first_map(received, cells):
     cloud, grid = map_messages(cells, "map")
     assert "nothing came" in received.missing()
     received.add_half("cells", cloud)
@@ -138,7 +138,7 @@ def test_what_a_first_map_lacks(received, cells):
 
 
 @pytest.mark.slow
-def test_nodes_that_wait_say_so_in_the_log(ros):
+def test_waiting_nodes_log_missing_inputs(ros):
     lss, mapping = ros.start("lss_node"), ros.start("mapping_node")
     with ros.listen({}) as listener:
         told = "waiting for a map: nothing came (publishers known on '/map/cells': "

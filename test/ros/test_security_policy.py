@@ -61,7 +61,7 @@ def test_a_node_without_its_keys_does_not_start_unprotected(ros):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node", "autopilot_node"])
-def test_each_node_uses_what_the_policy_allows_it(ros, name):
+def test_node_uses_exactly_what_the_policy_allows(ros, name):
     seen = set()
     for way in WAYS:
         args = [text for key, value in way.items() for text in ("-p", f"{key}:={value}")]

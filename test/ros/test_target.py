@@ -106,7 +106,7 @@ def test_the_target_is_withdrawn_with_its_reason_and_replaced(ros, pilot):
 
 
 @pytest.mark.slow
-def test_a_vehicle_that_is_low_is_committed_by_its_poses(ros, pilot):
+def test_low_vehicle_commits(ros, pilot):
     """A map that stays the same: without the poses the target would only hold."""
     profile, make = stream(5, reliable=True), pilot.listener.node.create_publisher
     navigation = make(PoseWithCovarianceStamped, "nav/pose", profile)
@@ -135,7 +135,7 @@ def test_a_vehicle_that_is_low_is_committed_by_its_poses(ros, pilot):
 
 
 @pytest.mark.slow
-def test_a_released_target_is_chosen_anew(ros, pilot):
+def test_released_target_is_replaced(ros, pilot):
     ros.start("lss_node")
     assert not ros.call(pilot.listener, "/lss_node/release").success, "there is none"
     pilot.send_map(0)
@@ -147,7 +147,7 @@ def test_a_released_target_is_chosen_anew(ros, pilot):
     assert pilot.reasons()[before + 1] is Reason.RELEASED
 
 
-def test_land_now_gives_a_place_before_anything_is_settled(ros, pilot):
+def test_land_now_selects_before_inputs_settle(ros, pilot):
     ros.start("lss_node", "-p", "lss.settle_time:=900.0")
     pilot.sees_the_east_alone()
     pilot.send_map(0)
@@ -166,7 +166,7 @@ def test_land_now_gives_a_place_before_anything_is_settled(ros, pilot):
 
 
 @pytest.mark.slow
-def test_a_dead_node_is_missed_by_the_middleware_and_a_silent_one_is_not(ros, pilot):
+def test_deadline_reveals_a_dead_node_only(ros, pilot):
     missed, alive, heard = [], [], []
     callbacks = SubscriptionEventCallbacks(
         deadline=missed.append, liveliness=lambda event: alive.append(event.alive_count)
