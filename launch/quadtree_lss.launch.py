@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Launch file: `ros2 launch quadtree_lss quadtree_lss.launch.py params_file:=vehicle.yaml`."""
+
 import os
 import sys
 from difflib import get_close_matches

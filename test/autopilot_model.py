@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ArduPilot and PX4 accept, as a small model with a vehicle below it, over MAVLink's bytes.
+"""Small model of ArduPilot and PX4 with a vehicle, over MAVLink.
 
 Written from their documentation and sources (modes guided and land; precland, offboard). The
 vehicle follows its set-points as a point of first order in speed.
@@ -40,7 +40,7 @@ def free_port():
 
 
 class Autopilot(threading.Thread):
-    """One of the two, armed in the air; ends with its context.
+    """Model of either autopilot, armed in the air; a context manager.
 
     Attributes:
         position, velocity: NED of its origin, m and m/s.
@@ -95,7 +95,7 @@ class Autopilot(threading.Thread):
         return np.array([east, north, -down])
 
     def switch(self, mode):
-        """The pilot's switch, or a command; False where it is refused."""
+        """Change the mode, as the pilot or by a command; return False if it is rejected."""
         with self._lock:
             return self._switch(mode)
 
@@ -105,7 +105,7 @@ class Autopilot(threading.Thread):
         return self
 
     def moves_port(self):
-        """Speaks from another address from now on."""
+        """Send from a new address."""
         with self._lock:
             self._link = dialect().mavlink_connection(
                 f"udpout:127.0.0.1:{self.port}", source_system=7, source_component=1
@@ -228,7 +228,7 @@ class Autopilot(threading.Thread):
             self._landed &= self.kind == ARDUPILOT or self.goal[2] > self.position[2]
 
     def _on_target(self, message, now):
-        """In the frame, and with the distance, that its precision landing takes."""
+        """Check the frame and the distance that precision landing expects."""
         vector = np.array([message.x, message.y, message.z])
         if self.kind == ARDUPILOT:
             vector = self.position + self._north_of_body() @ vector

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""North, east, down to east, north, up, against SciPy's rotations; the other clock; jumps."""
+"""Frame conversions compared with SciPy's rotations; remote clock; jumps."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def mavlink(rotation):
 
 @pytest.mark.parametrize("k", range(20))
 def test_attitude_preserves_directions_of_body_axes(k):
-    """Each axis of the body, looked at from north, east, down and from east, north, up."""
+    """Compare each body axis in NED and in ENU."""
     ned_frd = ATTITUDES[k]
     enu_flu = Rotation.from_quat(attitude(mavlink(ned_frd)))
     for flu, frd in (((1, 0, 0), (1, 0, 0)), ((0, 1, 0), (0, -1, 0)), ((0, 0, 1), (0, 0, -1))):
@@ -43,7 +43,7 @@ def test_body_frd_of_a_place():
 
 @pytest.mark.parametrize("k", range(2))
 def test_covariance_enu_matches_sampled_errors(k):
-    """By drawing: errors in the autopilot's terms, each turned, have the covariance that is said.
+    """Monte Carlo: errors drawn in the autopilot's convention and rotated have this covariance.
 
     The pose's error along ROS's fixed axes is what the true attitude must be turned by.
     """
@@ -67,7 +67,7 @@ def test_unknown_covariance_is_none():
 
 
 def test_clock_error_is_at_most_half_the_fastest_exchange():
-    """Ways there and back as a loaded computer has them: some quick, most slow and uneven."""
+    """Use asymmetric round trips of a loaded computer: a few fast, most slow."""
     clock, true = RemoteClock(), 5_000_000_000_000
     assert clock.offset_ns is None
     for k in range(200):

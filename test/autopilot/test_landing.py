@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The states of a landing, flown by a point of first order in a time of its own."""
+"""State machine of the landing, with a first-order point mass in simulated time."""
 
 import math
 
@@ -21,7 +21,7 @@ SITE = np.array([0.0, 0.0, GROUND])
 
 
 class Flight:
-    """What the world is at each moment; a test changes it on the way."""
+    """Simulated vehicle and inputs; tests change the inputs during the flight."""
 
     def __init__(self, place=(10.0, 5.0, 25.0), config=CONFIG):
         self.landing = Landing(config)
@@ -72,7 +72,7 @@ class Flight:
         self.now += 0.1
 
     def until(self, condition, seconds=90.0):
-        """Flies until it holds."""
+        """Fly until the condition is true."""
         end = self.now + seconds
         while not condition(self):
             assert self.now < end, (self.states, self.order, self.position)
@@ -80,7 +80,7 @@ class Flight:
         return self
 
     def on(self, seconds):
-        """Flies on for so long."""
+        """Fly for a time, s."""
         end = self.now + seconds
         while self.now < end:
             self.step()
@@ -209,7 +209,7 @@ def test_vehicle_that_landed_without_link_or_pose_stays_down():
 
 @pytest.mark.parametrize("fault", [{"target": None}, {"jump": landing.JUMP_M + 0.1}])
 def test_ground_contact_during_a_wave_off_ends_the_flight(fault):
-    """ArduCopter does not lift off by a set-point; it would stand there with its motors on."""
+    """ArduCopter does not take off for a set-point; it would stay there with running motors."""
     flight = Flight().until(below(0.05))
     for name, value in fault.items():
         setattr(flight, name, value)
@@ -298,7 +298,7 @@ def test_no_descent_beside_the_target():
 
 
 def test_last_set_point_before_commit_is_above_the_ground():
-    """Whoever hears no more of us flies to the last set-point and stays there."""
+    """An autopilot that receives nothing more flies to the last set-point and stays there."""
     flight = Flight().until(in_state(DESCEND))
     while flight.order.state == DESCEND:
         assert flight.order.point[2] >= GROUND + landing.COMMIT_SHARE * CONFIG.gate_height - 1e-9

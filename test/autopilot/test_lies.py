@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lies of an autopilot, and of others who speak MAVLink, that must not bring the vehicle down."""
+"""False messages of the autopilot and of other senders must not move the vehicle."""
 
 import numpy as np
 import pytest

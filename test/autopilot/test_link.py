@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MAVLink's bytes over a socket: against the model of what ArduPilot and PX4 accept."""
+"""MAVLink over a socket, against a model of ArduPilot and PX4."""
 
 import os
 import pty
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.xdist_group("autopilot")
 
 @pytest.fixture
 def fly():
-    """Starts a model and a link to it; both end with the test."""
+    """Start a model and a link to it, for the duration of the test."""
     ends = []
 
     def start(kind, place=(3.0, -2.0, 6.0), **how):
@@ -40,7 +40,7 @@ def fly():
 
 
 def wait(link, condition, seconds=60.0):
-    """Polls until the condition holds; poses that came."""
+    """Poll until the condition is true; return the received poses."""
     navs, end = [], time.monotonic() + seconds
     while not condition(navs):
         assert time.monotonic() < end, "in vain"
@@ -86,7 +86,7 @@ def test_landing_target_frame(fly, kind):
 
 
 def test_status_text_is_complete(fly):
-    """Of lines longer than a message, too; more than one begin alike."""
+    """Include lines longer than one message with equal beginnings."""
     model, link = fly(ARDUPILOT)
     wait(link, lambda _: link.kind is not None)
     lines = ["x" * 49, *("".join(map(str, range(n)))[:n] for n in (50, 51, 99, 100, 101, 180))]
@@ -119,7 +119,7 @@ def test_restarted_simulation_time_does_not_block():
 
 @BOTH
 def test_source_system_is_not_a_ground_station(fly, kind):
-    """ArduPilot's failsafe waits for heartbeats of system 255 once it has heard one."""
+    """ArduPilot's failsafe waits for heartbeats of system 255 after it received one."""
     model, link = fly(kind)
     link.close()
     link = Link(f"udpout:127.0.0.1:{model.port}", time.time_ns)
@@ -142,7 +142,7 @@ def test_invalid_connection_is_a_one_line_error():
 
 
 def test_takeoff_in_guided_does_not_accept_set_points(fly):
-    """ArduCopter's take-off ends with the first one: seen in its simulator, 0.15 m up."""
+    """The first set-point aborts ArduCopter's takeoff, in its simulator at 0.15 m."""
     model, link = fly(ARDUPILOT)
     model.mode, model.takes_off = GUIDED_MODES[ARDUPILOT], True
     wait(link, lambda _: link.mode == model.mode and link.landed is not None)
@@ -152,7 +152,7 @@ def test_takeoff_in_guided_does_not_accept_set_points(fly):
 
 
 def beat():
-    """A heartbeat's bytes: armed, in guided."""
+    """Return the bytes of a heartbeat: armed, in guided."""
     says = module.dialect().mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
     return says.heartbeat_encode(2, ARDUPILOT, 129, 4, 4).pack(says)
 

@@ -43,7 +43,7 @@ SLOW_ONCE = (
 
 
 def test_expensive_configurations_terminate():
-    """All of them, in a program that is waited for; they take a few seconds."""
+    """Run all of them in a subprocess; they take a few seconds."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     subprocess.run([sys.executable, __file__], env=environment, check=True, timeout=120.0)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one table of parameters: ranges, nearest keys, contradictions, round trips."""
+"""The table of parameters: ranges, nearest keys, contradictions, round trips."""
 
 import dataclasses
 import math
@@ -45,7 +45,7 @@ def test_defaults_have_type_range_and_meaning(row):
 
 
 def impossible(row: Parameter) -> list[object]:
-    """Values of another type, beyond the range, or that are no choice."""
+    """Return values of a wrong type, out of range, or not among the choices."""
     values: list[object] = [
         {bool: 1, int: 1.5, float: "1.0", str: 3}[row.type],
         None,
@@ -116,7 +116,7 @@ def test_contradictions_are_found(values, about):
 
 
 def other_value(row: Parameter) -> object:
-    """A legal value that is not the default."""
+    """Return a valid value that is not the default."""
     if row.type is bool:
         return not row.default
     if row.type is str:
@@ -127,7 +127,7 @@ def other_value(row: Parameter) -> object:
 
 
 def test_lengths_derive_from_the_vehicle_unless_set():
-    """A lander half as wide that clears a third, and one whose gap is set."""
+    """Vehicles with half the diameter and a third of the clearance, one with a set gap."""
     usual, lander = Config(), {"vehicle.diameter": 1.85, "vehicle.clearance": 0.1}
     half, own = config_from_values(lander), config_from_values({**lander, "lss.max_gap": 0.0})
     assert (usual.lss.gap, usual.lss.spacing) == (0.6, 0.5)
@@ -144,7 +144,7 @@ def test_lengths_derive_from_the_vehicle_unless_set():
 
 
 def test_outlier_gate_derives_from_vehicle_and_scan_type():
-    """As far as 4/3 of the least hazard; of depth images edges are dropped already."""
+    """It is 4/3 of the least hazard, and 0 for depth images."""
     drone = config_from_values({"vehicle.diameter": 0.6, "vehicle.clearance": 0.06})
     assert Config().lidar.outlier_gate == 0.4
     assert drone.lidar.outlier_gate == pytest.approx(0.08)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The least height that makes a vehicle fail: by the simulator's contact, for lengths, on a map."""
+"""The least hazard: in the simulator's contact, in derived lengths, on a map."""
 
 import dataclasses
 

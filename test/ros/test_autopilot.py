@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``autopilot_node`` as a process, between a model of an autopilot and what lss_node says."""
+"""``autopilot_node`` as a process, with a model of an autopilot and a substitute for lss_node."""
 
 import math
 import os
@@ -27,7 +27,7 @@ FAST = {"gate_height": 5.0, "descent_speed": 1.5, "touchdown_speed": 0.5, "trans
 
 
 class Scene:
-    """A model in the air, the node, and a stand-in for lss_node that speaks when it is stepped."""
+    """A model in the air, the node, and a substitute for lss_node that publishes in each step."""
 
     def __init__(self, ros, listener, model, remap=(), **parameters):
         self.model, self.listener = model, listener
@@ -80,7 +80,7 @@ class Scene:
         return self
 
     def handed_over(self):
-        """The pilot switches, again until it is taken."""
+        """Switch the mode as the pilot, until it is accepted."""
         kind = self.model.kind
         self.wait(lambda: self.odometry and self.states)
         self.wait(
@@ -95,7 +95,7 @@ class Scene:
         return self.wait(lambda: self.model.enu[2] < height)
 
     def flies_up_and_stays(self):
-        """Climbs to the gate without having touched the ground."""
+        """Check that the vehicle climbs to the gate without ground contact."""
         self.wait(lambda: self.model.enu[2] > FAST["gate_height"] - 1.0)
         assert self.model.landed_at is None
 
@@ -163,7 +163,7 @@ def test_landing_at_the_target_with_outputs(ros, scene, kind):
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["lss_node killed", "old map"])
 def test_target_faults_during_the_descent(scene, fault):
-    """As the node's own clock has it; what else may happen, autopilot/test_landing.py tries."""
+    """Test the faults that depend on the node's clock; others are in autopilot/test_landing.py."""
     flight = scene().handed_over().below(2.5)
     if fault == "old map":
         flight.map_age = 9.0
@@ -206,7 +206,7 @@ def test_mode_change_and_navigation_jump(scene):
 
 @pytest.mark.slow
 def test_ages_use_simulated_time(scene):
-    """A simulator of a quarter of real time: a silence of 1.5 s is not even half a second."""
+    """In a simulator at a quarter of real time, a silence of 1.5 s is less than half a second."""
     flight = scene(place=(0.0, 0.0, 5.5), pace=0.25)
     flight.handed_over().below(4.0)
     flight.silent = True
@@ -217,7 +217,7 @@ def test_ages_use_simulated_time(scene):
 
 @pytest.mark.slow
 def test_hostile_targets_do_not_lower_the_vehicle(scene):
-    """Places that are none, statuses of any bytes, at a thousand a second: HOSTILE sends more."""
+    """Send invalid places and random statuses at 1000 Hz; HOSTILE sets the number."""
     flight, rng = scene(place=(0.0, 0.0, 4.5)), np.random.default_rng(1)
     flight.handed_over().below(3.5).silent = True
     flight.until("wave_off").until("hold")
@@ -255,7 +255,7 @@ def test_two_target_publishers_and_a_node_without_autopilot(ros, scene):
 
 @pytest.mark.slow
 def test_px4_armed_on_the_ground_stays_there(scene):
-    """Also while it has not said yet that it is there."""
+    """Include the time before the first landed state."""
     flight = scene(PX4, place=(0.0, 0.0, 0.0))
     flight.model.deaf = 1  # so that it is to be asked again
     flight.handed_over().wait(lambda: 245 in flight.model._rates)

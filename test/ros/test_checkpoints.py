@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checkpoints of a running node: taken up, set aside, left alone, and what is told."""
+"""Checkpoints of a running node."""
 
 import resource
 import shutil
@@ -32,17 +32,17 @@ def update(self, *scan):
 
 mapper.Mapper.update = update
 """
-"""Three scans are mapped, and the fourth ends in an error after it has spoilt the map."""
+"""Three scans are mapped; the fourth raises an error after it has damaged the map."""
 
 
 def keeping(ros):
-    """Place of a checkpoint, and what has a node write it."""
+    """Return the path of a checkpoint, and the arguments with which a node writes it."""
     path = ros.folder / "checkpoint.map"
     return path, ("-p", f"checkpoint.path:={path}")
 
 
 def test_killed_mapping_node_restores_its_checkpoint(ros):
-    """The sensors stay and are heard by the successor, as on a vehicle."""
+    """The sensors continue and the new node receives them, as on a vehicle."""
     path, args = keeping(ros)
     mapping = ros.start("mapping_node", *args)
     with ros.sensors() as (listener, sensors):
@@ -102,7 +102,7 @@ def test_unwritable_checkpoint_is_reported_and_has_no_other_effect(ros):
 
 @pytest.mark.slow
 def test_failed_last_checkpoint_is_logged(ros):
-    """However lately another one was told."""
+    """It is logged even if another problem was logged recently."""
     folder = ros.folder / "disk"
     folder.mkdir()
     mapping = ros.start("mapping_node", "-p", f"checkpoint.path:={folder / 'a.map'}")
@@ -120,7 +120,7 @@ def test_failed_last_checkpoint_is_logged(ros):
 @pytest.mark.slow
 @pytest.mark.parametrize("kept", [True, False])
 def test_scan_with_an_error_is_dropped_and_the_node_continues(ros, kept):
-    """Whatever it was, the map that it happened to may be half changed."""
+    """After any exception the map may be inconsistent."""
     path, args = keeping(ros)
     faulty = ros.start("mapping_node", *(args if kept else ()), first=FAULTY)
     with ros.sensors() as (listener, sensors):

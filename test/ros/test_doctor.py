@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``quadtree-lss doctor`` looks at what is live."""
+"""``quadtree-lss doctor`` on live topics."""
 
 import subprocess
 
@@ -54,7 +54,7 @@ def test_doctor_reports_silence(ros):
 
 @pytest.mark.slow
 def test_doctor_receives_transforms_of_all_broadcasters(ros, monkeypatch):
-    """By messages of another type: no wheel has that of transforms."""
+    """Use messages of a different type, because no wheel has tf2_msgs."""
     monkeypatch.setattr(listen.types, "TRANSFORMS_TYPE", listen.types.GIMBAL_TYPE)
     for name, value in ros.env.items():
         monkeypatch.setenv(name, value)

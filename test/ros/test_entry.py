@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How nodes begin and end: signals at any moment, and stamps of the maps in between."""
+"""Start and exit of nodes with signals at any time."""
 
 import os
 import signal
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.xdist_group("ros")
 
 
 def hears(pid: int, number: int) -> bool:
-    """True if a process has a handler of a signal, False if it does not run either."""
+    """Return whether a process runs and has a handler of a signal."""
     try:
         lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     except (FileNotFoundError, ProcessLookupError):

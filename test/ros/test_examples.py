@@ -25,7 +25,7 @@ def selected(place, stamp_ns=7):
 
 @pytest.fixture
 def run(ros):
-    """Starts an example; its output is in a file."""
+    """Start an example with its output in a file."""
     processes, logs = [], []
 
     def start(name, *options):

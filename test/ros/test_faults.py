@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong on a vehicle: nodes count it, say so, keep the map and go on."""
+"""Faults on a vehicle: nodes count and report them, keep the map and continue."""
 
 import pytest
 from geometry_msgs import msg
@@ -17,7 +17,7 @@ TEN_SECONDS_NS = 10**10
 
 @pytest.fixture
 def flight(ros):
-    """A mapping node with sensors: listener, sensors, process."""
+    """Start a mapping node; yield listener, sensors and process."""
     mapping = ros.start("mapping_node", "-p", "pose.max_wait:=0.3")
     with ros.sensors() as (listener, sensors):
         yield listener, sensors, mapping

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same flight over DDS with the real nodes and in lock-step: only timing differs."""
+"""The same flight with nodes over DDS and in lock-step: only timing differs."""
 
 import json
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No site inside a keep-out or outside an area that lss_node was told or could have read."""
+"""No site inside a keep-out or outside an area that was published."""
 
 import dataclasses
 import signal
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.xdist_group("ros_landing")
 EVERYWHERE = [(-16, -16), (16, -16), (16, 16), (-16, 16)]
 WEST = [(-16, -16), (5, -16), (5, 16), (-16, 16)]
 PATIENT = ("-p", "diagnostics.warn_age:=60.0")
-"""A map counts as fresh in every status: one a second is as seldom as the default warns."""
+"""Maps come once per second, the default limit of a warning, so the limit is raised."""
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_a_restarted_node_has_all_keep_outs_of_the_latched_set(ros, vehicle):
 
 @pytest.mark.slow
 def test_no_site_before_a_required_input(ros, vehicle):
-    """However late it comes: longer than any wait for what may come."""
+    """It may come later than all waiting times."""
     ros.start("lss_node", "-p", "lss.required_input:=keep_out")
     stamp = vehicle.send_map(0)
     vehicle.until(vehicle.told, DiagnosticStatus.WARN, "waiting for", "landing/keep_out")
@@ -122,7 +122,7 @@ def test_no_site_while_the_last_polygon_is_unusable(ros, vehicle):
 
 @pytest.mark.slow
 def test_messages_of_different_maps_are_not_joined(ros, vehicle):
-    """Neither those of one stamp that belong to two maps, nor those of two frames."""
+    """Include messages of one stamp that belong to two maps, and of two frames."""
     ros.start("lss_node", "-p", "publish.lss_rate:=50.0")
     stamp = vehicle.send_map(0)
     vehicle.until(vehicle.sites_of, stamp, anywhere)

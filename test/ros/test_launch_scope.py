@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The launch file included by a vehicle's own one, run by ROS's `launch` beside a foreign node."""
+"""The launch file, included by a vehicle's own with a foreign node, run by ROS's `launch`."""
 
 import importlib.util
 import os
@@ -60,7 +60,7 @@ sys.exit(service.run())
 
 
 class Launch:
-    """A running launch of a parent file: its output and processes."""
+    """Running launch of a parent file, with its output and processes."""
 
     def __init__(self, process: subprocess.Popen[bytes], log) -> None:
         self.process, self._log = process, log
@@ -69,7 +69,7 @@ class Launch:
         return self._log.read_text(encoding="utf-8")
 
     def pid(self, word: str) -> int:
-        """Process id of the child with a word in its command line, 0 if there is none."""
+        """Return the process id of the child with a word in its command line, or 0."""
         for child in psutil.Process(self.process.pid).children(recursive=True):
             try:
                 if word in " ".join(child.cmdline()) and child.status() != psutil.STATUS_ZOMBIE:

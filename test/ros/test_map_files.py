@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Map files: whole at any moment, and nothing else is harmed."""
+"""Map files are complete at any time, and other files are not changed."""
 
 import os
 import resource
@@ -21,7 +21,7 @@ from quadtree_lss.onboard.nodes.map_files import Checkpoints, load, save
 
 
 def small(max_level=6):
-    """A mapper of the domain that the nodes of the tests have."""
+    """Mapper with the domain of the nodes in these tests."""
     domain = {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": max_level}
     return Mapper(load_config(overrides={"domain": domain}))
 
@@ -110,7 +110,7 @@ def test_failed_write_leaves_no_file(tmp_path):
 
 
 def kept(path, scans):
-    """A keeper of checkpoints, after writing one for each of so many scans; and its mapper."""
+    """Return checkpoints after one for each of ``scans`` scans, and their mapper."""
     mapper = small()
     checkpoints = Checkpoints(path)
     for event in events(scans):

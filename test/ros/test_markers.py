@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Markers: what the serialised ones contain, and when they are sent."""
+"""Markers: content of the serialised messages, and times of publication."""
 
 import numpy as np
 import pytest

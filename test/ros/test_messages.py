@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arrays to messages and back; counting and limiting what goes out."""
+"""Conversion of arrays and messages; rate of publication."""
 
 from operator import attrgetter
 
@@ -31,7 +31,7 @@ def cells():
 
 
 def sent(cells):
-    """``map/cells`` and ``map/observed`` as a subscriber gets them."""
+    """Return ``map/cells`` and ``map/observed`` as a subscriber receives them."""
     return map(deserialize_message, map_messages(cells, "map"), (PointCloud2, OccupancyGrid))
 
 

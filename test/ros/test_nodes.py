@@ -34,7 +34,7 @@ def grid_values(grid):
 
 
 def agree(listener, keys):
-    """True if both nodes say the same of what both know."""
+    """Return whether both nodes report the same values where both have them."""
     one, other = (listener.values(name) for name in ("mapping_node", "lss_node"))
     return all(one.get(key) == other.get(key, "") for key in keys)
 
@@ -147,7 +147,7 @@ def test_wrong_usage_and_missing_home(ros):
 
 @pytest.mark.slow
 def test_lost_scans_are_counted(ros):
-    """Every scan sent is either lost and counted, or arrives and is dropped for want of a pose."""
+    """Each scan is either lost and counted, or arrives and is dropped without a pose."""
     depth = ("-p", "qos_overrides./lidar/points.subscription.depth:=1")
     mapping = ros.start("mapping_node", *depth, "-p", "pose.max_wait:=0.2")
     with ros.sensors() as (listener, sensors):

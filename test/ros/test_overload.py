@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scans that come faster than they can be mapped: the map stays young, or it is told."""
+"""Scans that come faster than they can be mapped."""
 
 import signal
 import time
@@ -32,7 +32,7 @@ def update(self, *scan):
 
 mapper.Mapper.update = update
 """
-"""A scan takes four times as long as the next takes to come."""
+"""Mapping a scan takes four times the period of scans."""
 
 
 def test_only_an_overload_drops_scans(monkeypatch):
@@ -73,7 +73,7 @@ def test_overloaded_node_drops_and_counts_scans(ros):
 
 
 def all_accounted(values):
-    """True if every scan that came was mapped, waits or was dropped for a reason."""
+    """Return whether every received scan was mapped, waits, or was dropped for a reason."""
     found = {key: int(value) for key, value in values().items() if value.isdigit()}
     dropped = sum(number for key, number in found.items() if key.startswith("scans.dropped."))
     total = found.get("scans", 0) + found.get("scans.waiting", 0) + dropped

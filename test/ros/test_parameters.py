@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameter table on a node."""
+"""ROS parameters of a node."""
 
 import pytest
 from rclpy.context import Context
@@ -19,7 +19,7 @@ TOLD_QOS = POSE_QOS.replace("__", ".")
 
 
 def make_node(context: Context, **overrides: object) -> Node:
-    """A node with overrides; double underscores in names stand for dots."""
+    """Create a node with overrides; double underscores in names stand for dots."""
     given = [Parameter(name.replace("__", "."), value=value) for name, value in overrides.items()]
     how = {"context": context, "parameter_overrides": given}
     return Node("node", **how, automatically_declare_parameters_from_overrides=True)
@@ -57,7 +57,7 @@ def test_parameter_file_without_a_section_for_the_node_is_an_error(ros, name):
 
 
 def test_unused_qos_overrides_are_logged(ros):
-    """No error: both nodes may share a file."""
+    """It is not an error, because both nodes may share a file."""
     wrong = "qos_overrides./nav/poses.subscription.depth:=4"
     right = "qos_overrides./nav/pose.subscription.depth:=4"
     node = ros.start("mapping_node", "-p", wrong, "-p", right)

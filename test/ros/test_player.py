@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Playing a bag into running nodes: the node receives all of it, with the bag's time."""
+"""Playing a bag into running nodes, which receive all messages with the bag's time."""
 
 import pytest
 from replay.recordings import KEEP_OUT, START, LandingRecorder, flight

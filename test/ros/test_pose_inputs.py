@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses as odometry, a gimbal, and a mount from /tf_static, of a running mapping_node."""
+"""A running mapping_node with odometry, with a gimbal, and with a mount from /tf_static."""
 
 import importlib.util
 
@@ -24,7 +24,7 @@ def odometry(stamp_ns: int, held=pose) -> Odometry:
 
 
 class OdometrySensors(Sensors):
-    """As Sensors, with poses as odometry."""
+    """Sensors with poses as odometry."""
 
     def __init__(self, listener, *, reliable=True) -> None:
         super().__init__(listener)
@@ -35,7 +35,7 @@ class OdometrySensors(Sensors):
 
 @pytest.mark.slow
 def test_best_effort_odometry_is_logged_with_the_fix(ros):
-    """As MAVROS sends its odometry, since it may lose some."""
+    """MAVROS publishes odometry with best effort."""
     options = ("-p", "pose.source:=odometry", "-r", "nav/odometry:=odometry/filtered")
     override = "qos_overrides./odometry/filtered.subscription.reliability"
     deaf = ros.start("mapping_node", *options)
@@ -50,7 +50,7 @@ def test_best_effort_odometry_is_logged_with_the_fix(ros):
 
 
 def test_a_gimbal_moves_the_lidar(ros):
-    """Ground that rises by 2 % lies where it does, from a level body 2 m above the lidar."""
+    """Map ground with a slope of 2 % from a level body 2 m above the lidar."""
     ros.start("mapping_node", "-p", "mount.source:=gimbal")
     with ros.sensors() as (listener, sensors):
         profile = stream(100, reliable=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A refused map is never received: its age runs, the status says so, sites are withdrawn."""
+"""Rejected maps: the age of the last usable map increases, and sites are withdrawn."""
 
 import dataclasses
 import signal
@@ -27,7 +27,7 @@ def received():
 
 
 def broken(cells):
-    """The same map with one leaf twenty thousand kilometres up."""
+    """Return the map with one leaf at a height of 20,000 km."""
     z = cells.z.copy()
     z[0] = 2e7
     return dataclasses.replace(cells, z=z, stamp_ns=cells.stamp_ns + 1)
@@ -99,7 +99,7 @@ def assess(self, cells, **wanted):
 
 LandingSiteSelector.assess = assess
 """
-"""A pass over its third map ends in an error."""
+"""The assessment of the third map raises an error."""
 
 
 @pytest.mark.slow

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What nodes say when they start and first succeed, and of a state that lasts."""
+"""Log lines of nodes at the start, at the first success, and of lasting states."""
 
 import sys
 from importlib import metadata
@@ -67,7 +67,7 @@ sys.meta_path.insert(0, Late())
     ],
 )
 def test_starting_node_logs_missing_inputs(ros, name, module, what):
-    """As on a computer so loaded that its modules take half a minute to load."""
+    """Simulate a loaded computer, on which the modules take half a minute to load."""
     go = ros.folder / "go"
     node = ros.start(name, first=HELD_UP.format(module=module, go=str(go)))
     first = {"mapping_node": "'/lidar/points'", "lss_node": "a map", "autopilot_node": "the heart"}
@@ -84,7 +84,7 @@ def test_starting_node_logs_missing_inputs(ros, name, module, what):
 @pytest.mark.quick("lss_node")
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node", "autopilot_node"])
 def test_missing_simulated_time_is_reported(ros, name):
-    """As on a vehicle with the parameter file of its simulation."""
+    """This happens on a vehicle with the parameter file of its simulation."""
     node = ros.start(name, "-p", "use_sim_time:=true")
     with ros.listen({}) as listener:
         listener.until(listener.at_least, "problems.no_clock", 1, name)
@@ -110,7 +110,7 @@ sys.meta_path.insert(0, Refused())
 
 @pytest.mark.slow
 def test_nodes_run_with_required_packages_only(ros):
-    """Without the other wings, and without what any extra brings but rclpy and its messages."""
+    """Hide the other packages, and all extras except rclpy and its messages."""
     asked = (Requirement(line) for line in metadata.requires("quadtree_lss") or [])
     of_extras = {item.name for item in asked if item.marker and "wheels" not in str(item.marker)}
     brought = metadata.packages_distributions().items()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``landing/selected`` over DDS: held, withdrawn with a reason, released, and missed when dead."""
+"""``landing/selected`` over DDS: held, withdrawn with a reason, released, missed deadline."""
 
 import dataclasses
 import itertools
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.xdist_group("ros_target")
 
 
 class Pilot(Vehicle):
-    """Hears the target, too, each change of it once: place, and what the status says."""
+    """Vehicle that also records each change of the target, with position and status."""
 
     def __init__(self, listener, cells):
         super().__init__(listener, cells)
@@ -45,7 +45,7 @@ class Pilot(Vehicle):
         self.cells = dataclasses.replace(self.cells, observed=observed)
 
     def status(self):
-        """The last record of the status."""
+        """Return the last record of the status."""
         return cloud_records(self.answers[-1], STATUS_FIELDS)[0] if self.answers else None
 
     def reasons(self):
@@ -107,7 +107,7 @@ def test_the_target_is_withdrawn_with_its_reason_and_replaced(ros, pilot):
 
 @pytest.mark.slow
 def test_low_vehicle_commits(ros, pilot):
-    """A map that stays the same: without the poses the target would only hold."""
+    """The map stays the same: without poses the target would only be held."""
     profile, make = stream(5, reliable=True), pilot.listener.node.create_publisher
     navigation = make(PoseWithCovarianceStamped, "nav/pose", profile)
     pilot.sees_the_east_alone()
