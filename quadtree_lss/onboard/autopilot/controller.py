@@ -55,7 +55,7 @@ class Controller:
         """Handle received messages and send the periodic ones; return new poses, oldest first."""
         navs = self.link.poll()
         for nav in navs:
-            self._jump = max(self._jump, self._jumps.size(nav))
+            self._jump = max(self._jump, self._jumps.jump(nav))
             self.nav = nav
         return navs
 
