@@ -78,7 +78,7 @@ def test_pose_deserialisation_equals_rclpy(kind, frame, child):
 def test_damaged_poses_are_rejected(kind):
     raw = serialize_message(pose_of(kind, np.random.default_rng(1), "map", "body"))
     for some in (*(raw[:n] for n in range(0, 300, 7)), raw[:12] + b"\xff" * 4 + raw[16:]):
-        with pytest.raises(MessageError, match=f"no {kind.__name__}"):
+        with pytest.raises(MessageError, match=f"not a {kind.__name__}"):
             pose_message(some, kind)
 
 
@@ -106,7 +106,7 @@ def test_cloud_deserialisation_equals_rclpy(frame, names):
 def test_damaged_clouds_are_rejected(cells):
     raw = map_messages(cells, "map")[0]
     for some in (*(raw[:n] for n in range(0, len(raw), 4999)), raw[:12] + b"\xff" * 4 + raw[16:]):
-        with pytest.raises(MessageError, match="no PointCloud2"):
+        with pytest.raises(MessageError, match="not a PointCloud2"):
             cloud_message(some)
 
 

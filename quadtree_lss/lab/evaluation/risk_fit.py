@@ -175,7 +175,7 @@ def risk_model_text(model: RiskModel) -> str:
     content: dict[str, Any] = {"seen": list(model.seen)}
     for name, cause in model.causes.items():
         curves = {
-            c.of: {"knots": list(c.knots), "odds": [*map(list, c.odds)]} for c in cause.curves
+            c.feature: {"knots": list(c.knots), "odds": [*map(list, c.odds)]} for c in cause.curves
         }
         content[name] = {"constant": cause.constant, **curves}
     content["provenance"] = dict(model.provenance)
