@@ -47,7 +47,7 @@ from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.lab.simulation.safety import contact_safe, worst_contact
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions
 from quadtree_lss.lab.simulation.terrain import Terrain
-from quadtree_lss.onboard.autopilot.landing import PATIENCE_S
+from quadtree_lss.onboard.autopilot.landing import WAIT_LIMIT_S
 from quadtree_lss.onboard.autopilot.link import ARM_DISARM, ARMED, CUSTOM_MODE, DO_SET_MODE, dialect
 from quadtree_lss.onboard.nodes.qos import latched, stream
 from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
@@ -82,7 +82,7 @@ class Copter:
     """
 
     #: The mode in which it follows set-points.
-    FOLLOWS = GUIDED
+    GUIDED_MODE = GUIDED
 
     def __init__(
         self, binary: str, folder: Path, heading: float, tell: Callable[[float], None]
@@ -187,7 +187,7 @@ class Copter:
 
     def hand_over(self) -> None:
         """Switch to the mode that follows set-points."""
-        self._switch(self.FOLLOWS)
+        self._switch(self.GUIDED_MODE)
 
     def take_back(self) -> None:
         """Switch to the pilot's mode."""
@@ -434,7 +434,7 @@ class Flight:
         copter, asked, end = self.copter, 0.0, time.monotonic() + LONGEST_START_S
         while copter.now < START_S and time.monotonic() < end:
             place, speed = self._tick()
-            if copter.mode == copter.FOLLOWS:  # a heartbeat late: it may fly and sink by now
+            if copter.mode == copter.GUIDED_MODE:  # a heartbeat late: it may fly and sink by now
                 return True
             if not copter.armed:
                 if copter.now - asked > 1.0:
@@ -478,7 +478,7 @@ class Flight:
             if speed > 0.5:
                 still = now
             over = failed and (self.state in ("pilot", "hold") or self.killed("autopilot_node"))
-            over = (over or self.state == "give_up") and now - still > PATIENCE_S + 3.0
+            over = (over or self.state == "give_up") and now - still > WAIT_LIMIT_S + 3.0
             if farthest > AWAY_M or place[2] > HEIGHT_M + 15.0:
                 landing.outcome = "flew away"
             elif not copter.armed:

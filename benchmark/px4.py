@@ -27,7 +27,7 @@ from quadtree_lss.onboard.autopilot.link import (
     ARM_DISARM,
     CUSTOM_MODE,
     DO_SET_MODE,
-    FOLLOWS,
+    GUIDED_MODES,
     PX4,
     SET_INTERVAL,
     dialect,
@@ -53,7 +53,7 @@ WITHOUT = ("wind of 8 m/s", "GPS 11 m off for 4 s")
 class Px4(Copter):
     """The build, with all that a `Copter` has."""
 
-    FOLLOWS = FOLLOWS[PX4]
+    GUIDED_MODE = GUIDED_MODES[PX4]
 
     def _launch(
         self, binary: str, folder: Path, heading: float, output: BinaryIO

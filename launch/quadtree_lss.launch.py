@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes: ``ros2 launch quadtree_lss quadtree_lss.launch.py params_file:=vehicle.yaml``."""
+"""Launch file: `ros2 launch quadtree_lss quadtree_lss.launch.py params_file:=vehicle.yaml`."""
 
 import os
 import sys
@@ -13,10 +13,10 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
-FINAL = (2, 78)  # exit codes for wrong arguments and configuration: another start ends likewise
-ENDED: dict[str, str] = {}  # messages about nodes that ended so
-ALONE = any(os.path.basename(word) == os.path.basename(__file__) for word in sys.argv[1:])
-TOPICS = {  # each is an argument too, with "_" for "/"
+FINAL_CODES = (2, 78)  # wrong arguments or configuration: a restart cannot help
+FAILED_NODES: dict[str, str] = {}  # messages of nodes that exited with one of them
+IS_TOP_LEVEL = any(os.path.basename(word) == os.path.basename(__file__) for word in sys.argv[1:])
+TOPICS = {  # also launch arguments, with "_" for "/"
     "mapping_node": "lidar/points depth/image depth/camera_info lidar/gimbal nav/pose nav/odometry"
     " landing/area map/cells map/observed map/markers",
     "lss_node": "map/cells map/observed nav/pose nav/odometry landing/area landing/keep_out"
@@ -27,54 +27,57 @@ TOPICS = {  # each is an argument too, with "_" for "/"
     " landing/status landing/autopilot",
 }
 ARGUMENTS = {
-    "params_file": ("", "ROS parameter file for all nodes; empty takes config"),
-    "config": ("default", "shipped configuration, as in config:=drone"),
+    "params_file": ("", "ROS parameter file for all nodes; empty uses config"),
+    "config": ("default", "configuration of the package, as in config:=drone"),
     "namespace": ("", "namespace of nodes and topics"),
-    "use_sim_time": ("", "true or false: time from /clock; empty leaves it as it is set"),
-    "log_level": ("", "debug, info, warn, error or fatal; empty leaves it as it is set"),
-    "enclave": ("", "folder of the nodes' SROS 2 enclaves, as /quadtree_lss; empty = not given"),
-    "autopilot": ("false", "true: autopilot_node, which lands with a MAVLink autopilot, too"),
-    "respawn": ("true", "start a node that has ended again, unless its configuration is wrong"),
+    "use_sim_time": ("", "true or false: time from /clock; empty does not set it"),
+    "log_level": ("", "debug, info, warn, error or fatal; empty does not set it"),
+    "enclave": ("", "folder of the nodes' SROS 2 enclaves, such as /quadtree_lss; empty for none"),
+    "autopilot": ("false", "true: also start autopilot_node, which lands with a MAVLink autopilot"),
+    "respawn": ("true", "restart a node that exited, unless its configuration is wrong"),
     **{t.replace("/", "_"): (t, "name of the topic") for t in " ".join(TOPICS.values()).split()},
     "nav_odometry": ("nav/odometry", "name of the topic; used instead of nav_pose if given"),
 }
 
 
 def generate_launch_description() -> LaunchDescription:
-    """All nodes with one parameter file, in one namespace."""
-    for word in sys.argv if ALONE else ():
-        name, given, _ = word.partition(":=")
-        if given and name not in ARGUMENTS:
+    """Start all nodes with one parameter file, in one namespace."""
+    for word in sys.argv if IS_TOP_LEVEL else ():
+        name, separator, _ = word.partition(":=")
+        if separator and name not in ARGUMENTS:
             near = " or ".join(get_close_matches(name, ARGUMENTS, n=1)) or "--show-args"
             raise RuntimeError(f"there is no argument '{name}'; did you mean '{near}'?")
-    declare, of = actions.DeclareLaunchArgument, ARGUMENTS.items()
-    declared = [declare(name, default_value=v, description=text) for name, (v, text) in of]
+    declared = [
+        actions.DeclareLaunchArgument(name, default_value=value, description=text)
+        for name, (value, text) in ARGUMENTS.items()
+    ]
     return LaunchDescription([*declared, actions.OpaqueFunction(function=_nodes)])
 
 
 def _nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
-    # Evaluated here: in an exit handler the scope of an including file is gone.
+    # Evaluated here, because an exit handler has no access to the scope of an including file.
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     shipped = FindPackageShare("quadtree_lss").perform(context)
     path = given["params_file"] or os.path.join(shipped, "config", f"{given['config']}.yaml")
     parameters: list[object] = [_checked(path)]
     if given["use_sim_time"]:
-        parameters.append({"use_sim_time": _truth(given, "use_sim_time")})
+        parameters.append({"use_sim_time": _boolean(given, "use_sim_time")})
     if given["nav_odometry"] != "nav/odometry":
         parameters.append({"pose.source": "odometry"})
     words = ["--log-level", given["log_level"]] if given["log_level"] else []
-    enclave, respawn = given["enclave"].rstrip("/"), _truth(given, "respawn")
-    names = list(TOPICS)[: 3 if _truth(given, "autopilot") else 2]
+    enclave, respawn = given["enclave"].rstrip("/"), _boolean(given, "respawn")
+    names = list(TOPICS)[: 3 if _boolean(given, "autopilot") else 2]
 
-    def ended(event: ProcessExited, context: LaunchContext) -> list[LaunchDescriptionEntity]:
-        """No new start of a node that it cannot help; the launch fails after the last node."""
-        final = event.returncode in FINAL
+    def on_exit(event: ProcessExited, context: LaunchContext) -> list[LaunchDescriptionEntity]:
+        """Do not restart a node after one of `FINAL_CODES`; fail the launch after the last node."""
+        final = event.returncode in FINAL_CODES
         text = f"{event.process_name} ended with exit code {event.returncode}: its arguments or"
         text += " its configuration are wrong, see its line above; it is not started again"
-        ENDED.update({event.action.name: text} if final else {})
-        over = len(ENDED) == len(names) or not (final or (respawn and not context.is_shutdown))
-        if ENDED and over and ALONE:
-            raise RuntimeError("; ".join(ENDED.values()))
+        FAILED_NODES.update({event.action.name: text} if final else {})
+        continues = final or (respawn and not context.is_shutdown)
+        over = len(FAILED_NODES) == len(names) or not continues
+        if FAILED_NODES and over and IS_TOP_LEVEL:
+            raise RuntimeError("; ".join(FAILED_NODES.values()))
         end = ShutdownProcess(process_matcher=lambda action: action is event.action)
         return [actions.LogInfo(msg=text), actions.EmitEvent(event=end)] if final else []
 
@@ -87,24 +90,24 @@ def _nodes(context: LaunchContext) -> list[LaunchDescriptionEntity]:
             ros_arguments=words + (["--enclave", f"{enclave}/{name}"] if enclave else []),
             output="screen", respawn=respawn, respawn_delay=1.0,
         )  # fmt: skip
-        handler = OnProcessExit(target_action=node, on_exit=ended)
+        handler = OnProcessExit(target_action=node, on_exit=on_exit)
         entities += [actions.RegisterEventHandler(handler), node]
     return entities
 
 
 def _checked(path: str) -> str:
-    tried = os.path.abspath(os.path.expanduser(path))
+    full_path = os.path.abspath(os.path.expanduser(path))
     try:
-        with open(tried, encoding="utf-8") as file:
+        with open(full_path, encoding="utf-8") as file:
             if yaml.safe_load(file):
-                return tried
-        reason = "is empty"  # the nodes would fly with the defaults
+                return full_path
+        reason = "is empty"  # the nodes would run with the defaults
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         reason = f"cannot be read: {getattr(error, 'strerror', '') or ' '.join(str(error).split())}"
-    raise RuntimeError(f"params_file '{tried}' {reason}")
+    raise RuntimeError(f"params_file '{full_path}' {reason}")
 
 
-def _truth(given: dict[str, str], name: str) -> bool:
+def _boolean(given: dict[str, str], name: str) -> bool:
     if given[name].lower() not in ("true", "false"):
         raise RuntimeError(f"{name} is '{given[name]}': it must be true or false")
     return given[name].lower() == "true"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ArduPilot and PX4 accept, as a small model with a vehicle below it, over MAVLink's bytes.
+"""Small model of ArduPilot and PX4 with a vehicle, over MAVLink.
 
 Written from their documentation and sources (modes guided and land; precland, offboard). The
 vehicle follows its set-points as a point of first order in speed.
@@ -12,7 +12,14 @@ from contextlib import suppress
 
 import numpy as np
 
-from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PLACE_ALONE, PX4, SINKS, dialect
+from quadtree_lss.onboard.autopilot.link import (
+    ARDUPILOT,
+    GUIDED_MODES,
+    POSITION_MASK,
+    POSITION_SINK_MASK,
+    PX4,
+    dialect,
+)
 
 LOITER, LAND = 5, 9
 PX4_HOLD, PX4_LAND = 4 << 16 | 3 << 24, 4 << 16 | 6 << 24
@@ -33,7 +40,7 @@ def free_port():
 
 
 class Autopilot(threading.Thread):
-    """One of the two, armed in the air; ends with its context.
+    """Model of either autopilot, armed in the air; a context manager.
 
     Attributes:
         position, velocity: NED of its origin, m and m/s.
@@ -88,7 +95,7 @@ class Autopilot(threading.Thread):
         return np.array([east, north, -down])
 
     def switch(self, mode):
-        """The pilot's switch, or a command; False where it is refused."""
+        """Change the mode, as the pilot or by a command; return False if it is rejected."""
         with self._lock:
             return self._switch(mode)
 
@@ -98,7 +105,7 @@ class Autopilot(threading.Thread):
         return self
 
     def moves_port(self):
-        """Speaks from another address from now on."""
+        """Send from a new address."""
         with self._lock:
             self._link = dialect().mavlink_connection(
                 f"udpout:127.0.0.1:{self.port}", source_system=7, source_component=1
@@ -210,18 +217,18 @@ class Autopilot(threading.Thread):
 
     def _on_point(self, message, now):
         place = np.array([message.x, message.y, message.z])
-        sinks = self.kind == PX4 and message.type_mask == SINKS and message.vz > 0.0
-        good = message.coordinate_frame == 1 and (sinks or message.type_mask == PLACE_ALONE)
+        sinks = self.kind == PX4 and message.type_mask == POSITION_SINK_MASK and message.vz > 0.0
+        good = message.coordinate_frame == 1 and (sinks or message.type_mask == POSITION_MASK)
         assert good and np.isfinite(place).all(), "neither of the two takes this"
         self.points.append((now, place))
         self._sink = message.vz if sinks else 0.0
-        if self.mode == FOLLOWS[self.kind]:
+        if self.mode == GUIDED_MODES[self.kind]:
             self.goal = place - self.shift
             # PX4 takes off for what is not below it; its noise sees to the rest.
             self._landed &= self.kind == ARDUPILOT or self.goal[2] > self.position[2]
 
     def _on_target(self, message, now):
-        """In the frame, and with the distance, that its precision landing takes."""
+        """Check the frame and the distance that precision landing expects."""
         vector = np.array([message.x, message.y, message.z])
         if self.kind == ARDUPILOT:
             vector = self.position + self._north_of_body() @ vector
@@ -229,7 +236,7 @@ class Autopilot(threading.Thread):
             self.targets.append((now, vector))
 
     def _switch(self, mode):
-        if mode == FOLLOWS[PX4] and self.kind == PX4:
+        if mode == GUIDED_MODES[PX4] and self.kind == PX4:
             times = np.array([at for at, _ in self.points if at > self._now - OFFBOARD_PROOF_S])
             steady = len(times) > 2 and np.diff(times).max() < OFFBOARD_LOSS_S
             if not steady or self._now - times[-1] > OFFBOARD_LOSS_S:
@@ -241,7 +248,7 @@ class Autopilot(threading.Thread):
         if not self.armed:
             self.velocity[:] = 0.0
             return
-        offboard = self.kind == PX4 and self.mode == FOLLOWS[PX4]
+        offboard = self.kind == PX4 and self.mode == GUIDED_MODES[PX4]
         if offboard and now - self.points[-1][0] > OFFBOARD_LOSS_S:
             self.left_offboard += 1
             self._switch(PX4_LAND)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""As much of `launch` and `launch_ros` as our launch file uses, from their documented interface.
+"""Substitute for the part of `launch` and `launch_ros` that the launch file uses.
 
-ROS's wheels have neither. Classes only keep what they are given; `built` does what the launch
+ROS's wheels have neither. Classes only store their arguments; `built` does what the launch
 service does with a description: declare arguments, run opaque functions, collect what they return.
 """
 
@@ -16,7 +16,7 @@ from installed import PREFIX
 
 
 class Record:
-    """Keeps its arguments: positional ones in ``args``, others as attributes."""
+    """Entity that stores positional arguments in ``args`` and others as attributes."""
 
     def __init__(self, *args: Any, **named: Any) -> None:
         self.args = args
@@ -32,7 +32,7 @@ class Context:
 
 
 class LaunchConfiguration(Record):
-    """The value of an argument; one that is not declared is an error, as in launch."""
+    """Return the value of an argument; an undeclared one is an error, as in launch."""
 
     def perform(self, context: Context) -> str:
         return context.launch_configurations[self.args[0]]
@@ -46,7 +46,7 @@ class FindPackageShare(Record):
 
 
 def kept(*names: str) -> dict[str, Any]:
-    """Classes of these names that only keep what they are given."""
+    """Make classes of these names that only store their arguments."""
     return {name: type(name, (Record,), {}) for name in names}
 
 
@@ -74,7 +74,7 @@ ShutdownProcess = MODULES["launch.events.process"]["ShutdownProcess"]
 
 
 def built(path: Path, monkeypatch: Any, **given: str) -> tuple[list[Any], Context]:
-    """What a launch file makes of arguments: its entities in order, and the context."""
+    """Return the entities of a launch file in order, and the context."""
     for name, content in MODULES.items():
         module = ModuleType(name)
         module.__dict__.update(content)

@@ -13,12 +13,12 @@ from autopilot_model import LOITER, Autopilot
 from fuzz.cases import damaged, random_of_autopilot
 
 from quadtree_lss.onboard.autopilot.controller import Controller
-from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, dialect
-from quadtree_lss.onboard.autopilot.seen import Target
+from quadtree_lss.onboard.autopilot.inputs import Target
+from quadtree_lss.onboard.autopilot.link import ARDUPILOT, GUIDED_MODES, dialect
 from quadtree_lss.onboard.config.sections import AutopilotConfig
 
 TURNS_M = 1.2
-"""What the vehicle falls until it climbs, by its speed at the lie."""
+"""Height that the vehicle loses before it climbs, by its speed at the false message."""
 FAST = {"gate_height": 5.0, "descent_speed": 1.5, "touchdown_speed": 0.5, "transit_speed": 4.0}
 
 
@@ -74,7 +74,7 @@ class Ride:
         time.sleep(0.001)
 
     def timed(self):
-        """How long a step takes, s."""
+        """Return the duration of a step, s."""
         began = time.monotonic()
         self.step()
         return time.monotonic() - began
@@ -93,7 +93,7 @@ class Ride:
         return self
 
     def handed_over(self):
-        follows = FOLLOWS[self.model.kind]
+        follows = GUIDED_MODES[self.model.kind]
         return self.until(
             lambda: self.order and (self.model.mode == follows or self.model.switch(follows))
         )
@@ -142,7 +142,7 @@ class Others(threading.Thread):
 
     @property
     def heard(self):
-        """How many bytes they were sent."""
+        """Return the number of bytes they received."""
         number = 0
         for one in self._sockets:
             with suppress(OSError):
@@ -151,7 +151,7 @@ class Others(threading.Thread):
 
 
 def beat(system=7, autopilot=ARDUPILOT, mode=4, base=129):
-    """Bytes of a heartbeat: armed, in guided."""
+    """Return the bytes of a heartbeat: armed, in guided."""
     says = dialect().mavlink.MAVLink(None, srcSystem=system, srcComponent=1)
     return says.heartbeat_encode(2, autopilot, base, mode, 4).pack(says)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A lidar hovering over a field with one block on it: scans and poses for the node tests."""
+"""Scans and poses of a lidar hovering over a field with one block, for the node tests."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _scan(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def mapped(config: Config, scans: int) -> Mapper:
-    """A mapper that has so many of the scans, at exact poses."""
+    """Return a mapper with so many of the scans, at exact poses."""
     mapper = Mapper(config)
     for event in events(scans):
         if event.points_lidar is not None:
@@ -114,47 +114,47 @@ def level_body(stamp_ns: int, above: float) -> PoseWithCovarianceStamped:
 
 
 class Ears(Listener):
-    """The listener of a test, who asserts that what it waits for comes."""
+    """Listener that fails a test if an expected message does not come."""
 
     def __init__(self, ros: Any, topics: Mapping[str, Any]) -> None:
         super().__init__(ros.domain, topics)
         self._ros = ros
 
     def until(self, condition: Callable[..., object], *args: Any, timeout: float = 60.0) -> None:
-        """Until ``condition(*args)`` is true."""
+        """Wait until ``condition(*args)`` is true."""
         came = self.wait_for(partial(condition, *args), timeout)
         assert came, f"{self.diagnostics}\n{self._ros.output()}"
 
     def forget(self, publisher: Any) -> None:
-        """Destroys a publisher, in the thread that waits for its events: others must not."""
+        """Destroy a publisher in the thread that waits for its events, as rclpy requires."""
         self._executor.create_task(self.node.destroy_publisher, publisher)
 
     def until_stamped(self, stamp_ns: int, *topics: str) -> None:
-        """Until the newest message of each topic has this stamp."""
+        """Wait until the newest message of each topic has this stamp."""
         self.until(lambda: all(self.stamp(topic) == stamp_ns for topic in topics))
 
     def values(self, node: str = "mapping_node") -> dict[str, str]:
-        """Values by key of the last diagnostic status of a node."""
+        """Return the values of the last diagnostic status of a node by key."""
         status = self.diagnostics.get(node)
         return {} if status is None else {item.key: item.value for item in status.values}
 
     def has(self, key: str, number: int, node: str = "mapping_node") -> bool:
-        """True if a diagnostic value is this number."""
+        """Return whether a diagnostic value is this number."""
         return self.values(node).get(key) == str(number)
 
     def at_least(self, key: str, number: int, node: str = "mapping_node") -> bool:
-        """True if a diagnostic value is this number or more."""
+        """Return whether a diagnostic value is this number or more."""
         return int(self.values(node).get(key, 0)) >= number
 
     def told(self, node: str, levels: Sequence[bytes], *words: str) -> bool:
-        """True if the last status of a node has one of the levels and all these words."""
+        """Return whether the last status of a node has one of the levels and all these words."""
         status = self.diagnostics.get(node)
         found = status is not None and all(word in status.message for word in words)
         return found and (not levels or status.level in levels)
 
 
 class Sensors:
-    """Publishers of scans and poses, matched with whoever listens."""
+    """Publishers of scans and poses, matched with their subscribers."""
 
     def __init__(self, listener: Ears) -> None:
         node, profile = listener.node, stream(100, reliable=True)
@@ -163,14 +163,14 @@ class Sensors:
         self._listener = listener
 
     def matched(self) -> Sensors:
-        """The same, once the mapping node is there."""
+        """Wait for the mapping node; return self."""
         for publisher in (self.scans, self.poses):
             self._listener.until(publisher.get_subscription_count, timeout=30.0)
         time.sleep(0.5)  # the subscriber's side of the match
         return self
 
     def map(self, scans: int, topic: str = "map/cells", **how: Any) -> int:
-        """As `publish`, and until what is made of it has the stamp of the last scan."""
+        """Call `publish`, and wait until the outputs have the stamp of the last scan."""
         last = self.publish(scans, **how)
         self._listener.until_stamped(last, topic)
         return last

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What lss_node hears of a vehicle, and all it says: for the tests of that node alone."""
+"""A vehicle for the tests of lss_node: its topics, and everything that lss_node publishes."""
 
 import dataclasses
 
@@ -26,7 +26,7 @@ def point(x, y):
 
 
 class Vehicle:
-    """What lss_node hears, latched, and all it says: stamps and places of the sites."""
+    """Publishers of lss_node's inputs, latched, and a record of its sites by stamp."""
 
     def __init__(self, listener, cells):
         node = listener.node
@@ -51,7 +51,7 @@ class Vehicle:
         self.said.append((stamp_ns(message.header), message.header.frame_id, places))
 
     def send_map(self, seconds, frame="map", observed_frame=None):
-        """The map with a stamp ``seconds`` after the start; the stamp."""
+        """Publish the map with a stamp ``seconds`` after the start; return the stamp."""
         stamp = START_NS + seconds * 10**9
         cells = dataclasses.replace(self.cells, stamp_ns=stamp)
         self.send("map/observed", map_messages(cells, observed_frame or frame)[1])
@@ -69,22 +69,22 @@ class Vehicle:
         return self.said[-1] if self.said else (None, None, None)
 
     def sites_of(self, stamp, condition):
-        """True once the sites of this map were last sent, and are some that fulfil it all."""
+        """Return whether the last sites are those of this map and fulfil all conditions."""
         last, _, places = self.last()
         return last == stamp and len(places) > 0 and bool(np.all(condition(places)))
 
     def none_of(self, stamp):
-        """True once it was last said that the map of this stamp has no site."""
+        """Return whether the last message has the map's stamp and no site."""
         last, _, places = self.last()
         return last == stamp and len(places) == 0
 
     def has(self, key, value):
-        """True if a value of its diagnostics is this."""
+        """Return whether a diagnostic value equals ``value``."""
         return self.values().get(key) == str(value)
 
     def values(self):
         return self.listener.values("lss_node")
 
     def told(self, level, *words):
-        """True if its last status has this level, and all these words in its text."""
+        """Return whether the last status has this level and all these words."""
         return self.listener.told("lss_node", (level,), *words)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""North, east, down to east, north, up, against SciPy's rotations; the other clock; jumps."""
+"""Frame conversions compared with SciPy's rotations; remote clock; jumps."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from quadtree_lss.onboard.autopilot.frames import (
-    Jumps,
+    JumpDetector,
     Nav,
     RemoteClock,
     attitude,
@@ -25,8 +25,8 @@ def mavlink(rotation):
 
 
 @pytest.mark.parametrize("k", range(20))
-def test_the_bodys_axes_point_where_they_did(k):
-    """Each axis of the body, looked at from north, east, down and from east, north, up."""
+def test_attitude_preserves_directions_of_body_axes(k):
+    """Compare each body axis in NED and in ENU."""
     ned_frd = ATTITUDES[k]
     enu_flu = Rotation.from_quat(attitude(mavlink(ned_frd)))
     for flu, frd in (((1, 0, 0), (1, 0, 0)), ((0, 1, 0), (0, -1, 0)), ((0, 0, 1), (0, 0, -1))):
@@ -34,7 +34,7 @@ def test_the_bodys_axes_point_where_they_did(k):
         np.testing.assert_allclose(enu_flu.apply(flu), [east, north, -down], atol=1e-12)
 
 
-def test_a_place_seen_from_the_body_is_forward_right_and_down():
+def test_body_frd_of_a_place():
     for k in range(20):
         vector_ned = RNG.normal(size=3)
         seen = body_frd(enu(vector_ned), attitude(mavlink(ATTITUDES[k])))
@@ -42,8 +42,8 @@ def test_a_place_seen_from_the_body_is_forward_right_and_down():
 
 
 @pytest.mark.parametrize("k", range(2))
-def test_covariances_are_those_of_what_is_turned(k):
-    """By drawing: errors in the autopilot's terms, each turned, have the covariance that is said.
+def test_covariance_enu_matches_sampled_errors(k):
+    """Monte Carlo: errors drawn in the autopilot's convention and rotated have this covariance.
 
     The pose's error along ROS's fixed axes is what the true attitude must be turned by.
     """
@@ -60,14 +60,14 @@ def test_covariances_are_those_of_what_is_turned(k):
     np.testing.assert_allclose(seen / scale, told / scale, atol=0.1)
 
 
-def test_a_covariance_that_says_nothing_is_none():
+def test_unknown_covariance_is_none():
     level = np.array([0.0, 0.0, 0.0, 1.0])
     assert covariance_enu(np.full(21, np.nan), level) is None
     assert covariance_enu(np.zeros(21), level) is None
 
 
-def test_the_other_clock_is_known_to_half_the_quickest_exchange():
-    """Ways there and back as a loaded computer has them: some quick, most slow and uneven."""
+def test_clock_error_is_at_most_half_the_fastest_exchange():
+    """Use asymmetric round trips of a loaded computer: a few fast, most slow."""
     clock, true = RemoteClock(), 5_000_000_000_000
     assert clock.offset_ns is None
     for k in range(200):
@@ -77,7 +77,7 @@ def test_the_other_clock_is_known_to_half_the_quickest_exchange():
     assert abs(clock.offset_ns - true) <= clock.uncertainty_ns < 4e6
 
 
-def test_a_clock_that_was_started_anew_is_followed_at_once():
+def test_restarted_clock_is_followed_immediately():
     clock = RemoteClock()
     for k in range(10):
         clock.add(k * 10**9, k * 10**9 - 100, k * 10**9 + 10**6)
@@ -85,7 +85,7 @@ def test_a_clock_that_was_started_anew_is_followed_at_once():
     assert clock.offset_ns == 11 * 10**9 + 10**6 - 5
 
 
-def test_where_time_comes_in_steps_the_exchange_that_waited_least_counts():
+def test_largest_offset_is_used_with_a_stepped_clock():
     clock = RemoteClock()
     for waited in (30, 10, 50):
         clock.add(10**9, 10**9 + waited * 10**6, 10**9)
@@ -98,13 +98,13 @@ def nav(own_s, x, speed, offset_s=0.0):
     return Nav(stamp, place, level, velocity, None, round(1e9 * own_s))
 
 
-def test_only_what_velocity_does_not_explain_is_a_jump():
-    jumps = Jumps()
-    assert jumps.size(nav(0.0, 0.0, 5.0)) == 0.0
-    assert jumps.size(nav(0.1, 0.5, 5.0)) == pytest.approx(0.0, abs=1e-9)
-    assert jumps.size(nav(0.2, 2.0, 5.0)) == pytest.approx(1.0)
+def test_jump_is_motion_that_velocity_does_not_explain():
+    jumps = JumpDetector()
+    assert jumps.jump(nav(0.0, 0.0, 5.0)) == 0.0
+    assert jumps.jump(nav(0.1, 0.5, 5.0)) == pytest.approx(0.0, abs=1e-9)
+    assert jumps.jump(nav(0.2, 2.0, 5.0)) == pytest.approx(1.0)
     better = nav(0.3, 2.5, 5.0, offset_s=-0.2)
-    assert jumps.size(better) == pytest.approx(0.0, abs=1e-9), "its clock is better known, no more"
+    assert jumps.jump(better) == pytest.approx(0.0, abs=1e-9), "its clock is better known, no more"
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,7 @@ def test_only_what_velocity_does_not_explain_is_a_jump():
         (-5.0, 3.0, 1.0, 3.0),  # the autopilot started anew
     ],
 )
-def test_a_gap_explains_no_more_than_the_vehicle_flies_in_it(gap, way, speed, size):
-    jumps = Jumps()
-    jumps.size(nav(10.0, 0.0, 1.0))
-    assert jumps.size(nav(10.0 + gap, way, speed)) == pytest.approx(size)
+def test_velocity_is_integrated_over_limited_gaps(gap, way, speed, size):
+    jumps = JumpDetector()
+    jumps.jump(nav(10.0, 0.0, 1.0))
+    assert jumps.jump(nav(10.0 + gap, way, speed)) == pytest.approx(size)

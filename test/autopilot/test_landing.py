@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The states of a landing, flown by a point of first order in a time of its own."""
+"""State machine of the landing, with a first-order point mass in simulated time."""
 
 import math
 
 import numpy as np
 import pytest
 
+from quadtree_lss.onboard.autopilot import inputs as limits
 from quadtree_lss.onboard.autopilot import landing
-from quadtree_lss.onboard.autopilot import seen as limits
+from quadtree_lss.onboard.autopilot.inputs import Inputs, Target, target_from_status
 from quadtree_lss.onboard.autopilot.landing import Landing
-from quadtree_lss.onboard.autopilot.seen import Seen, Target, target_of
 from quadtree_lss.onboard.config.sections import AutopilotConfig
 from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.messages.maps import STATUS_FIELDS
@@ -21,7 +21,7 @@ SITE = np.array([0.0, 0.0, GROUND])
 
 
 class Flight:
-    """What the world is at each moment; a test changes it on the way."""
+    """Simulated vehicle and inputs; tests change the inputs during the flight."""
 
     def __init__(self, place=(10.0, 5.0, 25.0), config=CONFIG):
         self.landing = Landing(config)
@@ -48,7 +48,7 @@ class Flight:
         landed = down if self.says is None else self.says
         if landed is not self.landed:
             self.landed, self.landed_at = landed, self.now
-        seen = Seen(
+        seen = Inputs(
             self.now, self.ours, self.armed, landed, self.now - self.landed_at, self.heartbeat_age,
             self.pose_age, *self.seen, self.jump, target, self.why,
         )  # fmt: skip
@@ -72,7 +72,7 @@ class Flight:
         self.now += 0.1
 
     def until(self, condition, seconds=90.0):
-        """Flies until it holds."""
+        """Fly until the condition is true."""
         end = self.now + seconds
         while not condition(self):
             assert self.now < end, (self.states, self.order, self.position)
@@ -80,7 +80,7 @@ class Flight:
         return self
 
     def on(self, seconds):
-        """Flies on for so long."""
+        """Fly for a time, s."""
         end = self.now + seconds
         while self.now < end:
             self.step()
@@ -95,7 +95,7 @@ def below(height):
     return lambda flight: flight.height < height
 
 
-def test_the_whole_way_down():
+def test_complete_landing():
     flight = Flight().until(in_state(DESCEND))
     assert flight.height > CONFIG.gate_height - 1.0 and np.hypot(*flight.position[:2]) < 0.5
     began = flight.now
@@ -117,7 +117,7 @@ def test_the_whole_way_down():
     assert flight.order.state == TOUCHDOWN and flight.order.point is None
 
 
-def test_from_below_the_gate_it_climbs_first():
+def test_climb_from_below_the_gate():
     flight = Flight((10.0, 5.0, GROUND + 3.0)).until(in_state(TRANSIT))
     assert flight.states[0] == CLIMB and np.hypot(*(flight.position - (10, 5, 0))[:2]) < 0.2
     assert flight.height > CONFIG.gate_height - 1.1
@@ -135,7 +135,7 @@ def test_from_below_the_gate_it_climbs_first():
     ],
     ids=["withdrawn", "silent", "moved", "out of reach", "above"],
 )
-def test_what_is_lost_below_the_gate_is_answered_by_a_climb(height, fault):
+def test_loss_below_the_gate_leads_to_a_climb(height, fault):
     flight = Flight().until(below(height))
     place, lowest = flight.position.copy(), []
     for name, value in fault.items():
@@ -159,7 +159,7 @@ def test_what_is_lost_below_the_gate_is_answered_by_a_climb(height, fault):
 
 
 @pytest.mark.parametrize("age", [landing.MAP_S + 0.1, -landing.MAP_S - 0.1, math.nan])
-def test_an_old_map_stops_a_descent_but_not_who_has_committed(age):
+def test_old_map_stops_a_descent_before_commit_only(age):
     flight = Flight().until(in_state(DESCEND)).on(2.0)
     flight.map_age = age
     flight.until(in_state(HOLD))
@@ -169,7 +169,7 @@ def test_an_old_map_stops_a_descent_but_not_who_has_committed(age):
     assert flight.until(in_state(TOUCHDOWN)).landing.wave_offs == 0
 
 
-def test_an_old_pose_stops_where_the_vehicle_was_last_seen():
+def test_old_pose_holds_the_last_known_position():
     flight = Flight().until(below(4.0))
     place = flight.seen[0]
     flight.pose_age = limits.POSE_S + 0.01
@@ -187,7 +187,7 @@ def test_an_old_pose_stops_where_the_vehicle_was_last_seen():
     assert flight.height > 3.5
 
 
-def test_whoever_came_down_without_a_link_or_a_pose_stays_down():
+def test_vehicle_that_landed_without_link_or_pose_stays_down():
     flight = Flight().until(below(0.15))
     flight.heartbeat_age = landing.HEARTBEAT_S + 0.1
     assert flight.on(2.0).height == 0.0, "to the last set-point, which is below the ground"
@@ -208,8 +208,8 @@ def test_whoever_came_down_without_a_link_or_a_pose_stays_down():
 
 
 @pytest.mark.parametrize("fault", [{"target": None}, {"jump": landing.JUMP_M + 0.1}])
-def test_whoever_touches_the_ground_as_it_is_waved_off_stays_there(fault):
-    """ArduCopter does not lift off by a set-point; it would stand there with its motors on."""
+def test_ground_contact_during_a_wave_off_ends_the_flight(fault):
+    """ArduCopter does not take off for a set-point; it would stay there with running motors."""
     flight = Flight().until(below(0.05))
     for name, value in fault.items():
         setattr(flight, name, value)
@@ -219,7 +219,7 @@ def test_whoever_touches_the_ground_as_it_is_waved_off_stays_there(fault):
     assert flight.on(limits.STILL_S + 0.5).order.state == TOUCHDOWN and flight.height == 0.0
 
 
-def test_without_heartbeats_nothing_is_commanded_and_then_it_climbs():
+def test_no_command_without_heartbeats_and_a_climb_afterwards():
     flight = Flight().until(below(4.0))
     flight.heartbeat_age = landing.HEARTBEAT_S + 0.1
     flight.on(1.0)
@@ -230,7 +230,7 @@ def test_without_heartbeats_nothing_is_commanded_and_then_it_climbs():
 
 
 @pytest.mark.parametrize("state", [TRANSIT, DESCEND, COMMIT, HOLD, WAVE_OFF, GIVE_UP])
-def test_the_pilots_switch_ends_it_at_once(state):
+def test_mode_change_by_the_pilot_ends_control(state):
     flight = Flight()
     if state in (HOLD, WAVE_OFF):
         flight.until(in_state(DESCEND)).on(2.0).target = None
@@ -248,7 +248,7 @@ def test_the_pilots_switch_ends_it_at_once(state):
     np.testing.assert_allclose(flight.order.point, flight.goal)
 
 
-def test_a_jump_of_navigation_ends_at_the_pilot():
+def test_navigation_jump_leads_to_give_up():
     flight = Flight().until(below(4.0))
     flight.jump = landing.JUMP_M + 0.01
     flight.step()
@@ -266,15 +266,15 @@ def test_a_jump_of_navigation_ends_at_the_pilot():
     assert flight.on(1.0).order.state == GIVE_UP, "seen while the link was bad"
 
 
-def test_it_waits_no_longer_than_its_patience_and_is_waved_off_no_more_often_than_it_may():
+def test_limits_of_waiting_and_of_wave_offs():
     flight = Flight()
     flight.target = None
-    flight.on(landing.PATIENCE_S - 1.0)
+    flight.on(landing.WAIT_LIMIT_S - 1.0)
     assert flight.order.state == WAIT
     np.testing.assert_allclose(flight.position, [10.0, 5.0, 25.0], atol=1e-9)
     assert flight.on(2.0).order.state == GIVE_UP
     flight = Flight()
-    for _ in range(landing.WAVE_OFFS + 1):
+    for _ in range(landing.MAX_WAVE_OFFS + 1):
         flight.until(in_state(DESCEND)).on(1.0)
         flight.target = None
         flight.step()
@@ -283,7 +283,7 @@ def test_it_waits_no_longer_than_its_patience_and_is_waved_off_no_more_often_tha
     assert flight.on(60.0).height == pytest.approx(CONFIG.gate_height, abs=0.1)
 
 
-def test_beside_the_target_it_does_not_come_down():
+def test_no_descent_beside_the_target():
     flight = Flight().until(in_state(DESCEND)).on(2.0)
     flight.wind = np.array([1.5, 0.0, 0.0])  # it is blown a metre off, and stays so
     flight.on(3.0)
@@ -297,8 +297,8 @@ def test_beside_the_target_it_does_not_come_down():
     assert flight.height > 0.5
 
 
-def test_set_points_never_lead_by_more_than_stops_above_the_ground():
-    """Whoever hears no more of us flies to the last set-point and stays there."""
+def test_last_set_point_before_commit_is_above_the_ground():
+    """An autopilot that receives nothing more flies to the last set-point and stays there."""
     flight = Flight().until(in_state(DESCEND))
     while flight.order.state == DESCEND:
         assert flight.order.point[2] >= GROUND + landing.COMMIT_SHARE * CONFIG.gate_height - 1e-9
@@ -308,7 +308,7 @@ def test_set_points_never_lead_by_more_than_stops_above_the_ground():
         flight.step()
 
 
-def test_a_target_that_follows_the_map_by_little_is_followed():
+def test_small_shift_of_the_target_is_followed():
     flight = Flight().until(in_state(DESCEND))
     flight.target = SITE + (0.3, 0.0, 0.1)
     flight.until(in_state(TOUCHDOWN))
@@ -316,7 +316,7 @@ def test_a_target_that_follows_the_map_by_little_is_followed():
     assert flight.position[0] == pytest.approx(0.3, abs=0.02)
 
 
-def test_nobody_is_led_back_to_where_an_old_pose_was_when_the_pilot_hands_over():
+def test_handover_with_an_old_pose_commands_nothing():
     flight = Flight()
     flight.pose_age = 60.0
     assert flight.on(2.0).order.state == PILOT and flight.order.point is None
@@ -325,7 +325,7 @@ def test_nobody_is_led_back_to_where_an_old_pose_was_when_the_pilot_hands_over()
     flight.until(in_state(TOUCHDOWN))
 
 
-def test_nobody_lifts_off():
+def test_no_takeoff():
     flight = Flight((0.0, 0.0, GROUND))
     assert flight.on(2.0).order.state == PILOT and flight.order.point is None
     flight = Flight()
@@ -333,13 +333,13 @@ def test_nobody_lifts_off():
     assert flight.on(2.0).order.point is None
 
 
-def test_a_place_that_is_none_withdraws_the_target_with_its_reason():
+def test_invalid_place_withdraws_the_target_with_its_reason():
     status = np.zeros(1, STATUS_FIELDS)[0]
     status["reason"], status["offset_z"], status["age"] = Reason.HAZARD, math.nan, 0.5
     for place in ((math.nan,) * 3, (1e300, 0.0, 0.0)):
-        target, why = target_of(np.array(place), status, 0.1, 0.2)
+        target, why = target_from_status(np.array(place), status, 0.1, 0.2)
         assert target is None and why.startswith("there is no target: ") and "unknown" not in why
     status["offset_z"] = 2.0
-    target, why = target_of(SITE, status, 0.1, 0.2)
+    target, why = target_from_status(SITE, status, 0.1, 0.2)
     np.testing.assert_array_equal(target.place, SITE + (0.0, 0.0, 2.0))
     assert (target.age, target.map_age, why) == (0.1, 0.7, "")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lies of an autopilot, and of others who speak MAVLink, that must not bring the vehicle down."""
+"""False messages of the autopilot and of other senders must not move the vehicle."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ OF_PX4 = [(name, PX4) for name in SCENARIOS if "contact" in name]
 
 @pytest.mark.quick("height_reset-3")
 @pytest.mark.parametrize(("scenario", "kind"), [*((s, ARDUPILOT) for s in SCENARIOS), *OF_PX4])
-def test_a_lie_neither_lowers_the_vehicle_nor_leads_it_away(scenario, kind):
+def test_false_message_does_not_move_the_vehicle(scenario, kind):
     # PX4 leaves offboard after half a second of its time without a set-point.
     pace = 2.0 if kind == PX4 else 3.0
     with Ride(kind=kind, pace=pace, may_command="arming") as ride:
@@ -35,7 +35,7 @@ def test_a_lie_neither_lowers_the_vehicle_nor_leads_it_away(scenario, kind):
 
 
 @pytest.mark.slow
-def test_nobody_but_the_autopilot_is_heard_or_answered():
+def test_other_senders_are_ignored():
     """A second vehicle with the same system id says that it is disarmed and in another mode; many
     say one byte."""
     with Ride(pace=1.0) as ride:
@@ -53,7 +53,7 @@ def test_nobody_but_the_autopilot_is_heard_or_answered():
     [[beat(system=9)], [beat() * 2000], [b"\xfd\xff" * 30000]],
     ids=["few", "many", "noise"],
 )
-def test_set_points_keep_their_rate_among_thousands_of_foreign_messages(pieces):
+def test_set_point_rate_under_foreign_messages(pieces):
     with Ride(pace=1.0) as ride:
         ride.handed_over().within("transit", "descend").target = None
         ride.within("hold", "wave_off").on(1.0)
@@ -64,7 +64,7 @@ def test_set_points_keep_their_rate_among_thousands_of_foreign_messages(pieces):
 
 
 @pytest.mark.slow
-def test_no_set_point_after_the_heartbeat_that_tells_of_the_pilot():
+def test_no_set_point_after_the_heartbeat_of_a_mode_change():
     with Ride() as ride:
         ride.below(4.0).model.switch(LOITER)
         switched = ride.model._now
@@ -74,15 +74,15 @@ def test_no_set_point_after_the_heartbeat_that_tells_of_the_pilot():
 
 
 @pytest.mark.slow
-def test_a_pose_without_a_velocity_is_none():
+def test_pose_without_velocity_is_rejected():
     with Ride() as ride:
         ride.handed_over().within("transit").model.knows_velocity = False
         ride.within("hold")
-        assert ride.controller.link.refused["velocity"] > 0
+        assert ride.controller.link.rejected["velocity"] > 0
 
 
 @pytest.mark.slow
-def test_a_word_of_the_ground_is_old_after_some_seconds():
+def test_landed_state_expires():
     with Ride() as ride:
         ride.until(lambda: ride.controller.link.landed is False).model.claims = 1
         ride.until(lambda: ride.controller.link.landed).model.claims = 0  # it does not know

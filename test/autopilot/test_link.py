@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MAVLink's bytes over a socket: against the model of what ArduPilot and PX4 accept."""
+"""MAVLink over a socket, against a model of ArduPilot and PX4."""
 
 import os
 import pty
@@ -14,7 +14,7 @@ import pytest
 from autopilot_model import LOITER, PX4_HOLD, Autopilot
 
 from quadtree_lss.onboard.autopilot import link as module
-from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PX4, Link
+from quadtree_lss.onboard.autopilot.link import ARDUPILOT, GUIDED_MODES, PX4, Link
 from quadtree_lss.onboard.config.settings import ConfigError
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.xdist_group("autopilot")
 
 @pytest.fixture
 def fly():
-    """Starts a model and a link to it; both end with the test."""
+    """Start a model and a link to it, for the duration of the test."""
     ends = []
 
     def start(kind, place=(3.0, -2.0, 6.0), **how):
@@ -40,7 +40,7 @@ def fly():
 
 
 def wait(link, condition, seconds=60.0):
-    """Polls until the condition holds; poses that came."""
+    """Poll until the condition is true; return the received poses."""
     navs, end = [], time.monotonic() + seconds
     while not condition(navs):
         assert time.monotonic() < end, "in vain"
@@ -50,12 +50,12 @@ def wait(link, condition, seconds=60.0):
 
 
 @pytest.mark.parametrize(("kind", "body_velocity"), [(ARDUPILOT, False), (PX4, False), (PX4, True)])
-def test_poses_are_the_vehicles_by_this_computers_clock(fly, kind, body_velocity):
+def test_poses_match_the_vehicle_by_this_computers_clock(fly, kind, body_velocity):
     model, link = fly(kind)
     with model._lock:
         model.body_velocity = body_velocity
         model.goal = model.position + (8.0, -4.0, 1.0)  # it moves: a wrong stamp is a wrong place
-        model.mode = FOLLOWS[ARDUPILOT] if kind == ARDUPILOT else PX4_HOLD
+        model.mode = GUIDED_MODES[ARDUPILOT] if kind == ARDUPILOT else PX4_HOLD
     wait(link, lambda navs: len(navs) > 10)
     navs, late = [], []
     while len(navs) < 20:
@@ -77,37 +77,37 @@ def test_poses_are_the_vehicles_by_this_computers_clock(fly, kind, body_velocity
 
 
 @BOTH
-def test_precision_landing_gets_the_target_in_the_frame_that_it_takes(fly, kind):
+def test_landing_target_frame(fly, kind):
     model, link = fly(kind)
     navs = wait(link, lambda navs: len(navs) > 3)
-    link.show_target(np.array([1.0, 2.0, 0.5]), navs[-1])
+    link.send_landing_target(np.array([1.0, 2.0, 0.5]), navs[-1])
     wait(link, lambda _: model.targets)
     np.testing.assert_allclose(model.targets[-1][1], [2.0, 1.0, -0.5], atol=1e-5)
 
 
-def test_the_ground_station_gets_every_word(fly):
-    """Of lines longer than a message, too; more than one begin alike."""
+def test_status_text_is_complete(fly):
+    """Include lines longer than one message with equal beginnings."""
     model, link = fly(ARDUPILOT)
     wait(link, lambda _: link.kind is not None)
     lines = ["x" * 49, *("".join(map(str, range(n)))[:n] for n in (50, 51, 99, 100, 101, 180))]
     for line in lines:
-        link.tell(line, warn=True)
-    link.tell("the last", warn=False)
+        link.send_text(line, warn=True)
+    link.send_text("the last", warn=False)
     wait(link, lambda _: "the last" in model.texts)
     assert model.texts == [*lines, "the last"]
 
 
-def test_heartbeats_of_others_are_not_the_autopilots(fly):
+def test_heartbeats_of_other_systems_are_ignored(fly):
     model, link = fly(ARDUPILOT)
     wait(link, lambda _: link.kind is not None)
     model._link.mav.srcSystem, kept = 255, model._link.mav.srcSystem
     model._say("heartbeat", 6, 8, 0, 4, 4)  # a ground station that says "mode 4"
     model._link.mav.srcSystem = kept
     wait(link, lambda navs: len(navs) > 3)
-    assert link.mode == LOITER and not link.follows
+    assert link.mode == LOITER and not link.accepts_set_points
 
 
-def test_a_time_that_begins_anew_as_a_simulators_does_holds_nothing_up():
+def test_restarted_simulation_time_does_not_block():
     now, said = [1000.0, 1000.0, 1.0, 1.0], []
     link = Link("udpout:127.0.0.1:9", lambda: 0, lambda: now.pop(0))
     link._port.write = said.append
@@ -118,8 +118,8 @@ def test_a_time_that_begins_anew_as_a_simulators_does_holds_nothing_up():
 
 
 @BOTH
-def test_nothing_is_said_in_the_name_of_a_ground_station(fly, kind):
-    """ArduPilot's failsafe waits for heartbeats of system 255 once it has heard one."""
+def test_source_system_is_not_a_ground_station(fly, kind):
+    """ArduPilot's failsafe waits for heartbeats of system 255 after it received one."""
     model, link = fly(kind)
     link.close()
     link = Link(f"udpout:127.0.0.1:{model.port}", time.time_ns)
@@ -130,7 +130,7 @@ def test_nothing_is_said_in_the_name_of_a_ground_station(fly, kind):
     assert said == [1]
 
 
-def test_a_connection_that_is_none_is_one_line():
+def test_invalid_connection_is_a_one_line_error():
     with pytest.raises(ConfigError, match="autopilot.connection = 'tcp:nowhere:1:2'"):
         Link("tcp:nowhere:1:2", time.time_ns)
     with pytest.raises(ConfigError, match="port must be 0-65535"):
@@ -141,41 +141,43 @@ def test_a_connection_that_is_none_is_one_line():
     assert not isinstance(raised.value, ConfigError), "the node is to be started again"
 
 
-def test_who_takes_off_in_guided_follows_no_set_points_yet(fly):
-    """ArduCopter's take-off ends with the first one: seen in its simulator, 0.15 m up."""
+def test_takeoff_in_guided_does_not_accept_set_points(fly):
+    """The first set-point aborts ArduCopter's takeoff, in its simulator at 0.15 m."""
     model, link = fly(ARDUPILOT)
-    model.mode, model.takes_off = FOLLOWS[ARDUPILOT], True
+    model.mode, model.takes_off = GUIDED_MODES[ARDUPILOT], True
     wait(link, lambda _: link.mode == model.mode and link.landed is not None)
-    assert not link.follows and not link.landed
+    assert not link.accepts_set_points and not link.landed
     model.takes_off = False
-    wait(link, lambda _: link.follows)
+    wait(link, lambda _: link.accepts_set_points)
 
 
 def beat():
-    """A heartbeat's bytes: armed, in guided."""
+    """Return the bytes of a heartbeat: armed, in guided."""
     says = module.dialect().mavlink.MAVLink(None, srcSystem=7, srcComponent=1)
     return says.heartbeat_encode(2, ARDUPILOT, 129, 4, 4).pack(says)
 
 
-def test_an_autopilot_on_a_serial_line_is_heard_by_one_node_also_while_it_takes_nothing():
+def test_serial_device_is_exclusive_and_never_blocks():
     ours, theirs = pty.openpty()
     tty.setraw(theirs)
     link = Link(f"{os.ttyname(theirs)},57600", time.time_ns)
     with pytest.raises(QuadtreeLssError, match="cannot be opened"):
         Link(os.ttyname(theirs), time.time_ns)
     # In a thread, for it would wait for ever.
-    says = Thread(target=lambda: [link.fly_to(np.zeros(3)) for _ in range(999)], daemon=True)
+    says = Thread(
+        target=lambda: [link.send_set_point(np.zeros(3)) for _ in range(999)], daemon=True
+    )
     says.start()
     says.join(10.0)
     assert not says.is_alive()
     os.write(ours, beat())
-    wait(link, lambda _: link.kind == ARDUPILOT and link.follows and link.armed)
+    wait(link, lambda _: link.kind == ARDUPILOT and link.accepts_set_points and link.armed)
     link.close()
     os.close(ours)
     os.close(theirs)
 
 
-def test_a_tcp_peer_that_has_gone_holds_nothing_up_and_is_heard_when_it_is_back():
+def test_lost_tcp_peer_does_not_block_and_reconnects():
     door = socket.create_server(("127.0.0.1", 0))
     port = door.getsockname()[1]
     link = Link(f"tcp:127.0.0.1:{port}", time.time_ns)
@@ -184,7 +186,7 @@ def test_a_tcp_peer_that_has_gone_holds_nothing_up_and_is_heard_when_it_is_back(
     begin = time.monotonic()
     for _ in range(10):
         link.poll()
-        link.fly_to(np.zeros(3))
+        link.send_set_point(np.zeros(3))
     assert time.monotonic() - begin < 5.0  # pymavlink sleeps for a second in each
     link.close()  # there is nothing to close
     with socket.create_server(("127.0.0.1", port)) as door:

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from quadtree_lss.onboard.config.limits import why_too_much
+from quadtree_lss.onboard.config.limits import exceeded_limit
 from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
@@ -42,8 +42,8 @@ SLOW_ONCE = (
 )
 
 
-def test_what_took_minutes_comes_to_an_end():
-    """All of them, in a program that is waited for; they take a few seconds."""
+def test_expensive_configurations_terminate():
+    """Run all of them in a subprocess; they take a few seconds."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     subprocess.run([sys.executable, __file__], env=environment, check=True, timeout=120.0)
 
@@ -52,9 +52,9 @@ def test_what_took_minutes_comes_to_an_end():
     ("size", "finest", "word"),
     [(12_000.0, 4096, "grid_spacing"), (1000.0, 4096, "GB"), (60.0, 2048, "vehicle.diameter")],
 )
-def test_the_reason_names_what_is_too_much(size, finest, word):
-    assert word in why_too_much(size, finest, Config().lss)
-    assert why_too_much(120.0, 256, Config().lss) is None
+def test_exceeded_limit_is_named(size, finest, word):
+    assert word in exceeded_limit(size, finest, Config().lss)
+    assert exceeded_limit(120.0, 256, Config().lss) is None
 
 
 if __name__ == "__main__":

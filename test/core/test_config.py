@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one table of parameters: ranges, nearest keys, contradictions, round trips."""
+"""The table of parameters: ranges, nearest keys, contradictions, round trips."""
 
 import dataclasses
 import math
@@ -32,7 +32,7 @@ def test_names_are_unique_and_have_a_section():
 
 
 @pytest.mark.parametrize("row", **named(list(ROWS)))
-def test_defaults_are_of_their_type_in_range_and_explained(row):
+def test_defaults_have_type_range_and_meaning(row):
     assert type(row.default) is row.type
     assert row.doc
     if row.type in (int, float):
@@ -45,7 +45,7 @@ def test_defaults_are_of_their_type_in_range_and_explained(row):
 
 
 def impossible(row: Parameter) -> list[object]:
-    """Values of another type, beyond the range, or that are no choice."""
+    """Return values of a wrong type, out of range, or not among the choices."""
     values: list[object] = [
         {bool: 1, int: 1.5, float: "1.0", str: 3}[row.type],
         None,
@@ -62,7 +62,7 @@ def impossible(row: Parameter) -> list[object]:
 
 
 @pytest.mark.parametrize("row", **named(list(ROWS)))
-def test_impossible_values_are_refused_by_name(row):
+def test_invalid_values_are_rejected_by_name(row):
     for value in impossible(row):
         with pytest.raises(ConfigError, match=row.name.replace(".", r"\.")) as caught:
             config_from_values({row.name: value})
@@ -70,13 +70,13 @@ def test_impossible_values_are_refused_by_name(row):
             assert all(choice in str(caught.value) for choice in row.choices)
 
 
-def test_whole_numbers_serve_where_a_float_is_wanted():
+def test_integers_are_accepted_for_floats():
     assert config_from_values({"domain.size": 64}).domain.size == 64.0
     assert isinstance(config_from_values({"domain.size": 64}).domain.size, float)
 
 
 @pytest.mark.parametrize("key", REMOVED)
-def test_a_name_of_before_is_an_error_that_says_what_holds_now(key):
+def test_removed_name_is_an_error_with_its_replacement(key):
     assert key not in {row.name for row in ROWS}
     text = re.escape(f"{key} was removed: {REMOVED[key]}")
     for wrong in (lambda: config_from_values({key: 1.0}), lambda: load_config([], {key: 1.0})):
@@ -84,14 +84,14 @@ def test_a_name_of_before_is_an_error_that_says_what_holds_now(key):
             wrong()
 
 
-def test_what_follows_from_other_parameters():
+def test_derived_parameters():
     config = config_from_values({"pose.max_wait": 3.0, "diagnostics.warn_age": 0.5})
     assert (config.pose.queue, config.diagnostics.error_age) == (60, 2.5)
     assert (Config().pose.queue, Config().diagnostics.error_age) == (20, 5.0)
 
 
 @pytest.mark.parametrize("key", ["domain", "", "domain.", "x.y.z", "lss.sites.more"])
-def test_odd_keys_are_configuration_errors_too(key):
+def test_malformed_keys_are_configuration_errors(key):
     with pytest.raises(ConfigError):
         config_from_values({key: 3})
 
@@ -105,7 +105,7 @@ def test_odd_keys_are_configuration_errors_too(key):
         ({"lidar.min_range": 10.0, "lidar.max_range": 10.0}, "lidar.min_range"),
         ({"domain.size": 50_000.0, "lss.grid_spacing": 0.1}, "lss.grid_spacing"),
         ({"domain.max_level": 12}, "domain.max_level"),
-        ({"domain.max_level": 11, "domain.size": 2000.0}, "GB for a landing site pass"),
+        ({"domain.max_level": 11, "domain.size": 2000.0}, "GB for an assessment"),
         ({"domain.max_level": 11, "lss.grid_spacing": 0.1}, "vehicle.diameter"),
         ({"domain.max_level": 11, "domain.size": 900.0, "lss.sites": 1000}, "lss.sites"),
     ],
@@ -116,7 +116,7 @@ def test_contradictions_are_found(values, about):
 
 
 def other_value(row: Parameter) -> object:
-    """A legal value that is not the default."""
+    """Return a valid value that is not the default."""
     if row.type is bool:
         return not row.default
     if row.type is str:
@@ -126,8 +126,8 @@ def other_value(row: Parameter) -> object:
     return row.default * 0.99 if row.default else min(row.high, 0.5)
 
 
-def test_lengths_follow_from_the_vehicle_unless_they_are_set():
-    """A lander half as wide that clears a third, and one whose gap is set."""
+def test_lengths_derive_from_the_vehicle_unless_set():
+    """Vehicles with half the diameter and a third of the clearance, one with a set gap."""
     usual, lander = Config(), {"vehicle.diameter": 1.85, "vehicle.clearance": 0.1}
     half, own = config_from_values(lander), config_from_values({**lander, "lss.max_gap": 0.0})
     assert (usual.lss.gap, usual.lss.spacing) == (0.6, 0.5)
@@ -143,8 +143,8 @@ def test_lengths_follow_from_the_vehicle_unless_they_are_set():
     assert dataclasses.replace(half, vehicle=usual.vehicle) == usual
 
 
-def test_a_return_without_a_neighbour_follows_from_the_vehicle_and_the_kind_of_scan():
-    """As far as 4/3 of the least hazard; of depth images edges are dropped already."""
+def test_outlier_gate_derives_from_vehicle_and_scan_type():
+    """It is 4/3 of the least hazard, and 0 for depth images."""
     drone = config_from_values({"vehicle.diameter": 0.6, "vehicle.clearance": 0.06})
     assert Config().lidar.outlier_gate == 0.4
     assert drone.lidar.outlier_gate == pytest.approx(0.08)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The least height that makes a vehicle fail: by the simulator's contact, for lengths, on a map."""
+"""The least hazard: in the simulator's contact, in derived lengths, on a map."""
 
 import dataclasses
 
@@ -29,7 +29,7 @@ def block(high: float, wide: float, x: float, y: float):
 
 @pytest.mark.parametrize("clearance", [0.05, 1.0])
 @pytest.mark.parametrize("slope", [6.0, 10.0, 15.0])
-def test_a_block_under_one_pad_fails_from_the_least_hazard_on(slope, clearance):
+def test_block_under_one_pad_fails_above_the_least_hazard(slope, clearance):
     vehicle = VehicleConfig(2.0, clearance, slope, 0.1)
     gear = LandingGear(2.0, 0.1, slope, clearance)
     posts = np.linspace(-2.0, 2.0, 201)
@@ -45,7 +45,7 @@ def test_a_block_under_one_pad_fails_from_the_least_hazard_on(slope, clearance):
     assert not stands[1][-1], "its northern pad stands on the block"
 
 
-def test_lengths_of_rocks_go_by_it_and_the_clearance_alone_decides_where_it_is_less():
+def test_lengths_of_rocks_scale_with_the_least_hazard():
     assert VehicleConfig().least_hazard == VehicleConfig().clearance
     assert VehicleConfig().lengths == Lengths()
     high = VehicleConfig(2.0, 0.34, 6.0, 0.1)
@@ -58,7 +58,7 @@ def test_lengths_of_rocks_go_by_it_and_the_clearance_alone_decides_where_it_is_l
         assert (of[0] == of[2]) == (item.name in OTHERS - {"touchdown_slope_deg"})
 
 
-def test_no_pad_may_stand_on_a_block_that_leans_the_vehicle_too_far():
+def test_block_that_tilts_the_vehicle_too_far_is_unsafe():
     """Half as high as the clearance, 1.1 of the least hazard, of 600 returns per m^2."""
     config = configured(
         domain={"max_level": 7},

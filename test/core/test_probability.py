@@ -166,7 +166,7 @@ def test_the_fit_is_looked_up_as_its_equations_say(rough_ground, noise):
     for one in MODEL.causes.values():
         z = np.full(int(judged.sum()), one.constant)
         for curve in one.curves:
-            rows = [np.interp(of[curve.of], curve.knots, row) for row in curve.odds]
+            rows = [np.interp(of[curve.feature], curve.knots, row) for row in curve.odds]
             share = np.interp(of["seen"], MODEL.seen, (0.0, 1.0)) if len(rows) > 1 else 0.0
             z += (1.0 - share) * rows[0] + share * rows[-1]
         odds.append(z)

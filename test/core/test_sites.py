@@ -141,7 +141,7 @@ def test_the_distance_to_the_nearest_hazard_counts_up_to_its_cap(cells):
     """d_H of a cell varies by less than half its diagonal within the cell, so that much error."""
     weight, cap = 0.5, 3.0
     config = small(assessment="paper")
-    size = config.vehicle.size
+    size = config.vehicle.diameter_ratio
     mine = {"WEIGHT_DISTANCE": weight * size, "DISTANCE_CAP": cap / size}
     others = dict.fromkeys(("WEIGHT_SLOPE", "WEIGHT_ROUGHNESS", "WEIGHT_SUBSCALE"), 0.0)
     with mock.patch.multiple(score, **mine, **others):

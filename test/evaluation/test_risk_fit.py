@@ -37,7 +37,7 @@ def made_up(small):
     odds = {"rise": ((0.0, 4.0, 9.0),), "tilt": ((0.0, 5.0, 8.0),), "noise": ((0.0, -1.0),)}
     odds |= {"seen": ((0.0, -2.0, -4.0),), "relief": ((0.0, 1.5),)}
     causes = {
-        name: Cause(constant, tuple(replace(c, odds=odds[c.of]) for c in cause.curves))
+        name: Cause(constant, tuple(replace(c, odds=odds[c.feature]) for c in cause.curves))
         for (name, cause), constant in zip(model.causes.items(), (-6.0, -7.0, -1.0), strict=True)
     }
     model = replace(model, causes=causes)

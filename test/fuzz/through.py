@@ -33,9 +33,9 @@ from messages import samples
 from quadtree_lss.onboard.autopilot import landing as autopilot
 from quadtree_lss.onboard.autopilot.controller import Controller
 from quadtree_lss.onboard.autopilot.frames import Nav
+from quadtree_lss.onboard.autopilot.inputs import Inputs, Target, target_from_status
 from quadtree_lss.onboard.autopilot.link import ARDUPILOT, PX4
-from quadtree_lss.onboard.autopilot.seen import Seen, Target, target_of
-from quadtree_lss.onboard.config.limits import pass_seconds
+from quadtree_lss.onboard.config.limits import assessment_seconds
 from quadtree_lss.onboard.config.sections import AutopilotConfig
 from quadtree_lss.onboard.config.settings import Config, ConfigError, config_from_values, parameters
 from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
@@ -328,7 +328,7 @@ class Vehicle:
         kind_of = int(one_of(rng, [PX4, ARDUPILOT]))
         beat = mavlink.MAVLink_heartbeat_message(2, kind_of, 129, 4, 4, 3)
         asked = self.now - 10**5
-        self.link._asked.append(asked)
+        self.link._timesync_sent.append(asked)
         for message in (beat, mavlink.MAVLink_timesync_message(self.now - 10**9, asked)):
             self.octets += self.socket.sendto(message.pack(self.autopilot), self.there)
 
@@ -339,7 +339,7 @@ class Vehicle:
         content = content.pack(self.autopilot)
         if self.sent % 8 == 0:
             content = cases.damaged(content, self.rng)
-        refused, heard = self.link.refused.copy(), self.link.heard_of.copy()
+        refused, heard = self.link.rejected.copy(), self.link.message_counts.copy()
         if content:
             self.octets += self.socket.sendto(content, self.there)
             select([self.link._port.port], [], [], 60.0)  # the system may take its time
@@ -349,7 +349,7 @@ class Vehicle:
                 self.fly(nav)
         self.poses += len(navs)
         self.intake.notices()
-        gone = [*(self.link.refused - refused), *(self.link.heard_of - heard)]
+        gone = [*(self.link.rejected - refused), *(self.link.message_counts - heard)]
         return TAKEN if navs else next(iter(gone), "not yet a message")
 
     def fly(self, nav: Nav) -> None:
@@ -362,16 +362,16 @@ class Vehicle:
         order = self.controller.step(target, "")
         if order is not None:
             assert order.point is None or np.isfinite(order.point).all()
-            self.link.tell(order.text, warn=False)
-        self.link.show_target(target.place, nav)
+            self.link.send_text(order.text, warn=False)
+        self.link.send_landing_target(target.place, nav)
 
     def close(self, told: Counter[str]) -> None:
         """No byte and no message is lost count of, and what was said of the vehicle's poses is what
         the mapping node has of them."""
         port, link = self.link._port, self.link
         assert self.heard["octets"] + port.mav.buf_len() == self.octets
-        assert link.heard_of.total() + link.refused.total() == self.heard["messages"]
-        assert link.heard_of["pose"] == self.poses
+        assert link.message_counts.total() + link.rejected.total() == self.heard["messages"]
+        assert link.message_counts["pose"] == self.poses
         self.link.close()
         self.socket.close()
         refused = sum(n for k, n in self.intake.rejected.items() if k.startswith("pose"))
@@ -402,7 +402,7 @@ class Settings:
             return "refused"
         mapper, d = Mapper(config), config.domain
         points = d.size / config.lss.spacing
-        if max(points, pass_seconds(d.size, 1 << d.max_level, config.lss) * 1e3) > 1e3:
+        if max(points, assessment_seconds(d.size, 1 << d.max_level, config.lss) * 1e3) > 1e3:
             return "too slow for thousands"
         middle = np.array([d.xmin + 0.5 * d.size, d.ymin + 0.5 * d.size, HEIGHT])
         for k in range(2):
@@ -558,9 +558,9 @@ class Told(Landing):
             return error.reason
         self.now += 0.1
         with np.errstate(all="raise", under="ignore"):
-            target, why = target_of(np.array([8.0, 8.0, 0.0]), status, 0.1, 0.1)
+            target, why = target_from_status(np.array([8.0, 8.0, 0.0]), status, 0.1, 0.1)
             place = np.array([8.0, 8.0, HEIGHT])
-            seen = Seen(
+            seen = Inputs(
                 self.now, True, True, False, 9.0, 0.1, 0.1, place, np.zeros(3), 0.0, target, why
             )  # fmt: skip
             order = self.landing.step(seen)

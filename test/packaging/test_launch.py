@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the launch file builds of its arguments, told by a small stand-in for `launch`."""
+"""Entities that the launch file makes from its arguments, with a substitute for `launch`."""
 
 import re
 import sys
@@ -23,7 +23,7 @@ CONTENT = "/**:\n  ros__parameters:\n    lss.margin: 1.0\n"
 
 @pytest.fixture
 def make(monkeypatch):
-    """Nodes by name and the other entities, of launch arguments."""
+    """Return the nodes by name and the other entities for launch arguments."""
 
     def nodes(**given: str) -> tuple[dict[str, Any], list[Any]]:
         entities, _ = built(LAUNCH, monkeypatch, **given)
@@ -51,7 +51,7 @@ def test_the_node_that_lands_starts_where_it_is_asked_for(make):
 
 
 def test_a_parameter_file_is_the_only_source_unless_more_is_said(make, tmp_path, monkeypatch):
-    """Unset means untouched: the file's and a parent's use_sim_time hold."""
+    """If it is not given, use_sim_time of the file or of a parent applies."""
     (tmp_path / "vehicle.yaml").write_text(CONTENT)
     monkeypatch.chdir(tmp_path)
     path = str(tmp_path / "vehicle.yaml")
@@ -75,7 +75,7 @@ def test_a_parameter_file_is_the_only_source_unless_more_is_said(make, tmp_path,
     ],
 )
 def test_a_file_that_sets_nothing_stops_the_launch(make, tmp_path, monkeypatch, content, words):
-    """In one line with the path tried, instead of a flight with the defaults."""
+    """One line names the path; the nodes do not run with the defaults."""
     monkeypatch.chdir(tmp_path)
     if content is not None:
         (tmp_path / "vehicle.yaml").write_bytes(content)
@@ -86,7 +86,7 @@ def test_a_file_that_sets_nothing_stops_the_launch(make, tmp_path, monkeypatch, 
 
 
 def test_every_topic_may_be_named(make):
-    """Those of the SROS 2 policy, which a test compares with the running nodes."""
+    """The SROS 2 policy has the same topics; another test compares it with the running nodes."""
     used = {}
     for profile in ElementTree.parse(SHARE / "security" / "policy.xml").iter("profile"):
         topics = {item.text for item in profile.iter("topic") if not item.text.startswith("/")}
@@ -104,7 +104,7 @@ def test_odometry_is_used_when_its_topic_is_named(make):
 
 
 def test_the_readmes_vehicle_section_names_what_there_is(make):
-    """Its lines were run as written with the real tools; here at least no name in them may go."""
+    """The names in the script exist; its lines were run with the real tools by hand."""
     text = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
     blocks = re.findall(r"<!-- vehicle -->\n```sh\n(.*?)```", text, re.DOTALL)
     lines = [line.partition(" #")[0].split() for block in blocks for line in block.splitlines()]
@@ -145,7 +145,7 @@ def test_a_misspelt_argument_stops_the_launch(make, monkeypatch, file, said):
 
 @pytest.fixture
 def exits(monkeypatch):
-    """Tells the launch file of exits, and gives what it does; in a launch of this file alone."""
+    """Report exits to the launch file, run on its own, and return its actions."""
     monkeypatch.setattr(sys, "argv", ["ros2", "launch", str(LAUNCH)])
 
     def telling(**given: str) -> Any:
@@ -165,7 +165,7 @@ def exits(monkeypatch):
 
 
 def test_a_launch_of_which_a_node_was_refused_fails(exits):
-    """When it ends; before that the other node goes on, and is started again."""
+    """The launch fails when the last node ends; until then the other one is restarted."""
     tell = exits()
     assert tell("lss_node", 78) and tell("lss_node", 78)
     assert not tell("mapping_node", 1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/parameters.md is what the table says."""
+"""docs/parameters.md equals the table."""
 
 import runpy
 from pathlib import Path

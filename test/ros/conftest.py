@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes as real processes, each test in a ROS domain of its own on this computer alone."""
+"""Nodes as processes; each test has its own ROS domain, on this computer only."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ PARAMETERS = """\
 
 
 class Ros:
-    """A domain with the processes and listeners of one test."""
+    """ROS domain with the processes and listeners of one test."""
 
     def __init__(self, folder: Path, stack: ExitStack) -> None:
         domain = stack.enter_context(local_domain(folder / "log"))
@@ -68,30 +68,30 @@ class Ros:
         return self._stack.enter_context(self._nodes[-1])
 
     def output(self) -> str:
-        """What all nodes have written."""
+        """Return the output of all nodes."""
         return "\n".join(node.output() for node in self._nodes)
 
     def run(self, *command: object) -> subprocess.CompletedProcess[str]:
-        """What became of another program in this domain."""
+        """Run another program in this domain and return its result."""
         words = [str(word) for word in command]
         return subprocess.run(words, env=self.env, capture_output=True, text=True, check=False)
 
     def listen(self, topics: Mapping[str, Any] | None = None) -> Ears:
-        """Collects the nodes' topics, as a context manager."""
+        """Record the nodes' topics, as a context manager."""
         return Ears(self, TOPICS if topics is None else topics)
 
     @contextmanager
     def sensors(self, topics: Mapping[str, Any] | None = None) -> Iterator[tuple[Ears, Sensors]]:
-        """A listener, and sensors that a mapping node hears."""
+        """Return a listener, and sensors that are matched with a mapping node."""
         with self.listen(topics) as listener:
             yield listener, Sensors(listener).matched()
 
     def call(self, listener: Listener, service: str) -> Trigger.Response:
-        """Answer of a Trigger service."""
+        """Call a Trigger service and return its response."""
         return self._ask(listener, Trigger, service, Trigger.Request())
 
     def set(self, listener: Listener, node: str, name: str, value: object) -> SetParametersResult:
-        """What a node says to a new value of a parameter, as ``ros2 param set`` asks it."""
+        """Set a parameter of a node as ``ros2 param set`` does, and return the result."""
         given = [Parameter(name, value=value).to_parameter_msg()]
         request, service = SetParameters.Request(parameters=given), f"/{node}/set_parameters"
         return self._ask(listener, SetParameters, service, request).results[0]
@@ -113,7 +113,7 @@ def ros(tmp_path: Path) -> Iterator[Ros]:
 
 @pytest.fixture(scope="session")
 def cells() -> CellMap:
-    """A map that has room for sites everywhere."""
+    """Map with sites everywhere."""
     domain = {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": 6}
     return mapped(load_config(overrides={"domain": domain}), 2).snapshot()
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``autopilot_node`` as a process, between a model of an autopilot and what lss_node says."""
+"""``autopilot_node`` as a process, with a model of an autopilot and a substitute for lss_node."""
 
 import math
 import os
@@ -16,7 +16,7 @@ from ros_scene import MAKE
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.onboard.autopilot.link import ARDUPILOT, FOLLOWS, PX4
+from quadtree_lss.onboard.autopilot.link import ARDUPILOT, GUIDED_MODES, PX4
 from quadtree_lss.onboard.core.landing.target import State
 from quadtree_lss.onboard.messages.maps import STATUS_FIELDS
 from quadtree_lss.onboard.nodes.qos import latched, stream, target
@@ -27,7 +27,7 @@ FAST = {"gate_height": 5.0, "descent_speed": 1.5, "touchdown_speed": 0.5, "trans
 
 
 class Scene:
-    """A model in the air, the node, and a stand-in for lss_node that speaks when it is stepped."""
+    """A model in the air, the node, and a substitute for lss_node that publishes in each step."""
 
     def __init__(self, ros, listener, model, remap=(), **parameters):
         self.model, self.listener = model, listener
@@ -80,10 +80,12 @@ class Scene:
         return self
 
     def handed_over(self):
-        """The pilot switches, again until it is taken."""
+        """Switch the mode as the pilot, until it is accepted."""
         kind = self.model.kind
         self.wait(lambda: self.odometry and self.states)
-        self.wait(lambda: self.model.mode == FOLLOWS[kind] or self.model.switch(FOLLOWS[kind]))
+        self.wait(
+            lambda: self.model.mode == GUIDED_MODES[kind] or self.model.switch(GUIDED_MODES[kind])
+        )
         return self
 
     def until(self, state):
@@ -93,7 +95,7 @@ class Scene:
         return self.wait(lambda: self.model.enu[2] < height)
 
     def flies_up_and_stays(self):
-        """Climbs to the gate without having touched the ground."""
+        """Check that the vehicle climbs to the gate without ground contact."""
         self.wait(lambda: self.model.enu[2] > FAST["gate_height"] - 1.0)
         assert self.model.landed_at is None
 
@@ -118,7 +120,7 @@ def scene(ros):
 
 @pytest.mark.quick("3")
 @pytest.mark.parametrize("kind", [ARDUPILOT, PX4])
-def test_it_lands_at_the_target_and_says_where_it_is(ros, scene, kind):
+def test_landing_at_the_target_with_outputs(ros, scene, kind):
     heard = {}
     flight = scene(kind, may_command="arming")
     node = flight.listener.node
@@ -160,8 +162,8 @@ def test_it_lands_at_the_target_and_says_where_it_is(ros, scene, kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["lss_node killed", "old map"])
-def test_what_happens_to_the_target_on_the_way_down(scene, fault):
-    """As the node's own clock has it; what else may happen, autopilot/test_landing.py tries."""
+def test_target_faults_during_the_descent(scene, fault):
+    """Test the faults that depend on the node's clock; others are in autopilot/test_landing.py."""
     flight = scene().handed_over().below(2.5)
     if fault == "old map":
         flight.map_age = 9.0
@@ -178,7 +180,7 @@ def test_what_happens_to_the_target_on_the_way_down(scene, fault):
 
 
 @pytest.mark.slow
-def test_who_has_to_land_now_lands_by_the_map_that_there_is(scene):
+def test_land_now_accepts_an_old_map(scene):
     flight = scene().handed_over().below(3.0)
     flight.says, flight.map_age = State.NOW, 9.0
     flight.until("touchdown")
@@ -186,7 +188,7 @@ def test_who_has_to_land_now_lands_by_the_map_that_there_is(scene):
 
 
 @pytest.mark.slow
-def test_the_pilots_switch_and_a_jump_of_navigation(scene):
+def test_mode_change_and_navigation_jump(scene):
     flight = scene().handed_over().below(3.5)
     model = flight.model
     model.switch(LOITER)
@@ -203,8 +205,8 @@ def test_the_pilots_switch_and_a_jump_of_navigation(scene):
 
 
 @pytest.mark.slow
-def test_all_ages_go_by_the_simulators_time_where_that_is_used(scene):
-    """A simulator of a quarter of real time: a silence of 1.5 s is not even half a second."""
+def test_ages_use_simulated_time(scene):
+    """In a simulator at a quarter of real time, a silence of 1.5 s is less than half a second."""
     flight = scene(place=(0.0, 0.0, 5.5), pace=0.25)
     flight.handed_over().below(4.0)
     flight.silent = True
@@ -215,7 +217,7 @@ def test_all_ages_go_by_the_simulators_time_where_that_is_used(scene):
 
 @pytest.mark.slow
 def test_hostile_targets_do_not_lower_the_vehicle(scene):
-    """Places that are none, statuses of any bytes, at a thousand a second: HOSTILE sends more."""
+    """Send invalid places and random statuses at 1000 Hz; HOSTILE sets the number."""
     flight, rng = scene(place=(0.0, 0.0, 4.5)), np.random.default_rng(1)
     flight.handed_over().below(3.5).silent = True
     flight.until("wave_off").until("hold")
@@ -238,7 +240,7 @@ def test_hostile_targets_do_not_lower_the_vehicle(scene):
 
 
 @pytest.mark.slow
-def test_two_that_send_a_target_and_a_node_without_an_autopilot(ros, scene):
+def test_two_target_publishers_and_a_node_without_autopilot(ros, scene):
     flight = scene(place=(0.0, 0.0, 4.5))
     node = flight.listener.node
     other = node.create_publisher(PoseWithCovarianceStamped, "landing/selected", target())
@@ -252,8 +254,8 @@ def test_two_that_send_a_target_and_a_node_without_an_autopilot(ros, scene):
 
 
 @pytest.mark.slow
-def test_px4_that_is_armed_on_the_ground_stays_there(scene):
-    """Also while it has not said yet that it is there."""
+def test_px4_armed_on_the_ground_stays_there(scene):
+    """Include the time before the first landed state."""
     flight = scene(PX4, place=(0.0, 0.0, 0.0))
     flight.model.deaf = 1  # so that it is to be asked again
     flight.handed_over().wait(lambda: 245 in flight.model._rates)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checkpoints of a running node: taken up, set aside, left alone, and what is told."""
+"""Checkpoints of a running node."""
 
 import resource
 import shutil
@@ -32,17 +32,17 @@ def update(self, *scan):
 
 mapper.Mapper.update = update
 """
-"""Three scans are mapped, and the fourth ends in an error after it has spoilt the map."""
+"""Three scans are mapped; the fourth raises an error after it has damaged the map."""
 
 
 def keeping(ros):
-    """Place of a checkpoint, and what has a node write it."""
+    """Return the path of a checkpoint, and the arguments with which a node writes it."""
     path = ros.folder / "checkpoint.map"
     return path, ("-p", f"checkpoint.path:={path}")
 
 
-def test_killed_mapping_node_takes_up_its_checkpoint(ros):
-    """The sensors stay and are heard by the successor, as on a vehicle."""
+def test_killed_mapping_node_restores_its_checkpoint(ros):
+    """The sensors continue and the new node receives them, as on a vehicle."""
     path, args = keeping(ros)
     mapping = ros.start("mapping_node", *args)
     with ros.sensors() as (listener, sensors):
@@ -84,7 +84,7 @@ def _stamp_in(path):
 
 
 @pytest.mark.slow
-def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
+def test_unwritable_checkpoint_is_reported_and_has_no_other_effect(ros):
     path, args = keeping(ros)
     mapping = ros.start("mapping_node", *args)
     before = resource.prlimit(mapping.process.pid, resource.RLIMIT_FSIZE)
@@ -101,8 +101,8 @@ def test_checkpoint_that_cannot_be_written_is_told_and_costs_nothing_else(ros):
 
 
 @pytest.mark.slow
-def test_a_last_checkpoint_that_fails_is_told(ros):
-    """However lately another one was told."""
+def test_failed_last_checkpoint_is_logged(ros):
+    """It is logged even if another problem was logged recently."""
     folder = ros.folder / "disk"
     folder.mkdir()
     mapping = ros.start("mapping_node", "-p", f"checkpoint.path:={folder / 'a.map'}")
@@ -119,8 +119,8 @@ def test_a_last_checkpoint_that_fails_is_told(ros):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kept", [True, False])
-def test_a_scan_that_ends_in_an_error_is_left_out_and_the_node_lives(ros, kept):
-    """Whatever it was, the map that it happened to may be half changed."""
+def test_scan_with_an_error_is_dropped_and_the_node_continues(ros, kept):
+    """After any exception the map may be inconsistent."""
     path, args = keeping(ros)
     faulty = ros.start("mapping_node", *(args if kept else ()), first=FAULTY)
     with ros.sensors() as (listener, sensors):

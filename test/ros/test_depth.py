@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A depth camera instead of a lidar: images and CameraInfo of a running mapping_node."""
+"""A running mapping_node with a depth camera: images and CameraInfo."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.xdist_group("ros")
 
 
 class CameraSensors(Sensors):
-    """As Sensors, with depth images of level ground 100 m below."""
+    """Sensors with depth images of level ground 100 m below."""
 
     def __init__(self, listener) -> None:
         super().__init__(listener)

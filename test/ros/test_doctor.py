@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``quadtree-lss doctor`` looks at what is live."""
+"""``quadtree-lss doctor`` on live topics."""
 
 import subprocess
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.xdist_group("ros")
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("frame", "code"), [("map", 0), ("odom", 1)])
-def test_some_seconds_of_live_topics_are_looked_at(ros, frame, code):
+def test_doctor_checks_live_topics(ros, frame, code):
     command = [program("quadtree-lss"), "doctor", "--seconds", "4", "--set", f"frames.map={frame}"]
     with ros.listen({}) as listener:
         make = listener.node.create_publisher
@@ -46,15 +46,15 @@ def test_some_seconds_of_live_topics_are_looked_at(ros, frame, code):
     assert expected in out, out + err
 
 
-def test_silence_is_told(ros):
+def test_doctor_reports_silence(ros):
     done = ros.run(program("quadtree-lss"), "doctor", "--seconds", "0.5")
     assert done.returncode == 1 and done.stderr.count("\n") == 2  # what it does, and the result
     assert "nothing came in 0.5 s" in done.stderr
 
 
 @pytest.mark.slow
-def test_transforms_of_all_broadcasters_are_heard(ros, monkeypatch):
-    """By messages of another type: no wheel has that of transforms."""
+def test_doctor_receives_transforms_of_all_broadcasters(ros, monkeypatch):
+    """Use messages of a different type, because no wheel has tf2_msgs."""
     monkeypatch.setattr(listen.types, "TRANSFORMS_TYPE", listen.types.GIMBAL_TYPE)
     for name, value in ros.env.items():
         monkeypatch.setenv(name, value)

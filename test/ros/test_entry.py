@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How nodes begin and end: signals at any moment, and stamps of the maps in between."""
+"""Start and exit of nodes with signals at any time."""
 
 import os
 import signal
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.xdist_group("ros")
 
 
 def hears(pid: int, number: int) -> bool:
-    """True if a process has a handler of a signal, False if it does not run either."""
+    """Return whether a process runs and has a handler of a signal."""
     try:
         lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     except (FileNotFoundError, ProcessLookupError):
@@ -28,7 +28,7 @@ def hears(pid: int, number: int) -> bool:
     ("name", "number"),
     list(zip(("mapping_node", "lss_node", "autopilot_node"), entry.SIGNALS, strict=True)),
 )
-def test_a_signal_while_a_node_starts_ends_it_cleanly(ros, name, number):
+def test_signal_during_the_start_is_a_clean_exit(ros, name, number):
     node = ros.start(name)
     while not hears(node.process.pid, signal.SIGHUP):  # the last that it comes to hear
         node.check()
@@ -37,7 +37,7 @@ def test_a_signal_while_a_node_starts_ends_it_cleanly(ros, name, number):
     assert len(lines) <= 1 and all("[INFO]" in line for line in lines), "none, or that it started"
 
 
-def test_signals_are_heard_before_anything_slow_is_imported():
+def test_signal_handlers_precede_slow_imports():
     program = (
         "import sys; before = set(sys.modules)\n"
         "import quadtree_lss.onboard.nodes.entry\n"
@@ -49,26 +49,26 @@ def test_signals_are_heard_before_anything_slow_is_imported():
     assert "quadtree_lss" in loaded and not loaded & {"numpy", "scipy", "rclpy", "yaml"}
 
 
-def test_a_hangup_that_is_ignored_stays_ignored():
+def test_ignored_sighup_stays_ignored():
     program = (
         "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
         "from quadtree_lss.onboard.nodes.entry import stop_on_signal\n"
         "stop = stop_on_signal()\n"
-        "signal.raise_signal(signal.SIGHUP); assert not stop.asked\n"
-        "signal.raise_signal(signal.SIGTERM); assert stop.asked\n"
+        "signal.raise_signal(signal.SIGHUP); assert not stop.requested\n"
+        "signal.raise_signal(signal.SIGTERM); assert stop.requested\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
-def test_who_asks_again_after_a_while_breaks_long_work_off(monkeypatch):
+def test_second_signal_interrupts_a_callback(monkeypatch):
     before = {number: signal.getsignal(number) for number in entry.SIGNALS}
     try:
         stop = entry.StopOnSignal()
-        with stop.breaking():
+        with stop.interrupting():
             for _ in range(2):  # a terminal and launch both send the first
                 os.kill(os.getpid(), signal.SIGINT)
-            assert stop.asked
-            monkeypatch.setattr(entry, "PATIENCE_S", 0.0)
+            assert stop.requested
+            monkeypatch.setattr(entry, "INTERRUPT_AFTER_S", 0.0)
             with pytest.raises(KeyboardInterrupt):
                 os.kill(os.getpid(), signal.SIGTERM)
         os.kill(os.getpid(), signal.SIGINT)  # what ends a node is not broken off

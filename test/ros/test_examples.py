@@ -25,7 +25,7 @@ def selected(place, stamp_ns=7):
 
 @pytest.fixture
 def run(ros):
-    """Starts an example; its output is in a file."""
+    """Start an example with its output in a file."""
     processes, logs = [], []
 
     def start(name, *options):
@@ -49,7 +49,7 @@ def publisher_of_selected(listener):
     return listener.node.create_publisher(PoseWithCovarianceStamped, "landing/selected", profile)
 
 
-def test_the_subscriber_follows_the_target_until_it_is_withdrawn(ros, run):
+def test_subscriber_prints_the_target_until_it_is_withdrawn(ros, run):
     with ros.listen({"guidance/target": PointStamped}) as listener:
         out = publisher_of_selected(listener)
         log = run("site_subscriber")

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions of `WhenWanted` in rclpy's executor."""
+"""Subscriptions of `OnDemandGroup` in rclpy's executor."""
 
 import time
 
 import pytest
 from std_msgs.msg import Int32
 
-from quadtree_lss.onboard.nodes.executor import WhenWanted
+from quadtree_lss.onboard.nodes.executor import OnDemandGroup
 from quadtree_lss.onboard.nodes.qos import stream, subscribe
 
 pytestmark = pytest.mark.xdist_group("ros_executor")
@@ -19,9 +19,9 @@ def spin(executor, until, limit=10.0):
         executor.spin_once(0.1)
 
 
-def test_messages_are_served_only_while_they_are_wanted(node, executor):
+def test_messages_are_served_only_while_wanted(node, executor):
     heard, wanted = [], []
-    group = WhenWanted(lambda: bool(wanted))
+    group = OnDemandGroup(lambda: bool(wanted))
     subscribe(node, Int32, "ahead", heard.append, stream(9, reliable=True), group=group)
     sender = node.create_publisher(Int32, "ahead", stream(9, reliable=True))
     spin(executor, sender.get_subscription_count)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong on a vehicle: nodes count it, say so, keep the map and go on."""
+"""Faults on a vehicle: nodes count and report them, keep the map and continue."""
 
 import pytest
 from geometry_msgs import msg
@@ -17,7 +17,7 @@ TEN_SECONDS_NS = 10**10
 
 @pytest.fixture
 def flight(ros):
-    """A mapping node with sensors: listener, sensors, process."""
+    """Start a mapping node; yield listener, sensors and process."""
     mapping = ros.start("mapping_node", "-p", "pose.max_wait:=0.3")
     with ros.sensors() as (listener, sensors):
         yield listener, sensors, mapping
@@ -48,7 +48,7 @@ def test_time_jumps_back_and_forward(flight):
 
 
 @pytest.mark.slow
-def test_a_second_publisher_is_told_and_no_loss_invented(flight):
+def test_second_publisher_is_reported_without_false_losses(flight):
     listener, sensors, mapping = flight
     sensors.publish(SCANS)
     second = Sensors(listener)
@@ -67,7 +67,7 @@ def test_a_second_publisher_is_told_and_no_loss_invented(flight):
     assert "problems.scan_lost" not in listener.values()
 
 
-def test_scans_of_which_nothing_enters_the_map_are_told_with_the_reason(flight):
+def test_unused_scans_are_reported_with_the_reason(flight):
     listener, sensors, mapping = flight
 
     def elsewhere(stamp):
@@ -97,7 +97,7 @@ UNUSABLE = (
 
 
 @pytest.mark.slow
-def test_messages_that_cannot_be_used_are_counted_on_every_topic_and_good_ones_taken(ros):
+def test_invalid_messages_are_counted_on_every_topic(ros):
     mapping = ros.start("mapping_node", "-p", "domain.follow:=area")
     lss = ros.start("lss_node", "-p", "frames.map:=map")
     with ros.sensors({"map/cells": PointCloud2}) as (listener, sensors):  # it would hear its own

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same flight over DDS with the real nodes and in lock-step: only timing differs."""
+"""The same flight with nodes over DDS and in lock-step: only timing differs."""
 
 import json
 
@@ -30,7 +30,7 @@ def live(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_it_lands_safely_by_what_the_nodes_say(live):
+def test_safe_landing_with_live_nodes(live):
     figures = live.figures
     assert figures["outcome"] == "touchdown" and figures["safe"], figures
     assert figures["map_said"] in ("safe", "partly_unobserved") and live.last is not None
@@ -45,7 +45,7 @@ def test_its_page_shows_the_targets_that_the_nodes_published(live, tmp_path):
     assert len(content.selected["id"]) == len(live.targets) > 0
 
 
-def test_others_that_publish_the_same_topics_are_named(tmp_path):
+def test_other_publishers_of_the_same_topics_are_named(tmp_path):
     rclpy.init(context=(context := Context()), domain_id=DOMAIN)
     try:
         other = Node("foreign", context=context)
@@ -66,7 +66,7 @@ def test_the_domain_is_the_given_one(monkeypatch):
             given_domain()
 
 
-def test_nodes_that_never_start_leave_an_outcome(tmp_path, capsys, monkeypatch):
+def test_outcome_of_nodes_that_never_start(tmp_path, capsys, monkeypatch):
     """Over the one that a flight before it left there; the error says how the node ended."""
     monkeypatch.setattr(processes, "program", lambda name: "/bin/false")
     monkeypatch.setattr(flight, "PATIENCE_S", 1.0)

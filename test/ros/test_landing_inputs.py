@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No site inside a keep-out or outside an area that lss_node was told or could have read."""
+"""No site inside a keep-out or outside an area that was published."""
 
 import dataclasses
 import signal
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.xdist_group("ros_landing")
 EVERYWHERE = [(-16, -16), (16, -16), (16, 16), (-16, 16)]
 WEST = [(-16, -16), (5, -16), (5, 16), (-16, 16)]
 PATIENT = ("-p", "diagnostics.warn_age:=60.0")
-"""A map counts as fresh in every status: one a second is as seldom as the default warns."""
+"""Maps come once per second, the default limit of a warning, so the limit is raised."""
 
 
 @pytest.fixture
@@ -64,8 +64,8 @@ def test_a_restarted_node_has_all_keep_outs_of_the_latched_set(ros, vehicle):
 
 
 @pytest.mark.slow
-def test_a_required_input_is_waited_for(ros, vehicle):
-    """However late it comes: longer than any wait for what may come."""
+def test_no_site_before_a_required_input(ros, vehicle):
+    """It may come later than all waiting times."""
     ros.start("lss_node", "-p", "lss.required_input:=keep_out")
     stamp = vehicle.send_map(0)
     vehicle.until(vehicle.told, DiagnosticStatus.WARN, "waiting for", "landing/keep_out")
@@ -76,7 +76,7 @@ def test_a_required_input_is_waited_for(ros, vehicle):
 
 
 @pytest.mark.slow
-def test_a_keep_out_counts_in_the_frame_of_the_map_whenever_it_came(ros, vehicle):
+def test_keep_out_is_checked_against_the_frame_of_the_map(ros, vehicle):
     vehicle.send("landing/keep_out", polygon(WEST, "moon"))
     ros.start("lss_node", *PATIENT)
     vehicle.until(vehicle.has, "landing.keep_out", True)
@@ -97,7 +97,7 @@ def test_a_keep_out_counts_in_the_frame_of_the_map_whenever_it_came(ros, vehicle
     vehicle.until(vehicle.told, DiagnosticStatus.OK, "sites")
 
 
-def test_no_site_while_the_last_polygon_cannot_be_used(ros, vehicle):
+def test_no_site_while_the_last_polygon_is_unusable(ros, vehicle):
     ros.start("lss_node")
     stamp = vehicle.send_map(0)
     vehicle.until(vehicle.sites_of, stamp, anywhere)
@@ -121,8 +121,8 @@ def test_no_site_while_the_last_polygon_cannot_be_used(ros, vehicle):
 
 
 @pytest.mark.slow
-def test_halves_of_two_maps_are_not_joined(ros, vehicle):
-    """Neither those of one stamp that belong to two maps, nor those of two frames."""
+def test_messages_of_different_maps_are_not_joined(ros, vehicle):
+    """Include messages of one stamp that belong to two maps, and of two frames."""
     ros.start("lss_node", "-p", "publish.lss_rate:=50.0")
     stamp = vehicle.send_map(0)
     vehicle.until(vehicle.sites_of, stamp, anywhere)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The launch file included by a vehicle's own one, run by ROS's `launch` beside a foreign node."""
+"""The launch file, included by a vehicle's own with a foreign node, run by ROS's `launch`."""
 
 import importlib.util
 import os
@@ -60,7 +60,7 @@ sys.exit(service.run())
 
 
 class Launch:
-    """A running launch of a parent file: its output and processes."""
+    """Running launch of a parent file, with its output and processes."""
 
     def __init__(self, process: subprocess.Popen[bytes], log) -> None:
         self.process, self._log = process, log
@@ -69,7 +69,7 @@ class Launch:
         return self._log.read_text(encoding="utf-8")
 
     def pid(self, word: str) -> int:
-        """Process id of the child with a word in its command line, 0 if there is none."""
+        """Return the process id of the child with a word in its command line, or 0."""
         for child in psutil.Process(self.process.pid).children(recursive=True):
             try:
                 if word in " ".join(child.cmdline()) and child.status() != psutil.STATUS_ZOMBIE:
@@ -119,7 +119,7 @@ def launch(request, ros, tmp_path):
     return running
 
 
-def test_a_killed_node_is_started_again_and_a_foreign_one_goes_on(launch):
+def test_killed_node_is_restarted_and_foreign_ones_continue(launch):
     with launch("lss.margin: 1.0") as running:
         running.until(lambda: running.pid("lss_node") and running.pid("time.sleep"))
         killed, foreign = running.pid("lss_node"), running.pid("time.sleep")
@@ -129,7 +129,7 @@ def test_a_killed_node_is_started_again_and_a_foreign_one_goes_on(launch):
         assert "__ns:=/vehicle" in running.output() or running.pid("__ns:=/vehicle")
 
 
-def test_a_wrong_configuration_ends_only_the_nodes_that_have_it(launch):
+def test_wrong_configuration_stops_only_its_nodes(launch):
     with launch("lss.margn: 1.0") as running:
         running.until(lambda: running.output().count("it is not started again") == 2)
         running.until(lambda: not running.pid("lss_node") and not running.pid("mapping_node"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Map files: whole at any moment, and nothing else is harmed."""
+"""Map files are complete at any time, and other files are not changed."""
 
 import os
 import resource
@@ -21,12 +21,12 @@ from quadtree_lss.onboard.nodes.map_files import Checkpoints, load, save
 
 
 def small(max_level=6):
-    """A mapper of the domain that the nodes of the tests have."""
+    """Mapper with the domain of the nodes in these tests."""
     domain = {"xmin": -16.0, "ymin": -16.0, "size": 32.0, "min_level": 3, "max_level": max_level}
     return Mapper(load_config(overrides={"domain": domain}))
 
 
-def test_a_writer_killed_at_any_moment_leaves_a_whole_file(tmp_path):
+def test_killed_writer_leaves_a_complete_file(tmp_path):
     path, part = tmp_path / "map", tmp_path / "map.part"
     program = (
         "from pathlib import Path; import sys\n"
@@ -51,7 +51,7 @@ def test_a_writer_killed_at_any_moment_leaves_a_whole_file(tmp_path):
     assert path.read_bytes() == b"new" and not part.exists()
 
 
-def test_map_files_survive_what_disks_do(tmp_path):
+def test_map_files_survive_disk_faults(tmp_path):
     mapper = small()
     file = tmp_path / "file"
     file.write_text("x")
@@ -63,16 +63,16 @@ def test_map_files_survive_what_disks_do(tmp_path):
     checkpoints = Checkpoints(tmp_path / "map")
     checkpoints.changed()
     assert checkpoints.close(mapper) is None and checkpoints.written == 1
-    assert "taken up" in checkpoints.take_up(mapper)
-    checkpoints.forget()
-    assert "no checkpoint" in checkpoints.take_up(mapper)
+    assert "taken up" in checkpoints.restore(mapper)
+    checkpoints.remove()
+    assert "no checkpoint" in checkpoints.restore(mapper)
     save(tmp_path / "map", small(max_level=7))
     with pytest.raises(MapFileError, match="another domain.*starting with an empty map"):
-        checkpoints.take_up(mapper)
+        checkpoints.restore(mapper)
     assert (tmp_path / "map.refused").exists() and not (tmp_path / "map").exists()
 
 
-def test_what_is_no_file_is_neither_read_nor_replaced_nor_moved(tmp_path):
+def test_only_regular_files_are_read_or_replaced(tmp_path):
     mapper = small()
     folder, pipe, device = tmp_path / "folder", tmp_path / "pipe", tmp_path / "device"
     folder.mkdir()
@@ -86,17 +86,17 @@ def test_what_is_no_file_is_neither_read_nor_replaced_nor_moved(tmp_path):
                 use(path, mapper)
         checkpoints = Checkpoints(path)
         with pytest.raises(MapFileError, match="starting with an empty map"):
-            checkpoints.take_up(mapper)
+            checkpoints.restore(mapper)
         checkpoints.changed()
         assert "not a file" in checkpoints.close(mapper)
         with pytest.raises(MapFileError, match="not a file"):
-            checkpoints.forget()
+            checkpoints.remove()
     assert sorted(tmp_path.iterdir()) == before and (folder / "precious").exists()
     with pytest.raises(MapFileError, match="null"):
         save(tmp_path / "a\0b", mapper)
 
 
-def test_a_write_that_fails_leaves_nothing_behind(tmp_path):
+def test_failed_write_leaves_no_file(tmp_path):
     path = tmp_path / "map"
     write_atomically(path, b"old")
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -110,7 +110,7 @@ def test_a_write_that_fails_leaves_nothing_behind(tmp_path):
 
 
 def kept(path, scans):
-    """A keeper of checkpoints, after writing one for each of so many scans; and its mapper."""
+    """Return checkpoints after one for each of ``scans`` scans, and their mapper."""
     mapper = small()
     checkpoints = Checkpoints(path)
     for event in events(scans):
@@ -124,7 +124,7 @@ def kept(path, scans):
 
 @pytest.mark.parametrize("name", ["range_part", "pose_part"])
 @pytest.mark.parametrize("value", [-1.0, np.nan, "indefinite"])
-def test_a_broken_map_never_replaces_a_good_checkpoint(tmp_path, name, value):
+def test_broken_map_never_replaces_a_checkpoint(tmp_path, name, value):
     path = tmp_path / "map"
     checkpoints, mapper = kept(path, 2)
     good = path.read_bytes()

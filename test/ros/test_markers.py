@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Markers: what the serialised ones contain, and when they are sent."""
+"""Markers: content of the serialised messages, and times of publication."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def test_sites_have_circle_normal_and_rank(mapper):
 
 
 @pytest.mark.slow
-def test_markers_come_to_whom_subscribes_late_and_go_with_a_reset(ros):
+def test_markers_reach_late_subscribers_and_are_deleted_by_a_reset(ros):
     ros.start("mapping_node"), ros.start("lss_node")
     with ros.sensors() as (listener, sensors):
         last = sensors.publish(4)

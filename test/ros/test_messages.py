@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arrays to messages and back; counting and limiting what goes out."""
+"""Conversion of arrays and messages; rate of publication."""
 
 from operator import attrgetter
 
@@ -31,11 +31,11 @@ def cells():
 
 
 def sent(cells):
-    """``map/cells`` and ``map/observed`` as a subscriber gets them."""
+    """Return ``map/cells`` and ``map/observed`` as a subscriber receives them."""
     return map(deserialize_message, map_messages(cells, "map"), (PointCloud2, OccupancyGrid))
 
 
-def test_the_map_is_serialised_as_rclpy_does(cells):
+def test_map_serialisation_equals_rclpy(cells):
     for raw, (_, message) in zip(
         map_messages(cells, "map"), message_maker("map").of_map(cells), strict=True
     ):
@@ -58,7 +58,7 @@ def pose_of(kind, rng, frame, child):
 @pytest.mark.parametrize("kind", [PoseWithCovarianceStamped, Odometry])
 @pytest.mark.parametrize("frame", ["", "m", "ma", "map", "maps", "größe"])
 @pytest.mark.parametrize("child", ["", "b", "base_link"])
-def test_poses_are_read_from_their_bytes_as_rclpy_reads_them(kind, frame, child):
+def test_pose_deserialisation_equals_rclpy(kind, frame, child):
     message = pose_of(kind, np.random.default_rng(len(frame)), frame, child)
     read = pose_message(serialize_message(message), kind)
     assert not isinstance(read, kind)
@@ -75,16 +75,16 @@ def test_poses_are_read_from_their_bytes_as_rclpy_reads_them(kind, frame, child)
 
 
 @pytest.mark.parametrize("kind", [PoseWithCovarianceStamped, Odometry])
-def test_bytes_that_are_no_pose_are_refused(kind):
+def test_damaged_poses_are_rejected(kind):
     raw = serialize_message(pose_of(kind, np.random.default_rng(1), "map", "body"))
     for some in (*(raw[:n] for n in range(0, 300, 7)), raw[:12] + b"\xff" * 4 + raw[16:]):
-        with pytest.raises(MessageError, match=f"no {kind.__name__}"):
+        with pytest.raises(MessageError, match=f"not a {kind.__name__}"):
             pose_message(some, kind)
 
 
 @pytest.mark.parametrize("frame", ["", "m", "ma", "map", "größe"])
 @pytest.mark.parametrize("names", ["", "x", "xyz", ["intensity", "t", "größe"]])
-def test_clouds_are_read_from_their_bytes_as_rclpy_reads_them(frame, names):
+def test_cloud_deserialisation_equals_rclpy(frame, names):
     rng = np.random.default_rng(len(frame) + len(names))
     message = PointCloud2(height=3, width=7, point_step=11, row_step=80, is_dense=not names)
     message.header.frame_id, message.is_bigendian = frame, len(names) > 1
@@ -103,10 +103,10 @@ def test_clouds_are_read_from_their_bytes_as_rclpy_reads_them(frame, names):
         assert PointField(**vars(field)) == of
 
 
-def test_bytes_that_are_no_cloud_are_refused(cells):
+def test_damaged_clouds_are_rejected(cells):
     raw = map_messages(cells, "map")[0]
     for some in (*(raw[:n] for n in range(0, len(raw), 4999)), raw[:12] + b"\xff" * 4 + raw[16:]):
-        with pytest.raises(MessageError, match="no PointCloud2"):
+        with pytest.raises(MessageError, match="not a PointCloud2"):
             cloud_message(some)
 
 

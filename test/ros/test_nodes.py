@@ -34,7 +34,7 @@ def grid_values(grid):
 
 
 def agree(listener, keys):
-    """True if both nodes say the same of what both know."""
+    """Return whether both nodes report the same values where both have them."""
     one, other = (listener.values(name) for name in ("mapping_node", "lss_node"))
     return all(one.get(key) == other.get(key, "") for key in keys)
 
@@ -101,7 +101,7 @@ def test_live_equals_offline_cell_for_cell(ros):
 
 
 @pytest.mark.slow
-def test_what_nobody_subscribed_to_comes_to_whom_does_first_and_to_all_after(ros):
+def test_ground_topics_are_published_from_the_first_subscriber_on(ros):
     ros.start("mapping_node"), ros.start("lss_node")
     with ros.sensors({"landing/status": PointCloud2}) as (_, sensors):
         last = sensors.map(SCANS, "landing/status")
@@ -110,7 +110,7 @@ def test_what_nobody_subscribed_to_comes_to_whom_does_first_and_to_all_after(ros
                 late.until_stamped(last, *TOPICS)
 
 
-def test_incompatible_qos_is_told_with_its_remedy(ros):
+def test_incompatible_qos_is_logged_with_its_fix(ros):
     mapping = ros.start("mapping_node")
     with ros.listen() as listener:
         profile = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -146,8 +146,8 @@ def test_wrong_usage_and_missing_home(ros):
 
 
 @pytest.mark.slow
-def test_scans_lost_on_the_way_are_counted(ros):
-    """Every scan sent is either lost and counted, or arrives and is dropped for want of a pose."""
+def test_lost_scans_are_counted(ros):
+    """Each scan is either lost and counted, or arrives and is dropped without a pose."""
     depth = ("-p", "qos_overrides./lidar/points.subscription.depth:=1")
     mapping = ros.start("mapping_node", *depth, "-p", "pose.max_wait:=0.2")
     with ros.sensors() as (listener, sensors):

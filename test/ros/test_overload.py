@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scans that come faster than they can be mapped: the map stays young, or it is told."""
+"""Scans that come faster than they can be mapped."""
 
 import signal
 import time
@@ -32,10 +32,10 @@ def update(self, *scan):
 
 mapper.Mapper.update = update
 """
-"""A scan takes four times as long as the next takes to come."""
+"""Mapping a scan takes four times the period of scans."""
 
 
-def test_a_hold_up_costs_nothing_and_an_overload_old_scans(monkeypatch):
+def test_only_an_overload_drops_scans(monkeypatch):
     def received(waited):
         return EPOCH_NS - round(1e9 * waited)
 
@@ -44,19 +44,19 @@ def test_a_hold_up_costs_nothing_and_an_overload_old_scans(monkeypatch):
     config, busy = load_config(), 50.0
     limit = allowance(config, busy)
     overload = Overload("scans", Problems(SimpleNamespace(warning=print)))
-    assert overload.takes(received(0.9 * limit), config, busy)
-    assert not overload.takes(received(1.1 * limit), config, busy)
-    assert not overload.takes(received(0.9 * limit), config, busy), "overloaded now"
-    assert overload.takes(received(0.8 * OVERLOADED_SHARE * limit), config, busy)
+    assert overload.admits(received(0.9 * limit), config, busy)
+    assert not overload.admits(received(1.1 * limit), config, busy)
+    assert not overload.admits(received(0.9 * limit), config, busy), "overloaded now"
+    assert overload.admits(received(0.8 * OVERLOADED_SHARE * limit), config, busy)
     clock.now += 1.01 * CALM_S
-    assert overload.takes(received(0.9 * limit), config, busy), "calm again"
-    assert overload.takes(0, config, busy), "the middleware does not say when it came"
-    assert overload.takes(received(-100.0), config, busy), "the clock was set back"
-    assert overload.dropped == 2 and overload.waits.take().worst < 1e3 * limit
+    assert overload.admits(received(0.9 * limit), config, busy), "calm again"
+    assert overload.admits(0, config, busy), "the middleware does not say when it came"
+    assert overload.admits(received(-100.0), config, busy), "the clock was set back"
+    assert overload.dropped == 2 and overload.waits.pop_span().worst < 1e3 * limit
 
 
 @pytest.mark.slow
-def test_an_overloaded_node_leaves_scans_out_and_counts_them(ros):
+def test_overloaded_node_drops_and_counts_scans(ros):
     node, maps = ros.start("mapping_node", "-p", "diagnostics.warn_age:=1.0", first=SLOW), []
     with ros.sensors({}) as (listener, sensors):
         keep = lambda message: maps.append(stamp_ns(message.header))  # noqa: E731
@@ -73,7 +73,7 @@ def test_an_overloaded_node_leaves_scans_out_and_counts_them(ros):
 
 
 def all_accounted(values):
-    """True if every scan that came was mapped, waits or was dropped for a reason."""
+    """Return whether every received scan was mapped, waits, or was dropped for a reason."""
     found = {key: int(value) for key, value in values().items() if value.isdigit()}
     dropped = sum(number for key, number in found.items() if key.startswith("scans.dropped."))
     total = found.get("scans", 0) + found.get("scans.waiting", 0) + dropped

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameter table on a node."""
+"""ROS parameters of a node."""
 
 import pytest
 from rclpy.context import Context
@@ -19,7 +19,7 @@ TOLD_QOS = POSE_QOS.replace("__", ".")
 
 
 def make_node(context: Context, **overrides: object) -> Node:
-    """A node with overrides; double underscores in names stand for dots."""
+    """Create a node with overrides; double underscores in names stand for dots."""
     given = [Parameter(name.replace("__", "."), value=value) for name, value in overrides.items()]
     how = {"context": context, "parameter_overrides": given}
     return Node("node", **how, automatically_declare_parameters_from_overrides=True)
@@ -48,7 +48,7 @@ def test_overrides_reach_the_configuration_and_integers_serve_as_floats(context)
 
 @pytest.mark.quick("lss_node")
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node"])
-def test_a_file_for_other_nodes_alone_ends_a_node(ros, name):
+def test_parameter_file_without_a_section_for_the_node_is_an_error(ros, name):
     ros.params.write_text(f"{name}:\n  ros__parameters:\n    lss.margin: 1.0\n")
     node = ros.start(name, "-r", "__ns:=/uav1")
     assert node.process.wait(60.0) == 78
@@ -56,8 +56,8 @@ def test_a_file_for_other_nodes_alone_ends_a_node(ros, name):
     assert f"no section is for '/uav1/{name}'" in line and f"it has '/{name}'" in line
 
 
-def test_qos_overrides_of_topics_that_the_node_lacks_are_told(ros):
-    """No error: both nodes may share a file."""
+def test_unused_qos_overrides_are_logged(ros):
+    """It is not an error, because both nodes may share a file."""
     wrong = "qos_overrides./nav/poses.subscription.depth:=4"
     right = "qos_overrides./nav/pose.subscription.depth:=4"
     node = ros.start("mapping_node", "-p", wrong, "-p", right)
@@ -89,7 +89,7 @@ def test_qos_overrides_of_topics_that_the_node_lacks_are_told(ros):
         ),
     ],
 )
-def test_wrong_overrides_are_refused_in_one_line(context, overrides, words):
+def test_wrong_overrides_are_one_line_errors(context, overrides, words):
     node = make_node(context, **overrides)
     with pytest.raises(ConfigError) as caught:
         NodeParameters(node)
@@ -98,7 +98,7 @@ def test_wrong_overrides_are_refused_in_one_line(context, overrides, words):
     assert all(word in text for word in words)
 
 
-def test_live_parameters_change_and_others_do_not(context):
+def test_only_live_parameters_change(context):
     node = make_node(context)
     seen = []
     held = NodeParameters(node, seen.append)
@@ -116,7 +116,7 @@ def test_live_parameters_change_and_others_do_not(context):
     assert held.config.lss.margin == 1.5 and len(seen) == 1
 
 
-def test_a_live_change_is_refused_by_a_node_in_which_it_has_no_effect(context):
+def test_live_change_without_effect_is_rejected(context):
     node = make_node(context)
     held = NodeParameters(node, kind="mapping_node")
     for name, value, owner in (

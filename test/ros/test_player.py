@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Playing a bag into running nodes: the node receives all of it, with the bag's time."""
+"""Playing a bag into running nodes, which receive all messages with the bag's time."""
 
 import pytest
 from replay.recordings import KEEP_OUT, START, LandingRecorder, flight
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.xdist_group("ros_faults")
 SCANS = 12
 
 
-def test_player_says_who_is_missing(ros):
+def test_player_names_missing_subscribers(ros):
     bag = ros.folder / "flight.bag"  # a folder of ROS 2, whatever it is called
     write_bag(bag, 1)
     with pytest.raises(PlayError, match="/lidar/points"):
@@ -40,7 +40,7 @@ def test_player_names_what_is_subscribed_and_reaches_it_by_namespace_and_name(ro
         listener.until_stamped(last_scan_ns(3), "/lander/map/cells")
 
 
-def test_what_was_asked_of_landing_is_played_latched(ros):
+def test_landing_inputs_are_played_latched(ros):
     bag = ros.folder / "flight"
     writer = Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP)
     with writer:

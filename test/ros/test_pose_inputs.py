@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses as odometry, a gimbal, and a mount from /tf_static, of a running mapping_node."""
+"""A running mapping_node with odometry, with a gimbal, and with a mount from /tf_static."""
 
 import importlib.util
 
@@ -24,7 +24,7 @@ def odometry(stamp_ns: int, held=pose) -> Odometry:
 
 
 class OdometrySensors(Sensors):
-    """As Sensors, with poses as odometry."""
+    """Sensors with poses as odometry."""
 
     def __init__(self, listener, *, reliable=True) -> None:
         super().__init__(listener)
@@ -34,8 +34,8 @@ class OdometrySensors(Sensors):
 
 
 @pytest.mark.slow
-def test_odometry_that_is_sent_best_effort_is_told_with_what_hears_it(ros):
-    """As MAVROS sends its odometry, since it may lose some."""
+def test_best_effort_odometry_is_logged_with_the_fix(ros):
+    """MAVROS publishes odometry with best effort."""
     options = ("-p", "pose.source:=odometry", "-r", "nav/odometry:=odometry/filtered")
     override = "qos_overrides./odometry/filtered.subscription.reliability"
     deaf = ros.start("mapping_node", *options)
@@ -50,7 +50,7 @@ def test_odometry_that_is_sent_best_effort_is_told_with_what_hears_it(ros):
 
 
 def test_a_gimbal_moves_the_lidar(ros):
-    """Ground that rises by 2 % lies where it does, from a level body 2 m above the lidar."""
+    """Map ground with a slope of 2 % from a level body 2 m above the lidar."""
     ros.start("mapping_node", "-p", "mount.source:=gimbal")
     with ros.sensors() as (listener, sensors):
         profile = stream(100, reliable=True)
@@ -69,17 +69,17 @@ def test_a_gimbal_moves_the_lidar(ros):
     np.testing.assert_allclose(cells.z[beside], 0.02 * cells.x[beside], atol=0.05)
 
 
-def test_a_node_that_waits_for_the_other_type_says_so(ros):
+def test_unused_pose_topic_is_reported(ros):
     mapping = ros.start("mapping_node", "-r", "nav/odometry:=odometry/filtered")
     with ros.listen() as listener:
         OdometrySensors(listener)
-        hint = "'/odometry/filtered' is published: pose.source: odometry takes it"
+        hint = "'/odometry/filtered' is published: set pose.source to odometry to use it"
         listener.until(listener.told, "mapping_node", (), hint)
     assert mapping.stop() == 0
 
 
 @pytest.mark.skipif(has_tf, reason="tf2_msgs is there")
-def test_a_mount_from_tf_without_tf2_msgs_is_an_error_of_configuration(ros):
+def test_mount_from_tf_without_tf2_msgs_is_a_configuration_error(ros):
     node = ros.start("mapping_node", "-p", "mount.source:=tf")
     assert node.process.wait(30.0) == WRONG_CONFIGURATION
     assert node.output().splitlines()[-1].startswith("error: mount.source tf needs tf2_msgs")

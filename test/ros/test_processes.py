@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Domains of their own for processes that are started at the same time."""
+"""Different ROS domains for processes that start at the same time."""
 
 import subprocess
 import sys
@@ -13,7 +13,7 @@ from quadtree_lss.lab.live.processes import ProcessError, local_domain
 pytestmark = pytest.mark.xdist_group("ros")
 
 SPARE = range(98, 100)
-"""Domains that nobody is given otherwise; ports of those after 100 are the system's to give."""
+"""Domains that are not assigned otherwise; above 100 the system assigns their ports."""
 
 HOLD = f"""\
 import sys
@@ -26,8 +26,8 @@ with processes.local_domain(Path(sys.argv[1])) as domain:
 """
 
 
-def test_processes_that_ask_at_once_get_domains_of_their_own(tmp_path, monkeypatch):
-    """As many as there are domains; none has a participant yet that could be seen."""
+def test_concurrent_processes_get_different_domains(tmp_path, monkeypatch):
+    """Start as many processes as there are domains, before any has a participant."""
     monkeypatch.setattr(processes, "DOMAINS", SPARE)
     command = [sys.executable, "-c", HOLD, str(tmp_path)]
     with ExitStack() as stack:

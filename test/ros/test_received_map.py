@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A refused map is never received: its age runs, the status says so, sites are withdrawn."""
+"""Rejected maps: the age of the last usable map increases, and sites are withdrawn."""
 
 import dataclasses
 import signal
@@ -27,7 +27,7 @@ def received():
 
 
 def broken(cells):
-    """The same map with one leaf twenty thousand kilometres up."""
+    """Return the map with one leaf at a height of 20,000 km."""
     z = cells.z.copy()
     z[0] = 2e7
     return dataclasses.replace(cells, z=z, stamp_ns=cells.stamp_ns + 1)
@@ -35,32 +35,32 @@ def broken(cells):
 
 def give(received, cells):
     cloud, grid = map_messages(cells, "map")
-    assert not received.complete_with("observed", grid)
-    assert received.complete_with("cells", cloud)
+    assert not received.add_half("observed", grid)
+    assert received.add_half("cells", cloud)
 
 
-def test_a_refused_map_does_not_make_the_one_before_younger(monkeypatch, received, cells):
+def test_rejected_map_does_not_refresh_the_previous_one(monkeypatch, received, cells):
     give(received, cells)
-    received.take()
+    received.decode_newest()
     first, age = received.cells, received.arrivals.age()
     give(received, broken(cells))
-    received.take()
+    received.decode_newest()
     assert received.cells is first and received.arrivals.count == 1 and received.refusals == 1
     assert received.arrivals.age() > age and "cannot be used" in received.refused
-    assert not received.too_old()
-    monkeypatch.setattr(received_map, "OLDEST_S", 1e-9)
-    assert "cannot be used" in received.too_old()
+    assert not received.withdrawal_reason()
+    monkeypatch.setattr(received_map, "MAX_MAP_AGE_S", 1e-9)
+    assert "cannot be used" in received.withdrawal_reason()
     give(received, cells)
-    assert received.too_old() and not received.refused, "what waits is looked at first"
+    assert received.withdrawal_reason() and not received.refused, "what waits is looked at first"
     assert received.arrivals.count == 2
 
 
 #: Withdraws its sites sooner.
-IMPATIENT = "from quadtree_lss.onboard.nodes import received_map; received_map.OLDEST_S = 8.0"
+IMPATIENT = "from quadtree_lss.onboard.nodes import received_map; received_map.MAX_MAP_AGE_S = 8.0"
 
 
 @pytest.mark.slow
-def test_sites_are_withdrawn_when_maps_are_refused_for_too_long(ros, cells):
+def test_sites_are_withdrawn_when_maps_are_rejected_for_too_long(ros, cells):
     ros.start("lss_node", "-p", "diagnostics.warn_age:=3.0", first=IMPATIENT)
     with ros.listen({}) as listener:
         vehicle = Vehicle(listener, cells)
@@ -99,11 +99,11 @@ def assess(self, cells, **wanted):
 
 LandingSiteSelector.assess = assess
 """
-"""A pass over its third map ends in an error."""
+"""The assessment of the third map raises an error."""
 
 
 @pytest.mark.slow
-def test_a_pass_that_ends_in_an_error_withholds_its_answer_and_the_node_lives(ros, cells):
+def test_failed_assessment_withholds_sites_and_the_node_continues(ros, cells):
     faulty = ros.start("lss_node", "-p", "diagnostics.warn_age:=60.0", first=FAULTY)
     with ros.listen({}) as listener:
         vehicle = Vehicle(listener, cells)
@@ -124,21 +124,21 @@ def test_a_pass_that_ends_in_an_error_withholds_its_answer_and_the_node_lives(ro
     assert "OverflowError: math range error" in faulty.output()
 
 
-def test_what_a_first_map_lacks(received, cells):
+def test_missing_messages_of_the_first_map(received, cells):
     cloud, grid = map_messages(cells, "map")
-    assert "nothing came" in received.lacks()
-    received.complete_with("cells", cloud)
-    assert "map/cells came, the other half" in received.lacks()
+    assert "nothing came" in received.missing()
+    received.add_half("cells", cloud)
+    assert "map/cells came, the other half" in received.missing()
     later = dataclasses.replace(cells, stamp_ns=1)
-    received.complete_with("observed", map_messages(later, "map")[1])
-    assert "both halves of one stamp did not" in received.lacks()
-    received.complete_with("observed", grid)
-    received.take()
-    assert not received.lacks()
+    received.add_half("observed", map_messages(later, "map")[1])
+    assert "both halves of one stamp did not" in received.missing()
+    received.add_half("observed", grid)
+    received.decode_newest()
+    assert not received.missing()
 
 
 @pytest.mark.slow
-def test_nodes_that_wait_say_so_in_the_log(ros):
+def test_waiting_nodes_log_missing_inputs(ros):
     lss, mapping = ros.start("lss_node"), ros.start("mapping_node")
     with ros.listen({}) as listener:
         told = "waiting for a map: nothing came (publishers known on '/map/cells': "

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The SROS 2 policy names what the nodes use, no less and no more."""
+"""The SROS 2 policy allows exactly what the nodes use."""
 
 import time
 from pathlib import Path
@@ -17,7 +17,7 @@ WAYS = (
     {"mount.source": "gimbal", "use_sim_time": "true"},
     {"pose.source": "odometry", "lidar.source": "depth", "domain.follow": "area"},
 )
-"""Parameters by which a node subscribes to something else."""
+"""Parameters with which a node subscribes to different topics."""
 UNSEEN = {("subscribe", "/tf_static")}
 if GridMap is None:
     UNSEEN.add(("publish", "/landing/grid_map"))
@@ -37,7 +37,7 @@ def allowed(name):
 
 
 def used(node, name):
-    """What the node of this name does, as the graph has it."""
+    """Return what the node uses according to the ROS graph."""
     ask = {
         "publish": node.get_publisher_names_and_types_by_node,
         "subscribe": node.get_subscriber_names_and_types_by_node,
@@ -61,7 +61,7 @@ def test_a_node_without_its_keys_does_not_start_unprotected(ros):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node", "autopilot_node"])
-def test_each_node_uses_what_the_policy_allows_it(ros, name):
+def test_node_uses_exactly_what_the_policy_allows(ros, name):
     seen = set()
     for way in WAYS:
         args = [text for key, value in way.items() for text in ("-p", f"{key}:={value}")]

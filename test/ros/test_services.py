@@ -144,7 +144,7 @@ def test_levels_follow_the_age_of_the_data(ros):
 
 
 @pytest.mark.slow
-def test_no_safe_site_and_a_wrong_range_noise_are_told(ros):
+def test_no_safe_site_and_wrong_range_noise_are_reported(ros):
     ros.start("mapping_node")
     ros.start("lss_node", "-p", "vehicle.diameter:=40.0")
     with ros.sensors() as (listener, sensors):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What nodes say when they start and first succeed, and of a state that lasts."""
+"""Log lines of nodes at the start, at the first success, and of lasting states."""
 
 import sys
 from importlib import metadata
@@ -18,7 +18,7 @@ from quadtree_lss.onboard.nodes.ros_messages import time_message
 pytestmark = pytest.mark.xdist_group("ros")
 
 
-def test_one_line_says_what_runs_and_one_that_it_works(ros):
+def test_start_and_first_success_are_one_line_each(ros):
     mapping = ros.start("mapping_node", "-p", "lidar.max_range:=900", "-r", "nav/pose:=/ekf/pose")
     lss = ros.start("lss_node", "-r", "__ns:=/lander", "-r", "map/cells:=/map/cells")
     with ros.listen() as listener:
@@ -36,7 +36,7 @@ def test_one_line_says_what_runs_and_one_that_it_works(ros):
             assert words in lines[0], words
 
 
-def test_the_first_scan_and_the_first_sites_are_told_once(ros):
+def test_first_scan_and_first_sites_are_logged_once(ros):
     mapping, lss = ros.start("mapping_node"), ros.start("lss_node")
     with ros.sensors() as (listener, sensors):
         sensors.publish(4)
@@ -62,12 +62,12 @@ sys.meta_path.insert(0, Late())
     ("name", "module", "what"),
     [
         ("mapping_node", "rclpy.node", "its modules"),
-        ("lss_node", "quadtree_lss.onboard.core.landing.assess", "what judges landing"),
+        ("lss_node", "quadtree_lss.onboard.core.landing.assess", "the landing modules"),
         ("autopilot_node", "pymavlink", "its parameters and topics"),
     ],
 )
-def test_a_node_that_starts_says_for_what_it_waits(ros, name, module, what):
-    """As on a computer so loaded that its modules take half a minute to load."""
+def test_starting_node_logs_missing_inputs(ros, name, module, what):
+    """Simulate a loaded computer, on which the modules take half a minute to load."""
     go = ros.folder / "go"
     node = ros.start(name, first=HELD_UP.format(module=module, go=str(go)))
     first = {"mapping_node": "'/lidar/points'", "lss_node": "a map", "autopilot_node": "the heart"}
@@ -83,8 +83,8 @@ def test_a_node_that_starts_says_for_what_it_waits(ros, name, module, what):
 
 @pytest.mark.quick("lss_node")
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node", "autopilot_node"])
-def test_a_node_on_simulated_time_says_that_it_has_none(ros, name):
-    """As on a vehicle with the parameter file of its simulation."""
+def test_missing_simulated_time_is_reported(ros, name):
+    """This happens on a vehicle with the parameter file of its simulation."""
     node = ros.start(name, "-p", "use_sim_time:=true")
     with ros.listen({}) as listener:
         listener.until(listener.at_least, "problems.no_clock", 1, name)
@@ -109,8 +109,8 @@ sys.meta_path.insert(0, Refused())
 
 
 @pytest.mark.slow
-def test_both_nodes_fly_with_what_the_package_itself_requires(ros):
-    """Without the other wings, and without what any extra brings but rclpy and its messages."""
+def test_nodes_run_with_required_packages_only(ros):
+    """Hide the other packages, and all extras except rclpy and its messages."""
     asked = (Requirement(line) for line in metadata.requires("quadtree_lss") or [])
     of_extras = {item.name for item in asked if item.marker and "wheels" not in str(item.marker)}
     brought = metadata.packages_distributions().items()
@@ -125,7 +125,7 @@ def test_both_nodes_fly_with_what_the_package_itself_requires(ros):
     assert "is not on the vehicle" in refused.stderr
 
 
-def test_a_full_map_stays_full_whether_a_scan_wants_to_divide_or_not(ros):
+def test_full_map_is_reported(ros):
     ros.start("mapping_node", "-p", "mapping.max_cells:=64")
     with ros.sensors() as (listener, sensors):
         sensors.publish(2)

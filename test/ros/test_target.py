@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``landing/selected`` over DDS: held, withdrawn with a reason, released, and missed when dead."""
+"""``landing/selected`` over DDS: held, withdrawn with a reason, released, missed deadline."""
 
 import dataclasses
 import itertools
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.xdist_group("ros_target")
 
 
 class Pilot(Vehicle):
-    """Hears the target, too, each change of it once: place, and what the status says."""
+    """Vehicle that also records each change of the target, with position and status."""
 
     def __init__(self, listener, cells):
         super().__init__(listener, cells)
@@ -45,7 +45,7 @@ class Pilot(Vehicle):
         self.cells = dataclasses.replace(self.cells, observed=observed)
 
     def status(self):
-        """The last record of the status."""
+        """Return the last record of the status."""
         return cloud_records(self.answers[-1], STATUS_FIELDS)[0] if self.answers else None
 
     def reasons(self):
@@ -106,8 +106,8 @@ def test_the_target_is_withdrawn_with_its_reason_and_replaced(ros, pilot):
 
 
 @pytest.mark.slow
-def test_a_vehicle_that_is_low_is_committed_by_its_poses(ros, pilot):
-    """A map that stays the same: without the poses the target would only hold."""
+def test_low_vehicle_commits(ros, pilot):
+    """The map stays the same: without poses the target would only be held."""
     profile, make = stream(5, reliable=True), pilot.listener.node.create_publisher
     navigation = make(PoseWithCovarianceStamped, "nav/pose", profile)
     pilot.sees_the_east_alone()
@@ -135,7 +135,7 @@ def test_a_vehicle_that_is_low_is_committed_by_its_poses(ros, pilot):
 
 
 @pytest.mark.slow
-def test_a_released_target_is_chosen_anew(ros, pilot):
+def test_released_target_is_replaced(ros, pilot):
     ros.start("lss_node")
     assert not ros.call(pilot.listener, "/lss_node/release").success, "there is none"
     pilot.send_map(0)
@@ -147,7 +147,7 @@ def test_a_released_target_is_chosen_anew(ros, pilot):
     assert pilot.reasons()[before + 1] is Reason.RELEASED
 
 
-def test_land_now_gives_a_place_before_anything_is_settled(ros, pilot):
+def test_land_now_selects_before_inputs_settle(ros, pilot):
     ros.start("lss_node", "-p", "lss.settle_time:=900.0")
     pilot.sees_the_east_alone()
     pilot.send_map(0)
@@ -166,7 +166,7 @@ def test_land_now_gives_a_place_before_anything_is_settled(ros, pilot):
 
 
 @pytest.mark.slow
-def test_a_dead_node_is_missed_by_the_middleware_and_a_silent_one_is_not(ros, pilot):
+def test_deadline_reveals_a_dead_node_only(ros, pilot):
     missed, alive, heard = [], [], []
     callbacks = SubscriptionEventCallbacks(
         deadline=missed.append, liveliness=lambda event: alive.append(event.alive_count)

@@ -142,7 +142,7 @@ class Bag:
         files = list(there.values())
         try:
             with open(self.path / "metadata.yaml", encoding="utf-8") as file:
-                content: Any = parse_yaml(file.read(yaml_text.MOST_BYTES + 1), aliases=True)
+                content: Any = parse_yaml(file.read(yaml_text.MAX_YAML_BYTES + 1), aliases=True)
             names = content["rosbag2_bagfile_information"]["relative_file_paths"]
             files = self._named([Path(name).name for name in names], there)
         except FileNotFoundError:

@@ -22,7 +22,7 @@ from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.risk import model_warning
 from quadtree_lss.onboard.config.settings import (
     DEFAULTS,
-    LEAST_STEPS,
+    MIN_FOLLOW_LEVEL,
     Config,
     config_from_values,
     values_from_config,
@@ -156,7 +156,7 @@ class Seen:
         vehicle, by_data = config.vehicle, max(SPACINGS * spacing, NOISES * noise)
         least, most = vehicle.diameter / MOST_CELLS, vehicle.diameter / LEAST_CELLS
         wanted = min(max(by_data, least), most)
-        lowest = 0 if config.domain.follow == "none" else LEAST_STEPS
+        lowest = 0 if config.domain.follow == "none" else MIN_FOLLOW_LEVEL
         level = math.ceil(math.log2(side / min(SLACK * wanted, most)))
         level = min(max(level, lowest), 10)
         finest = math.ceil(1000.0 * side / 2**level) / 1000.0

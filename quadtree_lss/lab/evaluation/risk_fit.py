@@ -114,7 +114,7 @@ def risks(model: RiskModel, given: ArrayLike) -> Array:
     for cause in model.causes.values():
         odds = np.full(len(places), cause.constant)
         for curve in cause.curves:
-            along = interpolation_weights(places[:, ASKED.index(curve.of)], curve.knots)
+            along = interpolation_weights(places[:, ASKED.index(curve.feature)], curve.knots)
             rows = along @ np.array(curve.odds).T
             odds += rows[:, 0] if len(curve.odds) == 1 else np.sum(rows * seen, axis=1)
         safe -= np.logaddexp(0.0, odds)
@@ -175,7 +175,7 @@ def risk_model_text(model: RiskModel) -> str:
     content: dict[str, Any] = {"seen": list(model.seen)}
     for name, cause in model.causes.items():
         curves = {
-            c.of: {"knots": list(c.knots), "odds": [*map(list, c.odds)]} for c in cause.curves
+            c.feature: {"knots": list(c.knots), "odds": [*map(list, c.odds)]} for c in cause.curves
         }
         content[name] = {"constant": cause.constant, **curves}
     content["provenance"] = dict(model.provenance)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Landing by an autopilot: frames, the decision at each moment, MAVLink. No ROS in here."""
+"""Landing with an autopilot: frames, state machine, MAVLink link. Independent of ROS."""

@@ -1,24 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flies the landing over a link: messages in, one decision at a time, set-points out."""
+"""Connection of the MAVLink link with the state machine of the landing."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 
-from quadtree_lss.onboard.autopilot.frames import Jumps, Nav
+from quadtree_lss.onboard.autopilot.frames import JumpDetector, Nav
+from quadtree_lss.onboard.autopilot.inputs import POSE_S, Inputs, Target
 from quadtree_lss.onboard.autopilot.landing import HEARTBEAT_S, PILOT, Landing, Order
 from quadtree_lss.onboard.autopilot.link import PX4, Link
-from quadtree_lss.onboard.autopilot.seen import POSE_S, Seen, Target
 from quadtree_lss.onboard.config.sections import AutopilotConfig
 
 
 class Controller:
-    """Connects `Link` and `Landing`.
+    """Connect `Link` and `Landing`.
 
     Attributes:
         nav: The newest pose; None before the first.
-        lack: What a landing takes and has not come yet of the autopilot; empty afterwards.
     """
 
     def __init__(
@@ -31,56 +30,57 @@ class Controller:
         self.link = Link(config.connection, clock, now)
         self.landing = Landing(config)
         self.nav: Nav | None = None
-        self._jumps, self._jump = Jumps(), 0.0
+        self._jumps, self._jump = JumpDetector(), 0.0
         self._clock, self._now = clock, now
-        self._was_landed_told = False
+        self._landed_received = False
 
     def configure(self, config: AutopilotConfig) -> None:
-        """Other limits, speeds and permissions; the connection stays."""
+        """Set new limits, speeds and permissions; the connection does not change."""
         self.config = config
         self.landing.configure(config)
 
     @property
-    def lack(self) -> str:
+    def missing(self) -> str:
+        """The first input from the autopilot that has not arrived yet; empty if none is missing."""
         if self.link.kind is None:
             return f"the heartbeat of an autopilot on {self.config.connection}"
         if self.nav is None:
             return "a pose of the autopilot"
-        self._was_landed_told |= self.link.landed is not None
-        if not self._was_landed_told:
-            return "EXTENDED_SYS_STATE of the autopilot: whether it is on the ground"
+        self._landed_received |= self.link.landed is not None
+        if not self._landed_received:
+            return "EXTENDED_SYS_STATE of the autopilot (on the ground or in the air)"
         return ""
 
     def poll(self) -> list[Nav]:
-        """Take what has come and say what is due; return new poses, oldest first."""
+        """Handle received messages and send the periodic ones; return new poses, oldest first."""
         navs = self.link.poll()
         for nav in navs:
-            self._jump = max(self._jump, self._jumps.size(nav))
+            self._jump = max(self._jump, self._jumps.jump(nav))
             self.nav = nav
         return navs
 
     def step(self, target: Target | None, why: str) -> Order | None:
-        """Decide, and send what follows from it; None while something lacks. ``why``: there is no
-        target."""
-        if self.lack or self.nav is None:
+        """Run one step of the landing and send its commands; return None while an input is missing.
+        ``why``: the reason why ``target`` is None."""
+        if self.missing or self.nav is None:
             return None
         link, nav = self.link, self.nav
         age = abs(1e-9 * (self._clock() - nav.stamp_ns))
         now = self._now()
-        seen = Seen(
-            now, link.follows, link.armed, link.landed, link.landed_for, now - link.heard, age,
-            nav.position, nav.velocity, self._jump, target, why,
+        inputs = Inputs(
+            now, link.accepts_set_points, link.armed, link.landed, link.landed_for,
+            now - link.last_heartbeat, age, nav.position, nav.velocity, self._jump, target, why,
         )  # fmt: skip
         self._jump = 0.0
-        order = self.landing.step(seen)
+        order = self.landing.step(inputs)
         point = order.point
         if link.kind == PX4 and order.state == PILOT:
-            fresh = seen.heartbeat_age <= HEARTBEAT_S and age <= POSE_S
-            point = self.landing.stay(seen) if fresh else None
+            fresh = inputs.heartbeat_age <= HEARTBEAT_S and age <= POSE_S
+            point = self.landing.idle_set_point(inputs) if fresh else None
         if point is not None:
-            link.fly_to(point, order.sink)
+            link.send_set_point(point, order.sink)
         if order.target is not None:
-            link.show_target(order.target.place, nav)
-        if order.settles and self.config.may_command != "nothing":
-            link.settle(disarm=self.config.may_command == "arming")
+            link.send_landing_target(order.target.place, nav)
+        if order.may_stop_motors and self.config.may_command != "nothing":
+            link.stop_motors(disarm=self.config.may_command == "arming")
         return order

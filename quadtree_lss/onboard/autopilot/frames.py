@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""North, east, down to east, north, up; and an autopilot's clock to this computer's."""
+"""Conversion of the autopilot's frames (NED, FRD) to ROS's (ENU, FLU), and of its clock."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from quadtree_lss.onboard.core.geometry.rotations import (
     rotation_from_quaternion,
 )
 
-SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""Takes north, east, down to east, north, up, and back."""
-FLIP = np.array([1.0, -1.0, -1.0])
-"""Takes forward, right, down to forward, left, up, and back."""
+R_ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""Rotation between NED and ENU, in both directions."""
+FRD_TO_FLU = np.array([1.0, -1.0, -1.0])
+"""Signs of the axes between FRD and FLU, in both directions."""
 
 UPPER = np.triu_indices(6)
 
 
 class Nav(NamedTuple):
-    """The body in the map, whose axes are east, north, up from the autopilot's local origin.
+    """Pose and velocity of the body in the map frame (ENU from the autopilot's local origin).
 
     Attributes:
-        stamp_ns: By this computer's clock.
+        stamp_ns: Stamp by this computer's clock.
         position: (3,) m.
-        quaternion: (4,) x, y, z, w; takes forward, left, up to the map's axes.
-        velocity: (3,) of the map's axes, m/s.
-        covariance: (6, 6) of place and of the rotation about the map's fixed axes, m and rad;
-            None where the autopilot does not say.
-        own_ns: The stamp by the autopilot's clock.
+        quaternion: (4,) x, y, z, w; rotation from FLU body axes to the map.
+        velocity: (3,) in the map, m/s.
+        covariance: (6, 6) of position and of rotation about the map axes, m and rad; None if the
+            autopilot does not send it.
+        own_ns: Stamp by the autopilot's clock.
     """
 
     stamp_ns: int
@@ -44,28 +44,27 @@ class Nav(NamedTuple):
 
 
 def enu(north_east_down: Array) -> Array:
-    """(3,) in the other axes; its own inverse."""
-    return SWAP @ north_east_down
+    """Convert a vector (3,) from NED to ENU, or back."""
+    return R_ENU_NED @ north_east_down
 
 
 def attitude(q_wxyz: Array) -> Array:
-    """(4,) x, y, z, w of FLU axes to ENU, from w, x, y, z of FRD axes to NED."""
+    """Convert a rotation FRD to NED (w, x, y, z) to the rotation FLU to ENU (x, y, z, w)."""
     w, x, y, z = q_wxyz
-    return quaternion_from_rotation(SWAP @ rotation_from_quaternion((x, y, z, w)) * FLIP)
+    return quaternion_from_rotation(R_ENU_NED @ rotation_from_quaternion((x, y, z, w)) * FRD_TO_FLU)
 
 
 def body_frd(vector_enu: Array, quaternion: Array) -> Array:
-    """(3,) along forward, right, down of a body whose FLU axes the quaternion takes to ENU."""
-    return FLIP * (rotation_from_quaternion(quaternion).T @ vector_enu)
+    """Rotate a vector (3,) from ENU to FRD body axes; ``quaternion``: FLU to ENU."""
+    return FRD_TO_FLU * (rotation_from_quaternion(quaternion).T @ vector_enu)
 
 
 def covariance_enu(upper: Array, quaternion: Array) -> Array | None:
-    """(6, 6) as ROS has it, from the 21 numbers of MAVLink's ODOMETRY; None if it does not say.
+    """Convert the pose covariance of MAVLink's ODOMETRY to ROS's (6, 6); None if it is unknown.
 
-    Of the latter place is along north, east, down and the attitude's error about the body's
-    forward, right, down: with T = diag(R_enu_ned, R_enu_frd) it becomes T C T^T. ``upper``: the
-    upper triangle, row by row; a first number that is NaN, and any infinite one, says unknown.
-    ``quaternion``: FLU to ENU.
+    MAVLink's position error is in NED and its attitude error in FRD body axes: with
+    T = diag(R_enu_ned, R_enu_frd) the result is T C T^T. ``upper``: upper triangle of C (21,), row
+    by row; NaN in the first element, or infinity in any, means unknown. ``quaternion``: FLU to ENU.
     """
     values = np.asarray(upper, dtype=np.float64)
     if not np.isfinite(values[0]) or np.isinf(values).any():
@@ -76,71 +75,72 @@ def covariance_enu(upper: Array, quaternion: Array) -> Array | None:
     if not full.diagonal().all():
         return None
     turn = np.zeros((6, 6))
-    turn[:3, :3], turn[3:, 3:] = SWAP, rotation_from_quaternion(quaternion) * FLIP
+    turn[:3, :3], turn[3:, 3:] = R_ENU_NED, rotation_from_quaternion(quaternion) * FRD_TO_FLU
     return turn @ full @ turn.T
 
 
 class RemoteClock:
-    """An autopilot's clock, by exchanges of TIMESYNC: what to add to it.
+    """Offset of an autopilot's clock, estimated from TIMESYNC exchanges.
 
-    Of the last exchanges the quickest counts: half its way is all that it can be wrong by, and a
-    loaded computer lets the others wait.
+    The estimate is that of the fastest recent exchange; its error is at most half the round trip.
     """
 
     KEPT = 40
+    """Number of recent exchanges."""
     STEP_NS = 50_000_000
-    """Time that comes in steps, as a simulator's, differs by so much."""
+    """Largest time step of a simulator's clock."""
 
     def __init__(self) -> None:
         self._exchanges: deque[tuple[int, int]] = deque(maxlen=self.KEPT)
 
     def add(self, sent_ns: int, remote_ns: int, received_ns: int) -> None:
-        """An answer: sent and received by this clock, stamped by the other in between."""
-        way = received_ns - sent_ns
-        if way < 0:  # this clock was set
+        """Add an exchange: sent and received by this clock, stamped by the remote one between."""
+        round_trip = received_ns - sent_ns
+        if round_trip < 0:  # this clock was set back
             self._exchanges.clear()
             return
-        self._exchanges.append((way, sent_ns + way // 2 - remote_ns))
+        self._exchanges.append((round_trip, sent_ns + round_trip // 2 - remote_ns))
         offset = self._best[1]
         last = self._exchanges[-1]
-        if abs(last[1] - offset) > way + self.STEP_NS:  # the other was started anew, or this set
+        if abs(last[1] - offset) > round_trip + self.STEP_NS:  # one of the clocks was set
             self._exchanges.clear()
             self._exchanges.append(last)
 
     @property
     def offset_ns(self) -> int | None:
-        """This clock less the other; None before the first exchange."""
+        """This clock minus the remote one; None before the first exchange."""
         return self._best[1] if self._exchanges else None
 
     @property
     def uncertainty_ns(self) -> int | None:
-        """Half the quickest exchange."""
+        """Half the round trip of the fastest exchange; None before the first."""
         return self._best[0] // 2 if self._exchanges else None
 
     @property
     def _best(self) -> tuple[int, int]:
-        """The quickest; of equal ones, as where time comes in steps, the one that waited least."""
-        return min(self._exchanges, key=lambda one: (one[0], -one[1]))
+        """Round trip and offset of the fastest exchange; among equal ones the largest offset."""
+        return min(self._exchanges, key=lambda exchange: (exchange[0], -exchange[1]))
 
 
-EXPLAINS_S = 3.0
-"""Velocity explains no more of a gap: without new set-points the vehicle flies for two seconds."""
+MAX_GAP_S = 3.0
+"""Longest time between poses over which velocity is integrated: without new set-points the vehicle
+moves for two seconds."""
 
 
-class Jumps:
-    """Finds motion that navigation's own velocity does not explain, as of a position reset."""
+class JumpDetector:
+    """Detect position jumps that the velocity does not explain, such as a position reset."""
 
     def __init__(self) -> None:
         self._last: Nav | None = None
 
-    def size(self, nav: Nav) -> float:
-        """Return how far this place is from all that the velocities before and after explain since
-        the last pose, along each axis, m; 0 for the first pose."""
+    def jump(self, nav: Nav) -> float:
+        """Return the distance of this position from the range that the velocities of the last and
+        this pose explain on each axis, m; 0 for the first pose."""
         last, self._last = self._last, nav
         if last is None:
             return 0.0
-        # By its own clock: corrections of its offset are no motion. It goes back if it restarts.
-        dt = min(max(1e-9 * (nav.own_ns - last.own_ns), 0.0), EXPLAINS_S)
+        # The autopilot's clock is free of offset corrections. It goes back after a restart.
+        dt = min(max(1e-9 * (nav.own_ns - last.own_ns), 0.0), MAX_GAP_S)
         ways = dt * np.array([last.velocity, nav.velocity, np.zeros(3)])
         moved = nav.position - last.position
         return float(np.linalg.norm(moved - np.clip(moved, ways.min(axis=0), ways.max(axis=0))))

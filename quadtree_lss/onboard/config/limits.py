@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be computed: parameters whose pass over a map takes too long or too much are refused.
+"""Limits of memory and time: parameters that exceed them are rejected.
 
-The figures are of two shared x86-64 cores, measured by ground on which little can be decided early
+The coefficients were measured on two shared x86-64 cores with worst-case ground
 (``docs/onboard.md``); most maps take a tenth of them.
 """
 
@@ -12,59 +12,64 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from quadtree_lss.onboard.config.sections import LssConfig
 
-LONGEST = 60.0
-"""A landing site pass may take this at the worst, s."""
-MOST_MEMORY = 2.0e9
-"""And this, bytes."""
-MOST_LEVELS = 11
-"""Level of the finest cells that a map may have."""
-MOST_LEAVES = 1_000_000
-"""That a map may have; each takes up to 1.5 kB while it is updated, copied and sent."""
+MAX_ASSESSMENT_S = 60.0
+"""Longest worst-case time of an assessment, s."""
+MAX_MEMORY_BYTES = 2.0e9
+"""Largest memory of an assessment, bytes."""
+MAX_LEVEL = 11
+"""Largest level of the finest cells."""
+MAX_LEAVES = 1_000_000
+"""Largest number of leaves; each takes up to 1.5 kB while it is updated, copied and sent."""
 STEP_LEVEL = 5
-"""A domain that follows is moved by cells of this level, or by coarsest ones where these are
-larger, so that moves are rare."""
+"""A domain that follows moves by cells of this level, or by coarsest cells if these are larger, so
+that moves are rare."""
 
-LEAST_SIDE = 1e-3
-"""Of the finest cells, m: no lidar knows less, and a lander would be on millions of them."""
-MOST_GRID_POINTS = 4096
-"""Along a side of the domain."""
+MIN_CELL_SIZE = 1e-3
+"""Smallest size of the finest cells, m; no lidar is more precise."""
+MAX_GRID_POINTS = 4096
+"""Largest number of grid points along a side of the domain."""
 YAWS = 12
-"""Headings at which a lander is set down: 7.5 degrees apart for four pads. Of the simulated hazards
-(Morpheus seeds 101-106, touchdown check) 6, 12 and 24 find 99.82, 99.87 and 99.89 %."""
+"""Headings at which contact is evaluated, 7.5 degrees apart for four pads. 6, 12 and 24 headings
+find 99.82, 99.87 and 99.89 % of simulated hazards (Morpheus seeds 101-106, touchdown check)."""
 
 
-def why_too_much(size: float, finest: int, lss: LssConfig) -> str | None:
-    """Why landing sites cannot be computed on a map, of a domain with sides of ``size`` m and so
-    many ``finest`` cells along them; None if they can."""
-    if size / finest < LEAST_SIDE:
-        return f"the finest cells are {size / finest:.3g} m wide; {LEAST_SIDE:g} is the least"
+def exceeded_limit(size: float, finest: int, lss: LssConfig) -> str | None:
+    """Return the limit that an assessment exceeds, or None.
+
+    Args:
+        size: Side of the domain, m.
+        finest: Number of finest cells along a side.
+        lss: Parameters of the assessment, with the vehicle.
+    """
+    if size / finest < MIN_CELL_SIZE:
+        return f"the finest cells are {size / finest:.3g} m wide; {MIN_CELL_SIZE:g} is the least"
     points = size / lss.spacing
-    if points > MOST_GRID_POINTS:
+    if points > MAX_GRID_POINTS:
         return (
             f"lss.grid_spacing = {lss.spacing:g} m makes {points:.0f} grid points a side over"
-            f" {size:g} m; {MOST_GRID_POINTS} is the most"
+            f" {size:g} m; {MAX_GRID_POINTS} is the most"
         )
     memory = 300.0 * finest**2 + 60.0 * points**2
-    if finest > 1 << MOST_LEVELS or memory > MOST_MEMORY:
+    if finest > 1 << MAX_LEVEL or memory > MAX_MEMORY_BYTES:
         return (
             f"{finest} finest cells and {points:.0f} grid points a side take"
-            f" {1e-9 * memory:.1f} GB for a landing site pass; {1e-9 * MOST_MEMORY:.1f} is the most"
+            f" {1e-9 * memory:.1f} GB for an assessment; {1e-9 * MAX_MEMORY_BYTES:.1f} is the most"
         )
-    seconds = pass_seconds(size, finest, lss)
-    if seconds > LONGEST:
+    seconds = assessment_seconds(size, finest, lss)
+    if seconds > MAX_ASSESSMENT_S:
         return (
             f"vehicle.diameter = {lss.vehicle.diameter:g} m, lss.margin = {lss.margin:g} m and"
             f" lss.sites = {lss.sites} on {finest} finest cells of {size / finest:.3g} m a side may"
-            f" take {seconds:.0f} s for a landing site pass; {LONGEST:g} is the most"
+            f" take {seconds:.0f} s for an assessment; {MAX_ASSESSMENT_S:g} is the most"
         )
     return None
 
 
-def pass_seconds(size: float, finest: int, lss: LssConfig) -> float:
-    """What a landing site pass takes at the worst, s; arguments as for `why_too_much`.
+def assessment_seconds(size: float, finest: int, lss: LssConfig) -> float:
+    """Return the worst-case time of an assessment, s; arguments as for `exceeded_limit`.
 
-    A zone that is larger than the domain costs as much as one that just fills it, and a lander that
-    does not fit into it is not set down.
+    A zone larger than the domain costs as much as one that fills it, and for a vehicle larger than
+    the domain no contact is computed.
     """
     side, radius = size / finest, 0.5 * lss.vehicle.diameter
     lander = min(radius / side, 0.5 * finest)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Configuration files, in the form of ROS 2 parameter files: what they say to which node.
+"""Configuration files, which are ROS 2 parameter files:
 
     /**:
       ros__parameters:
@@ -7,8 +7,7 @@
           size: 64.0
         lss.grid_spacing: 0.25
 
-The same file serves ``--params-file`` of the nodes and the replay. Several files overlay each
-other, the later wins.
+Nodes (``--params-file``) and replay read the same files. A later file overrides an earlier one.
 """
 
 from __future__ import annotations
@@ -24,15 +23,20 @@ from quadtree_lss.onboard.config.yaml_text import YamlError, read_yaml
 
 NODES = ("mapping_node", "lss_node", "autopilot_node")
 ROS_OWN = re.compile(r"use_sim_time|start_type_description_service|qos_overrides\..*")
-"""Parameters that ROS itself declares; they mean nothing offline."""
+"""Parameters that ROS itself declares; they have no effect offline."""
 
 
 def read_values(path: str | os.PathLike[str], faults: list[str] | None = None) -> dict[str, object]:
-    """Dotted values of the sections ``/**`` and of this package's nodes, in the file's order.
+    """Read the values of ``/**`` and of this package's nodes by dotted name, in the file's order.
 
-    Sections of other nodes are left alone, unless their name looks like a misspelt one of ours.
-    ``faults`` gets what is wrong with single sections, instead of an error. Raises `ConfigError`:
-    not readable, no YAML, not in the form of a parameter file.
+    Sections of other nodes are ignored, except for misspelt names of this package's nodes.
+
+    Args:
+        path: Parameter file.
+        faults: Receives the errors of single sections, which are otherwise raised.
+
+    Raises:
+        ConfigError: The file is not readable, not YAML or not a parameter file.
     """
     values: dict[str, object] = {}
     sections = 0
@@ -42,7 +46,7 @@ def read_values(path: str | os.PathLike[str], faults: list[str] | None = None) -
                 continue
             sections += 1
             if not isinstance(section or {}, Mapping):
-                msg = f"ros__parameters of '{name}' holds no keys"
+                msg = f"ros__parameters of '{name}' has no keys"
                 raise ConfigError(msg)
             values |= flatten(section or {})
         except ConfigError as error:
@@ -57,10 +61,10 @@ def read_values(path: str | os.PathLike[str], faults: list[str] | None = None) -
 
 
 def check_reaches(path: str | os.PathLike[str], node: str) -> None:
-    """See that something in a parameter file is for a node, by its full name. Raises `ConfigError`:
-    not readable, or ROS would give the node nothing of it."""
+    """Check that a parameter file has a section for a node, by its full name. Raises `ConfigError`
+    if it has none or is not readable."""
     names = [name for name, _ in _sections(_content(path))]
-    # As rcl has it: /** stands for any namespaces, /* for one of them or a name.
+    # As in rcl: /** matches any namespaces, /* one namespace or a name.
     patterns = [
         re.escape(name).replace(r"/\*\*", r"(/\w+)*").replace(r"/\*", r"/\w+") for name in names
     ]
@@ -80,7 +84,7 @@ def _content(path: str | os.PathLike[str]) -> Mapping[Any, Any]:
 
 
 def _sections(content: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Names of nodes, with namespaces, and what stands in their ``ros__parameters``."""
+    """Yield the names of nodes, with namespaces, and the content of their ``ros__parameters``."""
     for key, value in content.items():
         name = f"{prefix}/{str(key).strip('/')}"
         if not isinstance(value, Mapping):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One row of the table of parameters: how it is declared and what values it takes."""
+"""One row of the table of parameters: its declaration and its check."""
 
 from __future__ import annotations
 
@@ -16,13 +16,21 @@ Value = bool | int | float | str
 
 
 class ConfigError(QuadtreeLssError):
-    """A configuration value or key is wrong; names the key and what is allowed."""
+    """A configuration key or value is wrong; the text names the key and the allowed values."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One row of the table: the dotted name; the unit, empty for none; the inclusive range of
-    numbers; allowed texts, empty for any; whether a running node accepts a change."""
+    """One row of the table.
+
+    Attributes:
+        name: Dotted name.
+        unit: Empty for none.
+        low, high: Inclusive range of a number.
+        choices: Allowed texts; empty for any.
+        live: A running node accepts a change.
+        doc: Meaning, for documents and ``ros2 param describe``.
+    """
 
     name: str
     type: type
@@ -44,20 +52,20 @@ def declared(
     choices: Sequence[str] = (),
     live: bool = False,
 ) -> typing.Any:
-    """A dataclass field that is a row of the table; see `Parameter` for the arguments."""
+    """Declare a dataclass field as a row of the table; arguments as for `Parameter`."""
     low, high = limits
     meta = {"low": low, "high": high, "choices": tuple(choices), "live": live}
     return field(default=default, metadata={"doc": doc, "unit": unit, **meta})
 
 
-#: The same of a parameter that a running node accepts.
+#: Declare a parameter that a running node accepts.
 live = functools.partial(declared, live=True)
 
 
 def checked_value(row: Parameter, value: object) -> Value:
-    """``value`` converted to the row's type. Raises `ConfigError`: wrong type, out of range, not
-    finite or not among the choices."""
-    if value is False and "none" in row.choices:  # what YAML makes of `off`
+    """Convert a value to the row's type. Raises `ConfigError` if it has the wrong type, is out of
+    range, not finite or not among the choices."""
+    if value is False and "none" in row.choices:  # YAML reads `off` as False
         value = "none"
     kinds = {bool: bool, str: str, int: numbers.Integral, float: numbers.Real}
     if not isinstance(value, kinds[row.type]) or (row.type is not bool and isinstance(value, bool)):

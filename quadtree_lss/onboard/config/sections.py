@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of parameters, section by section: type, default, unit, range and meaning of each."""
+"""The table of parameters: type, default, unit, range and meaning of each, by section."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from quadtree_lss.onboard.config.limits import MOST_LEAVES, MOST_LEVELS, STEP_LEVEL
+from quadtree_lss.onboard.config.limits import MAX_LEAVES, MAX_LEVEL, STEP_LEVEL
 from quadtree_lss.onboard.config.parameter import declared as _p
 from quadtree_lss.onboard.config.parameter import live as _live
 from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
@@ -13,7 +13,7 @@ from quadtree_lss.onboard.config.vehicle import Lengths, VehicleConfig
 
 @dataclass(frozen=True)
 class DomainConfig:
-    """Where the map lies and how finely it may be divided."""
+    """Position, size and resolution of the map."""
 
     xmin: float = _p(-60.0, "western edge of the square domain", (-1e8, 1e8), "m")
     ymin: float = _p(-60.0, "southern edge of the square domain", (-1e8, 1e8), "m")
@@ -24,22 +24,22 @@ class DomainConfig:
         " of landing/area); ground outside is dropped",
         choices=("none", "vehicle", "area"),
     )
-    min_level: int = _p(4, "level of the coarsest cells", (0, MOST_LEVELS))
+    min_level: int = _p(4, "level of the coarsest cells", (0, MAX_LEVEL))
     max_level: int = _p(
         8,
         "level of the finest cells: size / 2^level; an assessment takes 1.3 GB at 11",
-        (0, MOST_LEVELS),
+        (0, MAX_LEVEL),
     )
 
     @property
     def step(self) -> float:
-        """A domain that follows is moved by multiples of this, m."""
+        """Step of a domain that follows, m."""
         return self.size / (1 << min(self.min_level, STEP_LEVEL))
 
 
 @dataclass(frozen=True)
 class LidarConfig:
-    """What the lidar, or the depth camera, measures."""
+    """Lidar or depth camera."""
 
     source: str = _p(
         "points",
@@ -57,8 +57,8 @@ class LidarConfig:
     )
     min_range: float = _p(0.5, "shorter ranges are ignored", (0.0, 1e5), "m")
     max_range: float = _p(5000.0, "longer ranges are ignored", (0.1, 1e6), "m")
-    #: No parameter: returns nearer to a neighbour than this, m, or than five times the scan's usual
-    #: spacing, form a group; a group of fewer than three is noise. 0 keeps every return.
+    #: Not a parameter: returns closer than this, m, or than five times the usual spacing of the
+    #: scan, form a group; a group of fewer than three is noise. 0 keeps every return.
     outlier_gate: float = Lengths.outlier_gate
 
 
@@ -76,7 +76,7 @@ class FramesConfig:
 
 @dataclass(frozen=True)
 class PoseConfig:
-    """How a scan finds the pose at its stamp."""
+    """Poses and their errors."""
 
     source: str = _p(
         "pose",
@@ -99,13 +99,13 @@ class PoseConfig:
 
     @property
     def queue(self) -> int:
-        """Scans that may wait for their pose or their turn: those of a lidar of 20 Hz."""
+        """Number of scans that may wait for their pose, for a lidar of 20 Hz."""
         return max(20, round(20.0 * self.max_wait))
 
 
 @dataclass(frozen=True)
 class MountConfig:
-    """Where the lidar sits on the body, when poses are those of the body."""
+    """Mount of the lidar on the body, if poses are those of the body."""
 
     x: float = _p(0.0, "origin of the lidar in body axes", (-1e3, 1e3), "m")
     y: float = _p(0.0, "origin of the lidar in body axes", (-1e3, 1e3), "m")
@@ -145,10 +145,10 @@ class MappingConfig:
     division_factor: float = _p(
         1.2, "a cell divides above this multiple of the expected residual", (1.0, 100.0)
     )
-    max_cells: int = _p(200000, "most leaves, of up to 1.5 kB each", (1, MOST_LEAVES))
+    max_cells: int = _p(200000, "most leaves, of up to 1.5 kB each", (1, MAX_LEAVES))
 
     def by_paper(self, rule: str) -> bool:
-        """Whether the paper's fit, covariance or division holds."""
+        """Whether the paper's ``rule`` (fit, covariance or division) replaces the default one."""
         return self.paper in (rule, "all")
 
 
@@ -214,12 +214,12 @@ class LssConfig:
         (0.0, 1e5),
         "m",
     )
-    #: No parameter: what lands, of the section ``vehicle``.
+    #: Not a parameter: the section ``vehicle``.
     vehicle: VehicleConfig = VehicleConfig()
 
     @property
     def ranking(self) -> str:
-        """How sites are ranked: by ``probability`` or by the paper's ``score``."""
+        """Ranking of sites: ``probability``, or the paper's ``score``."""
         return "probability" if self.assessment == "probability" else "score"
 
     @property
@@ -229,18 +229,18 @@ class LssConfig:
 
     @property
     def spacing(self) -> float:
-        """Of candidate sites, m."""
+        """Spacing of grid points, m."""
         return self.grid_spacing or self.vehicle.lengths.grid_spacing
 
     @property
     def gap(self) -> float:
-        """Ground farther from any that is mapped is unseen, m."""
+        """Width of gaps above which ground is unobserved, m."""
         return self.vehicle.lengths.max_gap if self.max_gap < 0.0 else self.max_gap
 
 
 @dataclass(frozen=True)
 class PublishConfig:
-    """What the nodes send, and how often."""
+    """Rates of publication."""
 
     rate: float = _p(10.0, "greatest rate of maps", (0.01, 1000.0), "Hz")
     lss_rate: float = _p(4.0, "greatest rate of assessments", (0.01, 1000.0), "Hz")
@@ -248,7 +248,7 @@ class PublishConfig:
 
 @dataclass(frozen=True)
 class DiagnosticsConfig:
-    """From which age on data are too old."""
+    """Limits of the age of data."""
 
     warn_age: float = _live(
         1.0,
@@ -259,32 +259,31 @@ class DiagnosticsConfig:
 
     @property
     def error_age(self) -> float:
-        """From which age on the status is an error, s."""
+        """Age of scans, poses or maps for an error, s."""
         return 5.0 * self.warn_age
 
 
 @dataclass(frozen=True)
 class MapFileConfig:
-    """Where the services ``~/save_map`` and ``~/load_map`` keep a map."""
+    """File of the services ``~/save_map`` and ``~/load_map``."""
 
     path: str = _p("", "file of save_map and load_map")
 
 
 CHECKPOINT_S = 2.0
-"""Least time between two checkpoints: what a killed node has lost is seen anew in as long, and the
-disk has two seconds for some megabytes."""
+"""Shortest time between checkpoints: at most two seconds of scans are lost with a killed node."""
 
 
 @dataclass(frozen=True)
 class CheckpointConfig:
-    """The map on disk, taken up again when mapping_node starts."""
+    """File from which mapping_node restores the map when it starts."""
 
     path: str = _p("", "file of the checkpoints; empty for none")
 
 
 @dataclass(frozen=True)
 class AutopilotConfig:
-    """How autopilot_node lands by a MAVLink autopilot."""
+    """Landing with a MAVLink autopilot."""
 
     connection: str = _p(
         "udpin:127.0.0.1:14550",

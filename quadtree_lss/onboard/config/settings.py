@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The configuration: all sections together, from and to values by name, checked as a whole."""
+"""The configuration: all sections, conversion from and to dotted values, checks across sections."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 
 from quadtree_lss.onboard.config import sections
-from quadtree_lss.onboard.config.limits import why_too_much
+from quadtree_lss.onboard.config.limits import exceeded_limit
 from quadtree_lss.onboard.config.parameter import ConfigError as ConfigError
 from quadtree_lss.onboard.config.parameter import Parameter as Parameter
 from quadtree_lss.onboard.config.parameter import Value, checked_value
@@ -23,9 +23,8 @@ from quadtree_lss.onboard.config.sections import LssConfig as LssConfig
 from quadtree_lss.onboard.config.sections import MountConfig as MountConfig
 from quadtree_lss.onboard.config.vehicle import VehicleConfig as VehicleConfig
 
-#: Least level of the coarsest cells of a domain that follows: moved by one it is within a sixteenth
-#: of its side of where it is to be, half of what moves it (`Domain.steps_to`).
-LEAST_STEPS = 3
+#: Smallest domain.min_level of a domain that follows: a step is then at most an eighth of its side.
+MIN_FOLLOW_LEVEL = 3
 
 #: Removed parameters and sections, by what applies instead.
 _REMOVED = {
@@ -66,7 +65,7 @@ REMOVED = {name: reason for reason, names in _REMOVED.items() for name in names.
 
 @dataclass(frozen=True)
 class Config:
-    """Everything that can be set; defaults are those of ``config/default.yaml``."""
+    """All parameters; the defaults are those of ``config/default.yaml``."""
 
     vehicle: VehicleConfig = field(default_factory=VehicleConfig)
     domain: DomainConfig = field(default_factory=DomainConfig)
@@ -84,7 +83,7 @@ class Config:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lss", dataclasses.replace(self.lss, vehicle=self.vehicle))
-        # Of a depth image edges are dropped already, and what is left is dense.
+        # Depth images have no isolated returns: their edges are removed on reception.
         depth, gate = self.lidar.source == "depth", self.vehicle.lengths.outlier_gate
         lidar = dataclasses.replace(self.lidar, outlier_gate=0.0 if depth else gate)
         object.__setattr__(self, "lidar", lidar)
@@ -112,27 +111,27 @@ def parameters() -> tuple[Parameter, ...]:
     )
 
 
-def removed(key: str) -> str:
-    """What applies instead of a removed parameter; empty if it was not removed."""
+def removal_reason(key: str) -> str:
+    """Return what replaces a removed parameter; empty if it was not removed."""
     return REMOVED.get(key) or REMOVED.get(key.partition(".")[0], "")
 
 
 def unknown_parameter(key: str) -> str:
-    """What to say of a name that no parameter has: what replaced it, or the nearest one."""
-    if reason := removed(key):
+    """Return the error text for an unknown name, with its replacement or the nearest name."""
+    if reason := removal_reason(key):
         return f"{key} was removed: {reason}"
     names = [row.name for row in parameters()]
     near = difflib.get_close_matches(key, names, n=1, cutoff=0.0) if key.strip(" .") else []
     return f"unknown parameter '{key}'" + "".join(f"; did you mean '{name}'?" for name in near)
 
 
-def still_parameters(values: Mapping[str, object]) -> dict[str, object]:
-    """Dotted values of an earlier run, without what are parameters no more."""
-    return {key: value for key, value in values.items() if not removed(key)}
+def without_removed(values: Mapping[str, object]) -> dict[str, object]:
+    """Return the dotted values of a saved run without removed parameters."""
+    return {key: value for key, value in values.items() if not removal_reason(key)}
 
 
 def flatten(values: Mapping[str, object], prefix: str = "") -> dict[str, object]:
-    """Nested or dotted keys to dotted ones."""
+    """Convert nested or dotted keys to dotted ones."""
     flat: dict[str, object] = {}
     for key, value in values.items():
         if isinstance(value, Mapping):
@@ -145,9 +144,10 @@ def flatten(values: Mapping[str, object], prefix: str = "") -> dict[str, object]
 def checked_values(
     values: Mapping[str, object], faults: list[str] | None = None
 ) -> dict[str, dict[str, Value]]:
-    """Dotted values converted to their parameters' types, by section and name. ``faults`` gets what
-    is wrong with single ones, instead of an error. Raises `ConfigError`: unknown key (see
-    `unknown_parameter`), wrong type or range."""
+    """Convert dotted values to the types of their parameters, by section and name.
+
+    ``faults`` receives the errors of single values, which are otherwise raised. Raises
+    `ConfigError`: unknown key (see `unknown_parameter`), wrong type or range."""
     table = {row.name: row for row in parameters()}
     found: dict[str, dict[str, Value]] = {}
     for key, value in values.items():
@@ -164,8 +164,8 @@ def checked_values(
 
 
 def config_from_values(values: Mapping[str, object], base: Config | None = None) -> Config:
-    """A configuration from dotted or nested values laid over ``base``. Raises `ConfigError`:
-    unknown key (names the nearest), wrong type or range, values that contradict one another."""
+    """Return ``base``, by default the defaults, with dotted or nested values set. Raises
+    `ConfigError`: unknown key (names the nearest), wrong type or range, contradicting values."""
     start = Config() if base is None else base
     changed = {
         section: dataclasses.replace(getattr(start, section), **entries)
@@ -175,12 +175,12 @@ def config_from_values(values: Mapping[str, object], base: Config | None = None)
 
 
 def values_from_config(config: Config) -> dict[str, Value]:
-    """Flat dotted values of a configuration."""
+    """Return the dotted values of a configuration."""
     return {row.name: operator.attrgetter(row.name)(config) for row in parameters()}
 
 
 def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
-    """What in the sections does not go together, a line each."""
+    """Yield a line for each contradiction between parameters."""
     domain, lidar, mapping = config.domain, config.lidar, config.mapping
     if not config.frames.map:
         yield "frames.map is empty: it is the name of the frame of poses and map"
@@ -203,24 +203,24 @@ def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
     if mount.source != "fixed" and mount != MountConfig(source=mount.source, axes=mount.axes):
         yield f"mount.source is {mount.source}: leave mount.x ... mount.yaw_deg at 0"
     lss = dataclasses.replace(config.lss, vehicle=config.vehicle)
-    reason = why_too_much(domain.size, 1 << domain.max_level, lss)
+    reason = exceeded_limit(domain.size, 1 << domain.max_level, lss)
     if reason is not None:
         yield f"domain.size = {domain.size:g} m, domain.max_level = {domain.max_level}: {reason}"
 
 
 def _cannot_follow(config: Config | SimpleNamespace) -> Iterator[str]:
-    """Why a square cannot follow."""
+    """Yield the reason why the domain cannot follow, if there is one."""
     domain, step = config.domain, config.domain.step
     spacing = dataclasses.replace(config.lss, vehicle=config.vehicle).spacing
     parts = max(round(step / spacing), 1)
-    if domain.min_level < LEAST_STEPS:
+    if domain.min_level < MIN_FOLLOW_LEVEL:
         yield (
             f"domain.follow moves the domain by coarsest cells, of {step:g} m, too much at once for"
-            f" {domain.size:g} m: domain.min_level is to be {LEAST_STEPS} or more"
+            f" {domain.size:g} m: set domain.min_level to {MIN_FOLLOW_LEVEL} or more"
         )
     elif abs(step - parts * spacing) > 1e-6 * spacing:
         yield (
-            f"domain.follow moves the domain by {step:g} m, which is no multiple of"
+            f"domain.follow moves the domain by {step:g} m, which is not a multiple of"
             f" lss.grid_spacing = {spacing:g} m: set that to {step / parts:.12g}"
         )
 

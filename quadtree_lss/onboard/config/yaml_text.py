@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML from outside, within bounds: what is read takes memory and time by its length alone.
+"""YAML of limited length without aliases, so that memory and time depend only on the length.
 
-Aliases and merges could make a kilobyte mean gigabytes. ROS's own parser refuses aliases too.
+Aliases and merges can expand a kilobyte to gigabytes. ROS's own parser rejects aliases too.
 """
 
 from __future__ import annotations
@@ -14,37 +14,37 @@ import yaml
 
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-MOST_BYTES = 1 << 20
-"""Of a text; a configuration of all parameters, explained, has 20,000."""
+MAX_YAML_BYTES = 1 << 20
+"""Largest size of a text; a commented configuration of all parameters has 20,000 bytes."""
 
 
 class YamlError(QuadtreeLssError):
-    """The text is no YAML, or more than is read."""
+    """The text is not valid YAML, or too long."""
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML as ROS reads it: 1e-3 is a number. A key that stands twice, or merges, is an error."""
+    """Loader that reads 1e-3 as a number, as ROS does, and rejects repeated keys and merges."""
 
     aliases = False
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """As in the base class, refusing aliases."""
+        """Compose a node as in the base class; reject aliases."""
         if not self.aliases and self.check_event(yaml.AliasEvent):
             mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
-            self._refuse("aliases (*name) are not read", mark)
+            self._reject("aliases (*name) are not read", mark)
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        """As in the base class, refusing repeated keys."""
+        """Construct a mapping as in the base class; reject repeated keys."""
         seen: set[object] = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
             if key in seen:
-                self._refuse(f"key {key!r} appears twice", key_node.start_mark)
+                self._reject(f"key {key!r} appears twice", key_node.start_mark)
             seen.add(key)
         return super().construct_mapping(node, deep)
 
-    def _refuse(self, problem: str, mark: Any) -> None:
+    def _reject(self, problem: str, mark: Any) -> None:
         raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
 
 
@@ -61,20 +61,20 @@ _WithAliases.yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers
 
 
 def read_yaml(path: str | os.PathLike[str]) -> object:
-    """What stands in a file. Raises `YamlError`: as of `parse_yaml`, or it cannot be read."""
+    """Parse a file. Raises `YamlError` as `parse_yaml`, or if the file cannot be read."""
     try:
         with open(path, encoding="utf-8") as file:
-            return parse_yaml(file.read(MOST_BYTES + 1))
+            return parse_yaml(file.read(MAX_YAML_BYTES + 1))
     except (OSError, UnicodeDecodeError) as error:
         msg = f"cannot be read: {getattr(error, 'strerror', None) or error}"
         raise YamlError(msg) from None
 
 
 def parse_yaml(text: str, *, aliases: bool = False) -> object:
-    """What stands in a text of one document; ``aliases`` are read for a caller who follows few of
-    them. Raises `YamlError`: it cannot be understood, or is too long or too deep."""
-    if len(text) > MOST_BYTES:
-        msg = f"{len(text)} characters of YAML; {MOST_BYTES} is the most"
+    """Parse a text of one document; ``aliases``: accept aliases, for a caller that follows few of
+    them. Raises `YamlError` if the text is not valid YAML, too long or nested too deeply."""
+    if len(text) > MAX_YAML_BYTES:
+        msg = f"{len(text)} characters of YAML; {MAX_YAML_BYTES} is the most"
         raise YamlError(msg)
     try:
         return yaml.load(text, Loader=_WithAliases if aliases else _Loader)
@@ -86,6 +86,6 @@ def parse_yaml(text: str, *, aliases: bool = False) -> object:
     except RecursionError:
         msg = "not valid YAML: nested too deeply"
         raise YamlError(msg) from None
-    except Exception as error:  # PyYAML's of values: dates, numbers, keys that cannot be keys
+    except Exception as error:  # PyYAML raises various errors for dates, numbers and keys
         msg = f"not valid YAML: {error}"
         raise YamlError(msg) from None

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array, Mask
-from quadtree_lss.onboard.config.limits import MOST_LEAVES, MOST_LEVELS, why_too_much
+from quadtree_lss.onboard.config.limits import MAX_LEAVES, MAX_LEVEL, exceeded_limit
 from quadtree_lss.onboard.config.settings import ConfigError, LssConfig, checked_values
 from quadtree_lss.onboard.core.geometry.bounds import MOST, MOST_HEIGHT, bounded
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -127,10 +127,10 @@ def decode_cells(
     if not len(records):
         msg = "map/cells has no leaves"
         raise MessageError("no_cells", msg)
-    if n > 1 << MOST_LEVELS or len(records) > MOST_LEAVES:
+    if n > 1 << MAX_LEVEL or len(records) > MAX_LEAVES:
         msg = (
-            f"map of {len(records)} leaves on {n} x {n} finest cells: {MOST_LEAVES} leaves and"
-            f" {1 << MOST_LEVELS} cells a side are the most"
+            f"map of {len(records)} leaves on {n} x {n} finest cells: {MAX_LEAVES} leaves and"
+            f" {1 << MAX_LEVEL} cells a side are the most"
         )
         raise MessageError("too_large", msg)
     level = records["level"].copy()  # kernels take nothing that is read-only
@@ -184,7 +184,7 @@ def _tiled(
     except ConfigError as error:
         msg = f"map/cells is of a domain that none can be: {error}"
         raise MessageError("domain", msg) from None
-    reason = None if lss is None else why_too_much(size, n, lss)
+    reason = None if lss is None else exceeded_limit(size, n, lss)
     if reason is not None:
         msg = f"map of {size:g} m: {reason}"
         raise MessageError("too_large", msg)

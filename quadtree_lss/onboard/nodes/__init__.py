@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS 2 nodes: messages in, calls of the core, messages out. Only here is rclpy imported."""
+"""The ROS 2 nodes: they convert messages and call the core. Only this package imports rclpy."""

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Owns the landing: the target in, set-points to an autopilot out, its pose to the other nodes.
-
-Computes nothing: ``onboard.autopilot`` decides, and speaks MAVLink.
-"""
+"""Node that lands with a MAVLink autopilot; `onboard.autopilot` computes the set-points."""
 
 from __future__ import annotations
 
@@ -22,6 +19,7 @@ from sensor_msgs.msg import PointCloud2
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.autopilot.controller import Controller
 from quadtree_lss.onboard.autopilot.frames import Nav
+from quadtree_lss.onboard.autopilot.inputs import Target, target_from_status
 from quadtree_lss.onboard.autopilot.landing import (
     GIVE_UP,
     HEARTBEAT_S,
@@ -31,7 +29,6 @@ from quadtree_lss.onboard.autopilot.landing import (
     Order,
 )
 from quadtree_lss.onboard.autopilot.link import PX4
-from quadtree_lss.onboard.autopilot.seen import Target, target_of
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -39,7 +36,7 @@ from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, status_from_message
 from quadtree_lss.onboard.messages.poses import check_frame
 from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Status
-from quadtree_lss.onboard.nodes.entry import waits_for
+from quadtree_lss.onboard.nodes.entry import set_waiting_for
 from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.node_runner import BaseNode, run
@@ -50,38 +47,39 @@ ODOMETRY, AREA, DISPERSION = "nav/odometry", "landing/area", "landing/dispersion
 STATE = "landing/autopilot"
 POLL_S, STEP_S = 0.01, 0.1
 CONNECT_S = 0.3
-"""A peer by TCP that does not answer would hold the node up for two minutes."""
+"""Timeout of a TCP connection, whose default of two minutes would block the node."""
 CORNERS = 24
+"""Corners of the polygon for the circle of ``autopilot.reach``."""
 CONTROL_M = 0.1
-"""What the autopilot's control adds to navigation's deviation: of 251 landings with ArduCopter none
-was farther than 0.13 m from its target (``docs/evidence.md``)."""
+"""Standard deviation of the autopilot's control: 251 landings with ArduCopter were at most 0.13 m
+from the target (``docs/evidence.md``)."""
 LEVELS = {GIVE_UP: ERROR, WAVE_OFF: WARN, HOLD: WARN}
 
 
 class AutopilotNode(BaseNode):
-    """Lands the vehicle; ``docs/autopilot.md`` says how."""
+    """Land the vehicle, as described in ``docs/autopilot.md``."""
 
     def __init__(self) -> None:
         super().__init__("autopilot_node")
         config = self._config
         link = config.autopilot
         self._now: Callable[[], float] = time.monotonic
-        if self.get_parameter("use_sim_time").value:  # a simulator may be slower than its time
+        if self.get_parameter("use_sim_time").value:  # a simulator may run slower than real time
             self._now = lambda: 1e-9 * self._clock_ns()
         self._controller = Controller(link, self._clock_ns, self._now)
         self._link = self._controller.link
         self._order = Order(PILOT, "no heartbeat yet", None, None)
         self._selected: tuple[float, Array] | None = None
         self._status: tuple[float, Any] | None = None
-        effect = "no target is flown to while there is more than one"
+        effect = "the vehicle flies to no target while there is more than one"
         self._sources = {
             topic: Publishers(self.resolve_topic_name(topic), reason, effect, self._problems)
             for topic, reason in ((SELECTED, "target_publishers"), (STATUS, "status_publishers"))
         }
-        kind, heard = PoseWithCovarianceStamped, self._sources[SELECTED].changed
-        subscribe(self, kind, SELECTED, self._on_selected, latched(), heard)
-        heard = self._sources[STATUS].changed
-        subscribe(self, PointCloud2, STATUS, self._on_status, latched(), heard)
+        kind, matched = PoseWithCovarianceStamped, self._sources[SELECTED].changed
+        subscribe(self, kind, SELECTED, self._on_selected, latched(), matched)
+        matched = self._sources[STATUS].changed
+        subscribe(self, PointCloud2, STATUS, self._on_status, latched(), matched)
         if link.odometry:
             self._odometry = advertise(self, Odometry, ODOMETRY, stream(50, reliable=True))
         self._area = advertise(self, PolygonStamped, AREA, latched())
@@ -96,13 +94,13 @@ class AutopilotNode(BaseNode):
         self._announce()
         if config.lss.commit_height < link.gate_height:
             text = "lss.commit_height is below autopilot.gate_height"
-            self.get_logger().warning(f"{text}: a better target on the way down is a wave-off")
+            self.get_logger().warning(f"{text}: a better target during the descent is a wave-off")
 
     def _clock_ns(self) -> int:
         return int(self.get_clock().now().nanoseconds)
 
     def destroy_node(self) -> None:
-        """Lets the port go, too."""
+        """Close the connection and destroy the node."""
         self._link.close()
         super().destroy_node()
 
@@ -125,14 +123,15 @@ class AutopilotNode(BaseNode):
             self._problems.report("status_layout", str(error))
 
     def _target(self, now: float) -> tuple[Target | None, str]:
-        """What lss_node says, by navigation's height; else why there is none."""
+        """Return the target of lss_node, else the reason why there is none."""
         if self._selected is None or self._status is None:
-            return None, "nothing was heard of lss_node yet"
+            return None, "no message from lss_node yet"
         for topic, sources in self._sources.items():
             if sources.number > 1:
-                return None, f"{sources.number} nodes send {topic}"
-        (at, place), (told_at, status) = self._selected, self._status
-        return target_of(place, status, now - min(at, told_at), now - told_at)
+                return None, f"{sources.number} nodes publish {topic}"
+        (selected_time, place), (status_time, status) = self._selected, self._status
+        age = now - min(selected_time, status_time)
+        return target_from_status(place, status, age, now - status_time)
 
     def _poll(self) -> None:
         for nav in self._controller.poll():
@@ -150,40 +149,40 @@ class AutopilotNode(BaseNode):
         unknown = np.diag(np.repeat(np.square(sigmas), 3))
         covariance = unknown if nav.covariance is None else nav.covariance
         message.pose.covariance = covariance.ravel()
-        along = message.twist.twist.linear
-        velocity = rotation_from_quaternion(nav.quaternion).T @ nav.velocity  # of the body's axes
-        along.x, along.y, along.z = velocity.tolist()
+        linear = message.twist.twist.linear
+        velocity = rotation_from_quaternion(nav.quaternion).T @ nav.velocity  # in body axes
+        linear.x, linear.y, linear.z = velocity.tolist()
         return message
 
     def _step(self) -> None:
-        self._poll()  # a pilot who took over meanwhile gets no set-point
-        waits_for(lack := self._lacks())
-        began = self._controller.landing.state
+        self._poll()  # detect a mode change by the pilot before the next set-point
+        set_waiting_for(missing := self._missing_inputs())
+        previous_state = self._controller.landing.state
         order = self._controller.step(*self._target(self._now()))
         if order is None or self._controller.nav is None:
-            self._publish_state(Order(PILOT, f"waiting for {lack}", None, None))
+            self._publish_state(Order(PILOT, f"waiting for {missing}", None, None))
             return
-        if order.state != began:
+        if order.state != previous_state:
             self._on_change(order, self._controller.nav)
         self._publish_state(order)
 
-    def _lacks(self) -> str:
-        """What there is not yet of all that a landing takes, empty after it came."""
-        if lack := self._controller.lack:
-            return lack
+    def _missing_inputs(self) -> str:
+        """Return the inputs of a landing that have not arrived yet; empty if none is missing."""
+        if missing := self._controller.missing:
+            return missing
         if self._selected is None or self._status is None:
             known = self._sources[SELECTED].number
             return f"{SELECTED} and {STATUS} (publishers known: {known})"
         return ""
 
     def _on_change(self, order: Order, nav: Nav) -> None:
-        """A line for the log and the pilot; what lss_node is to know."""
+        """Report a new state to the log, the pilot and lss_node."""
         warn, text = order.state in LEVELS, f"{order.state}: {order.text}"
         if warn:
             self.get_logger().warning(text)
         else:
             self.get_logger().info(text)
-        self._link.tell(f"lss {text}", warn=warn)
+        self._link.send_text(f"lss {text}", warn=warn)
         if order.point is not None:
             if self._is_only_publisher(self._dispersion):
                 self._send_dispersion(nav)
@@ -191,21 +190,23 @@ class AutopilotNode(BaseNode):
                 self._send_reach(nav)
 
     def _is_only_publisher(self, publisher: Publisher) -> bool:
-        """Return whether no other node, such as guidance, publishes there."""
+        """Return whether no other node, such as guidance, publishes the topic."""
         return bool(self.count_publishers(publisher.topic_name) <= 1)
 
     def _send_reach(self, nav: Nav) -> None:
         message = PolygonStamped(header=header_message(nav.stamp_ns, self._frame))
-        around = np.linspace(0.0, 2.0 * np.pi, CORNERS, endpoint=False)
+        angle = np.linspace(0.0, 2.0 * np.pi, CORNERS, endpoint=False)
         reach = self._config.autopilot.reach
-        corners = nav.position[:2, None] + reach * np.array([np.cos(around), np.sin(around)])
+        corners = nav.position[:2, None] + reach * np.array([np.cos(angle), np.sin(angle)])
         message.polygon.points = [Point32(x=float(x), y=float(y)) for x, y in corners.T]
         self._area.publish(message)
 
     def _send_dispersion(self, nav: Nav) -> None:
-        known = self._config.pose.unknown_position_sigma
-        own = np.full(2, known**2) if nav.covariance is None else nav.covariance.diagonal()[:2]
-        covariance = np.diag([*(own + CONTROL_M**2), 0.0, 0.0, 0.0, np.pi**2])
+        sigma = self._config.pose.unknown_position_sigma
+        variance = np.full(2, sigma**2)
+        if nav.covariance is not None:
+            variance = nav.covariance.diagonal()[:2]
+        covariance = np.diag([*(variance + CONTROL_M**2), 0.0, 0.0, 0.0, np.pi**2])
         make, level = message_maker(self._frame), (0.0, 0.0, 0.0, 1.0)
         self._dispersion.publish(make.pose(nav.stamp_ns, np.zeros(3), level, covariance.ravel()))
 
@@ -224,35 +225,37 @@ class AutopilotNode(BaseNode):
                 values[axis] = f"{value:.3f}"
             if order.target is not None:
                 height = nav.position[2] - order.target.place[2]
-                away = np.hypot(*(nav.position - order.target.place)[:2])
-                values |= {"height": f"{height:.2f}", "offset": f"{away:.2f}"}
+                offset = np.hypot(*(nav.position - order.target.place)[:2])
+                values |= {"height": f"{height:.2f}", "offset": f"{offset:.2f}"}
         status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
         self._state.publish(status)
 
     def _on_land(self) -> str:
-        lack = "" if self._now() - self._link.heard <= HEARTBEAT_S else "no heartbeat"
+        fault = "" if self._now() - self._link.last_heartbeat <= HEARTBEAT_S else "no heartbeat"
         if self._config.autopilot.may_command == "nothing":
-            lack = "autopilot.may_command is nothing"
-        if lack:
-            msg = f"{lack}: the pilot switches to guided or offboard"
+            fault = "autopilot.may_command is nothing"
+        if fault:
+            msg = f"{fault}: the pilot switches to guided or offboard"
             raise QuadtreeLssError(msg)
-        self._link.follow()
-        return "asked for the mode that follows set-points"
+        self._link.request_guided_mode()
+        return "requested the mode that follows set-points"
 
     def _collect(self, status: Status) -> None:
         status.note(LEVELS.get(self._order.state, OK), f"{self._order.state}: {self._order.text}")
-        if lack := self._lacks():
-            status.note(WARN, f"waiting for {lack}")
-        heard = self._now() - self._link.heard
+        if missing := self._missing_inputs():
+            status.note(WARN, f"waiting for {missing}")
+        heartbeat_age = self._now() - self._link.last_heartbeat
         status.add({"autopilot.kind": {None: "none", PX4: "px4"}.get(self._link.kind, "ardupilot")})
-        status.add({"heartbeat.age_s": heard, "target.publishers": self._sources[SELECTED].number})
-        status.add({f"autopilot.heard.{what}": n for what, n in self._link.heard_of.items()})
-        status.add({f"autopilot.refused.{why}": n for why, n in self._link.refused.items()})
-        if heard > HEARTBEAT_S:
+        status.add({"heartbeat.age_s": heartbeat_age})
+        status.add({"target.publishers": self._sources[SELECTED].number})
+        status.add({f"autopilot.heard.{what}": n for what, n in self._link.message_counts.items()})
+        status.add({f"autopilot.refused.{why}": n for why, n in self._link.rejected.items()})
+        if heartbeat_age > HEARTBEAT_S:
             connection = self._config.autopilot.connection
             status.note(ERROR, f"no heartbeat of an autopilot on {connection}")
-        elif self._now() - self._link.answered > HEARTBEAT_S:
-            status.note(WARN, "the autopilot does not answer: does it hear anything?")
+        elif self._now() - self._link.last_answer > HEARTBEAT_S:
+            text = "the autopilot sends but does not answer: check that it receives this computer"
+            status.note(WARN, text)
         if (uncertainty := self._link.remote.uncertainty_ns) is not None:
             status.add({"clock.uncertainty_ms": 1e-6 * uncertainty})
 
@@ -260,4 +263,4 @@ class AutopilotNode(BaseNode):
 def main(args: Sequence[str] | None = None) -> int:
     """Console script ``autopilot_node``."""
     socket.setdefaulttimeout(CONNECT_S)
-    return run(AutopilotNode, "autopilot_node: lands by the target, with a MAVLink autopilot", args)
+    return run(AutopilotNode, "autopilot_node: lands at the target with a MAVLink autopilot", args)

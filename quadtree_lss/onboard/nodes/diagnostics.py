@@ -22,8 +22,12 @@ class Logger(Protocol):
 
 
 class Problems:
-    """Counts problems by reason, and logs at most one per reason and ``interval``, s. ``latest``:
-    text of the last one."""
+    """Count problems by reason, and log at most one per reason and ``interval``, s.
+
+    Attributes:
+        counts: Number of problems by reason.
+        latest: Text of the last one.
+    """
 
     def __init__(self, logger: Logger, interval: float = 5.0) -> None:
         self.counts: Counter[str] = Counter()
@@ -33,47 +37,47 @@ class Problems:
         self._logged: dict[str, tuple[float, int]] = {}
 
     def report(self, reason: str, text: str, number: int = 1) -> None:
-        """Count ``number`` problems, and log the text unless this reason was logged lately."""
+        """Count ``number`` problems, and log the text unless the reason was logged recently."""
         self.counts[reason] += number
         self.latest = text = one_line(text)
         now = time.monotonic()
-        told_at, told_count = self._logged.get(reason, (-self._interval, 0))
-        if now - told_at < self._interval:
+        logged_at, logged_count = self._logged.get(reason, (-self._interval, 0))
+        if now - logged_at < self._interval:
             return
-        more = self.counts[reason] - told_count - number
+        more = self.counts[reason] - logged_count - number
         suffix = f" ({more} more of this kind since the last such line)" if more else ""
         self._logger.warning(text + suffix)
         self._logged[reason] = (now, self.counts[reason])
 
 
 def failure(what: str, error: Exception, logger: Logger) -> str:
-    """Log the traceback of an unexpected error, and return one line about it."""
+    """Log the traceback of an unexpected error, and return one line that describes it."""
     logger.warning("".join(traceback.format_exception(error)))
     return f"{what} failed: {one_line(repr(error), 200)}"
 
 
 class Arrivals:
-    """Number (``count``), rate and age of the messages of one kind."""
+    """Number, rate and age of the messages of one topic."""
 
     def __init__(self) -> None:
         self.count = 0
-        self._last = self._looked = time.monotonic()
-        self._counted = 0
+        self._last = self._rate_time = time.monotonic()
+        self._rate_count = 0
 
-    def add(self, at: float | None = None) -> None:
-        """Count a message that came now, or at a time of the monotonic clock, s."""
+    def add(self, arrival: float | None = None) -> None:
+        """Count a message; ``arrival``: time of the monotonic clock, s, by default the present."""
         self.count += 1
-        self._last = time.monotonic() if at is None else at
+        self._last = time.monotonic() if arrival is None else arrival
 
     def age(self) -> float:
-        """Return the time since the last one, or since the start, s."""
+        """Return the time since the last message, or since the start, s."""
         return time.monotonic() - self._last
 
     def rate(self) -> float:
         """Return the rate since the last call, Hz."""
         now = time.monotonic()
-        rate = (self.count - self._counted) / max(now - self._looked, 1e-9)
-        self._looked, self._counted = now, self.count
+        rate = (self.count - self._rate_count) / max(now - self._rate_time, 1e-9)
+        self._rate_time, self._rate_count = now, self.count
         return rate
 
 
@@ -88,28 +92,28 @@ class Span(NamedTuple):
 
 
 class Durations:
-    """Durations since the last `take`. ``last``: the last one, ms."""
+    """Durations since the last `pop_span`; ``last``: the last one, ms."""
 
     def __init__(self) -> None:
         self.last = 0.0
-        self._since: list[float] = []
+        self._values: list[float] = []
 
     def add(self, milliseconds: float) -> None:
         """Add a duration."""
         self.last = milliseconds
-        self._since.append(milliseconds)
+        self._values.append(milliseconds)
 
-    def take(self) -> Span | None:
-        """Return mean and worst since the last call, None without any."""
-        since, self._since = self._since, []
-        return Span(sum(since) / len(since), max(since)) if since else None
+    def pop_span(self) -> Span | None:
+        """Return mean and worst since the last call, or None without a duration."""
+        values, self._values = self._values, []
+        return Span(sum(values) / len(values), max(values)) if values else None
 
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
 class Status:
-    """Status of a node: the worst level, one text, values by key."""
+    """Status of a node: the worst level, texts, and values by key."""
 
     def __init__(self) -> None:
         self.level = OK
@@ -130,16 +134,19 @@ class Status:
             elif value is not None:
                 self.values[key] = f"{value:.2f}" if isinstance(value, float) else value
 
-    def judge_age(self, what: str, topic: str, of: Arrivals, limits: DiagnosticsConfig) -> None:
+    def check_age(
+        self, name: str, topic: str, arrivals: Arrivals, limits: DiagnosticsConfig
+    ) -> None:
         """Add age and rate, and a warning or error if the last message is too old."""
-        age = of.age()
-        self.add({f"{what}.age_s": age, f"{what}.rate_hz": of.rate(), f"{what}.received": of.count})
+        age, count = arrivals.age(), arrivals.count
+        self.add({f"{name}.age_s": age, f"{name}.rate_hz": arrivals.rate()})
+        self.add({f"{name}.received": count})
         if age > limits.warn_age:
             level = ERROR if age > limits.error_age else WARN
-            lack = "for" if of.count else "since the start,"
-            self.note(level, f"no {what} on '{topic}' {lack} {age:.1f} s")
+            since = "for" if count else "since the start,"
+            self.note(level, f"no {name} on '{topic}' {since} {age:.1f} s")
 
-    def judge_delay(self, text: str, delay: Span | None, limits: DiagnosticsConfig) -> None:
+    def check_delay(self, text: str, delay: Span | None, limits: DiagnosticsConfig) -> None:
         """Add a warning or error, ``text`` and the delay, if the delay is too long or negative."""
         if delay is not None and abs(delay.worst) > 1e3 * limits.warn_age:
             level = ERROR if abs(delay.worst) > 1e3 * limits.error_age else WARN

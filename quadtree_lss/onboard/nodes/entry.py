@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Console scripts of the nodes; they handle signals before the slow imports."""
+"""Console scripts of the nodes. They install signal handlers before the slow imports."""
 
 from __future__ import annotations
 
@@ -15,59 +15,60 @@ from types import FrameType
 
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-PATIENCE_S = 3.0
+INTERRUPT_AFTER_S = 3.0
 """Time after the first signal in which further ones are ignored, because a terminal and ``launch``
-may both send it; after it a signal interrupts the callback in progress."""
+may both send one. After it, a signal interrupts the callback in progress."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class StopOnSignal:
-    """Remembers SIGINT, SIGTERM and SIGHUP, so that a callback in progress ends before the node.
+    """Record SIGINT, SIGTERM and SIGHUP, so that a callback in progress completes before the exit.
 
-    ROS's own handlers invalidate the context at once, so that publishing in progress fails. SIGHUP
-    stays ignored if it is, as under ``nohup``.
+    ROS's own handlers invalidate the context immediately, and publishing in progress fails. SIGHUP
+    stays ignored if it was ignored, as under ``nohup``.
     """
 
     def __init__(self) -> None:
-        self.asked = False
+        self.requested = False
         self._first = 0.0
-        self._breaks = False
+        self._interrupts = False
         for number in SIGNALS:
             if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
-                signal.signal(number, self._ask)
+                signal.signal(number, self._on_signal)
 
     @contextlib.contextmanager
-    def breaking(self) -> Iterator[None]:
-        """Raise KeyboardInterrupt within this context on a signal after `PATIENCE_S`."""
-        self._breaks = True
+    def interrupting(self) -> Iterator[None]:
+        """Raise KeyboardInterrupt within this context on a signal after `INTERRUPT_AFTER_S`."""
+        self._interrupts = True
         try:
             yield
         finally:
-            self._breaks = False
+            self._interrupts = False
 
-    def _ask(self, number: int, frame: FrameType | None) -> None:
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
         now = time.monotonic()
-        if not self.asked:
-            self.asked, self._first = True, now
-        elif self._breaks and now - self._first >= PATIENCE_S:
+        if not self.requested:
+            self.requested, self._first = True, now
+        elif self._interrupts and now - self._first >= INTERRUPT_AFTER_S:
             raise KeyboardInterrupt
 
 
 class Waiting:
-    """Logs what a node waits for after five seconds, then after twice as long each time.
+    """Log what a node waits for after five seconds, then after twice as long each time.
 
-    ``name``: of the node. ``what``: what it waits for, empty for nothing. ``say``: logs a line; the
-    node has no log at first.
+    Attributes:
+        what: The input or step that the node waits for; empty for none.
+        log: Function that logs a line; standard error until the node has a logger.
     """
 
     def __init__(self, name: str) -> None:
         self.what, self._name = "its modules", name
-        self.say: Callable[[str], object] = self._print
+        self.log: Callable[[str], object] = self._print
         self._reported, self._period = time.monotonic(), 5.0
 
     def watch(self) -> None:
-        """Log until the process ends; runs in a thread of its own."""
+        """Log until the process ends, in a thread of its own."""
         while True:
             time.sleep(0.5)
             self.report_if_due()
@@ -76,7 +77,7 @@ class Waiting:
         """Log a line if it is due."""
         now = time.monotonic()
         if self.what and now - self._reported >= self._period:
-            self.say(f"waiting for {self.what}")
+            self.log(f"waiting for {self.what}")
             self._reported, self._period = now, 2.0 * self._period
 
     def _print(self, line: str) -> None:
@@ -87,10 +88,10 @@ class Waiting:
 _waiting: list[Waiting] = []
 
 
-def waits_for(what: str, say: Callable[[str], object] | None = None) -> None:
-    """Set what this process waits for, empty for nothing; ``say``: log of the node."""
+def set_waiting_for(what: str, log: Callable[[str], object] | None = None) -> None:
+    """Set what this process waits for, empty for nothing, and optionally the function that logs."""
     for waiting in _waiting:
-        waiting.what, waiting.say = what, say or waiting.say
+        waiting.what, waiting.log = what, log or waiting.log
 
 
 _early: list[StopOnSignal] = []
@@ -108,13 +109,13 @@ def _run(name: str) -> int:
     try:
         main: Callable[[], int] = import_module(f"quadtree_lss.onboard.nodes.{name}").main
     except (QuadtreeLssError, ImportError) as error:
-        # The core is not compiled, or of other sources; or a package of ROS is missing.
+        # The core is not compiled from these sources, or a ROS package is missing.
         print(f"error: {name} cannot start: {' '.join(str(error).split())}", file=sys.stderr)
         return 1
     try:
         return main()
-    finally:  # Python ends, and gives signals back that would kill it on its way
-        waits_for("")
+    finally:  # the interpreter restores default handlers, with which a signal would kill it
+        set_waiting_for("")
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
 

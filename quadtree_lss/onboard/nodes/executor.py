@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Timers and subscriptions that suit nodes in rclpy's `SingleThreadedExecutor`."""
+"""Timers and subscriptions for nodes in rclpy's `SingleThreadedExecutor`."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def steady_timer(node: Node, period_s: float, callback: Callable[[], None]) -> T
     return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
-class WhenWanted(CallbackGroup):
+class OnDemandGroup(CallbackGroup):
     """Subscriptions that wake the node only while ``wanted()`` is true. At other times their
-    messages stay in the middleware's queue, and `arrived` takes them.
+    messages stay in the middleware's queue until `take_waiting` reads them.
 
-    A scan takes the poses that arrived before it. Only a scan that waits for a pose needs the next
-    one at once, and each wake-up costs as much as taking several messages.
+    A wake-up costs as much as reading several messages, and poses are needed immediately only while
+    a scan waits for one.
     """
 
     def __init__(self, wanted: Callable[[], bool]) -> None:
@@ -31,7 +31,7 @@ class WhenWanted(CallbackGroup):
         self.wanted = wanted
 
     def can_execute(self, entity: Any) -> bool:
-        """Tell the executor, before it waits and after it woke, whether to serve the group."""
+        """Return whether the executor serves the group; called before and after it waits."""
         return self.wanted()
 
     def beginning_execution(self, entity: Any) -> bool:
@@ -42,8 +42,8 @@ class WhenWanted(CallbackGroup):
         """Do nothing: there is only one thread."""
 
 
-def arrived(subscription: Subscription) -> Iterator[Any]:
-    """Take the messages that wait at a subscription, the oldest first."""
+def take_waiting(subscription: Subscription) -> Iterator[Any]:
+    """Read the messages that wait at a subscription, oldest first."""
     handle = subscription.handle
     with handle:
         while (taken := handle.take_message(subscription.msg_type, subscription.raw)) is not None:

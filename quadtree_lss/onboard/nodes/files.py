@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Map files: replaced in one step, and never anything but regular files."""
+"""Map files: atomic replacement, regular files only."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 
 
 class MapFileError(QuadtreeLssError):
-    """A map file cannot be written, read or used; one line that names it."""
+    """A map file cannot be written, read or used; the text is one line that names it."""
 
 
 def regular_file(path: Path) -> Path:
-    """Follow links to a file, which need not exist yet. Raises `MapFileError`: not a regular file
-    (a folder, device or pipe), or not accessible."""
+    """Resolve links to a file, which need not exist. Raises `MapFileError` if it is not a regular
+    file (a folder, device or pipe) or not accessible."""
     try:
         target = Path(os.path.realpath(path))
         mode = target.stat().st_mode
@@ -32,14 +32,15 @@ def regular_file(path: Path) -> Path:
 
 
 def error_text(path: Path, done: str, error: Exception) -> str:
-    """``PATH: cannot be DONE: reason``."""
+    """Return ``PATH: cannot be DONE: reason``."""
     reason = error.strerror if isinstance(error, OSError) else None
     return f"{path}: cannot be {done}: {reason or str(error).removeprefix(f'{path}: ')}"
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Replace a file in one step, once its new content is on the disk. Links are followed. Raises
-    `MapFileError`: not a regular file, not writable or disk full; the old file is then intact."""
+    """Replace a file atomically after its new content is on the disk. Links are followed. Raises
+    `MapFileError` if it is not a regular file, not writable, or the disk is full; the old file is
+    then intact."""
     target = regular_file(path)
     part = target.with_name(f"{target.name}.part")
     try:

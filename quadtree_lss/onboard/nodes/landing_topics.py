@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions to guidance: ``landing/area``, keep-outs, ``target`` and ``dispersion``."""
+"""Subscriptions to the landing inputs: area, keep-outs, target and dispersion."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ from quadtree_lss.onboard.messages.landing_inputs import (
 )
 from quadtree_lss.onboard.nodes.diagnostics import Problems
 from quadtree_lss.onboard.nodes.executor import steady_timer
-from quadtree_lss.onboard.nodes.qos import subscribe_twice
+from quadtree_lss.onboard.nodes.qos import subscribe_any_durability
 from quadtree_lss.onboard.nodes.ros_messages import TYPES as ROS_TYPES
 
 JOIN_S = 3.0
-"""Time in which the node discovers publishers of latched messages: nodes announce themselves at
-their start and every three seconds. Announcements can be lost, so a vehicle that needs a keep-out
-sets ``lss.required_input``."""
+"""Time in which the node discovers publishers of latched messages: nodes announce themselves when
+they start and every three seconds. Announcements can be lost; a vehicle that needs a keep-out sets
+``lss.required_input``."""
 
 SETTLE_S = 1.0
-"""Time after the first map in which latched messages of its sender's computer arrive."""
+"""Time after the first map in which latched messages from the same computer arrive."""
 
 UNHEARD_S = 3.5
-"""The same while a latched publisher is known from which nothing came: the middleware repeats lost
-messages after three seconds, but the publisher may have sent nothing."""
+"""The same while nothing came from a known publisher: the middleware repeats lost messages after
+three seconds, but the publisher may not have sent any."""
 
 QUIET_S = 0.2
 """Time without a message after which the latched messages of a publisher are complete."""
@@ -50,10 +50,11 @@ CHECK_S = 0.05
 
 
 class LandingTopics:
-    """Subscribes to the topics and keeps their last messages as `LandingRequests`.
+    """Subscriptions to the landing inputs, with their last messages as `LandingRequests`.
 
-    ``changed`` is called after each change, and when `settled` becomes true. ``required``:
-    ``lss.required_input``, without which the inputs are not settled.
+    Args:
+        changed: Called after each change, and when `settled` becomes true.
+        required: ``lss.required_input``; the inputs are not settled without it.
     """
 
     def __init__(
@@ -73,10 +74,10 @@ class LandingTopics:
             kind, topic = ROS_TYPES[kind], f"landing/{name}"
             kept = MAX_KEEP_OUTS if name == KEEP_OUTS else 1
             self._samples[name] = deque(maxlen=2 * kept)
-            self._latched[name] = subscribe_twice(node, kind, topic, take, kept)
+            self._latched[name] = subscribe_any_durability(node, kind, topic, take, kept)
 
     def states(self) -> dict[str, object]:
-        """Return whether each topic is set, for the diagnostics."""
+        """Return for each topic True if it is set, False, or "unusable", for the diagnostics."""
         values, unusable = self.requests.values, {topic_of(k) for k in self.requests.unusable}
         held = {topic_of(name) for name, value in values.items() if value is not None}
         return {name: "unusable" if name in unusable else name in held for name in TYPES}
@@ -89,10 +90,8 @@ class LandingTopics:
                 self._report(name, error)
 
     def settled(self) -> bool:
-        """Return whether area and keep-out came, or had time to come and are not required.
-
-        Call it for the first time with the first map.
-        """
+        """Return whether area and keep-out came, or had time to come and are not required. The time
+        starts with the first call, at the first map."""
         if self._settled:
             return True
         now = time.monotonic()
@@ -103,16 +102,16 @@ class LandingTopics:
         if any(name in self._required for name in unheard):
             return False
         heard = {topic_of(name) for name in self.requests.heard}
-        there = {name for name in BINDING if self._latched[name].get_publisher_count()}
-        expected = bool(there - heard)
+        published = {name for name in BINDING if self._latched[name].get_publisher_count()}
+        expected = bool(published - heard)
         time_out = self._began + (UNHEARD_S if expected else SETTLE_S)
-        in_time = now >= max(self._joined + JOIN_S, time_out)
+        timed_out = now >= max(self._joined + JOIN_S, time_out)
         complete = not (unheard or expected) and now >= self._heard + QUIET_S
-        self._settled = in_time or complete
+        self._settled = timed_out or complete
         return self._settled
 
     def unheard(self) -> list[str]:
-        """Return which of area and keep-out (single or of the set) have not come."""
+        """Return which of area and keep-out (single or as a set) have not come."""
         heard = {topic_of(name) for name in self.requests.heard}
         heard |= {KEEP_OUT} if KEEP_OUTS in heard else set()
         return [name for name in (AREA, KEEP_OUT) if name not in heard]
@@ -125,8 +124,8 @@ class LandingTopics:
 
     def _take(self, topic: str, message: Any, info: dict[str, int]) -> None:
         sample = (info["source_timestamp"], info["publication_sequence_number"])
-        if sample in self._samples[topic] and sample[0] > 0:  # 0: the middleware does not give it
-            return  # received before, by the other subscription
+        if sample in self._samples[topic] and sample[0] > 0:  # 0: no stamp from the middleware
+            return  # already received by the other subscription
         self._samples[topic].append(sample)
         self._heard = time.monotonic()
         requests, name = self.requests, name_of(topic, message)
@@ -140,8 +139,8 @@ class LandingTopics:
             self._changed()
 
     def _report(self, name: str, error: MessageError) -> None:
-        effect = "what was set before holds"
+        effect = "the previous one stays in effect"
         if topic_of(name) in BINDING:
-            effect = "no site is given out until one comes that can"
+            effect = "no site is published until a usable one comes"
         text = f"{self.requests.unusable.get(name, error)}; {effect}"
         self._problems.report(f"{topic_of(name)}_{error.reason}", text)

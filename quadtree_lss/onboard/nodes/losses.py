@@ -11,8 +11,12 @@ from quadtree_lss.onboard.nodes.diagnostics import WARN, Durations, Problems, St
 
 
 class Publishers:
-    """Counts the matched publishers of a topic (``number``), and warns while there is more than
-    one; ``reason``: key of the problem; ``effect``: consequence, for the text."""
+    """Number of publishers of a topic, with a warning while there is more than one.
+
+    Args:
+        reason: Key of the problem.
+        effect: Consequence, for the text.
+    """
 
     def __init__(self, topic: str, reason: str, effect: str, problems: Problems) -> None:
         self.number = 0
@@ -25,7 +29,7 @@ class Publishers:
         if number > max(before, 1):
             self._problems.report(self._reason, self._text())
 
-    def judge(self, status: Status) -> None:
+    def add_warning(self, status: Status) -> None:
         """Add a warning while there is more than one."""
         if self.number > 1:
             status.note(WARN, self._text())
@@ -38,15 +42,15 @@ class Publishers:
 
 
 class ScanGaps:
-    """Finds gaps in the sequence numbers of scans, and reports them as ``scan_lost``.
+    """Detection of gaps in the sequence numbers of scans, reported as ``scan_lost``.
 
-    With two publishers, which number their messages separately, gaps cannot be found.
+    It is inactive with two publishers, because each numbers its own messages.
     """
 
     def __init__(self, topic: str, problems: Problems) -> None:
         self._topic = topic
         self._problems = problems
-        effect = "their scans are mapped as they come, as if of one lidar"
+        effect = "their scans are mapped as if of one lidar"
         self.publishers = Publishers(topic, "scan_publishers", effect, problems)
         self._last = 0
 
@@ -56,7 +60,7 @@ class ScanGaps:
         self._last = 0
 
     def on_scan(self, number: int | None) -> None:
-        """Check a scan's number; None from a middleware without numbers (Cyclone DDS)."""
+        """Check the sequence number of a scan; None if the middleware has none (Cyclone DDS)."""
         number = number or 0
         last, self._last = self._last, number
         missing = number - last - 1
@@ -69,7 +73,7 @@ class ScanGaps:
 
 
 def best_effort_hint(topic: str) -> str:
-    """Return the setting that helps if scans are sent, but none arrives by best effort."""
+    """Return the setting to change if scans are sent but none arrives by best effort."""
     try:
         limit = int(Path("/proc/sys/net/core/rmem_max").read_text(encoding="ascii"))
     except (OSError, ValueError):
@@ -81,28 +85,27 @@ def best_effort_hint(topic: str) -> str:
 
 
 OVERLOADED_SHARE = 0.25
-"""Share of the allowance that holds while the node is overloaded."""
+"""Fraction of the allowance that applies while the node is overloaded."""
 CALM_S = 5.0
 """Time without a dropped scan after which the node is no longer overloaded."""
 MIN_ALLOWANCE_S = 0.1
-"""Scans that waited less are always mapped, so that some are mapped at any load."""
+"""Waiting time up to which scans are always mapped, so that some are mapped at any load."""
 
 
 def allowance(config: Config, work_ms: float) -> float:
-    """Return how long a scan may have waited for the map to stay younger than ``warn_age``, s.
-    ``work_ms``: time to map a scan and publish the map, for which it may have to wait again."""
-    young = config.diagnostics.warn_age
-    return max(
-        young - min(1.0 / config.publish.rate, 0.5 * young) - 2e-3 * work_ms, MIN_ALLOWANCE_S
-    )
+    """Return the waiting time of a scan up to which the map stays younger than ``warn_age``, s.
+    ``work_ms``: time to map a scan and publish the map; counted twice, because a scan may wait for
+    it before it is mapped."""
+    max_age = config.diagnostics.warn_age
+    publish_wait = min(1.0 / config.publish.rate, 0.5 * max_age)
+    return max(max_age - publish_wait - 2e-3 * work_ms, MIN_ALLOWANCE_S)
 
 
 class Overload:
-    """Drops scans that waited in the middleware for too long, by this computer's clock.
+    """Drop scans that waited in the middleware for too long, by this computer's clock.
 
-    A scan may wait as long as the map stays young enough (`allowance`). After the first that waited
-    longer, only scans that waited for a quarter of that are mapped, so that drops are spread
-    evenly. ``dropped``: their number; ``waits``: waiting times of the others.
+    The limit is `allowance`. After the first dropped scan it is a quarter of that, so that drops
+    are spread evenly. ``dropped``: number of dropped scans; ``waits``: waiting times of the others.
     """
 
     def __init__(self, topic: str, problems: Problems) -> None:
@@ -111,9 +114,9 @@ class Overload:
         self._topic, self._problems = topic, problems
         self._overloaded_until = 0.0
 
-    def takes(self, received_ns: int, config: Config, work_ms: float) -> bool:
-        """Return whether to map a scan. ``received_ns``: when the middleware received it, by the
-        system's clock; 0 if unknown. ``config``, ``work_ms``: as of `allowance`."""
+    def admits(self, received_ns: int, config: Config, work_ms: float) -> bool:
+        """Return whether to map a scan. ``received_ns``: time of reception by the middleware, by
+        the system clock; 0 if unknown. ``config``, ``work_ms``: as for `allowance`."""
         waited = max(1e-9 * (time.time_ns() - received_ns), 0.0) if received_ns > 0 else 0.0
         now = time.monotonic()
         limit = allowance(config, work_ms)
@@ -125,7 +128,7 @@ class Overload:
         self._overloaded_until = now + CALM_S
         self.dropped += 1
         text = (
-            f"a scan on '{self._topic}' waited {waited:.2f} s and is left out: scans come faster"
+            f"a scan on '{self._topic}' waited {waited:.2f} s and is dropped: scans come faster"
             " than they can be mapped (diagnostics.warn_age)"
         )
         self._problems.report("overload", text)

@@ -19,8 +19,8 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.outputs import CELLS, GRID_MAP, GROUND, OBSERVED, TOPIC_TYPES
 from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Durations, Status, failure
-from quadtree_lss.onboard.nodes.entry import waits_for
-from quadtree_lss.onboard.nodes.executor import WhenWanted, arrived, steady_timer
+from quadtree_lss.onboard.nodes.entry import set_waiting_for
+from quadtree_lss.onboard.nodes.executor import OnDemandGroup, steady_timer, take_waiting
 from quadtree_lss.onboard.nodes.landing_topics import LandingTopics
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, site_markers
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from quadtree_lss.onboard.core.landing.result import LandingAssessment
 
 CHECK_PERIOD_S = 0.2
-"""Period of the checks that need no message: age of the map, settling."""
+"""Period of the checks that no message triggers: age of the map, settling."""
 
 
 class LssNode(BaseNode):
-    """Subscribes to the map and the landing inputs, publishes ``landing/``; see ``msg_docs``."""
+    """Subscribe to the map and the landing inputs, publish ``landing/``; see ``msg_docs``."""
 
     def __init__(self) -> None:
         super().__init__("lss_node")
@@ -57,7 +57,7 @@ class LssNode(BaseNode):
         )
         self._navigation = self._inputs.requests.navigation
         self._map_topic = self.resolve_topic_name(CELLS)
-        effect = "maps of either are assessed"
+        effect = "maps of all are assessed"
         self._map_publishers = Publishers(self._map_topic, "map_publishers", effect, self._problems)
         binding = "frames.map" in self._settings.given
         self._map = ReceivedMap(
@@ -76,8 +76,8 @@ class LssNode(BaseNode):
             publisher = advertise(self, GridMap, GRID_MAP, latched())
             self._grid_map = MarkerPublisher(self, publisher, self._grid_map_message)
         self._subscribe()
-        # Loading the core takes a while, in which the middleware already finds mapping_node.
-        waits_for("what judges landing")
+        # Imported late: the middleware discovers mapping_node while the core loads.
+        set_waiting_for("the landing modules")
         from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 
         self._selector = LandingSiteSelector(config)
@@ -87,8 +87,8 @@ class LssNode(BaseNode):
         self._announce()
 
     def _subscribe(self) -> None:
-        """Subscribe to map and poses. Messages of topics with a `WhenWanted` group do not wake the
-        node while they are not wanted: they are taken together with the map."""
+        """Subscribe to map and poses. Messages of topics in an `OnDemandGroup` do not wake the node
+        while they are not needed; they are read together with the map."""
         subscribe(
             self,
             PointCloud2,
@@ -98,14 +98,14 @@ class LssNode(BaseNode):
             self._map_publishers.changed,
             raw=True,
         )
-        wanted = WhenWanted(lambda: self._map.lacks_observed)
+        wanted = OnDemandGroup(lambda: self._map.lacks_observed)
         self._observed = subscribe(
             self, OccupancyGrid, OBSERVED, self._on_observed, latched(), group=wanted, raw=True
         )
         source = self._config.pose.source
         self._pose_kind: Any = {"pose": PoseWithCovarianceStamped, "odometry": Odometry}[source]
         profile = stream(1, reliable=False)  # matches any publisher
-        wanted = WhenWanted(lambda: not self._navigation.known)
+        wanted = OnDemandGroup(lambda: not self._navigation.known)
         self._poses = subscribe(
             self, self._pose_kind, f"nav/{source}", self._on_pose, profile, group=wanted, raw=True
         )
@@ -116,7 +116,7 @@ class LssNode(BaseNode):
         self._on_input()
 
     def _on_input(self) -> None:
-        """Assess the map again, because something else changed."""
+        """Assess the map again after a change of inputs or parameters."""
         self._inputs_changed = True
         self._output.changed()
 
@@ -131,18 +131,18 @@ class LssNode(BaseNode):
         self._output.now()
 
     def _age(self, stamp_ns: int) -> float:
-        """Return the age of a stamp, s; NaN if stamp and clock are not of the same time."""
+        """Return the age of a stamp, s; NaN if stamp and clock are unrelated."""
         latency = self._latency_ms(stamp_ns)
         return math.nan if latency is None else 1e-3 * latency
 
     def _on_cells(self, raw: bytes) -> None:
-        for observed in arrived(self._observed):
+        for observed in take_waiting(self._observed):
             self._on_observed(observed)
-        if self._map.complete_with("cells", raw):
+        if self._map.add_half("cells", raw):
             self._output.changed()
 
     def _on_observed(self, raw: bytes) -> None:
-        if self._map.complete_with("observed", raw):
+        if self._map.add_half("observed", raw):
             self._output.changed()
 
     def _on_pose(self, raw: bytes) -> None:
@@ -151,19 +151,19 @@ class LssNode(BaseNode):
         except MessageError as error:
             self._problems.report(f"pose_{error.reason}", f"pose not used: {error}")
 
-    def _take_pose(self) -> None:
-        for raw in arrived(self._poses):
+    def _read_pose(self) -> None:
+        for raw in take_waiting(self._poses):
             self._on_pose(raw)
 
     def _why_withheld(self) -> str:
-        """Return why no site may be published, empty if one may."""
-        reasons = (self._inputs.requests.withheld, self._map.too_old())
+        """Return why no site may be published; empty if one may."""
+        reasons = (self._inputs.requests.withheld, self._map.withdrawal_reason())
         return "; ".join(reason for reason in reasons if reason)
 
     def _check(self) -> None:
-        """Withdraw the sites of an old map; end settling; report what the node waits for."""
-        self._take_pose()
-        waits_for(self._lacks() or self._why_no_site_yet())
+        """Withdraw sites of an old map, end settling, and report missing inputs."""
+        self._read_pose()
+        set_waiting_for(self._missing_inputs() or self._why_no_site_yet())
         if self._result is None:
             return
         if self._why_withheld() != self._withheld:
@@ -176,24 +176,24 @@ class LssNode(BaseNode):
         """Return the time since the first map, s."""
         return time.monotonic() - self._first_map_s
 
-    def _lacks(self) -> str:
-        """Return which inputs the first assessment still waits for, empty after it."""
+    def _missing_inputs(self) -> str:
+        """Return the inputs that the first assessment waits for; empty after it."""
         if self._result is not None:
             return ""
-        if lack := self._map.lacks():
+        if missing := self._map.missing():
             number = self._map_publishers.number
-            return f"{lack} (publishers known on '{self._map_topic}': {number})"
+            return f"{missing} (publishers known on '{self._map_topic}': {number})"
         return " and ".join(f"landing/{name}" for name in self._inputs.unheard())
 
     def _why_no_site_yet(self) -> str:
-        """Return why no assessment had a site yet, empty after the first one."""
+        """Return why no assessment had a site yet; empty after the first site."""
         if self._logged_first or self._result is None:
             return ""
         why = self._why_withheld() or self._failed or self._result.explanation
         return f"the first site: {why}"
 
     def _assess(self) -> None:
-        self._map.take()
+        self._map.decode_newest()
         cells = self._map.cells
         if cells is None:
             return
@@ -207,7 +207,7 @@ class LssNode(BaseNode):
             return
         new = cells is not self._assessed
         self._assessed, self._withheld, self._inputs_changed = cells, withheld, False
-        self._take_pose()
+        self._read_pose()
         start = time.perf_counter()
         restrictions = {**self._inputs.requests.arguments(), "withheld": withheld}
         try:
@@ -216,13 +216,13 @@ class LssNode(BaseNode):
                 result = self._selector.assess(cells, waited=self._waited(), **restrictions)
             self._send(result, new)
         except Exception as error:
-            self._failed = failure("the landing site pass", error, self.get_logger())
+            self._failed = failure("the assessment", error, self.get_logger())
             self._problems.report("pass_failed", self._failed)
             self._send(self._selector.withhold(cells, self._failed), new)
         self._lss_ms.add(1e3 * (time.perf_counter() - start))
 
     def _send(self, result: LandingAssessment, new: bool) -> None:
-        """Publish an assessment; ``new``: of another map than the one before."""
+        """Publish an assessment; ``new``: the map is new."""
         self._target.send(result, self._map.frame)
         self._result = result
         self._send_ground(self._had_subscribers)
@@ -237,8 +237,9 @@ class LssNode(BaseNode):
             self._delays.add(latency)
 
     def _on_subscriber(self, _: Any) -> None:
-        """Publish the topics that have a subscriber for the first time; others are not computed."""
-        subscribed = {topic for topic, of in self._landing.items() if of.get_subscription_count()}
+        """Publish topics with a first subscriber; topics without one are not computed."""
+        publishers = self._landing.items()
+        subscribed = {topic for topic, pub in publishers if pub.get_subscription_count()}
         new = subscribed - self._had_subscribers
         self._had_subscribers |= new
         self._send_ground(new)
@@ -249,7 +250,7 @@ class LssNode(BaseNode):
                 self._landing[topic].publish(message)
 
     def _log_first(self, result: LandingAssessment) -> None:
-        """Log the first sites."""
+        """Log the first assessment with sites."""
         sites = result.sites
         if not self._logged_first and len(sites.score):
             self._logged_first = True
@@ -271,18 +272,18 @@ class LssNode(BaseNode):
     def _collect(self, status: Status) -> None:
         limits = self._config.diagnostics
         if self._map.arrivals.age() > limits.warn_age:
-            self._map.take()  # a map that was not decoded yet counts if it is usable
-        status.judge_age("map", self._map_topic, self._map.arrivals, limits)
-        latency = self._delays.take()
-        text = "by the map's stamp and this node's clock, sites are sent after"
-        status.judge_delay(text, latency, limits)
-        self._map_publishers.judge(status)
+            self._map.decode_newest()  # a map that was not decoded yet counts if it is usable
+        status.check_age("map", self._map_topic, self._map.arrivals, limits)
+        latency = self._delays.pop_span()
+        text = "delay of sites, by the map's stamp and this node's clock:"
+        status.check_delay(text, latency, limits)
+        self._map_publishers.add_warning(status)
         status.add(
             {
                 "map.refused": self._map.refusals,
                 "map.publishers": self._map_publishers.number,
                 "assessments": 0 if self._result is None else self._result.number,
-                "lss_ms": self._lss_ms.take(),
+                "lss_ms": self._lss_ms.pop_span(),
                 "latency_ms": latency,
             }
         )
@@ -293,10 +294,10 @@ class LssNode(BaseNode):
         if withheld:
             status.note(ERROR, f"no site is given out: {withheld}")
         elif self._map.refused:
-            status.note(ERROR, f"{self._map.refused}; the one before it holds")
+            status.note(ERROR, f"{self._map.refused}; the previous map stays in use")
         result = self._result
-        if lack := self._lacks():
-            status.note(WARN, f"no site is given out yet: waiting for {lack}")
+        if missing := self._missing_inputs():
+            status.note(WARN, f"no site is given out yet: waiting for {missing}")
         if result is None or self._map.cells is None:
             return
         count = len(result.sites.score)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The map on disk: a mapper's state to a file and back, and checkpoints while a node runs."""
+"""Map files of a mapper, and checkpoints of a running node."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ from quadtree_lss.onboard.nodes.files import (
 )
 
 END_TIMEOUT_S = 5.0
-"""How long a node that ends waits for a checkpoint that is being written."""
+"""Time for which a node that exits waits for a checkpoint that is being written."""
 
 
 def save(path: Path, mapper: Mapper) -> None:
-    """Write the mapper's state. Raises `MapFileError`: see `writer`."""
+    """Write the mapper's state. Raises `MapFileError` as `writer`."""
     writer(path, mapper)()
 
 
 def writer(path: Path, mapper: Mapper) -> Callable[[], None]:
-    """Copy the mapper's state now; the result checks and writes it, in any thread. It raises
-    `MapFileError`: not writable, or the map is not plausible; the old file is then intact."""
+    """Copy the mapper's state, and return a function that checks and writes the copy in any thread.
+    It raises `MapFileError` if the file is not writable or the map is not plausible; the old file
+    is then intact."""
     state, domain, cells = mapper.export_state(), mapper.domain, mapper.config.mapping.max_cells
 
     def write() -> None:
@@ -44,8 +45,8 @@ def writer(path: Path, mapper: Mapper) -> Callable[[], None]:
 
 
 def load(path: Path, mapper: Mapper) -> None:
-    """Replace the mapper's state by the one in a file. Raises `MapFileError`: not readable, damaged
-    or of another domain; the mapper is then unchanged."""
+    """Replace the mapper's state by that of a file. Raises `MapFileError` if the file is not
+    readable, damaged or of a different domain; the mapper is then unchanged."""
     try:
         with regular_file(path).open("rb") as file:
             mapper.import_state(from_file(file))
@@ -57,14 +58,14 @@ def load(path: Path, mapper: Mapper) -> None:
 
 
 class Checkpoints:
-    """Keep a file in step with the map; a thread writes it.
+    """Write the map to a file periodically, in a thread.
 
-    A file that cannot be used at the start is renamed to ``<name>.refused``, because it may hold
-    another map. ``written`` counts checkpoints. With an empty ``path`` nothing is written.
+    A file that cannot be used at the start is renamed to ``<name>.refused``, so that it is not
+    overwritten. With an empty ``path`` nothing is written. ``written``: number of checkpoints.
     """
 
     def __init__(self, path: str | Path) -> None:
-        self._none = path == ""
+        self._is_disabled = path == ""
         self.path = Path(path)
         self.written = 0
         self._error: str | None = None
@@ -72,10 +73,10 @@ class Checkpoints:
         self._changed = False
         self._due = time.monotonic()
 
-    def take_up(self, mapper: Mapper) -> str:
-        """Continue from the file if there is one; return a line for the log. Raises `MapFileError`:
-        the file cannot be used; the mapper is then unchanged."""
-        if self._none:
+    def restore(self, mapper: Mapper) -> str:
+        """Load the file if there is one; return a line for the log. Raises `MapFileError` if the
+        file cannot be used; the mapper is then unchanged."""
+        if self._is_disabled:
             return ""
         try:
             if not regular_file(self.path).exists():
@@ -97,10 +98,10 @@ class Checkpoints:
 
     def changed(self) -> None:
         """Note that the map changed."""
-        self._changed = not self._none
+        self._changed = not self._is_disabled
 
-    def work(self, mapper: Mapper) -> str | None:
-        """Write if it is time; call often. Return the error of the last checkpoint, if any."""
+    def write_if_due(self, mapper: Mapper) -> str | None:
+        """Start a checkpoint if one is due; return the error of the last one, if any."""
         if self._thread is not None and not self._thread.is_alive():
             self._thread = None
         now = time.monotonic()
@@ -113,12 +114,12 @@ class Checkpoints:
         error, self._error = self._error, None
         return error
 
-    def forget(self) -> None:
-        """Remove the file: the map was reset. Raises `MapFileError`: it cannot be removed."""
-        if self._none:
+    def remove(self) -> None:
+        """Remove the file after a reset of the map. Raises `MapFileError` if that fails."""
+        if self._is_disabled:
             return
         if not self._join():
-            self._changed = True  # the empty map then replaces the checkpoint in progress
+            self._changed = True  # so that the empty map replaces the checkpoint in progress
             msg = f"{self.path}: cannot be removed: it is still being written"
             raise MapFileError(msg)
         self._changed = False
@@ -140,7 +141,7 @@ class Checkpoints:
         return self._error
 
     def _join(self) -> bool:
-        """Wait for the checkpoint in progress; False if it is still being written."""
+        """Wait for the checkpoint in progress; return False if it is still being written."""
         if self._thread is not None:
             self._thread.join(END_TIMEOUT_S)
             if self._thread.is_alive():
@@ -151,7 +152,7 @@ class Checkpoints:
     def _write(self, write: Callable[[], None]) -> None:
         try:
             write()
-        except Exception as error:  # nobody else would report an error of this thread
+        except Exception as error:  # an error of this thread would not be reported otherwise
             known = isinstance(error, MapFileError)
             self._error = f"checkpoint {error}" if known else f"checkpoint {self.path}: {error!r}"
             self._changed = True  # the next one tries again

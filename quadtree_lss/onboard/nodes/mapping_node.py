@@ -40,8 +40,8 @@ from quadtree_lss.onboard.nodes.diagnostics import (
     Status,
     failure,
 )
-from quadtree_lss.onboard.nodes.entry import waits_for
-from quadtree_lss.onboard.nodes.executor import WhenWanted, arrived, steady_timer
+from quadtree_lss.onboard.nodes.entry import set_waiting_for
+from quadtree_lss.onboard.nodes.executor import OnDemandGroup, steady_timer, take_waiting
 from quadtree_lss.onboard.nodes.files import MapFileError
 from quadtree_lss.onboard.nodes.losses import Overload, Publishers, ScanGaps, best_effort_hint
 from quadtree_lss.onboard.nodes.map_files import Checkpoints, load, save
@@ -54,7 +54,7 @@ from quadtree_lss.onboard.nodes.qos import (
     serve,
     stream,
     subscribe,
-    subscribe_twice,
+    subscribe_any_durability,
 )
 from quadtree_lss.onboard.nodes.ros_messages import (
     cloud_message,
@@ -67,15 +67,15 @@ from quadtree_lss.onboard.nodes.ros_messages import (
 SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
 DEPTH, CAMERA = "depth/image", "depth/camera_info"
 ODOMETRY, TRANSFORMS = "nav/odometry", "/tf_static"
-MAP_LATE = "by the scans' stamps and this node's clock, maps are sent after"
+MAP_LATE = "delay of maps, by the scans' stamps and this node's clock:"
 SCAN_DEPTH, POSE_DEPTH = 50, 200
-"""Depth of the middleware's queues: 2.5 s of scans at 20 Hz, 1 s of poses at 200 Hz."""
+"""Queue depths of the middleware: 2.5 s of scans at 20 Hz, 1 s of poses at 200 Hz."""
 CHECK_PERIOD_S = 0.1
-"""Period of taking poses and mapping waiting scans while no scan comes."""
+"""Period of reading poses and mapping waiting scans while no scan comes."""
 
 
 class MappingNode(BaseNode):
-    """Subscribes to scans, poses and gimbal angles, publishes the map; see ``msg_docs``."""
+    """Subscribe to scans, poses and gimbal angles, publish the map; see ``msg_docs``."""
 
     def __init__(self) -> None:
         super().__init__("mapping_node")
@@ -96,14 +96,15 @@ class MappingNode(BaseNode):
             "pose": ODOMETRY if odometry else POSES,
             "gimbal": GIMBAL,
         }
-        self._topics = {what: self.resolve_topic_name(name) for what, name in names.items()}
+        self._topics = {key: self.resolve_topic_name(name) for key, name in names.items()}
         self._arrived = {"scan": Arrivals(), "pose": Arrivals()}
         if config.mount.source == "gimbal":
             self._arrived["gimbal"] = Arrivals()
-        self._intake = Intake(config, **{f"{k}_topic": name for k, name in self._topics.items()})
+        topics = {f"{key}_topic": name for key, name in self._topics.items()}
+        self._intake = Intake(config, **topics)
         self._gaps = ScanGaps(self._topics["scan"], self._problems)
         self._overload = Overload(self._topics["scan"], self._problems)
-        effect = "they are taken as one's; scans are mapped between poses of different ones"
+        effect = "all are used, and scans are mapped between poses of different publishers"
         self._pose_publishers = Publishers(
             self._topics["pose"], "pose_publishers", effect, self._problems
         )
@@ -116,25 +117,25 @@ class MappingNode(BaseNode):
         )
         self._output = ChangePublisher(self, config.publish.rate, self._publish)
         self._checkpoints = Checkpoints(config.checkpoint.path)
-        waits_for(f"checkpoint.path {config.checkpoint.path}")
+        set_waiting_for(f"checkpoint.path {config.checkpoint.path}")
         self._restore_checkpoint()
         serve(self, "reset", self._reset)
         serve(self, "save_map", self._save_map)
         serve(self, "load_map", self._load_map)
-        self._waiting_for_poses = WhenWanted(lambda: len(self._intake.queue) > 0)
+        self._waiting_for_poses = OnDemandGroup(lambda: len(self._intake.queue) > 0)
         self._best_effort = self._subscribe_scans()
         self._pose_sources = self._subscribe_poses()
         steady_timer(self, CHECK_PERIOD_S, self._check)
         self._announce()
 
     def finish(self) -> None:
-        """Write what the checkpoint lacks before the node ends in good order."""
+        """Write the last changes to the checkpoint."""
         error = self._checkpoints.close(self._mapper)
         if error is not None:
-            self.get_logger().error(f"{error}; what it lacks is lost")
+            self.get_logger().error(f"{error}; the last changes of the map are lost")
 
     def _subscribe_scans(self) -> bool:
-        """Subscribe to scans and what belongs to them; return whether scans are best effort."""
+        """Subscribe to scans, camera info and area; return whether scans are best effort."""
         raw = self._scan_kind is PointCloud2
         scans = subscribe(
             self,
@@ -149,32 +150,35 @@ class MappingNode(BaseNode):
             profile = stream(1, reliable=False)
             subscribe(self, CameraInfo, CAMERA, self._intake.on_camera_info, profile)
         if self._config.domain.follow == "area":
-            subscribe_twice(self, PolygonStamped, f"landing/{AREA}", self._on_area)
+            subscribe_any_durability(self, PolygonStamped, f"landing/{AREA}", self._on_area)
         return scans.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT
 
     def _subscribe_poses(self) -> list[tuple[Subscription, Callable[[Any], None]]]:
-        """Subscribe to poses and to where the lidar is mounted. Return the subscriptions whose
-        messages scans need, which wake the node only while a scan waits for a pose."""
+        """Subscribe to poses and to the mount of the lidar.
+
+        Return the subscriptions in the group that wakes the node only while a scan waits for a
+        pose, each with the function that handles its messages.
+        """
         profile, group = stream(POSE_DEPTH, reliable=True), self._waiting_for_poses
-        take = self._then_map(self._take_pose)
+        callback = self._then_map(self._on_pose)
         poses = subscribe(
-            self, self._pose_kind, self._topics["pose"], take, profile, group=group, raw=True
+            self, self._pose_kind, self._topics["pose"], callback, profile, group=group, raw=True
         )
-        sources = [(poses, self._take_pose)]
+        sources = [(poses, self._on_pose)]
         if self._config.mount.source == "gimbal":
-            take = self._then_map(self._take_gimbal)
-            gimbal = subscribe(self, TransformStamped, GIMBAL, take, profile, group=group)
-            sources.append((gimbal, self._take_gimbal))
+            callback = self._then_map(self._on_gimbal)
+            gimbal = subscribe(self, TransformStamped, GIMBAL, callback, profile, group=group)
+            sources.append((gimbal, self._on_gimbal))
         if self._config.mount.source == "tf":
-            # As tf2's listeners: every broadcaster keeps its transforms for late subscribers.
-            take = self._then_map(self._intake.on_transforms)
-            subscribe(self, transforms_type(), TRANSFORMS, take, latched(100))
+            # The profile of tf2's listeners: broadcasters keep transforms for late subscribers.
+            callback = self._then_map(self._intake.on_transforms)
+            subscribe(self, transforms_type(), TRANSFORMS, callback, latched(100))
         return sources
 
     def _restore_checkpoint(self) -> None:
         try:
-            if said := self._checkpoints.take_up(self._mapper):
-                self.get_logger().info(said)
+            if text := self._checkpoints.restore(self._mapper):
+                self.get_logger().info(text)
         except MapFileError as error:
             self._problems.report("checkpoint", str(error))
         if self._mapper.stamp_ns:
@@ -184,13 +188,13 @@ class MappingNode(BaseNode):
         arrival_ns = time.monotonic_ns()
         self._arrived["scan"].add()
         self._gaps.on_scan(info["publication_sequence_number"])
-        self._take_poses()
+        self._read_poses()
         work_ms = self._map_ms.last + self._publish_ms.last
-        if self._overload.takes(info["received_timestamp"], self._config, work_ms):
-            self._take_scan(message, arrival_ns)
+        if self._overload.admits(info["received_timestamp"], self._config, work_ms):
+            self._queue_scan(message, arrival_ns)
         self._check()
 
-    def _take_scan(self, message: Any, arrival_ns: int) -> None:
+    def _queue_scan(self, message: Any, arrival_ns: int) -> None:
         """Queue a scan: a depth image, or the bytes of a cloud."""
         try:
             scan = cloud_message(message) if isinstance(message, bytes) else message
@@ -199,12 +203,12 @@ class MappingNode(BaseNode):
         else:
             self._intake.on_cloud(scan, arrival_ns)
 
-    def _then_map(self, take: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Return a callback for messages that scans may wait for."""
+    def _then_map(self, handle: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Return a callback that handles a message and maps the scans that waited for it."""
 
         def on_message(message: Any) -> None:
-            take(message)
-            self._take_poses()
+            handle(message)
+            self._read_poses()
             self._map_ready_scans()
 
         return on_message
@@ -213,58 +217,59 @@ class MappingNode(BaseNode):
         try:
             self._mapper.look_at(polygon_from_message(message, self._frame))
         except MessageError as error:
-            text = f"landing/{AREA}: {error}; the domain lies as the one before asked for"
+            text = f"landing/{AREA}: {error}; the domain follows the previous area"
             self._problems.report(f"{AREA}_{error.reason}", text)
 
-    def _take_pose(self, raw: bytes) -> None:
+    def _on_pose(self, raw: bytes) -> None:
         self._arrived["pose"].add()
         try:
             self._intake.on_pose(pose_message(raw, self._pose_kind))
         except MessageError as error:
             self._intake.reject("pose", error)
 
-    def _take_gimbal(self, message: Any) -> None:
+    def _on_gimbal(self, message: Any) -> None:
         self._arrived["gimbal"].add()
         self._intake.on_gimbal(message)
 
-    def _take_poses(self) -> None:
-        """Take all poses and gimbal angles that have arrived.
+    def _read_poses(self) -> None:
+        """Read all poses and gimbal angles that have arrived.
 
-        The executor takes one message of each topic in turn. There are several poses per scan, so
+        The executor serves one message per topic in turn. There are several poses per scan, so
         after a pause scans would overtake them and fill the queue.
         """
-        for source, take in self._pose_sources:
-            for message in arrived(source):
-                take(message)
+        for source, handle in self._pose_sources:
+            for message in take_waiting(source):
+                handle(message)
                 if len(self._intake.queue):
                     self._map_ready_scans()
 
     def _check(self) -> None:
-        """Do what is due after each scan, and periodically if no scan comes."""
-        self._take_poses()
+        """Map scans, write a checkpoint if due; after each scan, and periodically without scans."""
+        self._read_poses()
         self._map_ready_scans()
-        waits_for(self._lacks())
-        error = self._checkpoints.work(self._mapper)
+        set_waiting_for(self._missing_inputs())
+        error = self._checkpoints.write_if_due(self._mapper)
         if error is not None:
             self._problems.report("checkpoint", error)
 
-    def _lacks(self) -> str:
-        """Return which inputs the first mapped scan still waits for, empty after it."""
+    def _missing_inputs(self) -> str:
+        """Return the inputs that the first mapped scan waits for; empty after it."""
         if self._scans:
             return ""
-        silent = [self._topics[what] for what, of in self._arrived.items() if not of.count]
+        silent = [self._topics[key] for key, seen in self._arrived.items() if not seen.count]
         if silent:
-            known = "'{}' (publishers known: {})".format
-            text = " and ".join(known(name, self.count_publishers(name)) for name in silent)
+            text = " and ".join(
+                f"'{name}' (publishers known: {self.count_publishers(name)})" for name in silent
+            )
             topic = self._topics["scan"]
             sent = self._best_effort and topic in silent and self._gaps.publishers.number
             return text + (best_effort_hint(topic) if sent else "")
-        gone = [f"{n} dropped: {why}" for why, n in self._intake.dropped.items() if n]
+        dropped = [f"{n} dropped: {why}" for why, n in self._intake.dropped.items() if n]
         waiting = f"{len(self._intake.queue)} wait for a pose at their stamp"
-        return f"a scan that can be mapped ({', '.join([waiting, *gone])})"
+        return f"a scan that can be mapped ({', '.join([waiting, *dropped])})"
 
     def _map_ready_scans(self) -> None:
-        """Map every scan whose pose is known; report inputs that were not used."""
+        """Map every scan whose pose is known, and report rejected inputs."""
         try:
             for scan in self._intake.ready(time.monotonic_ns()):
                 self._map(scan)
@@ -274,19 +279,20 @@ class MappingNode(BaseNode):
             self._problems.report(notice.reason, notice.text)
 
     def _fail(self, error: Exception) -> None:
-        """Recover from an exception that may have left the map half changed: restore the
-        checkpoint, or without one keep the map if it is sound, else start with an empty map."""
+        """Recover from an exception that may have left the map inconsistent: restore the
+        checkpoint; without one keep the map if it passes the checks, else start with an empty map.
+        """
         failed, state = failure("a scan", error, self.get_logger()), self._mapper.export_state()
         self._mapper.reset()
         self._restore_checkpoint()
-        how = "the map is that of the checkpoint"
+        effect = "the map is that of the checkpoint"
         if not self._mapper.stamp_ns:
             try:
                 self._mapper.import_state(state)
-                how = "the map is sound and goes on"
+                effect = "the map is consistent and kept"
             except CheckpointError:
-                how = "the map begins anew"
-        self._failed = f"{failed}; {how}"
+                effect = "the map was emptied"
+        self._failed = f"{failed}; {effect}"
         self._problems.report("scan_failed", self._failed)
         self._report = None
         self._map_changed()
@@ -306,8 +312,7 @@ class MappingNode(BaseNode):
         self._divisions_refused += report.refused_divisions
         self._points_dropped.update(scan.lost(report.dropped))
         config = self._config
-        wrong = misplaced(report)
-        why = likely_reason(scan.points_lidar, scan.pose, config) if wrong else ""
+        why = likely_reason(scan.points_lidar, scan.pose, config) if misplaced(report) else ""
         unused = unused_points_text(report, self._mapper.domain, why)
         if unused is not None:
             self._problems.report(NO_POINTS_USED, unused)
@@ -348,8 +353,8 @@ class MappingNode(BaseNode):
         self._output.now()
         self._markers.delete_all(header_message(0, self._frame))
         try:
-            self._checkpoints.forget()
-        except MapFileError as error:  # the map is empty all the same
+            self._checkpoints.remove()
+        except MapFileError as error:  # the map is empty nevertheless
             self._problems.report("checkpoint", f"checkpoint {error}")
         return "map emptied"
 
@@ -362,24 +367,24 @@ class MappingNode(BaseNode):
         self._cells.publish(cells)
         self._publish_ms.add(1e3 * (time.perf_counter() - start))
         latency = self._latency_ms(self._mapper.stamp_ns)
-        if self._report is not None and latency is not None:  # else of a file, however old
+        if self._report is not None and latency is not None:  # not a map from a file
             self._delays.add(latency)
 
     def _collect(self, status: Status) -> None:
         config, report = self._config, self._report
-        # Not by an event: events of the poses' group are handled only while a scan waits.
+        # Polled, because events of the poses' group are handled only while a scan waits.
         self._pose_publishers.changed(self.count_publishers(self._topics["pose"]))
-        self._pose_publishers.judge(status)
-        self._gaps.publishers.judge(status)
-        for what, of in self._arrived.items():
-            status.judge_age(what, self._topics[what], of, config.diagnostics)
+        self._pose_publishers.add_warning(status)
+        self._gaps.publishers.add_warning(status)
+        for key, arrivals in self._arrived.items():
+            status.check_age(key, self._topics[key], arrivals, config.diagnostics)
         other = "pose" if config.pose.source == "odometry" else "odometry"
         unused = self.resolve_topic_name(f"nav/{other}")
         if not self._arrived["pose"].count and self.count_publishers(unused):
-            status.note(WARN, f"'{unused}' is published: pose.source: {other} takes it")
-        wait, latency = self._overload.waits.take(), self._delays.take()
-        status.judge_delay("scans wait to be mapped for", wait, config.diagnostics)
-        status.judge_delay(MAP_LATE, latency, config.diagnostics)
+            status.note(WARN, f"'{unused}' is published: set pose.source to {other} to use it")
+        wait, latency = self._overload.waits.pop_span(), self._delays.pop_span()
+        status.check_delay("scans wait to be mapped for", wait, config.diagnostics)
+        status.check_delay(MAP_LATE, latency, config.diagnostics)
         dropped = Counter(self._intake.dropped, overload=self._overload.dropped)
         status.add(
             {
@@ -390,8 +395,8 @@ class MappingNode(BaseNode):
                 "map.stamp_ns": self._mapper.stamp_ns,
                 "map.leaves": self._mapper.leaves.count,
                 "map.refused_divisions": self._divisions_refused,
-                "map_ms": self._map_ms.take(),
-                "publish_ms": self._publish_ms.take(),
+                "map_ms": self._map_ms.pop_span(),
+                "publish_ms": self._publish_ms.pop_span(),
                 "wait_ms": wait,
                 "latency_ms": latency,
             }
@@ -402,8 +407,8 @@ class MappingNode(BaseNode):
             status.note(ERROR, self._failed)
         if report is None:
             status.note(OK, "no scan mapped since the start, a reset or load")
-            if lack := self._lacks():
-                status.note(WARN, f"waiting for {lack}")
+            if missing := self._missing_inputs():
+                status.note(WARN, f"waiting for {missing}")
             return
         status.note(OK, f"mapping, {self._mapper.leaves.count} leaves")
         status.add(

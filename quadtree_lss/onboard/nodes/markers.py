@@ -22,12 +22,12 @@ from quadtree_lss.onboard.messages.maps import site_orientations
 from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.ros_messages import header_message
 
-if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
+if TYPE_CHECKING:  # slow to import, and not needed by mapping_node
     from quadtree_lss.onboard.core.landing.result import LandingAssessment
 
 
 class CdrWriter:
-    """Little-endian CDR (version 1): every number is aligned to its size."""
+    """Writer of little-endian CDR (version 1), which aligns each number to its size."""
 
     def __init__(self) -> None:
         self._parts: list[bytes] = [b"\x00\x01\x00\x00"]
@@ -76,7 +76,7 @@ LOW_TO_HIGH = np.array(
 """Colours of elevations, evenly spaced."""
 
 CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
-"""Two triangles that make a square of side one, counter-clockwise."""
+"""Two triangles of a unit square, counter-clockwise."""
 
 VIEWER_PERIOD_S = 1.0
 CIRCLE_POINTS = 48
@@ -85,8 +85,8 @@ OTHER_COLOUR = ColorRGBA(r=0.2, g=0.6, b=1.0, a=1.0)
 
 
 class MarkerPublisher:
-    """Publishes messages for viewers on a slow timer, if they changed and somebody subscribes.
-    ``build`` returns the message, or its bytes."""
+    """Publish messages for viewers on a slow timer, if they changed or a subscriber joined.
+    ``build`` returns the message or its bytes."""
 
     def __init__(
         self, node: Node, publisher: Publisher, build: Callable[[], MarkerArray | bytes | None]
@@ -102,15 +102,15 @@ class MarkerPublisher:
         self._changed = True
 
     def delete_all(self, header: Header) -> None:
-        """Delete every marker at once, also for late subscribers."""
+        """Delete all markers immediately, also for late subscribers."""
         deletion = Marker(header=header, action=Marker.DELETEALL)
         self._publisher.publish(MarkerArray(markers=[deletion]))
         self._changed = False
 
     def _send(self) -> None:
         subscribers = self._publisher.get_subscription_count()
-        fresh, self._subscribers = subscribers > self._subscribers, subscribers
-        if not subscribers or not (self._changed or fresh):
+        joined, self._subscribers = subscribers > self._subscribers, subscribers
+        if not subscribers or not (self._changed or joined):
             return
         self._changed = False
         message = self._build()
@@ -120,22 +120,22 @@ class MarkerPublisher:
 
 def cell_markers(cells: CellMap, frame: str) -> bytes:
     """Serialise ``map/markers``: one marker per level, with two triangles per plane."""
-    known = np.flatnonzero(cells.estimated)
-    colour = elevation_colours(cells.heights(known, cells.x[known], cells.y[known]))
+    leaves = np.flatnonzero(cells.estimated)
+    colour = elevation_colours(cells.heights(leaves, cells.x[leaves], cells.y[leaves]))
     writer = CdrWriter()
     levels = range(cells.domain.min_level, cells.domain.max_level + 1)
     writer.numbers("I", len(levels))
     seconds, nanoseconds = divmod(cells.stamp_ns, 1_000_000_000)
     for level in levels:
-        chosen = np.flatnonzero(cells.level[known] == level)
-        vertices = patch_vertices(cells, known[chosen]).reshape(-1, 3)
+        chosen = np.flatnonzero(cells.level[leaves] == level)
+        vertices = patch_vertices(cells, leaves[chosen]).reshape(-1, 3)
         colours = np.repeat(colour[chosen], len(CORNERS), axis=0)
         action = Marker.ADD if len(chosen) else Marker.DELETE
         writer.numbers("i", seconds).numbers("I", nanoseconds).string(frame)
         writer.string("cells").numbers("i", level, Marker.TRIANGLE_LIST, action)
         writer.numbers("d", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # pose
         writer.numbers("d", 1.0, 1.0, 1.0)  # scale
-        writer.numbers("f", 1.0, 1.0, 1.0, 1.0)  # colour, each vertex has its own
+        writer.numbers("f", 1.0, 1.0, 1.0, 1.0)  # colour; unused with colours of vertices
         writer.numbers("i", 0).numbers("I", 0)  # lifetime
         writer.numbers("?", False)  # frame_locked
         writer.rows(vertices, "d").rows(colours, "f")
@@ -149,8 +149,8 @@ def cell_markers(cells: CellMap, frame: str) -> bytes:
 
 
 def patch_vertices(cells: CellMap, rows: Index) -> Array:
-    """Return corners (K, 6, 3) of two triangles on the planes of leaves ``rows``, map frame, m,
-    within the bounds of the leaf's points."""
+    """Return the corners (K, 6, 3) of two triangles on the plane of each leaf in ``rows``, map
+    frame, m; heights are limited to the range of the leaf's points."""
     offset = CORNERS * cells.size[rows, None, None]
     out = np.empty((len(rows), len(CORNERS), 3))
     out[..., 0] = cells.x[rows, None] + offset[..., 0]
@@ -164,10 +164,10 @@ def elevation_colours(z: Array) -> Array:
     out = np.ones((len(z), 4))
     if len(z):
         low, high = np.percentile(z, [2.0, 98.0])
-        place = np.clip((z - low) / max(high - low, 1e-6), 0.0, 1.0)
+        fraction = np.clip((z - low) / max(high - low, 1e-6), 0.0, 1.0)
         steps = np.linspace(0.0, 1.0, len(LOW_TO_HIGH))
         for channel in range(3):
-            out[:, channel] = np.interp(place, steps, LOW_TO_HIGH[:, channel])
+            out[:, channel] = np.interp(fraction, steps, LOW_TO_HIGH[:, channel])
     return out
 
 
@@ -189,9 +189,9 @@ def site_markers(assessment: LandingAssessment, frame: str, zone_radius: float) 
         markers[-1].points = _points(np.stack([position, position + 2.0 * normal]))
         markers.append(_marker(header, "rank", k, Marker.TEXT_VIEW_FACING, 1.5, colour))
         markers[-1].text = f"{k + 1}"
-        place, q = markers[-1].pose, orientations[k].tolist()
-        place.position = _points((position + 2.8 * normal)[None])[0]
-        place.orientation.x, place.orientation.y, place.orientation.z, place.orientation.w = q
+        pose, q = markers[-1].pose, orientations[k].tolist()
+        pose.position = _points((position + 2.8 * normal)[None])[0]
+        pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = q
     return MarkerArray(markers=markers)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Base of all nodes: parameters, counted problems, ``/diagnostics``, start, signals and exit."""
+"""Base class of the nodes, and the function that runs a node from start to exit."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from quadtree_lss.onboard.config.loading import read_values
 from quadtree_lss.onboard.config.settings import Config, ConfigError, parameters, values_from_config
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.nodes.diagnostics import WARN, Problems, Status
-from quadtree_lss.onboard.nodes.entry import stop_on_signal, waits_for
+from quadtree_lss.onboard.nodes.entry import set_waiting_for, stop_on_signal
 from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.parameters import NodeParameters
 
@@ -37,35 +37,35 @@ ARGUMENT_ERRORS = (
 )
 
 WRONG_CONFIGURATION = 78
-"""Exit code after which another start ends the same way (EX_CONFIG of sysexits.h); so does 2."""
+"""Exit code for which a restart cannot help (EX_CONFIG of sysexits.h), like 2."""
 
 STOP_PERIOD_S = 0.2
-"""Period in which an idle node checks for a signal."""
+"""Period with which an idle node checks for a signal."""
 
 TRANSPORTS = "UDPv4?sockets_size=16MB"
-"""Of Fast DDS, unless the environment says otherwise: no shared memory, and room for many scans.
+"""Default transports of Fast DDS: no shared memory, and large buffers for scans.
 
-What a killed process leaves behind in shared memory can keep its successor, which gets the same
-port, from hearing the sensors for ten seconds or for good. The kernel cuts the size to what
-net.core.rmem_max allows; measured in studies/RESULTS.md.
+After a killed process, segments left in shared memory can prevent its successor on the same port
+from receiving for ten seconds or forever (studies/RESULTS.md). The kernel limits the buffers to
+net.core.rmem_max.
 """
 
 STATUS_S = 1.0
-"""Period of ``/diagnostics``, as ROS's aggregators expect."""
+"""Period of ``/diagnostics`` that ROS's aggregators expect."""
 MEANINGFUL_LATENCY_S = 600.0
-"""With a larger difference, stamps and clock are not of the same time: a bag without ``/clock``."""
+"""Difference of stamps and clock above which they are unrelated, as for a bag without ``/clock``.
+"""
 
 
 class BaseNode(Node):
-    """A node with the parameters of the table, one of whose statuses is sent every
-    `STATUS_S`, on a steady clock: what `_collect` fills in, and the counters of
-    its problems, of which a new one is a warning."""
+    """Node with the parameters of the table. It publishes its status every `STATUS_S`: the content
+    of `_collect` and the counted problems; new problems are a warning."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         self._settings = NodeParameters(self, self._reconfigure, name)
         self._problems = Problems(self.get_logger())
-        self._build, self._problems_told = build.name(), 0
+        self._build, self._problems_reported = build.name(), 0
         self._statuses = self.create_publisher(
             DiagnosticArray, "/diagnostics", QoSProfile(depth=10)
         )
@@ -73,33 +73,33 @@ class BaseNode(Node):
 
     @property
     def _config(self) -> Config:
-        """As it is now."""
+        """Current configuration."""
         return self._settings.config
 
     def _reconfigure(self, config: Config) -> None:
-        """Live parameters were set."""
+        """Apply changed live parameters."""
 
     def _collect(self, status: Status) -> None:
-        """Says how the node is."""
+        """Fill in the node's status."""
         raise NotImplementedError
 
     def finish(self) -> None:
-        """What is left to do before the node ends in good order."""
+        """Complete pending work before a regular exit."""
 
     def _latency_ms(self, stamp_ns: int) -> float | None:
-        """From a stamp to now by the node's clock; None if the two are not of the same time."""
+        """Return the time since a stamp by the node's clock; None if the two are unrelated."""
         latency = 1e-9 * (self.get_clock().now().nanoseconds - stamp_ns)
         return 1e3 * latency if abs(latency) < MEANINGFUL_LATENCY_S else None
 
     def _announce(self) -> None:
         """Log version, build, configuration, domain and vehicle, and unused QoS overrides."""
-        self._settings.tell_unused(self)
+        self._settings.warn_unused(self)
         parts = (
             f"quadtree_lss {quadtree_lss.__version__} ({self._build})",
             configuration_text(self._config, sys.argv),
             *ground_text(self._config),
         )
-        waits_for("", self.get_logger().warning)
+        set_waiting_for("", self.get_logger().warning)
         self.get_logger().info("; ".join(parts))
 
     def _send_status(self) -> None:
@@ -107,13 +107,13 @@ class BaseNode(Node):
         state.add({"build": self._build})
         self._collect(state)
         if self.get_clock().ros_time_is_active and not self.get_clock().now().nanoseconds:
-            text = "use_sim_time is set and no time has come on '/clock': no age by stamps is known"
+            text = "use_sim_time is set, but no time came on '/clock': ages of stamps are unknown"
             problems.report("no_clock", text)
         total = problems.counts.total()
-        if total > self._problems_told:
-            new = total - self._problems_told
+        if total > self._problems_reported:
+            new = total - self._problems_reported
             state.note(WARN, f"{new} new problems, the last: {problems.latest}")
-        self._problems_told = total
+        self._problems_reported = total
         state.add({f"problems.{key}": n for key, n in problems.counts.items()})
         status = DiagnosticStatus(level=state.level, message=state.text)
         status.name = self.get_fully_qualified_name().lstrip("/")
@@ -127,13 +127,16 @@ class BaseNode(Node):
 def run(
     make_node: Callable[[], BaseNode], description: str, args: Sequence[str] | None = None
 ) -> int:
-    """Run one node until SIGINT, SIGTERM, SIGHUP or shutdown. ``make_node``: called once ROS is
-    initialised. ``description``: what ``--help`` prints first. ``args``: command line with the
-    program's name, ``sys.argv`` by default.
+    """Run one node until SIGINT, SIGTERM, SIGHUP or shutdown.
+
+    Args:
+        make_node: Creates the node; called after ROS is initialised.
+        description: First line of ``--help``.
+        args: Command line with the program's name; ``sys.argv`` by default.
 
     Returns:
-        Exit code: 0 after a signal, 1 if the node could not start, 2 for wrong usage,
-        `WRONG_CONFIGURATION` if its parameters or names are wrong.
+        Exit code: 0 after a signal, 1 if the node could not start, 2 for wrong arguments,
+        `WRONG_CONFIGURATION` for wrong parameters or names.
     """
     argv = list(sys.argv if args is None else args)
     try:
@@ -141,7 +144,7 @@ def run(
     except ARGUMENT_ERRORS as error:
         return _wrong_arguments(error)
     if "-h" in own or "--help" in own:
-        with contextlib.suppress(BrokenPipeError):  # the reader has gone, as with `| head`
+        with contextlib.suppress(BrokenPipeError):  # as with `| head`
             usage = "[--ros-args --params-file FILE -p NAME:=VALUE -r FROM:=TO ...]"
             print(f"{description}\n\nusage: {os.path.basename(argv[0])} {usage}", flush=True)
         return 0
@@ -158,24 +161,24 @@ def _spin(make_node: Callable[[], BaseNode], argv: list[str]) -> int:
     executor: SingleThreadedExecutor | None = None
     node: BaseNode | None = None
     stop = stop_on_signal()
-    if stop.asked:
+    if stop.requested:
         return 0
-    waits_for("ROS and its middleware")
+    set_waiting_for("ROS and its middleware")
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     except ARGUMENT_ERRORS as error:
         return _wrong_arguments(error)
-    waits_for("its parameters and topics")
+    set_waiting_for("its parameters and topics")
     try:
         node = _create_node(make_node)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        with contextlib.suppress(ExternalShutdownException), stop.breaking():
-            while not stop.asked:
+        with contextlib.suppress(ExternalShutdownException), stop.interrupting():
+            while not stop.requested:
                 executor.spin_once(timeout_sec=STOP_PERIOD_S)
-        node.finish()  # not after an exception: what it holds may be broken then
-    except KeyboardInterrupt:  # what it had at work is half done, and is not written
-        print("asked to end once more: broken off", file=sys.stderr)
+        node.finish()  # not after an exception, when the map may be inconsistent
+    except KeyboardInterrupt:  # the same holds for an interrupted callback
+        print("second signal: interrupted", file=sys.stderr)
     except QuadtreeLssError as error:
         print(f"error: {error}", file=sys.stderr)
         return WRONG_CONFIGURATION if isinstance(error, ConfigError) else 1
@@ -189,8 +192,8 @@ def _spin(make_node: Callable[[], BaseNode], argv: list[str]) -> int:
 
 
 def _create_node(make_node: Callable[[], BaseNode]) -> BaseNode:
-    """Create the node. Raises `ConfigError`: wrong parameters, names or overrides;
-    `QuadtreeLssError`: the middleware failed."""
+    """Create the node. Raises `ConfigError` for wrong parameters, names or overrides, and
+    `QuadtreeLssError` if the middleware fails."""
     try:
         return make_node()
     except (NameValidationException, ParameterException) as error:
@@ -200,12 +203,12 @@ def _create_node(make_node: Callable[[], BaseNode]) -> BaseNode:
 
 
 def _rcl_message(error: Exception) -> str:
-    """Return rcl's message without its source location."""
+    """Return the message of rcl without its source location."""
     return " ".join(str(error).split(", at /")[0].split())
 
 
 def _wrong_arguments(error: Exception) -> int:
-    """One line of what rcl says to arguments or ROS_… variables it does not understand."""
+    """Print rcl's error for arguments or ROS_… variables on one line; return the exit code."""
     if isinstance(error, rclpy_implementation.UnknownROSArgsError):
         text = f"unknown ROS arguments {error}"
     else:
@@ -215,12 +218,12 @@ def _wrong_arguments(error: Exception) -> int:
 
 
 def configuration_text(config: Config, arguments: Sequence[str]) -> str:
-    """Describe what differs from the defaults, with the file that sets it; ``arguments``: of the
-    command line."""
+    """Describe the values that differ from the defaults, with the files that set them;
+    ``arguments``: command line."""
     origin: dict[str, str] = {}
     for option, value in pairwise(arguments):
         if option == "--params-file":
-            with contextlib.suppress(ConfigError):  # in ROS's own form, which is wider than ours
+            with contextlib.suppress(ConfigError):  # ROS accepts more forms than `read_values`
                 origin |= dict.fromkeys(read_values(value), value)
         elif option in ("-p", "--param"):
             origin.pop(value.partition(":=")[0], None)
@@ -229,13 +232,13 @@ def configuration_text(config: Config, arguments: Sequence[str]) -> str:
     files = [path for option, path in pairwise(arguments) if option == "--params-file"]
     if not changed:
         return f"configuration: the defaults{' (as in ' + ', '.join(files) + ')' if files else ''}"
-    parts, otherwise = [], "command line"
-    for source in dict.fromkeys([*files, otherwise]):
-        set_by = [f"{n}={values[n]}" for n in changed if origin.get(n, otherwise) == source]
+    parts, command_line = [], "command line"
+    for source in dict.fromkeys([*files, command_line]):
+        set_by = [f"{n}={values[n]}" for n in changed if origin.get(n, command_line) == source]
         if set_by:
             parts.append(f"{', '.join(set_by)} (from {source})")
-        elif source != otherwise:
-            parts.append(f"{source} (nothing but defaults)")
+        elif source != command_line:
+            parts.append(f"{source} (only defaults)")
     return f"configuration other than the defaults: {', '.join(parts)}"
 
 

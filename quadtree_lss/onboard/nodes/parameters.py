@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS parameters of a node, from the table of ``config.settings``."""
+"""ROS parameters of a node, declared from the table of ``config.settings``."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from quadtree_lss.onboard.config.settings import (
 )
 
 QOS = "qos_overrides."
-LIVE_OF = {"vehicle": "lss_node", "lss": "lss_node", "autopilot": "autopilot_node"}
-"""Node in which live changes of a section have an effect; other sections: every node."""
+LIVE_NODES = {"vehicle": "lss_node", "lss": "lss_node", "autopilot": "autopilot_node"}
+"""Node in which live changes of a section have an effect; for other sections every node."""
 ROS_TOPICS = ("/clock", "/parameter_events", "/rosout")
 
-#: QoS policies that can be overridden, and their values; none for a number.
+#: QoS policies that can be overridden, and their values; empty for a number.
 QOS_POLICIES: dict[str, list[str]] = {
     "depth": [],
     "durability": DurabilityPolicy.short_keys(),
@@ -67,9 +67,9 @@ def descriptor(row: Parameter) -> ParameterDescriptor:
 
 
 def checked_qos_overrides(values: Mapping[str, object]) -> list[tuple[str, str]]:
-    """Return topics whose QoS is overridden, each with ``publisher`` or ``subscription``. Raises
-    `ConfigError`: not of the form ``qos_overrides.TOPIC.subscription.POLICY``, an unknown policy
-    (names the nearest one) or an impossible value."""
+    """Return the topics whose QoS is overridden, each with ``publisher`` or ``subscription``.
+    Raises `ConfigError` for a name not of the form ``qos_overrides.TOPIC.subscription.POLICY``, an
+    unknown policy (names the nearest one) or an invalid value."""
     found = []
     for name, value in values.items():
         topic, _, ending = name.removeprefix(QOS).partition(".")
@@ -96,21 +96,21 @@ def checked_qos_overrides(values: Mapping[str, object]) -> list[tuple[str, str]]
 class NodeParameters:
     """Configuration of a node from its ROS parameters.
 
-    The node needs ``automatically_declare_parameters_from_overrides=True``, without which overrides
-    of unknown names are not visible.
+    The node needs ``automatically_declare_parameters_from_overrides=True``; otherwise overrides of
+    unknown names are not visible.
 
     Args:
         node: Its overrides are checked, then every row of the table is declared on it.
         changed: Called with the new configuration after live parameters were set.
-        kind: Executable, as ``lss_node``: live parameters of another one cannot be changed.
+        kind: Executable, such as ``lss_node``: live parameters of others cannot be changed.
 
     Attributes:
         config: Current configuration.
         given: Names that the command line or a file set at the start.
 
     Raises:
-        ConfigError: unknown key (names the nearest one), wrong type or range, values that
-            contradict one another, a parameter file of the command line that is for other nodes.
+        ConfigError: Unknown key (names the nearest one), wrong type or range, contradicting values,
+            or a parameter file without a section for this node.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class NodeParameters:
             if option == "--params-file":
                 check_reaches(path, node.get_fully_qualified_name())
         given = node.get_parameters_by_prefix("")
-        # They are declared again with descriptors, QoS overrides by rclpy.
+        # Parameters are declared again below, with descriptors; QoS overrides by rclpy.
         for name in given:
             if not is_ros_own(name) or name.startswith(QOS):
                 node.undeclare_parameter(name)
@@ -139,17 +139,17 @@ class NodeParameters:
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
 
-    def tell_unused(self, node: Node) -> None:
-        """Warn of overrides for topics that the node does not have; nodes may share a file."""
-        has = {
+    def warn_unused(self, node: Node) -> None:
+        """Warn of QoS overrides for topics that the node does not have."""
+        topics = {
             "subscription": sorted({item.topic_name for item in node.subscriptions}),
             "publisher": sorted({item.topic_name for item in node.publishers}),
         }
         for topic, entity in self._overridden:
-            if topic not in has[entity]:
+            if topic not in topics[entity]:
                 node.get_logger().warning(
                     f"{QOS}{topic}.{entity}.* has no effect: this node has no {entity} of it,"
-                    f" but of {', '.join(has[entity])}"
+                    f" but of {', '.join(topics[entity])}"
                 )
 
     def _check(self, changes: Iterable[RosParameter]) -> SetParametersResult:
@@ -157,10 +157,10 @@ class NodeParameters:
             values = values_from_config(self._with(changes))
         except ConfigError as error:
             return SetParametersResult(successful=False, reason=str(error))
-        now = values_from_config(self.config)
-        for name in [item.name for item in changes if item.name in now]:
-            owner = LIVE_OF.get(name.partition(".")[0], self._kind)
-            if self._kind and owner != self._kind and values[name] != now[name]:
+        current = values_from_config(self.config)
+        for name in [item.name for item in changes if item.name in current]:
+            owner = LIVE_NODES.get(name.partition(".")[0], self._kind)
+            if self._kind and owner != self._kind and values[name] != current[name]:
                 reason = f"{name} has an effect in {owner}, not in {self._kind}: set it there"
                 return SetParametersResult(successful=False, reason=reason)
         return SetParametersResult(successful=True)
@@ -178,15 +178,15 @@ class NodeParameters:
 
 
 class _UnknownParameterError(ParameterNotDeclaredException):
-    """As rclpy's, whose text its services return, but with the nearest name."""
+    """rclpy's exception, whose text its services return, with the nearest name in the text."""
 
     def __init__(self, name: str) -> None:
         Exception.__init__(self, unknown_parameter(name))
 
 
 def _converted(changes: list[RosParameter]) -> list[RosParameter]:
-    """Convert whole numbers of float parameters, before rclpy checks types. Raises
-    `_UnknownParameterError`: a name is neither in the table nor ROS's own."""
+    """Convert integers of float parameters, before rclpy checks types. Raises
+    `_UnknownParameterError` for a name that is neither in the table nor ROS's own."""
     types = {row.name: row.type for row in parameters()}
     result = []
     for item in changes:
@@ -199,7 +199,7 @@ def _converted(changes: list[RosParameter]) -> list[RosParameter]:
 
 
 def _checked(config: Config) -> Config:
-    """Return the configuration. Raises `ConfigError`: a path is not that of a file."""
+    """Return the configuration. Raises `ConfigError` if a path cannot be that of a file."""
     paths = {"map_file.path": config.map_file.path, "checkpoint.path": config.checkpoint.path}
     for name, path in paths.items():
         if path and (path.rpartition("/")[2] in ("", ".", "..") or "\0" in path):

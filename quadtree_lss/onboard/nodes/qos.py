@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics with their quality of service, what the log says when two ends do not match; services."""
+"""Publishers, subscriptions and services with their quality of service (QoS)."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 
 
 def latched(depth: int = 1) -> QoSProfile:
-    """One message, or the newest ``depth``, that late subscribers get as well."""
+    """Profile that keeps the newest ``depth`` messages for late subscribers."""
     profile = stream(depth, reliable=True)
     profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
     return profile
 
 
 def stream(depth: int, *, reliable: bool) -> QoSProfile:
-    """Measurements: the newest ``depth``, nothing for late subscribers."""
+    """Profile of measurements: queue of ``depth`` messages, none for late subscribers."""
     return QoSProfile(
         depth=depth,
         history=HistoryPolicy.KEEP_LAST,
@@ -44,26 +44,26 @@ def stream(depth: int, *, reliable: bool) -> QoSProfile:
     )
 
 
-TARGET_S = 1.0
-"""A subscriber that hears nothing of the target for so long may take its publisher for dead."""
+TARGET_DEADLINE_S = 1.0
+"""Deadline and lease of the target's publisher, s."""
 
 
 def target() -> QoSProfile:
-    """Latched, and said again in time: whoever asks for a deadline learns of a dead publisher."""
+    """Profile of the target: latched, with a deadline that reveals a dead publisher."""
     profile = latched()
-    profile.deadline = profile.liveliness_lease_duration = Duration(seconds=TARGET_S)
+    profile.deadline = profile.liveliness_lease_duration = Duration(seconds=TARGET_DEADLINE_S)
     profile.liveliness = LivelinessPolicy.MANUAL_BY_TOPIC
     return profile
 
 
-#: As rclpy's default, and durability.
+#: rclpy's default and durability.
 OVERRIDABLE = QoSOverridingOptions(
     [getattr(QoSPolicyKind, name) for name in ("HISTORY", "DEPTH", "RELIABILITY", "DURABILITY")]
 )
 
 
 REMEDIES = {"RELIABILITY": "reliability: best_effort", "DURABILITY": "durability: volatile"}
-"""What makes a subscription accept a publisher that offers less of a policy."""
+"""Overrides with which a subscription accepts a publisher that offers less of a policy."""
 
 
 def subscribe(
@@ -77,9 +77,13 @@ def subscribe(
     *,
     raw: bool = False,
 ) -> Subscription:
-    """Subscription that warns by name when a publisher's QoS cannot be matched. ``matched``: called
-    with the number of publishers whenever it changes. ``group``: callback group, the node's default
-    one if None. ``raw``: messages come as bytes, not deserialised."""
+    """Create a subscription that logs a warning if a publisher's QoS is incompatible.
+
+    Args:
+        matched: Called with the number of publishers whenever it changes.
+        group: Callback group; None for the node's default.
+        raw: Pass messages as bytes, not deserialised.
+    """
     name = node.resolve_topic_name(topic)
 
     def incompatible(event: Any) -> None:
@@ -105,21 +109,21 @@ def subscribe(
     )
 
 
-def subscribe_twice(
-    node: Node, kind: Any, topic: str, callback: Any, kept: int = 1
+def subscribe_any_durability(
+    node: Node, kind: Any, topic: str, callback: Any, depth: int = 1
 ) -> Subscription:
-    """Latched, to get what was sent before, which is returned; and volatile, which matches
-    publishers that keep nothing. Both ways end with the newest message, of ``kept``."""
-    subscribe(node, kind, topic, callback, stream(max(kept, 5), reliable=True))
+    """Create two subscriptions: volatile, which matches every publisher, and latched, which also
+    receives earlier messages. Return the latched one. ``callback`` receives some messages twice."""
+    subscribe(node, kind, topic, callback, stream(max(depth, 5), reliable=True))
     quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
-    return node.create_subscription(kind, topic, callback, latched(kept), event_callbacks=quiet)
+    return node.create_subscription(kind, topic, callback, latched(depth), event_callbacks=quiet)
 
 
 def serve(node: Node, name: str, work: Callable[[], str]) -> None:
-    """A ``std_srvs/Trigger`` service ``~/name``: the line that ``work`` returns, and success; of
-    what it raises, a `QuadtreeLssError`, the line alone. Both go to the log."""
+    """Create a ``std_srvs/Trigger`` service ``~/name``. It responds with success and the line that
+    ``work`` returns, or with failure and the text of its `QuadtreeLssError`, and logs the line."""
 
-    def answer(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def respond(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
             response.message, response.success = work(), True
             node.get_logger().info(response.message)
@@ -128,13 +132,13 @@ def serve(node: Node, name: str, work: Callable[[], str]) -> None:
             node.get_logger().warning(response.message)
         return response
 
-    node.create_service(Trigger, f"~/{name}", answer)
+    node.create_service(Trigger, f"~/{name}", respond)
 
 
 def advertise(
     node: Node, kind: Any, topic: str, profile: QoSProfile, matched: Any = None
 ) -> Publisher:
-    """Publisher whose QoS can be overridden; rclpy tells of subscribers that it cannot serve.
-    ``matched``: called with an event when subscribers came or went."""
+    """Create a publisher whose QoS can be overridden; rclpy logs incompatible subscribers.
+    ``matched``: called with an event when the number of subscribers changes."""
     events = {"event_callbacks": PublisherEventCallbacks(matched=matched)}
     return node.create_publisher(kind, topic, profile, qos_overriding_options=OVERRIDABLE, **events)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The map as ``lss_node`` has it: the newest it could use, its age, and what was refused."""
+"""The newest usable map that ``lss_node`` received, its age, and rejected maps."""
 
 from __future__ import annotations
 
@@ -17,20 +17,28 @@ from quadtree_lss.onboard.nodes.diagnostics import Arrivals, Problems
 from quadtree_lss.onboard.nodes.ros_messages import cloud_message, deserialised
 
 STAMP = slice(4, 12)
-"""Of a serialised message that begins with a header."""
+"""Bytes of the stamp in a serialised message that begins with a header."""
 
-OLDEST_S = 30.0
-"""Sites are withdrawn when no map that can be used has come for longer: a killed mapping_node is
-back well before, and nobody should fly on for half a minute by what is looked at no more."""
+MAX_MAP_AGE_S = 30.0
+"""Age of the newest usable map after which sites are withdrawn; a killed mapping_node restarts much
+faster."""
 
 
 class ReceivedMap:
-    """Joins the two messages of a map, serialised, and decodes them when asked to.
+    """Join the two serialised messages of a map, and decode the newest complete map on demand.
 
-    A map that cannot be used has not been received: the one before (``cells``, None before the
-    first, in its ``frame``) is kept, and its age runs on; ``refused`` says why, empty if the newest
-    was used. ``lss`` is how landing is judged at present: maps too large for that are refused, and,
-    if ``binding``, maps of another frame than the configuration's.
+    An unusable map is rejected: the last usable one is kept, and its age increases.
+
+    Args:
+        frame: ``frames.map``.
+        lss: Returns the current parameters; maps too large for an assessment are rejected.
+        binding: Reject maps whose frame is not ``frame``.
+
+    Attributes:
+        cells: The newest usable map; None before the first.
+        frame: Its frame.
+        refused: Reason why the newest map was rejected; empty if it was used.
+        refusals: Number of rejected maps.
     """
 
     def __init__(
@@ -45,49 +53,47 @@ class ReceivedMap:
         self._lss = lss
         self._binding = binding
         self._halves: dict[str, bytes] = {}
-        self._whole: tuple[bytes, bytes, float] | None = None
-        self._kept: tuple[bytes, bytes, float] | None = None  # refused
+        self._complete: tuple[bytes, bytes, float] | None = None
+        self._rejected: tuple[bytes, bytes, float] | None = None
 
     @property
     def lacks_observed(self) -> bool:
-        """True while cells wait for ``map/observed``, and before the first map."""
+        """Whether cells wait for ``map/observed``, or no map has come yet."""
         return self.cells is None or "cells" in self._halves
 
-    def complete_with(self, half: str, raw: bytes) -> bool:
-        """Takes one of a map's two messages, ``cells`` or ``observed``: it is complete when both
-        carry the same stamp.
+    def add_half(self, half: str, raw: bytes) -> bool:
+        """Add a message, ``cells`` or ``observed``; return True if both have the same stamp.
 
-        Neither is used twice: the next map may have the same stamp, and its cells must not be
-        joined with what was observed before. Only the newest map is kept and decoded when its
-        turn comes: maps are skipped, not queued.
+        Each message is used once, because the next map may have the same stamp. Only the newest
+        complete map is kept: maps are skipped, not queued.
         """
         self._halves[half] = raw
         cells, observed = self._halves.get("cells"), self._halves.get("observed")
         if cells is None or observed is None or cells[STAMP] != observed[STAMP]:
             return False
         self._halves = {}
-        self._whole = (cells, observed, time.monotonic())
+        self._complete = (cells, observed, time.monotonic())
         return True
 
-    def lacks(self) -> str:
-        """What is not there yet of a first map, empty once there is one."""
+    def missing(self) -> str:
+        """Describe which messages of the first map are missing; empty once there is a map."""
         if self.cells is not None:
             return ""
         came = " and ".join(f"map/{half}" for half in sorted(self._halves))
         rest = "both halves" if len(self._halves) == 2 else "the other half"
-        heard = f"{came} came, {rest} of one stamp did not" if came else "nothing came"
-        return f"a map: {self.refused or heard}"
+        received = f"{came} came, {rest} of one stamp did not" if came else "nothing came"
+        return f"a map: {self.refused or received}"
 
     def retry(self) -> None:
-        """Landing is judged otherwise now: the next `take` decodes a map that was refused again."""
-        self._whole = self._whole or self._kept
+        """Let `decode_newest` decode a rejected map again, after a change of parameters."""
+        self._complete = self._complete or self._rejected
 
-    def take(self) -> None:
-        """Decodes the newest complete map if that was not done yet."""
-        if self._whole is None:
+    def decode_newest(self) -> None:
+        """Decode the newest complete map if it is not decoded yet."""
+        if self._complete is None:
             return
-        whole, self._whole, self._kept = self._whole, None, None
-        raw_cells, raw_observed, arrival = whole
+        newest, self._complete, self._rejected = self._complete, None, None
+        raw_cells, raw_observed, arrival = newest
         try:
             cells, observed = cloud_message(raw_cells), deserialised(raw_observed, OccupancyGrid)
             frame = cells.header.frame_id
@@ -95,7 +101,7 @@ class ReceivedMap:
                 check_frame(frame, self._configured, "map/cells")
             self.cells = map_from_messages(cells, observed, self._lss())
         except MessageError as error:
-            self._kept = whole
+            self._rejected = newest
             self.refusals += 1
             self.refused = f"the newest map cannot be used: {error}"
             self._problems.report(f"map.{error.reason}", f"map not used: {error}")
@@ -104,12 +110,12 @@ class ReceivedMap:
             self.frame = frame
             self.arrivals.add(arrival)
 
-    def too_old(self) -> str:
-        """Why sites on the map are to be withdrawn, empty if they are not."""
-        if self.cells is None or self.arrivals.age() <= OLDEST_S:
+    def withdrawal_reason(self) -> str:
+        """Return why sites on an old map have to be withdrawn; empty if they do not."""
+        if self.cells is None or self.arrivals.age() <= MAX_MAP_AGE_S:
             return ""
-        self.take()  # one that waits for its turn counts if it can be used
-        if self.arrivals.age() <= OLDEST_S:
+        self.decode_newest()  # a map that is not decoded yet may be usable
+        if self.arrivals.age() <= MAX_MAP_AGE_S:
             return ""
-        text = f"no map that could be used came for {OLDEST_S:g} s"
+        text = f"no usable map came for {MAX_MAP_AGE_S:g} s"
         return f"{text}; {self.refused}" if self.refused else text

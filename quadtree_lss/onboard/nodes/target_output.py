@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``landing/selected``, ``landing/status`` and ``landing/status_text``, with a deadline."""
+"""Publication of ``landing/selected``, ``landing/status`` and ``landing/status_text``."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.onboard.config.limits import LONGEST
+from quadtree_lss.onboard.config.limits import MAX_ASSESSMENT_S
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, STATUS_TEXT
 from quadtree_lss.onboard.nodes.diagnostics import OK, WARN
 from quadtree_lss.onboard.nodes.executor import steady_timer
-from quadtree_lss.onboard.nodes.qos import TARGET_S, advertise, latched, serve, target
+from quadtree_lss.onboard.nodes.qos import TARGET_DEADLINE_S, advertise, latched, serve, target
 from quadtree_lss.onboard.nodes.ros_messages import message_maker
 
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.landing.result import LandingAssessment, Selected
 
-REPEAT_S = 0.4 * TARGET_S
+REPEAT_S = 0.4 * TARGET_DEADLINE_S
 """Period of repeating the target: two repetitions fit into the deadline."""
 
 
 class TargetOutput:
-    """Publishes the target with every assessment, and repeats it until the next one.
+    """Publish the target with every assessment, and repeat it until the next one.
 
     Args:
         node: Owner; changes of the target go to its log.
         age: Returns the age of a map by its stamp, s; NaN if unknown.
-        release, land_now: Request another target, or the best within reach; the target is assessed
-            and published before they return.
+        release, land_now: Select another target, or the best one within reach; they assess and
+            publish before they return.
     """
 
     def __init__(
@@ -60,8 +60,8 @@ class TargetOutput:
     def send(self, result: LandingAssessment, frame: str) -> None:
         """Publish the target of an assessment.
 
-        Before its first decision the node does not publish "no target", which would withdraw the
-        target of a node that was killed before it.
+        A restarted node does not publish "no target" before its first decision, because that would
+        withdraw the target of the killed node.
         """
         self._log_change(result)
         self._result, self._frame = result, frame
@@ -73,12 +73,12 @@ class TargetOutput:
     def repeated(self) -> Iterator[None]:
         """Repeat the target in a thread, because an assessment can take longer than the deadline.
 
-        It ends after the longest time that an assessment may be configured to take."""
-        over = threading.Event()
+        The repetition ends after the longest time of an assessment that parameters allow."""
+        done = threading.Event()
 
         def repeat() -> None:
-            for _ in range(int(LONGEST / REPEAT_S)):
-                if over.wait(REPEAT_S):
+            for _ in range(int(MAX_ASSESSMENT_S / REPEAT_S)):
+                if done.wait(REPEAT_S):
                     return
                 self._publish()
 
@@ -87,7 +87,7 @@ class TargetOutput:
         try:
             yield
         finally:
-            over.set()
+            done.set()
             thread.join()
 
     def _publish(self) -> None:
@@ -120,7 +120,7 @@ class TargetOutput:
             raise QuadtreeLssError(msg)
         self._landing_now = False
         self._release()
-        text = f"target {held} is released" if held else "landing now is not asked for any more"
+        text = f"target {held} is released" if held else "landing now is cancelled"
         now = self._result
         if now is None or now is before:
             return f"{text}: the next map decides"
@@ -132,13 +132,13 @@ class TargetOutput:
         result = self._result
         if result is None or not result.selected.id:
             why = "nothing is mapped yet" if result is None else result.why
-            msg = f"no place within reach ({why}); the first that there is will be it"
+            msg = f"no place within reach ({why}); the first one will be the target"
             raise QuadtreeLssError(msg)
         return f"{_text(result.selected)}, safe with probability {result.selected.probability:.3f}"
 
 
 def status_text(result: LandingAssessment, age: float) -> DiagnosticStatus:
-    """Make ``landing/status_text``: ``landing/status`` for people, plots and C++ nodes."""
+    """Make ``landing/status_text``: ``landing/status`` as text, for people, plots and C++ nodes."""
     selected = result.selected
     status = DiagnosticStatus(level=OK if selected.id else WARN, name="target", message=result.why)
     values: dict[str, object] = {

@@ -148,7 +148,7 @@ def _distances(
 ) -> tuple[Array, Array]:
     """Compute `TerrainRaster.room` and `TerrainRaster.to_unmapped`; ``border``: (n + 1,) distance
     of rows and columns of grid points to the domain's border, m."""
-    limit = max(lss.zone, DISTANCE_CAP * lss.vehicle.size)
+    limit = max(lss.zone, DISTANCE_CAP * lss.vehicle.diameter_ratio)
     room = distance_from(touching((~firm).view(np.uint8)) > 0, side, limit)
     farthest = max(lss.zone, 0.5 * lss.vehicle.diameter) + lss.vehicle.pad_radius + side
     to_unmapped = distance_from(touching(unmapped.view(np.uint8)) > 0, side, farthest)

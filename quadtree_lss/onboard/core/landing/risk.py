@@ -111,13 +111,13 @@ class RiskTable:
         tables, terms, first = [], [], 0
         for number, name in enumerate(CAUSES):
             for curve in model.causes[name].curves:
-                if curve.of in LOCAL:
-                    rows = interpolation_weights(steps[curve.of], curve.knots)
+                if curve.feature in LOCAL:
+                    rows = interpolation_weights(steps[curve.feature], curve.knots)
                     odds = np.array(curve.odds) @ rows.T
                     wide = len(odds) > 1
                     if wide:
                         odds = interpolation_weights(steps["seen"], model.seen) @ odds
-                    terms.append((number, LOCAL.index(curve.of), first, FINE * wide))
+                    terms.append((number, LOCAL.index(curve.feature), first, FINE * wide))
                     tables.append(odds.ravel())
                     first += odds.size
         self.tables = np.concatenate(tables, dtype=np.float32, casting="same_kind")
@@ -133,7 +133,7 @@ class RiskTable:
             "noise": log10(self._noise / clearance),
             "cell": log10(side / clearance),
             "clearance": log10(clearance / diameter),
-            "lean": log10(self._vehicle.leaning / clearance),
+            "lean": log10(self._vehicle.tilt_height / clearance),
         }
 
     def _information_loss(self, side: float) -> float:
@@ -198,7 +198,7 @@ class RiskTable:
         features, side = self.features(raster, contacts), raster.domain.finest_size
         if self._constant is None or self._constant[0] != side:
             overall = self.overall(side)
-            odds = [self._model.causes[name].at(overall) for name in CAUSES]
+            odds = [self._model.causes[name].map_log_odds(overall) for name in CAUSES]
             self._constant = side, np.array(odds)
         judged = raster.judged
         out, cause = np.ones(judged.shape), np.zeros(judged.shape, dtype=np.uint8)

@@ -84,7 +84,7 @@ def assess_points(
     """
     cells, side = raster.cells, raster.domain.finest_size
     vehicle, radius, zone = lss.vehicle, 0.5 * lss.vehicle.diameter, lss.zone
-    cap = DISTANCE_CAP * vehicle.size
+    cap = DISTANCE_CAP * vehicle.diameter_ratio
     bits = hazards.avoided_features(cells, lss).take(raster.leaf)
     bits *= raster.seen.view(np.uint8)
     bits |= raster.unknown_bits
@@ -127,8 +127,12 @@ def assess_points(
     # Eq. 55 is a volume and grows with the leaf: over its area it is a height.
     rough = cells.roughness / cells.size**2
     rough[np.isnan(rough)] = 0.0
-    of_leaves += WEIGHT_ROUGHNESS / vehicle.height * rough
-    weights = slope_weight, WEIGHT_DISTANCE / vehicle.size, WEIGHT_SUBSCALE / vehicle.height
+    of_leaves += WEIGHT_ROUGHNESS / vehicle.clearance_ratio * rough
+    weights = (
+        slope_weight,
+        WEIGHT_DISTANCE / vehicle.diameter_ratio,
+        WEIGHT_SUBSCALE / vehicle.clearance_ratio,
+    )
     density = np.empty(raster.leaf.shape)
     set_densities(raster, near, of_leaves, cap, weights, density)
     # Eq. 56's integral is Eq. 59's mean over the disc of each point. A zone larger than the domain

@@ -254,7 +254,7 @@ class Mapper:
         comparable = change.compared > COMPARABLE_SHARE * change.estimated
         if not inconsistent and comparable and cells.shape[1] <= NARROW_CELLS:
             compared = change.fit_finest()
-            inconsistent = is_inconsistent_narrow(compared, self.config.vehicle.height)
+            inconsistent = is_inconsistent_narrow(compared, self.config.vehicle.clearance_ratio)
         verdict = self._rejected.decide(compared, inconsistent)
         if verdict is Verdict.OVERRULES:
             height = float(np.median(compared[RISE]))
@@ -281,7 +281,7 @@ class Mapper:
         return change, cells, self._motion(scan, cells, now)
 
     def _motion(self, scan: RegisteredScan, cells: Array, now: float) -> Motion | None:
-        time, height = self.config.pose.correlation_time, self.config.vehicle.height
+        time, height = self.config.pose.correlation_time, self.config.vehicle.clearance_ratio
         motion: Motion | None = rigid_motion(cells, scan.pose.covariance, now, time, height)
         return motion
 
@@ -291,13 +291,13 @@ class Mapper:
         if motion.share < AGREEING_SHARE:  # too few cells for a common height
             values = np.median(cells[[RISE, OF_SCAN, OF_MAP, OWN]], axis=1).tolist()
         height, claimed, mapped, noise = values
-        floor = FLOOR * self.config.vehicle.height**2
+        floor = FLOOR * self.config.vehicle.clearance_ratio**2
         self._gaps.append((height**2, claimed + mapped, noise + floor))
 
     def _align(self, change: ScanUpdate, cells: Array, now: float) -> float:
         """Remove the height offset between scan and map; return it, m."""
         cells[RISE] -= self._pending_offset
-        time, length_unit = self.config.pose.correlation_time, self.config.vehicle.height
+        time, length_unit = self.config.pose.correlation_time, self.config.vehicle.clearance_ratio
         offset: Offset | None = height_offset(cells, now, time, length_unit)
         if offset is None:
             return 0.0
