@@ -108,7 +108,9 @@ def _suggest(options: argparse.Namespace) -> int:
     with ProgressBar("suggest", "s", options.verbose) as bar:
         info = inspect_bag(options.bag, config, **how, diagnose=True, progress=bar.update)
         found = info.suggestion or suggest_config(options.bag, config, **how)  # raises the reason
-    notes = [f"Fault: {finding.line}" for finding in info.findings if finding.fix]
+    # The suggested domain fixes "outside".
+    faults = [finding for finding in info.findings if finding.fix and finding.key != "outside"]
+    notes = [f"Fault: {finding.line}" for finding in faults]
     found = dataclasses.replace(found, notes=(*found.notes, *notes))
     common.show(options, found.as_dict(), found.text().removesuffix("\n"))
     for note in found.notes[1:]:
