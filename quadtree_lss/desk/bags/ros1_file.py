@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The records of ROS 1 bags, format 2.0 (https://wiki.ros.org/Bags/Format/2.0)."""
+"""Reader of ROS 1 bags, format 2.0 (https://wiki.ros.org/Bags/Format/2.0)."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from quadtree_lss.desk.bags.compression import DamagedError, unpack
 from quadtree_lss.desk.bags.message_types import type_name
 from quadtree_lss.desk.bags.recorded_file import ChunkedFile, Record
 
-MOST_HEADER = 1 << 16
-"""Limit of a record's header, which has two names and some numbers, bytes."""
+MAX_HEADER_BYTES = 1 << 16
+"""Limit of a record's header, which holds two names and some numbers."""
 
 
 class Ros1File(ChunkedFile):
@@ -26,18 +26,18 @@ class Ros1File(ChunkedFile):
     NO_END = "has no usable index (truncated)"
 
     def _head(self, source: BinaryIO) -> tuple[int, Header, int]:
-        if read_uint32(source) > MOST_HEADER:
+        if read_uint32(source) > MAX_HEADER_BYTES:
             raise DamagedError("no record")
         source.seek(-4, 1)
         header = Header.read(source)
         return header.get_uint8("op"), header, read_uint32(source)
 
-    def _indexed(self) -> list[int]:
+    def _indexed_chunks(self) -> list[int]:
         first = next(self._records(self._file, len(self.MAGIC), self._size)).header
         places, self.expected = [], 0
         index = first.get_uint64("index_pos") or self._size
         for record in self._records(self._file, index, self._size):
-            self._take(record)
+            self._parse(record)
             if record.kind == RecordType.CHUNK_INFO:
                 places.append(record.header.get_uint64("chunk_pos"))
                 self.expected += sum(n for _, n in struct.iter_unpack("<II", record.content))
@@ -45,7 +45,7 @@ class Ros1File(ChunkedFile):
             raise DamagedError("no index of chunks")
         return sorted(places)
 
-    def _take(self, record: Record) -> Any:
+    def _parse(self, record: Record) -> Any:
         header, content = record.header, record.content
         if record.kind == RecordType.MSGDATA:
             return header.get_time("time"), header.get_uint32("conn"), content

@@ -178,7 +178,7 @@ def inspect_bag(
             for t in opened.topics
         ]
         info = BagInfo(str(opened.path), "nothing", opened.start_ns, seconds, topics)
-        pairs = MapPairs.alone(opened, scan_topic)
+        pairs = MapPairs.of_maps_only(opened, scan_topic)
         notes = opened.notes
         try:
             stream = Stream(opened, config, scan_topic, pose_topic, adapt=diagnose)

@@ -27,7 +27,7 @@ LATCHED = ros.Qos(*_KEPT, _NO_TIME, _NO_TIME, ros.QosLiveliness.AUTOMATIC, _NO_T
 
 
 class Recorder:
-    """Context manager that writes outputs of `Passes` into a new mcap bag, a folder ``path``.
+    """Context manager that writes outputs of `Assessments` into a new mcap bag, a folder ``path``.
     ``frame``: of the map. ``maps``: also write maps. Raises `ReplayError`: ``path`` exists or
     cannot be written."""
 

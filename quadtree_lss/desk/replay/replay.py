@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from quadtree_lss.desk.bags.bag import Bag, open_bag
 from quadtree_lss.desk.replay.files import ReplayError, locked, made
 from quadtree_lss.desk.replay.history import History
-from quadtree_lss.desk.replay.passes import Passes
+from quadtree_lss.desk.replay.assessments import Assessments
 from quadtree_lss.desk.replay.results import ReplayResult, points_line, run_summary, write_results
 from quadtree_lss.desk.replay.run import Run
 from quadtree_lss.desk.replay.stream import LandingTopics, MapPairs, Part, Progress, Stream
@@ -69,35 +69,35 @@ def replay(
         opened = stack.enter_context(open_bag(bag))
         part = Part.of(opened, start, duration)
         requests = LandingRequests(config.frames.map, landing)
-        maps = MapPairs.alone(opened, scan_topic)
+        maps = MapPairs.of_maps_only(opened, scan_topic)
         source = maps or Stream(opened, config, scan_topic, pose_topic)
         topics = LandingTopics(requests, opened, part.start_ns)
         if folder is not None:
             stack.enter_context(made(folder, ReplayError))
             stack.enter_context(locked(folder, ReplayError))
         history = History()
-        passes = Passes(config, requests.arguments)
-        passes.on_answer.append(history.landing)
-        run = Run(opened, part, config, passes, topics, history, progress, stop)
+        assessments = Assessments(config, requests.arguments)
+        assessments.on_assessment.append(history.landing)
+        run = Run(opened, part, config, assessments, topics, history, progress, stop)
         if record is not None:
             from quadtree_lss.desk.replay.record import Recorder  # rosbags' writer takes long
 
             recorder = Recorder(Path(record), config.frames.map, maps=maps is None)
             stack.enter_context(recorder)
-            passes.on_map.append(recorder.map)
-            passes.on_answer.append(recorder.landing)
+            assessments.on_map.append(recorder.map)
+            assessments.on_assessment.append(recorder.landing)
         if isinstance(source, MapPairs):
             cells = run.read_maps(source)
         else:
             cells = run.map_scans(source)
-        passes.finish(run.done_ns, lambda: cells)
+        assessments.finish(run.done_ns, lambda: cells)
         losses, counts, notes = [*opened.losses, *run.losses], run.counts(), [*opened.notes]
         if isinstance(source, Stream):
             losses, counts = [*losses, *source.losses], counts | source.counts()
             notes += source.notes
     if progress is not None and not run.interrupted:
         progress(part.seconds, part.seconds)
-    decoded, assessment = passes.cells, passes.last
+    decoded, assessment = assessments.cells, assessments.last
     assert decoded is not None and assessment is not None
     if not decoded.observed.any():
         why = points_line(run.points, run.points_dropped)
@@ -110,19 +110,19 @@ def replay(
         decoded,
         assessment,
         config,
-        passes.lss_ms,
+        assessments.lss_ms,
         run.timings,
         **counts,
         bag=str(opened.path.resolve()),
         duration=seconds,
         real_time_factor=seconds / (time.perf_counter() - began),
         landing=requests.as_lists(),
-        target=passes.changes[-1].id if passes.changes else 0,
-        target_changes=len(passes.changes),
+        target=assessments.changes[-1].id if assessments.changes else 0,
+        target_changes=len(assessments.changes),
         losses=losses,
         warnings=[*assessment.warnings, *notes, *run.warnings()],
     )
-    timings, targets = tuple(run.timings), tuple(passes.changes)
+    timings, targets = tuple(run.timings), tuple(assessments.changes)
     result = ReplayResult(folder, decoded, assessment, timings, summary, targets)
     if folder is not None:
         write_results(folder, result, config, report, history)

@@ -23,7 +23,7 @@ from quadtree_lss.desk.replay import files
 from quadtree_lss.desk.replay.configuration import dump_config
 from quadtree_lss.desk.replay.files import ReplayError, plain
 from quadtree_lss.desk.replay.history import History
-from quadtree_lss.desk.replay.passes import TargetChange
+from quadtree_lss.desk.replay.assessments import TargetChange
 from quadtree_lss.onboard.config.settings import Config, values_from_config
 from quadtree_lss.onboard.core.landing.result import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap

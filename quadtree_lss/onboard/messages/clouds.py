@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Decoding of point clouds into arrays of points in the lidar frame.
 
-The functions accept any object with the attributes of ``sensor_msgs/PointCloud2``. Nodes (rclpy) and
-replay (``rosbags``) therefore share this code and get the same points.
+The functions accept any object with the attributes of ``sensor_msgs/PointCloud2``. Nodes (rclpy)
+and replay (``rosbags``) therefore share this code and get the same points.
 """
 
 from __future__ import annotations
