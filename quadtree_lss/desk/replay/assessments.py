@@ -23,8 +23,8 @@ FINAL_ASSESSMENTS = 4
 
 
 class TargetChange(NamedTuple):
-    """A row of ``selected.csv``: a new target, or none (``id`` 0, position NaN). ``probability``: as
-    in ``landing/status``."""
+    """A row of ``selected.csv``: a new target, or none (``id`` 0, position NaN). ``probability``:
+    as in ``landing/status``."""
 
     stamp_ns: int
     id: int
@@ -42,8 +42,8 @@ class TargetChange(NamedTuple):
 
 
 class Assessments:
-    """Makes maps at most at ``publish.rate`` and assessments at most at ``publish.lss_rate``, by the
-    bag's time, and always those of the last state.
+    """Makes maps at most at ``publish.rate`` and assessments at most at ``publish.lss_rate`` in
+    the bag's time, and always those of the last state.
 
     ``restrictions`` returns the keyword arguments of ``LandingSiteSelector.assess``. ``on_map``:
     callbacks with the bag's time and a function that returns the map during the call;

@@ -10,9 +10,9 @@ from typing import Any
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.recorded_file import RawMessage
+from quadtree_lss.desk.replay.assessments import Assessments
 from quadtree_lss.desk.replay.files import ReplayError
 from quadtree_lss.desk.replay.history import History
-from quadtree_lss.desk.replay.assessments import Assessments
 from quadtree_lss.desk.replay.results import ScanTiming, points_warning
 from quadtree_lss.desk.replay.stream import LandingTopics, MapPairs, Part, Progress, Stream
 from quadtree_lss.onboard.config.settings import Config

@@ -269,8 +269,8 @@ def mount_values(position: Array, rotation: Array, digits: int = 3) -> dict[str,
 
 
 class LandingTopics:
-    """Feeds `LandingRequests` from an open bag, except fixed names. Messages before ``start_ns`` are
-    used at once, because these topics are latched."""
+    """Feeds `LandingRequests` from an open bag, except fixed names. Messages before ``start_ns``
+    are used at once, because these topics are latched."""
 
     def __init__(self, requests: LandingRequests, bag: Bag, start_ns: int) -> None:
         self.requests = requests

@@ -209,7 +209,8 @@ class ScanStatistics:
             notes.append(
                 f"The returns of a scan or their noise are too coarse for a vehicle of"
                 f" {vehicle.diameter:g} m: cells of {data_cell:.2g} m would suit them, it needs"
-                f" {max_cell:.2g} m. Gaps wider than {config.lss.gap:.2g} m (lss.max_gap) stay unseen."
+                f" {max_cell:.2g} m. Gaps wider than {config.lss.gap:.2g} m (lss.max_gap) stay"
+                " unseen."
             )
         notes += filter(None, [model_warning(suggested)])
         return Suggestion(values, reasons, tuple(notes))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A flight in lock-step, from a seed and settings to figures.
 
-Without transport, in the flight's time: `Intake`, `Mapper` and `Assessments`, as in nodes and replay.
+Without transport, in the flight's time: `Intake`, `Mapper` and `Assessments`, as in a replay.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from quadtree_lss.desk.bags.message_types import typestore
-from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.assessments import Assessments, TargetChange
+from quadtree_lss.desk.replay.history import History
 from quadtree_lss.lab.flight.flight import Flight, Sent, flight_config
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.settings import FlightSettings

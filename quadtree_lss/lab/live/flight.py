@@ -15,8 +15,8 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from quadtree_lss.desk.player.player import PlayError, wait_for_subscribers
-from quadtree_lss.desk.replay.configuration import dump_config
 from quadtree_lss.desk.replay.assessments import TargetChange
+from quadtree_lss.desk.replay.configuration import dump_config
 from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent, flight_config
 from quadtree_lss.lab.flight.fly import Flown, figures_of, fly
 from quadtree_lss.lab.flight.settings import FlightSettings
