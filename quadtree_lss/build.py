@@ -26,7 +26,6 @@ class BuildError(QuadtreeLssError, ImportError):
 
 
 def kernels(package: Path = PACKAGE) -> list[Path]:
-    """List the compiled sources, sorted."""
     return [path for path in _files(package, "py") if b"\nimport cython\n" in path.read_bytes()]
 
 
@@ -40,7 +39,6 @@ def source_hashes(package: Path = PACKAGE) -> dict[str, str]:
 
 
 def digest(hashes: dict[str, str]) -> str:
-    """Combine the hashes of all files into one."""
     return hashlib.sha256(repr(sorted(hashes.items())).encode()).hexdigest()
 
 

@@ -21,8 +21,6 @@ END_BYTES = 37
 
 
 class McapFile(ChunkedFile):
-    """An mcap file."""
-
     MAGIC = b"\x89MCAP0\r\n"
     CHUNK, MESSAGE, MESSAGE_INDEX, END = CHUNK, MESSAGE, MESSAGE_INDEX, FOOTER
     NO_END = "ends before its end mark (truncated)"
@@ -42,14 +40,14 @@ class McapFile(ChunkedFile):
         kind, _, summary, _, _, magic = struct.unpack("<BQQQI8s", self._file.read(END_BYTES))
         if kind != FOOTER or not summary or magic != self.MAGIC:
             raise DamagedError("no summary")
-        places = []
+        positions = []
         for record in self._records(self._file, summary, self._size - END_BYTES):
             self._parse(record)
             if record.kind == CHUNK_INDEX:
-                places.append(struct.unpack_from("<Q", record.content, 16)[0])
-        if not places:
+                positions.append(struct.unpack_from("<Q", record.content, 16)[0])
+        if not positions:
             raise DamagedError("no index of chunks")
-        return sorted(places)
+        return sorted(positions)
 
     def _parse(self, record: Record) -> Any:
         content = record.content
@@ -81,7 +79,7 @@ class McapFile(ChunkedFile):
         return None
 
 
-def _text(content: bytes, place: int) -> str:
-    (length,) = struct.unpack_from("<I", content, place)
-    text: bytes = struct.unpack_from(f"{length}s", content, place + 4)[0]
+def _text(content: bytes, position: int) -> str:
+    (length,) = struct.unpack_from("<I", content, position)
+    text: bytes = struct.unpack_from(f"{length}s", content, position + 4)[0]
     return text.decode()

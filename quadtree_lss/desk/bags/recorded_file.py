@@ -25,7 +25,7 @@ JITTER_NS = 10**8
 """Messages of one topic may be out of order by this time although the clock is steady."""
 LAST_NS = 2**63 - 1
 """Latest possible time of reception."""
-INDEX = np.dtype([("time_ns", "i8"), ("channel", "i8"), ("place", "i8"), ("offset", "i8")])
+INDEX = np.dtype([("time_ns", "i8"), ("channel", "i8"), ("position", "i8"), ("offset", "i8")])
 """A message: time of reception, channel, position of its chunk or row, offset in the chunk."""
 DAMAGE = (DamagedError, ReaderError, KeyError, ValueError, struct.error)
 """Errors raised when damaged bytes are parsed."""
@@ -78,11 +78,10 @@ class RecordedFile(ABC):
         """Find topics and messages; return rows of `INDEX` in the order of the file."""
 
     @abstractmethod
-    def _load(self, place: int) -> Iterator[tuple[Row, bytes]]:
+    def _load(self, position: int) -> Iterator[tuple[Row, bytes]]:
         """Read the messages of a chunk or row. Raises one of `DAMAGE`."""
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
     @property
@@ -90,9 +89,9 @@ class RecordedFile(ABC):
         """One line if a part could not be read so far."""
         parts = [self.fault] if self.fault else []
         if self._damage:
-            place, more = min(self._damage), len(self._damage) - 1
-            parts.append(f"{self._damage[place]} at {self.unit} {place}")
-            parts[-1] += f" and {more} places more" if more else ""
+            position, more = min(self._damage), len(self._damage) - 1
+            parts.append(f"{self._damage[position]} at {self.unit} {position}")
+            parts[-1] += f" and {more} positions more" if more else ""
         if self._replaced:
             parts.append(f"{self._replaced} impossible times of reception replaced")
         lost = len(self._unread) + max((self.expected or 0) - len(self.index), 0)
@@ -109,27 +108,27 @@ class RecordedFile(ABC):
         times = self.index["time_ns"]
         inside = (times >= start_ns) & (times < stop_ns)
         chosen = self.index[inside & np.isin(self.index["channel"], wanted)]
-        remaining = Counter(chosen["place"].tolist())
+        remaining = Counter(chosen["position"].tolist())
         loaded: dict[int, dict[tuple[int, int], bytes]] = {}
-        for time_ns, channel, place, offset in chosen.tolist():
-            if place not in loaded:
-                loaded[place] = {(row[3], row[1]): raw for row, raw in self._messages(place)}
-            raw = loaded[place].get((offset, channel))
-            remaining[place] -= 1
-            if not remaining[place]:
-                del loaded[place]
+        for time_ns, channel, position, offset in chosen.tolist():
+            if position not in loaded:
+                loaded[position] = {(row[3], row[1]): raw for row, raw in self._messages(position)}
+            raw = loaded[position].get((offset, channel))
+            remaining[position] -= 1
+            if not remaining[position]:
+                del loaded[position]
             if raw is None:
-                self._unread.add((place, offset))
+                self._unread.add((position, offset))
             else:
                 yield RawMessage(self.topics[channel][0], time_ns, raw)
 
-    def _messages(self, place: int) -> list[tuple[Row, bytes]]:
+    def _messages(self, position: int) -> list[tuple[Row, bytes]]:
         """Return the messages of a chunk or row up to the first damage, which is recorded."""
         found: list[tuple[Row, bytes]] = []
         try:
-            found.extend(self._load(place))
+            found.extend(self._load(position))
         except DAMAGE as error:
-            self._damage.setdefault(place, str(error))
+            self._damage.setdefault(position, str(error))
         return found
 
 
@@ -138,7 +137,7 @@ class Record(NamedTuple):
 
     kind: int
     header: Any
-    place: int
+    position: int
     content: bytes
 
 
@@ -171,63 +170,67 @@ class ChunkedFile(RecordedFile):
             self.fault = f"wrong first bytes of a {self.path.suffix} file"
             return []
         try:
-            places = self._indexed_chunks()
+            positions = self._indexed_chunks()
         except DAMAGE:
-            places = self._scan_chunks()
+            positions = self._scan_chunks()
         rows: list[Row] = []
-        for place in places:
-            listed = self._indexed_rows(place)
+        for position in positions:
+            listed = self._indexed_rows(position)
             known = listed and {row[1] for row in listed} <= self.topics.keys()
-            rows += listed if known else [row for row, _ in self._messages(place)]
+            rows += listed if known else [row for row, _ in self._messages(position)]
         return rows
 
-    def _indexed_rows(self, place: int) -> list[Row]:
+    def _indexed_rows(self, position: int) -> list[Row]:
         """Return the rows in the index after a chunk; empty if it is damaged."""
         entries: list[tuple[int, int, int]] = []
         try:
-            for record in self._records(self._file, place, self._size, skip=self.CHUNK):
+            for record in self._records(self._file, position, self._size, skip=self.CHUNK):
                 if record.kind == self.MESSAGE_INDEX:
                     entries += self._parse(record)
-                elif record.place != place:
+                elif record.position != position:
                     break
         except DAMAGE:
             return []
-        return [(min(t, LAST_NS), channel, place, offset) for offset, channel, t in sorted(entries)]
+        return [
+            (min(t, LAST_NS), channel, position, offset) for offset, channel, t in sorted(entries)
+        ]
 
-    def _records(self, source: BinaryIO, place: int, end: int, skip: int = -1) -> Iterator[Record]:
+    def _records(
+        self, source: BinaryIO, position: int, end: int, skip: int = -1
+    ) -> Iterator[Record]:
         """Yield records from a position on, those of kind ``skip`` without content; a chunk may be
         truncated. Raises one of `DAMAGE`."""
-        while place < end:
-            source.seek(place)
+        while position < end:
+            source.seek(position)
             kind, header, length = self._head(source)
             after = source.tell() + length
             if after <= end or kind == self.CHUNK:
                 size = 0 if kind == skip else min(length, MAX_BYTES)
-                yield Record(kind, header, place, source.read(size))
-            place = after
-        if place > end:
+                yield Record(kind, header, position, source.read(size))
+            position = after
+        if position > end:
             raise DamagedError("a record is truncated")
 
     def _scan_chunks(self) -> list[int]:
         """Find the positions of chunks, and of messages outside chunks, up to the first damage."""
         self.fault, self.expected = self.NO_END, None
-        places: list[int] = []
+        positions: list[int] = []
         try:
             begin = len(self.MAGIC)
             for record in self._records(self._file, begin, self._size, skip=self.CHUNK):
                 if record.kind in (self.CHUNK, self.MESSAGE):
-                    places.append(record.place)
+                    positions.append(record.position)
                 elif record.kind == self.END:
                     self.fault = ""
                     break
                 else:
                     self._parse(record)
         except DAMAGE:
-            self.fault = f"damaged or truncated after byte {max(places, default=0)}"
-        return places
+            self.fault = f"damaged or truncated after byte {max(positions, default=0)}"
+        return positions
 
-    def _load(self, place: int) -> Iterator[tuple[Row, bytes]]:
-        chunk = next(self._records(self._file, place, self._size), None)
+    def _load(self, position: int) -> Iterator[tuple[Row, bytes]]:
+        chunk = next(self._records(self._file, position, self._size), None)
         if chunk is None or chunk.kind not in (self.CHUNK, self.MESSAGE):
             raise DamagedError("no chunk")
         records, data, size = iter([chunk]), b"", 0
@@ -237,7 +240,7 @@ class ChunkedFile(RecordedFile):
         for record in records:
             parsed = self._parse(record)
             if record.kind == self.MESSAGE:
-                yield (min(parsed[0], LAST_NS), parsed[1], place, record.place), parsed[2]
+                yield (min(parsed[0], LAST_NS), parsed[1], position, record.position), parsed[2]
         if len(data) != size:
             raise DamagedError(f"chunk of {len(data)} bytes instead of {size}")
 

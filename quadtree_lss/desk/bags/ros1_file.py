@@ -18,8 +18,6 @@ MAX_HEADER_BYTES = 1 << 16
 
 
 class Ros1File(ChunkedFile):
-    """A ROS 1 bag."""
-
     ros1 = True
     MAGIC = b"#ROSBAG V2.0\n"
     CHUNK, MESSAGE, MESSAGE_INDEX = RecordType.CHUNK, RecordType.MSGDATA, RecordType.IDXDATA
@@ -34,16 +32,16 @@ class Ros1File(ChunkedFile):
 
     def _indexed_chunks(self) -> list[int]:
         first = next(self._records(self._file, len(self.MAGIC), self._size)).header
-        places, self.expected = [], 0
+        positions, self.expected = [], 0
         index = first.get_uint64("index_pos") or self._size
         for record in self._records(self._file, index, self._size):
             self._parse(record)
             if record.kind == RecordType.CHUNK_INFO:
-                places.append(record.header.get_uint64("chunk_pos"))
+                positions.append(record.header.get_uint64("chunk_pos"))
                 self.expected += sum(n for _, n in struct.iter_unpack("<II", record.content))
-        if not places or len(places) != first.get_uint32("chunk_count"):
+        if not positions or len(positions) != first.get_uint32("chunk_count"):
             raise DamagedError("no index of chunks")
-        return sorted(places)
+        return sorted(positions)
 
     def _parse(self, record: Record) -> Any:
         header, content = record.header, record.content

@@ -59,16 +59,16 @@ class SqliteFile(RecordedFile):
                     self._damage[number] = str(error)
                     self._unread.add((number, 0))
 
-    def _load(self, place: int) -> Iterator[tuple[Row, bytes]]:
+    def _load(self, position: int) -> Iterator[tuple[Row, bytes]]:
         query = "SELECT topic_id, data FROM messages WHERE id = ? AND typeof(data) = 'blob'"
         query += f" AND length(data) <= {MAX_BYTES}"
         try:
-            row = self._database.execute(query, (place,)).fetchone()
+            row = self._database.execute(query, (position,)).fetchone()
         except sqlite3.Error as error:
             raise DamagedError(str(error)) from None
         if row is None:
             raise DamagedError("no data")
-        yield (0, row[0], place, 0), row[1]
+        yield (0, row[0], position, 0), row[1]
 
     def close(self) -> None:
         self._database.close()

@@ -78,8 +78,8 @@ def add_command(
 ) -> argparse.ArgumentParser:
     """Add a subcommand with its help and the common options."""
     style, epilog = argparse.RawDescriptionHelpFormatter, f"{examples}\n{EXIT_CODES}"
-    how: dict[str, Any] = {"formatter_class": style, "epilog": epilog}
-    parser = commands.add_parser(name, help=text, description=text, **how)
+    layout: dict[str, Any] = {"formatter_class": style, "epilog": epilog}
+    parser = commands.add_parser(name, help=text, description=text, **layout)
     parser.set_defaults(run=run, parser=parser)
     add = parser.add_argument
     add("-q", "--quiet", action="store_true", help="errors only: no progress, table or warnings")
@@ -207,8 +207,8 @@ def add_landing_options(parser: argparse._ActionsContainer, default: str) -> Non
     parser.add_argument("--area", **corners, help=f"land inside {text}")
     text = f"never land in {text}; may be given several times"
     parser.add_argument("--keep-out", **corners, action="append", help=text)
-    text = "land near this place, or none; as --area" if default else "land near this place"
-    parser.add_argument("--target", metavar="X,Y", type=place, **absent, help=text)
+    text = "land near this position, or none; as --area" if default else "land near this position"
+    parser.add_argument("--target", metavar="X,Y", type=position, **absent, help=text)
 
 
 def landing_of(options: argparse.Namespace) -> dict[str, Any]:
@@ -230,11 +230,11 @@ def polygon(text: str) -> list[list[float]] | None:
     return corners
 
 
-def place(text: str) -> list[float] | None:
+def position(text: str) -> list[float] | None:
     """Type of an option: ``3,-4``, or ``none``."""
     corners = _numbers(text)
     if corners is not None and len(corners) != 1:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a place X,Y")
+        raise argparse.ArgumentTypeError(f"'{text}' is not a position X,Y")
     return None if corners is None else corners[0]
 
 
@@ -265,7 +265,6 @@ def show_result(options: argparse.Namespace, result: Any, *lines: str) -> None:
 
 
 def show(options: argparse.Namespace, content: Mapping[str, Any], text: str) -> None:
-    """Print ``content`` as JSON with ``--json``, else ``text``."""
     if options.json:
         print_json(content)
     else:

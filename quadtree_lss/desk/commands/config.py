@@ -104,10 +104,12 @@ def _suggest(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.info import inspect_bag
     from quadtree_lss.desk.replay.suggest import suggest_config
 
-    config, how = common.chosen_config(options), common.keywords(options, *common.TOPICS)
+    config, arguments = common.chosen_config(options), common.keywords(options, *common.TOPICS)
     with ProgressBar("suggest", "s", options.verbose) as bar:
-        info = inspect_bag(options.bag, config, **how, diagnose=True, progress=bar.update)
-        found = info.suggestion or suggest_config(options.bag, config, **how)  # raises the reason
+        info = inspect_bag(options.bag, config, **arguments, diagnose=True, progress=bar.update)
+        found = info.suggestion or suggest_config(
+            options.bag, config, **arguments
+        )  # raises the reason
     # The suggested domain fixes "outside".
     faults = [finding for finding in info.findings if finding.fix and finding.key != "outside"]
     notes = [f"Fault: {finding.line}" for finding in faults]
@@ -133,9 +135,9 @@ def _errors_of(path: str | os.PathLike[str], node: str) -> list[str]:
         values = read_values(found, errors)
     except ConfigError as error:
         return [str(error).removeprefix(f"{path}: ")]
-    sound = settings.checked_values(values, errors)
+    valid = settings.checked_values(values, errors)
     sections = {
-        item.name: dataclasses.replace(getattr(Config(), item.name), **sound.get(item.name, {}))
+        item.name: dataclasses.replace(getattr(Config(), item.name), **valid.get(item.name, {}))
         for item in dataclasses.fields(Config)
     }
     return errors + list(settings.contradictions(SimpleNamespace(**sections)))

@@ -44,9 +44,9 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 def _info(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.info import inspect_bag
 
-    config, how = common.chosen_config(options), common.keywords(options, *common.TOPICS)
+    config, arguments = common.chosen_config(options), common.keywords(options, *common.TOPICS)
     with ProgressBar("info", "s", options.verbose) as bar:
-        info = inspect_bag(options.bag, config, **how, progress=bar.update)
+        info = inspect_bag(options.bag, config, **arguments, progress=bar.update)
     common.show_result(options, info)
     if not info.works:
         return common.ERROR
@@ -56,7 +56,7 @@ def _info(options: argparse.Namespace) -> int:
 def _doctor(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.info import inspect_bag
 
-    config, how = common.chosen_config(options), common.keywords(options, *common.TOPICS)
+    config, arguments = common.chosen_config(options), common.keywords(options, *common.TOPICS)
     bag = options.bag
     if bag is None:
         with common.importing_ros("doctor without a bag"):
@@ -66,7 +66,7 @@ def _doctor(options: argparse.Namespace) -> int:
     else:
         common.reject_options(options, "a bag", "seconds")
     with ProgressBar("doctor", "s", options.verbose) as bar:
-        info = inspect_bag(bag, config, **how, diagnose=True, progress=bar.update)
+        info = inspect_bag(bag, config, **arguments, diagnose=True, progress=bar.update)
     faults = [finding for finding in info.findings if finding.fix or finding.fatal]
     notes = [finding for finding in info.findings if finding not in faults]
     faults.sort(key=lambda finding: not finding.fix)  # most of the others follow from these

@@ -82,15 +82,15 @@ def _run(options: argparse.Namespace) -> int:
     report = "" if options.no_report else ", draws the report"
     after = "ranking sites and writing results" + (" and the report" if report else "")
     then = f"ranks sites on what is mapped so far{report} and writes it into {out}"
-    how = common.keywords(options, *common.TOPICS, "start", "duration", "record")
-    how |= {"report": not options.no_report, "landing": common.landing_of(options)}
+    arguments = common.keywords(options, *common.TOPICS, "start", "duration", "record")
+    arguments |= {"report": not options.no_report, "landing": common.landing_of(options)}
     with (
         console.Interruption(then) as interruption,
         console.ProgressBar("replay", "s", options.verbose, after) as bar,
         made(out, QuadtreeLssError),
     ):
-        how |= {"progress": bar.update, "stop": interruption.asked}
-        result = replay(options.bag, out, config, **how)
+        arguments |= {"progress": bar.update, "stop": interruption.asked}
+        result = replay(options.bag, out, config, **arguments)
     _show_result(options, result, out, "warning")
     if result.interrupted or interruption.asked():
         console.say(f"interrupted: results are of the first {result.summary['duration']:.1f} s")
@@ -145,11 +145,11 @@ def _sites(options: argparse.Namespace) -> int:
             f"{options.dem} is not an elevation model: quadtree-lss replay reads bags"
         )
     config, out = common.chosen_config(options), _folder(options)
-    how = {"report": not options.no_report, "landing": common.landing_of(options)}
+    arguments = {"report": not options.no_report, "landing": common.landing_of(options)}
     bar = console.ProgressBar("sites", "s", options.verbose, "ranking sites, writing the results")
     with made(out, QuadtreeLssError), bar:
         bar.update(1, 1)
-        result = rank_sites(options.dem, out, config, **how)
+        result = rank_sites(options.dem, out, config, **arguments)
     _show_result(options, result, out, "note")
     return common.DONE
 
@@ -159,10 +159,10 @@ def _publish(options: argparse.Namespace) -> int:
     common.reject_options(options, "--publish: the nodes map and rank the sites", *offline)
     with common.importing_ros("--publish"):
         from quadtree_lss.desk.player.player import play
-    how = common.keywords(options, *common.TOPICS, "start", "duration", "remap")
-    how |= {"rate": options.rate or 1.0, "namespace": options.namespace or ""}
+    arguments = common.keywords(options, *common.TOPICS, "start", "duration", "remap")
+    arguments |= {"rate": options.rate or 1.0, "namespace": options.namespace or ""}
     with console.ProgressBar("play", "s", options.verbose) as bar:
-        report = play(options.bag, **how, progress=bar.update)
+        report = play(options.bag, **arguments, progress=bar.update)
     scans = f"{report.scans} scans and {report.poses} poses"
     sent = f"{report.maps} maps" if report.maps else scans
     common.show(options, asdict(report), f"{sent} sent in {report.duration:.1f} s")

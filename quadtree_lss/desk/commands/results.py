@@ -80,7 +80,7 @@ def _compare(options: argparse.Namespace) -> int:
     common.show_result(options, result)
     if not result.same_ground:
         text = f"correlation {result.heights.correlation:.2f}, RMS {result.heights.rms:.2f} m"
-        say(f"not of the same ground, or not at the same place: their heights differ: {text}")
+        say(f"not of the same ground, or shifted: their heights differ: {text}")
         return common.ERROR
     return common.DONE
 

@@ -105,7 +105,6 @@ def dump_values(values: Mapping[str, object], comments: Mapping[str, str]) -> st
 
 
 def scalar_text(value: object) -> str:
-    """Format a value as YAML."""
     text: str = yaml.safe_dump(value, default_flow_style=True, width=1000)
     return text.removesuffix("\n").removesuffix("\n...")
 

@@ -30,7 +30,7 @@ MAX_LEFT = 0.8
 """Share of the contradicting points, the leaves or their roughness that a fix may leave."""
 DISAGREEING = {
     "frames": "send the clouds of each lidar on a topic of its own",
-    "jump": "take poses without jumps, or replay the parts between them (--start, --duration)",
+    "jump": "use poses without jumps, or replay the parts between them (--start, --duration)",
 }
 """Fixes, by key, of findings that are faults only if scans disagree."""
 FITTED = ("domain.", "lidar.range_noise", "lss.grid_spacing")

@@ -79,7 +79,6 @@ class Comparison:
         return self.heights.correlation >= SAME_GROUND or self.heights.rms_mean_removed <= noise
 
     def as_dict(self) -> dict[str, Any]:
-        """Convert to JSON types."""
         names = ("safe_first", "safe_second", "gained", "lost", "seen_first", "seen_second")
         content = {
             "first": str(self.first.folder),
@@ -94,7 +93,6 @@ class Comparison:
         return dict(plain(content))
 
     def table(self) -> str:
-        """Format as text."""
         h = self.heights
         rows = [
             ("Ground observed by both", f"{h.points} grid points"),

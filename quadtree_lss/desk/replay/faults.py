@@ -142,15 +142,15 @@ ADVICE = {
     "map_cloud": (
         "clouds are in the map frame already",
         "choose clouds in the lidar's axes by --scan-topic (of FAST-LIO: /cloud_registered_body),"
-        " or take these back to them by their poses (docs/connecting.md)",
+        " or transform these back by their poses (docs/connecting.md)",
     ),
     "ned": (
         "poses are in north, east, down; the map is east, north, up",
-        "convert them (docs/connecting.md), or take nav/pose of autopilot_node or MAVROS",
+        "convert them (docs/connecting.md), or use nav/pose of autopilot_node or MAVROS",
     ),
     "quaternion": ("orientations have w first", "send x, y, z, w: q[1], q[2], q[3], q[0]"),
     "inverse": (
-        "orientations take the map's axes to the lidar's, not back",
+        "orientations rotate map axes to lidar axes, not lidar axes to map axes",
         "send their inverse: -x, -y, -z, w",
     ),
 }

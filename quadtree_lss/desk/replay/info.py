@@ -115,7 +115,6 @@ class BagInfo:
 
     @property
     def works(self) -> bool:
-        """True if the bag can be replayed."""
         return not self.problems
 
     def add(self, reading: Reading) -> None:
@@ -130,7 +129,6 @@ class BagInfo:
         self.findings += _find_message_faults(self, reading)
 
     def as_dict(self) -> dict[str, Any]:
-        """Convert to JSON types."""
         fields = asdict(replace(self, suggestion=None))
         del fields["suggestion"]
         fields["findings"] = [finding._asdict() for finding in self.findings]
@@ -138,7 +136,6 @@ class BagInfo:
         return dict(plain(derived | fields))
 
     def table(self) -> str:
-        """Format as text."""
         when = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(self.start_ns / SECOND_NS))
         lines = [f"{one_line(self.path)}: {self.seconds:.2f} s from {when} UTC"]
         width = max(len(one_line(topic.name, 80)) for topic in self.topics)

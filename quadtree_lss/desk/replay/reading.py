@@ -82,7 +82,6 @@ class Reading:
 
     @property
     def points(self) -> int:
-        """Points of the mapped scans."""
         return sum(report.points for report in self.reports)
 
     @property

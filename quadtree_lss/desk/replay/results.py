@@ -84,7 +84,6 @@ class ReplayResult:
         return self.assessment._repr_html_()
 
     def as_dict(self) -> dict[str, Any]:
-        """Convert the summary and the ranked sites to JSON types."""
         sites = self.assessment.sites
         names = ("position", "normal", "score", "probability", *SITE_FIGURES[1:], "id")
         rows = [
@@ -149,7 +148,6 @@ def peak_memory_mb() -> float:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of this package and of its main dependencies."""
     own = {"quadtree_lss": quadtree_lss.__version__, "build": build.name()}
     own["python"] = platform.python_version()
     return own | {name: version(name) for name in ("numpy", "scipy", "rosbags")}
@@ -180,7 +178,6 @@ def write_results(
 
 
 def write_report(out: Path) -> None:
-    """Write page and figures of a results folder."""
     from quadtree_lss.desk.report.report import report_files  # matplotlib takes long to import
 
     for name, content in report_files(out).items():
@@ -199,7 +196,6 @@ def _remove_report(out: Path) -> None:
 
 
 def grid_of(assessment: LandingAssessment) -> Grid:
-    """Return the content of ``grid.npz``."""
     names = ("x", "y", "elevation", "plane_elevation", "slope_deg", "hazard", "safe", "score")
     found = Grid({name: getattr(assessment, name) for name in (*names, "risk")})
     found["probability"] = known_probability(assessment)

@@ -116,7 +116,6 @@ class Run:
 
     @property
     def points(self) -> int:
-        """Points of the mapped scans."""
         return sum(row.points for row in self.timings)
 
     def counts(self) -> dict[str, Any]:
@@ -172,7 +171,7 @@ class Run:
 
     def _navigate(self, what: str, msg: Any, _: RawMessage) -> None:
         if what == "pose":
-            self._landing.requests.navigation.take(msg)
+            self._landing.requests.navigation.use_pose(msg)
 
     def _check_poses(self, mapper: Mapper) -> None:
         notice = pose_notice(mapper.pose_gap())

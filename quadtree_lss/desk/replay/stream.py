@@ -288,10 +288,10 @@ class LandingTopics:
         msg = None
         try:
             msg = bag.decode(message.raw, TYPES[name])
-            self.requests.take(name, msg)
+            self.requests.use_message(name, msg)
         except MessageError as error:
             if msg is None:
-                self.requests.refuse(name, error)
+                self.requests.mark_unusable(name, error)
             self.notices.append(Notice(f"{name}_{error.reason}", f"landing/{name}: {error}"))
         return True
 

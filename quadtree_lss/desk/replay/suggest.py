@@ -39,7 +39,7 @@ one scan) and of the range noise."""
 MAX_CELLS, MIN_CELLS = 16.0, 6.5
 """Limits of the number of finest cells along the vehicle's diameter."""
 DENSE_SHARE = 0.3
-"""Densest share of the observed ground, whose greatest distance of returns is used."""
+"""The distance of returns is the greatest one in this densest share of the observed ground."""
 CELL_SLACK = 1.4
 """Factor by which finest cells may exceed the wanted size, so that the domain fits the data."""
 QUANTILE, CHI2_QUANTILE = 0.3, 0.638
@@ -63,12 +63,10 @@ class Suggestion:
     notes: tuple[str, ...]
 
     def text(self) -> str:
-        """Format as a parameter file."""
         lines = [f"# {note}" for note in self.notes]
         return "\n".join([*lines, dump_values(self.values, self.reasons)])
 
     def as_dict(self) -> dict[str, Any]:
-        """Convert to JSON types."""
         return {"values": self.values, "reasons": self.reasons, "notes": list(self.notes)}
 
 

@@ -131,9 +131,9 @@ class LockstepNodes:
     def take(self, sent: Sent, now_ns: int) -> None:
         topic, message = sent.topic, sent.message(self._make)
         if topic == "nav/pose":
-            self._requests.navigation.take(message)
+            self._requests.navigation.use_pose(message)
         if topic.startswith("landing/"):
-            self._requests.take(topic.removeprefix("landing/"), message)
+            self._requests.use_message(topic.removeprefix("landing/"), message)
             self._passes.landing_changed()
         elif "mapping" in self._down:
             return

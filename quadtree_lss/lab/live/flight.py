@@ -129,9 +129,9 @@ class LiveNodes:
         """Publish a message."""
         message = sent.message(self._make)
         if sent.topic.startswith("landing/"):
-            self.requests.take(sent.topic.removeprefix("landing/"), message)
+            self.requests.use_message(sent.topic.removeprefix("landing/"), message)
         elif sent.topic == "nav/pose":
-            self.requests.navigation.take(message)
+            self.requests.navigation.use_pose(message)
         self._publishers[sent.topic].publish(message)
 
     def work(self, now_ns: int) -> list[Array | None]:

@@ -132,7 +132,7 @@ def _span(msg: Any, field: Any, kind: str) -> tuple[int, int]:
     single = int(field.count) in (0, 1, int(msg.height) * int(msg.width))
     if not single or start < 0 or end > msg.point_step:
         text = (
-            f"cloud field '{field.name}', {field.count} at bytes {start}..{end}, is no single value"
+            f"cloud field '{field.name}', {field.count} at bytes {start}..{end}, is not one value"
             f" within a point of {msg.point_step} bytes"
         )
         raise MessageError("layout", text)

@@ -69,13 +69,13 @@ def target_from_message(msg: Any, map_frame: str) -> Array | None:
     """Return a position (2,), map frame, m; None if x and y are both NaN: no target. Raises
     `MessageError` with reason ``frame`` or ``point``."""
     check_frame(msg.header.frame_id, map_frame, "target")
-    place = np.array([msg.point.x, msg.point.y], dtype=np.float64)
-    if np.isnan(place).all():
+    position = np.array([msg.point.x, msg.point.y], dtype=np.float64)
+    if np.isnan(position).all():
         return None
-    if not (np.abs(place) <= FARTHEST).all():
-        text = f"target ({place[0]:g}, {place[1]:g}) is not finite or too far away"
+    if not (np.abs(position) <= FARTHEST).all():
+        text = f"target ({position[0]:g}, {position[1]:g}) is not finite or too far away"
         raise MessageError("point", text)
-    return place
+    return position
 
 
 def dispersion_from_message(msg: Any, map_frame: str) -> Array | None:
@@ -128,7 +128,7 @@ class LandingRequests:
     Attributes:
         values: Current value by name, None without one.
         unusable: Why the last message of a name is unusable.
-        heard: Frame, and content or error, of the last message by name.
+        last_messages: Frame, and content or error, of the last message by name.
         navigation: Motion of the vehicle.
     """
 
@@ -140,16 +140,16 @@ class LandingRequests:
         for number, polygon in enumerate(self.values.pop(KEEP_OUTS, None) or (), 1):
             self.values[f"{KEEP_OUTS}/{number}"] = polygon
         self.unusable: dict[str, str] = {}
-        self.heard: dict[str, tuple[str, Array | MessageError | None]] = {}
+        self.last_messages: dict[str, tuple[str, Array | MessageError | None]] = {}
         self.navigation = Navigation()
 
-    def take(self, topic: str, msg: Any) -> None:
+    def use_message(self, topic: str, msg: Any) -> None:
         """Use a message of ``landing/<topic>``. Raises `MessageError`: it is unusable."""
         if topic in self.fixed:
             return
         name = name_of(topic, msg)
-        full = topic == KEEP_OUTS and name not in self.heard
-        full &= sum(topic_of(other) == KEEP_OUTS for other in self.heard) >= MAX_KEEP_OUTS
+        full = topic == KEEP_OUTS and name not in self.last_messages
+        full &= sum(topic_of(other) == KEEP_OUTS for other in self.last_messages) >= MAX_KEEP_OUTS
         frame = str(msg.header.frame_id)[:MAX_FRAME_LENGTH]
         content: Array | MessageError | None
         try:
@@ -159,7 +159,7 @@ class LandingRequests:
         if full and content is not None:
             content = MessageError("number", f"there are {MAX_KEEP_OUTS} already")
         if not full:
-            self.heard[name] = frame, content
+            self.last_messages[name] = frame, content
         self._use(name, frame, content)
 
     def _use(self, name: str, frame: str, content: Array | MessageError | None) -> None:
@@ -169,28 +169,28 @@ class LandingRequests:
             if isinstance(content, MessageError):
                 raise MessageError(content.reason, str(content))
         except MessageError as error:
-            self.refuse(name, error)
+            self.mark_unusable(name, error)
             raise
         self.values[name] = content
         self.unusable.pop(name, None)
         if topic == KEEP_OUTS and content is None and self._frame is not None:
             del self.values[name]
-            self.heard.pop(name, None)
+            self.last_messages.pop(name, None)
 
     def use_frame(self, frame: str) -> dict[str, MessageError]:
         """Check all messages against the frame of the map; return the errors by name."""
         errors: dict[str, MessageError] = {}
         if frame != self._frame:
             self._frame = frame
-            for name, heard in list(self.heard.items()):
+            for name, message in list(self.last_messages.items()):
                 self.values[name] = None
                 try:
-                    self._use(name, *heard)
+                    self._use(name, *message)
                 except MessageError as error:
                     errors[name] = error
         return errors
 
-    def refuse(self, name: str, error: MessageError) -> None:
+    def mark_unusable(self, name: str, error: MessageError) -> None:
         """Record that the last message of a name is unusable."""
         known = name in self.unusable or len(self.unusable) < 2 * MAX_KEEP_OUTS
         if known and topic_of(name) not in self.fixed:
@@ -213,7 +213,6 @@ class LandingRequests:
         return {**single, KEEP_OUTS: keep_outs, "withheld": self.withheld, "vehicle": vehicle}
 
     def as_lists(self) -> dict[str, Any]:
-        """Return the current values for a summary."""
         return {k: np.asarray(v).tolist() for k, v in self.values.items() if v is not None}
 
 
@@ -225,7 +224,7 @@ class Navigation:
         self._vehicle: Motion | None = None
         self._start = (0, np.full(3, np.nan))  # of the speed: stamp, ns, and position
 
-    def take(self, msg: Any) -> bool:
+    def use_pose(self, msg: Any) -> bool:
         """Use a ``PoseWithCovarianceStamped`` or ``Odometry``; return whether it is usable."""
         p = msg.pose.pose.position
         position = np.array([p.x, p.y, p.z], dtype=np.float64)
@@ -262,5 +261,4 @@ def name_of(topic: str, msg: Any) -> str:
 
 
 def topic_of(name: str) -> str:
-    """Return the topic of a name."""
     return name.partition("/")[0]

@@ -74,7 +74,6 @@ def lost_points_text(lost: Mapping[str, int]) -> str:
 
 
 def domain_text(domain: Domain) -> str:
-    """Describe the domain with the parameters that set it."""
     x, y, size = domain.xmin, domain.ymin, domain.size
     return (
         f"the domain is x {x:g} ... {x + size:g}, y {y:g} ... {y + size:g} m"
@@ -106,7 +105,7 @@ def likely_reason(points_lidar: Points, pose: Pose, config: Config) -> str:
         if name != config.mount.axes
     ]
     corrections += [
-        ("poses whose orientation takes the lidar's axes to the map's, not back", r.T, p),
+        ("poses whose orientation rotates lidar axes to map axes", r.T, p),
         ("the pose of a body with z up and a lidar that looks down from it: mount.roll_deg 180",
          own @ LOOKING_DOWN, p),
         ("a cloud in the lidar's axes: this one is in the map's frame already",

@@ -153,13 +153,11 @@ class MessageMaker:
         self._layouts: dict[Fields, list[Any]] = {}
 
     def of_map(self, cells: CellMap) -> Iterator[TopicMessage]:
-        """Yield ``map/cells`` and ``map/observed``."""
         yield CELLS, self.cloud(encode_cells(cells), cells.stamp_ns)
         values = encode_observed(cells.observed, cells.known)
         yield OBSERVED, self.observed(values, cells.domain, cells.stamp_ns)
 
     def observed(self, values: NDArray[np.int8], domain: Domain, stamp: int) -> Any:
-        """Build ``map/observed`` from values (n, n)."""
         return self.grid(values, (domain.xmin, domain.ymin), domain.finest_size, stamp)
 
     def of_ground(
@@ -254,7 +252,6 @@ class MessageMaker:
         return self._make(GRID_TYPE, header=self._header(stamp), info=info, data=data)
 
     def sites(self, assessment: LandingAssessment) -> Any:
-        """Build the PoseArray of the sites, best first."""
         sites = assessment.sites
         turns = site_orientations(sites.normal)
         poses = [self._pose(p, q) for p, q in zip(sites.position, turns, strict=True)]

@@ -65,8 +65,8 @@ def covariance_flaw(msg: Any) -> str:
     variances of the position, or of the attitude, are zero. ``invalid``: the matrix is not a
     covariance, so that only its variances are used. Else empty. Raises as `pose_from_message`.
     """
-    _, unknown, sound = _covariance(_content(msg.pose.covariance))
-    return "unknown" if unknown.any() else "" if sound else "invalid"
+    _, unknown, valid = _covariance(_content(msg.pose.covariance))
+    return "unknown" if unknown.any() else "" if valid else "invalid"
 
 
 def mount_from_message(msg: Any, what: str = "gimbal") -> Pose:
@@ -122,11 +122,11 @@ def _covariance(content: bytes) -> tuple[Array, Mask, bool]:
     scale = np.where(sigmas > 0.0, sigmas, 1.0)
     with np.errstate(all="ignore"):
         scaled = matrix / scale[:, None] / scale
-        sound = bool(np.abs(scaled - scaled.T).max() <= COVARIANCE_TOLERANCE)
-    scaled = 0.5 * (scaled + scaled.T) if sound else np.diag(scaled.diagonal())
+        valid = bool(np.abs(scaled - scaled.T).max() <= COVARIANCE_TOLERANCE)
+    scaled = 0.5 * (scaled + scaled.T) if valid else np.diag(scaled.diagonal())
     eigenvalues, vectors = np.linalg.eigh(scaled)
     if eigenvalues[0] < -COVARIANCE_TOLERANCE:
-        sound, scaled = False, np.diag(scaled.diagonal())
+        valid, scaled = False, np.diag(scaled.diagonal())
     elif eigenvalues[0] < 0.0:
         scaled = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T
     covariance: Array = scaled * np.outer(scale, scale)
@@ -136,7 +136,7 @@ def _covariance(content: bytes) -> tuple[Array, Mask, bool]:
         text += " send zeros if it is unknown (pose.unknown_attitude_sigma_deg)"
         raise MessageError("attitude", text)
     covariance.flags.writeable = False
-    return covariance, unknown, sound
+    return covariance, unknown, valid
 
 
 def _position(point: Any, what: str) -> Array:
