@@ -179,10 +179,8 @@ class ScanStatistics:
         }
         coarse = size / 2**domain.min_level
         x, y = (f"{a:.1f} ... {b:.1f}" for a, b in zip(low, high, strict=True))
-        sizes = (
-            f"cells of {coarse:g} ... {finest:g} m: returns of a scan are {spacing:.2g} m apart on"
-        )
-        sizes += f" the ground, and the vehicle measures {vehicle.diameter:g} m"
+        sizes = f"cells of {coarse:g} ... {finest:g} m: returns of a scan are {spacing:.2g} m apart"
+        sizes += f" on the ground, and the vehicle measures {vehicle.diameter:g} m"
         values |= settings
         if 2 * len(self._max_ranges) > len(self.points):
             values["lidar.max_range"] = float(f"{0.99 * min(self._max_ranges):.3g}")
