@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What to import: a bag to a map to landing sites, from Python. See ``docs/api.md``.
+"""Public Python interface: from a bag to a map to landing sites. See ``docs/api.md``.
 
-Each command of ``quadtree-lss`` is one of these functions and returns a result object.
+Each command of ``quadtree-lss`` calls one of these functions, which returns a result object.
 """
 
 from quadtree_lss.desk.bags.bag import Bag, BagError

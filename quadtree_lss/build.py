@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled kernels: their sources, the name of the build, and whether both belong together.
+"""The compiled kernels: their sources, the name of the build, and a check that both match.
 
 A kernel is a module of `ROOMS` that says ``import cython``. A ``.pxd`` beside it declares what
 other kernels call.
@@ -18,20 +18,19 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 
 PACKAGE = Path(__file__).parent
 ROOMS = ("onboard/core/*", "lab/simulation", "lab/evaluation")
-REMEDY = "build it: make setup, pip install . or colcon build"
+FIX = "build it: make setup, pip install . or colcon build"
 
 
 class BuildError(QuadtreeLssError, ImportError):
-    """The kernels are not compiled, or not from the sources beside them."""
+    """The kernels are not compiled, or were compiled from other sources."""
 
 
 def kernels(package: Path = PACKAGE) -> list[Path]:
-    """List the sources that are compiled, sorted."""
     return [path for path in _files(package, "py") if b"\nimport cython\n" in path.read_bytes()]
 
 
 def source_hashes(package: Path = PACKAGE) -> dict[str, str]:
-    """Hash every file that the binaries are made of, by its path in the package."""
+    """Hash every source of the binaries, by its path in the package."""
     files = [*_files(package, "pxd"), *kernels(package)]
     return {
         path.relative_to(package).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
@@ -40,7 +39,6 @@ def source_hashes(package: Path = PACKAGE) -> dict[str, str]:
 
 
 def digest(hashes: dict[str, str]) -> str:
-    """Combine the hashes of all files into one."""
     return hashlib.sha256(repr(sorted(hashes.items())).encode()).hexdigest()
 
 
@@ -61,11 +59,11 @@ def check() -> None:
     if built is None:
         version = f"Python {sys.version_info[0]}.{sys.version_info[1]}"
         checkout = (PACKAGE.parent / "setup.py").exists()
-        hint = " (PYTHONSAFEPATH=1 takes the installed package instead)" if checkout else ""
-        msg = f"the core in {PACKAGE} is not compiled for {version}; {REMEDY}{hint}"
+        hint = " (PYTHONSAFEPATH=1 selects the installed package instead)" if checkout else ""
+        msg = f"the core in {PACKAGE} is not compiled for {version}; {FIX}{hint}"
         raise BuildError(msg)
     if built.SOURCES != digest(source_hashes()):
-        msg = f"the core in {PACKAGE} was compiled from other sources than those there; {REMEDY}"
+        msg = f"the core in {PACKAGE} was compiled from other sources; {FIX}"
         raise BuildError(msg)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line ``quadtree-lss``: a shell around functions that can be imported as well.
+"""Command line ``quadtree-lss``: each subcommand calls a function that can also be imported.
 
 Exit codes: 0 done, 1 error, 2 usage, 3 done in part (damaged input), 130 interrupted.
 """
@@ -30,21 +30,21 @@ from quadtree_lss.desk.commands.console import first_line, quiet, say
 from quadtree_lss.lab.commands import campaign, evaluate, fly
 from quadtree_lss.onboard.errors import OutsideInput, QuadtreeLssError
 
-# No part of ROS, and not in every Ubuntu: the nodes do without.
-OF_BAGS = ("rosbags", "backports", "lz4", "apsw", "ruamel")
+# Modules that only bags need: they are not part of ROS, and not every Ubuntu has them.
+BAG_MODULES = ("rosbags", "backports", "lz4", "apsw", "ruamel")
 DESK = (replay, results, info, config)
 LAB = (fly, evaluate, campaign)
-REMEDY = "pip install --user --break-system-packages 'rosbags>=0.11.9'"
+FIX = "pip install --user --break-system-packages 'rosbags>=0.11.9'"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command; the answer is the exit code."""
+    """Run one command; return the exit code."""
     arguments = without_ros_arguments(sys.argv[1:] if argv is None else argv)
     options = argparse.Namespace()
     for name in ("stdout", "stderr"):  # closed, as by `>&-`
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w"))
-    if isinstance(sys.stdout, io.TextIOWrapper):  # names of files may be no text of the terminal's
+    if isinstance(sys.stdout, io.TextIOWrapper):  # file names can be undecodable
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         options, unknown = _parser().parse_known_args(arguments)
@@ -57,14 +57,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         return code
     except SystemExit as stop:  # argparse: help, version
         return stop.code if isinstance(stop.code, int) else USAGE
-    except BrokenPipeError:  # the reader of our output has gone, as with `| head`
-        _print_no_more()
+    except BrokenPipeError:  # the reader has closed the pipe, as with `| head`
+        _discard_output()
         return DONE
     except KeyboardInterrupt:
         say("interrupted")
         return INTERRUPTED
     except Exception as error:
-        code, text = _told(error)
+        code, text = _error_text(error)
         if text.startswith("internal") and getattr(options, "verbose", False):
             raise
         say(text)
@@ -72,40 +72,40 @@ def main(argv: Sequence[str] | None = None) -> int:
             if "--json" in arguments:
                 print_json({"error": text.partition(": ")[2], "exit_code": code})
             sys.stdout.flush()
-        except OSError:  # which the error may be
-            _print_no_more()
+        except OSError:  # possibly the same error
+            _discard_output()
         return code
 
 
-def _print_no_more() -> None:
-    """What is not written yet is lost; else Python would try again at its end."""
+def _discard_output() -> None:
+    """Discard unwritten output, which Python would otherwise flush at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _told(error: Exception) -> tuple[int, str]:
-    """Exit code and line of an error."""
+def _error_text(error: Exception) -> tuple[int, str]:
+    """Return exit code and message of an error."""
     if isinstance(error, QuadtreeLssError):
         usage = isinstance(error, (UsageError, OutsideInput))
         return USAGE if usage else ERROR, f"error: {error}"
     if isinstance(error, (OSError, MemoryError)):
         return ERROR, f"error: {first_line(error)}"
-    lacks = str(getattr(error, "name", "")).partition(".")[0]
-    if isinstance(error, ModuleNotFoundError) and lacks in OF_BAGS:
-        return ERROR, f"error: '{error.name}' is not installed, which bags need: {REMEDY}"
+    module = str(getattr(error, "name", "")).partition(".")[0]
+    if isinstance(error, ModuleNotFoundError) and module in BAG_MODULES:
+        return ERROR, f"error: bags need '{error.name}', which is not installed: {FIX}"
     name = type(error).__name__
     return ERROR, f"internal error: {name}: {first_line(error)} (-v shows where)"
 
 
 def without_ros_arguments(arguments: Sequence[str]) -> list[str]:
-    """Arguments without ``--ros-args … [--]``, which launch files add for nodes."""
-    kept, ours = [], True
+    """Remove ``--ros-args … [--]``, which launch files add for nodes."""
+    kept, in_ros_arguments = [], False
     for argument in arguments:
         if argument == "--ros-args":
-            ours = False
-        elif ours:
+            in_ros_arguments = True
+        elif not in_ros_arguments:
             kept.append(argument)
         elif argument == "--":
-            ours = True
+            in_ros_arguments = False
     return kept
 
 
@@ -118,11 +118,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     version = f"quadtree_lss {quadtree_lss.__version__} ({build.name()})"
     parser.add_argument("--version", action="version", version=version)
-    parser.meant = {"help": "quadtree-lss --help, or COMMAND --help"}
+    parser.suggestions = {"help": "quadtree-lss --help, or COMMAND --help"}
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for command in (*DESK, *LAB):
         command.add(commands)
-    with suppress(ImportError):  # completes words in shells, where it is installed
+    with suppress(ImportError):  # shell completion is optional
         import argcomplete
 
         argcomplete.autocomplete(parser)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Maps, landing grids, sites and profiles on axes of matplotlib that the caller made.
+"""Plots of maps, landing grids, sites and profiles on the caller's matplotlib axes.
 
     figure, axes = plt.subplots()
     plot.elevation(axes, results.map)
     plot.sites(axes, results.positions, radius=1.85)
 
-Each function returns what it drew, so that a colour bar can be made of it.
+Each function returns the artist, for instance for a colour bar.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ UNITS = {"elevation": "m", "plane_elevation": "m", "slope_deg": "deg"}
 def elevation(
     axes: Any, cells: CellMap, *, hillshade: bool = True, edges: bool = False, **image: Any
 ) -> Any:
-    """The heights of a map's planes.
+    """Plot the heights of a map's planes.
 
     Args:
-        axes: Axes of matplotlib.
+        axes: Matplotlib axes.
         cells: The map.
-        hillshade: Shade the ground as if the sun stood in the north-west.
+        hillshade: Shade the ground with light from the north-west.
         edges: Draw the edges of the leaves.
-        image: For ``imshow``.
+        image: Options of ``imshow``.
 
     Returns:
-        The image of the heights (in colours even where it is shaded).
+        The image of the heights, without the shading.
     """
     domain = cells.domain
     middles = (np.arange(domain.finest_count) + 0.5) * domain.finest_size
@@ -67,8 +67,8 @@ def elevation(
 
 
 def relief(heights: Array, side: float, *, sun_deg: tuple[float, float] = (315.0, 40.0)) -> Array:
-    """Hillshade from 0 (dark) to 1 of heights (ny, nx), level ground 0.5; NaN where unknown.
-    ``side``: distance of the heights, m. ``sun_deg``: azimuth clockwise from north (y), and
+    """Compute the hillshade of heights (ny, nx): 0 dark to 1, level ground 0.5, NaN where unknown.
+    ``side``: spacing of the heights, m. ``sun_deg``: azimuth clockwise from north (y), and
     elevation."""
     north, east = gradients(heights, side)
     azimuth, up = np.radians(sun_deg)
@@ -78,13 +78,13 @@ def relief(heights: Array, side: float, *, sun_deg: tuple[float, float] = (315.0
 
 
 def layer(axes: Any, grid: Any, name: str, **image: Any) -> Any:
-    """One layer of a landing grid, such as ``slope_deg`` or ``score``.
+    """Plot one layer of a landing grid, such as ``slope_deg`` or ``score``.
 
     Args:
-        axes: Axes of matplotlib.
+        axes: Matplotlib axes.
         grid: ``results.grid``, or ``assessment`` of a replay.
-        name: Of the layer.
-        image: For ``imshow``.
+        name: Name of the layer.
+        image: Options of ``imshow``.
 
     Raises:
         KeyError, AttributeError: there is no such layer.
@@ -104,7 +104,7 @@ def layer(axes: Any, grid: Any, name: str, **image: Any) -> Any:
 
 
 def profile(axes: Any, along: Profile, *, sigmas: float = 3.0, **line: Any) -> Any:
-    """Heights along a line with a band of their deviation."""
+    """Plot heights along a line with a band of ``sigmas`` standard deviations."""
     (drawn,) = axes.plot(along.distance, along.height, **line)
     band = sigmas * along.deviation
     axes.fill_between(
@@ -126,8 +126,8 @@ def _hazards(axes: Any, grid: Any, bits: Bytes) -> Any:
     from matplotlib.patches import Patch
 
     kind = np.zeros(bits.shape, dtype=np.int64)
-    for place, (bit, _, _) in reversed(list(enumerate(HAZARDS, start=1))):
-        kind[(bits & bit) > 0] = place
+    for number, (bit, _, _) in reversed(list(enumerate(HAZARDS, start=1))):
+        kind[(bits & bit) > 0] = number
     colours = [CLEAR_COLOUR, *(colour for _, _, colour in HAZARDS)]
     norm = BoundaryNorm(np.arange(-0.5, len(colours)), len(colours))
     shown = {"cmap": ListedColormap(colours), "norm": norm, "interpolation": "nearest"}

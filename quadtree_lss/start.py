@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # PYTHON_ARGCOMPLETE_OK
-"""Entry points of the command line, which handle Ctrl-C while the rest is imported."""
+"""Entry points of the command line, which handle Ctrl-C during the slow imports."""
 
 from __future__ import annotations
 
@@ -21,5 +21,5 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def main_of_ros() -> int:
-    """``ros2 run quadtree_lss replay_bag``, ``simulate`` and ``evaluate``, each by its name."""
+    """Run ``replay_bag``, ``simulate`` or ``evaluate`` of ``ros2 run``, by the executable name."""
     return main([Path(sys.argv[0]).stem.removesuffix("_bag"), *sys.argv[1:]])

@@ -282,7 +282,7 @@ class Wishes(Landing):
         reason, message = TAKEN, self.MAKE[self.kind](self.rng)
         try:
             with np.errstate(all="raise", under="ignore"):
-                self.requests.take(self.kind, message)
+                self.requests.use_message(self.kind, message)
         except MessageError as error:
             assert (
                 str(error).isprintable() and name_of(self.kind, message) in self.requests.unusable
@@ -514,7 +514,7 @@ class LandNow(Landing):
         self.sent += 1
         good = samples.pose(10**9 + 10**8 * self.sent, (*rng.normal(8.0, 6.0, 2), HEIGHT))
         with np.errstate(all="raise", under="ignore"):
-            told = self.requests.navigation.take(cases.random_pose(rng, good))
+            told = self.requests.navigation.use_pose(cases.random_pose(rng, good))
             if rng.random() < 0.5:
                 self.selector.land_now()
             if rng.random() < 0.1:
@@ -522,7 +522,7 @@ class LandNow(Landing):
         if rng.random() < 0.3:
             topic = one_of(rng, list(Wishes.MAKE))
             with suppress(MessageError):
-                self.requests.take(topic, Wishes.MAKE[topic](rng))
+                self.requests.use_message(topic, Wishes.MAKE[topic](rng))
         judge(self.cells, self.selector, **self.requests.arguments())
         return TAKEN if told else "passed over"
 

@@ -99,7 +99,7 @@ def test_height_and_speed_are_those_of_the_poses():
         level = np.array([0.0, 0.0, 0.0, 1.0])
         x = 1.0 + 3.0 * time * (time < 50.0)
         pose = make.pose(START + round(time * SECOND), np.array([x, 2.0, z]), level, np.eye(6))
-        navigation.take(pose)
+        navigation.use_pose(pose)
         told.append(navigation.vehicle("map"))
     assert told[0] == (100.0, 0.0, 1.0, 2.0, 0.0, 0.0) and told[31] == told[30]
     assert told[30] == pytest.approx((79.0, 7.0, 10.0, 2.0, 3.0, 0.0))

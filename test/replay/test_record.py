@@ -12,11 +12,11 @@ from rosbags.typesys import Stores, get_typestore
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.replay import record as products
+from quadtree_lss.desk.replay.assessments import Assessments
 from quadtree_lss.desk.replay.differences import compare_results
 from quadtree_lss.desk.replay.export import export_results
 from quadtree_lss.desk.replay.files import ReplayError
 from quadtree_lss.desk.replay.info import inspect_bag
-from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.messages.maps import CELL_FIELDS, SITE_FIELDS, STATUS_FIELDS, encode_score
@@ -90,13 +90,13 @@ def test_the_last_map_gets_its_landing_sites(recorded, tmp_path):
     config = config_from_values({**GROUND, "publish.rate": 10.0, "publish.lss_rate": 4.0})
     cells, path = recorded[0].cells, tmp_path / "bag"
     with products.Recorder(path, "map") as recorder:
-        passes = Passes(config, dict)
-        passes.on_map.append(recorder.map)
-        passes.on_answer.append(recorder.landing)
+        assessments = Assessments(config, dict)
+        assessments.on_map.append(recorder.map)
+        assessments.on_assessment.append(recorder.landing)
         for now in (START, START + 120 * MS):
-            passes.changed()
-            passes.tick(now, lambda: cells)
-        passes.finish(START + 130 * MS, lambda: cells)
+            assessments.changed()
+            assessments.tick(now, lambda: cells)
+        assessments.finish(START + 130 * MS, lambda: cells)
     with Bag(path) as bag:
         counts = {topic.name: topic.count for topic in bag.topics}
     assert counts["/map/cells"] == counts["/landing/sites"] == 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``config suggest``: domain, noise and cells from a bag, and that they do."""
+"""``config suggest``: domain, noise and cells that fit a bag."""
 
 import json
 
@@ -45,8 +45,9 @@ def test_a_flight_can_be_replayed_with_what_is_suggested(flight, tmp_path):
 
 
 def test_the_command_prints_a_file_with_reasons(flight, tmp_path, capsys):
-    code, out, _ = run(capsys, "config", "suggest", flight)
+    code, out, err = run(capsys, "config", "suggest", flight)
     assert code == 0 and "# scatter" in out and "domain:" in out
+    assert "Fault" not in out + err  # the default domain does not fit, the suggested one does
     (tmp_path / "mine.yaml").write_text(out)
     assert run(capsys, "config", "check", tmp_path / "mine.yaml")[0] == 0
     shown = json.loads(run(capsys, "config", "suggest", flight, "--json", "-q")[1])

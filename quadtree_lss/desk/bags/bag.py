@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS 2 and ROS 1 bags as a stream of raw messages.
 
-rosbags only decodes messages: its readers open no truncated file, expand without a limit, and sort
-by time even if the recorder's clock stepped back.
+rosbags only decodes messages, because its readers reject truncated files, decompress without a
+limit, and sort by time even if the recorder's clock stepped back.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from quadtree_lss.onboard.errors import QuadtreeLssError, one_line
 from quadtree_lss.onboard.messages.clouds import MessageError
 
 FORMATS: dict[str, type[RecordedFile]] = {".mcap": McapFile, ".db3": SqliteFile, ".bag": Ros1File}
-PACKED = (".zstd", ".zst")
-"""How files end that are compressed as a whole."""
+COMPRESSED = (".zstd", ".zst")
+"""Suffixes of files that are compressed as a whole."""
 
 
 class BagError(QuadtreeLssError):
-    """A bag cannot be used at all, or it is not clear which topics are meant."""
+    """A bag cannot be used, or its topics are missing or ambiguous."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,12 @@ class Topic:
 
 
 class Bag:
-    """Context manager that opens a rosbag2 folder (also without metadata) or a ``.mcap``, ``.db3``
-    or ROS 1 ``.bag`` file, each also compressed with zstd. ``topics`` are sorted by name,
-    ``start_ns`` and ``end_ns`` are times of reception, ``notes`` are remarks of one line each.
-    Raises `BagError`: there is nothing to read."""
+    """Context manager that opens a bag: a rosbag2 folder (also without metadata) or a ``.mcap``,
+    ``.db3`` or ROS 1 ``.bag`` file, each also compressed with zstd.
+
+    ``topics`` are sorted by name, ``start_ns`` and ``end_ns`` are times of reception, ``notes`` are
+    one line each. Raises `BagError`: there is nothing to read.
+    """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -81,28 +83,31 @@ class Bag:
     def messages(
         self, topics: Collection[str], start_ns: int = 0, stop_ns: int = LAST_NS
     ) -> Iterator[RawMessage]:
-        """Raw messages of the topics with start_ns <= time of reception < stop_ns: file by file,
-        because a clock may have stepped back; files without a common topic are merged by time."""
-        chains: list[list[RecordedFile]] = []
+        """Yield raw messages of the topics with start_ns <= time of reception < stop_ns.
+
+        Files are read one after the other, because a clock may have stepped back; files without a
+        common topic are merged by time.
+        """
+        groups: list[list[RecordedFile]] = []
         for file in self._files:
-            alike = (c for c in chains if any(file.counts.keys() & f.counts.keys() for f in c))
-            if (chain := next(alike, None)) is None:
-                chains.append(chain := [])
-            chain.append(file)
-        streams = ((m for f in c for m in f.messages(topics, start_ns, stop_ns)) for c in chains)
+            common = (g for g in groups if any(file.counts.keys() & f.counts.keys() for f in g))
+            if (group := next(common, None)) is None:
+                groups.append(group := [])
+            group.append(file)
+        streams = ((m for f in g for m in f.messages(topics, start_ns, stop_ns)) for g in groups)
         return heapq.merge(*streams, key=lambda message: message.received_ns)
 
     def decode(self, raw: bytes, msgtype: str) -> Any:
         """Decode a message. Raises `MessageError` with reason ``encoding``."""
         try:
             return self._decoded(raw, msgtype)
-        except Exception as error:  # any content must do: SerdeError, struct.error, ValueError, …
+        except Exception as error:  # SerdeError, struct.error, ValueError, …
             line = (str(error) or type(error).__name__).splitlines()[0]
             text = f"{msgtype} cannot be decoded: {line}"
             raise MessageError("encoding", text) from None
 
     def _decoded(self, raw: bytes, msgtype: str) -> Any:
-        content = memoryview(plain_message(raw))  # whose slices are not copies
+        content = memoryview(plain_message(raw))  # slices without copying
         store = self._store
         return (store.deserialize_ros1 if self.ros1 else store.deserialize_cdr)(content, msgtype)
 
@@ -111,7 +116,7 @@ class Bag:
             raise BagError(f"no such bag: {self.path}")
         try:
             for path in self._paths():
-                plain = self._unpacked(path) if path.suffix in PACKED else path
+                plain = self._decompress(path) if path.suffix in COMPRESSED else path
                 file = FORMATS[plain.suffix](plain)
                 self._stack.callback(file.close)
                 self._files.append(file)
@@ -135,42 +140,44 @@ class Bag:
 
     def _paths(self) -> list[Path]:
         if self.path.is_file():
-            if not _is_stored(self.path):
+            if not _is_bag_file(self.path):
                 raise BagError(f"{self.path}: not a bag (.mcap, .db3, .bag, or a folder of these)")
             return [self.path]
-        there = _stored(self.path)
-        files = list(there.values())
+        available = _bag_files(self.path)
+        files = list(available.values())
         try:
             with open(self.path / "metadata.yaml", encoding="utf-8") as file:
                 content: Any = parse_yaml(file.read(yaml_text.MAX_YAML_BYTES + 1), aliases=True)
             names = content["rosbag2_bagfile_information"]["relative_file_paths"]
-            files = self._named([Path(name).name for name in names], there)
+            files = self._listed_files([Path(name).name for name in names], available)
         except FileNotFoundError:
             self.notes.append("metadata.yaml is missing: all bag files of the folder are read")
         except (OSError, ValueError, KeyError, TypeError, YamlError):
             self._losses.append("metadata.yaml cannot be read")
         if not files:
-            folders = (p for p in sorted(self.path.iterdir()) if p.is_dir() and _stored(p))
+            folders = (p for p in sorted(self.path.iterdir()) if p.is_dir() and _bag_files(p))
             inner = ", ".join(path.name for path in folders)
             text = f"there is no .mcap, .db3 or .bag in it{f', but in {inner}' * bool(inner)}"
-            raise BagError(f"{self.path}: no bag: {text}")
+            raise BagError(f"{self.path}: not a bag: {text}")
         return files
 
-    def _named(self, names: list[str], there: dict[str, Path]) -> list[Path]:
-        """Files that metadata.yaml lists, or that replace them after renaming or unpacking."""
-        found = {name: there[_plain(name)] for name in names if _plain(name) in there}
+    def _listed_files(self, names: list[str], available: dict[str, Path]) -> list[Path]:
+        """Return the files that metadata.yaml lists, also if renamed or decompressed."""
+        found = {name: available[_plain(name)] for name in names if _plain(name) in available}
         missing = [name for name in names if name not in found]
-        others = [path for path in there.values() if path not in found.values()]
+        others = [path for path in available.values() if path not in found.values()]
         if len(missing) == len(others):
             found |= dict(zip(missing, others, strict=True))
-            self.notes += [f"{found[name].name} is read in place of {name}" for name in missing]
+            self.notes += [f"{found[name].name} is read instead of {name}" for name in missing]
             missing = []
         if names and not found:
-            raise BagError(f"{self.path}: no bag: {', '.join(names)} of metadata.yaml is missing")
+            raise BagError(
+                f"{self.path}: not a bag: {', '.join(names)} of metadata.yaml is missing"
+            )
         self._losses += [f"{name} is missing" for name in missing]
         return [found[name] for name in names if name in found]
 
-    def _unpacked(self, file: Path) -> Path:
+    def _decompress(self, file: Path) -> Path:
         """Decompress a file that is compressed as a whole."""
         folder = self._stack.enter_context(tempfile.TemporaryDirectory(prefix="quadtree_lss_"))
         plain = Path(folder) / file.stem
@@ -180,9 +187,9 @@ class Bag:
 
 
 class MessageBag(Bag):
-    """Messages from elsewhere, read like a bag: (topic, time of reception, message or a function
-    that makes it) in the order of reception. ``name`` replaces the path in messages to the user,
-    ``span_ns`` is the first and the last time of reception."""
+    """A bag of given messages: (topic, time of reception, message or a function that returns it),
+    in order of reception. ``name`` replaces the path in user messages; ``span_ns`` is the first and
+    last time of reception."""
 
     def __init__(
         self,
@@ -213,15 +220,15 @@ class MessageBag(Bag):
 
 
 def open_bag(bag: str | Path | Bag) -> Bag:
-    """Return a bag to enter: the one at a path, or one that is in memory."""
+    """Return the bag at a path, to be entered as a context, or the given bag."""
     return bag if isinstance(bag, Bag) else Bag(bag)
 
 
-def _stored(folder: Path) -> dict[str, Path]:
-    """Bag files of a folder by their name without compression, ``…_10`` after ``…_9``; a plain file
-    rather than its compressed copy."""
-    packed_first = sorted(folder.iterdir(), key=lambda path: path.suffix not in PACKED)
-    found = {_plain(path.name): path for path in packed_first if _is_stored(path)}
+def _bag_files(folder: Path) -> dict[str, Path]:
+    """Return the bag files of a folder by their name without compression, ``…_10`` after ``…_9``; a
+    plain file rather than its compressed copy."""
+    compressed_first = sorted(folder.iterdir(), key=lambda path: path.suffix not in COMPRESSED)
+    found = {_plain(path.name): path for path in compressed_first if _is_bag_file(path)}
     texts = {name: re.split(r"(\d+)", name) for name in found}
     keys = {name: [int(t) if t.isdecimal() else t for t in text] for name, text in texts.items()}
     return {name: found[name] for name in sorted(found, key=keys.__getitem__)}
@@ -231,5 +238,5 @@ def _plain(name: str) -> str:
     return name.removesuffix(".zstd").removesuffix(".zst")
 
 
-def _is_stored(path: Path) -> bool:
+def _is_bag_file(path: Path) -> bool:
     return path.is_file() and Path(_plain(path.name)).suffix in FORMATS

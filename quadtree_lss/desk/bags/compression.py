@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decompression with a limit, because a few kilobytes can expand to gigabytes."""
+"""Decompression with a size limit, because a few kilobytes can expand to gigabytes."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-MOST_BYTES = 1 << 28
-"""Limit of one message or one chunk, bytes; a cloud of four million points has 200 MB."""
-FREE_BYTES, MOST_RATIO = 1 << 30, 100
-"""A compressed file may expand to this many bytes, or to this many times its size: clouds shrink
-to a third."""
+MAX_BYTES = 1 << 28
+"""Limit of a message or chunk, bytes: a cloud of four million points has 200 MB."""
+MAX_FILE_BYTES, MAX_RATIO = 1 << 30, 100
+"""Limit of a decompressed file: the greater one of these bytes and this multiple of its size.
+Clouds compress to about a third."""
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 DECOMPRESSORS: dict[str, Any] = {
     "zstd": zstd.ZstdDecompressor,
@@ -33,14 +33,14 @@ class DamagedError(ValueError):
 
 
 def unpack(compression: str, data: bytes, size: int) -> bytes:
-    """Decompress at most ``size`` bytes; fewer if the data are cut. ``compression``: a key of
+    """Decompress at most ``size`` bytes; fewer if the data are truncated. ``compression``: a key of
     `DECOMPRESSORS`, ``none`` or empty. Raises `DamagedError`."""
     if compression in ("", "none"):
         return data
     if compression not in DECOMPRESSORS:
         raise DamagedError(f"unknown compression {compression!r}")
-    if size > MOST_BYTES:
-        raise DamagedError(f"{size} bytes are claimed, the limit is {MOST_BYTES}")
+    if size > MAX_BYTES:
+        raise DamagedError(f"{size} bytes are declared, the limit is {MAX_BYTES}")
     try:
         out: bytes = DECOMPRESSORS[compression]().decompress(data, max_length=size)
     except (zstd.ZstdError, RuntimeError, OSError, ValueError, EOFError) as error:
@@ -50,18 +50,18 @@ def unpack(compression: str, data: bytes, size: int) -> bytes:
 
 def plain_message(raw: bytes) -> bytes:
     """Return a serialised message, decompressed if necessary. Raises `DamagedError`."""
-    return unpack("zstd", raw, MOST_BYTES) if raw[:4] == ZSTD_MAGIC else raw
+    return unpack("zstd", raw, MAX_BYTES) if raw[:4] == ZSTD_MAGIC else raw
 
 
 def unpack_file(source: Path, target: Path) -> str:
-    """Decompress a zstd file as far as possible. Returns the fault, or an empty string."""
-    most = max(FREE_BYTES, MOST_RATIO * source.stat().st_size)
+    """Decompress a zstd file as far as possible; return the fault, or an empty string."""
+    limit = max(MAX_FILE_BYTES, MAX_RATIO * source.stat().st_size)
     with zstd.open(source) as packed, target.open("wb") as plain:
         try:
             while block := packed.read1(1 << 20):
                 plain.write(block)
-                if plain.tell() > most:
-                    return f"expands to more than {most} bytes: the rest is not read"
+                if plain.tell() > limit:
+                    return f"expands to more than {limit} bytes: the rest is not read"
         except EOFError:
             return "compressed data end early (truncated)"
         except zstd.ZstdError as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The records of mcap files (https://mcap.dev/spec)."""
+"""Reader of mcap files (https://mcap.dev/spec)."""
 
 from __future__ import annotations
 
@@ -15,14 +15,12 @@ from quadtree_lss.desk.bags.recorded_file import ChunkedFile, Record
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(2, 9)
 STATISTICS = 11
 DECODED = ("cdr", "ros1", "")
-"""Encodings of messages that are decoded."""
+"""Message encodings that are decoded."""
 END_BYTES = 37
 """Size of the footer and the magic bytes after it."""
 
 
 class McapFile(ChunkedFile):
-    """An mcap file."""
-
     MAGIC = b"\x89MCAP0\r\n"
     CHUNK, MESSAGE, MESSAGE_INDEX, END = CHUNK, MESSAGE, MESSAGE_INDEX, FOOTER
     NO_END = "ends before its end mark (truncated)"
@@ -37,21 +35,21 @@ class McapFile(ChunkedFile):
             raise DamagedError("no record")
         return kind, None, length
 
-    def _indexed(self) -> list[int]:
+    def _indexed_chunks(self) -> list[int]:
         self._file.seek(self._size - END_BYTES)
         kind, _, summary, _, _, magic = struct.unpack("<BQQQI8s", self._file.read(END_BYTES))
         if kind != FOOTER or not summary or magic != self.MAGIC:
             raise DamagedError("no summary")
-        places = []
+        positions = []
         for record in self._records(self._file, summary, self._size - END_BYTES):
-            self._take(record)
+            self._parse(record)
             if record.kind == CHUNK_INDEX:
-                places.append(struct.unpack_from("<Q", record.content, 16)[0])
-        if not places:
+                positions.append(struct.unpack_from("<Q", record.content, 16)[0])
+        if not positions:
             raise DamagedError("no index of chunks")
-        return sorted(places)
+        return sorted(positions)
 
-    def _take(self, record: Record) -> Any:
+    def _parse(self, record: Record) -> Any:
         content = record.content
         if record.kind == MESSAGE:
             channel, _, time_ns, _ = struct.unpack_from("<HIQQ", content)
@@ -81,7 +79,7 @@ class McapFile(ChunkedFile):
         return None
 
 
-def _text(content: bytes, place: int) -> str:
-    (length,) = struct.unpack_from("<I", content, place)
-    text: bytes = struct.unpack_from(f"{length}s", content, place + 4)[0]
+def _text(content: bytes, position: int) -> str:
+    (length,) = struct.unpack_from("<I", content, position)
+    text: bytes = struct.unpack_from(f"{length}s", content, position + 4)[0]
     return text.decode()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The message types that are read from and written to bags."""
+"""Message types that are read from and written to bags."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TRANSFORMS_TYPE = "tf2_msgs/msg/TFMessage"
 
 HEADER_TYPE = "std_msgs/msg/Header"
 HEADER = "uint32 seq\nbuiltin_interfaces/Time stamp\nstring frame_id"
-"""Of ROS 1, whose other types are read as those of ROS 2: only the case of some names differs."""
+"""Definition in ROS 1. Its other types are read as those of ROS 2, because only names differ."""
 GRID_MAP_INFO = "float64 resolution\nfloat64 length_x\nfloat64 length_y\ngeometry_msgs/Pose pose"
 GRID_MAP = """std_msgs/Header header
 grid_map_msgs/GridMapInfo info
@@ -28,17 +28,17 @@ string[] basic_layers
 std_msgs/Float32MultiArray[] data
 uint16 outer_start_index
 uint16 inner_start_index"""
-"""Of ROS 2, which rosbags does not know."""
+"""Definitions in ROS 2, which rosbags lacks."""
 
 
 def type_name(name: str) -> str:
-    """Type as in ``sensor_msgs/msg/PointCloud2``, of a name as ROS 1 or DDS writes it."""
+    """Convert a type name of ROS 1 or DDS to ROS 2 form, ``sensor_msgs/msg/PointCloud2``."""
     parts = [part for part in name.replace("::", "/").split("/") if part not in ("msg", "dds_", "")]
     return f"{parts[0]}/msg/{parts[1].rstrip('_')}" if len(parts) == 2 else name
 
 
 def typestore(ros1: bool) -> Typestore:
-    """Decoder of messages as ROS 1 or ROS 2 serialises them."""
+    """Return the decoder of messages serialised by ROS 1 or ROS 2."""
     store = get_typestore(Stores.ROS2_JAZZY)
     if ros1:
         del store.fielddefs[HEADER_TYPE], store.types[HEADER_TYPE]

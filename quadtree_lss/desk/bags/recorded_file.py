@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A file of recorded messages: their index, their order, and what is lost.
+"""Files of recorded messages: index, order of reading, and losses.
 
-A damaged file is read up to the first damage, and after it where the file's own index leads.
+A damaged file is read up to the first damage, and beyond it as far as the file's index reaches.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.rosbag1 import ReaderError
 
-from quadtree_lss.desk.bags.compression import MOST_BYTES, DamagedError
+from quadtree_lss.desk.bags.compression import MAX_BYTES, DamagedError
 
 YEAR_S = 365 * 24 * 3600.0
 JITTER_NS = 10**8
-"""Messages of one topic may overtake each other by this time although the clock is steady."""
+"""Messages of one topic may be out of order by this time although the clock is steady."""
 LAST_NS = 2**63 - 1
 """Latest possible time of reception."""
-INDEX = np.dtype([("time_ns", "i8"), ("channel", "i8"), ("place", "i8"), ("offset", "i8")])
-"""A message: time of reception, channel, place of its chunk or row, offset in the chunk."""
+INDEX = np.dtype([("time_ns", "i8"), ("channel", "i8"), ("position", "i8"), ("offset", "i8")])
+"""A message: time of reception, channel, position of its chunk or row, offset in the chunk."""
 DAMAGE = (DamagedError, ReaderError, KeyError, ValueError, struct.error)
-"""Errors when damaged bytes are parsed."""
+"""Errors raised when damaged bytes are parsed."""
 
 
 class RawMessage(NamedTuple):
@@ -44,9 +44,9 @@ Row = tuple[int, int, int, int]
 
 
 class RecordedFile(ABC):
-    """A file of messages. ``topics``: topic and type by channel; ``index``: (M,) `INDEX` in the
-    order of reading; ``counts``: messages by topic; ``notes``: remarks; ``fault``: damage of the
-    whole file; ``expected``: the number of messages that the file declares, or None."""
+    """A file of messages. ``topics``: topic and type by channel; ``index``: (M,) `INDEX` in order
+    of reading; ``counts``: messages by topic; ``notes``: lines for the user; ``fault``: damage of
+    the whole file; ``expected``: number of messages that the file declares, or None."""
 
     ros1 = False
     unit = "byte"
@@ -67,22 +67,21 @@ class RecordedFile(ABC):
         self._replaced = replace_impossible(times)
         self.start_ns, self.end_ns = int(times.min(initial=LAST_NS)), int(times.max(initial=0))
         self.counts = Counter(self.topics[row[1]][0] for row in rows)
-        series = (times[self.index["channel"] == channel] for channel in self.topics)
-        if any((np.diff(one) < -JITTER_NS).any() for one in series):
+        by_channel = (times[self.index["channel"] == channel] for channel in self.topics)
+        if any((np.diff(channel) < -JITTER_NS).any() for channel in by_channel):
             self.notes.append(f"{path.name}: the recorder's clock stepped back")
         else:
             self.index = self.index[np.argsort(times, kind="stable")]
 
     @abstractmethod
     def _rows(self) -> Iterable[Row]:
-        """Find topics and messages: rows of an `INDEX` in the order of the file."""
+        """Find topics and messages; return rows of `INDEX` in the order of the file."""
 
     @abstractmethod
-    def _load(self, place: int) -> Iterator[tuple[Row, bytes]]:
+    def _load(self, position: int) -> Iterator[tuple[Row, bytes]]:
         """Read the messages of a chunk or row. Raises one of `DAMAGE`."""
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
     @property
@@ -90,9 +89,9 @@ class RecordedFile(ABC):
         """One line if a part could not be read so far."""
         parts = [self.fault] if self.fault else []
         if self._damage:
-            place, more = min(self._damage), len(self._damage) - 1
-            parts.append(f"{self._damage[place]} at {self.unit} {place}")
-            parts[-1] += f" and {more} places more" if more else ""
+            position, more = min(self._damage), len(self._damage) - 1
+            parts.append(f"{self._damage[position]} at {self.unit} {position}")
+            parts[-1] += f" and {more} positions more" if more else ""
         if self._replaced:
             parts.append(f"{self._replaced} impossible times of reception replaced")
         lost = len(self._unread) + max((self.expected or 0) - len(self.index), 0)
@@ -103,42 +102,42 @@ class RecordedFile(ABC):
     def messages(
         self, topics: Collection[str], start_ns: int, stop_ns: int
     ) -> Iterator[RawMessage]:
-        """Messages with start_ns <= time of reception < stop_ns in the order of their times, or in
-        the order of the file if the recorder's clock stepped back."""
+        """Yield messages with start_ns <= time of reception < stop_ns, by time, or in the order of
+        the file if the recorder's clock stepped back."""
         wanted = [channel for channel, (name, _) in self.topics.items() if name in topics]
         times = self.index["time_ns"]
         inside = (times >= start_ns) & (times < stop_ns)
         chosen = self.index[inside & np.isin(self.index["channel"], wanted)]
-        left = Counter(chosen["place"].tolist())
-        held: dict[int, dict[tuple[int, int], bytes]] = {}
-        for time_ns, channel, place, offset in chosen.tolist():
-            if place not in held:
-                held[place] = {(row[3], row[1]): raw for row, raw in self._messages(place)}
-            raw = held[place].get((offset, channel))
-            left[place] -= 1
-            if not left[place]:
-                del held[place]
+        remaining = Counter(chosen["position"].tolist())
+        loaded: dict[int, dict[tuple[int, int], bytes]] = {}
+        for time_ns, channel, position, offset in chosen.tolist():
+            if position not in loaded:
+                loaded[position] = {(row[3], row[1]): raw for row, raw in self._messages(position)}
+            raw = loaded[position].get((offset, channel))
+            remaining[position] -= 1
+            if not remaining[position]:
+                del loaded[position]
             if raw is None:
-                self._unread.add((place, offset))
+                self._unread.add((position, offset))
             else:
                 yield RawMessage(self.topics[channel][0], time_ns, raw)
 
-    def _messages(self, place: int) -> list[tuple[Row, bytes]]:
-        """Messages of a chunk or row up to the first damage, which is noted."""
+    def _messages(self, position: int) -> list[tuple[Row, bytes]]:
+        """Return the messages of a chunk or row up to the first damage, which is recorded."""
         found: list[tuple[Row, bytes]] = []
         try:
-            found.extend(self._load(place))
+            found.extend(self._load(position))
         except DAMAGE as error:
-            self._damage.setdefault(place, str(error))
+            self._damage.setdefault(position, str(error))
         return found
 
 
 class Record(NamedTuple):
-    """A part of a file or chunk: kind, header, place, content."""
+    """A record of a file or chunk: kind, header, position, content."""
 
     kind: int
     header: Any
-    place: int
+    position: int
     content: bytes
 
 
@@ -154,96 +153,100 @@ class ChunkedFile(RecordedFile):
 
     @abstractmethod
     def _head(self, source: BinaryIO) -> tuple[int, Any, int]:
-        """Read the head of a record: kind, header, length of the content."""
+        """Read the start of a record: kind, header, length of the content."""
 
     @abstractmethod
-    def _indexed(self) -> list[int]:
-        """Places of the chunks by the file's index. Raises one of `DAMAGE`."""
+    def _indexed_chunks(self) -> list[int]:
+        """Return the positions of the chunks from the file's index. Raises one of `DAMAGE`."""
 
     @abstractmethod
-    def _take(self, record: Record) -> Any:
-        """Take a record: time of reception, channel and serialised bytes of a message; offset,
-        channel and time of each message in a `MESSAGE_INDEX`; decompressed content and declared
-        size of a chunk; None for others, such as of topics."""
+    def _parse(self, record: Record) -> Any:
+        """Parse a record. Return time of reception, channel and bytes of a message; offset, channel
+        and time of each message in a `MESSAGE_INDEX`; decompressed content and declared size of a
+        chunk; None for others, such as topics, which are stored."""
 
     def _rows(self) -> Iterable[Row]:
         if self._file.read(len(self.MAGIC)) != self.MAGIC:
             self.fault = f"wrong first bytes of a {self.path.suffix} file"
             return []
         try:
-            places = self._indexed()
+            positions = self._indexed_chunks()
         except DAMAGE:
-            places = self._walk()
+            positions = self._scan_chunks()
         rows: list[Row] = []
-        for place in places:
-            listed = self._listed(place)
+        for position in positions:
+            listed = self._indexed_rows(position)
             known = listed and {row[1] for row in listed} <= self.topics.keys()
-            rows += listed if known else [row for row, _ in self._messages(place)]
+            rows += listed if known else [row for row, _ in self._messages(position)]
         return rows
 
-    def _listed(self, place: int) -> list[Row]:
-        """Rows by the index behind a chunk, which is not opened; empty if it is damaged."""
+    def _indexed_rows(self, position: int) -> list[Row]:
+        """Return the rows in the index after a chunk; empty if it is damaged."""
         entries: list[tuple[int, int, int]] = []
         try:
-            for record in self._records(self._file, place, self._size, skip=self.CHUNK):
+            for record in self._records(self._file, position, self._size, skip=self.CHUNK):
                 if record.kind == self.MESSAGE_INDEX:
-                    entries += self._take(record)
-                elif record.place != place:
+                    entries += self._parse(record)
+                elif record.position != position:
                     break
         except DAMAGE:
             return []
-        return [(min(time, LAST_NS), channel, place, at) for at, channel, time in sorted(entries)]
+        return [
+            (min(t, LAST_NS), channel, position, offset) for offset, channel, t in sorted(entries)
+        ]
 
-    def _records(self, source: BinaryIO, place: int, end: int, skip: int = -1) -> Iterator[Record]:
-        """Records from a place on, without content of the kind ``skip``; a chunk may be cut off.
-        Raises one of `DAMAGE`."""
-        while place < end:
-            source.seek(place)
+    def _records(
+        self, source: BinaryIO, position: int, end: int, skip: int = -1
+    ) -> Iterator[Record]:
+        """Yield records from a position on, those of kind ``skip`` without content; a chunk may be
+        truncated. Raises one of `DAMAGE`."""
+        while position < end:
+            source.seek(position)
             kind, header, length = self._head(source)
             after = source.tell() + length
             if after <= end or kind == self.CHUNK:
-                size = 0 if kind == skip else min(length, MOST_BYTES)
-                yield Record(kind, header, place, source.read(size))
-            place = after
-        if place > end:
-            raise DamagedError("a record is cut off (truncated)")
+                size = 0 if kind == skip else min(length, MAX_BYTES)
+                yield Record(kind, header, position, source.read(size))
+            position = after
+        if position > end:
+            raise DamagedError("a record is truncated")
 
-    def _walk(self) -> list[int]:
-        """Places of chunks, and of messages outside chunks, up to the first damage."""
+    def _scan_chunks(self) -> list[int]:
+        """Find the positions of chunks, and of messages outside chunks, up to the first damage."""
         self.fault, self.expected = self.NO_END, None
-        places: list[int] = []
+        positions: list[int] = []
         try:
             begin = len(self.MAGIC)
             for record in self._records(self._file, begin, self._size, skip=self.CHUNK):
                 if record.kind in (self.CHUNK, self.MESSAGE):
-                    places.append(record.place)
+                    positions.append(record.position)
                 elif record.kind == self.END:
                     self.fault = ""
                     break
                 else:
-                    self._take(record)
+                    self._parse(record)
         except DAMAGE:
-            self.fault = f"damaged or truncated after byte {max(places, default=0)}"
-        return places
+            self.fault = f"damaged or truncated after byte {max(positions, default=0)}"
+        return positions
 
-    def _load(self, place: int) -> Iterator[tuple[Row, bytes]]:
-        chunk = next(self._records(self._file, place, self._size), None)
+    def _load(self, position: int) -> Iterator[tuple[Row, bytes]]:
+        chunk = next(self._records(self._file, position, self._size), None)
         if chunk is None or chunk.kind not in (self.CHUNK, self.MESSAGE):
             raise DamagedError("no chunk")
         records, data, size = iter([chunk]), b"", 0
         if chunk.kind == self.CHUNK:
-            data, size = self._take(chunk)
+            data, size = self._parse(chunk)
             records = self._records(BytesIO(data), 0, len(data))
         for record in records:
-            taken = self._take(record)
+            parsed = self._parse(record)
             if record.kind == self.MESSAGE:
-                yield (min(taken[0], LAST_NS), taken[1], place, record.place), taken[2]
+                yield (min(parsed[0], LAST_NS), parsed[1], position, record.position), parsed[2]
         if len(data) != size:
             raise DamagedError(f"chunk of {len(data)} bytes instead of {size}")
 
 
 def replace_impossible(times: NDArray[np.int64]) -> int:
-    """Replace times more than a year from the median by those before them, in place. Returns the
+    """Replace times more than a year from the median by the previous ones, in place; return their
     number."""
     bad = np.abs(times / 1e9 - np.median(times) / 1e9) > YEAR_S if len(times) else np.zeros(0, bool)
     good = np.flatnonzero(~bad)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tables of rosbag2's sqlite3 files."""
+"""Reader of rosbag2's sqlite3 files."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ import os
 import sqlite3
 from collections.abc import Iterator
 
-from quadtree_lss.desk.bags.compression import MOST_BYTES, DamagedError
+from quadtree_lss.desk.bags.compression import MAX_BYTES, DamagedError
 from quadtree_lss.desk.bags.recorded_file import RecordedFile, Row
 
 ROWS = "SELECT timestamp, topic_id, id, 0 FROM messages"
 
 
 class SqliteFile(RecordedFile):
-    """An sqlite3 file of which only plain tables are read, because a view can take forever."""
+    """An sqlite3 file. Only plain tables are read, because a view can take forever."""
 
     unit = "row"
 
     def _rows(self) -> Iterator[Row]:
-        log = self.path.with_name(f"{self.path.name}-wal")  # of a recorder that was killed
+        log = self.path.with_name(f"{self.path.name}-wal")  # left by a killed recorder
         logged, writable = log.exists() and log.stat().st_size, os.access(log.parent, os.W_OK)
         if logged and not writable:  # sqlite writes an index of the log beside it
             self.fault = f"{log.name} is not read because its folder is not writable"
@@ -44,7 +44,7 @@ class SqliteFile(RecordedFile):
             self.fault = str(error)
 
     def _sound_rows(self) -> Iterator[Row]:
-        """All rows; after damage only those that the index of times lists."""
+        """Yield all rows; after damage only those in the index of times."""
         last = -(2**63)
         try:
             for row in self._database.execute(f"{ROWS} ORDER BY id"):
@@ -59,16 +59,16 @@ class SqliteFile(RecordedFile):
                     self._damage[number] = str(error)
                     self._unread.add((number, 0))
 
-    def _load(self, place: int) -> Iterator[tuple[Row, bytes]]:
+    def _load(self, position: int) -> Iterator[tuple[Row, bytes]]:
         query = "SELECT topic_id, data FROM messages WHERE id = ? AND typeof(data) = 'blob'"
-        query += f" AND length(data) <= {MOST_BYTES}"
+        query += f" AND length(data) <= {MAX_BYTES}"
         try:
-            row = self._database.execute(query, (place,)).fetchone()
+            row = self._database.execute(query, (position,)).fetchone()
         except sqlite3.Error as error:
             raise DamagedError(str(error)) from None
         if row is None:
             raise DamagedError("no data")
-        yield (0, row[0], place, 0), row[1]
+        yield (0, row[0], position, 0), row[1]
 
     def close(self) -> None:
         self._database.close()

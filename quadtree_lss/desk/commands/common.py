@@ -35,27 +35,27 @@ class UsageError(QuadtreeLssError):
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that does not take negative coordinates for options."""
+    """An argument parser that accepts values that start with a minus sign."""
 
     def __init__(self, *args: Any, **named: Any) -> None:
         super().__init__(*args, **named)
         self._negative_number_matcher = re.compile(r"-\.?\d")
 
-    #: Other words that users try, and what they mean.
-    meant: Mapping[str, str] = MappingProxyType({})
+    #: Suggested command by a wrong word that users try.
+    suggestions: Mapping[str, str] = MappingProxyType({})
 
     def error(self, message: str) -> NoReturn:
-        wrong = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
-        if wrong:
-            word, choices = wrong[1], re.findall(r"[\w-]+", wrong[2])
-            near = self.meant.get(word) or nearest(word, choices)
+        match = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
+        if match:
+            word, choices = match[1], re.findall(r"[\w-]+", match[2])
+            near = self.suggestions.get(word) or nearest(word, choices)
             message = f"there is no {word!r}; " + (
-                f"try {near}" if near else f"choose from {wrong[2]}"
+                f"try {near}" if near else f"choose from {match[2]}"
             )
         raise UsageError(f"{message} ({self.prog} --help)")
 
     def unknown(self, words: Sequence[str]) -> NoReturn:
-        """Report arguments that this command does not know, with the nearest that it does."""
+        """Report unknown arguments with the most similar options."""
         found = {
             word: nearest(word.partition("=")[0], self._option_string_actions) for word in words
         }
@@ -65,7 +65,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def nearest(word: str, words: Iterable[str]) -> str:
-    """Return the word that is spelt most like another one; empty if none is."""
+    """Return the most similar word of ``words``; empty if none is similar."""
     return next(iter(difflib.get_close_matches(word, [*words], 1)), "")
 
 
@@ -78,44 +78,44 @@ def add_command(
 ) -> argparse.ArgumentParser:
     """Add a subcommand with its help and the common options."""
     style, epilog = argparse.RawDescriptionHelpFormatter, f"{examples}\n{EXIT_CODES}"
-    how: dict[str, Any] = {"formatter_class": style, "epilog": epilog}
-    parser = commands.add_parser(name, help=text, description=text, **how)
+    layout: dict[str, Any] = {"formatter_class": style, "epilog": epilog}
+    parser = commands.add_parser(name, help=text, description=text, **layout)
     parser.set_defaults(run=run, parser=parser)
     add = parser.add_argument
     add("-q", "--quiet", action="store_true", help="errors only: no progress, table or warnings")
-    text = "progress bar even without a terminal; where internal errors come from"
+    text = "progress bar even without a terminal; traceback of internal errors"
     add("-v", "--verbose", action="store_true", help=text)
     add("--json", action="store_true", help="print the result as JSON, for scripts")
     return parser
 
 
-def given(options: argparse.Namespace, *names: str) -> dict[str, Any]:
-    """Options by name, as arguments of a function."""
+def keywords(options: argparse.Namespace, *names: str) -> dict[str, Any]:
+    """Return options by name, as keyword arguments of a function."""
     return {name: getattr(options, name) for name in names}
 
 
-def refuse(options: argparse.Namespace, what: str, *names: str) -> None:
-    """Report a usage error if one of these options is given, which ``what`` does not use."""
+def reject_options(options: argparse.Namespace, what: str, *names: str) -> None:
+    """Report a usage error if one of these options is set, which ``what`` does not use."""
     default = options.parser.get_default
     unused = [n for n in names if n in options and getattr(options, n) != default(n)]
-    told = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
-    if told:
-        options.parser.error(f"{told} {'do' if ',' in told else 'does'} not go with {what}")
+    listed = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
+    if listed:
+        options.parser.error(f"{listed} {'do' if ',' in listed else 'does'} not go with {what}")
 
 
 @contextlib.contextmanager
-def of_ros(what: str) -> Iterator[None]:
-    """Context in which ROS is imported for ``what``."""
+def importing_ros(what: str) -> Iterator[None]:
+    """Context that reports a failed import of ROS, which ``what`` needs."""
     try:
         yield
     except ImportError as error:
         missing = (error.name or "rclpy").partition(".")[0]
-        lack = "ROS 2 (rclpy)" if missing == "rclpy" else missing
-        msg = f"{what} needs {lack}, which cannot be imported: {first_line(error)}"
+        library = "ROS 2 (rclpy)" if missing == "rclpy" else missing
+        msg = f"{what} needs {library}, which cannot be imported: {first_line(error)}"
         raise QuadtreeLssError(msg) from None
 
 
-def named(text: str) -> Path:
+def path(text: str) -> Path:
     """Type of an option: a path that is not empty."""
     if not text.strip():
         raise argparse.ArgumentTypeError("the name of a file or folder is empty")
@@ -123,7 +123,7 @@ def named(text: str) -> Path:
 
 
 def _number(kind: Callable[[str], N], fits: Callable[[N], bool], wanted: str) -> Callable[[str], N]:
-    """Type of an option: a number that fits."""
+    """Return the type of an option: a number for which ``fits`` is true."""
 
     def convert(text: str) -> N:
         with contextlib.suppress(ValueError):
@@ -140,7 +140,7 @@ share = _number(float, lambda value: 0.0 <= value <= 1.0, "a finite number from 
 
 
 def whole(least: int) -> Callable[[str], int]:
-    """Type of an option: a whole number, ``least`` or greater."""
+    """Return the type of an option: a whole number, ``least`` or greater."""
     return _number(int, lambda value: value >= least, f"a whole number of {least} or more")
 
 
@@ -152,13 +152,13 @@ def add_topics(parser: argparse.ArgumentParser) -> None:
 
 def add_config_options(parser: argparse._ActionsContainer) -> None:
     add = parser.add_argument
-    several: dict[str, Any] = {"action": "append", "default": []}
+    repeatable: dict[str, Any] = {"action": "append", "default": []}
     text = "ROS parameter file or shipped configuration (default, morpheus, parabola, …);"
-    text += " several overlay each other, the later wins"
-    add("--config", metavar="YAML", help=text, **several)
-    text = "set one parameter, for instance lss.margin=1.0; wins over every file"
-    add("--set", metavar="KEY=VALUE", help=text, **several)
-    text = "diameter and clearance of the vehicle, m, with pads in proportion; wins over every file"
+    text += " later files override earlier ones"
+    add("--config", metavar="YAML", help=text, **repeatable)
+    text = "set one parameter, for instance lss.margin=1.0; overrides every file"
+    add("--set", metavar="KEY=VALUE", help=text, **repeatable)
+    text = "diameter and clearance of the vehicle, m, with pads in proportion; overrides every file"
     add("--vehicle", type=vehicle, default={}, metavar="D,C", help=text)
 
 
@@ -184,8 +184,8 @@ def vehicle(text: str) -> dict[str, float]:
     except ValueError:
         msg = f"'{text}' is not a diameter and a clearance D,C in m"
         raise argparse.ArgumentTypeError(msg) from None
-    usual = VehicleConfig()
-    pad = float(f"{usual.pad_radius * diameter / usual.diameter:.3g}")
+    default = VehicleConfig()
+    pad = float(f"{default.pad_radius * diameter / default.diameter:.3g}")
     values = {"vehicle.diameter": diameter, "vehicle.clearance": clearance}
     return {**values, "vehicle.pad_radius": pad}
 
@@ -199,7 +199,7 @@ def chosen_config(options: argparse.Namespace) -> Config:
 
 
 def add_landing_options(parser: argparse._ActionsContainer, default: str) -> None:
-    """Add ``--area``, ``--keep-out`` and ``--target``, which set no attribute if not given.
+    """Add ``--area``, ``--keep-out`` and ``--target``, which set no attribute by default.
     ``default``: help text for that case."""
     absent: dict[str, Any] = {"default": argparse.SUPPRESS}
     corners: dict[str, Any] = {"metavar": "'X,Y X,Y X,Y ...'", "type": polygon, **absent}
@@ -207,12 +207,12 @@ def add_landing_options(parser: argparse._ActionsContainer, default: str) -> Non
     parser.add_argument("--area", **corners, help=f"land inside {text}")
     text = f"never land in {text}; may be given several times"
     parser.add_argument("--keep-out", **corners, action="append", help=text)
-    text = "land near this place, or none; as --area" if default else "land near this place"
-    parser.add_argument("--target", metavar="X,Y", type=place, **absent, help=text)
+    text = "land near this position, or none; as --area" if default else "land near this position"
+    parser.add_argument("--target", metavar="X,Y", type=position, **absent, help=text)
 
 
 def landing_of(options: argparse.Namespace) -> dict[str, Any]:
-    """The argument ``landing`` of `replay.replay`."""
+    """Return the argument ``landing`` of `replay.replay`."""
     found = {name: getattr(options, name) for name in ("area", "target") if name in options}
     if "keep_out" in options:
         found["keep_out"], *others = options.keep_out
@@ -224,15 +224,17 @@ def polygon(text: str) -> list[list[float]] | None:
     """Type of an option: ``'0,0 9,0 9,9'``, or ``none``."""
     corners = _numbers(text)
     if corners is not None and len(corners) < 3:
-        raise argparse.ArgumentTypeError(f"'{text}' has {len(corners)} corners; 3 are the least")
+        raise argparse.ArgumentTypeError(
+            f"'{text}' has {len(corners)} corners; at least 3 are needed"
+        )
     return corners
 
 
-def place(text: str) -> list[float] | None:
+def position(text: str) -> list[float] | None:
     """Type of an option: ``3,-4``, or ``none``."""
     corners = _numbers(text)
     if corners is not None and len(corners) != 1:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a place X,Y")
+        raise argparse.ArgumentTypeError(f"'{text}' is not a position X,Y")
     return None if corners is None else corners[0]
 
 
@@ -252,18 +254,17 @@ def _numbers(text: str) -> list[list[float]] | None:
         corners = [[float(v) for v in pair.split(",")] for pair in text.split()]
         if corners and all(len(pair) == 2 and all(map(math.isfinite, pair)) for pair in corners):
             return corners
-    msg = f"'{text}' does not consist of pairs X,Y of numbers in m, apart by blanks"
+    msg = f"'{text}' is not a list of pairs X,Y in m, separated by spaces"
     raise argparse.ArgumentTypeError(msg)
 
 
-def tell(options: argparse.Namespace, result: Any, *lines: str) -> None:
-    """Print a result as JSON if asked for, else its table and some lines."""
+def show_result(options: argparse.Namespace, result: Any, *lines: str) -> None:
+    """Print a result as JSON with ``--json``, else its table and ``lines``."""
     out = {"out": str(result.out)} if hasattr(result, "out") else {}
     show(options, {**out, **result.as_dict()}, "\n".join([result.table(), *lines]))
 
 
 def show(options: argparse.Namespace, content: Mapping[str, Any], text: str) -> None:
-    """Print a result as JSON if asked for, else as text."""
     if options.json:
         print_json(content)
     else:

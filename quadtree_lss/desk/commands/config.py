@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``quadtree-lss config``: print, check, explain; what is wrong with a file, what a key means."""
+"""``quadtree-lss config``: print, check, explain and suggest configurations."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ SUGGEST = "Suggest domain, noise and cell sizes for a bag, as a parameter file."
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = common.add_command(commands, "config", _print, TEXT, EXAMPLES)
     shipped = {name: f"config --config {name}" for name in shipped_configs()}
-    parser.meant = {**shipped, "print": "config without an action"}
+    parser.suggestions = {**shipped, "print": "config without an action"}
     common.add_config_options(parser)
     actions = parser.add_subparsers(metavar="ACTION", help="check, explain or suggest")
     check = common.add_command(actions, "check", _check, CHECK, EXAMPLES)
@@ -63,10 +63,10 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     explain.add_argument("names", nargs="+", metavar="NAME", help="keys or sections")
     common.add_config_options(explain)
     suggest = common.add_command(actions, "suggest", _suggest, SUGGEST, EXAMPLES)
-    suggest.add_argument("bag", type=common.named, metavar="BAG", help=common.BAG)
+    suggest.add_argument("bag", type=common.path, metavar="BAG", help=common.BAG)
     common.add_topics(suggest)
     common.add_config_options(suggest)
-    for command in (check, explain, suggest):  # an option before the action counts, too
+    for command in (check, explain, suggest):  # keep options before the action
         for option in command._actions:
             if option.dest in ("quiet", "verbose", "json", "config", "set", "vehicle"):
                 option.default = argparse.SUPPRESS
@@ -77,8 +77,8 @@ def _explain(options: argparse.Namespace) -> int:
     texts = [explain_text(row) for row in rows]
     if any(row.name.startswith("vehicle.") for row in rows):
         texts.append(lengths_text(common.chosen_config(options).vehicle))
-    told = {row.name: parameter_as_dict(row) for row in rows}
-    common.show(options, told, "\n\n".join(texts))
+    content = {row.name: parameter_as_dict(row) for row in rows}
+    common.show(options, content, "\n\n".join(texts))
     return common.DONE
 
 
@@ -95,8 +95,8 @@ def _check(options: argparse.Namespace) -> int:
     common.show(options, found, "\n".join(lines))
     for name in (name for name, errors in found.items() if not errors and not options.json):
         config = load_config([name])
-        if said := model_warning(config):
-            warn(f"{name}: {said}")
+        if warning := model_warning(config):
+            warn(f"{name}: {warning}")
     return common.ERROR if any(found.values()) else common.DONE
 
 
@@ -104,11 +104,15 @@ def _suggest(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.info import inspect_bag
     from quadtree_lss.desk.replay.suggest import suggest_config
 
-    config, how = common.chosen_config(options), common.given(options, *common.TOPICS)
+    config, arguments = common.chosen_config(options), common.keywords(options, *common.TOPICS)
     with ProgressBar("suggest", "s", options.verbose) as bar:
-        info = inspect_bag(options.bag, config, **how, diagnose=True, progress=bar.update)
-        found = info.suggestion or suggest_config(options.bag, config, **how)  # raises the reason
-    notes = [f"Fault: {finding.line}" for finding in info.findings if finding.fix]
+        info = inspect_bag(options.bag, config, **arguments, diagnose=True, progress=bar.update)
+        found = info.suggestion or suggest_config(
+            options.bag, config, **arguments
+        )  # raises the reason
+    # The suggested domain fixes "outside".
+    faults = [finding for finding in info.findings if finding.fix and finding.key != "outside"]
+    notes = [f"Fault: {finding.line}" for finding in faults]
     found = dataclasses.replace(found, notes=(*found.notes, *notes))
     common.show(options, found.as_dict(), found.text().removesuffix("\n"))
     for note in found.notes[1:]:
@@ -117,8 +121,8 @@ def _suggest(options: argparse.Namespace) -> int:
 
 
 def check_files(paths: Iterable[str | os.PathLike[str]], node: str = "") -> dict[str, list[str]]:
-    """Each file by itself over the defaults: all that is wrong with it, a line each. ``node``: full
-    name of a node that is to get something of each."""
+    """Return all errors of each file, checked separately. ``node``: full name of a node for which
+    each file must have parameters."""
     return {str(path): _errors_of(path, node) for path in paths}
 
 
@@ -131,17 +135,17 @@ def _errors_of(path: str | os.PathLike[str], node: str) -> list[str]:
         values = read_values(found, errors)
     except ConfigError as error:
         return [str(error).removeprefix(f"{path}: ")]
-    sound = settings.checked_values(values, errors)
+    valid = settings.checked_values(values, errors)
     sections = {
-        item.name: dataclasses.replace(getattr(Config(), item.name), **sound.get(item.name, {}))
+        item.name: dataclasses.replace(getattr(Config(), item.name), **valid.get(item.name, {}))
         for item in dataclasses.fields(Config)
     }
     return errors + list(settings.contradictions(SimpleNamespace(**sections)))
 
 
 def explain(name: str) -> list[Parameter]:
-    """The parameter of that name, or all of the section of that name. Raises `ConfigError`: there
-    is none; names the nearest."""
+    """Return the parameter of a name, or all of a section. Raises `ConfigError`, which names the
+    most similar one, if there is none."""
     table = settings.parameters()
     rows = [row for row in table if row.name == name or row.name.startswith(f"{name}.")]
     if not rows:
@@ -166,7 +170,7 @@ def explain_text(row: Parameter) -> str:
 
 
 def lengths_text(vehicle: VehicleConfig) -> str:
-    """What follows from a vehicle, value and rule of each, a line each."""
+    """List the lengths derived from a vehicle, with value and rule, a line each."""
     of = f"{vehicle.diameter:g} m with a clearance of {vehicle.clearance:g} m"
     lines = [f"values derived from a vehicle of {of}:"]
     for item in dataclasses.fields(Lengths):
@@ -177,7 +181,7 @@ def lengths_text(vehicle: VehicleConfig) -> str:
 
 
 def parameter_as_dict(row: Parameter) -> dict[str, object]:
-    """One parameter in JSON's types; limits that are infinite are None."""
+    """Convert a parameter to JSON types; infinite limits become None."""
     numeric = row.type in (int, float)
     return {
         "type": row.type.__name__,
@@ -192,11 +196,11 @@ def parameter_as_dict(row: Parameter) -> dict[str, object]:
 
 
 def rule(name: str) -> str:
-    """How a length follows: ``0.833 x vehicle.clearance``, ``0.5 x least_hazard``."""
+    """Format the rule of a length: ``0.833 x vehicle.clearance``, ``0.5 x least_hazard``."""
     item = Lengths.__dataclass_fields__[name]
     if item.metadata["rule"]:
         return str(item.metadata["rule"])
-    of, power = item.metadata["of"], item.metadata["power"]
-    share = item.default / getattr(VehicleConfig(), of) ** power
-    given = of if of in Lengths.__dataclass_fields__ else f"vehicle.{of}"
-    return f"{share:.3g} x {given}" + (f"^{power}" if power > 1 else "")
+    base, power = item.metadata["of"], item.metadata["power"]
+    factor = item.default / getattr(VehicleConfig(), base) ** power
+    name = base if base in Lengths.__dataclass_fields__ else f"vehicle.{base}"
+    return f"{factor:.3g} x {name}" + (f"^{power}" if power > 1 else "")

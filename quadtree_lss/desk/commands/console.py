@@ -32,22 +32,22 @@ MODEL = """\
 {posts[0]} x {posts[1]} posts, {post_spacing:g} m apart; heights {height_range[0]:.1f} to \
 {height_range[1]:.1f} m, median slope {median_slope_deg:.1f}°
 landing site selection {lss_ms:.0f} ms; {explanation}"""
-"""Key figures of a replay of scans, of maps, and of an elevation model."""
+"""Summaries of a replay of scans, of a replay of maps, and of an elevation model."""
 BAR = "{desc} {percentage:3.0f} % |{bar}| {n:.0f} of {total:.0f} {unit}, {remaining} left"
 
 
 class _Quiet:
-    on = False  # ``-q`` was given
+    on = False  # with ``-q``
 
 
 @contextlib.contextmanager
 def quiet(on: bool, json: bool = False) -> Iterator[None]:
-    """Context in which only errors, and JSON if asked for, are shown."""
+    """Context that hides all output except errors and, with ``json``, JSON."""
     before, _Quiet.on = _Quiet.on, on
     hide = on and not json
-    hidden = contextlib.redirect_stdout(io.StringIO()) if hide else contextlib.nullcontext()
+    stdout = contextlib.redirect_stdout(io.StringIO()) if hide else contextlib.nullcontext()
     try:
-        with hidden:
+        with stdout:
             yield
     finally:
         _Quiet.on = before
@@ -55,7 +55,7 @@ def quiet(on: bool, json: bool = False) -> Iterator[None]:
 
 class ProgressBar:
     """A progress bar on stderr, if that is a terminal or ``verbose``. ``unit``: plural, or ``s``
-    for seconds of a bag. ``after``: what is done when all units are."""
+    for seconds of a bag. ``after``: activity to show when all units are done."""
 
     def __init__(self, what: str, unit: str, verbose: bool, after: str = "") -> None:
         self._bar: Any = None
@@ -63,8 +63,8 @@ class ProgressBar:
         if not _Quiet.on and (verbose or sys.stderr.isatty()):
             from tqdm import tqdm  # takes long to import
 
-            how = {"total": 1, "file": sys.stderr, "leave": False, "bar_format": BAR}
-            self._bar = tqdm(desc=what, unit=unit, **how)
+            options = {"total": 1, "file": sys.stderr, "leave": False, "bar_format": BAR}
+            self._bar = tqdm(desc=what, unit=unit, **options)
 
     def __enter__(self) -> ProgressBar:
         return self
@@ -82,8 +82,8 @@ class ProgressBar:
 
 
 class Interruption:
-    """Context manager for a first Ctrl-C that ends the work in order; a second one stops at once.
-    ``then``: what is still done, for the message."""
+    """Context manager for Ctrl-C: the first one sets a flag, a second one stops at once. ``then``:
+    work that follows the first one, for the message."""
 
     def __init__(self, then: str) -> None:
         self._then = then
@@ -113,7 +113,7 @@ class Interruption:
 
 
 def result_text(result: ReplayResult) -> str:
-    """Key figures of a replay, its ranked sites, and the file to open."""
+    """Format a replay: summary, ranked sites, and the file to open."""
     from quadtree_lss.desk.replay.results import aligned, points_line  # the core: slow to import
 
     summary, sites = result.summary, result.assessment.sites
@@ -133,7 +133,7 @@ def result_text(result: ReplayResult) -> str:
 
 
 def _without_site(result: ReplayResult) -> str:
-    """Why there is no site: the page's headline, with the limit that is missed and by how much."""
+    """Explain why there is no site, as the headline of the page does."""
     if result.out is None:
         return result.assessment.explanation
     from quadtree_lss.desk.exchange.saved import load_results
@@ -164,7 +164,7 @@ def say(text: str) -> None:
 
 
 def warn(text: str) -> None:
-    """One line on stderr, unless ``-q``."""
+    """Print one line on stderr, unless ``-q``."""
     if not _Quiet.on:
         say(text)
 

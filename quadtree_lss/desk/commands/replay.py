@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``quadtree-lss replay``, and ``sites``: landing sites on an elevation model."""
+"""``quadtree-lss replay`` and ``quadtree-lss sites``: landing sites of a bag or elevation model."""
 
 from __future__ import annotations
 
@@ -22,15 +22,14 @@ EXAMPLES = """examples:
   quadtree-lss replay flight.mcap --out results --config morpheus --config my_lander.yaml
   quadtree-lss replay flight_bag --out results --start 5 --duration 10 --no-report
   quadtree-lss replay flight_bag --record products      (map and landing topics, for Foxglove)
-  quadtree-lss replay products --set lss.margin=1.0     (a bag of maps: ranks sites on its last)
+  quadtree-lss replay products --set lss.margin=1.0     (a bag of maps: sites on the last map)
   quadtree-lss replay flight_bag --publish --rate 0.5   (into running nodes)
   quadtree-lss replay flight_bag --publish --namespace lander --remap lidar/points:=/flash/points
   quadtree-lss replay flight_bag --area='-9,-9 9,-9 9,9 -9,9' --keep-out=none --target=3,-4
 
-Ctrl-C ends the replay there: the results are those of what was processed so far. A second
-Ctrl-C stops at once.
+Ctrl-C ends the replay and writes the results so far. A second Ctrl-C stops at once.
 """
-SITES = "Rank landing sites straight on an elevation model: GeoTIFF, or .npz with x, y, elevation."
+SITES = "Rank landing sites on an elevation model: GeoTIFF, or .npz with x, y, elevation."
 SITES_EXAMPLES = """examples:
   quadtree-lss sites dem.tif                                    (results in results/<time>, latest)
   quadtree-lss sites apollo15.npz --vehicle 9,0.75 --out apollo
@@ -45,8 +44,8 @@ NO_REPORT = "no figures and no report.html"
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = common.add_command(commands, "replay", _run, TEXT, EXAMPLES)
     add = parser.add_argument
-    add("bag", type=common.named, metavar="BAG", help=common.BAG)
-    add("--out", metavar="DIR", type=common.named, help=OUT)
+    add("bag", type=common.path, metavar="BAG", help=common.BAG)
+    add("--out", metavar="DIR", type=common.path, help=OUT)
     common.add_config_options(parser)
     common.add_topics(parser)
     text = "begin S seconds into the bag"
@@ -54,17 +53,17 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add("--duration", metavar="D", type=common.positive, help="process D seconds only")
     add("--no-report", action="store_true", help=NO_REPORT)
     text = "write what the nodes would publish, as mcap"
-    add("--record", metavar="BAG", type=common.named, help=text)
+    add("--record", metavar="BAG", type=common.path, help=text)
     add("--publish", action="store_true", help="play into running nodes, with /clock (needs ROS 2)")
     common.add_landing_options(parser, "; none lifts the bag's (default: the bag's topic)")
-    add("--namespace", metavar="NS", help="of the topics that --publish sends")
-    text = "another name for a topic that --publish sends, as of ros2 run; may be repeated"
+    add("--namespace", metavar="NS", help="namespace of the topics that --publish sends")
+    text = "rename a topic that --publish sends, as in ros2 run; may be repeated"
     add("--remap", metavar="FROM:=TO", action="append", default=[], help=text)
     add("--rate", metavar="R", type=common.positive, help="speed of --publish (default 1)")
     parser = common.add_command(commands, "sites", _sites, SITES, SITES_EXAMPLES)
     add = parser.add_argument
-    add("dem", type=common.named, metavar="DEM", help="elevation model, m, z up")
-    add("--out", metavar="DIR", type=common.named, help=OUT)
+    add("dem", type=common.path, metavar="DEM", help="elevation model, m, z up")
+    add("--out", metavar="DIR", type=common.path, help=OUT)
     common.add_config_options(parser)
     add("--no-report", action="store_true", help=NO_REPORT)
     common.add_landing_options(parser, "")
@@ -73,32 +72,32 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 def _run(options: argparse.Namespace) -> int:
     if options.publish:
         return _publish(options)
-    common.refuse(options, "a replay without --publish", "rate", "namespace", "remap")
+    common.reject_options(options, "a replay without --publish", "rate", "namespace", "remap")
     from quadtree_lss.desk.replay.files import made
     from quadtree_lss.desk.replay.replay import replay
 
-    if is_model(options.bag):
+    if is_elevation_model(options.bag):
         options.parser.error(f"{options.bag} is an elevation model: quadtree-lss sites ranks on it")
     config, out = common.chosen_config(options), _folder(options)
     report = "" if options.no_report else ", draws the report"
     after = "ranking sites and writing results" + (" and the report" if report else "")
     then = f"ranks sites on what is mapped so far{report} and writes it into {out}"
-    how = common.given(options, *common.TOPICS, "start", "duration", "record")
-    how |= {"report": not options.no_report, "landing": common.landing_of(options)}
+    arguments = common.keywords(options, *common.TOPICS, "start", "duration", "record")
+    arguments |= {"report": not options.no_report, "landing": common.landing_of(options)}
     with (
         console.Interruption(then) as interruption,
         console.ProgressBar("replay", "s", options.verbose, after) as bar,
         made(out, QuadtreeLssError),
     ):
-        how |= {"progress": bar.update, "stop": interruption.asked}
-        result = replay(options.bag, out, config, **how)
-    _tell(options, result, out, "warning")
+        arguments |= {"progress": bar.update, "stop": interruption.asked}
+        result = replay(options.bag, out, config, **arguments)
+    _show_result(options, result, out, "warning")
     if result.interrupted or interruption.asked():
         console.say(f"interrupted: results are of the first {result.summary['duration']:.1f} s")
         return common.INTERRUPTED
     bag = shlex.quote(str(options.bag))
     if result.summary.get("points") and not result.summary["points_used"]:
-        console.say(f"no point entered the map: quadtree-lss doctor {bag} looks for why")
+        console.say(f"no point entered the map: quadtree-lss doctor {bag} finds the cause")
         return common.ERROR
     if result.losses:
         console.warn("the bag is damaged: everything readable was processed")
@@ -106,8 +105,8 @@ def _run(options: argparse.Namespace) -> int:
     return common.DONE
 
 
-def is_model(path: Path) -> bool:
-    """Whether a file is an elevation model and not a bag or a point cloud."""
+def is_elevation_model(path: Path) -> bool:
+    """Return whether a file is an elevation model, not a bag."""
     if path.suffix.lower() != ".npz" or not path.is_file():
         return path.suffix.lower() in (".tif", ".tiff")
     from quadtree_lss.desk.exchange.archives import read_arrays
@@ -124,7 +123,7 @@ def _folder(options: argparse.Namespace) -> Path:
     return new_folder(Path("results")) if options.out is None else options.out
 
 
-def _tell(options: argparse.Namespace, result: ReplayResult, out: Path, word: str) -> None:
+def _show_result(options: argparse.Namespace, result: ReplayResult, out: Path, word: str) -> None:
     from quadtree_lss.desk.replay.files import link_latest
 
     if options.out is None and link_latest(out) is None:
@@ -142,26 +141,28 @@ def _sites(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.files import made
 
     if options.dem.is_dir() or options.dem.suffix in (".mcap", ".db3", ".bag"):
-        options.parser.error(f"{options.dem} is no elevation model: quadtree-lss replay reads bags")
+        options.parser.error(
+            f"{options.dem} is not an elevation model: quadtree-lss replay reads bags"
+        )
     config, out = common.chosen_config(options), _folder(options)
-    how = {"report": not options.no_report, "landing": common.landing_of(options)}
+    arguments = {"report": not options.no_report, "landing": common.landing_of(options)}
     bar = console.ProgressBar("sites", "s", options.verbose, "ranking sites, writing the results")
     with made(out, QuadtreeLssError), bar:
         bar.update(1, 1)
-        result = rank_sites(options.dem, out, config, **how)
-    _tell(options, result, out, "note")
+        result = rank_sites(options.dem, out, config, **arguments)
+    _show_result(options, result, out, "note")
     return common.DONE
 
 
 def _publish(options: argparse.Namespace) -> int:
     offline = "out config set vehicle no_report record area keep_out target".split()
-    common.refuse(options, "--publish: the nodes map and rank the sites", *offline)
-    with common.of_ros("--publish"):
+    common.reject_options(options, "--publish: the nodes map and rank the sites", *offline)
+    with common.importing_ros("--publish"):
         from quadtree_lss.desk.player.player import play
-    how = common.given(options, *common.TOPICS, "start", "duration", "remap")
-    how |= {"rate": options.rate or 1.0, "namespace": options.namespace or ""}
+    arguments = common.keywords(options, *common.TOPICS, "start", "duration", "remap")
+    arguments |= {"rate": options.rate or 1.0, "namespace": options.namespace or ""}
     with console.ProgressBar("play", "s", options.verbose) as bar:
-        report = play(options.bag, **how, progress=bar.update)
+        report = play(options.bag, **arguments, progress=bar.update)
     scans = f"{report.scans} scans and {report.poses} poses"
     sent = f"{report.maps} maps" if report.maps else scans
     common.show(options, asdict(report), f"{sent} sent in {report.duration:.1f} s")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is done with results: ``quadtree-lss view``, ``compare`` and ``export``."""
+"""``quadtree-lss view``, ``compare`` and ``export``: use of results."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ COMPARE_EXAMPLES = """examples:
   quadtree-lss compare results/2026-11-20_10-00-00 results/latest
   quadtree-lss compare before after --json
 
-Compared at the grid points of A. Exit code 1 if they are not of the same ground.
-Against the truth of a simulation: quadtree-lss evaluate A --truth truth.npz
+They are compared at the grid points of A. Exit code 1 if they are not of the same ground.
+To compare with the truth of a simulation: quadtree-lss evaluate A --truth truth.npz
 """
 
 FORMATS = ("geotiff", "ply", "gltf", "geojson", "map_server")
@@ -34,53 +34,53 @@ formats:
   ply, gltf    the ground as a mesh in relief, green where landing is allowed
   geojson      sites and landing zones
   map_server   hazards and landing as pgm + yaml for nav2
-Without --crs or --origin the map frame has no place on the Earth, and there is no GeoJSON.
+GeoJSON needs --crs or --origin, which say where the map frame lies on the Earth.
 """
 
 PAGES = ("campaign.html", "flight.html", "lander/flight.html", "report.html")
 PAGES += ("evaluation/report.html", "latest/report.html")
-"""Of a campaign, a flight, the demo, a replay, an evaluation, a folder of replays; the first."""
+"""Pages in order of preference: campaign, flight, demo, replay, evaluation, folder of replays."""
 VIEW = "Open the page of a replay, flight, campaign or evaluation in the browser."
 VIEW_EXAMPLES = """examples:
   quadtree-lss view                       (results/latest)
   quadtree-lss view flight7
   quadtree-lss view campaigns/morpheus --no-open
 
-Of results without a page (replay --no-report) the page is made.
+If the results have no page (replay --no-report), it is written.
 """
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = common.add_command(commands, "compare", _compare, COMPARE, COMPARE_EXAMPLES)
     add = parser.add_argument
-    add("first", type=common.named, metavar="A", help="folder that replay or sites wrote")
-    add("second", type=common.named, metavar="B", help="another one of the same ground")
+    add("first", type=common.path, metavar="A", help="folder that replay or sites wrote")
+    add("second", type=common.path, metavar="B", help="another one of the same ground")
     parser = common.add_command(commands, "export", _export, EXPORT, EXPORT_EXAMPLES)
     add = parser.add_argument
     text = "folder that replay or sites wrote (default results/latest)"
-    add("results", type=common.named, metavar="DIR", nargs="?", default=LATEST, help=text)
-    text = "one of these forms; may be repeated (default all)"
+    add("results", type=common.path, metavar="DIR", nargs="?", default=LATEST, help=text)
+    text = "one of these formats; may be repeated (default all)"
     add("--format", action="append", choices=FORMATS, default=[], metavar="FORM", help=text)
     text = "folder for the files (default DIR/exchange)"
-    add("--out", metavar="DIR", type=common.named, help=text)
+    add("--out", metavar="DIR", type=common.path, help=text)
     add("--crs", metavar="CRS", default="", help="coordinate system of the map frame")
     text = "latitude and longitude of the map frame's origin, deg; x is east, y north"
     add("--origin", metavar="LAT,LON", type=common.origin, help=text)
     parser = common.add_command(commands, "view", _view, VIEW, VIEW_EXAMPLES)
     add = parser.add_argument
     text = "folder of a replay, flight, campaign or evaluation (default results/latest)"
-    add("folder", type=common.named, metavar="DIR", nargs="?", default=LATEST, help=text)
-    add("--no-open", action="store_true", help="only print where the page is")
+    add("folder", type=common.path, metavar="DIR", nargs="?", default=LATEST, help=text)
+    add("--no-open", action="store_true", help="only print the path of the page")
 
 
 def _compare(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.differences import compare_results
 
     result = compare_results(options.first, options.second)
-    common.tell(options, result)
+    common.show_result(options, result)
     if not result.same_ground:
         text = f"correlation {result.heights.correlation:.2f}, RMS {result.heights.rms:.2f} m"
-        say(f"not of the same ground, or not at the same place: their heights differ: {text}")
+        say(f"not of the same ground, or shifted: their heights differ: {text}")
         return common.ERROR
     return common.DONE
 
@@ -97,8 +97,8 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def page_in(folder: Path) -> Path:
-    """The page of what is in a folder, made where there are only results. Raises
-    `QuadtreeLssError`: there is nothing to be shown."""
+    """Return the page of a folder; write it if there are only results. Raises `QuadtreeLssError`:
+    there is nothing to show."""
     for name in PAGES:
         if (folder / name).is_file():
             return folder / name

@@ -138,7 +138,7 @@ def _wait_until(bag_ns: int, clock: Publisher, began_ns: int, began_s: float, ra
 
 def _names(bag: Bag, scan_topic: str | None, pose_topic: str | None) -> dict[str, str]:
     """The topics of the bag to play, and the name under which each is published."""
-    pairs = MapPairs.alone(bag, scan_topic)
+    pairs = MapPairs.of_maps_only(bag, scan_topic)
     if pairs is not None:
         return dict(zip(pairs.topics, MAPS, strict=True))
     scans, _, camera = topics.choose_scan_topic(bag, scan_topic, "points")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Configurations at the desk: files laid over each other, shipped ones by name, and written out."""
+"""Loading of configurations from files and shipped ones by name, and writing of files."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def load_config(
     *,
     origin: str = "overrides",
 ) -> Config:
-    """The defaults with each file, or shipped configuration (`find_config`), and then dotted or
-    nested ``overrides`` laid over them. Raises `ConfigError`: names the file, or ``origin`` of the
-    overrides, and for an unknown key the nearest known one."""
+    """Load files or shipped configurations (`find_config`) over the defaults, then dotted or nested
+    ``overrides``. Raises `ConfigError`, which names the file, or the ``origin`` of the overrides,
+    and for an unknown key the most similar one."""
     values: dict[str, object] = {}
     files = []
     for path in paths:
@@ -43,11 +43,11 @@ def load_config(
             checked_values(read)
         values |= read
         files.append(str(found))
-    wanted = flatten(overrides or {})
+    flat = flatten(overrides or {})
     with _errors_of(origin):
-        checked_values(wanted)
-    with _errors_of(", ".join(files + [origin] * bool(wanted))):  # that contradict one another
-        return config_from_values(values | wanted)
+        checked_values(flat)
+    with _errors_of(", ".join(files + [origin] * bool(flat))):  # combinations
+        return config_from_values(values | flat)
 
 
 @contextmanager
@@ -59,10 +59,10 @@ def _errors_of(where: str) -> Iterator[None]:
 
 
 def find_config(path: str | os.PathLike[str]) -> Path:
-    """The file itself, else the shipped configuration of that name.
+    """Return the file itself, else the shipped configuration of that name.
 
     ``morpheus``, ``morpheus.yaml`` and ``config/morpheus.yaml`` all name the shipped one. Raises
-    `ConfigError`: no such file; lists the shipped ones."""
+    `ConfigError`, which lists the shipped ones: no such file."""
     given = Path(path)
     if given.is_file():
         return given
@@ -75,28 +75,28 @@ def find_config(path: str | os.PathLike[str]) -> Path:
 
 
 def shipped_configs() -> dict[str, Path]:
-    """Shipped configurations by name, in alphabetical order."""
+    """Return the shipped configurations by name, in alphabetical order."""
     prefixes = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
-    places = (Path(p, "share/quadtree_lss/config") for p in (*prefixes, sys.prefix))
-    return {file.stem: file for place in places for file in sorted(place.glob("*.yaml"))}
+    folders = (Path(p, "share/quadtree_lss/config") for p in (*prefixes, sys.prefix))
+    return {file.stem: file for folder in folders for file in sorted(folder.glob("*.yaml"))}
 
 
 def dump_config(config: Config, *, comments: bool = False) -> str:
-    """A parameter file that loads to ``config`` again; with ``comments`` each key is explained."""
-    told = {row.name: _explanation(row) for row in parameters()} if comments else {}
-    return dump_values(values_from_config(config), told)
+    """Format a parameter file of ``config``; ``comments``: explain each key."""
+    texts = {row.name: _explanation(row) for row in parameters()} if comments else {}
+    return dump_values(values_from_config(config), texts)
 
 
 def dump_values(values: Mapping[str, object], comments: Mapping[str, str]) -> str:
-    """A parameter file of dotted values in the order of the table, with comments by key."""
+    """Format a parameter file of dotted values in the order of the table, with comments by key."""
     lines = ["/**:", "  ros__parameters:"]
     section = ""
     for row in parameters():
         if row.name not in values:
             continue
-        start, _, name = row.name.partition(".")
-        if start != section:
-            section = start
+        row_section, _, name = row.name.partition(".")
+        if row_section != section:
+            section = row_section
             lines.append(f"    {section}:")
         if row.name in comments:
             lines.append(f"      # {comments[row.name]}")
@@ -105,7 +105,6 @@ def dump_values(values: Mapping[str, object], comments: Mapping[str, str]) -> st
 
 
 def scalar_text(value: object) -> str:
-    """A value as YAML has it."""
     text: str = yaml.safe_dump(value, default_flow_style=True, width=1000)
     return text.removesuffix("\n").removesuffix("\n...")
 

@@ -19,14 +19,14 @@ from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 
 SIGMAS = 3.0
 SAME_GROUND = 0.5
-"""Least correlation of heights of the same ground. Measured: 0.97 over one field, 0.1 over two,
-0.71 for mounds that are shifted by 3 m."""
+"""Least correlation of heights of the same ground. Measured: 0.97 for one field, 0.1 for two
+fields, 0.71 for mounds shifted by 3 m."""
 
 
 class Heights(NamedTuple):
-    """Second minus first height where both observed the ground, m. ``most``: percentile 95 of the
-    magnitude; (``x``, ``y``): place of the ``greatest``; ``beyond``: share of differences, without
-    their mean, of more than 3 σ of both maps."""
+    """Second minus first height where both observed the ground, m. ``most``: 95th percentile of the
+    magnitude; (``x``, ``y``): position of the ``greatest``; ``beyond``: share of differences, with
+    the mean removed, that exceed 3 σ of both maps."""
 
     points: int
     mean: float
@@ -41,7 +41,7 @@ class Heights(NamedTuple):
 
 
 class Site(NamedTuple):
-    """A site of only one result, and the other's assessment of its place."""
+    """A site of only one result; ``elsewhere``: the other result's assessment of its position."""
 
     rank: int
     x: float
@@ -54,7 +54,7 @@ class Site(NamedTuple):
 class Comparison:
     """The differences between two results of the same ground; the second is the newer one.
 
-    Areas in m²: of the ground that both observed the allowed part of either (``safe_…``) and of
+    Areas in m²: allowed part of the ground that both observed, in each result (``safe_…``) and in
     only one (``gained``, ``lost``); ground that only one observed (``seen_…``). ``sites_kept``:
     pairs of ranks.
     """
@@ -79,7 +79,6 @@ class Comparison:
         return self.heights.correlation >= SAME_GROUND or self.heights.rms_mean_removed <= noise
 
     def as_dict(self) -> dict[str, Any]:
-        """In JSON types."""
         names = ("safe_first", "safe_second", "gained", "lost", "seen_first", "seen_second")
         content = {
             "first": str(self.first.folder),
@@ -94,16 +93,15 @@ class Comparison:
         return dict(plain(content))
 
     def table(self) -> str:
-        """As text."""
         h = self.heights
         rows = [
-            ("Ground seen by both", f"{h.points} grid points"),
-            ("  by one alone", f"{self.seen_first:.0f} m² / {self.seen_second:.0f} m²"),
+            ("Ground observed by both", f"{h.points} grid points"),
+            ("  by only one", f"{self.seen_first:.0f} m² / {self.seen_second:.0f} m²"),
             ("Height, second less first, mean", f"{h.mean:+.3f} m"),
             ("  RMS / with the mean removed", f"{h.rms:.3f} / {h.rms_mean_removed:.3f} m"),
             ("  95 % within", f"{h.most:.3f} m"),
             ("  greatest", f"{h.greatest:+.2f} m at x {h.x:.1f}, y {h.y:.1f}"),
-            ("  beyond three deviations", f"{100.0 * h.beyond:.1f} %"),
+            ("  beyond three standard deviations", f"{100.0 * h.beyond:.1f} %"),
             ("Safe ground of it", f"{self.safe_first:.0f} m² -> {self.safe_second:.0f} m²"),
             ("  gained / lost", f"{self.gained:.0f} m² / {self.lost:.0f} m²"),
         ]
@@ -121,52 +119,52 @@ def compare_results(first: Results | str | Path, second: Results | str | Path) -
     `ResultsError`: a folder does not hold results, or they have no observed ground in common."""
     a, b = (r if isinstance(r, Results) else load_results(r) for r in (first, second))
     grid = a.grid
-    both = grid.seen & _laid(b.grid, b.grid.seen, grid.x, grid.y)
+    both = grid.seen & _sample(b.grid, b.grid.seen, grid.x, grid.y)
     y, x = np.meshgrid(grid.y, grid.x, indexing="ij")
     one, other = a.map.at(x, y), b.map.at(x, y)
     difference = np.where(both, other.height - one.height, np.nan)
     known = np.isfinite(difference)
     if not known.any():
-        raise ResultsError(f"{a.folder} and {b.folder} have seen no ground in common")
+        raise ResultsError(f"{a.folder} and {b.folder} have no observed ground in common")
     area = float(grid.spacing**2)
     safe_a = both & grid["safe"]
-    safe_b = both & _laid(b.grid, b.grid["safe"], grid.x, grid.y)
+    safe_b = both & _sample(b.grid, b.grid["safe"], grid.x, grid.y)
     kept, lost, gained = _sites(a, b)
-    deviation = np.hypot(one.deviation, other.deviation)
+    sigma = np.hypot(one.deviation, other.deviation)
     return Comparison(
         first=a,
         second=b,
-        heights=_heights(difference, deviation, x, y, other.height),
+        heights=_heights(difference, sigma, x, y, other.height),
         safe_first=area * np.count_nonzero(safe_a),
         safe_second=area * np.count_nonzero(safe_b),
         gained=area * np.count_nonzero(safe_b & ~safe_a),
         lost=area * np.count_nonzero(safe_a & ~safe_b),
-        seen_first=_seen_alone(grid, b.grid),
-        seen_second=_seen_alone(b.grid, grid),
+        seen_first=_area_seen_by_one(grid, b.grid),
+        seen_second=_area_seen_by_one(b.grid, grid),
         sites_kept=kept,
         sites_gained=gained,
         sites_lost=lost,
     )
 
 
-def _laid(grid: Grid, values: NDArray[Any], x: Array, y: Array) -> NDArray[Any]:
+def _sample(grid: Grid, values: NDArray[Any], x: Array, y: Array) -> NDArray[Any]:
     """Sample a layer (ny, nx) at the grid points nearest to x, y; 0 outside the grid."""
     rows, columns = (
-        np.rint((places - axis[0]) / grid.spacing).astype(np.intp)
-        for axis, places in ((grid.y, y), (grid.x, x))
+        np.rint((positions - axis[0]) / grid.spacing).astype(np.intp)
+        for axis, positions in ((grid.y, y), (grid.x, x))
     )
     near = values.take(rows, axis=0, mode="clip").take(columns, axis=1, mode="clip")
     inside = ((rows >= 0) & (rows < grid.y.size))[:, None] & (columns >= 0)
     return np.where(inside & (columns < grid.x.size), near, 0).astype(values.dtype)
 
 
-def _seen_alone(grid: Grid, other: Grid) -> float:
-    """Area of ground that a grid has observed and the other has not, m²."""
-    alone = grid.seen & ~_laid(other, other.seen, grid.x, grid.y)
-    return grid.spacing**2 * np.count_nonzero(alone)
+def _area_seen_by_one(grid: Grid, other: Grid) -> float:
+    """Return the area that a grid has observed and the other one has not, m²."""
+    only = grid.seen & ~_sample(other, other.seen, grid.x, grid.y)
+    return grid.spacing**2 * np.count_nonzero(only)
 
 
-def _heights(difference: Array, deviation: Array, x: Array, y: Array, second: Array) -> Heights:
+def _heights(difference: Array, sigma: Array, x: Array, y: Array, second: Array) -> Heights:
     known = np.isfinite(difference)
     values = difference[known]
     left, heights = values - values.mean(), (second[known] - values, second[known])
@@ -182,43 +180,43 @@ def _heights(difference: Array, deviation: Array, x: Array, y: Array, second: Ar
         greatest=float(difference[worst]),
         x=float(x[worst]),
         y=float(y[worst]),
-        beyond=float(np.mean(np.abs(left) > SIGMAS * deviation[known])),
+        beyond=float(np.mean(np.abs(left) > SIGMAS * sigma[known])),
         correlation=float(correlation),
     )
 
 
 def _sites(a: Results, b: Results) -> tuple[Any, tuple[Site, ...], tuple[Site, ...]]:
-    """Pairs of ranks, sites of only the first, sites of only the second."""
+    """Return pairs of ranks, sites of only the first result, sites of only the second."""
     lss = a.config.lss
     reach = 0.5 * min(lss.vehicle.diameter, lss.vehicle.lengths.min_separation)
     one, other = a.positions, b.positions
-    apart = np.hypot(*(one[:, None, :2] - other[None, :, :2]).transpose(2, 0, 1))
+    distance = np.hypot(*(one[:, None, :2] - other[None, :, :2]).transpose(2, 0, 1))
     pairs = []
-    while apart.size and apart.min() <= reach:
-        i, j = np.unravel_index(np.argmin(apart), apart.shape)
+    while distance.size and distance.min() <= reach:
+        i, j = np.unravel_index(np.argmin(distance), distance.shape)
         pairs.append((int(i) + 1, int(j) + 1))
-        apart[i, :] = apart[:, j] = np.inf
-    lost = _alone(one, {i for i, _ in pairs}, b, "second")
-    gained = _alone(other, {j for _, j in pairs}, a, "first")
+        distance[i, :] = distance[:, j] = np.inf
+    lost = _unpaired(one, {i for i, _ in pairs}, b, "second")
+    gained = _unpaired(other, {j for _, j in pairs}, a, "first")
     return tuple(sorted(pairs)), lost, gained
 
 
-def _alone(places: Array, paired: set[int], other: Results, name: str) -> tuple[Site, ...]:
+def _unpaired(positions: Array, paired: set[int], other: Results, name: str) -> tuple[Site, ...]:
     return tuple(
-        Site(rank, *map(float, place), _verdict(other.grid, *place[:2], name))
-        for rank, place in enumerate(places, start=1)
+        Site(rank, *map(float, position), _describe(other.grid, *position[:2], name))
+        for rank, position in enumerate(positions, start=1)
         if rank not in paired
     )
 
 
-def _verdict(grid: Grid, x: float, y: float, name: str) -> str:
-    """Describe the assessment of a place."""
+def _describe(grid: Grid, x: float, y: float, name: str) -> str:
+    """Describe the assessment of a position in the ``name`` result."""
     place = np.array([x]), np.array([y])
-    if not _laid(grid, np.ones_like(grid.seen), *place).all():
+    if not _sample(grid, np.ones_like(grid.seen), *place).all():
         return f"outside the {name}'s domain"
-    if _laid(grid, grid["safe"], *place).all():
+    if _sample(grid, grid["safe"], *place).all():
         return f"allowed in the {name}, but others rank before it"
-    bits = int(_laid(grid, grid["hazard"], *place)[0, 0])
+    bits = int(_sample(grid, grid["hazard"], *place)[0, 0])
     bits &= ~UNSEEN if bits & UNMAPPED else 255
     kinds = ", ".join(kind for bit, kind, _ in sorted(HAZARDS) if bits & bit)
-    return f"not allowed in the {name}{f' ({kinds})' if kinds else ', which has a hazard near it'}"
+    return f"not allowed in the {name}{f' ({kinds})' if kinds else ', near a hazard'}"

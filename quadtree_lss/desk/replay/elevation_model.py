@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Landing sites on an elevation model: each cell between its posts is a leaf."""
+"""Landing sites on an elevation model, whose cells between posts become leaves."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.errors import OutsideInput
 from quadtree_lss.onboard.messages.landing_inputs import LandingRequests
 
-#: Largest numbers of leaves and of grid points along a side.
-MOST_CELLS, MOST_POINTS = 1 << 10, 2000
+MAX_CELLS, MAX_GRID_POINTS = 1 << 10, 2000
+"""Limits of the numbers of leaves and of grid points along a side."""
 
 
 def rank_sites(
@@ -35,10 +35,10 @@ def rank_sites(
 ) -> ReplayResult:
     """Rank landing sites on an elevation model or its file (`read_dem`) and write the results.
 
-    A leaf is a cell between posts, or several of them if there are more than 1024 x 1024. An area
+    A leaf is a cell between posts, or a block of them if there are more than 1024 x 1024. An area
     crops the model. ``config``: ``lss`` is used, and ``lidar.range_noise`` as the posts' standard
     deviation. ``out``, ``report`` and ``landing`` as in `replay.replay`. Raises `ExchangeError`:
-    not an elevation model; `OutsideInput`: the target is outside of it; `ConfigError`: the
+    not an elevation model; `OutsideInput`: the target is outside the model; `ConfigError`: the
     configuration does not fit the model's size; `ReplayError`: the results cannot be written.
     """
     began = time.perf_counter()
@@ -47,31 +47,33 @@ def rank_sites(
     wanted = {key: value for key, value in (landing or {}).items() if value is not None}
     if "area" in wanted:
         corners = np.asarray(wanted["area"], np.float64)
-        room = 0.5 * config.lss.vehicle.diameter + config.lss.margin + 2.0 * model.spacing
-        part = model.within(corners.min(axis=0) - room, corners.max(axis=0) + room)
+        border = 0.5 * config.lss.vehicle.diameter + config.lss.margin + 2.0 * model.spacing
+        part = model.within(corners.min(axis=0) - border, corners.max(axis=0) + border)
         model = part if min(len(part.x), len(part.y)) >= 3 else model
     if "target" in wanted:
         x, y = np.asarray(wanted["target"], np.float64)[:2]
         if not (model.x[0] <= x <= model.x[-1] and model.y[0] <= y <= model.y[-1]):
             extent = f"x {model.x[0]:g} to {model.x[-1]:g}, y {model.y[0]:g} to {model.y[-1]:g} m"
             raise OutsideInput(f"the target {x:g},{y:g} is outside the model: {extent}")
-    long, across = max(len(model.x), len(model.y)), min(len(model.x), len(model.y))
-    if long**2 > MOST_POSTS:
-        msg = f"{name or 'elevation model'}: {long} x {across} posts lie in a square of {long}^2;"
-        msg += f" {MOST_POSTS} posts is the most (an area, or gdal_translate -srcwin, cuts it)"
+    shorter, longer = sorted((len(model.x), len(model.y)))
+    if longer**2 > MOST_POSTS:
+        msg = (
+            f"{name or 'elevation model'}: {longer} x {shorter} posts need a square of {longer}^2;"
+        )
+        msg += f" the limit is {MOST_POSTS} posts (crop by an area or gdal_translate -srcwin)"
         raise ExchangeError(msg)
     cells, block = cells_of(model, config.lidar.range_noise)
     names = ("xmin", "ymin", "size", "min_level", "max_level")
-    own: dict[str, Any] = {f"domain.{name}": getattr(cells.domain, name) for name in names}
-    own["domain.follow"] = "none"
-    coarsest = cells.domain.size / MOST_POINTS
-    if config.lss.spacing < coarsest:
-        own["lss.grid_spacing"] = coarsest
-    config = config_from_values(own, config)
-    asked = time.perf_counter()
+    values: dict[str, Any] = {f"domain.{name}": getattr(cells.domain, name) for name in names}
+    values["domain.follow"] = "none"
+    least = cells.domain.size / MAX_GRID_POINTS
+    if config.lss.spacing < least:
+        values["lss.grid_spacing"] = least
+    config = config_from_values(values, config)
+    before = time.perf_counter()
     requests = LandingRequests(None, wanted)
     found = LandingSiteSelector(config).assess(cells, **requests.arguments())
-    lss_ms = 1e3 * (time.perf_counter() - asked)
+    lss_ms = 1e3 * (time.perf_counter() - before)
     heights = model.elevation[np.isfinite(model.elevation)]
     upward = np.median(cells.normal[cells.measured, 2]) if cells.measured.any() else np.nan
     coarse, many = _notes(model, block)
@@ -105,14 +107,15 @@ def _notes(model: ElevationModel, block: int) -> tuple[list[str], list[str]]:
     return [coarse] * (model.spacing > 0.5), [many] * (block > 1)
 
 
-def cells_of(model: ElevationModel, deviation: float) -> tuple[CellMap, int]:
-    """Make a map with leaves of one level; also return the cells of the model along a leaf's side.
+def cells_of(model: ElevationModel, sigma: float) -> tuple[CellMap, int]:
+    """Make a map with leaves of one level; also return the number of model cells along a leaf's
+    side.
 
-    Each plane is fitted to the leaf's posts, whose standard deviation is ``deviation``, m; a leaf
-    that lacks a post is not estimated.
+    Each plane is fitted to the leaf's posts, whose standard deviation is ``sigma``, m. A leaf with
+    a missing post is not estimated.
     """
     count = max(len(model.x), len(model.y)) - 1
-    block = max(-(-count // MOST_CELLS), 1)
+    block = max(-(-count // MAX_CELLS), 1)
     level = max(int(np.ceil(np.log2(-(-count // block)))), 0)
     side = block * model.spacing
     domain = Domain(float(model.x[0]), float(model.y[0]), side * 2**level, 0, level)
@@ -122,21 +125,21 @@ def cells_of(model: ElevationModel, deviation: float) -> tuple[CellMap, int]:
     steps = (np.arange(block + 1) / block - 0.5) * side
     posts = (block + 1) ** 2
     spread = float(np.sum(steps**2) * (block + 1))
-    of_leaves = [  # each post of all leaves: its place in them, and heights (n, n)
+    offsets = [  # for each post of a leaf: x, y from the middle, and heights (n, n) of all leaves
         (x, y, heights[j : j + n * block : block, i : i + n * block : block])
         for j, y in enumerate(steps)
         for i, x in enumerate(steps)
     ]
-    middle = sum(z for _, _, z in of_leaves) / posts
-    slope_x = sum(z * x for x, _, z in of_leaves) / spread
-    slope_y = sum(z * y for _, y, z in of_leaves) / spread
-    left = ((z - middle - slope_x * x - slope_y * y) ** 2 for x, y, z in of_leaves)
-    square = (sum(left) / posts).ravel()  # NaN, as the other two, where a post lacks
+    middle = sum(z for _, _, z in offsets) / posts
+    slope_x = sum(z * x for x, _, z in offsets) / spread
+    slope_y = sum(z * y for _, y, z in offsets) / spread
+    residuals = ((z - middle - slope_x * x - slope_y * y) ** 2 for x, y, z in offsets)
+    misfit = (sum(residuals) / posts).ravel()  # NaN, as the slopes, if a post is missing
     iy, ix = np.divmod(np.arange(n * n), n)
     known = np.isfinite(middle).ravel()
     normal = np.stack([-slope_x.ravel(), -slope_y.ravel(), np.ones(n * n)], axis=-1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    variance = (deviation**2 + square)[:, None, None]
+    variance = (sigma**2 + misfit)[:, None, None]
     covariance = variance * np.diag([1.0 / spread, 1.0 / spread, 1.0 / posts])
     cells = CellMap(
         stamp_ns=1,
@@ -150,8 +153,8 @@ def cells_of(model: ElevationModel, deviation: float) -> tuple[CellMap, int]:
         covariance_pose=0.0 * covariance,
         count=np.where(known, posts, 0).astype(np.uint32),
         measured=known,
-        roughness=side**2 * np.sqrt(square),
-        exception_fraction=0.0 * square,
+        roughness=side**2 * np.sqrt(misfit),
+        exception_fraction=0.0 * misfit,
         feature=np.full((n * n, 5), np.nan),
         low=np.full(n * n, np.nan),
         high=np.full(n * n, np.nan),

@@ -31,13 +31,13 @@ LAYERS = {
     ),
     "safe": ("", f"1 landing centred here is allowed, 0 it is not, {NO_DATA} unseen"),
     "score": ("1", "Eq. 59, lower is better"),
-    "risk": ("1", "that landing right there fails"),
-    "probability": ("1", "of a safe touchdown if the lander aims there"),
+    "risk": ("1", "predicted risk of a touchdown exactly there"),
+    "probability": ("1", "probability of success of aiming there"),
     "map_height": ("m", "height of the map's finest cells"),
     "map_deviation": ("m", "standard deviation of map_height"),
 }
-"""Unit and meaning."""
-FAR = 10_000.0
+"""Unit and meaning of each layer."""
+MAX_MESH_COORDINATE = 10_000.0
 """Larger coordinates lose centimetres in the 32 bits of a mesh, m."""
 CIRCLE_POINTS = 48
 FREE, OCCUPIED, UNKNOWN = 254, 0, 205  # grey levels of nav2's map_server
@@ -53,15 +53,15 @@ def export_results(
 ) -> list[Path]:
     """Write results in formats of other programs; return the paths of the files.
 
-    ``out``: by default ``exchange`` in the results; ``formats``: names of `FORMATS`, by default all
-    (GeoJSON only with a place on the Earth); ``crs``: of the map frame, as ``EPSG:32611``, by
-    default that of the elevation model; ``origin``: instead, latitude and longitude of the map's
-    origin, deg. Raises `ResultsError`: no results; `ExchangeError`: a library is missing, the
-    coordinate system is unknown, or a file cannot be written.
+    ``out``: folder, by default ``exchange`` in the results; ``formats``: names of `FORMATS`, by
+    default all (GeoJSON only with ``crs`` or ``origin``); ``crs``: coordinate system of the map
+    frame, as ``EPSG:32611``, by default that of the elevation model; ``origin``: instead, latitude
+    and longitude of the map's origin, deg. Raises `ResultsError`: no results; `ExchangeError`: a
+    library is missing, the coordinate system is unknown, or a file cannot be written.
     """
     found = results if isinstance(results, Results) else load_results(results)
-    told = "" if origin is not None else str(found.summary.get("crs") or "")
-    system = reference(crs or told, origin)
+    default = "" if origin is not None else str(found.summary.get("crs") or "")
+    system = reference(crs or default, origin)
     folder = found.folder / "exchange" if out is None else Path(out)
     with writing(folder, ExchangeError):
         folder.mkdir(parents=True, exist_ok=True)
@@ -70,8 +70,7 @@ def export_results(
 
 
 def to_degrees(x: Array, y: Array, crs: str) -> tuple[Array, Array]:
-    """Convert places in a coordinate system to longitude and latitude, deg (WGS 84). Raises
-    `ExchangeError`."""
+    """Convert coordinates to longitude and latitude, deg (WGS 84). Raises `ExchangeError`."""
     rasterio = library("rasterio", WHAT)
     warp = library("rasterio.warp", WHAT)
     try:
@@ -83,7 +82,7 @@ def to_degrees(x: Array, y: Array, crs: str) -> tuple[Array, Array]:
 
 
 def _geotiff(results: Results, folder: Path, crs: str) -> list[Path]:
-    """Write the layers of the landing grid, and height and deviation of the finest cells."""
+    """Write the layers of the landing grid; height and standard deviation of the finest cells."""
     grid, domain = results.grid, results.map.domain
     written = [
         _write_geotiff(folder, name, values, grid.x, grid.y, grid.seen, crs)
@@ -105,15 +104,15 @@ def _write_geotiff(
     """Write a layer (ny, nx) as cloud-optimised GeoTIFF with pixels about x (nx,), y (ny,),
     ascending, evenly spaced, m."""
     rasterio = library("rasterio", WHAT)
-    unit, words = LAYERS.get(name, ("", ""))
-    exact, path = values.dtype in (np.bool_, np.uint8), folder / f"{name}.tif"
+    unit, description = LAYERS.get(name, ("", ""))
+    integer, path = values.dtype in (np.bool_, np.uint8), folder / f"{name}.tif"
     options: dict[str, Any] = {"driver": "COG", "compress": "deflate", "crs": crs or None}
-    options["nodata"] = None if exact else float("nan")
+    options["nodata"] = None if integer else float("nan")
     if name == "safe":
         values, options["nodata"] = np.where(seen, values, NO_DATA), NO_DATA
-    if exact:  # bits cannot be averaged
+    if integer:  # bits cannot be averaged
         options["overview_resampling"] = "nearest"
-    pixels = np.ascontiguousarray(values[::-1], np.uint8 if exact else np.float32)
+    pixels = np.ascontiguousarray(values[::-1], np.uint8 if integer else np.float32)
     dx, dy = (float(a[-1] - a[0]) / (len(a) - 1) if len(a) > 1 else 1.0 for a in (x, y))
     options["transform"] = rasterio.Affine(dx, 0.0, x[0] - 0.5 * dx, 0.0, -dy, y[-1] + 0.5 * dy)
     shape = {"width": len(x), "height": len(y), "count": 1, "dtype": pixels.dtype.name}
@@ -121,37 +120,37 @@ def _write_geotiff(
         with content.open(**options, **shape) as file:
             file.write(pixels, 1)
             file.units = (unit or None,)
-            file.update_tags(TIFFTAG_IMAGEDESCRIPTION=f"{name}: {words}")
+            file.update_tags(TIFFTAG_IMAGEDESCRIPTION=f"{name}: {description}")
             file.set_band_description(1, name)
         write_bytes(path, content.read())
     return path
 
 
-def _mesh(end: str, results: Results, folder: Path, crs: str) -> list[Path]:
+def _mesh(suffix: str, results: Results, folder: Path, crs: str) -> list[Path]:
     """Write the ground at the grid points, green where landing is allowed, as ``ply`` (z up) or
-    ``glb`` (y up). Far from the origin it is moved there, and a text file says by how much."""
+    ``glb`` (y up). Far coordinates are shifted to the origin; a text file contains the shift."""
     trimesh: Any = library("trimesh", "PLY and glTF files")
-    grid, path = results.grid, folder / f"ground.{end}"
+    grid, path = results.grid, folder / f"ground.{suffix}"
     heights = np.asarray(grid["elevation"], np.float64)
     vertices, faces = ground_mesh(grid.x, grid.y, heights)
     shift, written = np.zeros(3), [path]
-    if len(vertices) and np.abs(vertices[:, :2]).max() > FAR:
+    if len(vertices) and np.abs(vertices[:, :2]).max() > MAX_MESH_COORDINATE:
         shift[:2] = np.round(vertices[:, :2].mean(axis=0))
-        written.append(folder / f"ground.{end}.txt")
+        written.append(folder / f"ground.{suffix}.txt")
         text = "add to x, y, z in m: {:.1f} {:.1f} {:.1f}\n".format(*shift)
         write_bytes(written[1], text.encode())
     vertices = vertices - shift
-    if end == "glb":
+    if suffix == "glb":
         vertices = vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
-    shown = _colours(results)[np.isfinite(heights)]
-    mesh = trimesh.Trimesh(vertices, faces, vertex_colors=shown, process=False)
-    write_bytes(path, mesh.export(file_type=end))
+    colours = _colours(results)[np.isfinite(heights)]
+    mesh = trimesh.Trimesh(vertices, faces, vertex_colors=colours, process=False)
+    write_bytes(path, mesh.export(file_type=suffix))
     return written
 
 
 def ground_mesh(x: Array, y: Array, heights: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Vertices (V, 3) and triangles (T, 3), counter-clockwise from above, of heights (ny, nx), m,
-    at x (nx,), y (ny,); without squares that have a NaN corner."""
+    """Return vertices (V, 3) and triangles (T, 3), counter-clockwise from above, of heights
+    (ny, nx), m, at x (nx,), y (ny,); squares with a NaN corner are omitted."""
     known = np.isfinite(heights)
     number = np.cumsum(known.ravel()).reshape(known.shape) - 1
     across, along = np.meshgrid(x, y)
@@ -163,7 +162,7 @@ def ground_mesh(x: Array, y: Array, heights: Array) -> tuple[Array, NDArray[np.i
 
 
 def _colours(results: Results) -> Bytes:
-    """(ny, nx, 3): shaded green where landing is allowed, else grey."""
+    """Return shaded colours (ny, nx, 3): green where landing is allowed, else grey."""
     from quadtree_lss.desk.report.palette import SAFE_COLOUR
     from quadtree_lss.plot import relief
 
@@ -177,10 +176,10 @@ def _colours(results: Results) -> Bytes:
 def _geojson(results: Results, folder: Path, crs: str) -> list[Path]:
     """Write a point and a landing zone per site (RFC 7946), with the columns of ``sites.csv``."""
     if not crs:
-        msg = "GeoJSON is in longitude and latitude: --crs or --origin says where the map lies"
+        msg = "GeoJSON needs longitude and latitude: set --crs or --origin"
         raise ExchangeError(msg)
 
-    def places(x: Any, y: Any) -> list[list[float]]:
+    def lon_lat(x: Any, y: Any) -> list[list[float]]:
         return np.column_stack(to_degrees(x, y, crs)).tolist()
 
     features: list[dict[str, Any]] = []
@@ -188,7 +187,7 @@ def _geojson(results: Results, folder: Path, crs: str) -> list[Path]:
     across, along = results.zone * np.cos(angles), results.zone * np.sin(angles)
     for k, (x, y, z) in enumerate(results.positions.tolist()):
         known = {name: column[k] for name, column in results.sites.items()}
-        (point,), ring = places([x], [y]), places(x + across, y + along)
+        (point,), ring = lon_lat([x], [y]), lon_lat(x + across, y + along)
         ring[-1] = ring[0]
         shapes = {"site": ("Point", [*point, z]), "zone": ("Polygon", [ring])}
         for kind, (form, coordinates) in shapes.items():
@@ -210,15 +209,15 @@ def _map_server(results: Results, folder: Path, crs: str) -> list[Path]:
     maps["landing"][~seen & (maps["landing"] == OCCUPIED)] = UNKNOWN
     written = []
     for name, values in maps.items():
-        picture, told = folder / f"{name}.pgm", folder / f"{name}.yaml"
+        image, description = folder / f"{name}.pgm", folder / f"{name}.yaml"
         head = b"P5\n%d %d\n255\n" % (len(grid.x), len(grid.y))
-        write_bytes(picture, head + values[::-1].astype(np.uint8).tobytes())
+        write_bytes(image, head + values[::-1].astype(np.uint8).tobytes())
         corner = [float(a[0] - 0.5 * grid.spacing) for a in (grid.x, grid.y)]
-        text = f"image: {picture.name}\nmode: trinary\nresolution: {grid.spacing:.9g}\n"
+        text = f"image: {image.name}\nmode: trinary\nresolution: {grid.spacing:.9g}\n"
         text += f"origin: [{corner[0]:.9g}, {corner[1]:.9g}, 0.0]\n"
         text += "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
-        write_bytes(told, text.encode())
-        written += [picture, told]
+        write_bytes(description, text.encode())
+        written += [image, description]
     return written
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of clouds and poses that the ground shows, and the fix for each.
+"""Detection of faults of clouds and poses by comparing scans, with a fix for each fault.
 
-Scans that are placed right lie below the lidar and agree with each other. Each common fault is
-corrected in turn. It is reported if scans disagree, and agree clearly better with the correction.
+Without faults, scans lie below the lidar and agree with each other. If they do not, the correction
+of each common fault is tried; the fault with which scans agree clearly better is reported.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from quadtree_lss.desk.replay.configuration import scalar_text
-from quadtree_lss.desk.replay.flight import IN_RANGE, Flight, place_lidar
+from quadtree_lss.desk.replay.flight import MIN_IN_RANGE, Flight, place_lidar
 from quadtree_lss.desk.replay.stream import mount_values
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config, MountConfig
@@ -28,38 +28,39 @@ from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.mount import AXES, cloud_turn
 from quadtree_lss.onboard.messages.lost_points import LOOKING_DOWN, NED_FROM_ENU
 
-BETTER, NOISES = 0.4, 3.0
-"""A correction leaves at most this share of a disagreement of at least this many range noises."""
-MOST_ABOVE, CORRECTED_ABOVE = 0.5, 0.05
-"""Most points above the lidar, as a share: of a sound flight among houses, and after a fix."""
-LAGS, FINER_LAGS = np.linspace(-0.5, 0.5, 21), np.linspace(-0.04, 0.04, 9)
-"""Lags to try, s, and those to try about the best one."""
-LEAST_LAG, GAIN = 0.03, 0.8
-"""Least lag, s, and most of the disagreement that may remain without a lag or an angle."""
-SWEPT = 1.6
-"""Scans that still differ by so many times their own scatter were taken while the lidar moved."""
-LEAST_DEG, CALM_DEG, ATTEMPTS = 2.0, 5.0, 60
-"""Least angle of a mount that is off; an angle that a flight must show, or it is too calm; most
-angles to try."""
+MAX_LEFT, MIN_NOISES = 0.4, 3.0
+"""Share of the disagreement that a correction may leave; least disagreement, range noises."""
+MAX_ABOVE, MAX_ABOVE_CORRECTED = 0.5, 0.05
+"""Limits of the share of points above the lidar: without a fault among buildings, after a fix."""
+LAGS, FINE_LAGS = np.linspace(-0.5, 0.5, 21), np.linspace(-0.04, 0.04, 9)
+"""Lags to try, s, and offsets to try around the best one, s."""
+MIN_LAG, MAX_LEFT_FINE = 0.03, 0.8
+"""Least lag, s; share of the disagreement that correcting a lag or an angle may leave."""
+SWEEP_RATIO = 1.6
+"""Least ratio of disagreement to scatter within scans that indicates motion during the scans."""
+MIN_MOUNT_DEG, CALM_DEG, MAX_EVALUATIONS = 2.0, 5.0, 60
+"""Least reported error of a mount; error that must be detectable, or the flight is too calm; limit
+of the angles tried."""
 STEEP_DEG = 12.0
-"""A mean slope from which on z of the map is probably not up."""
-FAR_M, ZIGZAG, LEAST_ZIGZAG_M = 1e5, 5.0, 0.05
-"""Least coordinates of a geographic grid; poses of two publishers alternate by so many steps and by
-more than the last."""
-JUMP, LEAST_JUMP_M = 5.0, 0.1
-"""Least speed of a jump of the poses, as a multiple of those around it, and least step."""
+"""Mean slope above which z of the map is probably not up."""
+GEOGRAPHIC_M = 1e5
+"""Least coordinates of a geographic grid."""
+MIN_ALTERNATION, MIN_ALTERNATION_M = 5.0, 0.05
+"""Least alternation of poses of two publishers, as a multiple of their steps and in m."""
+MIN_JUMP, MIN_JUMP_M = 5.0, 0.1
+"""Least speed of a jump of the poses, as a multiple of the speeds around it; least step, m."""
 PITCHED_DOWN = exp([0.0, 0.5 * np.pi, 0.0])
-"""Rotation of a lidar that looks along x of a level body and is pitched down."""
+"""Rotation of a lidar with its boresight along x of a level body that is pitched down."""
 
 
 TfMounts = Mapping[str, tuple[Pose, dict[str, Any]]]
-"""Mounts that transforms allow, and the settings that use them, by the frame of the body."""
+"""Possible mounts from transforms, with the settings that use them, by frame of the body."""
 
 
 class Finding(NamedTuple):
-    """A fault or a note. ``key``: short name; ``text``: what was found, in one line; ``fix``: what
-    to do about it, empty for a note; ``fatal``: whether nothing can be mapped; ``settings``:
-    parameters that fix it; ``lag_s``: time to add to the clouds' stamps."""
+    """A fault or a note. ``key``: short name; ``text``: one line; ``fix``: what to do, empty for a
+    note; ``fatal``: nothing can be mapped; ``settings``: parameters that fix it; ``lag_s``: time to
+    add to the clouds' stamps, s."""
 
     key: str
     text: str
@@ -74,7 +75,7 @@ class Finding(NamedTuple):
 
 
 def make_setting(key: str, text: str, settings: dict[str, Any]) -> Finding:
-    """Make a finding that parameters fix."""
+    """Make a finding whose fix is ``settings``."""
     fix = ", ".join(f"{name}: {scalar_text(value)}" for name, value in settings.items())
     return Finding(key, text, fix, settings=settings)
 
@@ -82,15 +83,15 @@ def make_setting(key: str, text: str, settings: dict[str, Any]) -> Finding:
 def find_faults(
     flight: Flight, config: Config, tf_mounts: TfMounts, period: float
 ) -> list[Finding]:
-    """Compare the scans with each other. ``period``: time from scan to scan if points have no
-    times, s; 0 if they have, NaN if these cannot be read: then no lag is looked for."""
+    """Find faults by comparing the scans. ``period``: time from scan to scan, s; 0 if points have
+    times, NaN if these cannot be read: then no lag is estimated."""
     fault, found = _find_common_fault(flight, config, tf_mounts), []
-    if fault is None and (own := flight.leave_out_own()) is not None:
+    if fault is None and (own := flight.exclude_own_returns()) is not None:
         share, farthest = own
-        text = f"{100 * share:.0f} % of the returns are always at the same place close by, within"
+        text = f"{100 * share:.0f} % of the returns are always at the same positions within"
         text += f" {farthest:.2g} m of the lidar: the vehicle itself"
-        least = {"lidar.min_range": float(np.ceil(11.0 * farthest)) / 10.0}
-        found = [make_setting("own_returns", text, least)]
+        settings = {"lidar.min_range": float(np.ceil(11.0 * farthest)) / 10.0}
+        found = [make_setting("own_returns", text, settings)]
         fault = _find_common_fault(flight, config, tf_mounts)
     if fault is not None:
         return [*found, fault]
@@ -104,30 +105,31 @@ def find_pose_faults(poses: list[tuple[int, Array, Array]]) -> list[Finding]:
     positions, stamps = np.array([pose[1] for pose in poses]), np.array([pose[0] for pose in poses])
     if len(positions) < 8:
         return []
-    leaps = np.linalg.norm(positions[1:-1] - 0.5 * (positions[:-2] + positions[2:]), axis=1)
-    leap, step = np.median(leaps), np.median(np.linalg.norm(positions[2:] - positions[:-2], axis=1))
-    if leap > max(ZIGZAG * step, LEAST_ZIGZAG_M):
-        text = f"poses alternate between two paths {leap:.2g} m apart: two publishers?"
+    offsets = np.linalg.norm(positions[1:-1] - 0.5 * (positions[:-2] + positions[2:]), axis=1)
+    step = np.median(np.linalg.norm(positions[2:] - positions[:-2], axis=1))
+    offset = np.median(offsets)
+    if offset > max(MIN_ALTERNATION * step, MIN_ALTERNATION_M):
+        text = f"poses alternate between two paths {offset:.2g} m apart: two publishers?"
         return [Finding("two_paths", text, "record each on its own topic and choose one of them")]
     found = []
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     speeds = steps / np.maximum(1e-9 * np.diff(stamps), 1e-6)
-    usual = np.maximum(speeds[:-2], speeds[2:])
-    jumps = 1 + np.flatnonzero((speeds[1:-1] > JUMP * usual) & (steps[1:-1] > LEAST_JUMP_M))
+    around = np.maximum(speeds[:-2], speeds[2:])
+    jumps = 1 + np.flatnonzero((speeds[1:-1] > MIN_JUMP * around) & (steps[1:-1] > MIN_JUMP_M))
     if len(jumps):
         k = jumps[np.argmax(steps[jumps])]
         text = f"poses jump {len(jumps)} times, by {steps[k]:.2g} m at {1e-9 * stamps[k]:.3f} s,"
         found.append(Finding("jump", f"{text} as after a loop closure or a new GNSS solution"))
     x, y, _ = np.median(positions, axis=0)
-    if max(abs(x), abs(y)) > FAR_M:
+    if max(abs(x), abs(y)) > GEOGRAPHIC_M:
         text = f"poses are about x {x:.0f}, y {y:.0f} m, as in UTM: the domain must lie there, as"
-        text += " `config suggest` writes it, and the results will, too"
+        text += " `config suggest` writes it, and the results have these coordinates"
         found.append(Finding("far", text))
     return found
 
 
 class _Correction(NamedTuple):
-    """A fault, and the lidar's positions and rotations without it."""
+    """A fault, and positions, rotations and unit of the lidar without it."""
 
     fault: Finding
     origins: Array
@@ -140,15 +142,15 @@ ADVICE = {
     "map_cloud": (
         "clouds are in the map frame already",
         "choose clouds in the lidar's axes by --scan-topic (of FAST-LIO: /cloud_registered_body),"
-        " or take these back to them by their poses (docs/connecting.md)",
+        " or transform these back by their poses (docs/connecting.md)",
     ),
     "ned": (
         "poses are in north, east, down; the map is east, north, up",
-        "convert them (docs/connecting.md), or take nav/pose of autopilot_node or MAVROS",
+        "convert them (docs/connecting.md), or use nav/pose of autopilot_node or MAVROS",
     ),
     "quaternion": ("orientations have w first", "send x, y, z, w: q[1], q[2], q[3], q[0]"),
     "inverse": (
-        "orientations take the map's axes to the lidar's, not back",
+        "orientations rotate map axes to lidar axes, not lidar axes to map axes",
         "send their inverse: -x, -y, -z, w",
     ),
 }
@@ -156,7 +158,7 @@ ADVICE = {
 
 
 def _list_corrections(flight: Flight, config: Config, tf_mounts: TfMounts) -> list[_Correction]:
-    """List the common faults, the likelier first."""
+    """List the common faults, the more likely ones first."""
     p, b, m, origins = flight.positions, flight.body, flight.mounts, flight.origins
     found = _list_mounts(flight, config, tf_mounts)
 
@@ -199,8 +201,8 @@ def _list_mounts(flight: Flight, config: Config, tf_mounts: TfMounts) -> list[_C
             fault = make_setting("axes", text, {"mount.axes": name})
             found.append(_Correction(fault, origins, b @ own @ turn))
     if not np.allclose(own, np.eye(3), atol=1e-6):
-        keep, text = {**NO_MOUNT, "mount.axes": config.mount.axes}, "poses are those of the lidar"
-        fault = Finding("mount", f"{text}, and a mount is set", "remove mount.*", settings=keep)
+        axes, text = {**NO_MOUNT, "mount.axes": config.mount.axes}, "poses are those of the lidar"
+        fault = Finding("mount", f"{text}, and a mount is set", "remove mount.*", settings=axes)
         if config.mount.source == "tf":
             fault = Finding("mount", text, "correct their child frame")
         found.append(_Correction(fault, p, b @ cloud_turn(config.mount)))
@@ -213,45 +215,46 @@ def _list_mounts(flight: Flight, config: Config, tf_mounts: TfMounts) -> list[_C
 
 
 def _find_common_fault(flight: Flight, config: Config, tf_mounts: TfMounts) -> Finding | None:
-    """Find the fault of axes, frames or units without which scans agree clearly better."""
+    """Find the fault of axes, frames or units whose correction makes scans agree clearly better."""
     cost, above = flight.disagreement(flight.origins, flight.turns)
     noise = config.lidar.range_noise
-    sound = above <= MOST_ABOVE and flight.used().mean() > IN_RANGE
-    apart = not np.isfinite(cost)  # no common ground: only a unit of the poses can explain that
-    if sound and (cost <= NOISES * noise or apart and np.isnan(flight.unit_of_heights())):
+    plausible = above <= MAX_ABOVE and flight.used().mean() > MIN_IN_RANGE
+    separate = not np.isfinite(cost)  # no overlap: only the unit of the poses can explain that
+    small = cost <= MIN_NOISES * noise
+    if plausible and (small or separate and np.isnan(flight.unit_of_heights())):
         return None
     best, least = None, np.inf
     for correction in _list_corrections(flight, config, tf_mounts):
         fault, origins, turns, scale = correction
-        if sound and apart and fault.key != "pose_units":
+        if plausible and separate and fault.key != "pose_units":
             continue
-        if flight.used(scale).mean() <= IN_RANGE:
+        if flight.used(scale).mean() <= MIN_IN_RANGE:
             continue
-        if sound and scale != 1.0 and cost < 30.0 * noise:
+        if plausible and scale != 1.0 and cost < 30.0 * noise:
             continue
         left, over = flight.disagreement(origins, turns, scale)
         if fault.key == "map_cloud":
             over = float(np.mean(flight.points[:, 2] > flight.positions[flight.scan, 2]))
-        if over <= CORRECTED_ABOVE and left < 0.8 * least:
+        if over <= MAX_ABOVE_CORRECTED and left < 0.8 * least:
             best, least = fault, left
-    said = [f"{100 * above:.0f} % of the ground lies above the lidar"] * (above > MOST_ABOVE)
-    if best is not None and (not sound or least < BETTER * cost):
-        far = f"by {cost:.2g} m" if np.isfinite(cost) else "entirely"
-        said.append(f"scans disagree {far}, and by {least:.2g} m without this fault")
-        return best._replace(text=f"{best.text}: {', '.join(said)}")
-    if not said:
+    texts = [f"{100 * above:.0f} % of the ground lies above the lidar"] * (above > MAX_ABOVE)
+    if best is not None and (not plausible or least < MAX_LEFT * cost):
+        before = f"disagree by {cost:.2g} m" if np.isfinite(cost) else "do not overlap"
+        texts.append(f"scans {before}, and disagree by {least:.2g} m without this fault")
+        return best._replace(text=f"{best.text}: {', '.join(texts)}")
+    if not texts:
         return None
-    return Finding("above", said[0], "check frames and axes (docs/connecting.md)")
+    return Finding("above", texts[0], "check frames and axes (docs/connecting.md)")
 
 
 def _find_tilt(flight: Flight) -> list[Finding]:
-    """Find a mean slope that is rather one of the map's axes."""
+    """Find a mean slope that is probably a tilt of the map's axes."""
     used = flight.used()
-    if used.mean() <= IN_RANGE:
+    if used.mean() <= MIN_IN_RANGE:
         return []
     scan = flight.scan[used]
-    placed = np.einsum("nij,nj->ni", flight.turns[scan], flight.points[used]) + flight.origins[scan]
-    normal = np.linalg.eigh(np.cov(placed.T))[1][:, 0]
+    points = np.einsum("nij,nj->ni", flight.turns[scan], flight.points[used]) + flight.origins[scan]
+    normal = np.linalg.eigh(np.cov(points.T))[1][:, 0]
     slope = float(np.degrees(np.arccos(min(abs(normal[2]), 1.0))))
     if slope < STEEP_DEG:
         return []
@@ -262,19 +265,19 @@ def _find_tilt(flight: Flight) -> list[Finding]:
 
 
 def _find_lag(flight: Flight, period: float) -> list[Finding]:
-    """Find a constant delay between clouds and poses that brings the scans together."""
+    """Find a constant delay between clouds and poses with which scans agree."""
     chosen = (flight.times > -LAGS[0]) & (flight.times < flight.last - LAGS[-1])
     if np.count_nonzero(chosen) < 3:
         return []
     costs = [flight.disagreement_with_lag(lag, chosen) for lag in LAGS]
-    cost, near = costs[len(LAGS) // 2], LAGS[int(np.argmin(costs))] + FINER_LAGS
+    cost, near = costs[len(LAGS) // 2], LAGS[int(np.argmin(costs))] + FINE_LAGS
     costs = [flight.disagreement_with_lag(lag, chosen) for lag in near]
     least, lag = min(costs), float(near[int(np.argmin(costs))])
-    alone = flight.scatter_alone()
-    if not alone < cost < np.inf or abs(lag) < LEAST_LAG or least > GAIN * cost:
+    scatter = flight.scatter_within_scans()
+    if not scatter < cost < np.inf or abs(lag) < MIN_LAG or least > MAX_LEFT_FINE * cost:
         return []
-    gain = f"scans disagree by {cost:.2g} m, and by {least:.2g} m with the poses of then"
-    if 0.0 < lag < period and least > SWEPT * alone:
+    gain = f"scans disagree by {cost:.2g} m, and by {least:.2g} m with the poses at that time"
+    if 0.0 < lag < period and least > SWEEP_RATIO * scatter:
         text = f"points have no times, and those of a scan span about {2.0 * lag:.2g} s: {gain}"
         return [
             Finding("times_missing", text, "send the time of each point (docs/messages/inputs.md)")
@@ -286,7 +289,8 @@ def _find_lag(flight: Flight, period: float) -> list[Finding]:
 
 
 def _find_mount_angle(flight: Flight, config: Config) -> list[Finding]:
-    """Find the turn of the lidar about two axes across its view with which scans agree best."""
+    """Find the rotation of the lidar about two axes normal to its mean ray with which scans agree
+    best."""
     if config.mount.source == "gimbal":
         return []
     across = np.linalg.svd(flight.points.mean(axis=0)[None])[2][1:]
@@ -301,20 +305,21 @@ def _find_mount_angle(flight: Flight, config: Config) -> list[Finding]:
     if not np.isfinite(cost):
         return []
     simplex = calm * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    how = {"initial_simplex": simplex, "maxfev": ATTEMPTS, "xatol": 1e-3, "fatol": 0.01 * cost}
-    fit = minimize(disagreement, simplex[0], method="Nelder-Mead", options=how)
+    options = {"initial_simplex": simplex, "maxfev": MAX_EVALUATIONS}
+    options |= {"xatol": 1e-3, "fatol": 0.01 * cost}
+    fit = minimize(disagreement, simplex[0], method="Nelder-Mead", options=options)
     angle, turn = float(np.degrees(np.linalg.norm(fit.x))), exp(fit.x @ across)
-    alone = flight.scatter_alone()
-    if angle < LEAST_DEG or fit.fun > GAIN * cost or cost < alone:
-        if min(max(costs[:2]), max(costs[2:])) * GAIN > max(cost, alone):
+    scatter = flight.scatter_within_scans()
+    if angle < MIN_MOUNT_DEG or fit.fun > MAX_LEFT_FINE * cost or cost < scatter:
+        if min(max(costs[:2]), max(costs[2:])) * MAX_LEFT_FINE > max(cost, scatter):
             return []
         text = "the lidar turns too little to find a short lag, or a mount that is off by"
         text += f" {CALM_DEG:g} deg: turn and sway the vehicle while you record"
         return [Finding("calm", text)]
     mount = flight.mounts[0] @ turn @ cloud_turn(config.mount).T
     values = mount_values(flight.arms[0], mount, digits=1)
-    text = f"the lidar looks {angle:.1f} deg off its mount: scans disagree by {cost:.2g} m, and by"
-    text += f" {fit.fun:.2g} m without that"
+    text = f"the mount is wrong by {angle:.1f} deg: scans disagree by {cost:.2g} m, and by"
+    text += f" {fit.fun:.2g} m with the corrected mount"
     if config.mount.source == "tf":
         return [make_setting("mount_angle", text, {"mount.source": "fixed", **values})]
     angles = {name: value for name, value in values.items() if name.endswith("_deg")}

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Result files, each written under another name and then moved, so that a reader never sees half of
-one and a failed run keeps the earlier ones."""
+"""Writing of result files: each file is replaced atomically, so that readers never see a part of it
+and a failed run keeps the earlier files."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 FORMULA = tuple("=+-@\t\r")
-"""Beginnings of formulas in spreadsheets."""
+"""First characters of formulas in spreadsheets."""
 
 
 class ReplayError(QuadtreeLssError):
-    """The bag gave no map, or the results cannot be written."""
+    """The bag yields no map, or the results cannot be written."""
 
 
 @contextmanager
 def writing(out: str | Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
-    """Context in which errors of writing to ``out`` become errors of a kind."""
+    """Context that converts an `OSError` of writing to ``out`` to an error of type ``kind``."""
     try:
         yield
     except OSError as error:
@@ -40,14 +40,14 @@ def writing(out: str | Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file as a whole; make its folder."""
+    """Write a file atomically; create its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
     try:
-        beside.write_bytes(content)
-        beside.replace(path)
+        temporary.write_bytes(content)
+        temporary.replace(path)
     except BaseException as error:
-        beside.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         if isinstance(error, OSError):
             error.filename = str(path)
         raise
@@ -59,7 +59,7 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value to JSON types; numbers that are not finite become None."""
+    """Convert a value to JSON types; non-finite numbers become None."""
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
@@ -80,7 +80,7 @@ def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) 
 
 
 def _cell(value: Any) -> Any:
-    """A text that a spreadsheet would take for a formula gets an apostrophe; a number does not."""
+    """Prefix a text that a spreadsheet would read as a formula with an apostrophe."""
     if not isinstance(value, str) or not value.startswith(FORMULA):
         return value
     try:
@@ -97,33 +97,33 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def new_folder(root: Path) -> Path:
-    """Make a new folder ``root/<date>_<time>``."""
+    """Create a new folder ``root/<date>_<time>``."""
     name = time.strftime("%Y-%m-%d_%H-%M-%S")
     for suffix in ("", *(f"_{n}" for n in range(2, 1000))):
         with suppress(FileExistsError):
             (root / f"{name}{suffix}").mkdir(parents=True)
             return root / f"{name}{suffix}"
-    raise OSError(f"{root}: a thousand results of one second")
+    raise OSError(f"{root}: too many results of one second")
 
 
 @contextmanager
 def made(folder: Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
-    """Context that makes a folder before the work, and removes it after an error if it is empty.
-    ``kind``: as of `writing`."""
+    """Context that creates a folder, and removes it after an error if it is empty. ``kind``: as of
+    `writing`."""
     with writing(folder, kind):
         folder.mkdir(parents=True, exist_ok=True)
     try:
         yield
     except BaseException:
-        with suppress(OSError):  # not empty: somebody else's files
+        with suppress(OSError):  # not empty
             folder.rmdir()
         raise
 
 
 @contextmanager
 def locked(folder: Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
-    """Context in which nobody else writes into a folder, which is made; ``kind``: as of `writing`.
-    The folder itself is locked, so there is no file that could be a link to another's."""
+    """Context that creates a folder and locks it against other writers. ``kind``: as of `writing`.
+    The folder itself is locked, because a lock file could be a link to another file."""
     with writing(folder, kind):
         folder.mkdir(parents=True, exist_ok=True)
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
@@ -132,22 +132,22 @@ def locked(folder: Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise kind(f"{folder}: another program writes there") from None
+                raise kind(f"{folder}: another program is writing to it") from None
         yield
     finally:
         os.close(handle)
 
 
 def link_latest(folder: Path) -> Path | None:
-    """Make ``latest`` beside ``folder`` a link to it; None if that is not possible."""
+    """Link ``latest`` beside ``folder`` to it; return the link, None if that is impossible."""
     link = folder.parent / "latest"
     if link.exists() and not link.is_symlink():
         return None
-    fresh = folder.parent / f".latest.{os.getpid()}"
+    temporary = folder.parent / f".latest.{os.getpid()}"
     try:
-        fresh.symlink_to(folder.name, target_is_directory=True)
-        os.replace(fresh, link)
+        temporary.symlink_to(folder.name, target_is_directory=True)
+        os.replace(temporary, link)
     except OSError:  # a file system without links
-        fresh.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         return None
     return link

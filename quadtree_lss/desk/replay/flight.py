@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scans and poses of a bag, and how far the scans lie from common ground."""
+"""Scans and poses of a bag, and the disagreement of the scans."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.messages.intake import ReadyScan
 
-MOST_SCANS, MOST_POINTS = 60, 800
-"""Number of scans kept of a bag, as pairs of neighbours, and of points kept of each scan."""
-PLACES, NEIGHBOURS, OTHERS = 2000, 9, 3
-"""Scans are compared at so many points, each with its nearest neighbours, of which so many must be
-of other scans."""
-FEWEST = 8
-"""Fewest points of a scan."""
-FAR_APART_M = 1e4
-"""Distance to which scans are moved so that they have no common neighbours."""
-OVERLAP = 0.3
-"""Least share of the points with such neighbours; with less, scans see no common ground."""
-IN_RANGE = 0.25
-"""Least share of returns within the lidar's limits; with less, the unit or the limits are wrong."""
+MAX_SCANS, MAX_POINTS = 60, 800
+"""Number of scans kept of a bag, in consecutive pairs, and of points kept of each scan."""
+SAMPLES, NEIGHBOURS, MIN_OTHERS = 2000, 9, 3
+"""Number of points at which scans are compared, of nearest neighbours of each, and of those that
+must belong to other scans."""
+MIN_POINTS = 8
+"""Scans with fewer points are not used."""
+SEPARATION_M = 1e4
+"""Distance between scans that leaves them without common neighbours."""
+MIN_OVERLAP = 0.3
+"""Share of the points with neighbours of other scans below which scans do not overlap."""
+MIN_IN_RANGE = 0.25
+"""Share of returns within the lidar's limits below which the unit or the limits are wrong."""
 NEAR, VOXEL_M, RECURRING, ALOFT = 0.5, 0.3, 0.5, 0.3
 """Returns of the vehicle are nearer than this share of the median range, in voxels of this size
-that this share of the scans hits, and above the ground by this share of the lidar's height."""
-LEAST_CORRELATION, ABSURD = 0.95, 1.0 / 300.0
-"""Least correlation of heights of poses and ranges to derive the unit of poses; share of a height
-that no range can be in a flight with lidar."""
+that occur in this share of the scans, and above the ground by this share of the lidar's height."""
+MIN_CORRELATION, MIN_HEIGHT_RATIO = 0.95, 1.0 / 300.0
+"""Least correlation of heights of poses and ranges to derive the unit of the poses; least plausible
+ratio of range to height."""
 
 
 class _Scan(NamedTuple):
@@ -47,11 +47,11 @@ class _Scan(NamedTuple):
 
 
 class Recording:
-    """All poses and some scans of a bag with ``count`` scans. ``poses``: stamp, position,
-    quaternion; ``has_times``: whether points have times of their own."""
+    """All poses and some scans of a bag with ``count`` scans. ``poses``: stamp, ns, position, m,
+    and quaternion x, y, z, w; ``has_times``: points have times."""
 
     def __init__(self, count: int) -> None:
-        self._every, self._count = max(-(-count // MOST_SCANS), 1), 0
+        self._every, self._count = max(-(-count // MAX_SCANS), 1), 0
         self._scans: list[_Scan] = []
         self.poses: list[tuple[int, Array, Array]] = []
         self.has_times = False
@@ -61,21 +61,21 @@ class Recording:
         if (self._count - 1) // 2 % self._every:
             return
         points, middle = scan.points_lidar.reshape(-1, 3).astype(np.float64), scan.stamp_ns
-        sound = np.isfinite(points).all(axis=1) & points.any(axis=1)
-        if np.count_nonzero(sound) < FEWEST:
+        valid = np.isfinite(points).all(axis=1) & points.any(axis=1)
+        if np.count_nonzero(valid) < MIN_POINTS:
             return
         if scan.sweep is not None:
             self.has_times = True
-            middle += int(np.median(scan.sweep.offsets[sound]))
-        every = max(np.count_nonzero(sound) // MOST_POINTS, 1)
-        self._scans.append(_Scan(scan.stamp_ns, middle, points[sound][::every], scan.pose))
+            middle += int(np.median(scan.sweep.offsets[valid]))
+        every = max(np.count_nonzero(valid) // MAX_POINTS, 1)
+        self._scans.append(_Scan(scan.stamp_ns, middle, points[valid][::every], scan.pose))
 
     def add_pose(self, msg: Any) -> None:
         p, q = msg.pose.pose.position, msg.pose.pose.orientation
-        position, turn = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
-        size = np.linalg.norm(turn)
-        if np.isfinite(position).all() and size > 0.5:
-            self.poses.append((stamp_ns(msg.header), position, turn / size))
+        position, quaternion = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
+        length = np.linalg.norm(quaternion)
+        if np.isfinite(position).all() and length > 0.5:
+            self.poses.append((stamp_ns(msg.header), position, quaternion / length))
 
     def flight(self, lidar: LidarConfig) -> Flight | None:
         """Return the flight; None if fewer than three scans have a pose."""
@@ -84,7 +84,7 @@ class Recording:
 
 
 class _Path:
-    """Positions and rotations by time, s after ``start_ns``. Of equal stamps the first is used."""
+    """Positions and rotations by time, s after ``start_ns``; the first pose of a stamp is used."""
 
     def __init__(self, poses: list[tuple[int, Array, Array]]) -> None:
         stamps, first = np.unique([stamp for stamp, *_ in poses], return_index=True)
@@ -94,7 +94,7 @@ class _Path:
         self._turns = Slerp(self.times, Rotation.from_quat([poses[k][2] for k in first]))
 
     def interpolate(self, times: Array) -> tuple[Array, Array]:
-        """Positions (K, 3) and rotations (K, 3, 3) at times (K,) s, clipped to the path."""
+        """Return positions (K, 3), rotations (K, 3, 3) at times (K,), s, clipped to the path."""
         times = np.clip(times, self.times[0], self.times[-1])
         positions = [np.interp(times, self.times, along) for along in self._positions.T]
         return np.column_stack(positions), self._turns(times).as_matrix()
@@ -103,9 +103,9 @@ class _Path:
 class Flight:
     """Scans with the poses of the body and of the lidar.
 
-    ``points`` are (N, 3), lidar axes; ``scan`` (N,) is the scan of each. Of K scans, ``positions``
-    and ``body`` are those of the body, ``arms`` and ``mounts`` of the lidar on it, ``origins`` and
-    ``turns`` of the lidar in the map.
+    ``points``: (N, 3), lidar axes; ``scan``: (N,), index of the scan of each point. Positions and
+    rotations for K scans: ``positions`` and ``body`` of the body in the map, ``arms`` and
+    ``mounts`` of the lidar on the body, ``origins`` and ``turns`` of the lidar in the map.
     """
 
     def __init__(self, scans: list[_Scan], path: _Path, lidar: LidarConfig) -> None:
@@ -128,10 +128,9 @@ class Flight:
         ranges = scale * self.ranges
         return np.asarray((ranges >= low) & (ranges <= high) & ~self._own)
 
-    def leave_out_own(self) -> tuple[float, float] | None:
-        """Find returns of the vehicle itself and leave them out of later comparisons. Return their
-        share and their greatest range, m; None if there are none, or nearer ground would be lost.
-        """
+    def exclude_own_returns(self) -> tuple[float, float] | None:
+        """Exclude returns of the vehicle itself from later comparisons. Return their share and
+        their greatest range, m; None if there are none, or nearer ground would be lost."""
         used = self.used()
         near = used & (self.ranges < NEAR * np.median(self.ranges[used])) if used.any() else used
         if not near.any():
@@ -153,8 +152,8 @@ class Flight:
         return own.sum() / used.sum(), farthest
 
     def _heights(self, ground: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Heights of the points (N,) above the lidar, and the medians (K,) of those of the ground
-        in each scan, NaN without one, m."""
+        """Return the heights (N,) of the points above the lidar, and their medians (K,) over the
+        ``ground`` points of each scan, NaN without any, m."""
         heights = np.einsum("nj,nj->n", self.turns[self.scan][:, 2], self.points)
         medians = np.full(len(self.times), np.nan)
         for k in np.unique(self.scan[ground]):
@@ -162,55 +161,55 @@ class Flight:
         return heights, medians
 
     def unit_of_heights(self) -> float:
-        """Unit of the poses' heights, m, by the change of the lidar's height above the ground, or
-        by far too large heights; NaN if neither shows one."""
+        """Estimate the unit of the poses' heights, m, from the change of the lidar's height above
+        the ground, or from implausibly large heights; NaN if neither is possible."""
         above = -self._heights(self.used())[1]
         known = np.isfinite(above)
         z, above = self.origins[known, 2], above[known]
         if len(z) < 3 or not np.ptp(z):
             return np.nan
         fit = linregress(z, above)
-        if fit.rvalue > LEAST_CORRELATION and fit.slope > 0.0:
+        if fit.rvalue > MIN_CORRELATION and fit.slope > 0.0:
             return float(fit.slope)
         ratio = float(np.median(above / z))
-        return ratio if 0.0 < ratio < ABSURD else np.nan
+        return ratio if 0.0 < ratio < MIN_HEIGHT_RATIO else np.nan
 
     def disagreement_with_lag(self, lag: float, chosen: NDArray[np.bool_]) -> float:
-        """Disagreement of the chosen scans with the poses ``lag`` s later, m."""
+        """Return the disagreement of the chosen scans with the poses ``lag`` s later, m."""
         body = self._path.interpolate(self.times + lag)
         return self.disagreement(*place_lidar(*body, self.arms, self.mounts), chosen=chosen)[0]
 
     def disagreement(
         self, origins: Array, turns: Array, scale: float = 1.0,
-        chosen: NDArray[np.bool_] | None = None, others: int = OTHERS,
+        chosen: NDArray[np.bool_] | None = None, others: int = MIN_OTHERS,
     ) -> tuple[float, float]:  # fmt: skip
-        """How far scans lie from common ground, m, and the share of points above the lidar.
+        """Return the disagreement of scans, m, and the share of points above the lidar.
 
-        The median standard deviation of neighbouring points of several scans (at least ``others``
-        of other ones) about a plane; infinite if scans do not overlap. ``origins``, ``turns``:
-        (K, 3) and (K, 3, 3) of the lidar; ``scale``: takes points to metres; ``chosen``: scans to
-        compare, None for all.
+        The disagreement is the median standard deviation about a plane of neighbouring points, at
+        least ``others`` of them of other scans; infinite if scans do not overlap. ``origins``
+        (K, 3), ``turns`` (K, 3, 3): of the lidar; ``scale``: unit of the points, m; ``chosen``:
+        (K,) scans to compare, None for all.
         """
         used = self.used(scale) if chosen is None else self.used(scale) & chosen[self.scan]
         if np.count_nonzero(used) < NEIGHBOURS:
             return np.inf, 0.0
         scan = self.scan[used]
-        placed = np.einsum("nij,nj->ni", turns[scan], scale * self.points[used]) + origins[scan]
-        above = float(np.mean(placed[:, 2] > origins[scan, 2]))
-        few = slice(None, None, max(len(placed) // PLACES, 1))
-        near = np.asarray(cKDTree(placed[:, :2]).query(placed[few, :2], k=NEIGHBOURS)[1])
+        points = np.einsum("nij,nj->ni", turns[scan], scale * self.points[used]) + origins[scan]
+        above = float(np.mean(points[:, 2] > origins[scan, 2]))
+        few = slice(None, None, max(len(points) // SAMPLES, 1))
+        near = np.asarray(cKDTree(points[:, :2]).query(points[few, :2], k=NEIGHBOURS)[1])
         common = np.sum(scan[near] != scan[few, None], axis=1) >= others
-        if common.mean() < OVERLAP:
+        if common.mean() < MIN_OVERLAP:
             return np.inf, above
-        x, y, z = np.moveaxis(placed[near[common]] - placed[few][common, None], -1, 0)
+        x, y, z = np.moveaxis(points[near[common]] - points[few][common, None], -1, 0)
         return float(np.sqrt(np.median(variance_about_planes(x, y, z)))), above
 
-    def scatter_alone(self) -> float:
-        """`disagreement` of each scan with itself, m: scans that agree differ by no more."""
-        apart = FAR_APART_M * np.arange(len(self.times))[:, None] * [1.0, 0.0, 0.0]
-        return self.disagreement(self.origins + apart, self.turns, others=0)[0]
+    def scatter_within_scans(self) -> float:
+        """Return the `disagreement` of each scan with itself, m: the least for scans that agree."""
+        shifts = SEPARATION_M * np.arange(len(self.times))[:, None] * [1.0, 0.0, 0.0]
+        return self.disagreement(self.origins + shifts, self.turns, others=0)[0]
 
 
 def place_lidar(positions: Array, body: Array, arms: Array, mounts: Array) -> tuple[Array, Array]:
-    """Positions and rotations of the lidar in the map from those of the body and the mount."""
+    """Return positions and rotations of the lidar in the map from those of body and mount."""
     return positions + np.einsum("kij,kj->ki", body, arms), body @ mounts

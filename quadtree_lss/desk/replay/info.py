@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a bag contains and whether it is ready to replay: by the replay's own reading of it."""
+"""Content of a bag and whether it can be replayed, read by the same code as a replay."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from quadtree_lss.onboard.config.settings import DEFAULTS, Config
 from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.intake import GAP_NS
 
-COPIES, ISOLATED = 0.1, 0.1
-"""Least shares of repeated clouds and of isolated points that are told."""
+MIN_COPIES, MIN_ISOLATED = 0.1, 0.1
+"""Least reported shares of copied clouds and of isolated points."""
 
 
 @dataclass
 class TopicInfo:
-    """One topic. Stamps and what follows them are known for the topics that a replay would use.
+    """One topic. ``frames`` and the following values are known for topics that a replay would use.
 
-    ``rate``: by stamps, of others by the number of messages, Hz; ``frames``: messages by frame
-    name; ``backward``: number of stamps smaller than the one before; ``delay``: median of reception
-    minus stamp, s; ``layout``: fields of a cloud; ``points``: their median number.
+    ``rate``: by stamps if known, else by number of messages, Hz; ``frames``: messages by frame
+    name; ``backward``: number of stamps smaller than the previous one; ``delay``: median of
+    reception minus stamp, s; ``layout``: fields of a cloud; ``points``: their median number.
     """
 
     name: str
@@ -50,8 +50,8 @@ class TopicInfo:
     layout: str = ""
     points: float = float("nan")
 
-    def tell(self, headers: Sequence[Header]) -> None:
-        """Set the values by the headers of the messages."""
+    def add_headers(self, headers: Sequence[Header]) -> None:
+        """Set the values that follow from the headers of the messages."""
         stamps, delays, frames, points, layouts = zip(*headers, strict=True)
         self.frames = dict(Counter(frames).most_common())
         self.first_stamp_ns, self.last_stamp_ns = min(stamps), max(stamps)
@@ -62,10 +62,10 @@ class TopicInfo:
             self.layout = "; or ".join(name for name, _ in Counter(layouts).most_common(3))
 
     def lines(self, width: int) -> list[str]:
-        """As text, with the name in a column of ``width``."""
-        often = "" if self.rate != self.rate else f"{self.rate:.2f} Hz"
+        """Format as lines, with the name in a column of ``width``."""
+        rate_text = "" if self.rate != self.rate else f"{self.rate:.2f} Hz"
         name, kind = one_line(self.name, 80), one_line(self.type, 80)
-        lines = [f"  {name:{width}} {self.count:7d} {often:>11}  {kind}"]
+        lines = [f"  {name:{width}} {self.count:7d} {rate_text:>11}  {kind}"]
         if self.first_stamp_ns is not None and self.last_stamp_ns is not None:
             frames = ", ".join(map(repr, self.frames))
             order = f"{self.backward} go back" if self.backward else "in order"
@@ -81,10 +81,10 @@ class TopicInfo:
 class BagInfo:
     """Content of a bag and what a replay would read of it.
 
-    ``kind`` is what it would read: ``scans``, ``maps`` or ``nothing``; the two topics are empty if
-    not found. Scans were mapped (``scans_with_pose``, with ``points``) or dropped, as points were,
-    by reason. ``findings``: faults and notes; ``losses``: a line for each part that cannot be read;
-    a diagnosis adds its ``verdict``, in one line, and what it suggests.
+    ``kind``: ``scans``, ``maps`` or ``nothing``; the two topics are empty if not found.
+    ``scans_with_pose``: number of mapped scans, with ``points`` in total; dropped scans and points
+    by reason. ``findings``: faults and notes; ``losses``: one line for each part that cannot be
+    read; ``verdict``, in one line, and ``suggestion``: of a diagnosis.
     """
 
     path: str
@@ -105,40 +105,37 @@ class BagInfo:
 
     @property
     def problems(self) -> list[str]:
-        """One line for each reason why it cannot be replayed."""
+        """One line for each reason why the bag cannot be replayed."""
         return [finding.line for finding in self.findings if finding.fatal]
 
     @property
     def notes(self) -> list[str]:
-        """One line for each other fault or remark."""
+        """One line for each other finding."""
         return [finding.line for finding in self.findings if not finding.fatal]
 
     @property
     def works(self) -> bool:
-        """True if it can be replayed."""
         return not self.problems
 
     def add(self, reading: Reading) -> None:
-        """Add what was read, and what is wrong with headers, rates and messages."""
+        """Add the content of a reading, and faults of headers, rates and messages."""
         self.scans_with_pose = len(reading.reports)
         self.scans_dropped = dict(reading.stream.intake.dropped)
         self.points, self.points_dropped = reading.points, dict(reading.dropped)
         self.losses = reading.losses
         for topic in self.topics:
             if headers := reading.headers.get(topic.name):
-                topic.tell(headers)
-        self.findings += _judge(self, reading)
+                topic.add_headers(headers)
+        self.findings += _find_message_faults(self, reading)
 
     def as_dict(self) -> dict[str, Any]:
-        """In JSON types."""
-        known = asdict(replace(self, suggestion=None))
-        del known["suggestion"]
-        known["findings"] = [finding._asdict() for finding in self.findings]
-        told = {"works": self.works, "problems": self.problems, "notes": self.notes}
-        return dict(plain(told | known))
+        fields = asdict(replace(self, suggestion=None))
+        del fields["suggestion"]
+        fields["findings"] = [finding._asdict() for finding in self.findings]
+        derived = {"works": self.works, "problems": self.problems, "notes": self.notes}
+        return dict(plain(derived | fields))
 
     def table(self) -> str:
-        """As text."""
         when = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(self.start_ns / SECOND_NS))
         lines = [f"{one_line(self.path)}: {self.seconds:.2f} s from {when} UTC"]
         width = max(len(one_line(topic.name, 80)) for topic in self.topics)
@@ -167,10 +164,10 @@ def inspect_bag(
     diagnose: bool = False,
     progress: Progress | None = None,
 ) -> BagInfo:
-    """Read and map a bag as a replay would; the arguments are those of `replay.replay`.
-    ``diagnose``: also look for faults, and try the setting that fixes each one
-    (`diagnosis.diagnose`). Raises `BagError`: there is nothing to read."""
-    how = {"scan_topic": scan_topic, "pose_topic": pose_topic}
+    """Read and map a bag as a replay would; arguments as of `replay.replay`. ``diagnose``: also
+    find faults and try the setting that fixes each one (`diagnosis.diagnose`). Raises `BagError`:
+    there is nothing to read."""
+    chosen = {"scan_topic": scan_topic, "pose_topic": pose_topic}
     with open_bag(bag) as opened:
         seconds = (opened.end_ns - opened.start_ns) / SECOND_NS
         topics = [
@@ -178,7 +175,7 @@ def inspect_bag(
             for t in opened.topics
         ]
         info = BagInfo(str(opened.path), "nothing", opened.start_ns, seconds, topics)
-        pairs = MapPairs.alone(opened, scan_topic)
+        pairs = MapPairs.of_maps_only(opened, scan_topic)
         notes = opened.notes
         try:
             stream = Stream(opened, config, scan_topic, pose_topic, adapt=diagnose)
@@ -197,7 +194,7 @@ def inspect_bag(
                 text = f"poses are in frame '{frame}', not in frames.map"
                 info.findings.append(make_setting("pose_frame", text, {"frames.map": frame}))
             if diagnose:
-                diagnose_bag(info, opened, stream.config, how, progress)
+                diagnose_bag(info, opened, stream.config, chosen, progress)
             else:
                 info.add(Reading(opened, stream, progress=progress))
         info.findings += [Finding("bag", text) for text in notes]
@@ -214,14 +211,14 @@ FIXES = {
     "times_unknown": "name the field as one that is known (docs/messages/inputs.md)",
     "times_unreasonable": "send times in ns, us, ms or s from the stamp, or the same for all",
 }
-"""Fixes by the key of a finding or of the intake's notice."""
+"""Fixes by key of a finding or of a notice of the intake."""
 
 
-def _judge(info: BagInfo, reading: Reading) -> list[Finding]:
+def _find_message_faults(info: BagInfo, reading: Reading) -> list[Finding]:
     """Find faults of headers, rates and messages."""
     by_name = {topic.name: topic for topic in info.topics}
     scans, poses = by_name[info.scan_topic], by_name[info.pose_topic]
-    found, lacks = [], not info.scans_with_pose
+    found, no_scans = [], not info.scans_with_pose
     for topic in (scans, poses):
         if topic.first_stamp_ns is None:
             text = f"{topic.name}: no message has a usable header"
@@ -232,16 +229,16 @@ def _judge(info: BagInfo, reading: Reading) -> list[Finding]:
         if len(topic.frames) > 1:
             text = f"{topic.name}: several frames: {', '.join(topic.frames)}"
             found.append(Finding("frames", text))
-    found += _judge_clocks(scans, poses)
+    found += _find_clock_faults(scans, poses)
     rejected, clouds = reading.stream.intake.rejected, reading.stream.intake.scans
     for key, text in reading.notices.items():
         rare = key.startswith("times_") and 2 * rejected[key] < clouds
         fix = "" if rare else FIXES.get(key, "")
-        if key == "pose_frame" and lacks and len(poses.frames) == 1:
+        if key == "pose_frame" and no_scans and len(poses.frames) == 1:
             fix = f"frames.map: {next(iter(poses.frames))}"
-        fatal = lacks and not key.startswith("times_")
+        fatal = no_scans and not key.startswith("times_")
         found.append(Finding(key, f"{key}: {text}", fix, fatal=fatal))
-    if lacks and not reading.notices:
+    if no_scans and not reading.notices:
         found.append(Finding("no_pose", "no scan has a pose at its stamp", fatal=True))
     if poses.rate < scans.rate:
         gap = GAP_NS / SECOND_NS
@@ -251,14 +248,14 @@ def _judge(info: BagInfo, reading: Reading) -> list[Finding]:
     if reading.repeats:
         text = f"{reading.repeats} of {scans.count} clouds are sent again: they are mapped once"
         found.append(Finding("repeats", text))
-    if reading.copies > COPIES * scans.count and reading.contents > 2:
+    if reading.copies > MIN_COPIES * scans.count and reading.contents > 2:
         text = f"{reading.copies} of {scans.count} clouds have the points of another one with"
         text += " another stamp: a relay, or a second publisher"
         found.append(Finding("copies", text, "record only the topic of the lidar's driver"))
-    return found + _judge_points(info, reading)
+    return found + _find_unused_points(info, reading)
 
 
-def _judge_clocks(scans: TopicInfo, poses: TopicInfo) -> list[Finding]:
+def _find_clock_faults(scans: TopicInfo, poses: TopicInfo) -> list[Finding]:
     """Find stamps of scans and poses that do not overlap."""
     both = (scans.first_stamp_ns, scans.last_stamp_ns, poses.first_stamp_ns, poses.last_stamp_ns)
     if None in both:
@@ -269,7 +266,7 @@ def _judge_clocks(scans: TopicInfo, poses: TopicInfo) -> list[Finding]:
         return []
     text = f"stamps of scans and poses do not overlap, {between:.3f} s lie between them"
     fix = "record poses from before the first scan until after the last"
-    # Wrong is the clock that is not that of reception.
+    # The clock that differs from that of reception is wrong.
     off = max(scans, poses, key=lambda topic: abs(topic.delay))
     if 2.0 * abs(off.delay) > between:
         text += ": different clocks?"
@@ -278,7 +275,7 @@ def _judge_clocks(scans: TopicInfo, poses: TopicInfo) -> list[Finding]:
     return [Finding("clocks", text, fix, fatal=True)]
 
 
-def _judge_points(info: BagInfo, reading: Reading) -> list[Finding]:
+def _find_unused_points(info: BagInfo, reading: Reading) -> list[Finding]:
     """Find points that do not enter the map."""
     lost, found = reading.dropped, []
     warning = points_warning(info.points, lost, reading.domain, reading.missed_at)
@@ -287,7 +284,7 @@ def _judge_points(info: BagInfo, reading: Reading) -> list[Finding]:
         fatal = info.points == lost.total()
         found.append(Finding("outside", warning, fix, fatal))
     returns = info.points - lost["no_return"]
-    if not lost["above"] and lost["isolated"] > ISOLATED * returns:
+    if not lost["above"] and lost["isolated"] > MIN_ISOLATED * returns:
         share = share_text(lost["isolated"], returns)
         text = f"{share} of the returns are isolated and not mapped, as of dust, rain or spray"
         found.append(Finding("isolated", text))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag of the messages that the nodes would publish: maps and landing sites."""
+"""Recording of the messages that the nodes would publish: maps and landing sites."""
 
 from __future__ import annotations
 
@@ -18,16 +18,21 @@ from quadtree_lss.onboard.core.landing.result import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages import outputs
 
-VIEWER_NS = 10**9
-"""Interval of ``landing/grid_map``, which is large, ns; the last is always written."""
+GRID_MAP_INTERVAL_NS = 10**9
+"""Least interval of ``landing/grid_map``, which is large, ns; the last one is always written."""
 _NO_TIME = ros.QosTime(0, 0)
-_KEPT = ros.QosHistory.KEEP_LAST, 1, ros.QosReliability.RELIABLE, ros.QosDurability.TRANSIENT_LOCAL
-LATCHED = ros.Qos(*_KEPT, _NO_TIME, _NO_TIME, ros.QosLiveliness.AUTOMATIC, _NO_TIME, False)
-"""Profile with which `ros2 bag play` serves late subscribers, as the nodes do."""
+_LATCHED = (
+    ros.QosHistory.KEEP_LAST,
+    1,
+    ros.QosReliability.RELIABLE,
+    ros.QosDurability.TRANSIENT_LOCAL,
+)
+LATCHED = ros.Qos(*_LATCHED, _NO_TIME, _NO_TIME, ros.QosLiveliness.AUTOMATIC, _NO_TIME, False)
+"""QoS profile of latched topics, which `ros2 bag play` then serves to late subscribers."""
 
 
 class Recorder:
-    """Context manager that writes outputs of `Passes` into a new mcap bag, a folder ``path``.
+    """Context manager that writes outputs of `Assessments` into a new mcap bag, a folder ``path``.
     ``frame``: of the map. ``maps``: also write maps. Raises `ReplayError`: ``path`` exists or
     cannot be written."""
 
@@ -37,24 +42,24 @@ class Recorder:
         self._store = typestore(ros1=False)
         self._messages = outputs.MessageMaker(self._store.types, np.asarray, frame)
         self._connections: dict[str, Any] = {}
-        self._viewed_ns: int | None = None
-        self._unseen: tuple[int, LandingAssessment] | None = None
+        self._grid_map_ns: int | None = None  # time of the last landing/grid_map
+        self._pending: tuple[int, LandingAssessment] | None = None
 
     def __enter__(self) -> Recorder:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._unseen is not None:
-            self._view(*self._unseen)
+        if self._pending is not None:
+            self._write_grid_map(*self._pending)
         with writing(self._path, ReplayError):
             self._writer.close()
         if not self._connections:
             shutil.rmtree(self._path, ignore_errors=True)
 
-    def map(self, now_ns: int, take: Callable[[], CellMap]) -> None:
+    def map(self, now_ns: int, snapshot: Callable[[], CellMap]) -> None:
         if not self._maps:
             return
-        for topic, message in self._messages.of_map(take()):
+        for topic, message in self._messages.of_map(snapshot()):
             self._write(topic, message, now_ns)
 
     def landing(self, now_ns: int, found: LandingAssessment) -> None:
@@ -62,12 +67,12 @@ class Recorder:
         target = self._messages.of_target(found, age)
         for topic, message in (*target, *self._messages.of_ground(found)):
             self._write(topic, message, now_ns)
-        self._unseen = (now_ns, found)
-        if self._viewed_ns is None or abs(now_ns - self._viewed_ns) >= VIEWER_NS:
-            self._view(now_ns, found)
+        self._pending = (now_ns, found)
+        if self._grid_map_ns is None or abs(now_ns - self._grid_map_ns) >= GRID_MAP_INTERVAL_NS:
+            self._write_grid_map(now_ns, found)
 
-    def _view(self, now_ns: int, found: LandingAssessment) -> None:
-        self._viewed_ns, self._unseen = now_ns, None
+    def _write_grid_map(self, now_ns: int, found: LandingAssessment) -> None:
+        self._grid_map_ns, self._pending = now_ns, None
         self._write(outputs.GRID_MAP, self._messages.grid_map(found), now_ns)
 
     def _open(self) -> Writer:

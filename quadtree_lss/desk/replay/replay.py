@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Replay of a bag: the code of the nodes, run synchronously."""
+"""Replay of a bag with the code of the nodes, run synchronously."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 from numpy.typing import ArrayLike
 
 from quadtree_lss.desk.bags.bag import Bag, open_bag
+from quadtree_lss.desk.replay.assessments import Assessments
 from quadtree_lss.desk.replay.files import ReplayError, locked, made
 from quadtree_lss.desk.replay.history import History
-from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.desk.replay.results import ReplayResult, points_line, run_summary, write_results
 from quadtree_lss.desk.replay.run import Run
 from quadtree_lss.desk.replay.stream import LandingTopics, MapPairs, Part, Progress, Stream
@@ -46,22 +46,22 @@ def replay(
     scans, its last map is used.
 
     Args:
-        bag: The path of a bag, or a `MessageBag`.
+        bag: Path of a bag, or a `MessageBag`.
         out: Folder for the results; None writes nothing.
         config: The configuration.
-        scan_topic, pose_topic: By default found by name, then by type.
+        scan_topic, pose_topic: Topics; by default found by name, then by type.
         start, duration: Part of the bag, s (`stream.Part.of`).
-        report: Also draw figures and ``report.html``.
+        report: Also write figures and ``report.html``.
         record: New bag for the messages that the nodes would publish.
-        landing: ``area``, ``keep_out`` (V, 2), ``keep_outs`` (a list of such) and ``target`` (2,),
+        landing: ``area``, ``keep_out`` (V, 2), ``keep_outs`` (a list of these) and ``target`` (2,),
             map frame, m, or None for none. They replace the bag's topics ``landing/…``.
         progress: See `stream.Progress`.
-        stop: Called after each message; True ends the replay there.
+        stop: Called after each message; True ends the replay.
 
     Raises:
         BagError: the bag cannot be read or its topics are ambiguous.
         ReplayError: no scan could be mapped, or ``out`` or ``record`` cannot be written.
-        KeyboardInterrupt: stopped before there was a map.
+        KeyboardInterrupt: stopped before the first map.
     """
     folder = None if out is None else Path(out)
     began = time.perf_counter()
@@ -69,39 +69,39 @@ def replay(
         opened = stack.enter_context(open_bag(bag))
         part = Part.of(opened, start, duration)
         requests = LandingRequests(config.frames.map, landing)
-        maps = MapPairs.alone(opened, scan_topic)
+        maps = MapPairs.of_maps_only(opened, scan_topic)
         source = maps or Stream(opened, config, scan_topic, pose_topic)
         topics = LandingTopics(requests, opened, part.start_ns)
         if folder is not None:
             stack.enter_context(made(folder, ReplayError))
             stack.enter_context(locked(folder, ReplayError))
         history = History()
-        passes = Passes(config, requests.arguments)
-        passes.on_answer.append(history.landing)
-        run = Run(opened, part, config, passes, topics, history, progress, stop)
+        assessments = Assessments(config, requests.arguments)
+        assessments.on_assessment.append(history.landing)
+        run = Run(opened, part, config, assessments, topics, history, progress, stop)
         if record is not None:
-            from quadtree_lss.desk.replay.record import Recorder  # rosbags' writer takes long
+            from quadtree_lss.desk.replay.record import Recorder  # slow import
 
             recorder = Recorder(Path(record), config.frames.map, maps=maps is None)
             stack.enter_context(recorder)
-            passes.on_map.append(recorder.map)
-            passes.on_answer.append(recorder.landing)
+            assessments.on_map.append(recorder.map)
+            assessments.on_assessment.append(recorder.landing)
         if isinstance(source, MapPairs):
             cells = run.read_maps(source)
         else:
             cells = run.map_scans(source)
-        passes.finish(run.done_ns, lambda: cells)
+        assessments.finish(run.done_ns, lambda: cells)
         losses, counts, notes = [*opened.losses, *run.losses], run.counts(), [*opened.notes]
         if isinstance(source, Stream):
             losses, counts = [*losses, *source.losses], counts | source.counts()
             notes += source.notes
     if progress is not None and not run.interrupted:
         progress(part.seconds, part.seconds)
-    decoded, assessment = passes.cells, passes.last
+    decoded, assessment = assessments.cells, assessments.last
     assert decoded is not None and assessment is not None
     if not decoded.observed.any():
         why = points_line(run.points, run.points_dropped)
-        why = "the last map holds no measurement" if run.maps else why
+        why = "the last map has no measurement" if run.maps else why
         assessment = changed(assessment, explanation=f"nothing is mapped: {why}")
     seconds = part.seconds
     if run.interrupted:
@@ -110,19 +110,19 @@ def replay(
         decoded,
         assessment,
         config,
-        passes.lss_ms,
+        assessments.lss_ms,
         run.timings,
         **counts,
         bag=str(opened.path.resolve()),
         duration=seconds,
         real_time_factor=seconds / (time.perf_counter() - began),
         landing=requests.as_lists(),
-        target=passes.changes[-1].id if passes.changes else 0,
-        target_changes=len(passes.changes),
+        target=assessments.changes[-1].id if assessments.changes else 0,
+        target_changes=len(assessments.changes),
         losses=losses,
         warnings=[*assessment.warnings, *notes, *run.warnings()],
     )
-    timings, targets = tuple(run.timings), tuple(passes.changes)
+    timings, targets = tuple(run.timings), tuple(assessments.changes)
     result = ReplayResult(folder, decoded, assessment, timings, summary, targets)
     if folder is not None:
         write_results(folder, result, config, report, history)
@@ -139,7 +139,7 @@ def scans(
     duration: float | None = None,
 ) -> Iterator[ReadyScan]:
     """Yield the scans of a bag, each with the lidar's pose at its stamp, as the nodes would map
-    them. Arguments and errors are those of `replay`."""
+    them. Arguments and errors as of `replay`."""
     with open_bag(bag) as opened:
         part = Part.of(opened, start, duration)
         stream = Stream(opened, config, scan_topic, pose_topic)
@@ -157,8 +157,8 @@ class Step(NamedTuple):
 
 
 def steps(bag: str | Path | Bag, config: Config = DEFAULTS, **options: Any) -> Iterator[Step]:
-    """Map a bag scan by scan; ``step.mapper.snapshot()`` is the map so far. Arguments and errors
-    are those of `scans`."""
+    """Map a bag scan by scan; ``step.mapper.snapshot()`` is the current map. Arguments and errors
+    as of `scans`."""
     mapper = Mapper(config)
     for scan in scans(bag, config, **options):
         yield Step(scan, mapper.update(scan.points_lidar, scan.pose, scan.sweep), mapper)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The result of a run, its summary, and its folder."""
+"""Result of a replay, its summary, and its folder."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ import quadtree_lss
 from quadtree_lss import build
 from quadtree_lss.desk.exchange.saved import Grid, cells_arrays
 from quadtree_lss.desk.replay import files
+from quadtree_lss.desk.replay.assessments import TargetChange
 from quadtree_lss.desk.replay.configuration import dump_config
 from quadtree_lss.desk.replay.files import ReplayError, plain
 from quadtree_lss.desk.replay.history import History
-from quadtree_lss.desk.replay.passes import TargetChange
 from quadtree_lss.onboard.config.settings import Config, values_from_config
 from quadtree_lss.onboard.core.landing.result import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -31,10 +31,10 @@ from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.messages.lost_points import REASONS, domain_text, lost_points_text
 from quadtree_lss.onboard.messages.maps import known_probability
 
-JUDGED = ("score", "slope_deg", "roughness", "hazard_distance", "subscale_height")
-SITE_COLUMNS = ("rank", *"xyz", "nx", "ny", "nz", *JUDGED, "id", "probability")
+SITE_FIGURES = ("score", "slope_deg", "roughness", "hazard_distance", "subscale_height")
+SITE_COLUMNS = ("rank", *"xyz", "nx", "ny", "nz", *SITE_FIGURES, "id", "probability")
 FIGURES = ("elevation", "hazards", "probability", "score")
-"""Names of the figures, ``figures/<name>.png``."""
+"""Names of the figures ``figures/<name>.png``."""
 
 
 class ScanTiming(NamedTuple):
@@ -50,8 +50,8 @@ class ScanTiming(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class ReplayResult:
-    """The result of a replay. ``out``: folder, if written; ``cells``: as decoded from the message;
-    ``timings``: a row per mapped scan; ``summary``: content of ``summary.json``."""
+    """The result of a replay. ``out``: folder, if written; ``cells``: map as received by
+    ``lss_node``; ``timings``: one row per mapped scan; ``summary``: content of ``summary.json``."""
 
     out: Path | None
     cells: CellMap
@@ -67,26 +67,25 @@ class ReplayResult:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """One line for each kind of problem, with its number."""
+        """One line for each kind of problem, with its count."""
         return tuple(self.summary["warnings"])
 
     @property
     def interrupted(self) -> bool:
-        """True if it was stopped before the end of the bag."""
+        """True if the replay stopped before the end of the bag."""
         return bool(self.summary["interrupted"])
 
     def __repr__(self) -> str:
-        part = ", interrupted" if self.interrupted else ""
-        where = "" if self.out is None else f", in {self.out}"
-        return f"<ReplayResult: {len(self.timings)} scans{part}{where}; {self.assessment}>"
+        state = ", interrupted" if self.interrupted else ""
+        folder = "" if self.out is None else f", in {self.out}"
+        return f"<ReplayResult: {len(self.timings)} scans{state}{folder}; {self.assessment}>"
 
     def _repr_html_(self) -> str:
         return self.assessment._repr_html_()
 
     def as_dict(self) -> dict[str, Any]:
-        """The summary with the ranked sites, in JSON types."""
         sites = self.assessment.sites
-        names = ("position", "normal", "score", "probability", *JUDGED[1:], "id")
+        names = ("position", "normal", "score", "probability", *SITE_FIGURES[1:], "id")
         rows = [
             {
                 "rank": k + 1,
@@ -107,8 +106,8 @@ def run_summary(
     timings: Sequence[ScanTiming] = (),
     **known: Any,
 ) -> dict[str, Any]:
-    """Content of ``summary.json``. ``known`` replaces defaults, which are those of a map without
-    bag."""
+    """Return the content of ``summary.json``. ``known`` replaces the defaults, which suit a map
+    without a bag."""
     map_ms = np.array([row.map_ms for row in timings] or [np.nan])
     stamps = [row.stamp_ns for row in timings]
     return {
@@ -143,13 +142,12 @@ def run_summary(
 
 
 def peak_memory_mb() -> float:
-    """Largest resident size of this process, MB."""
+    """Return the peak resident memory of this process, MB."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1e6 if sys.platform == "darwin" else 1e6 / 1024.0)
 
 
 def versions() -> dict[str, str]:
-    """Versions of this package and of its main dependencies."""
     own = {"quadtree_lss": quadtree_lss.__version__, "build": build.name()}
     own["python"] = platform.python_version()
     return own | {name: version(name) for name in ("numpy", "scipy", "rosbags")}
@@ -163,7 +161,7 @@ def write_results(
     sites, rows = result.assessment.sites, np.arange(len(result.assessment.sites))
     with files.writing(out, ReplayError):
         columns = (rows + 1, *sites.position.T, *sites.normal.T)
-        columns += tuple(getattr(sites, name) for name in (*JUDGED, "id", "probability"))
+        columns += tuple(getattr(sites, name) for name in (*SITE_FIGURES, "id", "probability"))
         table = zip(*(column.tolist() for column in columns), strict=True)
         files.write_csv(out / "sites.csv", SITE_COLUMNS, table)
         files.write_csv(out / "selected.csv", TargetChange._fields, result.targets)
@@ -180,7 +178,6 @@ def write_results(
 
 
 def write_report(out: Path) -> None:
-    """Write page and figures of a results folder."""
     from quadtree_lss.desk.report.report import report_files  # matplotlib takes long to import
 
     for name, content in report_files(out).items():
@@ -199,7 +196,6 @@ def _remove_report(out: Path) -> None:
 
 
 def grid_of(assessment: LandingAssessment) -> Grid:
-    """The content of ``grid.npz``."""
     names = ("x", "y", "elevation", "plane_elevation", "slope_deg", "hazard", "safe", "score")
     found = Grid({name: getattr(assessment, name) for name in (*names, "risk")})
     found["probability"] = known_probability(assessment)
@@ -207,8 +203,8 @@ def grid_of(assessment: LandingAssessment) -> Grid:
 
 
 def aligned(rows: Sequence[Sequence[str]], sides: str = "<>") -> list[str]:
-    """Format a table as lines. ``sides``: alignment of each column, ``<`` or ``>``; the last holds
-    for all further columns."""
+    """Format a table as lines. ``sides``: alignment of each column, ``<`` or ``>``; the last one is
+    repeated."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     sides = sides.ljust(len(widths), sides[-1])
     forms = [f"{{:{side}{width}}}" for side, width in zip(sides, widths, strict=True)]
@@ -216,15 +212,15 @@ def aligned(rows: Sequence[Sequence[str]], sides: str = "<>") -> list[str]:
 
 
 def points_line(points: int, dropped: Mapping[str, int]) -> str:
-    """``points 5.9 of 6.6 million used (10 % outside the domain)``. ``dropped``: number by key of
-    `lost_points.REASONS`."""
+    """Format ``points 5.9 of 6.6 million used (10 % outside the domain)``. ``dropped``: counts by
+    key of `lost_points.REASONS`."""
     used = points - sum(dropped.values())
     text = f"points {used} of {points} used"
     if points >= 1e6:
         two_digits = partial(np.format_float_positional, precision=2, fractional=False, trim="-")
         text = f"points {two_digits(1e-6 * used)} of {two_digits(1e-6 * points)} million used"
-    told = sorted(((n, reason) for reason, n in dropped.items() if n), reverse=True)
-    lost = [f"{share_text(n, points)} {REASONS[key].partition(' (')[0]}" for n, key in told]
+    counts = sorted(((n, reason) for reason, n in dropped.items() if n), reverse=True)
+    lost = [f"{share_text(n, points)} {REASONS[key].partition(' (')[0]}" for n, key in counts]
     return f"{text} ({', '.join(lost)})" if lost else text
 
 
@@ -249,9 +245,9 @@ def points_warning(
     return text
 
 
-def share_text(part: int, of: int) -> str:
-    """Format a share in per cent; never 0 % of some or 100 % of nearly all."""
-    percent = 100.0 * part / of
+def share_text(part: int, total: int) -> str:
+    """Format a share in %; 0 % and 100 % only if exact."""
+    percent = 100.0 * part / total
     if 0.0 < percent < 0.1:
         return "< 0.1 %"
     if 99.9 < percent < 100.0:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mapping the scans of a bag, or reading its maps."""
+"""Mapping of the scans of a bag, or reading of its maps."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.recorded_file import RawMessage
+from quadtree_lss.desk.replay.assessments import Assessments
 from quadtree_lss.desk.replay.files import ReplayError
 from quadtree_lss.desk.replay.history import History
-from quadtree_lss.desk.replay.passes import Passes
 from quadtree_lss.desk.replay.results import ScanTiming, points_warning
 from quadtree_lss.desk.replay.stream import LandingTopics, MapPairs, Part, Progress, Stream
 from quadtree_lss.onboard.config.settings import Config
@@ -29,10 +29,10 @@ from quadtree_lss.onboard.messages.landing_inputs import AREA
 class Run:
     """Processes a part of an open bag.
 
-    ``passes`` gets the maps, ``landing`` the areas, keep-outs and targets, ``history`` the scans.
-    If ``stop`` returns True after a message, the run is ``interrupted``. ``done_ns``: time of
-    reception of the last message; ``points_dropped``: points of mapped scans that are not in the
-    map, by reason; ``maps``: number of maps that were read.
+    ``assessments`` gets the maps, ``landing`` the areas, keep-outs and targets, ``history`` the
+    scans. If ``stop`` returns True after a message, the run is ``interrupted``. ``done_ns``: time
+    of reception of the last message; ``points_dropped``: points of mapped scans that are not in
+    the map, by reason; ``maps``: number of maps read.
     """
 
     def __init__(
@@ -40,13 +40,13 @@ class Run:
         bag: Bag,
         part: Part,
         config: Config,
-        passes: Passes,
+        assessments: Assessments,
         landing: LandingTopics,
         history: History,
         progress: Progress | None = None,
         stop: Callable[[], bool] | None = None,
     ) -> None:
-        self.config, self.passes = config, passes
+        self.config, self.assessments = config, assessments
         self._bag, self._part, self._landing, self._history = bag, part, landing, history
         self._progress, self._stop = progress, stop
         self.interrupted, self.done_ns, self.maps = False, 0, 0
@@ -60,26 +60,26 @@ class Run:
         self._missed_at: tuple[float, float] | None = None
 
     def map_scans(self, stream: Stream) -> CellMap:
-        """Map the scans of a stream. Raises `ReplayError`: no scan could be mapped;
-        KeyboardInterrupt: stopped before the first."""
+        """Map the scans of a stream; return the last map. Raises `ReplayError`: no scan could be
+        mapped; KeyboardInterrupt: stopped before the first one."""
         mapper = Mapper(self.config)
         intake = stream.intake
-        stream.hear = self._navigate
+        stream.on_message = self._navigate
         for message in self._messages(stream.topics):
             began = time.perf_counter()
-            stamp_ns = stream.take(message)
+            stamp_ns = stream.process(message)
             if stamp_ns is not None:
                 self._decode_ms[stamp_ns] = 1e3 * (time.perf_counter() - began)
             for scan in intake.ready(message.received_ns):
                 self._map(mapper, scan)
-                self.passes.changed()
-            self._note(intake.notices())
-            self.passes.tick(message.received_ns, mapper.snapshot)
+                self.assessments.changed()
+            self._add_notices(intake.notices())
+            self.assessments.tick(message.received_ns, mapper.snapshot)
         intake.finish()
-        self._note(intake.notices())
-        self._judge_poses(mapper)
+        self._add_notices(intake.notices())
+        self._check_poses(mapper)
         if not self.timings:
-            raise self._nothing("no scan could be mapped", "there is no scan")
+            raise self._failure("no scan could be mapped", "there is no scan")
         return mapper.snapshot()
 
     def read_maps(self, pairs: MapPairs) -> CellMap:
@@ -87,26 +87,26 @@ class Run:
         last: CellMap | None = None
         for message in self._messages(pairs.topics):
             try:
-                found = pairs.take(self._bag, message, self.config.lss)
+                found = pairs.add(self._bag, message, self.config.lss)
             except MessageError as error:
-                self._tell(f"map_{error.reason}", str(error))
+                self._add_notice(f"map_{error.reason}", str(error))
                 found = None
             if found is not None:
                 last, self.maps = found, self.maps + 1
-                self.passes.changed()
-            self._note()
+                self.assessments.changed()
+            self._add_notices()
             if last is not None:
-                self.passes.tick(message.received_ns, lambda newest=last: newest)
+                self.assessments.tick(message.received_ns, lambda newest=last: newest)
         if last is None:
-            raise self._nothing("no map can be read", "no cells with observed cells")
+            raise self._failure("no map can be read", "no map/cells with map/observed")
         return last
 
     def _messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         """Yield messages of the topics until the run stops; landing topics are handled here."""
         wanted = [*topics, *self._landing.names]
         for message in self._part.messages(self._bag, wanted, self._progress):
-            if self._landing.take(self._bag, message):
-                self.passes.landing_changed()
+            if self._landing.process(self._bag, message):
+                self.assessments.landing_changed()
                 continue
             yield message
             self.done_ns = message.received_ns
@@ -116,7 +116,6 @@ class Run:
 
     @property
     def points(self) -> int:
-        """Points of the mapped scans."""
         return sum(row.points for row in self.timings)
 
     def counts(self) -> dict[str, Any]:
@@ -144,7 +143,7 @@ class Run:
         ]
         return list(filter(None, lines))
 
-    def _nothing(self, failure: str, default: str) -> BaseException:
+    def _failure(self, failure: str, default: str) -> BaseException:
         causes = "; ".join(self.warnings()) or f"{default} in this part of the bag"
         text = f"{self._bag.path}: {failure}: {causes}"
         return KeyboardInterrupt() if self.interrupted else ReplayError(text)
@@ -162,34 +161,34 @@ class Run:
             self._missed_at = self._missed_at or report.centre
         overruled = lost_points.overruled_text(report)
         if overruled is not None:
-            self._tell(lost_points.MAP_OVERRULED, overruled)
+            self._add_notice(lost_points.MAP_OVERRULED, overruled)
         self._refused_divisions += report.refused_divisions
         self._noise_ratio = report.noise_ratio
         if len(self.timings) % GAP_SCANS == 0:
-            self._judge_poses(mapper)
+            self._check_poses(mapper)
         counts = report.points, report.points_used, report.leaves, report.divisions
         self.timings.append(ScanTiming(report.stamp_ns, *counts, map_ms))
 
     def _navigate(self, what: str, msg: Any, _: RawMessage) -> None:
         if what == "pose":
-            self._landing.requests.navigation.take(msg)
+            self._landing.requests.navigation.use_pose(msg)
 
-    def _judge_poses(self, mapper: Mapper) -> None:
+    def _check_poses(self, mapper: Mapper) -> None:
         notice = pose_notice(mapper.pose_gap())
         self._pose_text = self._pose_text if notice is None else notice.text
 
     @property
     def losses(self) -> list[str]:
-        """One line for each kind of message, except those of `Stream`, that was not decoded."""
+        """One line for each kind of message that could not be decoded, except those of `Stream`."""
         keys = [key for key in self._notices if key.endswith("_encoding")]
-        others = [key for key in keys if not key.startswith(("cloud", "pose", "gimbal"))]
-        return [one_line(f"{self._notices[k]} messages lost: {self._texts[k]}") for k in others]
+        own = [key for key in keys if not key.startswith(("cloud", "pose", "gimbal"))]
+        return [one_line(f"{self._notices[key]} messages lost: {self._texts[key]}") for key in own]
 
-    def _note(self, notices: Iterable[Notice] = ()) -> None:
+    def _add_notices(self, notices: Iterable[Notice] = ()) -> None:
         for notice in (*notices, *self._landing.notices):
-            self._tell(notice.reason, notice.text)
+            self._add_notice(notice.reason, notice.text)
         self._landing.notices.clear()
 
-    def _tell(self, reason: str, text: str) -> None:
+    def _add_notice(self, reason: str, text: str) -> None:
         self._notices[reason] += 1
         self._texts.setdefault(reason, text)

@@ -37,20 +37,20 @@ from quadtree_lss.onboard.messages.landing_inputs import TYPES, LandingRequests
 from quadtree_lss.onboard.messages.poses import mount_from_message
 
 SECOND_NS = 1_000_000_000
-BAR_S = 0.2
+PROGRESS_S = 0.2
 """Interval of calls of a `Progress`, s."""
 Progress = Callable[[float, float], None]
-"""Called with the seconds of the bag that are done and all seconds."""
+"""Callback with the processed and the total seconds of the bag."""
 
 
 def rate(times_ns: Sequence[int]) -> float:
-    """Rate of stamps in Hz; NaN if they do not differ."""
+    """Return the rate of stamps, Hz; NaN if all are equal."""
     length = (max(times_ns, default=0) - min(times_ns, default=0)) / SECOND_NS
     return (len(times_ns) - 1) / length if length > 0.0 else math.nan
 
 
 class Part(NamedTuple):
-    """Messages of a bag that were received at start_ns <= t < stop_ns, which span ``seconds``."""
+    """Messages of a bag with start_ns <= time of reception < stop_ns, which span ``seconds``."""
 
     start_ns: int
     stop_ns: int
@@ -76,21 +76,20 @@ class Part(NamedTuple):
         shown = -math.inf
         for message in bag.messages(topics, self.start_ns, self.stop_ns):
             yield message
-            if progress is not None and time.monotonic() - shown > BAR_S:
+            if progress is not None and time.monotonic() - shown > PROGRESS_S:
                 shown = time.monotonic()
                 progress((message.received_ns - self.start_ns) / SECOND_NS, self.seconds)
 
 
 class Stream:
-    """Scans and poses of an open bag on their way to an `Intake`, which joins them.
+    """Feeds scans and poses of an open bag to an `Intake`, which joins them.
 
-    Read are the topics ``scans``, ``poses`` and, unless empty, ``gimbal`` and ``camera`` (of depth
-    images). ``hear`` may be set to a function that is also given each message, after its kind.
-    ``settings`` follow from the bag: ``mount.source: tf`` where no mount is set and ``/tf_static``
-    leads from the poses' body to the scans; if ``adapt``, ``frames.map`` of the first pose.
-    ``tf_mounts`` are mounts, with the settings for them, by the body's frame, that ``/tf_static``,
-    or else what does not move on ``/tf``, allows. Raises `BagError`: a topic is missing or
-    ambiguous.
+    ``scans``, ``poses`` and, unless empty, ``gimbal`` and ``camera`` (of depth images) are the
+    topics read. ``on_message``: optional callback with the kind and the message. ``settings``:
+    derived from the bag; ``mount.source: tf`` if no mount is set and ``/tf_static`` connects the
+    poses' body with the scans; if ``adapt``, ``frames.map`` of the first pose. ``tf_mounts``:
+    possible mounts, with the settings for them, by frame of the body, from ``/tf_static`` or else
+    from the constant transforms of ``/tf``. Raises `BagError`: a topic is missing or ambiguous.
     """
 
     def __init__(
@@ -103,7 +102,7 @@ class Stream:
         adapt: bool = False,
     ) -> None:
         self._bag = bag
-        self.hear: Callable[[str, Any, RawMessage], None] | None = None
+        self.on_message: Callable[[str, Any, RawMessage], None] | None = None
         source = config.lidar.source
         self.scans, self.scan_type, self.camera = topics.choose_scan_topic(bag, scan_topic, source)
         self.poses, self.pose_type, note = topics.choose_pose_topic(
@@ -114,12 +113,12 @@ class Stream:
         self.tf_mounts: dict[str, tuple[Pose, dict[str, Any]]] = {}
         transforms = topics.candidates(bag, types.TRANSFORMS_TYPE)
         mountable = bool(transforms) and config.mount == MountConfig()
-        first = self._first(self.poses, self.pose_type) if adapt or mountable else None
-        if adapt and first is not None and first.header.frame_id.strip("/"):
-            frame = first.header.frame_id.lstrip("/")
+        pose = self._first_message(self.poses, self.pose_type) if adapt or mountable else None
+        if adapt and pose is not None and pose.header.frame_id.strip("/"):
+            frame = pose.header.frame_id.lstrip("/")
             self.settings |= {"frames.map": frame} if frame != config.frames.map else {}
-        if mountable and first is not None:
-            self.settings |= self._mount_of_tf(config, first, transforms, adapt)
+        if mountable and pose is not None:
+            self.settings |= self._find_tf_mounts(config, pose, transforms, adapt)
         config = self.config = config_from_values(self.settings, config)
         self.gimbal = ""
         if config.mount.source == "gimbal":
@@ -127,44 +126,44 @@ class Stream:
         names = {"scan_topic": self.scans, "pose_topic": self.poses}
         self.intake = Intake(config, **names, gimbal_topic=self.gimbal or topics.GIMBAL_TOPIC)
         if config.mount.source == "tf":
-            # They are latched and recorded at the beginning of the bag.
+            # These are latched: read them before the scans.
             topic = topics.choose_topic(bag, None, topics.TRANSFORMS_TOPIC, "mount.source tf")
-            self._transforms(topic, self.intake.on_transforms)
-        self._read: dict[str, tuple[str, str, Callable[..., object]]] = {
+            self._read_transforms(topic, self.intake.on_transforms)
+        self._handlers: dict[str, tuple[str, str, Callable[..., object]]] = {
             self.camera: ("camera", types.CAMERA_TYPE, self.intake.on_camera_info),
             self.gimbal: ("gimbal", types.GIMBAL_TYPE, self.intake.on_gimbal),
             self.poses: ("pose", self.pose_type, self.intake.on_pose),
             self.scans: ("cloud", self.scan_type, self.intake.on_cloud),
         }
-        self.topics = [name for name in self._read if name]
+        self.topics = [name for name in self._handlers if name]
         self._stamps: dict[str, list[int]] = {}
         self._undecoded: dict[str, list[str]] = {}
 
-    def _first(self, topic: str, kind: str) -> Any:
-        """The first message of a topic that can be decoded; None without one."""
+    def _first_message(self, topic: str, kind: str) -> Any:
+        """Return the first message of a topic that can be decoded; None without one."""
         for message in self._bag.messages([topic]):
             with contextlib.suppress(MessageError):
                 return self._bag.decode(message.raw, kind)
         return None
 
-    def _transforms(self, topic: str, take: Callable[[Any], object]) -> None:
+    def _read_transforms(self, topic: str, use: Callable[[Any], object]) -> None:
         for message in self._bag.messages([topic]):
             with contextlib.suppress(MessageError):
-                take(self._bag.decode(message.raw, types.TRANSFORMS_TYPE))
+                use(self._bag.decode(message.raw, types.TRANSFORMS_TYPE))
 
-    def _mount_of_tf(
+    def _find_tf_mounts(
         self, config: Config, pose: Any, transforms: list[str], adapt: bool
     ) -> dict[str, Any]:
-        """The setting by which ``/tf_static`` gives the mount; empty where it does not say it, or
-        says that there is none. ``pose``: the first one. ``adapt``: look into ``/tf`` as well."""
-        scan = self._first(self.scans, self.scan_type)
+        """Fill ``tf_mounts``; return the setting that uses ``/tf_static``, empty if it has no mount
+        or a zero one. ``pose``: the first one. ``adapt``: also use ``/tf``."""
+        scan = self._first_message(self.scans, self.scan_type)
         if scan is None:
             return {}
         tree, lidar = FixedTransforms(), scan.header.frame_id
         static = [name for name in transforms if name.endswith(topics.TRANSFORMS_TOPIC)]
         for topic in static:
             with contextlib.suppress(MessageError):
-                self._transforms(topic, partial(add_transforms, tree))
+                self._read_transforms(topic, partial(add_transforms, tree))
         body = config.frames.body or getattr(pose, "child_frame_id", "")
         for name, mount in _mounts(tree, config, body, lidar):
             self.tf_mounts[name] = mount, {"mount.source": "tf", "frames.body": name}
@@ -173,7 +172,7 @@ class Stream:
             self.notes.append(one_line(f"{text}; the nodes need mount.source: tf"))
             return {"mount.source": "tf"}
         if adapt and not self.tf_mounts:
-            for link in self._unmoved([name for name in transforms if name not in static]):
+            for link in self._constant_transforms([t for t in transforms if t not in static]):
                 tree.add(*link)
             known = lidar.lstrip("/") in tree.frames()
             for frame in [lidar] if known else tree.frames() if body else []:
@@ -183,32 +182,32 @@ class Stream:
                     self.tf_mounts[text] = mount, values
         return {}
 
-    def _unmoved(self, transforms: list[str]) -> list[tuple[str, str, Pose]]:
-        """Parent, child and pose of the transforms on ``/tf`` that do not change."""
+    def _constant_transforms(self, topics: list[str]) -> list[tuple[str, str, Pose]]:
+        """Return parent, child and pose of the transforms on ``/tf`` that do not change."""
         tree = FixedTransforms()
         links: dict[tuple[str, str], Pose] = {}
         moving: set[tuple[str, str]] = set()
 
-        def take(msg: Any) -> None:
+        def add(msg: Any) -> None:
             for item in msg.transforms:
                 pose, names = mount_from_message(item), (item.header.frame_id, item.child_frame_id)
                 if tree.add(*names, pose):
                     moving.update({names} & links.keys())
                     links.setdefault(names, pose)
 
-        for topic in transforms:
-            self._transforms(topic, take)
+        for topic in topics:
+            self._read_transforms(topic, add)
         return [(*names, pose) for names, pose in links.items() if names not in moving]
 
     def ready(self, part: Part, progress: Progress | None = None) -> Iterator[ReadyScan]:
         """Yield the scans of a part of the bag, each with the lidar's pose at its stamp."""
         for message in part.messages(self._bag, self.topics, progress):
-            self.take(message)
+            self.process(message)
             yield from self.intake.ready(message.received_ns)
 
-    def take(self, message: RawMessage) -> int | None:
-        """Give a message to the intake; return the stamp if it is a usable scan."""
-        what, kind, take = self._read[message.topic]
+    def process(self, message: RawMessage) -> int | None:
+        """Pass a message to the intake; return the stamp if it is a usable scan."""
+        what, kind, handle = self._handlers[message.topic]
         try:
             msg = self._bag.decode(message.raw, kind)
         except MessageError as error:
@@ -217,23 +216,23 @@ class Stream:
             return None
         with contextlib.suppress(MessageError):  # the intake counts it
             self._stamps.setdefault(message.topic, []).append(stamp_ns(msg.header))
-        if self.hear is not None:
-            self.hear(what, msg, message)
+        if self.on_message is not None:
+            self.on_message(what, msg, message)
         if what == "cloud":
             return self.intake.on_cloud(msg, message.received_ns)
-        take(msg)
+        handle(msg)
         return None
 
     @property
     def losses(self) -> list[str]:
-        """One line for each topic with messages that could not be decoded so far."""
+        """One line for each topic with messages that could not be decoded."""
         return [
             one_line(f"{len(texts)} messages of {topic} lost: {texts[0]}")
             for topic, texts in self._undecoded.items()
         ]
 
     def counts(self) -> dict[str, Any]:
-        """Entries of ``summary.json``, so far."""
+        """Return entries of ``summary.json``."""
         return {
             "scan_topic": self.scans,
             "pose_topic": self.poses,
@@ -248,21 +247,21 @@ class Stream:
 def _mounts(
     tree: FixedTransforms, config: Config, body: str, lidar: str
 ) -> Iterator[tuple[str, Pose]]:
-    """Mounts that a tree allows, without those that change nothing, by the body's frame: ``body``,
-    or any frame if that is not known."""
+    """Yield the body's frame and the mount for each possible mount of a tree, except the identity.
+    ``body``: if empty, any frame can be the body."""
     for name in [body.lstrip("/")] if body else sorted({*tree.frames()} - {config.frames.map}):
         mount = tree.between(name, lidar)
         if mount is not None:
-            place, turn = mount.position, mount.rotation_map_lidar
-            if not (np.allclose(place, 0.0) and np.allclose(turn, np.eye(3), atol=1e-6)):
+            position, rotation = mount.position, mount.rotation_map_lidar
+            if not (np.allclose(position, 0.0) and np.allclose(rotation, np.eye(3), atol=1e-6)):
                 yield name, mount
 
 
-def mount_values(position: Array, turn: Array, digits: int = 3) -> dict[str, Any]:
-    """The parameters of a fixed mount; ``digits`` of the angles."""
+def mount_values(position: Array, rotation: Array, digits: int = 3) -> dict[str, Any]:
+    """Return the parameters of a fixed mount, angles rounded to ``digits``."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # at a pitch of 90 deg yaw is set to 0
-        angles = np.round(Rotation.from_matrix(turn).as_euler("xyz", degrees=True), digits)
+        angles = np.round(Rotation.from_matrix(rotation).as_euler("xyz", degrees=True), digits)
     angles = np.where(angles == -180.0, 180.0, angles) + 0.0
     names = ("x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg")
     values = (*np.round(position, 4).tolist(), *angles.tolist())
@@ -270,8 +269,8 @@ def mount_values(position: Array, turn: Array, digits: int = 3) -> dict[str, Any
 
 
 class LandingTopics:
-    """Feeds `LandingRequests` from an open bag, except the names that are fixed. Messages before
-    ``start_ns`` are taken at once, because these topics are latched."""
+    """Feeds `LandingRequests` from an open bag, except fixed names. Messages before ``start_ns``
+    are used at once, because these topics are latched."""
 
     def __init__(self, requests: LandingRequests, bag: Bag, start_ns: int) -> None:
         self.requests = requests
@@ -279,20 +278,20 @@ class LandingTopics:
         self.notices: list[Notice] = []
         if self.names:
             for message in bag.messages(list(self.names), 0, start_ns):
-                self.take(bag, message)
+                self.process(bag, message)
 
-    def take(self, bag: Bag, message: RawMessage) -> bool:
-        """Take a message; False if it is not of these topics."""
+    def process(self, bag: Bag, message: RawMessage) -> bool:
+        """Use a message of these topics; return False for others."""
         name = self.names.get(message.topic)
         if name is None:
             return False
         msg = None
         try:
             msg = bag.decode(message.raw, TYPES[name])
-            self.requests.take(name, msg)
+            self.requests.use_message(name, msg)
         except MessageError as error:
             if msg is None:
-                self.requests.refuse(name, error)
+                self.requests.mark_unusable(name, error)
             self.notices.append(Notice(f"{name}_{error.reason}", f"landing/{name}: {error}"))
         return True
 
@@ -302,31 +301,30 @@ class MapPairs:
 
     def __init__(self, cells_topic: str, observed_topic: str) -> None:
         self.topics = (cells_topic, observed_topic)
-        self._held: dict[str, Any] = {}
+        self._last: dict[str, Any] = {}
 
     @classmethod
-    def alone(cls, bag: Bag, scan_topic: str | None = None) -> MapPairs | None:
-        """The map topics of an open bag without scans; None if it has scans or no maps."""
+    def of_maps_only(cls, bag: Bag, scan_topic: str | None = None) -> MapPairs | None:
+        """Find the map topics of an open bag without scans; None if it has scans or no maps."""
         if scan_topic is not None:
             return None
         clouds = topics.candidates(bag, types.SCAN_TYPE)
         grids = topics.candidates(bag, outputs.GRID_TYPE)
         for name in clouds:
-            place = name.removesuffix(outputs.CELLS)
-            if name.endswith(f"/{outputs.CELLS}") and place + outputs.OBSERVED in grids:
-                clouds_of = (outputs.CELLS, outputs.SITE_TABLE, outputs.STATUS)
-                others = set(clouds) - {place + own for own in clouds_of}
-                return None if others else cls(name, place + outputs.OBSERVED)
+            prefix = name.removesuffix(outputs.CELLS)
+            if name.endswith(f"/{outputs.CELLS}") and prefix + outputs.OBSERVED in grids:
+                own_clouds = (outputs.CELLS, outputs.SITE_TABLE, outputs.STATUS)
+                others = set(clouds) - {prefix + own for own in own_clouds}
+                return None if others else cls(name, prefix + outputs.OBSERVED)
         return None
 
-    def take(self, bag: Bag, message: RawMessage, lss: LssConfig | None = None) -> CellMap | None:
-        """Take a message of an open bag; return the map that it completes, if any. ``lss``: for
-        which the map is checked, if any. Raises `MessageError`: not a message of ``mapping_node``.
-        """
+    def add(self, bag: Bag, message: RawMessage, lss: LssConfig | None = None) -> CellMap | None:
+        """Add a message; return the map that it completes, else None. ``lss``: as in
+        `decode_cells`. Raises `MessageError`: not a message of ``mapping_node``."""
         kind = types.SCAN_TYPE if message.topic == self.topics[0] else outputs.GRID_TYPE
-        self._held[message.topic] = bag.decode(message.raw, kind)
-        cells, observed = (self._held.get(topic) for topic in self.topics)
+        self._last[message.topic] = bag.decode(message.raw, kind)
+        cells, observed = (self._last.get(topic) for topic in self.topics)
         if not cells or not observed or stamp_ns(cells.header) != stamp_ns(observed.header):
             return None
-        self._held.clear()
+        self._last.clear()
         return outputs.map_from_messages(cells, observed, lss)

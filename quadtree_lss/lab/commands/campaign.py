@@ -29,7 +29,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add = parser.add_argument
     add("study", metavar="STUDY.yaml", help="a study")
     text = "folder of the campaign (default campaigns/STUDY); resumed if it is there"
-    add("--out", type=common.named, metavar="DIR", help=text)
+    add("--out", type=common.path, metavar="DIR", help=text)
     where = parser.add_mutually_exclusive_group()
     text = "processes on this computer (default: one for each core)"
     where.add_argument("--workers", type=common.whole(1), metavar="N", help=text)
@@ -42,7 +42,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 def _run(options: argparse.Namespace) -> int:
     options.out = options.out or Path("campaigns", Path(options.study).stem)
     if options.keep is not None:
-        common.refuse(options, "--keep, which flies one after the other here", *FLYING)
+        common.reject_options(options, "--keep, which flies one after the other here", *FLYING)
     from quadtree_lss.lab.campaign.engine import campaign, keep
     from quadtree_lss.lab.campaign.study import parse_seeds, read_study
 
@@ -69,7 +69,7 @@ def _run(options: argparse.Namespace) -> int:
             stop=interruption.asked,
             tell=warn,
         )
-    common.tell(options, result, f"page and tables in {result.out}")
+    common.show_result(options, result, f"page and tables in {result.out}")
     if result.interrupted:
         say(f"interrupted: {len(result.records)} of {result.study.count} flights are done")
         return common.INTERRUPTED

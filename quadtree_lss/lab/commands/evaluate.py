@@ -30,15 +30,15 @@ SEEDS = "90000-90219"
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add = common.add_command(commands, "evaluate", _evaluate, TEXT, EXAMPLES).add_argument
-    add("results", type=common.named, metavar="DIR", help="folder that replay wrote")
+    add("results", type=common.path, metavar="DIR", help="folder that replay wrote")
     text = "truth.npz of the simulation"
-    add("--truth", required=True, type=common.named, metavar="NPZ", help=text)
+    add("--truth", required=True, type=common.path, metavar="NPZ", help=text)
     text = "folder for scores and page (default DIR/evaluation)"
-    add("--out", type=common.named, metavar="DIR", help=text)
+    add("--out", type=common.path, metavar="DIR", help=text)
     parser = common.add_command(commands, "fit-risk", _fit, FIT, FIT_EXAMPLES)
     add = parser.add_argument
     text = "file to write (default risk_model.yaml)"
-    add("--out", type=common.named, default=Path("risk_model.yaml"), metavar="YAML", help=text)
+    add("--out", type=common.path, default=Path("risk_model.yaml"), metavar="YAML", help=text)
     add("--seeds", default=SEEDS, metavar="LIST", help=f"of the flights (default {SEEDS})")
     add("--families", metavar="LIST", help="of flights, of those that the docs list (all)")
     common.add_config_options(parser)
@@ -49,7 +49,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     from quadtree_lss.lab.evaluation.evaluate import evaluate
 
     result = evaluate(options.results, options.truth, options.out)
-    common.tell(options, result, f"page and numbers in {result.out}")
+    common.show_result(options, result, f"page and numbers in {result.out}")
     return common.DONE
 
 

@@ -61,9 +61,9 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "of terrain and noise (default 1)"
     add("--seed", type=common.whole(0), default=1, metavar="N", help=text)
     text = "bag to write (default SCENARIO_SEED/bag)"
-    add("--out", type=common.named, metavar="BAG", help=text)
+    add("--out", type=common.path, metavar="BAG", help=text)
     add("--duration", type=common.positive, metavar="D", help="seconds of flight")
-    add("--terrain", type=common.named, metavar="DEM", help=TERRAIN)
+    add("--terrain", type=common.path, metavar="DEM", help=TERRAIN)
     add("--range-noise", type=common.not_negative, metavar="M", help="one sigma of a range, m")
     add("--outliers", type=common.share, default=0.0, metavar="F", help="share of false returns")
     add("--dropouts", type=common.share, default=0.0, metavar="F", help="share of missing returns")
@@ -76,12 +76,12 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     text = "of ground, start, navigation, lidar"
     add("--seed", type=common.whole(0), default=1, metavar="N", help=text)
     text = "folder for the results (default results/<time>)"
-    add("--out", type=common.named, metavar="DIR", help=text)
+    add("--out", type=common.path, metavar="DIR", help=text)
     text = "without ROS: the nodes' functions, called in the flight's own time"
     add("--lockstep", action="store_true", help=text)
     text = "by the nodes; by the paper's rules; straight to the planned point; by the true ground"
     add("--avoidance", choices=AVOIDANCE, default="package", help=text)
-    add("--terrain", type=common.named, metavar="DEM", help=TERRAIN)
+    add("--terrain", type=common.path, metavar="DEM", help=TERRAIN)
     text = "share of the ground that rocks cover (default 0.05, with --terrain none)"
     add("--rocks", type=common.share, metavar="K", help=text)
     text = "KIND@HEIGHT or KIND@HEIGHT+SECONDS; may be repeated; kinds in studies/RESULTS.md"
@@ -144,14 +144,14 @@ def _simulate(options: argparse.Namespace) -> int:
 
     options.out = options.out or Path(f"{options.scenario}_{options.seed}", "bag")
     then = f"closes {options.out} and writes truth.npz for what was flown so far"
-    verbose, how = options.verbose, common.given(options, *GIVEN)
+    verbose, how = options.verbose, common.keywords(options, *GIVEN)
     with (
         console.Interruption(then) as interruption,
         console.ProgressBar("simulate", "scans", verbose) as bar,
     ):
         how |= {"progress": bar.update, "stop": interruption.asked}
         result = simulate(options.scenario, options.out, **how)
-    common.tell(options, result)
+    common.show_result(options, result)
     if result.interrupted:
         console.say(f"interrupted: the bag has the first {result.scans} scans")
         return common.INTERRUPTED

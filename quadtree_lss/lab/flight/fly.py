@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A flight in lock-step, from a seed and settings to figures.
 
-Without transport, in the flight's time: `Intake`, `Mapper` and `Passes`, as in nodes and replay.
+Without transport, in the flight's time: `Intake`, `Mapper` and `Assessments`, as in a replay.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from quadtree_lss.desk.bags.message_types import typestore
+from quadtree_lss.desk.replay.assessments import Assessments, TargetChange
 from quadtree_lss.desk.replay.history import History
-from quadtree_lss.desk.replay.passes import Passes, TargetChange
 from quadtree_lss.lab.flight.flight import Flight, Sent, flight_config
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.settings import FlightSettings
@@ -131,9 +131,9 @@ class LockstepNodes:
     def take(self, sent: Sent, now_ns: int) -> None:
         topic, message = sent.topic, sent.message(self._make)
         if topic == "nav/pose":
-            self._requests.navigation.take(message)
+            self._requests.navigation.use_pose(message)
         if topic.startswith("landing/"):
-            self._requests.take(topic.removeprefix("landing/"), message)
+            self._requests.use_message(topic.removeprefix("landing/"), message)
             self._passes.landing_changed()
         elif "mapping" in self._down:
             return
@@ -206,8 +206,8 @@ class LockstepNodes:
         self._waiting: list[tuple[int, LandingAssessment]] = []
         self._said: LandingAssessment | None = None
         self._said_ns, self._chosen = 0, False
-        self._passes = Passes(self._config, self._requests.arguments)
-        self._passes.on_answer.append(self._answer)
+        self._passes = Assessments(self._config, self._requests.arguments)
+        self._passes.on_assessment.append(self._answer)
         if self.history is not None:
-            self._passes.on_answer.append(self.history.landing)
+            self._passes.on_assessment.append(self.history.landing)
         self._passes.changes = self.targets

@@ -15,8 +15,8 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from quadtree_lss.desk.player.player import PlayError, wait_for_subscribers
+from quadtree_lss.desk.replay.assessments import TargetChange
 from quadtree_lss.desk.replay.configuration import dump_config
-from quadtree_lss.desk.replay.passes import TargetChange
 from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent, flight_config
 from quadtree_lss.lab.flight.fly import Flown, figures_of, fly
 from quadtree_lss.lab.flight.settings import FlightSettings
@@ -129,9 +129,9 @@ class LiveNodes:
         """Publish a message."""
         message = sent.message(self._make)
         if sent.topic.startswith("landing/"):
-            self.requests.take(sent.topic.removeprefix("landing/"), message)
+            self.requests.use_message(sent.topic.removeprefix("landing/"), message)
         elif sent.topic == "nav/pose":
-            self.requests.navigation.take(message)
+            self.requests.navigation.use_pose(message)
         self._publishers[sent.topic].publish(message)
 
     def work(self, now_ns: int) -> list[Array | None]:

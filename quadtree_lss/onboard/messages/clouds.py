@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Point clouds as they arrive, to arrays of points in the lidar frame.
+"""Decoding of point clouds into arrays of points in the lidar frame.
 
-Anything with the attributes of ``sensor_msgs/PointCloud2`` will do: rclpy's message and that of
-``rosbags`` are decoded by the same code, so a node and a replay see the same points (both go
-through `messages.intake.Intake`).
+The functions accept any object with the attributes of ``sensor_msgs/PointCloud2``. Nodes (rclpy)
+and replay (``rosbags``) therefore share this code and get the same points.
 """
 
 from __future__ import annotations
@@ -26,16 +25,17 @@ FLOAT_TYPES = {7: "f4", 8: "f8"}
 """Datatype constants of ``sensor_msgs/PointField`` that coordinates may have."""
 
 MAX_POINTS = 1 << 22
-"""A larger cloud is taken for a damaged one."""
+"""Clouds with more points are rejected as damaged."""
 
 MAX_DISTANCE = 1e6
-"""Metres; coordinates beyond are absurd."""
+"""Limit of plausible coordinates, m."""
 
 MAX_ANGLE = 2.0 * np.pi + 1e-3
+"""Limit of plausible angles, rad: one turn and rounding."""
 
 
 class MessageError(QuadtreeLssError):
-    """A message cannot be used. ``reason``: short key under which it is counted."""
+    """A message cannot be used; it is counted under the short key ``reason``."""
 
     def __init__(self, reason: str, text: str) -> None:
         super().__init__(text)
@@ -43,16 +43,16 @@ class MessageError(QuadtreeLssError):
 
 
 def points_from_cloud(msg: Any) -> Points:
-    """Points of a cloud in lidar axes, m; NaN where a coordinate is missing: no return.
+    """Decode the points of a cloud, lidar axes, m; NaN means no return.
 
     The fields are x, y, z or range, azimuth, elevation (m, rad; Eq. 14: z boresight, x right, y
     down), each float32 or float64, at any offset, in either byte order, with any padding of points
-    and rows. Infinite coordinates are no returns either. Single coordinates beyond ``MAX_DISTANCE``
-    are limited to it, so that the range gate counts them. Points that lie in the message as the
-    core takes them are not copied: the answer is then a view of its data. ``msg``: like
-    ``sensor_msgs/PointCloud2``. Returns (H, W, 3) float32 or float64 for an organised cloud (height
-    > 1), otherwise (N, 3). Raises `MessageError`: with reason ``size``, ``fields``, ``field_type``,
-    ``layout``, ``too_large``, ``units`` or ``absurd``.
+    and rows. Infinite coordinates become NaN; coordinates beyond ``MAX_DISTANCE`` are clipped to
+    it, so that the range gate counts them. ``msg``: like ``sensor_msgs/PointCloud2``.
+
+    Returns (H, W, 3) float32 or float64 for an organised cloud (height > 1), otherwise (N, 3); a
+    view of the message if its layout allows. Raises `MessageError` with reason ``size``,
+    ``fields``, ``field_type``, ``layout``, ``too_large``, ``units`` or ``absurd``.
     """
     height, width = _count(msg, "height"), _count(msg, "width")
     data = bytes_of(msg.data)
@@ -67,10 +67,10 @@ def points_from_cloud(msg: Any) -> Points:
     names, fields = _coordinate_fields(msg.fields)
     _check_layout(msg, fields, data.size)
     kinds = [FLOAT_TYPES[int(field.datatype)] for field in fields]
-    seen = _view(msg, fields, kinds, data) if names is CARTESIAN else None
-    if seen is not None and not reach_beyond(seen.reshape(-1, 3), MAX_DISTANCE):
-        return seen if height > 1 else seen[0]
-    first, second, third = (column(msg, *of) for of in zip(fields, kinds, strict=True))
+    view = _view(msg, fields, kinds, data) if names is CARTESIAN else None
+    if view is not None and not reach_beyond(view.reshape(-1, 3), MAX_DISTANCE):
+        return view if height > 1 else view[0]
+    first, second, third = (column(msg, *pair) for pair in zip(fields, kinds, strict=True))
     with np.errstate(invalid="ignore", over="ignore"):
         if names is CARTESIAN:
             points = np.empty((height, width, 3), np.result_type(first, second, third))
@@ -82,9 +82,11 @@ def points_from_cloud(msg: Any) -> Points:
 
 
 def column(msg: Any, field: Any, kind: str) -> NDArray[Any]:
-    """(height, width) values of one field of a cloud that `points_from_cloud` has taken. ``kind``:
-    NumPy's word for the field's type, without byte order. Raises `MessageError`: ``layout`` if the
-    field lies outside a point or is no single value."""
+    """View one field of a cloud that `points_from_cloud` has accepted, (height, width).
+
+    ``kind``: NumPy type code without byte order. Raises `MessageError` with reason ``layout`` if
+    the field lies outside a point or has several values.
+    """
     data = bytes_of(msg.data)
     shape, strides = (msg.height, msg.width), (_row_step(msg, data.size), msg.point_step)
     order, (start, _) = ">" if msg.is_bigendian else "<", _span(msg, field, kind)
@@ -92,8 +94,7 @@ def column(msg: Any, field: Any, kind: str) -> NDArray[Any]:
 
 
 def layout_note(msg: Any) -> str:
-    """Which sizes of a cloud that `points_from_cloud` has taken are wrong, and how they were read;
-    empty if none is."""
+    """Describe wrong sizes in a cloud that `points_from_cloud` has accepted; empty without any."""
     size = bytes_of(msg.data).size
     row_step, packed = int(msg.row_step), int(msg.width) * int(msg.point_step)
     misread = row_step < packed or int(msg.height) > 1
@@ -112,20 +113,26 @@ def layout_note(msg: Any) -> str:
 
 
 def _row_step(msg: Any, size: int) -> int:
-    """Bytes from row to row. Data of exactly height * width * point_step bytes has no padding,
-    whatever ``row_step`` says: some drivers leave it 0, or give points or the whole size."""
+    """Return the bytes from row to row.
+
+    Data of exactly height * width * point_step bytes has no padding. ``row_step`` is then ignored,
+    because some drivers set it to 0, the number of points or the whole size.
+    """
     packed = int(msg.width) * int(msg.point_step)
     return packed if size == int(msg.height) * packed else int(msg.row_step)
 
 
 def _span(msg: Any, field: Any, kind: str) -> tuple[int, int]:
-    """First byte of a field in each point, and the one after its last. A count of 0, or of the
-    cloud's points, is a driver's slip for 1. Raises `MessageError`."""
+    """Return the first byte of a field in each point and the one after its last.
+
+    A count of 0 or of all points is read as 1, because some drivers send these. Raises
+    `MessageError`.
+    """
     start, end = int(field.offset), int(field.offset) + int(kind[1])
     single = int(field.count) in (0, 1, int(msg.height) * int(msg.width))
     if not single or start < 0 or end > msg.point_step:
         text = (
-            f"cloud field '{field.name}', {field.count} at bytes {start}..{end}, is no single value"
+            f"cloud field '{field.name}', {field.count} at bytes {start}..{end}, is not one value"
             f" within a point of {msg.point_step} bytes"
         )
         raise MessageError("layout", text)
@@ -133,8 +140,8 @@ def _span(msg: Any, field: Any, kind: str) -> tuple[int, int]:
 
 
 def stamp_ns(header: Any) -> int:
-    """Stamp of a ``std_msgs/Header`` in integer nanoseconds. Raises `MessageError`: ``stamp`` if
-    its nanoseconds are no fraction of a second."""
+    """Return the stamp of a ``std_msgs/Header``, ns. Raises `MessageError` with reason ``stamp``
+    if its nanoseconds exceed a second."""
     seconds, nanoseconds = int(header.stamp.sec), int(header.stamp.nanosec)
     if not 0 <= nanoseconds < 1_000_000_000:
         text = f"stamp {seconds} s + {nanoseconds} ns: the nanoseconds exceed a second"
@@ -151,7 +158,7 @@ def _count(msg: Any, name: str) -> int:
 
 
 def bytes_of(data: Any) -> Bytes:
-    """The bytes without a copy where the type allows it: array.array, bytes, NumPy."""
+    """View data as bytes; copy them only if the type has no buffer."""
     try:
         return np.frombuffer(data, dtype=np.uint8)
     except (TypeError, ValueError, BufferError):
@@ -159,7 +166,7 @@ def bytes_of(data: Any) -> Bytes:
 
 
 def _copied_bytes(data: Any) -> Bytes:
-    """Bytes of a list, an array with gaps or an empty buffer."""
+    """Copy the bytes of a list, a strided array or an empty buffer."""
     try:
         values = np.asarray(data).reshape(-1)
     except (TypeError, ValueError, OverflowError):
@@ -173,21 +180,21 @@ def _copied_bytes(data: Any) -> Bytes:
 
 
 def _view(msg: Any, fields: list[Any], kinds: list[str], data: Bytes) -> Points | None:
-    """(height, width, 3) of the bytes themselves; None if they do not lie so."""
+    """View the coordinates as (height, width, 3); None if their layout does not allow it."""
     kind, size, start = kinds[0], int(kinds[0][1]), int(fields[0].offset)
     address = data.__array_interface__["data"][0] + start
     row_step = _row_step(msg, data.size)
     aligned = not any(n % size for n in (address, msg.point_step, row_step))
-    together = [int(field.offset) for field in fields] == [start, start + size, start + 2 * size]
-    same = kinds == [kind] * 3 and bool(msg.is_bigendian) == (sys.byteorder == "big")
-    if not (aligned and together and same):
+    adjacent = [int(field.offset) for field in fields] == [start, start + size, start + 2 * size]
+    native = kinds == [kind] * 3 and bool(msg.is_bigendian) == (sys.byteorder == "big")
+    if not (aligned and adjacent and native):
         return None
     shape, strides = (msg.height, msg.width, 3), (row_step, msg.point_step, size)
     return np.ndarray(shape, kind, data, start, strides)
 
 
 def _check_layout(msg: Any, fields: list[Any], size: int) -> None:
-    """Of the coordinates' fields, in ``size`` bytes of data. Raises `MessageError`."""
+    """Check the coordinate fields against ``size`` bytes of data. Raises `MessageError`."""
     point_step = _count(msg, "point_step")
     _count(msg, "row_step")
     row_step = _row_step(msg, size)
@@ -208,12 +215,11 @@ def _check_layout(msg: Any, fields: list[Any], size: int) -> None:
     if row_step < width * point_step:
         text = f"cloud row_step {row_step} is less than {width} points of {point_step} bytes"
         raise MessageError("size", text)
-    # The padding of the last row may be left out. A driver's buffer may be larger than its cloud,
-    # where a single row leaves no question of what is padding.
-    least, most = (height - 1) * row_step + width * point_step, height * row_step
-    longer = height == 1 and row_step == width * point_step
-    if size < least or (size > most and not longer):
-        text = f"cloud of {width} x {height} points needs {most} bytes, has {size}"
+    # The last row may lack its padding. A buffer may be larger than its cloud if that is one row.
+    min_size, max_size = (height - 1) * row_step + width * point_step, height * row_step
+    may_be_larger = height == 1 and row_step == width * point_step
+    if size < min_size or (size > max_size and not may_be_larger):
+        text = f"cloud of {width} x {height} points needs {max_size} bytes, has {size}"
         raise MessageError("size", text)
 
 
@@ -227,24 +233,24 @@ def _coordinate_fields(fields: Any) -> tuple[tuple[str, ...], list[Any]]:
     for names in (CARTESIAN, SPHERICAL):
         if all(name in found for name in names):
             return names, [found[name] for name in names]
-    have = ", ".join(map(str, found)) or "none"
-    text = f"cloud needs fields x, y, z or range, azimuth, elevation; it has {have}"
+    available = ", ".join(map(str, found)) or "none"
+    text = f"cloud needs fields x, y, z or range, azimuth, elevation; it has {available}"
     raise MessageError("fields", text)
 
 
 def _from_spherical(ranges: Array, azimuth: Array, elevation: Array) -> Array:
-    turned = (np.abs(azimuth) > MAX_ANGLE) | (np.abs(elevation) > MAX_ANGLE)
-    wrong = turned | (ranges < 0.0)
-    if wrong.any():
-        if 2 * np.count_nonzero(turned) > np.count_nonzero(np.isfinite(azimuth)):
+    too_large = (np.abs(azimuth) > MAX_ANGLE) | (np.abs(elevation) > MAX_ANGLE)
+    invalid = too_large | (ranges < 0.0)
+    if invalid.any():
+        if 2 * np.count_nonzero(too_large) > np.count_nonzero(np.isfinite(azimuth)):
             text = "cloud azimuth and elevation exceed a turn: degrees where radians are needed?"
             raise MessageError("units", text)
-        ranges = np.where(wrong, np.nan, ranges)
+        ranges = np.where(invalid, np.nan, ranges)
     return points_from_ranges(ranges, azimuth, elevation)
 
 
 def _limit(points: Points) -> None:
-    """Makes infinite coordinates NaN and limits absurd ones, in place."""
+    """Set infinite coordinates to NaN and clip implausible ones, in place."""
     far = np.abs(points) > MAX_DISTANCE
     if not far.any():
         return

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth images as they arrive, to arrays of points in the camera's optical frame.
+"""Decoding of rectified depth images into points in the camera's optical frame.
 
-Those axes (z ahead, x right, y down) are those of a lidar here. A pixel (u, v) of depth z is the
-point (x z, y z, z) with x = (u - cx) / fx, y = (v - cy) / fy: images are rectified.
+The optical axes (z ahead, x right, y down) are the lidar axes. A pixel (u, v) of depth z is the
+point (x z, y z, z) with x = (u - cx) / fx, y = (v - cy) / fy.
 """
 
 from __future__ import annotations
@@ -11,33 +11,30 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.onboard.arrays import Array, Points
+from quadtree_lss.onboard.arrays import Array, Mask, Points
 from quadtree_lss.onboard.config.sections import LidarConfig
 from quadtree_lss.onboard.messages.clouds import MAX_POINTS, MessageError, bytes_of
 
 ENCODINGS = {"16UC1": ("u2", 1e-3), "mono16": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
-"""NumPy's word for a pixel, and its unit in m."""
-STEEP = 4.0
-"""Greatest depth difference of neighbouring pixels on one surface, pixel widths: ground at a
-grazing angle of 14 degrees."""
+"""NumPy type code of a pixel, and its unit in m."""
+EDGE_WIDTHS = 4.0
+"""Maximum depth difference of neighbouring pixels on one surface, pixel widths: ground at a grazing
+angle of 14 degrees."""
+EDGE_SIGMAS = 4.0
+"""Part of that limit due to the noise, standard deviations."""
 COLUMNS = 320
-"""Columns that are used, evenly spaced, with rows at the same spacing: errors of neighbouring
+"""Number of image columns used, evenly spaced; rows have the same spacing. Errors of neighbouring
 stereo pixels are correlated, so a quarter of 640 x 480 has nearly all information."""
-JUMP = 4.0
-"""The same in standard deviations of the noise, which is added."""
-SHORTEST, FARTHEST = 1.0, 1e7
-"""Smallest focal length, and greatest focal length and position of the axis, px."""
+MIN_FOCAL_LENGTH, MAX_INTRINSIC = 1.0, 1e7
+"""Smallest focal length; largest focal length and position of the optical axis, px."""
 
 
 class DepthCamera:
-    """Turns depth images into points.
-
-    Args:
-        lidar: Of which the noise matters.
+    """Converts depth images to points with the noise model of ``lidar``.
 
     Attributes:
-        edges: Pixels of the last image that were dropped because they lie between a near and a far
-            surface.
+        edges: Number of pixels dropped from the last image because they lie between a near and a
+            far surface.
     """
 
     def __init__(self, lidar: LidarConfig) -> None:
@@ -47,10 +44,11 @@ class DepthCamera:
         self._key: tuple[object, ...] = ()
 
     def on_info(self, info: Any) -> None:
-        """Use a ``CameraInfo``. Raises `MessageError`: ``focal_length``, not a pinhole camera."""
-        k, p = (np.array(given, dtype=np.float64) for given in (info.k, info.p))
+        """Use a ``CameraInfo``. Raises `MessageError` with reason ``focal_length`` if it does not
+        describe a pinhole camera."""
+        k, p = (np.array(matrix, dtype=np.float64) for matrix in (info.k, info.p))
         f = p[[0, 5, 2, 6]] if p[0] > 0.0 else k[[0, 4, 2, 5]]
-        if not ((np.abs(f) <= FARTHEST).all() and (f[:2] >= SHORTEST).all()):
+        if not ((np.abs(f) <= MAX_INTRINSIC).all() and (f[:2] >= MIN_FOCAL_LENGTH).all()):
             text = f"camera_info has no focal length or axis of a camera: {f.tolist()} px"
             raise MessageError("focal_length", text)
         key = (*f.tolist(), int(info.width), int(info.height))
@@ -59,18 +57,18 @@ class DepthCamera:
             self._shape, self._rays = (int(info.height), int(info.width)), None
 
     def points(self, image: Any) -> Points:
-        """Points (H, W, 3) float32 of every n-th pixel, see `COLUMNS`, m; NaN = no return.
-        Raises `MessageError`: ``camera_info`` before there is one, ``encoding``, ``size``."""
+        """Return points (H, W, 3) float32 of every n-th pixel (see `COLUMNS`), m; NaN means no
+        return. Raises `MessageError` with reason ``camera_info``, ``encoding`` or ``size``."""
         if self._info is None:
             raise MessageError("camera_info", "a depth image came before any depth/camera_info")
         height, width = int(image.height), int(image.width)
         if image.encoding not in ENCODINGS:
-            text = f"depth image of encoding '{image.encoding}'; known are {', '.join(ENCODINGS)}"
+            text = f"depth image of encoding '{image.encoding}'; supported: {', '.join(ENCODINGS)}"
             raise MessageError("encoding", text)
         kind, unit = ENCODINGS[image.encoding]
         data, size = bytes_of(image.data), int(kind[1])
-        sound = 0 < height * width <= MAX_POINTS and image.step >= width * size
-        if not sound or data.size < (height - 1) * image.step + width * size:
+        plausible = 0 < height * width <= MAX_POINTS and image.step >= width * size
+        if not plausible or data.size < (height - 1) * image.step + width * size:
             text = f"depth image of {width} x {height} {image.encoding} has {data.size} bytes"
             raise MessageError("size", text + f", {image.step} a row")
         if (height, width) != self._shape:
@@ -82,23 +80,17 @@ class DepthCamera:
         if self._rays is None:
             self._rays = self._pixel_rays(height, width, step)
         z = np.asarray(whole[step // 2 :: step, step // 2 :: step], dtype=np.float32)
-        with np.errstate(invalid="ignore", over="ignore"):  # numbers may be any
+        with np.errstate(invalid="ignore", over="ignore"):  # depths are not checked yet
             z = z * np.float32(unit)
             z[~((z > 0.0) & (z < np.inf))] = np.nan
-            most = STEEP * z / np.float32(f[0])
-            most += JUMP * (self._lidar.range_noise + self._lidar.stereo_noise * z * z)
-            flying = np.zeros(z.shape, dtype=np.bool_)
-            for of, own, limit, out in (
-                (whole[:, step // 2 :: step], z, most, flying),
-                (whole[step // 2 :: step].T, z.T, most.T, flying.T),
-            ):  # those that have a neighbour on either side
-                first, count = step // 2, len(of)
-                some = slice(int(first == 0), (count - 2 - first) // step + 1)
-                at = first + step * some.start, first + step * (some.stop - 1) + 1
-                sides = (of[at[0] + k : at[1] + k : step] * np.float32(unit) for k in (-1, 1))
-                out[some] |= _between(own[some], *sides, limit[some])
-        self.edges = int(np.count_nonzero(flying))
-        z[flying] = np.nan
+            limit = EDGE_WIDTHS * z / np.float32(f[0])
+            limit += EDGE_SIGMAS * (self._lidar.range_noise + self._lidar.stereo_noise * z * z)
+            edges = np.zeros(z.shape, dtype=np.bool_)
+            rows, columns = whole[:, step // 2 :: step], whole[step // 2 :: step].T
+            _mark_edges(rows, z, limit, edges, step, np.float32(unit))
+            _mark_edges(columns, z.T, limit.T, edges.T, step, np.float32(unit))
+        self.edges = int(np.count_nonzero(edges))
+        z[edges] = np.nan
         points = np.empty((*z.shape, 3), dtype=np.float32)
         with np.errstate(over="ignore"):
             np.multiply(self._rays, z[..., None], out=points[..., :2])
@@ -115,9 +107,19 @@ class DepthCamera:
         return np.stack([(u - f[2]) / f[0], (v - f[3]) / f[1]], axis=-1).astype(np.float32)
 
 
-def _between(z: Points, before: Points, after: Points, most: Points) -> Array:
-    """Return whether depths lie between those of both neighbours, by more than ``most`` from each;
-    a neighbour of depth 0 has no return."""
-    down, up = z - before, after - z
-    there = (before > 0.0) & (after > 0.0)
-    return there & (((down > most) & (up > most)) | ((down < -most) & (up < -most)))
+def _mark_edges(
+    lines: Points, z: Points, limit: Points, edges: Mask, step: int, unit: np.float32
+) -> None:
+    """Mark pixels whose depth differs by more than ``limit`` from both neighbours along axis 0 and
+    lies between them. ``lines``: all rows of the image in ``unit``, of which ``z`` has every
+    ``step``-th, m. Pixels without two neighbours with a return are not marked."""
+    first, count = step // 2, len(lines)
+    inner = slice(int(first == 0), (count - 2 - first) // step + 1)
+    begin, end = first + step * inner.start, first + step * (inner.stop - 1) + 1
+    before, after = (
+        lines[begin - 1 : end - 1 : step] * unit,
+        lines[begin + 1 : end + 1 : step] * unit,
+    )
+    down, up, most = z[inner] - before, after - z[inner], limit[inner]
+    between = ((down > most) & (up > most)) | ((down < -most) & (up < -most))
+    edges[inner] |= (before > 0.0) & (after > 0.0) & between

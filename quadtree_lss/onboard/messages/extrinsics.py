@@ -14,8 +14,8 @@ from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.poses import mount_from_message
 
-#: Most frames in a message, and the longest accepted name of a frame.
-MAX_SHOWN, MAX_NAME = 50, 1000
+MAX_LISTED_FRAMES, MAX_NAME_LENGTH = 50, 1000
+"""Limits of the frames listed in a warning, and of the characters of a frame's name."""
 
 
 class Extrinsics:
@@ -36,13 +36,13 @@ class Extrinsics:
         return self._found if self.tf else self._fixed
 
     def turned(self, lidar: Pose) -> Pose:
-        """Return the pose of the cloud's axes of a lidar with this pose (``mount.axes``)."""
+        """Convert a pose of the lidar to the pose of the cloud's axes (``mount.axes``)."""
         return replace(lidar, rotation_map_lidar=lidar.rotation_map_lidar @ self._turn)
 
     def check_body(self, frame: str) -> None:
-        """Takes the child frame of an odometry, the first if ``frames.body`` names none. Raises
-        `MessageError`: ``child_frame`` if it is another one."""
-        frame = _usable(frame, "child_frame")
+        """Compare an odometry's child frame with ``frames.body``, or with the first one received.
+        Raises `MessageError` with reason ``child_frame`` if they differ."""
+        frame = _frame_name(frame, "child_frame")
         if not self._body and frame:
             self._body = frame
             self._find_mount()
@@ -52,21 +52,23 @@ class Extrinsics:
             raise MessageError("child_frame", text)
 
     def check_lidar(self, frame: str) -> None:
-        """Takes the frame of a cloud, which matters with ``mount.source: tf`` alone. Raises
-        `MessageError`: ``frame`` if it is another one than before."""
+        """Compare a cloud's frame with the first one received, only with ``mount.source: tf``.
+        Raises `MessageError` with reason ``frame`` if they differ."""
         if not self.tf:
             return
-        frame = _usable(frame, "frame")
+        frame = _frame_name(frame, "frame")
         if frame == self._lidar:
             return
         if self._lidar:
-            text = f"cloud is in frame '{_shown(frame)}', those before in '{_shown(self._lidar)}'"
+            text = (
+                f"cloud is in frame '{_shown(frame)}', the earlier ones in '{_shown(self._lidar)}'"
+            )
             raise MessageError("frame", text)
         self._lidar = frame
         self._find_mount()
 
     def on_transforms(self, msg: Any) -> None:
-        """Takes a ``tf2_msgs/TFMessage`` of ``/tf_static``. Raises as `add_transforms`."""
+        """Use a ``tf2_msgs/TFMessage`` of ``/tf_static``. Raises as `add_transforms`."""
         try:
             add_transforms(self._tree, msg)
         finally:
@@ -76,10 +78,10 @@ class Extrinsics:
         """Return why the mount is not known yet."""
         if not self._body:
             return "the body's frame is not known (frames.body, or the child frame of an odometry)"
-        told = ", ".join(map(_shown, self._tree.frames()[:MAX_SHOWN])) or "none"
+        received = ", ".join(map(_shown, self._tree.frames()[:MAX_LISTED_FRAMES])) or "none"
         return (
             f"/tf_static has no chain from '{_shown(self._body)}' to '{_shown(self._lidar)}'"
-            f" (mount.source tf); frames heard of: {told}"
+            f" (mount.source tf); frames received: {received}"
         )
 
     def _find_mount(self) -> None:
@@ -89,27 +91,28 @@ class Extrinsics:
 
 
 def add_transforms(tree: FixedTransforms, msg: Any) -> None:
-    """Adds those of a ``tf2_msgs/TFMessage`` to a tree. Raises `MessageError`: ``stamp``,
-    ``position``, ``quaternion`` or ``frame`` of a transform; the others are added."""
-    wrong: MessageError | None = None
+    """Add the transforms of a ``tf2_msgs/TFMessage`` to a tree. Raises `MessageError` for the first
+    unusable one, with reason ``stamp``, ``position``, ``quaternion`` or ``frame``; the others are
+    added."""
+    first_error: MessageError | None = None
     for item in msg.transforms:
         try:
-            held = mount_from_message(item, "transform")
-            frames = [_usable(of, "frame") for of in (item.header.frame_id, item.child_frame_id)]
+            transform = mount_from_message(item, "transform")
+            names = (item.header.frame_id, item.child_frame_id)
+            frames = [_frame_name(name, "frame") for name in names]
         except MessageError as error:
-            wrong = wrong or error
+            first_error = first_error or error
         else:
-            tree.add(*frames, held)
-    if wrong is not None:
-        raise wrong
+            tree.add(*frames, transform)
+    if first_error is not None:
+        raise first_error
 
 
-def _usable(frame: object, reason: str) -> str:
-    """Name of a frame without its slash. Raises `MessageError`: it is so long that it was hardly
-    meant."""
+def _frame_name(frame: object, reason: str) -> str:
+    """Return a frame's name without its leading slash. Raises `MessageError` if it is too long."""
     name = str(frame).lstrip("/")
-    if len(name) > MAX_NAME:
-        text = f"frame '{_shown(name)}' has a name of more than {MAX_NAME} characters"
+    if len(name) > MAX_NAME_LENGTH:
+        text = f"frame '{_shown(name)}' has a name of more than {MAX_NAME_LENGTH} characters"
         raise MessageError(reason, text)
     return name
 

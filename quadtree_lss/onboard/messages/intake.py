@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From messages to scans with their pose, for nodes and replay."""
+"""Conversion of messages to scans with their poses, for nodes and replay."""
 
 from __future__ import annotations
 
@@ -35,15 +35,16 @@ from quadtree_lss.onboard.messages.poses import (
 from quadtree_lss.onboard.messages.times import PointTimes, offsets_from_cloud
 
 NOISE_RATIO_LIMIT = 1.4
-"""Ratio of observed and configured range noise from which a warning is given, either way."""
+"""Ratio of observed to configured range noise, or its inverse, beyond which a warning is given."""
 
 GAP_NS = 1_500_000_000
-"""Longest gap between poses that is interpolated: at 1 Hz a pose may be late by half a period."""
+"""Longest interpolated gap between poses, ns: at 1 Hz a pose may be late by half a period."""
 BUFFER_NS = 30 * SECOND_NS
-"""Age at which poses are dropped, far above the waiting time of scans."""
+"""Age at which poses are dropped, far above the waiting time of scans, ns."""
 
-GAPS = 9
-"""Gaps between clouds whose median is their period; some clouds may be lost or sent twice."""
+PERIOD_GAPS = 9
+"""Number of gaps between clouds whose median is the scan period, because clouds can be lost or sent
+twice."""
 
 
 class Notice(NamedTuple):
@@ -86,14 +87,14 @@ class _Cloud(NamedTuple):
 
 
 class Intake:
-    """Decodes messages, lets scans wait for poses, counts what cannot be used.
+    """Decodes messages, queues scans until their poses arrive, and counts unusable messages.
 
-    Call `on_pose`, `on_cloud`, `on_gimbal`, `on_transforms` with each message as it comes, then
-    `ready`. No call raises on bad input: it is counted in ``rejected`` (``cloud_<reason>``,
-    ``pose_<reason>``, …; as ``times_<reason>`` clouds that were taken as of one time) or
-    ``queue.dropped`` and told by `notices`. Of ``config``, ``pose``, ``frames``, ``mount`` and
-    ``lidar`` matter: with a mount, poses are the body's; with ``mount.source: gimbal`` the mount
-    comes by `on_gimbal`, with ``mount.source: tf`` by `on_transforms`.
+    Call `on_pose`, `on_cloud`, `on_gimbal`, `on_transforms` with each message in order of arrival,
+    then `ready`. No call raises on bad input: it is counted in ``rejected`` (``cloud_<reason>``,
+    ``pose_<reason>``, …; ``times_<reason>`` for clouds whose point times are ignored) or
+    ``queue.dropped`` and reported by `notices`. ``config``: the sections ``pose``, ``frames``,
+    ``mount`` and ``lidar`` are used. With a mount, poses are those of the body; `on_gimbal` sets
+    the mount with ``mount.source: gimbal``, `on_transforms` with ``mount.source: tf``.
     """
 
     def __init__(
@@ -111,11 +112,11 @@ class Intake:
         self._gate = PoseGate(GAP_NS)
         self._gimbal = self._buffer("gimbal angle") if config.mount.source == "gimbal" else None
         self._extrinsics = Extrinsics(config)
-        held = self._gimbal if self._gimbal is not None else self._extrinsics.mount
+        mount = self._gimbal if self._gimbal is not None else self._extrinsics.mount
         self._mounted: MountedPoses | None = None
-        if held is not None or self._extrinsics.tf:
+        if mount is not None or self._extrinsics.tf:
             lack = self._extrinsics.lack
-            self._mounted = MountedPoses(self._body, held, gimbal_topic, lack)
+            self._mounted = MountedPoses(self._body, mount, gimbal_topic, lack)
         self.queue = ScanQueue(
             self._body if self._mounted is None else self._mounted,
             max_scans=config.pose.queue,
@@ -128,11 +129,11 @@ class Intake:
         self.poses_taken = 0
         self._notices: list[Notice] = []
         self._stamp_ns = 0
-        self._gaps_ns: deque[int] = deque(maxlen=GAPS)
+        self._gaps_ns: deque[int] = deque(maxlen=PERIOD_GAPS)
 
     @property
     def mount(self) -> Pose | None:
-        """Pose of the lidar on the body if it is fixed and known, else None."""
+        """Pose of the lidar on the body; None if it is not fixed or not known."""
         return self._extrinsics.mount
 
     @property
@@ -142,8 +143,8 @@ class Intake:
         return {**clouds, **self.queue.dropped}
 
     def on_pose(self, msg: Any) -> None:
-        """Use a pose of the lidar, or with a mount of the body: ``PoseWithCovarianceStamped``, or
-        ``Odometry``, whose child frame is checked."""
+        """Use a pose of the lidar, or of the body if there is a mount: a
+        ``PoseWithCovarianceStamped``, or an ``Odometry``, whose child frame is checked."""
         limits = self._pose_config
         try:
             if hasattr(msg, "child_frame_id"):
@@ -169,11 +170,11 @@ class Intake:
         elif flaw:
             text = "pose covariance is not symmetric or has a negative eigenvalue: only its"
             self._notices.append(Notice("pose_covariance", f"{text} variances are used"))
-        refused = self._gate.dropped
-        for believed in self._gate.sift(pose):
-            self.poses_taken += self._add(self._body, believed, "pose")
-        if self._gate.dropped > refused:
-            self.rejected["pose_contradiction"] += self._gate.dropped - refused
+        dropped = self._gate.dropped
+        for accepted in self._gate.sift(pose):
+            self.poses_taken += self._add(self._body, accepted, "pose")
+        if self._gate.dropped > dropped:
+            self.rejected["pose_contradiction"] += self._gate.dropped - dropped
             text = "pose ignored: those before and after it lead elsewhere, beyond its covariance"
             self._notices.append(Notice("pose_contradiction", text))
         self._mount()
@@ -208,8 +209,8 @@ class Intake:
             self.reject("camera_info", error)
 
     def on_cloud(self, msg: Any, arrival_ns: int) -> int | None:
-        """Queue a ``PointCloud2`` or depth ``Image``; ``arrival_ns``: of any steady clock, see
-        `ready`. Return the scan's stamp, None if it is unusable."""
+        """Queue a ``PointCloud2`` or depth ``Image``; return its stamp, None if it is unusable.
+        ``arrival_ns``: time on any steady clock, see `ready`."""
         depth = hasattr(msg, "encoding")
         try:
             points = self.camera.points(msg) if depth else points_from_cloud(msg)
@@ -251,7 +252,7 @@ class Intake:
 
     def ready(self, now_ns: int) -> list[ReadyScan]:
         """Return scans whose pose is known, oldest first, and drop those that waited too long.
-        ``now_ns``: present time on the clock of ``arrival_ns``."""
+        ``now_ns``: current time on the clock of ``arrival_ns``."""
         scans = self.queue.pop_ready()
         drops = self.queue.expire(now_ns)
         while drops:
@@ -273,8 +274,8 @@ class Intake:
 
     def notices(self) -> list[Notice]:
         """Return the warnings since the last call."""
-        told, self._notices = self._notices, []
-        return [Notice(reason, one_line(text)) for reason, text in told]
+        notices, self._notices = self._notices, []
+        return [Notice(reason, one_line(text)) for reason, text in notices]
 
     def reject(self, what: str, error: MessageError) -> None:
         """Count an unusable message and add a warning; ``what``: cloud, pose or gimbal."""
@@ -302,8 +303,8 @@ class Intake:
 
 
 def noise_notice(ratio: float, config: Config) -> Notice | None:
-    """Return a warning if the observed range noise differs from the configured one, on which the
-    leaf count depends. ``ratio``: observed over configured (``ScanReport.noise_ratio``)."""
+    """Return a warning if the observed range noise differs from the configured one, because the
+    number of leaves depends on it. ``ratio``: ``ScanReport.noise_ratio``."""
     agrees = 1.0 / NOISE_RATIO_LIMIT <= ratio <= NOISE_RATIO_LIMIT
     if math.isnan(ratio) or agrees:
         return None
@@ -321,8 +322,8 @@ def noise_notice(ratio: float, config: Config) -> Notice | None:
 
 
 def pose_notice(gap: tuple[float, float] | None) -> Notice | None:
-    """Return a warning if scans contradict the covariances of their poses, on which those of the
-    map depend. ``gap``: of `Mapper.pose_gap`."""
+    """Return a warning if scans contradict the covariances of their poses. ``gap``: from
+    `Mapper.pose_gap`."""
     if gap is None:
         return None
     text = (

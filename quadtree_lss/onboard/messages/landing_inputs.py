@@ -16,7 +16,7 @@ from quadtree_lss.onboard.messages.poses import check_frame
 
 AREA, KEEP_OUT, TARGET, DISPERSION = "area", "keep_out", "target", "dispersion"
 KEEP_OUTS = "keep_outs"
-"""Their topics are ``landing/`` and this."""
+"""Names of the topics, without ``landing/``."""
 
 POLYGON_TYPE, POINT_TYPE = "geometry_msgs/msg/PolygonStamped", "geometry_msgs/msg/PointStamped"
 INSTANCE_TYPE = "geometry_msgs/msg/PolygonInstanceStamped"
@@ -30,29 +30,29 @@ TYPES = {
 }
 
 BINDING = (AREA, KEEP_OUT, KEEP_OUTS)
-"""Topics that must be respected: without them no site is published."""
+"""Topics that restrict landing: while one is unusable, no site is published."""
 
-KNOWN_HEADING, WIDEST = np.radians(15.0), 100.0
-"""Greatest standard deviation of a known heading, rad, and of a touchdown, m."""
+MAX_HEADING_SIGMA, MAX_TOUCHDOWN_SIGMA = np.radians(15.0), 100.0
+"""Maximum standard deviation of a known heading, rad, and of a touchdown, m."""
 
-MAX_VERTICES, LONGEST_NAME = 1000, 256
-"""Most vertices of a polygon; characters that are kept of a frame's name."""
+MAX_VERTICES, MAX_FRAME_LENGTH = 1000, 256
+"""Limits of a polygon's vertices, and of the characters stored of a frame's name."""
 
-TOLD = 3
-"""Most unusable inputs that a line names."""
+MAX_LISTED = 3
+"""Limit of the unusable inputs listed in one message."""
 
 SPEED_S = 0.5
-"""Time over which the vehicle's speed is measured."""
+"""Time over which the vehicle's speed is measured, s."""
 
 MAX_KEEP_OUTS = 200
-"""Most keep-outs of the set; others are rejected."""
+"""Limit of the keep-outs of the set; more are rejected."""
 
 
 def polygon_from_message(msg: Any, map_frame: str) -> Array | None:
-    """Vertices (V, 2) in the map frame, m; None if the message has none: no restriction. Raises
-    `MessageError`: with reason ``frame`` or ``polygon``."""
+    """Return vertices (V, 2), map frame, m; None for a message without any: no restriction. Raises
+    `MessageError` with reason ``frame`` or ``polygon``."""
     check_frame(msg.header.frame_id, map_frame, "polygon")
-    polygon = getattr(msg.polygon, "polygon", msg.polygon)  # of one of a set, which has an id
+    polygon = getattr(msg.polygon, "polygon", msg.polygon)  # PolygonInstanceStamped nests it
     corners = np.array([(p.x, p.y) for p in polygon.points], dtype=np.float64)
     if not len(corners):
         return None
@@ -66,35 +66,39 @@ def polygon_from_message(msg: Any, map_frame: str) -> Array | None:
 
 
 def target_from_message(msg: Any, map_frame: str) -> Array | None:
-    """Place (2,) in the map frame, m; None if x and y are both NaN: no target. Raises
-    `MessageError`: with reason ``frame`` or ``point``."""
+    """Return a position (2,), map frame, m; None if x and y are both NaN: no target. Raises
+    `MessageError` with reason ``frame`` or ``point``."""
     check_frame(msg.header.frame_id, map_frame, "target")
-    place = np.array([msg.point.x, msg.point.y], dtype=np.float64)
-    if np.isnan(place).all():
+    position = np.array([msg.point.x, msg.point.y], dtype=np.float64)
+    if np.isnan(position).all():
         return None
-    if not (np.abs(place) <= FARTHEST).all():
-        text = f"target ({place[0]:g}, {place[1]:g}) is not finite or not of this world"
+    if not (np.abs(position) <= FARTHEST).all():
+        text = f"target ({position[0]:g}, {position[1]:g}) is not finite or too far away"
         raise MessageError("point", text)
-    return place
+    return position
 
 
 def dispersion_from_message(msg: Any, map_frame: str) -> Array | None:
-    """Deviations along x and y, m, and heading, rad, if it is known; None if there are none.
+    """Return the standard deviations along x and y, m, and the heading, rad, if it is known; None
+    if the variances are NaN.
 
-    Of the covariance the variances in x and y count, and that of the rotation about z: a heading
-    that is not known to 15 degrees is any. The position means nothing. Raises `MessageError`: with
-    reason ``frame`` or ``dispersion``."""
+    Only the variances of x, y and the rotation about z are used: a heading with a standard
+    deviation above 15 degrees counts as unknown. Raises `MessageError` with reason ``frame`` or
+    ``dispersion``.
+    """
     check_frame(msg.header.frame_id, map_frame, "dispersion")
     covariance = np.asarray(msg.pose.covariance, dtype=np.float64)
     variance = covariance[[0, 7]] if covariance.size == 36 else np.full(2, -1.0)
     if np.isnan(variance).all():
         return None
-    if not ((variance >= 0.0) & (variance <= WIDEST**2)).all():
-        text = f"variances {variance.tolist()} m^2 are not those of at most {WIDEST:g} m"
+    if not ((variance >= 0.0) & (variance <= MAX_TOUCHDOWN_SIGMA**2)).all():
+        text = (
+            f"variances {variance.tolist()} m^2 are not within 0 and ({MAX_TOUCHDOWN_SIGMA:g} m)^2"
+        )
         raise MessageError("dispersion", text)
-    q, known = msg.pose.pose.orientation, 0.0 <= covariance[35] <= KNOWN_HEADING**2
-    x, y, z, w = (float(of) for of in (q.x, q.y, q.z, q.w))
-    along, across = w * w + x * x - y * y - z * z, 2.0 * (w * z + x * y)  # whatever its length
+    q, known = msg.pose.pose.orientation, 0.0 <= covariance[35] <= MAX_HEADING_SIGMA**2
+    x, y, z, w = map(float, (q.x, q.y, q.z, q.w))
+    along, across = w * w + x * x - y * y - z * z, 2.0 * (w * z + x * y)  # of any length
     known &= 0.0 < np.hypot(along, across) < np.inf
     return np.append(np.sqrt(variance), np.arctan2(across, along) if known else [])
 
@@ -111,10 +115,11 @@ WHAT = {topic: topic for topic in TYPES} | dict.fromkeys((AREA, KEEP_OUT, KEEP_O
 
 
 class LandingRequests:
-    """The restrictions of the last messages, as arguments of `assess`.
+    """The current restrictions and targets, as arguments of `assess`.
 
-    An unusable area or keep-out could be anywhere, so no site is published. An unusable target or
-    dispersion leaves the one before. Each keep-out of the set is named ``keep_outs/`` and its id.
+    While an area or keep-out is unusable, no site is published, because it could be anywhere. An
+    unusable target or dispersion leaves the previous value. A keep-out of the set has the name
+    ``keep_outs/<id>``.
 
     Args:
         frame: Frame of the map; None while unknown: any frame is accepted.
@@ -123,7 +128,7 @@ class LandingRequests:
     Attributes:
         values: Current value by name, None without one.
         unusable: Why the last message of a name is unusable.
-        heard: Last message by name: its frame, and its content or error.
+        last_messages: Frame, and content or error, of the last message by name.
         navigation: Motion of the vehicle.
     """
 
@@ -135,26 +140,26 @@ class LandingRequests:
         for number, polygon in enumerate(self.values.pop(KEEP_OUTS, None) or (), 1):
             self.values[f"{KEEP_OUTS}/{number}"] = polygon
         self.unusable: dict[str, str] = {}
-        self.heard: dict[str, tuple[str, Array | MessageError | None]] = {}
+        self.last_messages: dict[str, tuple[str, Array | MessageError | None]] = {}
         self.navigation = Navigation()
 
-    def take(self, topic: str, msg: Any) -> None:
+    def use_message(self, topic: str, msg: Any) -> None:
         """Use a message of ``landing/<topic>``. Raises `MessageError`: it is unusable."""
         if topic in self.fixed:
             return
         name = name_of(topic, msg)
-        full = topic == KEEP_OUTS and name not in self.heard
-        full &= sum(topic_of(of) == KEEP_OUTS for of in self.heard) >= MAX_KEEP_OUTS
-        frame = str(msg.header.frame_id)[:LONGEST_NAME]
+        full = topic == KEEP_OUTS and name not in self.last_messages
+        full &= sum(topic_of(other) == KEEP_OUTS for other in self.last_messages) >= MAX_KEEP_OUTS
+        frame = str(msg.header.frame_id)[:MAX_FRAME_LENGTH]
         content: Array | MessageError | None
         try:
             content = DECODE[topic](msg, msg.header.frame_id)
-        except MessageError as error:  # which holds the message, by its traceback
+        except MessageError as error:  # its traceback would keep the message alive
             content = MessageError(error.reason, str(error))
         if full and content is not None:
             content = MessageError("number", f"there are {MAX_KEEP_OUTS} already")
         if not full:
-            self.heard[name] = frame, content
+            self.last_messages[name] = frame, content
         self._use(name, frame, content)
 
     def _use(self, name: str, frame: str, content: Array | MessageError | None) -> None:
@@ -164,28 +169,28 @@ class LandingRequests:
             if isinstance(content, MessageError):
                 raise MessageError(content.reason, str(content))
         except MessageError as error:
-            self.refuse(name, error)
+            self.mark_unusable(name, error)
             raise
         self.values[name] = content
         self.unusable.pop(name, None)
         if topic == KEEP_OUTS and content is None and self._frame is not None:
             del self.values[name]
-            self.heard.pop(name, None)
+            self.last_messages.pop(name, None)
 
     def use_frame(self, frame: str) -> dict[str, MessageError]:
         """Check all messages against the frame of the map; return the errors by name."""
-        wrong: dict[str, MessageError] = {}
+        errors: dict[str, MessageError] = {}
         if frame != self._frame:
             self._frame = frame
-            for name, heard in list(self.heard.items()):
+            for name, message in list(self.last_messages.items()):
                 self.values[name] = None
                 try:
-                    self._use(name, *heard)
+                    self._use(name, *message)
                 except MessageError as error:
-                    wrong[name] = error
-        return wrong
+                    errors[name] = error
+        return errors
 
-    def refuse(self, name: str, error: MessageError) -> None:
+    def mark_unusable(self, name: str, error: MessageError) -> None:
         """Record that the last message of a name is unusable."""
         known = name in self.unusable or len(self.unusable) < 2 * MAX_KEEP_OUTS
         if known and topic_of(name) not in self.fixed:
@@ -196,9 +201,9 @@ class LandingRequests:
     @property
     def withheld(self) -> str:
         """Return why no site may be published, empty if one may."""
-        whys = [why for name, why in self.unusable.items() if topic_of(name) in BINDING]
-        more = len(whys) - TOLD
-        return "; ".join(whys[:TOLD] + ([f"and {more} more"] if more > 0 else []))
+        reasons = [text for name, text in self.unusable.items() if topic_of(name) in BINDING]
+        more = len(reasons) - MAX_LISTED
+        return "; ".join(reasons[:MAX_LISTED] + ([f"and {more} more"] if more > 0 else []))
 
     def arguments(self) -> dict[str, Any]:
         """Return keyword arguments of ``LandingSiteSelector.assess``."""
@@ -208,7 +213,6 @@ class LandingRequests:
         return {**single, KEEP_OUTS: keep_outs, "withheld": self.withheld, "vehicle": vehicle}
 
     def as_lists(self) -> dict[str, Any]:
-        """Return the current values for a summary."""
         return {k: np.asarray(v).tolist() for k, v in self.values.items() if v is not None}
 
 
@@ -218,32 +222,32 @@ class Navigation:
     def __init__(self) -> None:
         self._frame: str | None = None
         self._vehicle: Motion | None = None
-        self._from = (0, np.full(3, np.nan))
+        self._start = (0, np.full(3, np.nan))  # of the speed: stamp, ns, and position
 
-    def take(self, msg: Any) -> bool:
+    def use_pose(self, msg: Any) -> bool:
         """Use a ``PoseWithCovarianceStamped`` or ``Odometry``; return whether it is usable."""
-        at = msg.pose.pose.position
-        place = np.array([at.x, at.y, at.z], dtype=np.float64)
+        p = msg.pose.pose.position
+        position = np.array([p.x, p.y, p.z], dtype=np.float64)
         now = 10**9 * msg.header.stamp.sec + msg.header.stamp.nanosec
-        if not (np.abs(place) <= FARTHEST).all():
+        if not (np.abs(position) <= FARTHEST).all():
             return False
-        x, y, z = place.tolist()
+        x, y, z = position.tolist()
         before, self._frame = self._frame, str(msg.header.frame_id).lstrip("/")
-        seconds = 1e-9 * (now - self._from[0])
-        goes_on = before == self._frame and 0.0 <= seconds < 5.0 * SPEED_S
-        if not goes_on:  # the first one, of another frame, or after a time jump
-            self._from, self._vehicle = (now, place), Motion(z, 0.0, x, y)
+        seconds = 1e-9 * (now - self._start[0])
+        continues = before == self._frame and 0.0 <= seconds < 5.0 * SPEED_S
+        if not continues:  # first pose, new frame, or time jump
+            self._start, self._vehicle = (now, position), Motion(z, 0.0, x, y)
         elif seconds >= SPEED_S:
-            along_x, along_y, up = ((place - self._from[1]) / seconds).tolist()
+            along_x, along_y, up = ((position - self._start[1]) / seconds).tolist()
             self._vehicle = Motion(z, -up, x, y, along_x, along_y)
-            self._from = now, place
+            self._start = now, position
         elif self._vehicle is not None:
             self._vehicle = self._vehicle._replace(z=z, x=x, y=y)
         return True
 
     @property
     def known(self) -> bool:
-        """Whether any pose was usable."""
+        """True after the first usable pose."""
         return self._vehicle is not None
 
     def vehicle(self, frame: str) -> Motion | None:
@@ -252,10 +256,9 @@ class Navigation:
 
 
 def name_of(topic: str, msg: Any) -> str:
-    """Return the name of what a message sets: each id of a set has its own."""
+    """Return the name of the value that a message sets."""
     return f"{topic}/{msg.polygon.id}" if topic == KEEP_OUTS else topic
 
 
 def topic_of(name: str) -> str:
-    """Return the topic of a name."""
     return name.partition("/")[0]

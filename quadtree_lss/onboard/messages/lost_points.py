@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Texts about scans that did not enter the map, and the likely cause."""
+"""Messages about points that did not enter the map, and their likely cause."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from quadtree_lss.onboard.core.sensing.pose_buffer import seconds
 from quadtree_lss.onboard.core.tree.domain import Domain
 
 TRIED_POINTS = 500
-"""Points of a scan that are tried with other axes and frames."""
+"""Number of points of a scan that are tried with other axes and frames."""
 
 NO_POINTS_USED = "no_points_used"
 """Key of the warning with `unused_points_text`."""
@@ -33,7 +33,7 @@ REASONS = {
     "above": "of scans above the lidar (poses or mount upside down)",
     "contradiction": "contradicting the map (their pose is farther off than it claims)",
 }
-"""Texts for the keys of ``ScanReport.dropped``."""
+"""Descriptions of the keys of ``ScanReport.dropped``."""
 
 
 def misplaced(report: ScanReport) -> bool:
@@ -43,7 +43,7 @@ def misplaced(report: ScanReport) -> bool:
 
 
 def unused_points_text(report: ScanReport, domain: Domain, why: str = "") -> str | None:
-    """Return why no point of a scan entered the map, in one line; None if one did. ``why``: of
+    """Explain in one line why no point of a scan entered the map; None if one did. ``why``: from
     `likely_reason`."""
     if report.points_used:
         return None
@@ -57,7 +57,7 @@ def unused_points_text(report: ScanReport, domain: Domain, why: str = "") -> str
 
 
 def overruled_text(report: ScanReport) -> str | None:
-    """Return a line if the map was changed to match rejected scans, else None."""
+    """Report that the map was shifted to match rejected scans; None if it was not."""
     if not report.overruled:
         return None
     return (
@@ -69,12 +69,11 @@ def overruled_text(report: ScanReport) -> str | None:
 def lost_points_text(lost: Mapping[str, int]) -> str:
     """Format counts by reason, the largest first: ``16384 outside the domain, 3 without a
     return``."""
-    told = sorted(((n, key) for key, n in lost.items() if n), reverse=True)
-    return ", ".join(f"{n} {REASONS[key]}" for n, key in told)
+    counts = sorted(((n, key) for key, n in lost.items() if n), reverse=True)
+    return ", ".join(f"{n} {REASONS[key]}" for n, key in counts)
 
 
 def domain_text(domain: Domain) -> str:
-    """Describe the domain with the parameters that set it."""
     x, y, size = domain.xmin, domain.ymin, domain.size
     return (
         f"the domain is x {x:g} ... {x + size:g}, y {y:g} ... {y + size:g} m"
@@ -87,10 +86,11 @@ LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
 
 
 def likely_reason(points_lidar: Points, pose: Pose, config: Config) -> str:
-    """Find the error in axes or frames that explains why a scan is outside or above the lidar.
+    """Find the error of axes or frames that explains why a scan is outside or above the lidar.
 
-    Each common error is undone on some of the points; the one with most points inside the domain
-    and below the lidar is returned. ``points_lidar``: (..., 3), m. ``pose``: with ``mount.axes``.
+    Each common error is corrected on some of the points; the text describes the one with most
+    points inside the domain and below the lidar, if at least half. ``points_lidar``: (..., 3), m.
+    ``pose``: of the cloud's axes (``mount.axes``).
     """
     points = points_lidar.reshape(-1, 3).astype(np.float64)
     points = points[np.isfinite(points).all(axis=1)]
@@ -99,13 +99,13 @@ def likely_reason(points_lidar: Points, pose: Pose, config: Config) -> str:
         return ""
     p, r = pose.position, pose.rotation_map_lidar
     own = r @ cloud_turn(config.mount).T
-    tries = [
+    corrections = [
         (f"mount.axes: {name}", own @ turn, p)
         for name, turn in AXES.items()
         if name != config.mount.axes
     ]
-    tries += [
-        ("poses whose orientation takes the lidar's axes to the map's, not back", r.T, p),
+    corrections += [
+        ("poses whose orientation rotates lidar axes to map axes", r.T, p),
         ("the pose of a body with z up and a lidar that looks down from it: mount.roll_deg 180",
          own @ LOOKING_DOWN, p),
         ("a cloud in the lidar's axes: this one is in the map's frame already",
@@ -113,16 +113,16 @@ def likely_reason(points_lidar: Points, pose: Pose, config: Config) -> str:
     ]  # fmt: skip
     north = ("poses with x east, y north, z up instead of north, east, down",
              NED_FROM_ENU @ r, NED_FROM_ENU @ p)  # fmt: skip
-    tries.insert(0 if p[2] < 0.0 else len(tries), north)
+    corrections.insert(0 if p[2] < 0.0 else len(corrections), north)
     shares = [
-        _share_inside(points @ turn.T + place, config, place if place.any() else p)
-        for _, turn, place in tries
+        _share_inside(points @ turn.T + origin, config, origin if origin.any() else p)
+        for _, turn, origin in corrections
     ]
     best = int(np.argmax(shares))
     if shares[best] < 0.5:
         return ""
     share = f"{100 * shares[best]:.0f} % of its points"
-    return f"it would lie inside, below the lidar, with {tries[best][0]} ({share})"
+    return f"it would lie inside, below the lidar, with {corrections[best][0]} ({share})"
 
 
 def _share_inside(points_map: Array, config: Config, lidar: Array) -> float:

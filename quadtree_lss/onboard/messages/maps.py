@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The map topics: ``CellMap`` to and from the bytes of ``map/cells``, sites to their messages.
+"""Encoding of maps and assessments as records and grids, and decoding of maps.
 
-Live nodes and replay run the landing site selection on ``decode_cells(encode_cells(...))``, so
-that what was rounded on the way to the wire was rounded for both.
+Live nodes and replay select landing sites on ``decode_cells(encode_cells(...))``, so that both use
+the same rounded values.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs
 #: ``sensor_msgs/PointField`` datatype of a NumPy scalar type.
 POINT_FIELD_TYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 
-_I, _J = np.triu_indices(3)
-_UPPER = [f"{i}{j}" for i, j in zip(_I, _J, strict=True)]
-_OF_UPPER = [0, 1, 2, 1, 3, 4, 2, 4, 5]
-"""Of a symmetric matrix (3, 3) row by row, where its entries are among those of `_UPPER`."""
-_RANGE = tuple(f"covariance_range_{of}" for of in _UPPER)
-_POSE = tuple(f"covariance_pose_{of}" for of in _UPPER)
+_UPPER = ("00", "01", "02", "11", "12", "22")
+"""Row and column of the entries stored of a symmetric 3 x 3 matrix."""
+_UPPER_INDICES = [0, 1, 2, 1, 3, 4, 2, 4, 5]
+"""Index in `_UPPER` of each entry of the matrix, row by row."""
+_RANGE = tuple(f"covariance_range_{entry}" for entry in _UPPER)
+_POSE = tuple(f"covariance_pose_{entry}" for entry in _UPPER)
 _NORMAL = ("normal_x", "normal_y", "normal_z")
 _FEATURE = ("feature_a", "feature_k", "feature_x", "feature_y", "feature_sigma")
 _PLANE = ("size", "elevation", *_NORMAL)
-_REST = (*_RANGE, *_POSE, "roughness", "exception_fraction", *_FEATURE)
-_SAME = "x y count ix iy level measured offset_z offset_variance low high coverage".split()
-"""Fields that are attributes of a `CellMap`, but for those of `pack`."""
+_SINGLE = (*_RANGE, *_POSE, "roughness", "exception_fraction", *_FEATURE)
+_ATTRIBUTES = "x y count ix iy level measured offset_z offset_variance low high coverage".split()
+"""Fields with the name of a `CellMap` attribute, except those written by `pack`."""
 
 
 def record_dtype(*columns: tuple[str, Iterable[str]]) -> np.dtype[np.void]:
-    """Packed little-endian records: types, each with the names of its fields."""
+    """Return packed little-endian records of fields given by type and names."""
     return np.dtype([(name, "<" + kind) for kind, names in columns for name in names])
 
 
@@ -55,7 +55,7 @@ def record_dtype(*columns: tuple[str, Iterable[str]]) -> np.dtype[np.void]:
 CELL_FIELDS = record_dtype(
     ("f4", "xyz"),
     ("f8", _PLANE),
-    ("f4", _REST),
+    ("f4", _SINGLE),
     ("u4", ["count"]),
     ("u2", ("ix", "iy")),
     ("u1", ("level", "min_level", "measured")),
@@ -64,8 +64,8 @@ CELL_FIELDS = record_dtype(
     ("f4", ["coverage"]),
 )
 
-#: Values of ``map/observed``: mapped, seen but not yet mapped, no point fell there.
-KNOWN, SEEN, NOT_SEEN = 100, 50, -1
+#: Values of ``map/observed``: mapped; observed, not yet mapped; not observed.
+MAPPED, OBSERVED, UNOBSERVED = 100, 50, -1
 
 #: A ``landing/site_table`` point.
 SITE_FIELDS = record_dtype(
@@ -75,7 +75,7 @@ SITE_FIELDS = record_dtype(
 )
 
 _NOW = ("now_x", "now_y", "now_z", "now_probability")
-#: The one ``landing/status`` point.
+#: The only ``landing/status`` point.
 STATUS_FIELDS = record_dtype(
     ("f4", (*"xyz", "hazard_distance", "age", "offset_z", "offset_variance")),
     ("u4", ("id", "answer")),
@@ -87,13 +87,13 @@ STATUS_FIELDS = record_dtype(
 
 
 def encode_cells(cells: CellMap) -> NDArray[np.void]:
-    """One record per leaf, (M,) of `CELL_FIELDS`."""
+    """Return one record per leaf, (M,) of `CELL_FIELDS`."""
     out = np.empty(len(cells.level), dtype=CELL_FIELDS)
-    for name in _SAME:
+    for name in _ATTRIBUTES:
         out[name] = getattr(cells, name)
     out["z"] = bounded(cells.z, cells.low, cells.high)
     out["min_level"] = cells.domain.min_level
-    pack(cells, _block(out, _PLANE), _block(out, _REST))
+    pack(cells, _block(out, _PLANE), _block(out, _SINGLE))
     return out
 
 
@@ -106,19 +106,20 @@ def decode_cells(
     lss: LssConfig | None = None,
     known: Mask | None = None,
 ) -> CellMap:
-    """The map from its two messages.
+    """Build the map from the content of its two messages.
 
     Args:
         records: (M,) of `CELL_FIELDS`.
-        observed: (n, n) [iy, ix] of ``map/observed``, of origin ``xmin``, ``ymin``, m.
-        stamp_ns: Stamp that both messages carry.
-        lss: How landing will be judged on it; None if it will not.
-        known: (n, n) where ``map/observed`` does not say that the ground is not yet mapped; None
-            for nowhere.
+        observed: (n, n) [iy, ix], True where a point fell.
+        xmin, ymin: South-western corner of the domain, m.
+        stamp_ns: Stamp of both messages.
+        lss: Settings for landing-site selection on the map; None if there is none.
+        known: (n, n), False where ``map/observed`` says that the ground is not yet mapped; None
+            if it is mapped everywhere.
 
     Raises:
-        MessageError: sizes do not fit, the leaves do not tile the domain, or landing sites
-            cannot be computed on a map so large (``too_large``).
+        MessageError: the sizes are inconsistent, the leaves do not tile the domain, a value is
+            impossible, or the map is too large for landing-site selection (``too_large``).
     """
     n = observed.shape[0]
     if observed.shape != (n, n) or n < 1 or n & (n - 1):
@@ -133,7 +134,7 @@ def decode_cells(
             f" {1 << MAX_LEVEL} cells a side are the most"
         )
         raise MessageError("too_large", msg)
-    level = records["level"].copy()  # kernels take nothing that is read-only
+    level = records["level"].copy()  # kernels need writable arrays
     ix, iy = records["ix"].astype(np.uint32), records["iy"].astype(np.uint32)
     domain = _tiled(records, n, xmin, ymin, lss)
     raster = np.full((n, n), -1, dtype=np.int32)
@@ -169,8 +170,8 @@ def decode_cells(
 def _tiled(
     records: NDArray[np.void], n: int, xmin: float, ymin: float, lss: LssConfig | None
 ) -> Domain:
-    """The domain of n x n finest cells that leaves as large as these may tile; arguments and errors
-    as of `decode_cells`."""
+    """Return the domain of n x n finest cells that the leaves tile, by the sum of their areas.
+    Arguments and errors as of `decode_cells`."""
     level, max_level = records["level"], n.bit_length() - 1
     far = np.maximum(records["ix"], records["iy"]).astype(np.uint32)
     beyond = (level > max_level) | (far >> np.minimum(level, 31) > 0)
@@ -182,7 +183,7 @@ def _tiled(
     try:
         checked_values({f"domain.{name}": value for name, value in vars(domain).items()})
     except ConfigError as error:
-        msg = f"map/cells is of a domain that none can be: {error}"
+        msg = f"map/cells has an invalid domain: {error}"
         raise MessageError("domain", msg) from None
     reason = None if lss is None else exceeded_limit(size, n, lss)
     if reason is not None:
@@ -195,15 +196,15 @@ def _tiled(
 
 
 def _check(cells: CellMap) -> None:
-    """Refuse estimates that none can be. Raises `MessageError`: reason ``values``."""
+    """Raise `MessageError` with reason ``values`` if an estimate is impossible."""
     known = cells.estimated
-    parts = cells.covariance_range, cells.covariance_pose
-    sound = sound_planes(cells.z, cells.normal, *parts, cells.feature)
+    covariances = cells.covariance_range, cells.covariance_pose
+    sound = sound_planes(cells.z, cells.normal, *covariances, cells.feature)
     sound &= ~cells.measured | ((cells.roughness >= 0.0) & (cells.roughness < MOST))
-    off = (cells.offset_z, cells.offset_variance)
-    sound_offset = np.isnan(off).all() or (abs(off[0]) < MOST_HEIGHT and 0.0 <= off[1] < MOST)
-    if not sound_offset:
-        msg = f"map/cells has an impossible offset: {off[0]} m of variance {off[1]}"
+    offset, variance = cells.offset_z, cells.offset_variance
+    possible = abs(offset) < MOST_HEIGHT and 0.0 <= variance < MOST
+    if not (possible or np.isnan((offset, variance)).all()):
+        msg = f"map/cells has an impossible offset: {offset} m of variance {variance}"
         raise MessageError("values", msg)
     if not sound[known].all() or cells.measured[~known].any():
         msg = "map/cells has a leaf with an impossible plane (normal, elevation, covariance)"
@@ -218,19 +219,19 @@ def _check(cells: CellMap) -> None:
 
 
 def _block(records: NDArray[np.void], names: Sequence[str]) -> NDArray[Any]:
-    """(M, K) of fields of one type that lie side by side: of contiguous records a view, which is
-    read at once, in a fourth of the time."""
+    """View adjacent fields of one type as (M, K); of contiguous records without a copy, which is
+    four times as fast as reading field by field."""
     kind, start = (records.dtype.fields or {})[names[0]][:2]
     shape, strides = (len(records), len(names)), (records.itemsize, kind.itemsize)
     return np.ndarray(shape, kind, np.ascontiguousarray(records), start, strides)
 
 
 def _matrices(records: NDArray[np.void], names: Sequence[str]) -> Array:
-    return _block(records, names).astype(float).take(_OF_UPPER, axis=1).reshape(-1, 3, 3)
+    return _block(records, names).astype(float).take(_UPPER_INDICES, axis=1).reshape(-1, 3, 3)
 
 
 def round_trip(cells: CellMap) -> CellMap:
-    """The map as a subscriber gets it: some columns in single precision."""
+    """Round the columns that are sent in single precision, as in a received map."""
     names = "covariance_range covariance_pose coverage roughness exception_fraction feature".split()
     single = {name: getattr(cells, name).astype(np.float32).astype(np.float64) for name in names}
     offset, variance = map(float, np.float32([cells.offset_z, cells.offset_variance]))
@@ -238,7 +239,7 @@ def round_trip(cells: CellMap) -> CellMap:
 
 
 def encode_sites(assessment: LandingAssessment) -> NDArray[np.void]:
-    """One record per ranked site, (K,) of `SITE_FIELDS`, best first."""
+    """Return one record per ranked site, (K,) of `SITE_FIELDS`, best first."""
     sites = assessment.sites
     out = np.zeros(len(sites.score), dtype=SITE_FIELDS)
     _block(out, "xyz")[:] = sites.position
@@ -249,8 +250,8 @@ def encode_sites(assessment: LandingAssessment) -> NDArray[np.void]:
 
 
 def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]:
-    """The one record (1,). ``assessment``: the answer. ``age``: of its map when it is sent, s; NaN
-    if unknown."""
+    """Return the record (1,) of an assessment. ``age``: age of its map when it is sent, s; NaN if
+    unknown."""
     selected = assessment.selected
     out = np.zeros(1, dtype=STATUS_FIELDS)
     _block(out, "xyz")[:] = selected.position
@@ -265,30 +266,30 @@ def encode_status(assessment: LandingAssessment, age: float) -> NDArray[np.void]
 
 
 def encode_observed(observed: Mask, known: Mask) -> NDArray[np.int8]:
-    """OccupancyGrid values of ``map/observed``: 100 mapped, 50 seen, not yet mapped, -1 unseen."""
-    out = np.where(observed, np.int8(SEEN), np.int8(NOT_SEEN))
-    out[observed & known] = KNOWN
+    """Return the values of ``map/observed``, (n, n)."""
+    out = np.where(observed, np.int8(OBSERVED), np.int8(UNOBSERVED))
+    out[observed & known] = MAPPED
     return out
 
 
 def decode_observed(values: NDArray[np.int8]) -> tuple[Mask, Mask]:
-    """Where a point fell, and where it may be part of the map."""
-    return values > 0, values > SEEN
+    """Return where a point fell, and where it can be part of the map."""
+    return values > 0, values > OBSERVED
 
 
 _HAZARD_VALUES = np.full(256, 100, dtype=np.int8)
-_HAZARD_VALUES[0x20::0x20] = -1  # only bits of ground that is not known
+_HAZARD_VALUES[0x20::0x20] = -1  # only bits of unmapped or unseen ground
 _HAZARD_VALUES[0] = 0
-"""Of ``landing/hazards`` by the bits of a grid point."""
+"""Value of ``landing/hazards`` by the hazard bits of a grid point."""
 
 
 def encode_hazards(assessment: LandingAssessment) -> NDArray[np.int8]:
-    """OccupancyGrid values of ``landing/hazards``: 0, 100 hazard, -1 unknown; (ny, nx)."""
+    """Return the values of ``landing/hazards``, (ny, nx): 0 none, 100 hazard, -1 unknown."""
     return _HAZARD_VALUES[assessment.hazard]
 
 
 def encode_score(assessment: LandingAssessment) -> NDArray[np.int8]:
-    """OccupancyGrid values of ``landing/score``: best 0 to worst 99, 100 excluded; (ny, nx)."""
+    """Return the values of ``landing/score``, (ny, nx): 0 best to 99 worst, 100 excluded."""
     allowed = np.isfinite(assessment.score)
     score = assessment.score[allowed]
     out = np.full(allowed.shape, 100, dtype=np.int8)
@@ -300,19 +301,19 @@ def encode_score(assessment: LandingAssessment) -> NDArray[np.int8]:
 
 
 def encode_probability(assessment: LandingAssessment) -> NDArray[np.int8]:
-    """OccupancyGrid values of ``landing/probability``: per cent, rounded down; -1 if unknown."""
+    """Return the values of ``landing/probability``, (ny, nx): %, rounded down; -1 unknown."""
     share = known_probability(assessment)
     percent = np.floor(100.0 * np.minimum(share, 1.0) + 1e-9)
     return np.where(share >= 0.0, percent, -1.0).astype(np.int8)
 
 
 def known_probability(assessment: LandingAssessment) -> Array:
-    """(ny, nx) of a safe touchdown if the lander aims at the grid point; NaN where it is unseen."""
+    """Return the probability of success at each grid point, (ny, nx); NaN where unseen."""
     return np.where(assessment.hazard & 0x80 > 0, np.nan, assessment.probability)
 
 
 def site_orientations(normals: Array) -> Array:
-    """Quaternions (K, 4) x, y, z, w that take +z to the normals (K, 3), +x in the map's x-z plane.
+    """Return quaternions (K, 4) x, y, z, w that rotate +z to the normals (K, 3).
 
     The x axis is the direction (n_z, 0, -n_x), perpendicular to the normal and without a y part.
     """

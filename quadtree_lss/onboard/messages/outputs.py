@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The output topics as messages, and maps read back: for rclpy's classes and for those of bags.
+"""Conversion of maps and assessments to output messages, and of map messages to maps.
 
-Nothing here knows where the classes come from; they are given by name and called with all fields.
+The message classes, of rclpy or rosbags, are passed in by name and called with all fields.
 """
 
 from __future__ import annotations
@@ -67,22 +67,22 @@ GRID_MAP, GRID_MAP_TYPE = "landing/grid_map", "grid_map_msgs/msg/GridMap"
 """Sent live where ``grid_map_msgs`` is installed, and always recorded."""
 RECORDED_TYPES = {**TOPIC_TYPES, GRID_MAP: GRID_MAP_TYPE}
 GRID_MAP_LAYERS = "elevation plane_elevation slope_deg hazard safe score probability".split()
-"""Its layers."""
+"""Layers of `GRID_MAP`."""
 
 Fields = np.dtype[np.void]
-Named = tuple[str, Any]
+TopicMessage = tuple[str, Any]
 """Relative name of a topic, and a message."""
 
 
 def point_layout(fields: Fields) -> list[tuple[str, int, int]]:
-    """Name, offset and PointField datatype of each."""
-    of = fields.fields or {}
-    return [(name, at, POINT_FIELD_TYPES[kind.str[1:]]) for name, (kind, at, *_) in of.items()]
+    """Return name, offset and PointField datatype of each field."""
+    by_name = (fields.fields or {}).items()
+    return [(name, start, POINT_FIELD_TYPES[kind.str[1:]]) for name, (kind, start, *_) in by_name]
 
 
 def cloud_records(cloud: Any, fields: Fields) -> NDArray[np.void]:
-    """Records (M,) of a PointCloud2 that has exactly the layout of `MessageMaker.cloud`. Raises
-    `MessageError`: other fields, offsets, types or sizes (``layout``)."""
+    """View a PointCloud2 with the layout of `MessageMaker.cloud` as records (M,). Raises
+    `MessageError` with reason ``layout`` if fields, offsets, types or sizes differ."""
     layout = point_layout(fields)
     found = [(item.name, item.offset, item.datatype) for item in cloud.fields]
     count = cloud.width * cloud.height
@@ -102,20 +102,21 @@ def cloud_records(cloud: Any, fields: Fields) -> NDArray[np.void]:
 
 
 def status_from_message(cloud: Any) -> np.void:
-    """The one record of ``landing/status``. Raises `MessageError`: it has another layout, or is not
-    one (``layout``)."""
+    """Return the record of ``landing/status``. Raises `MessageError` with reason ``layout`` if it
+    has another layout or number of points."""
     records = cloud_records(cloud, STATUS_FIELDS)
     if len(records) != 1:
-        raise MessageError("layout", f"{STATUS} has {len(records)} points; it is of one")
+        raise MessageError("layout", f"{STATUS} has {len(records)} points; 1 is needed")
     record: np.void = records[0]
     return record
 
 
 def map_from_messages(cloud: Any, grid: Any, lss: LssConfig | None = None) -> CellMap:
-    """The map of one stamp from ``map/cells`` and ``map/observed``. ``cloud``, ``grid``: the
-    messages. ``lss``: how landing will be judged on it: a map too large for that is refused before
-    anything is made of it. None if it will not be judged. Raises `MessageError`: a message is not
-    what ``mapping_node`` sends, or the two are not of one frame (``frame``)."""
+    """Build the map from ``map/cells`` (``cloud``) and ``map/observed`` (``grid``) of one stamp.
+
+    ``lss``: as in `decode_cells`. Raises `MessageError`: a message is not one of ``mapping_node``,
+    or their frames differ (``frame``).
+    """
     frames = (str(cloud.header.frame_id), str(grid.header.frame_id))
     if frames[0].lstrip("/") != frames[1].lstrip("/"):
         shown = [one_line(frame, 80) for frame in frames]
@@ -130,15 +131,17 @@ def map_from_messages(cloud: Any, grid: Any, lss: LssConfig | None = None) -> Ce
         )
         raise MessageError("observed_size", msg)
     shape = grid.info.height, grid.info.width
-    observed, known = (marks.reshape(shape) for marks in decode_observed(values))
+    observed, known = (mask.reshape(shape) for mask in decode_observed(values))
     origin, stamp = grid.info.origin.position, stamp_ns(cloud.header)
     return decode_cells(records, observed, origin.x, origin.y, stamp, lss, known)
 
 
 class MessageMaker:
-    """Builds the output messages in the map's frame of classes by name, as
-    ``nav_msgs/msg/OccupancyGrid``; ``pack`` makes what they take as an array of uint8, int8 or
-    float32."""
+    """Builds the output messages.
+
+    ``types``: message classes by name, as ``nav_msgs/msg/OccupancyGrid``. ``pack``: converts an
+    array of uint8, int8 or float32 to the type that the classes need. ``frame``: of the map.
+    """
 
     def __init__(
         self,
@@ -149,20 +152,18 @@ class MessageMaker:
         self._types, self._pack, self._frame = types, pack, frame
         self._layouts: dict[Fields, list[Any]] = {}
 
-    def of_map(self, cells: CellMap) -> Iterator[Named]:
-        """``map/cells`` and ``map/observed``."""
+    def of_map(self, cells: CellMap) -> Iterator[TopicMessage]:
         yield CELLS, self.cloud(encode_cells(cells), cells.stamp_ns)
         values = encode_observed(cells.observed, cells.known)
         yield OBSERVED, self.observed(values, cells.domain, cells.stamp_ns)
 
     def observed(self, values: NDArray[np.int8], domain: Domain, stamp: int) -> Any:
-        """``map/observed`` of values (n, n)."""
         return self.grid(values, (domain.xmin, domain.ymin), domain.finest_size, stamp)
 
     def of_ground(
         self, assessment: LandingAssessment, topics: Collection[str] = GROUND
-    ) -> Iterator[Named]:
-        """Grids and sites, as far as asked for; grid points are the centres of their cells."""
+    ) -> Iterator[TopicMessage]:
+        """Yield grids and sites on the given topics; grid points are the centres of grid cells."""
         stamp, x, y = assessment.stamp_ns, assessment.x, assessment.y
         spacing = float(x[1] - x[0]) if len(x) > 1 else 1.0
         corner = (float(x[0]) - 0.5 * spacing, float(y[0]) - 0.5 * spacing)
@@ -176,7 +177,7 @@ class MessageMaker:
             yield SITES, self.sites(assessment)
 
     def grid_map(self, assessment: LandingAssessment) -> Any:
-        """``landing/grid_map``: all layers of the landing grid, NaN where unknown."""
+        """Build ``landing/grid_map``: the layers of the landing grid, NaN where unknown."""
         x, y = assessment.x, assessment.y
         spacing = float(x[1] - x[0]) if len(x) > 1 else 1.0
         layers = {name: getattr(assessment, name) for name in GRID_MAP_LAYERS}
@@ -201,10 +202,8 @@ class MessageMaker:
         )
 
     def grid_map_layer(self, values: NDArray[Any]) -> Any:
-        """One layer (ny, nx) as grid_map keeps it: column by column.
-
-        Row 0 is that of the greatest x, column 0 that of the greatest y.
-        """
+        """Build a grid_map layer from (ny, nx): column by column, row 0 at the greatest x, column 0
+        at the greatest y."""
         ny, nx = values.shape
         dimensions = [
             self._make("std_msgs/msg/MultiArrayDimension", label=label, size=size, stride=stride)
@@ -214,13 +213,13 @@ class MessageMaker:
         turned = np.ascontiguousarray(values[::-1, ::-1], np.float32).ravel()
         return self._make("std_msgs/msg/Float32MultiArray", layout=layout, data=self._pack(turned))
 
-    def of_target(self, assessment: LandingAssessment, age: float) -> Iterator[Named]:
-        """``landing/selected`` and ``landing/status``; ``age`` of the map in s, NaN if unknown."""
+    def of_target(self, assessment: LandingAssessment, age: float) -> Iterator[TopicMessage]:
+        """Yield ``landing/selected`` and ``landing/status``. ``age``: of the map, s, or NaN."""
         yield SELECTED, self.selected(assessment)
         yield STATUS, self.cloud(encode_status(assessment, age), assessment.stamp_ns)
 
     def cloud(self, records: NDArray[np.void], stamp: int) -> Any:
-        """PointCloud2 of records (M,) or (H, W), packed."""
+        """Build a PointCloud2 from packed records (M,) or (H, W)."""
         size = records.dtype.itemsize
         height, width = records.shape if records.ndim == 2 else (1, len(records))
         return self._make(
@@ -239,8 +238,8 @@ class MessageMaker:
     def grid(
         self, values: NDArray[np.int8], corner: tuple[float, float], side: float, stamp: int
     ) -> Any:
-        """OccupancyGrid of values (ny, nx), row of least y first; ``corner`` is the south-western
-        one, ``side`` that of a cell, m."""
+        """Build an OccupancyGrid from values (ny, nx), row of least y first. ``corner``: the
+        south-western one, m. ``side``: of a cell, m."""
         info = self._make(
             "nav_msgs/msg/MapMetaData",
             map_load_time=self._time(stamp),
@@ -253,7 +252,6 @@ class MessageMaker:
         return self._make(GRID_TYPE, header=self._header(stamp), info=info, data=data)
 
     def sites(self, assessment: LandingAssessment) -> Any:
-        """PoseArray of the sites, best first."""
         sites = assessment.sites
         turns = site_orientations(sites.normal)
         poses = [self._pose(p, q) for p, q in zip(sites.position, turns, strict=True)]
@@ -261,13 +259,13 @@ class MessageMaker:
         return self._make(POSES_TYPE, header=header, poses=poses)
 
     def selected(self, assessment: LandingAssessment) -> Any:
-        """The target; one without a place (NaN) if there is none."""
+        """Build the message of the target; its position is NaN if there is none."""
         target = assessment.selected
         turn = site_orientations(target.site.normal)[0] if target.id else (0.0, 0.0, 0.0, 1.0)
         return self.pose(assessment.stamp_ns, target.position, turn, target.covariance.ravel())
 
     def pose(self, stamp: int, position: Any, xyzw: Any, covariance: Array) -> Any:
-        """PoseWithCovarianceStamped of a place (3,), a quaternion and a covariance (36,)."""
+        """Build a PoseWithCovarianceStamped from position (3,), quaternion and covariance (36,)."""
         pose = self._make(
             "geometry_msgs/msg/PoseWithCovariance",
             pose=self._pose(position, xyzw),
@@ -276,13 +274,13 @@ class MessageMaker:
         return self._make(SELECTED_TYPE, header=self._header(stamp), pose=pose)
 
     def _point_fields(self, fields: Fields) -> list[Any]:
-        """The same list in every cloud of these fields: making one takes longer than its bytes."""
+        """Return the PointFields, cached because building them takes longer than the data."""
         if fields not in self._layouts:
             self._layouts[fields] = [
                 self._make(
-                    "sensor_msgs/msg/PointField", name=name, offset=at, datatype=kind, count=1
+                    "sensor_msgs/msg/PointField", name=name, offset=start, datatype=kind, count=1
                 )
-                for name, at, kind in point_layout(fields)
+                for name, start, kind in point_layout(fields)
             ]
         return self._layouts[fields]
 

@@ -101,7 +101,7 @@ class LandingTopics:
         unheard = self.unheard()
         if any(name in self._required for name in unheard):
             return False
-        heard = {topic_of(name) for name in self.requests.heard}
+        heard = {topic_of(name) for name in self.requests.last_messages}
         published = {name for name in BINDING if self._latched[name].get_publisher_count()}
         expected = bool(published - heard)
         time_out = self._began + (UNHEARD_S if expected else SETTLE_S)
@@ -112,7 +112,7 @@ class LandingTopics:
 
     def unheard(self) -> list[str]:
         """Return which of area and keep-out (single or as a set) have not come."""
-        heard = {topic_of(name) for name in self.requests.heard}
+        heard = {topic_of(name) for name in self.requests.last_messages}
         heard |= {KEEP_OUT} if KEEP_OUTS in heard else set()
         return [name for name in (AREA, KEEP_OUT) if name not in heard]
 
@@ -131,7 +131,7 @@ class LandingTopics:
         requests, name = self.requests, name_of(topic, message)
         value, unusable = requests.values.get(name), requests.unusable.get(name)
         try:
-            requests.take(topic, message)
+            requests.use_message(topic, message)
         except MessageError as error:
             self._report(name, error)
         same = np.array_equal(requests.values.get(name), value)  # type: ignore[arg-type]

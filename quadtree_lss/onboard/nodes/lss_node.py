@@ -147,7 +147,7 @@ class LssNode(BaseNode):
 
     def _on_pose(self, raw: bytes) -> None:
         try:
-            self._navigation.take(pose_message(raw, self._pose_kind))
+            self._navigation.use_pose(pose_message(raw, self._pose_kind))
         except MessageError as error:
             self._problems.report(f"pose_{error.reason}", f"pose not used: {error}")
 

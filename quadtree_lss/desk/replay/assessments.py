@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Landing assessments in the time of a bag, as ``lss_node`` makes them."""
+"""Maps and landing assessments at times of a bag, as the nodes make them."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from quadtree_lss.onboard.messages.maps import round_trip
 
 ROUNDING = 1e-6
 """Rounding error of grid points when the domain follows the vehicle, m."""
-LAST_PASSES = 4
-"""Assessments of the last map after which the target no longer changes."""
+FINAL_ASSESSMENTS = 4
+"""Number of assessments of the last map after which the target no longer changes."""
 
 
 class TargetChange(NamedTuple):
-    """A row of ``selected.csv``: a new target, or none (``id`` 0, NaN). ``probability``: as in
-    ``landing/status``."""
+    """A row of ``selected.csv``: a new target, or none (``id`` 0, position NaN). ``probability``:
+    as in ``landing/status``."""
 
     stamp_ns: int
     id: int
@@ -34,38 +34,42 @@ class TargetChange(NamedTuple):
     probability: float
     reason: str
 
-    def follows(self, last: TargetChange | None) -> bool:
-        """Whether it is another target than the last one, has moved, or was withdrawn."""
+    def differs_from(self, last: TargetChange | None) -> bool:
+        """Return whether the target is another one than the last, has moved, or was withdrawn."""
         if last is None or not last.id:
             return self.id > 0
         return self.id != last.id or hypot(self.x - last.x, self.y - last.y) >= ROUNDING
 
 
-class Passes:
-    """Makes maps at most at ``publish.rate`` and assessments at most at ``publish.lss_rate`` in the
-    bag's time, and always those of the last state.
+class Assessments:
+    """Makes maps at most at ``publish.rate`` and assessments at most at ``publish.lss_rate`` in
+    the bag's time, and always those of the last state.
 
-    ``restrictions`` returns the keyword arguments of ``LandingSiteSelector.assess``. ``on_map``
-    are called with the bag's time and a function that takes the map, valid during the call;
-    ``on_answer`` with the time and the assessment. ``cells`` is the last map as ``lss_node``
-    decodes it, ``last`` the last assessment, ``changes`` those of the target.
+    ``restrictions`` returns the keyword arguments of ``LandingSiteSelector.assess``. ``on_map``:
+    callbacks with the bag's time and a function that returns the map during the call;
+    ``on_assessment``: callbacks with the time and the assessment. ``cells``: last map as
+    ``lss_node`` decodes it; ``last``: last assessment; ``changes``: of the target.
     """
 
     def __init__(self, config: Config, restrictions: Callable[[], dict[str, Any]]) -> None:
         self._restrictions = restrictions
         self.on_map: list[Callable[[int, Callable[[], CellMap]], None]] = []
-        self.on_answer: list[Callable[[int, LandingAssessment], None]] = []
+        self.on_assessment: list[Callable[[int, LandingAssessment], None]] = []
         self._selector = LandingSiteSelector(config)
-        self._map, self._landing = _Clock(config.publish.rate), _Clock(config.publish.lss_rate)
+        self._map, self._landing = (
+            _RateLimit(config.publish.rate),
+            _RateLimit(config.publish.lss_rate),
+        )
         self._snapshot: Callable[[], CellMap] | None = None
         self.cells: CellMap | None = None
         self.last: LandingAssessment | None = None
         self.lss_ms = float("nan")
-        self._began_ns: int | None = None
+        self._first_map_ns: int | None = None
         self._settle_time = config.lss.settle_time
         self.changes: list[TargetChange] = []
 
     def changed(self) -> None:
+        """Note that the map changed."""
         self._map.changed = True
 
     def landing_changed(self) -> None:
@@ -73,11 +77,12 @@ class Passes:
         self._landing.changed = True
 
     def land_now(self) -> None:
+        """Assess at once and select a target without waiting."""
         self._selector.land_now()
         self._landing.changed, self._landing.due_ns = True, 0
 
     def tick(self, now_ns: int, snapshot: Callable[[], CellMap]) -> None:
-        """Make what is due at a time of the bag."""
+        """Make the map and the assessment if they are due."""
         if self._map.due(now_ns):
             self._make_map(now_ns, snapshot)
         self._landing.changed |= self._settling and self._waited(now_ns) >= self._settle_time
@@ -88,7 +93,7 @@ class Passes:
         """Make the map and assessment of the last state, due or not."""
         if self._map.changed or self._snapshot is None:
             self._make_map(now_ns, snapshot)
-        for _ in range(LAST_PASSES):
+        for _ in range(FINAL_ASSESSMENTS):
             if self._landing.changed or self._settling:
                 self._assess(now_ns, waited=inf)
 
@@ -98,19 +103,20 @@ class Passes:
 
     def _waited(self, now_ns: int) -> float:
         """Time since the first map, s."""
-        return 0.0 if self._began_ns is None else 1e-9 * (now_ns - self._began_ns)
+        return 0.0 if self._first_map_ns is None else 1e-9 * (now_ns - self._first_map_ns)
 
     def _make_map(self, now_ns: int, snapshot: Callable[[], CellMap]) -> None:
-        """Take a map, but only when it is used: the next map may come before the assessment."""
+        """Prepare a map; it is made when it is used, because a newer one may replace it."""
         self._map.sent(now_ns)
-        if self._began_ns is None or now_ns < self._began_ns:  # a recorder's clock stepped back
-            self._began_ns = now_ns
+        first_ns = self._first_map_ns
+        if first_ns is None or now_ns < first_ns:  # the recorder's clock stepped back
+            self._first_map_ns = now_ns
         self._snapshot, self.cells = cache(snapshot), None
         self._landing.changed = True
         if self._landing.due_ns < self._map.due_ns:
             self._snapshot()
-        for tell in self.on_map:
-            tell(now_ns, self._snapshot)
+        for callback in self.on_map:
+            callback(now_ns, self._snapshot)
 
     def _assess(self, now_ns: int, waited: float | None = None) -> None:
         self._landing.sent(now_ns)
@@ -122,20 +128,21 @@ class Passes:
         waited = self._waited(now_ns) if waited is None else waited
         found = self._selector.assess(self.cells, waited=waited, **self._restrictions())
         self.lss_ms = 1e3 * (time.perf_counter() - began)
-        self._note(found)
+        self._record_target(found)
         self.last, self._landing.changed = found, found.pending
-        for tell in self.on_answer:
-            tell(now_ns, found)
+        for callback in self.on_assessment:
+            callback(now_ns, found)
 
-    def _note(self, found: LandingAssessment) -> None:
-        """Add a row if the target is another one, has moved or was withdrawn."""
-        of, (x, y, z) = found.selected, found.selected.position.tolist()
-        row = TargetChange(found.stamp_ns, of.id, x, y, z, of.probability, of.reason.key)
-        if row.follows(self.changes[-1] if self.changes else None):
+    def _record_target(self, found: LandingAssessment) -> None:
+        target, (x, y, z) = found.selected, found.selected.position.tolist()
+        row = TargetChange(
+            found.stamp_ns, target.id, x, y, z, target.probability, target.reason.key
+        )
+        if row.differs_from(self.changes[-1] if self.changes else None):
             self.changes.append(row)
 
 
-class _Clock:
+class _RateLimit:
     """Limits the rate (Hz) of outputs after changes."""
 
     def __init__(self, rate: float) -> None:
@@ -144,7 +151,7 @@ class _Clock:
         self.changed = False
 
     def due(self, now_ns: int) -> bool:
-        # A due time far ahead is from before the recorder's clock stepped back.
+        # A due time more than a period ahead dates from before the recorder's clock stepped back.
         return self.changed and not self.due_ns - self._period_ns <= now_ns < self.due_ns
 
     def sent(self, now_ns: int) -> None:

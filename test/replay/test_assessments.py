@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Landing passes in a bag's time: on which maps, and that no others are taken."""
+"""Landing assessments in a bag's time: on which maps, and that no others are taken."""
 
 from dataclasses import replace
 
 import pytest
 from core.builders import configured, flat, mapped
 
-from quadtree_lss.desk.replay.passes import Passes
+from quadtree_lss.desk.replay.assessments import Assessments
 
 MS = 1_000_000
 START = 1_000_000 * MS
@@ -39,26 +39,28 @@ def fly(moments, every_map):
         taken.append(stamp_ns)
         return replace(cells, stamp_ns=stamp_ns)
 
-    passes = Passes(config, dict)
-    passes.on_map.append(answers.map)
-    passes.on_answer.append(answers.landing)
+    assessments = Assessments(config, dict)
+    assessments.on_map.append(answers.map)
+    assessments.on_assessment.append(answers.landing)
     for number, now_ns in enumerate(moments, start=1):
         if number % 10:
             stamp_ns = number
-            passes.changed()
-        passes.tick(now_ns, snapshot)
-    passes.finish(moments[-1], snapshot)
+            assessments.changed()
+        assessments.tick(now_ns, snapshot)
+    assessments.finish(moments[-1], snapshot)
     return answers.found, taken
 
 
 def test_it_ends_where_no_place_is_within_reach():
     config = configured(lss={"assessment": "probability"})
     cells = mapped(config, flat(3.0)).snapshot()
-    passes = Passes(config, lambda: {"vehicle": (20.0, 0.5, 900.0, 8.0)})
-    passes.on_answer.append(lambda *_: None if passes.last.number < 50 else pytest.fail("no end"))
-    passes.land_now()
-    passes.finish(START, lambda: cells)
-    assert not passes.last.selected.id and passes.last.safe.any()
+    assessments = Assessments(config, lambda: {"vehicle": (20.0, 0.5, 900.0, 8.0)})
+    assessments.on_assessment.append(
+        lambda *_: None if assessments.last.number < 50 else pytest.fail("no end")
+    )
+    assessments.land_now()
+    assessments.finish(START, lambda: cells)
+    assert not assessments.last.selected.id and assessments.last.safe.any()
 
 
 @pytest.mark.parametrize("back", [0, 30 * MS, 120 * MS, 200 * MS, 5000 * MS])
