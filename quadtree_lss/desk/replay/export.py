@@ -94,8 +94,8 @@ def _geotiff(results: Results, folder: Path, crs: str) -> list[Path]:
     raster = rasterise(results.map, results.config.lss)
     deviation = results.map.at(x, y[:, None]).deviation
     for name, values in (("map_height", raster.elevation), ("map_deviation", deviation)):
-        known = np.where(raster.seen, values, np.nan)
-        written.append(_write_geotiff(folder, name, known, x, y, raster.seen, crs))
+        known = np.where(raster.observed, values, np.nan)
+        written.append(_write_geotiff(folder, name, known, x, y, raster.observed, crs))
     return written
 
 

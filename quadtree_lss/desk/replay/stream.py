@@ -251,7 +251,7 @@ def _mounts(
     """Mounts that a tree allows, without those that change nothing, by the body's frame: ``body``,
     or any frame if that is not known."""
     for name in [body.lstrip("/")] if body else sorted({*tree.frames()} - {config.frames.map}):
-        mount = tree.between(name, lidar)
+        mount = tree.relative_pose(name, lidar)
         if mount is not None:
             place, turn = mount.position, mount.rotation_map_lidar
             if not (np.allclose(place, 0.0) and np.allclose(turn, np.eye(3), atol=1e-6)):

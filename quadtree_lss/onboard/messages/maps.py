@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.limits import MOST_LEAVES, MOST_LEVELS, why_too_much
 from quadtree_lss.onboard.config.settings import ConfigError, LssConfig, checked_values
-from quadtree_lss.onboard.core.geometry.bounds import MOST, MOST_HEIGHT, bounded
+from quadtree_lss.onboard.core.geometry.bounds import MAX_HEIGHT, MAX_VALUE, clamp_heights
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.columns import pack
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -91,7 +91,7 @@ def encode_cells(cells: CellMap) -> NDArray[np.void]:
     out = np.empty(len(cells.level), dtype=CELL_FIELDS)
     for name in _SAME:
         out[name] = getattr(cells, name)
-    out["z"] = bounded(cells.z, cells.low, cells.high)
+    out["z"] = clamp_heights(cells.z, cells.low, cells.high)
     out["min_level"] = cells.domain.min_level
     pack(cells, _block(out, _PLANE), _block(out, _REST))
     return out
@@ -199,9 +199,9 @@ def _check(cells: CellMap) -> None:
     known = cells.estimated
     parts = cells.covariance_range, cells.covariance_pose
     sound = sound_planes(cells.z, cells.normal, *parts, cells.feature)
-    sound &= ~cells.measured | ((cells.roughness >= 0.0) & (cells.roughness < MOST))
+    sound &= ~cells.measured | ((cells.roughness >= 0.0) & (cells.roughness < MAX_VALUE))
     off = (cells.offset_z, cells.offset_variance)
-    sound_offset = np.isnan(off).all() or (abs(off[0]) < MOST_HEIGHT and 0.0 <= off[1] < MOST)
+    sound_offset = np.isnan(off).all() or (abs(off[0]) < MAX_HEIGHT and 0.0 <= off[1] < MAX_VALUE)
     if not sound_offset:
         msg = f"map/cells has an impossible offset: {off[0]} m of variance {off[1]}"
         raise MessageError("values", msg)
@@ -212,7 +212,7 @@ def _check(cells: CellMap) -> None:
         msg = "map/cells has a leaf with an impossible coverage"
         raise MessageError("values", msg)
     bounds = np.stack([cells.low, cells.high])
-    if (np.abs(bounds) >= MOST_HEIGHT).any() or (cells.low > cells.high).any():
+    if (np.abs(bounds) >= MAX_HEIGHT).any() or (cells.low > cells.high).any():
         msg = "map/cells has a leaf with impossible bounds (low, high)"
         raise MessageError("values", msg)
 

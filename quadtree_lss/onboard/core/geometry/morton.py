@@ -23,7 +23,7 @@ def spread(value: cython.longlong) -> cython.longlong:
     return (value | (value << 1)) & 0x55555555
 
 
-def squeeze(code: cython.longlong) -> cython.longlong:
+def compact(code: cython.longlong) -> cython.longlong:
     """Bits at the even places of a code below 2^32, side by side: the inverse of `spread`."""
     code = code & 0x55555555
     code = (code | (code >> 1)) & 0x33333333
@@ -32,7 +32,7 @@ def squeeze(code: cython.longlong) -> cython.longlong:
     return (code | (code >> 8)) & 0x0000FFFF
 
 
-def squeezed(codes: Keys) -> tuple[Index, Index]:
+def decode(codes: Keys) -> tuple[Index, Index]:
     """ix and iy, each (N,), of Morton codes (N,)."""
     found = []
     for value in (codes, codes >> 1):
@@ -78,14 +78,14 @@ def sort_packed(packed: Keys, spare: Keys) -> cython.bint:
         digit = (width + passes - 1) // passes if passes > 0 else 0
         for k in range(passes):
             if k & 1 == 0:
-                by_digit(packed, spare, low + k * digit, 1 << digit)
+                sort_by_digit(packed, spare, low + k * digit, 1 << digit)
             else:
-                by_digit(spare, packed, low + k * digit, 1 << digit)
+                sort_by_digit(spare, packed, low + k * digit, 1 << digit)
     return passes & 1 == 1
 
 
 @cython.boundscheck(False)
-def by_digit(
+def sort_by_digit(
     source: Keys, target: Keys, low: cython.longlong, count: cython.longlong
 ) -> cython.void:
     """Copy in the order of the digit at bit ``low``, which has ``count`` values."""

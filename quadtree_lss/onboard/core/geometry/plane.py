@@ -19,13 +19,13 @@ from quadtree_lss.onboard.core.geometry.sphere import Vector
 #: A map of elevations has no walls: steeper planes are tilted back to this n_z (75.5 deg).
 MIN_UP = cython.declare(cython.double, 0.25)
 #: Variance that round-off leaves at least, rad^2 and m^2.
-SURE = cython.declare(cython.double, 1e-12)
+MIN_VARIANCE = cython.declare(cython.double, 1e-12)
 #: Square of a correlation that is not of rounding alone.
-OFF = cython.declare(cython.double, 1.02)
+ROUNDING_FACTOR = cython.declare(cython.double, 1.02)
 #: Beyond so far a move (squared, m^2) rounding shows in a covariance.
-REMOTE = cython.declare(cython.double, 1e6)
+FAR_SQUARED = cython.declare(cython.double, 1e6)
 #: Information on a slope that a fit has at least, rad^-2.
-LEAST = cython.declare(cython.double, 1e-2)
+MIN_INFORMATION = cython.declare(cython.double, 1e-2)
 
 
 def multiply(a: Vector, b: Vector, out: Vector) -> None:
@@ -36,7 +36,7 @@ def multiply(a: Vector, b: Vector, out: Vector) -> None:
             out[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j]
 
 
-def beside(c: Vector, d: Vector, out: Vector) -> None:
+def interleave(c: Vector, d: Vector, out: Vector) -> None:
     """Two 3x3 matrices side by side (18): each number of the first, then that of the second.
 
     What is done to both covariances of a plane is done to them together, for two numbers at a time
@@ -128,7 +128,7 @@ def shift_origin(c: Vector, first: float, second: float, count: cython.int) -> N
         c[5 * count + k] = c[7 * count + k] = c[5 * count + k] - y
 
 
-def keep_possible(c: Vector) -> None:
+def repair_covariance(c: Vector) -> None:
     """Make a covariance (9) diagonal, in place, if rounding made it impossible.
 
     Planes that lie 1e5 m and more apart are fused about a place so far away that little is left,
@@ -138,7 +138,12 @@ def keep_possible(c: Vector) -> None:
     xy, xz, yz = c[1] * c[1], c[2] * c[2], c[5] * c[5]
     x, y, z = c[0], c[4], c[8]
     whole = x * y * z + 2.0 * c[1] * c[2] * c[5] - x * yz - y * xz - z * xy
-    if xy > OFF * x * y or xz > OFF * x * z or yz > OFF * y * z or whole < (1.0 - OFF) * x * y * z:
+    if (
+        xy > ROUNDING_FACTOR * x * y
+        or xz > ROUNDING_FACTOR * x * z
+        or yz > ROUNDING_FACTOR * y * z
+        or whole < (1.0 - ROUNDING_FACTOR) * x * y * z
+    ):
         for i in range(1, 8):
             if i != 4:
                 c[i] = 0.0
@@ -224,7 +229,7 @@ def height_normal(
     b = share * (xx * yz - scatter[1] * xz)
     up = 1.0 / sqrt(a * a + b * b + 1.0)
     normal[0], normal[1], normal[2] = -a * up, -b * up, up
-    keep_up(normal)
+    orient_up(normal)
 
 
 def line_normal(
@@ -257,11 +262,11 @@ def line_normal(
     b += change * y
     up = 1.0 / sqrt(a * a + b * b + 1.0)
     normal[0], normal[1], normal[2] = -a * up, -b * up, up
-    keep_up(normal)
+    orient_up(normal)
     line[0], line[1], line[3] = along * x * x, along * x * y, along * y * y
 
 
-def keep_up(normal: Vector) -> None:
+def orient_up(normal: Vector) -> None:
     """A unit normal (3) in place, turned up (Eq. 9: (n, d) and (-n, -d) are one plane) and off the
     horizon to n_z of ``MIN_UP`` at least."""
     if normal[2] < 0.0:
@@ -324,7 +329,7 @@ def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
         plus_at(normal, basis, step, turned)
         for i in range(3):
             normal[i] = turned[i]
-        keep_up(normal)
+        orient_up(normal)
 
 
 def slope_covariance(scatter: Vector, normal: Vector, variance: float, out: Vector) -> None:
@@ -332,7 +337,7 @@ def slope_covariance(scatter: Vector, normal: Vector, variance: float, out: Vect
 
     H = M S_xy M^T / variance with M = I + kappa kappa^T / (lambda (1 + lambda)), which takes steps
     in x and y to steps along the plane in its tangent basis. To a direction that the points do not
-    tell belongs `LEAST`, so little that many scans of one line do not add up to a slope.
+    tell belongs `MIN_INFORMATION`, so little that many scans of one line do not add up to a slope.
     """
     share = 1.0 / (normal[2] * (1.0 + normal[2]))
     m00 = 1.0 + share * normal[0] * normal[0]
@@ -342,11 +347,11 @@ def slope_covariance(scatter: Vector, normal: Vector, variance: float, out: Vect
     x1 = m00 * scatter[1] + m01 * scatter[3]
     y0 = m01 * scatter[0] + m11 * scatter[1]
     y1 = m01 * scatter[1] + m11 * scatter[3]
-    h00 = (x0 * m00 + x1 * m01) / variance + LEAST
+    h00 = (x0 * m00 + x1 * m01) / variance + MIN_INFORMATION
     h01 = (x0 * m01 + x1 * m11) / variance
-    h11 = (y0 * m01 + y1 * m11) / variance + LEAST
+    h11 = (y0 * m01 + y1 * m11) / variance + MIN_INFORMATION
     # No less than of points in a line: what round-off leaves of large numbers may be 0 or below.
-    share = 1.0 / max(h00 * h11 - h01 * h01, LEAST * (h00 + h11 - LEAST))
+    share = 1.0 / max(h00 * h11 - h01 * h01, MIN_INFORMATION * (h00 + h11 - MIN_INFORMATION))
     out[0] = share * h11
     out[1] = out[2] = -share * h01
     out[3] = share * h00
@@ -458,7 +463,7 @@ def fuse(
     cython.declare(i=cython.int)
     basis_at(prior_normal, basis)
     _pivot(prior_range, prior_rise, basis, error, pivot)
-    beside(prior_range, prior_pose, prior)
+    interleave(prior_range, prior_pose, prior)
     shift_origin(prior, error[0], error[1], 2)
     error[0] = error[1] = 0.0
     if prior_normal[0] != normal[0] or prior_normal[1] != normal[1]:
@@ -467,7 +472,7 @@ def fuse(
         basis_at(normal, basis)
     first = basis[0] * pivot[0] + basis[1] * pivot[1] + basis[2] * pivot[2]
     second = basis[3] * pivot[0] + basis[4] * pivot[1] + basis[5] * pivot[2]
-    beside(range_part, pose_part, measured)
+    interleave(range_part, pose_part, measured)
     shift_origin(measured, first, second, 2)
     error[2] = normal[0] * pivot[0] + normal[1] * pivot[1] + normal[2] * pivot[2]
     for i in range(9):
@@ -534,7 +539,7 @@ def fuse_height(
     cython.declare(i=cython.int, j=cython.int, k=cython.int)
     basis_at(normal, basis)
     _pivot(range_part, rise, basis, step, pivot)
-    beside(range_part, pose_part, prior)
+    interleave(range_part, pose_part, prior)
     shift_origin(prior, step[0], step[1], 2)
     first, second = step[0] + rise * basis[2], step[1] + rise * basis[5]
     shift_origin(other_pose, first, second, 1)
@@ -599,7 +604,7 @@ def _from_pivot(
     its tangent, before and after."""
     cython.declare(i=cython.int, k=cython.int)
     plus_at(normal, basis, step, normal)
-    keep_up(normal)
+    orient_up(normal)
     basis_at(normal, basis)
     rise = step[2] + normal[0] * pivot[0] + normal[1] * pivot[1] + normal[2] * pivot[2]
     rise /= normal[2]
@@ -611,14 +616,14 @@ def _from_pivot(
         range_part[i] = pair[2 * i]
         pose_part[i] = pair[2 * i + 1]
     for i in range(3):
-        if range_part[4 * i] < SURE:
+        if range_part[4 * i] < MIN_VARIANCE:
             # Lost to round-off, and with it what it has in common with the others.
             for k in range(3):
                 range_part[3 * i + k] = range_part[3 * k + i] = 0.0
-            range_part[4 * i] = SURE
-    remote: cython.bint = first * first + second * second > REMOTE
+            range_part[4 * i] = MIN_VARIANCE
+    remote: cython.bint = first * first + second * second > FAR_SQUARED
     if remote:
-        keep_possible(range_part)
-    if remote or min(pose_part[0], pose_part[4], pose_part[8]) < SURE:
-        keep_possible(pose_part)
+        repair_covariance(range_part)
+    if remote or min(pose_part[0], pose_part[4], pose_part[8]) < MIN_VARIANCE:
+        repair_covariance(pose_part)
     out_rise[0] = rise

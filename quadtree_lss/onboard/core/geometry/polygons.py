@@ -11,20 +11,20 @@ from numpy.typing import ArrayLike
 from quadtree_lss.onboard.arrays import Array
 
 #: Coordinates over this are no place to land at, and their squares would overflow, m.
-FARTHEST = 1e12
+MAX_COORDINATE = 1e12
 
 
 def signed_distance(polygon: ArrayLike, x: Array, y: Array) -> Array:
     """Distance in m of points from a polygon's edge, positive inside. ``polygon``: (V, 2) or (V, 3)
     vertices in order, V >= 3; the third column is not used. ``x``, ``y``: coordinates of any one
     shape. Raises `ValueError`: fewer than three vertices, or one not finite or farther out than
-    ``FARTHEST``."""
+    ``MAX_COORDINATE``."""
     corners = np.asarray(polygon, dtype=np.float64)
     if corners.ndim != 2 or len(corners) < 3 or corners.shape[1] < 2:
         msg = f"a polygon needs three or more (x, y) vertices, got shape {corners.shape}"
         raise ValueError(msg)
     corners = corners[:, :2]
-    if not (np.abs(corners) <= FARTHEST).all():
+    if not (np.abs(corners) <= MAX_COORDINATE).all():
         msg = "a polygon has a vertex that is not finite or is off this world"
         raise ValueError(msg)
     edges = np.hstack([corners, np.roll(corners, -1, axis=0)])

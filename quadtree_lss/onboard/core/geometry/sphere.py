@@ -73,7 +73,7 @@ def log_at(normal: Vector, out: Vector, jacobian: Vector) -> None:
     jacobian[5] = -sine * y
 
 
-def seen_from(normal: Vector, reference: Vector, out: Vector) -> None:
+def in_pole_axes(normal: Vector, reference: Vector, out: Vector) -> None:
     """R_m^T n: n (3) in the axes in which m (3) is the pole."""
     basis = cython.declare(cython.double[6])
     basis_at(reference, basis)
@@ -106,13 +106,13 @@ def minus_at(normal: Vector, reference: Vector, out: Vector, change: Vector) -> 
     axis = cython.declare(cython.double[3])
     slope = cython.declare(cython.double[6])
     cython.declare(i=cython.int, k=cython.int)
-    seen_from(normal, reference, seen)
+    in_pole_axes(normal, reference, seen)
     log_at(seen, out, slope)
     basis_at(normal, basis)
     for i in range(2):
         for k in range(3):
             axis[k] = basis[3 * i + k]
-        seen_from(axis, reference, seen)
+        in_pole_axes(axis, reference, seen)
         for k in range(2):
             change[2 * k + i] = (
                 slope[3 * k] * seen[0] + slope[3 * k + 1] * seen[1] + slope[3 * k + 2] * seen[2]

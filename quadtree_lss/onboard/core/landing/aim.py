@@ -24,22 +24,28 @@ from quadtree_lss.onboard.config.risk import CAUSES
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 from quadtree_lss.onboard.core.landing.lattice import blur
-from quadtree_lss.onboard.core.landing.raster import SLACK, TerrainRaster
+from quadtree_lss.onboard.core.landing.raster import RELATIVE_ROUNDING, TerrainRaster
 from quadtree_lss.onboard.core.landing.restrictions import Restrictions
 from quadtree_lss.onboard.core.landing.result import MainRisk
 from quadtree_lss.onboard.core.landing.score import PointAssessment
-from quadtree_lss.onboard.core.landing.target import ASIDE, NEARER, Candidates, Descent, Motion
+from quadtree_lss.onboard.core.landing.target import (
+    DISTANCE_COST,
+    LATERAL_ACCELERATION,
+    Candidates,
+    Descent,
+    Motion,
+)
 from quadtree_lss.onboard.core.tree.domain import Domain
 
 #: Range in which the score can change a cost that is a probability: it orders equal probabilities.
-TIE = 1e-5
+SCORE_RANGE = 1e-5
 #: Most grid points per side that are searched within reach if none of them is safe.
-COARSE = 128
+MAX_SEARCH_POINTS = 128
 #: No site lies higher above the vehicle than its diameter and this, which navigation's height does
 #: not drift by on the way down, m.
-ABOVE = 1.0
+NAVIGATION_DRIFT = 1.0
 #: Standard deviations at which the normal distribution of the touchdown is truncated.
-TAIL = 4.0
+TRUNCATION = 4.0
 CAUSE_TEXTS = {
     "obstacle": "an obstacle",
     "slope": "too steep a slope",
@@ -228,7 +234,7 @@ def aim(
     probability = 1.0 - unsafe
     elevation, above = grid.linear(raster.planes.elevation), np.zeros_like(safe)
     if motion is not None:
-        above = elevation > motion.z + ABOVE + lss.vehicle.diameter
+        above = elevation > motion.z + NAVIGATION_DRIFT + lss.vehicle.diameter
         above &= hazard & UNSEEN == 0
         cost[above] = np.nan
         unsafe = np.where(above, 1.0, unsafe)
@@ -244,8 +250,8 @@ def aim(
 
 
 def probable_first(unsafe: Array, score: Array) -> Array:
-    """Return costs that order by P(unsafe | aim), and by the score within `TIE`."""
-    return unsafe + 0.5 * TIE * score / (1.0 + np.abs(score))
+    """Return costs that order by P(unsafe | aim), and by the score within `SCORE_RANGE`."""
+    return unsafe + 0.5 * SCORE_RANGE * score / (1.0 + np.abs(score))
 
 
 def unsafe_aims(risk: Array, side: float, dispersion: Dispersion) -> Array:
@@ -285,7 +291,7 @@ def touchdown_weights(risk: Array, side: float, dispersion: Dispersion) -> list[
 def normal_weights(sigma: float, count: int) -> Array:
     """Return the weights (2 K + 1,) of a truncated normal distribution up to ``count`` steps from
     its mean; ``sigma``: standard deviation, steps."""
-    reach = ceil(TAIL * sigma)
+    reach = ceil(TRUNCATION * sigma)
     # A smaller standard deviation has the same weights, and no square that overflows.
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(sigma, 1e-3)) ** 2)
     beyond = max(reach - count, 0)
@@ -309,7 +315,10 @@ def within_reach(
     reached = np.ones_like(candidates.safe)
     if motion is not None and isfinite(motion.x):
         descent = remaining_descent(points, grid, motion, (motion.x, motion.y))
-        stop = min(0.5 * np.hypot(motion.along_x, motion.along_y) / ASIDE, 0.5 * descent.seconds)
+        stop = min(
+            0.5 * np.hypot(motion.along_x, motion.along_y) / LATERAL_ACCELERATION,
+            0.5 * descent.seconds,
+        )
         stop_x, stop_y = motion.x + stop * motion.along_x, motion.y + stop * motion.along_y
         reached = (x - stop_x) ** 2 + (y[:, None] - stop_y) ** 2 <= descent.reach**2
     safe = reached & candidates.permitted
@@ -318,7 +327,7 @@ def within_reach(
     if safe.any():
         cost = np.where(safe, unsafe, np.nan)
     else:
-        step, cost = max(len(x) // COARSE, 1), np.full(safe.shape, np.nan)
+        step, cost = max(len(x) // MAX_SEARCH_POINTS, 1), np.full(safe.shape, np.nan)
         part = np.where(hazard & UNSEEN, np.nan, unsafe)[::step, ::step]
         replace(restrictions, target=None).apply_to(part, x[::step], y[::step], lss)
         cost[::step, ::step] = np.where(part < 1.0, part, np.nan)
@@ -326,7 +335,7 @@ def within_reach(
     if motion is not None and isfinite(motion.x + motion.y):
         away = np.zeros_like(cost)
         np.hypot(x - motion.x, y[:, None] - motion.y, out=away, where=np.isfinite(cost))
-        cost += NEARER["probability"] * away
+        cost += DISTANCE_COST["probability"] * away
     return replace(candidates, cost=cost)
 
 
@@ -343,10 +352,10 @@ def remaining_descent(
     if grid.x[0] <= x <= grid.x[-1] and grid.y[0] <= y <= grid.y[-1]:
         row = grid.nearest_row[np.abs(grid.y - y).argmin()]
         column = grid.nearest_column[np.abs(grid.x - x).argmin()]
-        if raster.seen[max(row - 1, 0) : row + 1, max(column - 1, 0) : column + 1].any():
+        if raster.observed[max(row - 1, 0) : row + 1, max(column - 1, 0) : column + 1].any():
             ground = float(raster.planes.elevation[row, column])
     if isnan(ground):
-        ground = float(np.mean(raster.elevation[raster.seen]))
+        ground = float(np.mean(raster.elevation[raster.observed]))
     return Descent(motion.z - ground, motion.down)
 
 
@@ -360,7 +369,7 @@ def main_risks(
     across, along = touchdown_weights(risk, side, dispersion)
     up, right, within = len(across) // 2, len(along) // 2, float(across.sum() * along.sum())
     weights, found = across[:, None] * along, []
-    reach = (1.0 - SLACK) * (0.5 * lss.vehicle.diameter + lss.vehicle.pad_radius)
+    reach = (1.0 - RELATIVE_ROUNDING) * (0.5 * lss.vehicle.diameter + lss.vehicle.pad_radius)
     for aim_row, aim_column in zip(rows.tolist(), columns.tolist(), strict=True):
         south, west = max(aim_row - up, 0), max(aim_column - right, 0)
         known = risk[south : aim_row + up + 1, west : aim_column + right + 1]
@@ -372,9 +381,9 @@ def main_risks(
         point = row + aim_row - up, column + aim_column - right
         cause = "unobserved ground"
         if 0 <= point[0] < risk.shape[0] and 0 <= point[1] < risk.shape[1]:
-            if raster.judged[point]:
+            if raster.assessable[point]:
                 cause = CAUSE_TEXTS[CAUSES[points.cause[point]]]
-            elif raster.to_unmapped[point] < reach:
+            elif raster.to_unestimated[point] < reach:
                 cause = "ground observed but not estimated"
         found.append(MainRisk(within - float(share.sum()), cause, north, east))
     return found

@@ -24,7 +24,7 @@ from quadtree_lss.onboard.core.landing.aim import Dispersion, aim, users_grid
 from quadtree_lss.onboard.core.landing.choose import choose
 from quadtree_lss.onboard.core.landing.contact import ContactCheck
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
-from quadtree_lss.onboard.core.landing.lattice import touching
+from quadtree_lss.onboard.core.landing.lattice import corner_bits
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.restrictions import Restrictions
 from quadtree_lss.onboard.core.landing.result import LandingAssessment, no_sites, no_target
@@ -101,7 +101,7 @@ class LandingSiteSelector:
         keeper.apply_restrictions(restrictions, lss)
 
         raster = rasterise(cells, lss)
-        if not raster.seen.any():
+        if not raster.observed.any():
             reason = Reason.WITHHELD if withheld else Reason.NOTHING_MAPPED
             return self._nothing(cells, reason, raster.unknown_bits)
         contacts = None
@@ -129,7 +129,7 @@ class LandingSiteSelector:
         shape = (len(grid.y), len(grid.x))
         none, never = np.full(shape, np.nan), np.zeros(shape, dtype=np.bool_)
         ground = Candidates(grid.x, grid.y, never, none)
-        self._keeper.choose(ground, lss, why_not=lambda *_: reason, why_none=reason)
+        self._keeper.choose(ground, lss, reason_at=lambda *_: reason, reason_without_site=reason)
         return LandingAssessment(
             stamp_ns=cells.stamp_ns,
             number=self._keeper.assessments,
@@ -140,7 +140,7 @@ class LandingSiteSelector:
             now=np.full(4, np.nan),
             x=grid.x,
             y=grid.y,
-            hazard=grid.any(touching(bits)),
+            hazard=grid.any(corner_bits(bits)),
             safe=never,
             score=none,
             probability=np.zeros(shape),

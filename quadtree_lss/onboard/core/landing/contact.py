@@ -33,13 +33,13 @@ from cython.cimports.quadtree_lss.onboard.core.landing.contact import HEADINGS, 
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask, Single
 from quadtree_lss.onboard.config.limits import YAWS
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.landing.lattice import disc, grown, touching
+from quadtree_lss.onboard.core.landing.lattice import corner_bits, dilate, disc
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.tree.cell_map import SHAPE
 from quadtree_lss.onboard.core.tree.domain import Domain, carried
 
 #: Higher than any ground, m.
-HIGHER = cython.declare(cython.double, 1e9)
+FAR_ABOVE = cython.declare(cython.double, 1e9)
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class ContactCheck:
         self._kernel.set_ground(raster, self._ground, changed)
         # A pad or cell centre under the vehicle is at most a radius away, so a corner of its cell
         # is, too.
-        near = grown(touching(changed) > 0, radius, domain.finest_size)
+        near = dilate(corner_bits(changed) > 0, radius, domain.finest_size)
         np.copyto(self._contacts, np.float32(np.nan), where=near)
         due = needed & np.isnan(self._contacts[0])
         self._kernel.update(due.view(np.uint8), self._contacts)
@@ -217,7 +217,7 @@ class ContactKernel:
         cython.declare(k=cython.Py_ssize_t, cell=cython.Py_ssize_t)
         cython.declare(south=cython.Py_ssize_t, north=cython.Py_ssize_t)
         # The last span of a row may go on beyond it.
-        self.highest = np.full((self.reach + 1, self.width + SPAN), -HIGHER)
+        self.highest = np.full((self.reach + 1, self.width + SPAN), -FAR_ABOVE)
         self.pad_cell = np.asarray(self.pad_row) * self.width + np.asarray(self.pad_column)
         for i in np.flatnonzero(np.asarray(due).any(axis=1)):
             with cython.nogil:
@@ -257,8 +257,8 @@ class ContactKernel:
                 x, y = self.ground[1, i + p] * u, self.ground[2, i + p] * v
                 self.pad_z[k * SPAN + p] = self.ground[0, i + p] + x + y
         for p in range(SPAN):
-            self.steep[p], self.z_low[p] = 0.0, HIGHER
-            self.z_east[p] = self.z_west[p] = self.z_north[p] = self.z_south[p] = HIGHER
+            self.steep[p], self.z_low[p] = 0.0, FAR_ABOVE
+            self.z_east[p] = self.z_west[p] = self.z_north[p] = self.z_south[p] = FAR_ABOVE
         for k in range(HEADINGS):
             cos, sin, i = self.cos[k], self.sin[k], k * SPAN
             for p in range(SPAN):
@@ -287,7 +287,7 @@ class ContactKernel:
         cython.declare(j=cython.Py_ssize_t, p=cython.Py_ssize_t, first=cython.Py_ssize_t)
         cython.declare(half=cython.Py_ssize_t)
         for p in range(SPAN):
-            self.most[p] = -HIGHER
+            self.most[p] = -FAR_ABOVE
             self.z_east[p] -= self.z_low[p]
             self.z_west[p] -= self.z_low[p]
             self.z_north[p] -= self.z_low[p]

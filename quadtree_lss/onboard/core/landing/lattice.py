@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask, Single
 
 #: Distances of so many steps fit `find_distances`; beyond, SciPy's transform takes less time.
-NEAR = 126
+MAX_STEPS = 126
 #: Points of a row of which distances are looked for together.
 SPAN = cython.declare(cython.Py_ssize_t, 64)
 Kind = TypeVar("Kind", bound=np.generic)
@@ -59,10 +59,10 @@ def disc(radius: float, side: float) -> Disc:
     return Disc(reach, row[inside], column[inside], x, y, to_plane, half)
 
 
-def disc_means(values: Array, over: Disc, seen: Mask) -> Array:
-    """Means over the disc of each grid point at the ``seen`` ones of the cells (n, n)."""
+def disc_means(values: Array, over: Disc, needed: Mask) -> Array:
+    """Means over the disc of each grid point at the ``needed`` ones of the cells (n, n)."""
     out = np.empty((1, len(values) + 1, len(values) + 1))
-    disc_moments(values, 0.0, over.half, seen.view(np.uint8), 1.0, out)
+    disc_moments(values, 0.0, over.half, needed.view(np.uint8), 1.0, out)
     return np.asarray(out[0])
 
 
@@ -78,10 +78,10 @@ class GroundPlanes:
     gradient: Array
 
 
-def ground_planes(elevation: Array, seen: Mask, side: float, radius: float) -> GroundPlanes:
+def ground_planes(elevation: Array, needed: Mask, side: float, radius: float) -> GroundPlanes:
     """Planes at the lander's scale, of the height (n, n) of finest cells of side ``side`` m.
 
-    They are those of the ground at grid points at ``seen`` cells; elsewhere all is 0.
+    They are those of the ground at grid points at ``needed`` cells; elsewhere all is 0.
 
     A disc about a grid point is symmetric, so the normal equations are diagonal:
     slope_x = sum(x z) / sum(x^2), slope_y alike, height = mean(z). Outside the domain the ground
@@ -90,11 +90,11 @@ def ground_planes(elevation: Array, seen: Mask, side: float, radius: float) -> G
     over = disc(radius, side)
     square = side * float(np.mean((over.x / side) ** 2))
     out = np.empty((4, len(elevation) + 1, len(elevation) + 1))
-    disc_moments(elevation, np.mean(elevation), over.half, seen.view(np.uint8), square, out)
+    disc_moments(elevation, np.mean(elevation), over.half, needed.view(np.uint8), square, out)
     return GroundPlanes(*out)
 
 
-def touching(cells: Bytes) -> Bytes:
+def corner_bits(cells: Bytes) -> Bytes:
     """Bits of the up to four cells that meet at each grid point: (n, n) to (n + 1, n + 1).
 
     The point of a lattice square that is nearest to a grid point is a grid point itself, so the
@@ -122,10 +122,10 @@ def distance_from(marked: Mask, side: float, limit: float = np.inf) -> Array:
     """Distance in m of each point to the nearest marked one, infinite if none is marked.
     ``marked``: (ny, nx). ``side``: of the lattice, m. ``limit``: what is farther than this may be
     said to be infinitely far, m."""
-    return _lengths(marked, lambda steps: steps * side, limit / side)
+    return _distances(marked, lambda steps: steps * side, limit / side)
 
 
-def grown(marked: Mask, distance: float, side: float, short: float = 0.0) -> Mask:
+def dilate(marked: Mask, distance: float, side: float, short: float = 0.0) -> Mask:
     """Points within ``distance`` (m) of a marked one, the marked ones included.
 
     Args:
@@ -138,15 +138,15 @@ def grown(marked: Mask, distance: float, side: float, short: float = 0.0) -> Mas
     limit += 1e-9 * limit
     if limit < 1.0 or not marked.any():
         return marked.copy()
-    away = _lengths(marked, lambda steps: (steps - short) * side, limit)
+    away = _distances(marked, lambda steps: (steps - short) * side, limit)
     return marked | (away <= distance)
 
 
-def _lengths(marked: Mask, length: Callable[[Array], Array], limit: float) -> Array:
+def _distances(marked: Mask, length: Callable[[Array], Array], limit: float) -> Array:
     """What a function makes of distances in steps; infinite beyond ``limit`` steps."""
     if not marked.any():
         return np.full(marked.shape, np.inf)
-    if limit >= NEAR:
+    if limit >= MAX_STEPS:
         from scipy.ndimage import distance_transform_edt  # as slow to import as a short bag to map
 
         return length(distance_transform_edt(~marked))
@@ -170,10 +170,12 @@ def nearest_marked(marked: Mask) -> Ints:
 
 
 @cython.boundscheck(False)
-@cython.locals(cells=cython.double[:, ::1], half=cython.Py_ssize_t[::1], seen=cython.uchar[:, ::1])
+@cython.locals(
+    cells=cython.double[:, ::1], half=cython.Py_ssize_t[::1], needed=cython.uchar[:, ::1]
+)
 @cython.locals(out=cython.double[:, :, ::1])
 def disc_moments(
-    cells: Array, level: float, half: Index, seen: Bytes, square: float, out: Array
+    cells: Array, level: float, half: Index, needed: Bytes, square: float, out: Array
 ) -> None:
     """Means over the disc of each grid point of z, and of x z and y z over ``square``.
 
@@ -186,7 +188,7 @@ def disc_moments(
         cells: (n, n).
         level: Sums are of z over this, which keeps them small.
         half: (2 reach,) half width of the disc in each row, in cells.
-        seen: (n, n), the points from the first to the last at such cells in a row need means.
+        needed: (n, n), the points from the first to the last at such cells in a row need means.
         square: What moments are divided by, beside the number of cells.
         out: (4, n + 1, n + 1), set to the means of z, x z and y z, and the root of the sum of the
             squares of these, 0 where none are needed; or (1, n + 1, n + 1) for the first alone.
@@ -227,10 +229,10 @@ def disc_moments(
             first, after = n, 0
             for k in range(max(row - 1, 0), min(row + 1, n)):
                 j = 0
-                while j < first and not seen[k, j]:
+                while j < first and not needed[k, j]:
                     j += 1
                 first, j = j, n
-                while j > after and not seen[k, j - 1]:
+                while j > after and not needed[k, j - 1]:
                     j -= 1
                 after = j
             after = after + 1 if first < n else first
@@ -271,11 +273,11 @@ def disc_moments(
 
 @cython.boundscheck(False)
 @cython.locals(marked=cython.uchar[:, ::1], x=cython.double[::1], y=cython.double[::1])
-@cython.locals(room=cython.double[::1])
-def lower_room(
-    marked: Bytes, half: float, x: Array, y: Array, side: float, reach: float, room: Array
+@cython.locals(free_distance=cython.double[::1])
+def lower_free_distance(
+    marked: Bytes, half: float, x: Array, y: Array, side: float, reach: float, free_distance: Array
 ) -> None:
-    """Lower ``room`` (K,) to the distances of points from what is marked, less ``reach``, m.
+    """Lower ``free_distance`` (K,) to the distances of points from what is marked, less ``reach``, m.
 
     Args:
         marked: (ny, nx) cells (``half`` = 0.5) or points (``half`` = 0) of a lattice.
@@ -283,7 +285,7 @@ def lower_room(
         x, y: (K,) points, from the first point of the lattice, m.
         side: Step of the lattice, m.
         reach: m.
-        room: (K,) m.
+        free_distance: (K,) m.
     """
     cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     cython.declare(ring=cython.Py_ssize_t, row=cython.Py_ssize_t, column=cython.Py_ssize_t)
@@ -294,7 +296,7 @@ def lower_room(
             column, row = cython.cast(cython.Py_ssize_t, u), cython.cast(cython.Py_ssize_t, v)
             ring = 0
             # Beyond a ring, everything is at least as many steps away.
-            while (ring - 1) * side - reach < room[k] and ring <= farthest:
+            while (ring - 1) * side - reach < free_distance[k] and ring <= farthest:
                 for i in range(row - ring, row + ring + 1):
                     if not 0 <= i < marked.shape[0]:
                         continue
@@ -303,7 +305,9 @@ def lower_room(
                         if 0 <= j < marked.shape[1] and marked[i, j]:
                             dx = max(fabs(u - j - half) - half, 0.0)
                             dy = max(fabs(v - i - half) - half, 0.0)
-                            room[k] = min(room[k], sqrt(dx * dx + dy * dy) * side - reach)
+                            free_distance[k] = min(
+                                free_distance[k], sqrt(dx * dx + dy * dy) * side - reach
+                            )
                         j += 1 if i == row - ring or i == row + ring else 2 * ring
                 ring += 1
 

@@ -19,14 +19,14 @@ MODEL_ERROR = 0.5
 #: Two risks u <= v are equal if v - u <= MODEL_ERROR * hypot(u, v): up to v = 2.2 u ...
 EQUAL_RISKS: float = (1.0 + (1.0 - (1.0 - MODEL_ERROR**2) ** 2) ** 0.5) / (1.0 - MODEL_ERROR**2)
 #: ... or, however small u is, up to this risk: probabilities are shown as at most 99.99 %.
-LEAST_RISK = 1e-4
+MIN_RISK = 1e-4
 #: The error is that of safe ground: risks that differ by more than this are never equal.
-MOST_DIFFERENCE = 0.01
+MAX_DIFFERENCE = 0.01
 
 
 def equal_up_to(risk: float) -> float:
     """Return the highest risk that is equal to a risk."""
-    return min(max(EQUAL_RISKS * risk, LEAST_RISK), risk + MOST_DIFFERENCE)
+    return min(max(EQUAL_RISKS * risk, MIN_RISK), risk + MAX_DIFFERENCE)
 
 
 def lowest(values: Array) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry.polygons import signed_distance
-from quadtree_lss.onboard.core.landing.target import NEARER, Reason
+from quadtree_lss.onboard.core.landing.target import DISTANCE_COST, Reason
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Restrictions:
             if goal.shape not in ((2,), (3,)) or not np.isfinite(goal[:2]).all():
                 msg = f"a landing target needs two or three finite coordinates, got {self.target!r}"
                 raise ValueError(msg)
-            left += NEARER[lss.ranking] * np.hypot(x[column] - goal[0], y[row] - goal[1])
+            left += DISTANCE_COST[lss.ranking] * np.hypot(x[column] - goal[0], y[row] - goal[1])
         cost[row, column] = left
 
     def outside_domain(self, x: Array, y: Array) -> str:

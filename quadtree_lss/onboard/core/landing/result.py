@@ -69,7 +69,7 @@ class Sites:
         hazard_distance: (K,) how far the zone can move in any direction until it touches a hazard
             or unobserved ground, m.
         subscale_height: (K,) greatest height of a subscale feature in the zone, m.
-        id: (K,) number of the site, which stays while landing there is permitted (`target.Places`).
+        id: (K,) number of the site, which stays while landing there is permitted (`target.SiteNumbers`).
         reasons: One sentence per site.
     """
 

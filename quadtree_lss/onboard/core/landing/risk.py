@@ -33,20 +33,20 @@ RAISED = 0.5, 1.0
 #: Side of the square about a grid point in which raised cells are counted, diameters.
 NEIGHBOURHOOD = 8.0
 #: Least share of the range variance in a height: below, rounding decides.
-LEAST_SHARE = 1e-3
+MIN_VARIANCE_RATIO = 1e-3
 #: Prior of the share of raised cells, and the side of the square of observed ground that it counts
 #: as, diameters (half a rock of 0.5 m for a vehicle of 3.7 m). Of three choices of both sides these
 #: had the best log score on 208 flights outside the fit.
 PRIOR_SHARE, PRIOR_SIDE = 0.02, 0.7
 #: Entries of a table along a curve, and along the density of returns.
-FINE = cython.declare(cython.int, 128)
-COARSE = 48
+CURVE_ENTRIES = cython.declare(cython.int, 128)
+DENSITY_ENTRIES = 48
 #: Index of the density of returns in `LOCAL`.
-SEEN = cython.declare(cython.Py_ssize_t, LOCAL.index("seen"))
+DENSITY = cython.declare(cython.Py_ssize_t, LOCAL.index("seen"))
 #: Range of log odds in the table of exp, and its entries.
 MIN_ODDS = cython.declare(cython.double, -14.0)
 MAX_ODDS = cython.declare(cython.double, 10.0)
-EXPS = cython.declare(cython.int, 4096)
+EXP_ENTRIES = cython.declare(cython.int, 4096)
 #: Greatest bridged share of the judged ground for which the risk is fitted: flights of the fit have
 #: up to 0.02.
 MAX_BRIDGED = 0.05
@@ -65,7 +65,7 @@ def height_noise(cells: CellMap, noise: float) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         explained = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
         single = (covariance[:, 2, 2] - explained) * cells.count
-    return np.asarray(np.maximum(np.fmin(single / noise**2, 1.0), LEAST_SHARE))
+    return np.asarray(np.maximum(np.fmin(single / noise**2, 1.0), MIN_VARIANCE_RATIO))
 
 
 def contact_limits(model: RiskModel, lss: LssConfig) -> ContactLimits:
@@ -95,14 +95,14 @@ class RiskTable:
         terms: (T, 4) per table: cause, feature, index of the first entry, and entries per row; the
             last is 0 for tables that do not depend on the density of returns.
         tables: Log odds of all tables.
-        exps: (EXPS,) exp of log odds between `MIN_ODDS` and `MAX_ODDS`.
+        exps: (EXP_ENTRIES,) exp of log odds between `MIN_ODDS` and `MAX_ODDS`.
     """
 
     def __init__(self, model: RiskModel, lss: LssConfig, noise: float) -> None:
         self._model, self._vehicle, self._noise = model, lss.vehicle, noise
         spans = {name: model.span(name) for name in LOCAL}
         steps = {
-            name: np.linspace(*span, COARSE if name == "seen" else FINE)
+            name: np.linspace(*span, DENSITY_ENTRIES if name == "seen" else CURVE_ENTRIES)
             for name, span in spans.items()
         }
         self.low = np.array([at[0] for at in steps.values()])
@@ -117,12 +117,12 @@ class RiskTable:
                     wide = len(odds) > 1
                     if wide:
                         odds = interpolation_weights(steps["seen"], model.seen) @ odds
-                    terms.append((number, LOCAL.index(curve.of), first, FINE * wide))
+                    terms.append((number, LOCAL.index(curve.of), first, CURVE_ENTRIES * wide))
                     tables.append(odds.ravel())
                     first += odds.size
         self.tables = np.concatenate(tables, dtype=np.float32, casting="same_kind")
         self.terms = np.array(terms, dtype=np.int32)
-        self.exps = np.exp(np.linspace(MIN_ODDS, MAX_ODDS, EXPS))
+        self.exps = np.exp(np.linspace(MIN_ODDS, MAX_ODDS, EXP_ENTRIES))
         # Of finest cells of one side, as of the map before.
         self._constant: tuple[float, Array] | None = None
 
@@ -200,7 +200,7 @@ class RiskTable:
             overall = self.overall(side)
             odds = [self._model.causes[name].at(overall) for name in CAUSES]
             self._constant = side, np.array(odds)
-        judged = raster.judged
+        judged = raster.assessable
         out, cause = np.ones(judged.shape), np.zeros(judged.shape, dtype=np.uint8)
         look_up(self, features, judged.view(np.uint8), self._constant[1], out, cause)
         return out, cause
@@ -213,7 +213,7 @@ def risk_warnings(config: Config, raster: TerrainRaster) -> tuple[str, ...]:
 
 def bridging_warning(raster: TerrainRaster) -> str:
     """Return a warning if more of the judged ground is bridged than in the fit, or ""."""
-    judged = raster.judged[1:, 1:]
+    judged = raster.assessable[1:, 1:]
     share = np.count_nonzero(raster.bridged & judged) / (np.count_nonzero(judged) or 1)
     if share <= MAX_BRIDGED:
         return ""
@@ -250,7 +250,7 @@ def describe_cells(
     corner = cython.declare(cython.double[:, ::1], raster.planes.elevation)
     leaf = cython.declare(cython.Py_ssize_t[:, ::1], raster.leaf)
     bridged = cython.declare(cython.uchar[:, ::1], raster.bridged.view(np.uint8))
-    seen = cython.declare(cython.uchar[:, ::1], raster.seen.view(np.uint8))
+    seen = cython.declare(cython.uchar[:, ::1], raster.observed.view(np.uint8))
     elevation = cython.declare(cython.double[:, ::1], raster.elevation)
     # Height over the ground and returns of known cells; then maximum and sum of three in a row.
     rise = cython.declare(cython.float[:, ::1], np.zeros((n, n), dtype=np.float32))
@@ -335,8 +335,8 @@ def look_up(
     seen = cython.declare(cython.int[::1], np.zeros(columns, dtype=np.int32))
     odds = cython.declare(cython.double[:, ::1], np.zeros((causes, columns)))
     least: cython.double = MIN_ODDS
-    end: cython.double = EXPS - 1
-    step: cython.double = (EXPS - 1) / (MAX_ODDS - MIN_ODDS)
+    end: cython.double = EXP_ENTRIES - 1
+    step: cython.double = (EXP_ENTRIES - 1) / (MAX_ODDS - MIN_ODDS)
     with cython.nogil:
         for i in range(out.shape[0]):
             first, after = 0, columns
@@ -354,7 +354,7 @@ def look_up(
                     x = x if x < top else top
                     entry[f, j] = cython.cast(cython.int, x)
             for j in range(first, after):
-                seen[j] = FINE * entry[SEEN, j]
+                seen[j] = CURVE_ENTRIES * entry[DENSITY, j]
             for c in range(causes):
                 for j in range(first, after):
                     odds[c, j] = constant[c]

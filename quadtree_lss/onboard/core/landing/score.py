@@ -14,15 +14,15 @@ from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.contact import ContactCheck, Contacts
 from quadtree_lss.onboard.core.landing.lattice import (
+    corner_bits,
+    dilate,
     disc,
     disc_means,
     distance_from,
-    grown,
-    touching,
 )
 from quadtree_lss.onboard.core.landing.raster import (
     DISTANCE_CAP,
-    SLACK,
+    RELATIVE_ROUNDING,
     TerrainRaster,
 )
 from quadtree_lss.onboard.core.landing.risk import RiskTable
@@ -86,9 +86,9 @@ def assess_points(
     vehicle, radius, zone = lss.vehicle, 0.5 * lss.vehicle.diameter, lss.zone
     cap = DISTANCE_CAP * vehicle.size
     bits = hazards.avoided_features(cells, lss).take(raster.leaf)
-    bits *= raster.seen.view(np.uint8)
+    bits *= raster.observed.view(np.uint8)
     bits |= raster.unknown_bits
-    hazard = touching(bits)
+    hazard = corner_bits(bits)
     if contacts is not None and table is not None:
         risk, cause = table.risk(raster, contacts)
     else:
@@ -96,33 +96,33 @@ def assess_points(
     if contacts is None or check is None or lss.assessment == "paper":
         excluded, distance = bits & hazards.FEATURE > 0, zone
         near_feature = hazard & hazards.FEATURE > 0
-        safe = ~grown(near_feature, zone, side)
+        safe = ~dilate(near_feature, zone, side)
         near = distance_from(near_feature, side, cap)
         slope_weight, of_leaves = 0.0, np.nan_to_num(WEIGHT_SLOPE * hazards.slope(cells.normal))
     else:
-        excepted = grown(hazard & hazards.EXCEPTION > 0, radius, side)
+        excepted = dilate(hazard & hazards.EXCEPTION > 0, radius, side)
         if lss.assessment == "touchdown":
-            excluded = raster.judged & (check.exceeds_limits(contacts) | excepted)
+            excluded = raster.assessable & (check.exceeds_limits(contacts) | excepted)
             # A map that may be displaced at all may be displaced by one grid point.
-            steps = np.ceil(vehicle.lengths.hazard_growth / side - SLACK)
-            excluded |= raster.judged & grown(excluded, steps * side, side)
+            steps = np.ceil(vehicle.lengths.hazard_growth / side - RELATIVE_ROUNDING)
+            excluded |= raster.assessable & dilate(excluded, steps * side, side)
         else:
-            fails = raster.judged & (risk > lss.max_risk)
-            excluded = fails | (raster.judged & excepted)
+            fails = raster.assessable & (risk > lss.max_risk)
+            excluded = fails | (raster.assessable & excepted)
             stands = contacts.rise <= vehicle.clearance
             stands &= contacts.tilt <= tan(radians(vehicle.max_slope_deg))
             hazard |= (fails & stands) * np.uint8(hazards.UNCERTAIN)
-        safe, distance = ~grown(excluded, lss.margin, side), lss.margin
+        safe, distance = ~dilate(excluded, lss.margin, side), lss.margin
         hazard |= ~safe * np.uint8(hazards.TOUCHDOWN)
         # Ground that makes a touchdown fail lies about a radius from the grid point.
-        near = distance_from(excluded, side, cap - (1.0 - SLACK) * radius)
+        near = distance_from(excluded, side, cap - (1.0 - RELATIVE_ROUNDING) * radius)
         near += radius
         slope_weight, of_leaves = WEIGHT_SLOPE, np.zeros(len(cells.level))
-    judged = raster.room >= (1.0 - SLACK) * zone
+    judged = raster.free_distance >= (1.0 - RELATIVE_ROUNDING) * zone
     safe &= judged
     partly = ~judged & (hazard & hazards.UNSEEN == 0)
     hazard |= partly * np.uint8(hazards.PARTLY_UNOBSERVED)
-    clearance = np.minimum(near, raster.room)
+    clearance = np.minimum(near, raster.free_distance)
     clearance -= zone
     # Eq. 55 is a volume and grows with the leaf: over its area it is a height.
     rough = cells.roughness / cells.size**2
@@ -133,7 +133,7 @@ def assess_points(
     set_densities(raster, near, of_leaves, cap, weights, density)
     # Eq. 56's integral is Eq. 59's mean over the disc of each point. A zone larger than the domain
     # fits nowhere, so it needs no larger sums.
-    score = disc_means(density, disc(min(zone, 0.5 * cells.domain.size), side), raster.seen)
+    score = disc_means(density, disc(min(zone, 0.5 * cells.domain.size), side), raster.observed)
     return PointAssessment(
         raster, risk, cause, hazard, safe, score, clearance, rough, excluded, distance
     )
@@ -164,7 +164,7 @@ def set_densities(
     n: cython.Py_ssize_t = out.shape[0]
     per_slope, per_metre, per_height = weights
     gradient = cython.declare(cython.double[:, ::1], raster.planes.gradient)
-    room = cython.declare(cython.double[:, ::1], raster.room)
+    room = cython.declare(cython.double[:, ::1], raster.free_distance)
     leaf = cython.declare(cython.Py_ssize_t[:, ::1], raster.leaf)
     subscale = cython.declare(cython.double[:, ::1], raster.subscale)
     before = cython.declare(cython.double[::1], np.zeros(n + 1))

@@ -9,7 +9,7 @@ the grid point that ranks first after the divert's cost if the expected gain exc
 
     S (c(target) - c) > C / (1 - d / r),    d < r
 
-c is the cost of a grid point, S and C are `GAIN`, d is the distance between the two points, m, and
+c is the cost of a grid point, S and C are `GAIN_AND_COST`, d is the distance between the two points, m, and
 r is the reach of the vehicle until it is at ``lss.commit_height`` (`Descent.reach`), m.
 """
 
@@ -34,27 +34,27 @@ if TYPE_CHECKING:
     from quadtree_lss.onboard.core.landing.restrictions import Restrictions
 
 #: Numbered places that are kept; the oldest are dropped first.
-MAX_PLACES = 1000
+MAX_SITES = 1000
 #: (S, C) by ranking. S: true gain as a share of the predicted gain of the grid point that ranks
 #: first, which is the best of many predictions with errors (benchmark/target.py --bias). C: least
 #: cost of a divert: in probability, or in the score 4 m more clearance or 4.6 degrees less slope.
-GAIN = {"probability": (0.5, 0.001), "score": (1.0, 0.08)}
+GAIN_AND_COST = {"probability": (0.5, 0.001), "score": (1.0, 0.08)}
 #: The target stays on ground that is no longer safe enough to be chosen while the risk within half
 #: of ``lss.margin`` is at most this multiple of ``lss.max_risk``: where little ground is safe, its
 #: edge moves with each scan.
-KEPT = 3.0
+KEEP_RISK_FACTOR = 3.0
 #: Share of the area, or of the domain, that is observed before the first target, unless
 #: ``lss.settle_time`` is over: the first survey of a closed loop observes it (config/flight.yaml).
 SETTLE_SHARE = 0.63
 #: Cost per metre to the preferred place: 0.1 % of probability, so that the nearer of two equal
 #: sites ranks first; in the score 0.2 m of clearance.
-NEARER = {"probability": 0.001, "score": 0.004}
+DISTANCE_COST = {"probability": 0.001, "score": 0.004}
 #: Sideways acceleration of the vehicle, m/s^2, and the least downward speed for its time left, m/s.
-ASIDE, SLOWEST = 1.0, 0.5
+LATERAL_ACCELERATION, MIN_DESCENT_SPEED = 1.0, 0.5
 #: Tolerance of equal coordinates as a share of the grid's spacing: rounding when the domain moves.
-SAME = 1e-6
+COORDINATE_TOLERANCE = 1e-6
 
-Place = tuple[int, int]
+GridIndex = tuple[int, int]
 
 
 class Reason(IntEnum):
@@ -127,13 +127,13 @@ class Descent:
     @property
     def seconds(self) -> float:
         """Return the time left, s."""
-        return self.height / max(self.speed, SLOWEST)
+        return self.height / max(self.speed, MIN_DESCENT_SPEED)
 
     @property
     def reach(self) -> float:
         """Return how far the vehicle can divert, m: it accelerates for half of the time left,
         brakes for the other half, and flies at least 45 degrees down."""
-        return max(min(self.height, 0.25 * ASIDE * self.seconds**2), 0.0)
+        return max(min(self.height, 0.25 * LATERAL_ACCELERATION * self.seconds**2), 0.0)
 
 
 @dataclass(frozen=True)
@@ -164,11 +164,11 @@ class Candidates:
         return np.isfinite(self.cost)
 
     @cached_property
-    def best(self) -> Place | None:
+    def best(self) -> GridIndex | None:
         """Return row and column of the grid point that ranks first, None without one."""
         return self.rank_first(self.cost)
 
-    def rank_first(self, cost: Array) -> Place | None:
+    def rank_first(self, cost: Array) -> GridIndex | None:
         """Return the same by another cost (ny, nx), NaN or infinite where excluded."""
         return best_among_equals(cost, self.unsafe, self.clearance)
 
@@ -178,9 +178,9 @@ class Candidates:
             return self.permitted
         return self.permitted & ~(self.unsafe > 1.0 - least)
 
-    def find(self, x: float, y: float) -> Place | None:
+    def find(self, x: float, y: float) -> GridIndex | None:
         """Return row and column of the grid point at x and y, m, None if there is none."""
-        slack = SAME * float(self.x[1] - self.x[0]) if len(self.x) > 1 else 0.0
+        slack = COORDINATE_TOLERANCE * float(self.x[1] - self.x[0]) if len(self.x) > 1 else 0.0
         row, column = bisect_left(self.y, y - slack), bisect_left(self.x, x - slack)
         found = row < len(self.y) and column < len(self.x)
         found = found and self.y[row] <= y + slack and self.x[column] <= x + slack
@@ -197,7 +197,7 @@ class Candidates:
         moved = other.x[0] - self.x[0], other.y[0] - self.y[0]
         steps = np.array(moved) / (self.x[1] - self.x[0], self.y[1] - self.y[0])
         east, north = np.round(steps).astype(int).tolist()
-        whole = np.abs(steps - (east, north)).max() <= SAME
+        whole = np.abs(steps - (east, north)).max() <= COORDINATE_TOLERANCE
         return carried(self.safe, east, north, False) if whole else nowhere
 
 
@@ -206,11 +206,11 @@ class Choice:
     """The target: row and column of its grid point, and its number; None and 0 without a target.
     ``best``: without a target, the permitted grid point that ranks first, None without one."""
 
-    place: Place | None
+    place: GridIndex | None
     id: int
     reason: Reason
     state: State = State.NONE
-    best: Place | None = None
+    best: GridIndex | None = None
 
 
 def same_site_distance(lss: LssConfig) -> float:
@@ -219,7 +219,7 @@ def same_site_distance(lss: LssConfig) -> float:
     return 0.49 * min(lss.vehicle.diameter, lss.vehicle.lengths.min_separation)
 
 
-class Places:
+class SiteNumbers:
     """Numbers of places, from 1; none is given twice. A place keeps its number while the grid point
     where it was first ranked, or where it became the target, is safe."""
 
@@ -231,7 +231,7 @@ class Places:
         """Drop the places that are not safe any more."""
         found = {k: ground.find(*place) for k, place in self._known.items()}
         gone = [k for k, place in found.items() if place is None or not ground.safe[place]]
-        for number in (*gone, *list(self._known)[:-MAX_PLACES]):
+        for number in (*gone, *list(self._known)[:-MAX_SITES]):
             self._known.pop(number, None)
 
     def numbers(self, places: Array, lss: LssConfig) -> Numbers:
@@ -264,8 +264,8 @@ class Situation:
     ground: Candidates
     confirmed: Mask
     lss: LssConfig
-    why_not: Callable[[int, int], Reason]  # why landing is not permitted at a row and column
-    why_none: Reason  # why it is not permitted anywhere
+    reason_at: Callable[[int, int], Reason]  # why landing is not permitted at a row and column
+    reason_without_site: Reason  # why it is not permitted anywhere
     descent: Descent | None  # to the target, None if unknown
     settled: bool  # enough ground is observed, or the time for it is over
     now: Candidates | None  # those within reach
@@ -277,7 +277,7 @@ class Situation:
 
     def transition(
         self, state: State, request: Request, held: tuple[float, float] | None
-    ) -> tuple[State, Place | None, Reason]:
+    ) -> tuple[State, GridIndex | None, Reason]:
         """Return the next state, row and column of the target, and why.
 
         A lost target is withdrawn, and the next assessment chooses another one; in state NOW the
@@ -295,11 +295,11 @@ class Situation:
 
     def _choose(
         self, request: Request, held: tuple[float, float] | None
-    ) -> tuple[Place | None, Reason]:
+    ) -> tuple[GridIndex | None, Reason]:
         """Choose a target as if there were none."""
         released = request is Request.RELEASE
         if not self.ground.permitted.any():
-            return None, self.why_none
+            return None, self.reason_without_site
         if not (self.settled or self.is_low or released):
             return None, Reason.SETTLING
         if not self.ground.probable(self.lss.min_probability).any():
@@ -309,7 +309,7 @@ class Situation:
             return None, Reason.UNCONFIRMED
         return place, Reason.FIRST if held is None else Reason.RELEASED
 
-    def _keep(self, held: tuple[float, float]) -> tuple[Place | None, Reason]:
+    def _keep(self, held: tuple[float, float]) -> tuple[GridIndex | None, Reason]:
         """Keep the target, change it for a better one, or withdraw it."""
         place = self.ground.find(*held)
         if place is None:
@@ -324,19 +324,19 @@ class Situation:
                 return better, Reason.BETTER
         return (place, Reason.HOLDS) if reason is None else (None, reason)
 
-    def _reason_to_withdraw(self, place: Place) -> Reason | None:
+    def _reason_to_withdraw(self, place: GridIndex) -> Reason | None:
         """Return why the target cannot stay, None if it can."""
         most, unsafe = 1.0 - self.lss.min_probability, self.ground.unsafe
         if self.ground.permitted[place]:
             probable = self.is_low or unsafe is None or not unsafe[place] > most
             return None if probable else Reason.UNLIKELY
-        reason = self.why_not(*place)
+        reason = self.reason_at(*place)
         if reason is not Reason.HAZARD or unsafe is None or not unsafe[place] <= most:
             return reason
-        tolerable = self.is_low or self._risk_nearby(place) <= KEPT * self.lss.max_risk
+        tolerable = self.is_low or self._risk_nearby(place) <= KEEP_RISK_FACTOR * self.lss.max_risk
         return None if tolerable else reason
 
-    def _risk_nearby(self, place: Place) -> float:
+    def _risk_nearby(self, place: GridIndex) -> float:
         """Return the greatest risk within half of ``lss.margin``, the target's own without one."""
         if self.ground.risk is None:
             return inf
@@ -344,14 +344,14 @@ class Situation:
         row, column = (slice(max(i - steps, 0), i + steps + 1) for i in place)
         return float(self.ground.risk[row, column].max())
 
-    def _land_now(self, held: tuple[float, float] | None) -> tuple[Place | None, Reason]:
+    def _land_now(self, held: tuple[float, float] | None) -> tuple[GridIndex | None, Reason]:
         """Keep the target while it is observed and wanted, whatever its risk, unless another one
         within reach is better; else choose the best within reach."""
         now, place = self.now, None if held is None else self.ground.find(*held)
         excluded = place is None or np.isnan(self.ground.cost[place])
-        if place is None or (excluded and self.why_not(*place) is not Reason.HAZARD):
+        if place is None or (excluded and self.reason_at(*place) is not Reason.HAZARD):
             best = None if now is None else now.best
-            return best, self.why_none if best is None else Reason.LAND_NOW
+            return best, self.reason_without_site if best is None else Reason.LAND_NOW
         risk = 0.0 if self.ground.unsafe is None else float(self.ground.unsafe[place])
         if now is not None and not (self.is_low and risk <= 1.0 - self.lss.min_probability):
             if better := self._better(now, now.permitted, place, self.descent):
@@ -359,11 +359,11 @@ class Situation:
         return place, Reason.HOLDS
 
     def _better(
-        self, ground: Candidates, allowed: Mask, held: Place, left: Descent | None
-    ) -> Place | None:
+        self, ground: Candidates, allowed: Mask, held: GridIndex, left: Descent | None
+    ) -> GridIndex | None:
         """Return the grid point that ranks first after the cost of the divert, if the expected
         gain exceeds that cost. ``left``: the descent that is left for the divert."""
-        share, least = GAIN[self.lss.ranking]
+        share, least = GAIN_AND_COST[self.lss.ranking]
         cost = ground.cost[held]
         if ground.unsafe is not None and np.isnan(cost):  # risky, but tolerable
             cost = ground.unsafe[held]
@@ -390,7 +390,7 @@ class TargetKeeper:
 
     def __init__(self) -> None:
         self.assessments = 0
-        self.places = Places()
+        self.places = SiteNumbers()
         self.held: tuple[float, float] | None = None
         self._state, self._request = State.NONE, Request.NONE
         self._id = 0
@@ -426,8 +426,8 @@ class TargetKeeper:
         ground: Candidates,
         lss: LssConfig,
         *,
-        why_not: Callable[[int, int], Reason],
-        why_none: Reason,
+        reason_at: Callable[[int, int], Reason],
+        reason_without_site: Reason,
         descent: Descent | None = None,
         settled: bool = True,
         now: Candidates | None = None,
@@ -439,7 +439,9 @@ class TargetKeeper:
         confirmed = np.zeros_like(ground.safe)
         if before is not None:
             confirmed = ground.probable(lss.min_probability) & before.safe_on(ground)
-        given = Situation(ground, confirmed, lss, why_not, why_none, descent, settled, now)
+        given = Situation(
+            ground, confirmed, lss, reason_at, reason_without_site, descent, settled, now
+        )
         self._state, place, reason = given.transition(self._state, self._request, self.held)
         self._request, self.held = Request.NONE, None
         if place is None:

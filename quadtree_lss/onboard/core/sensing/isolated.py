@@ -7,7 +7,7 @@ side by side stay, and the last return of a row needs one linked neighbour only.
 
 In an organised scan, neighbours are the four adjacent pixels and the distance is the difference in
 range. In an unorganised scan, all points are neighbours and the distance is the distance in space.
-The gate widens to five times the scan's usual distance (the median distance to the second nearest
+The gate widens to five times the scan's typical distance (the median distance to the second nearest
 neighbour), which a coarse view of slanted ground needs. Scans of fewer than three returns are not
 filtered.
 """
@@ -22,14 +22,14 @@ from cython.cimports.libc.math import INFINITY
 
 from quadtree_lss.onboard.arrays import Array, Ints, Mask
 
-#: The gate is at least this many usual distances. A plane seen at a slant from 400 m has steps of
-#: one usual distance; rocks and pixel noise multiply them.
-WIDENING = 5.0
-#: Places of the pixels or points, as shares of their number, whose median is the usual distance:
+#: The gate is at least this many typical distances. A plane seen at a slant from 400 m has steps of
+#: one typical distance; rocks and pixel noise multiply them.
+GATE_FACTOR = 5.0
+#: Places of the pixels or points, as shares of their number, whose median is the typical distance:
 #: multiples of the golden section sample any raster evenly.
 SAMPLE = np.arange(1024) * 0.6180339887498949 % 1.0
 #: The gate for points in space is at least this, m: equal points are linked.
-LEAST_GATE = 1e-6
+MIN_GATE = 1e-6
 
 
 def isolated_in_image(ranges: Array, gate: float) -> Ints:
@@ -45,7 +45,9 @@ def isolated_in_image(ranges: Array, gate: float) -> Ints:
         return pixels[:0]
     steps = np.empty(len(SAMPLE))
     known = second_steps(ranges, (SAMPLE * ranges.size).astype(np.int32), steps)
-    limit = WIDENING * float(np.partition(steps[:known], known // 2)[known // 2]) if known else 0.0
+    limit = (
+        GATE_FACTOR * float(np.partition(steps[:known], known // 2)[known // 2]) if known else 0.0
+    )
     if limit > gate:  # a wider gate isolates no return that the narrower one does not
         count = keep_isolated(ranges, limit, pixels[:count])
     return pixels[:count]
@@ -185,7 +187,7 @@ def isolated_in_space(points: Array, ranges: Array, gate: float) -> Ints:
         return returns[:0]
     from scipy.spatial import cKDTree  # takes half a second: organised scans never need it
 
-    limit = max(gate, WIDENING * usual_distance(points), LEAST_GATE)
+    limit = max(gate, GATE_FACTOR * typical_distance(points), MIN_GATE)
     tree: Any = cKDTree(points, leafsize=32, compact_nodes=False, balanced_tree=False)
     apart = tree.indices[~linked[tree.indices]]  # in the tree's order, several times faster
     distance, near = tree.query(points[apart], k=3, distance_upper_bound=limit)
@@ -197,7 +199,7 @@ def isolated_in_space(points: Array, ranges: Array, gate: float) -> Ints:
     return isolated
 
 
-def usual_distance(points: Array) -> float:
+def typical_distance(points: Array) -> float:
     """Median distance of points (N, 3) to the second nearest other, m, from a sample.
 
     The points lie on a surface, where those of a sample of one in k are sqrt(k) times as far apart.

@@ -98,7 +98,7 @@ def points_from_ranges(ranges: ArrayLike, azimuth: ArrayLike, elevation: ArrayLi
     )
 
 
-def sound_covariance(covariance: Array) -> Array:
+def clip_covariance(covariance: Array) -> Array:
     """A covariance (K, K) made positive semidefinite and bounded: eigenvalues 0 .. 1e6."""
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(values.clip(0.0, MAX_VARIANCE))

@@ -23,7 +23,7 @@ AXES = {"same": np.eye(3), "flu_to_optical": OPTICAL_FROM_FLU, "optical_to_flu":
 class MountedPoses:
     """Lidar poses from those of the body (``rotation_map_lidar`` is then map from body) and the
     lidar's mount on it: its pose in body axes, or a buffer of such poses (a gimbal); None until it
-    is known. ``gimbal_topic`` and ``lack`` are for texts: where it comes from, why it is not
+    is known. ``gimbal_topic`` and ``explain_missing`` are for texts: where it comes from, why it is not
     known."""
 
     def __init__(
@@ -31,12 +31,12 @@ class MountedPoses:
         body: PoseBuffer,
         mount: Pose | PoseBuffer | None,
         gimbal_topic: str = "lidar/gimbal",
-        lack: Callable[[], str] = str,
+        explain_missing: Callable[[], str] = str,
     ) -> None:
         self.body = body
         self.mount = mount
         self.gimbal_topic = gimbal_topic
-        self.lack = lack
+        self.explain_missing = explain_missing
 
     @property
     def jumps(self) -> int:
@@ -58,10 +58,10 @@ class MountedPoses:
         mount = self.mount.range_ns
         return None if mount is None else (max(body[0], mount[0]), min(body[1], mount[1]))
 
-    def at(self, stamp_ns: int) -> Pose | None:
+    def pose_at(self, stamp_ns: int) -> Pose | None:
         """Pose of the lidar at the stamp, None unless both body and mount are known then."""
-        body = self.body.at(stamp_ns)
-        mount = self.mount.at(stamp_ns) if isinstance(self.mount, PoseBuffer) else self.mount
+        body = self.body.pose_at(stamp_ns)
+        mount = self.mount.pose_at(stamp_ns) if isinstance(self.mount, PoseBuffer) else self.mount
         return None if body is None or mount is None else mounted(body, mount)
 
     def covers(self, stamp_ns: int) -> bool:
@@ -70,33 +70,33 @@ class MountedPoses:
             return False
         return isinstance(self.mount, Pose) or self.mount.covers(stamp_ns)
 
-    def between(self, first_ns: int, last_ns: int) -> list[int]:
+    def stamps_between(self, first_ns: int, last_ns: int) -> list[int]:
         """Stamps of the poses of either that lie between, both ends excluded."""
-        stamps = self.body.between(first_ns, last_ns)
+        stamps = self.body.stamps_between(first_ns, last_ns)
         if isinstance(self.mount, PoseBuffer):
-            stamps = sorted({*stamps, *self.mount.between(first_ns, last_ns)})
+            stamps = sorted({*stamps, *self.mount.stamps_between(first_ns, last_ns)})
         return stamps
 
-    def hopeless(self, stamp_ns: int) -> str | None:
+    def drop_reason(self, stamp_ns: int) -> str | None:
         """As of the body; of the mount with ``gimbal_`` in front."""
-        reason = self.body.hopeless(stamp_ns)
+        reason = self.body.drop_reason(stamp_ns)
         if reason is None and isinstance(self.mount, PoseBuffer):
-            of_mount = self.mount.hopeless(stamp_ns)
+            of_mount = self.mount.drop_reason(stamp_ns)
             reason = None if of_mount is None else f"gimbal_{of_mount}"
         return reason
 
-    def lacking(self, stamp_ns: int) -> str:
+    def timeout_reason(self, stamp_ns: int) -> str:
         """``no_pose`` of the body, ``no_mount`` or ``gimbal_no_pose``."""
         if self.body.covers(stamp_ns) and self.mount is None:
             return "no_mount"
         if self.body.covers(stamp_ns) and isinstance(self.mount, PoseBuffer):
-            return f"gimbal_{self.mount.lacking(stamp_ns)}"
-        return self.body.lacking(stamp_ns)
+            return f"gimbal_{self.mount.timeout_reason(stamp_ns)}"
+        return self.body.timeout_reason(stamp_ns)
 
     def explain(self, stamp_ns: int, topic: str) -> str:
         """As of the body, unless it is the mount or the gimbal that is missing."""
         if self.body.covers(stamp_ns) and self.mount is None:
-            return self.lack()
+            return self.explain_missing()
         if self.body.covers(stamp_ns) and isinstance(self.mount, PoseBuffer):
             return self.mount.explain(stamp_ns, self.gimbal_topic)
         return self.body.explain(stamp_ns, topic)
@@ -124,7 +124,7 @@ def mounted(body: Pose, mount: Pose) -> Pose:
     )
 
 
-def cloud_turn(config: MountConfig) -> NDArray[np.float64]:
+def cloud_rotation(config: MountConfig) -> NDArray[np.float64]:
     """(3, 3) takes the cloud's axes to the lidar's, as which pose and mount have them."""
     return AXES[config.axes]
 
@@ -136,4 +136,4 @@ def fixed_mount(config: MountConfig) -> Pose | None:
     roll, pitch, yaw = np.radians([config.roll_deg, config.pitch_deg, config.yaw_deg])
     rotation = exp([0.0, 0.0, yaw]) @ exp([0.0, pitch, 0.0]) @ exp([roll, 0.0, 0.0])
     place = np.array([config.x, config.y, config.z])
-    return Pose(0, place, rotation @ cloud_turn(config), np.zeros((6, 6)))
+    return Pose(0, place, rotation @ cloud_rotation(config), np.zeros((6, 6)))

@@ -14,14 +14,14 @@ from quadtree_lss.onboard.arrays import Array, Ints, Keys, Points
 from quadtree_lss.onboard.core.geometry.morton import SPREAD, sort_packed
 
 #: Known to be an array of numbers once and for all.
-SPREAD_OUT = cython.declare(cython.longlong[::1], SPREAD)
+SPREAD_VIEW = cython.declare(cython.longlong[::1], SPREAD)
 
 
 class Workspace:
-    """What the passes over N points write and read, with room for three more (`arrange`).
+    """What the passes over N points write and read, with room for three more (`sort_points`).
 
     Attributes:
-        turned: (N + 3, 3) points in map axes about the lidar, m; anything where there is no return.
+        points_map: (N + 3, 3) points in map axes about the lidar, m; anything where there is no return.
         ranges: (N,) m, NaN where there is no return.
         runs: (N,) for the runs of points in one cell that follow one another: the Morton code of
             the finest cell, its count squared for none, and the number of the run, packed as
@@ -34,8 +34,12 @@ class Workspace:
     """
 
     def __init__(self, size: cython.Py_ssize_t) -> None:
-        self.turned, self.ranges = np.empty((size + 3, 3)), np.empty(size)
-        self.points, self.flat, self.range = self.turned, self.turned.reshape(-1), self.ranges
+        self.points_map, self.ranges = np.empty((size + 3, 3)), np.empty(size)
+        self.points, self.flat, self.range = (
+            self.points_map,
+            self.points_map.reshape(-1),
+            self.ranges,
+        )
         self.runs, self.spare = np.empty((2, size), np.int64)
         self.begins = np.empty(size + 1, np.int32)
         self.still = np.zeros((1, 12))
@@ -44,27 +48,27 @@ class Workspace:
         self._fresh()
 
     def _fresh(self) -> None:
-        size = len(self.turned)
+        size = len(self.points_map)
         self._arranged, self._key = np.empty((size, 3)), np.empty(size, np.int64)
         self.arranged, self.key = self._arranged.reshape(-1), self._key
-        self._holders = sys.getrefcount(self._arranged), sys.getrefcount(self._key)
+        self._references = sys.getrefcount(self._arranged), sys.getrefcount(self._key)
 
-    def answer(self) -> tuple[Array, Keys]:
+    def output(self) -> tuple[Array, Keys]:
         """Arrays for points (N + 3, 3) and keys (N + 3,): those of the scan before, or new ones if
         somebody still has these."""
-        if (sys.getrefcount(self._arranged), sys.getrefcount(self._key)) != self._holders:
+        if (sys.getrefcount(self._arranged), sys.getrefcount(self._key)) != self._references:
             self._fresh()
         return self._arranged, self._key
 
 
 @cython.boundscheck(False)
-def turn(
+def transform_points(
     points_lidar: Points,
     offsets: Ints,
     times: Array,
     motion: Array,
-    least: float,
-    most: float,
+    min_range: float,
+    max_range: float,
     west: float,
     south: float,
     per_metre: float,
@@ -76,10 +80,10 @@ def turn(
     Args:
         offsets, times, motion: Of a `sweep.Sweep`; without offsets, or if all times are one, the
             first row is for all.
-        least, most: Shorter or longer ranges are no returns, m.
+        min_range, max_range: Shorter or longer ranges are no returns, m.
         west, south: Place of the points' origin in the domain, from its corner, m.
         per_metre, count: Finest cells to a metre, and along a side.
-        work: For the answer.
+        work: For the output.
     """
     i: cython.Py_ssize_t
     missing: cython.longlong = 0
@@ -93,13 +97,13 @@ def turn(
     nowhere: cython.longlong = count * count
     side: cython.double = count
     moving: cython.bint = offsets.shape[0] > 0 and times[0] < times[times.shape[0] - 1]
-    nearest: cython.double = max(least, 5e-324)  # more than nothing
+    nearest: cython.double = max(min_range, 5e-324)  # more than nothing
     r = cython.declare(cython.double[12])
     points = cython.declare(cython.double[:, ::1], work.points)
     ranges = cython.declare(cython.double[::1], work.range)
     runs = cython.declare(cython.longlong[::1], work.runs)
     begins = cython.declare(cython.int[::1], work.begins)
-    spread = cython.declare(cython.longlong[::1], SPREAD_OUT)
+    spread = cython.declare(cython.longlong[::1], SPREAD_VIEW)
     begins[0] = 0
     with cython.nogil:
         for k in range(12):
@@ -110,7 +114,7 @@ def turn(
             z = points_lidar[i, 2]
             distance = sqrt(x * x + y * y + z * z)
             code = nowhere
-            if nearest <= distance <= most:
+            if nearest <= distance <= max_range:
                 ranges[i] = distance
                 if moving:
                     while at > 0 and offsets[i] < times[at]:
@@ -151,7 +155,7 @@ def turn(
 
 
 @cython.boundscheck(False)
-def reach_beyond(points: Points, limit: float) -> cython.bint:
+def any_beyond(points: Points, limit: float) -> cython.bint:
     """True if one of points (N, 3) has a coordinate beyond ``limit`` or infinite."""
     i: cython.Py_ssize_t
     with cython.nogil:
@@ -162,8 +166,10 @@ def reach_beyond(points: Points, limit: float) -> cython.bint:
 
 
 @cython.boundscheck(False)
-def arrange(work: Workspace, isolated: cython.bint, nowhere: cython.longlong) -> cython.Py_ssize_t:
-    """Sort the runs; copy the points and their keys, run by run, to the `Workspace.answer`. Returns
+def sort_points(
+    work: Workspace, isolated: cython.bint, nowhere: cython.longlong
+) -> cython.Py_ssize_t:
+    """Sort the runs; copy the points and their keys, run by run, to the `Workspace.output`. Returns
     how many points these are.
 
     How long a run is, nobody could foretell: four points of each are copied, the next run replaces

@@ -89,7 +89,7 @@ class PoseBuffer:
         self._poses.insert(place, pose)
         return None
 
-    def at(self, stamp_ns: int) -> Pose | None:
+    def pose_at(self, stamp_ns: int) -> Pose | None:
         """Pose of exactly this stamp, else between the two around it, else None.
 
         Never the latest pose, never beyond either end. With poses that arrive in the order of
@@ -105,16 +105,16 @@ class PoseBuffer:
         """True if ``at`` has an answer."""
         return self._bracket(stamp_ns) is not None
 
-    def between(self, first_ns: int, last_ns: int) -> list[int]:
+    def stamps_between(self, first_ns: int, last_ns: int) -> list[int]:
         """Stamps of the poses that lie between, both ends excluded."""
         start = bisect.bisect_right(self._stamps, first_ns)
         return self._stamps[start : bisect.bisect_left(self._stamps, last_ns)]
 
-    def lacking(self, stamp_ns: int) -> str:
+    def timeout_reason(self, stamp_ns: int) -> str:
         """``no_pose``: the key to count a scan by that has waited for one in vain."""
         return "no_pose"
 
-    def hopeless(self, stamp_ns: int) -> str | None:
+    def drop_reason(self, stamp_ns: int) -> str | None:
         """``before_poses`` or ``pose_gap`` if later poses cannot help any more, else None."""
         if not self._stamps or self._stamps[-1] < stamp_ns or self.covers(stamp_ns):
             return None

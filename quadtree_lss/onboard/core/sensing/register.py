@@ -10,12 +10,12 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Index, Keys, Points
 from quadtree_lss.onboard.config.settings import LidarConfig
-from quadtree_lss.onboard.core.geometry.bounds import MOST_HEIGHT
+from quadtree_lss.onboard.core.geometry.bounds import MAX_HEIGHT
 from quadtree_lss.onboard.core.geometry.morton import SPREAD
 from quadtree_lss.onboard.core.sensing.isolated import isolated_in_image, isolated_in_space
-from quadtree_lss.onboard.core.sensing.lidar import Pose, sound_covariance
-from quadtree_lss.onboard.core.sensing.points import Workspace, arrange, turn
-from quadtree_lss.onboard.core.sensing.sweep import AT_ONCE, AT_STAMP, Sweep
+from quadtree_lss.onboard.core.sensing.lidar import Pose, clip_covariance
+from quadtree_lss.onboard.core.sensing.points import Workspace, sort_points, transform_points
+from quadtree_lss.onboard.core.sensing.sweep import NO_OFFSETS, STAMP_ONLY, Sweep
 
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.tree.domain import Domain
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 #: Of larger scans no memory is kept.
 KEPT_POINTS = 1 << 20
 #: What a lidar higher or lower than this sees is beyond the heights of maps, m: rays end at 1e6.
-HIGHEST = MOST_HEIGHT - 2e6
+HIGHEST = MAX_HEIGHT - 2e6
 
 
 class RegisteredScan(NamedTuple):
@@ -83,15 +83,15 @@ def register(
         msg = f"sweep of {len(sweep.offsets)} points for a scan of {len(flat)}"
         raise ValueError(msg)
     work = _workspace(len(flat))
-    turned = work.turned[: len(flat)]
+    points_map = work.points_map[: len(flat)]
     if sweep is None:
         work.still[0, :9] = pose.rotation_map_lidar.ravel()
-        motion = AT_ONCE, AT_STAMP, work.still
+        motion = NO_OFFSETS, STAMP_ONLY, work.still
     else:
         motion = sweep.offsets, sweep.times, sweep.motion
     x, y, z = pose.position.tolist()
     n = 1 << domain.max_level
-    turn(
+    transform_points(
         flat,
         *motion,
         lidar.min_range,
@@ -106,19 +106,19 @@ def register(
         image = work.ranges.reshape(points_lidar.shape[:2])
         alone = isolated_in_image(image, lidar.outlier_gate)
     else:
-        alone = isolated_in_space(turned, work.ranges, lidar.outlier_gate)
+        alone = isolated_in_space(points_map, work.ranges, lidar.outlier_gate)
     compared = None
     if held is not None and len(alone):
-        compared = held.compare(turned[alone] + pose.position, domain, lidar.outlier_gate)
+        compared = held.compare(points_map[alone] + pose.position, domain, lidar.outlier_gate)
         alone = alone[~compared.confirmed]
     work.ranges[alone] = np.nan
     isolated = len(alone)
     sound = len(flat) - work.missing - work.beyond - isolated
-    points, key = work.answer()
-    inside = arrange(work, isolated > 0, n * n) if abs(z) < HIGHEST else 0
+    points, key = work.output()
+    inside = sort_points(work, isolated > 0, n * n) if abs(z) < HIGHEST else 0
     middle = None
     if sound and not inside:
-        middle = (turned[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]).tolist()
+        middle = (points_map[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]).tolist()
     above = int(np.count_nonzero(points[:inside, 2] > 0.0)) if work.above else 0
     above = inside if 2 * above > inside else 0
     points, key, admitted = points[: inside - above], key[: inside - above], 0
@@ -128,7 +128,7 @@ def register(
         admitted = len(places)
     scan = RegisteredScan(
         pose=Pose(
-            pose.stamp_ns, pose.position, pose.rotation_map_lidar, sound_covariance(pose.covariance)
+            pose.stamp_ns, pose.position, pose.rotation_map_lidar, clip_covariance(pose.covariance)
         ),
         origin=pose.position,
         points=points,

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.mount import PoseSource
 from quadtree_lss.onboard.core.sensing.pose_buffer import SECOND_NS, seconds
-from quadtree_lss.onboard.core.sensing.sweep import uncovered
+from quadtree_lss.onboard.core.sensing.sweep import find_uncovered_stamp
 
 
 class Drop(NamedTuple):
@@ -92,11 +92,11 @@ class ScanQueue:
             first = self._waiting[0]
             lacks = self._lacks(first)
             if lacks is not None:
-                reason = self.poses.hopeless(lacks)
+                reason = self.poses.drop_reason(lacks)
                 if reason is None:
                     break
                 self._drop(first.stamp_ns, reason, self._why(first))
-            elif (pose := self.poses.at(first.stamp_ns)) is not None:
+            elif (pose := self.poses.pose_at(first.stamp_ns)) is not None:
                 ready.append((first.stamp_ns, first.scan, pose))
             self._waiting.popleft()
         return ready
@@ -111,7 +111,7 @@ class ScanQueue:
             if lacks is None:
                 break
             waited = (now_ns - first.arrival_ns) / SECOND_NS
-            reason = self.poses.lacking(lacks)
+            reason = self.poses.timeout_reason(lacks)
             self._drop(first.stamp_ns, reason, f"waited {waited:.3f} s; {self._why(first)}")
             self._waiting.popleft()
         drops, self._drops = self._drops, []
@@ -121,14 +121,14 @@ class ScanQueue:
         """Drops what still waits, because nothing more will come."""
         while self._waiting:
             first = self._waiting.popleft()
-            reason = self.poses.lacking(self._lacks(first) or first.stamp_ns)
+            reason = self.poses.timeout_reason(self._lacks(first) or first.stamp_ns)
             self._drop(first.stamp_ns, reason, f"the data end; {self._why(first)}")
         drops, self._drops = self._drops, []
         return drops
 
     def _lacks(self, waiting: _Waiting) -> int | None:
         """A stamp within the scan for which there is no pose."""
-        return uncovered(self.poses, waiting.first_ns, waiting.last_ns)
+        return find_uncovered_stamp(self.poses, waiting.first_ns, waiting.last_ns)
 
     def _why(self, waiting: _Waiting) -> str:
         lacks = self._lacks(waiting)

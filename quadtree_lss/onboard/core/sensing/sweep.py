@@ -20,9 +20,9 @@ from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.mount import PoseSource
 
 #: Angle between two rotations of the table, rad: a blend errs by its square over eight.
-STEP = 2e-3
+MAX_ANGLE = 2e-3
 #: No point has a time of its own, and the table that of the stamp.
-AT_ONCE, AT_STAMP = np.empty(0, dtype=np.int32), np.zeros(1)
+NO_OFFSETS, STAMP_ONLY = np.empty(0, dtype=np.int32), np.zeros(1)
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Sweep:
     motion: Array
 
 
-def sweep(offsets: Ints, at_stamp: Pose, poses: Sequence[Pose]) -> Sweep:
+def interpolate_sweep(offsets: Ints, at_stamp: Pose, poses: Sequence[Pose]) -> Sweep:
     """Motion through ``poses``, the first and last of which bound the points' times. ``offsets``:
     (N,) ns from the stamp of ``at_stamp``."""
     stamp = at_stamp.stamp_ns
@@ -49,7 +49,7 @@ def sweep(offsets: Ints, at_stamp: Pose, poses: Sequence[Pose]) -> Sweep:
     ways = np.array([pose.position for pose in poses]) - at_stamp.position
     rotations = np.array([pose.rotation_map_lidar for pose in poses])
     turns = log(rotations[:-1].transpose(0, 2, 1) @ rotations[1:])
-    parts = np.maximum(np.ceil(np.linalg.norm(turns, axis=1) / STEP), 1.0).astype(np.intp)
+    parts = np.maximum(np.ceil(np.linalg.norm(turns, axis=1) / MAX_ANGLE), 1.0).astype(np.intp)
     of = np.repeat(np.arange(len(parts)), parts)
     share = (np.arange(len(of)) - (np.cumsum(parts) - parts)[of]) / parts[of]
     motion = np.empty((len(of) + 1, 12))
@@ -63,15 +63,15 @@ def sweep(offsets: Ints, at_stamp: Pose, poses: Sequence[Pose]) -> Sweep:
 
 def poses_during(source: PoseSource, first_ns: int, last_ns: int) -> list[Pose]:
     """Poses at both ends and those that are known between; all must be covered."""
-    stamps = [first_ns, *source.between(first_ns, last_ns), last_ns]
-    return [pose for pose in map(source.at, stamps) if pose is not None]
+    stamps = [first_ns, *source.stamps_between(first_ns, last_ns), last_ns]
+    return [pose for pose in map(source.pose_at, stamps) if pose is not None]
 
 
-def uncovered(source: PoseSource, first_ns: int, last_ns: int) -> int | None:
+def find_uncovered_stamp(source: PoseSource, first_ns: int, last_ns: int) -> int | None:
     """A stamp in first_ns … last_ns for which there is no pose, None if there is none such."""
     if first_ns == last_ns:
         return None if source.covers(first_ns) else first_ns
-    stamps = [first_ns, *source.between(first_ns, last_ns), last_ns]
+    stamps = [first_ns, *source.stamps_between(first_ns, last_ns), last_ns]
     gaps = [(before + after) // 2 for before, after in pairwise(stamps)]
     lacking = (s for s in (first_ns, last_ns, *gaps) if not source.covers(s))
     return next(lacking, None)

@@ -8,7 +8,7 @@ import numpy as np
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 
 #: Of a vehicle there are tens; whoever sends more is out of order.
-MOST_FRAMES = 10_000
+MAX_FRAMES = 10_000
 
 
 class FixedTransforms:
@@ -22,17 +22,17 @@ class FixedTransforms:
 
     def add(self, parent: str, child: str, child_in_parent: Pose) -> bool:
         """Take the pose of a frame in its parent, which replaces one told before. Returns whether
-        that is anything new; beyond `MOST_FRAMES` nothing is."""
+        that is anything new; beyond `MAX_FRAMES` nothing is."""
         parent, child = _name(parent), _name(child)
         known = self._parent.get(child)
         if known is not None and known[0] == parent and _same(known[1], child_in_parent):
             return False
-        if known is None and len(self._parent) >= MOST_FRAMES:
+        if known is None and len(self._parent) >= MAX_FRAMES:
             return False
         self._parent[child] = (parent, child_in_parent)
         return True
 
-    def between(self, body: str, lidar: str) -> Pose | None:
+    def relative_pose(self, body: str, lidar: str) -> Pose | None:
         """Pose of the second frame in the first; None if no chain joins them."""
         to_body, to_lidar = self._up(_name(body)), self._up(_name(lidar))
         common = next((frame for frame in to_lidar if frame in to_body), None)
