@@ -1,8 +1,7 @@
 cdef enum:
-    #: A packed number holds a key above so many bits and a place in the scan below.
+    #: Bits of the index in the scan, the lower part of a packed number; the key is above.
     PLACE_BITS = 32
-    #: One pass of the sort takes at most so many bits of the key: its counters, 2048, fit the
-    #: first cache.
+    #: Most bits of the key per pass of the sort: its 2048 counters fit into the L1 cache.
     DIGIT_BITS = 11
 
 cdef extern from * nogil:
