@@ -164,7 +164,7 @@ def test_reach_is_that_of_speeding_up_and_slowing_down_aside():
 
 def choose(keeper: TargetKeeper, *unsafe, **given) -> Choice:
     """Return the last choice over some assessments."""
-    why = {"reason_at": lambda *_: Reason.HAZARD, "reason_without_site": Reason.NO_SITE}
+    why = {"reason_at": lambda *_: Reason.HAZARD, "no_site_reason": Reason.NO_SITE}
     for each in unsafe:
         choice = keeper.choose(candidates(each, np.isfinite(each), **given), LSS, **why)
     return choice

@@ -10,7 +10,7 @@ from core.scenes import flat, slope
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing import hazards
-from quadtree_lss.onboard.core.landing.aim import users_grid
+from quadtree_lss.onboard.core.landing.aim import make_grid
 from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.target import Reason
@@ -136,7 +136,7 @@ def test_heights_keep_to_what_was_measured_there(level_ground):
     known = cells.known
     np.testing.assert_array_equal(raster.elevation[known], cut[known])
     np.testing.assert_array_equal(raster.slope_x, plane.slope_x)
-    at = users_grid(cells.domain, 0.5)
+    at = make_grid(cells.domain, 0.5)
     middles = np.clip(at.x, 0.0, 16.0 - 1e-9)
     places = (middles / side).astype(int)
     known = known[places[:, None], places][:-1, :-1]

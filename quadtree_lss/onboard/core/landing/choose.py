@@ -33,9 +33,9 @@ from quadtree_lss.onboard.core.landing.target import (
 )
 from quadtree_lss.onboard.core.tree.cell_map import height_by_error
 
-#: Reasons without a target that another assessment of the same map does not change.
+#: Reasons for no target that another assessment of the same map does not change.
 NOT_PENDING = (Reason.SETTLING, Reason.UNLIKELY)
-#: Variance of a heading of which nothing is known (uniform distribution), rad^2.
+#: Variance of an unknown heading (uniform distribution), rad^2.
 UNKNOWN_HEADING_VARIANCE = np.pi**2 / 3.0
 
 
@@ -47,7 +47,7 @@ def choose(
     Args:
         points: Risk and score on the finest lattice.
         aims: The points of the user's grid as aim points.
-        keeper: The target of the assessments before; updated.
+        keeper: The target of earlier assessments; updated.
         waited: Time since the first map, s.
         config: Limits.
     """
@@ -57,7 +57,7 @@ def choose(
         candidates,
         lss,
         reason_at=partial(_reason_at, points, aims, lss),
-        reason_without_site=Reason.WITHHELD if aims.withheld else Reason.NO_SITE,
+        no_site_reason=Reason.WITHHELD if aims.withheld else Reason.NO_SITE,
         descent=aims.descent,
         settled=seen >= SETTLE_SHARE or waited >= lss.settle_time,
         now=aims.now,
@@ -116,7 +116,7 @@ def _describe(
     keeper: TargetKeeper,
     lss: LssConfig,
 ) -> Sites:
-    """Describe sites at grid points, given by row and column."""
+    """Describe sites at grid points; ``places``: row and column of each."""
     vehicle, planes, grid = lss.vehicle, points.raster.planes, aims.grid
     rows, columns = np.array(places, dtype=np.intp).reshape(-1, 2).T
     position = np.column_stack([grid.x[columns], grid.y[rows]])
@@ -152,7 +152,7 @@ def _describe(
         roughness=rough,
         hazard_distance=free_distance,
         subscale_height=raised,
-        id=keeper.places.numbers(position, lss),
+        id=keeper.site_numbers.numbers(position, lss),
         reasons=tuple(reasons),
     )
 
@@ -183,7 +183,7 @@ def _describe_zones(
         (~raster.interior, zone),
         (raster.unestimated, zone + lss.vehicle.pad_radius),
     ):
-        # Cells have an extent, points of the lattice have none.
+        # Cells have an extent, lattice points have none.
         half = 0.5 * (domain.finest_count + 1 - len(marked))
         lower_free_distance(marked.view(np.uint8), half, x, y, side, reach, free_distance)
     return rough.max(axis=1), raised.max(axis=1), np.maximum(free_distance, 0.0)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The order of landing sites.
 
-The risk model cannot tell two probabilities apart whose difference is within its error. Candidates
-with such probabilities are equal, and the one with more clearance ranks first.
+The risk model cannot distinguish probabilities whose difference is within its error. Candidates
+with such probabilities are equal, and the one with the greatest clearance ranks first.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Index
 
-#: Standard deviation of the true from the predicted probability p, as a share of 1 - p: of the
-#: safest grid points on maps of simulated flights (benchmark/target.py --told).
+#: Standard deviation of the error of a predicted probability p as a share of 1 - p, for the safest
+#: grid points on maps of simulated flights (benchmark/target.py --told).
 MODEL_ERROR = 0.5
 #: Two risks u <= v are equal if v - u <= MODEL_ERROR * hypot(u, v): up to v = 2.2 u ...
 EQUAL_RISKS: float = (1.0 + (1.0 - (1.0 - MODEL_ERROR**2) ** 2) ** 0.5) / (1.0 - MODEL_ERROR**2)
@@ -30,7 +30,7 @@ def equal_up_to(risk: float) -> float:
 
 
 def lowest(values: Array) -> tuple[int, int]:
-    """Return row and column of the lowest value, of equal ones the first."""
+    """Return row and column of the first lowest value."""
     row, column = divmod(int(np.argmin(values)), values.shape[1])
     return row, column
 
@@ -40,12 +40,12 @@ def best_among_equals(
 ) -> tuple[int, int] | None:
     """Return row and column of the candidate that ranks first, None without a candidate.
 
-    It is the one with the greatest clearance among those that are equal to the one with the lowest
-    cost; of equal clearances the one with the lower cost.
+    Among those that are equal to the one with the lowest cost, it is the one with the greatest
+    clearance, then with the lowest cost.
 
     Args:
         cost: (ny, nx) lower is better; NaN or infinite where there is no candidate.
-        unsafe: (ny, nx) P(unsafe | aim); None if the cost is no probability: then the lowest cost
+        unsafe: (ny, nx) P(unsafe | aim); None if the cost is not a probability: the lowest cost
             ranks first.
         clearance: (ny, nx) how far the landing zone may move until it touches excluded ground, m;
             None if unknown.
@@ -80,8 +80,8 @@ def ranked_points(
 
     Args:
         cost, unsafe, clearance: As of `best_among_equals`.
-        steps: Least distance of any two, grid points.
-        count: Most candidates wanted.
+        steps: Least distance between two of them, grid points.
+        count: Most candidates to return.
     """
     left = np.fmin(cost, inf)
     best: list[tuple[int, int]] = []

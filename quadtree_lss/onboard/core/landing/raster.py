@@ -25,13 +25,13 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 
 TWO_PI = cython.declare(cython.double, 2.0 * np.pi)
-#: Most independent returns per known finest cell of a leaf (mean) with which a cell without returns
-#: may be chance (e^-6 is one in 400); with more, the cell lies in the shadow of a rock or a drop.
+#: Mean number of independent returns per known finest cell of a leaf up to which a cell without
+#: returns is explained by chance (e^-6 is 1 in 400); above, it is in the shadow of a rock or a drop.
 MAX_RETURNS_IN_GAP = cython.declare(cython.double, 6.0)
-#: Parts of a finest cell of which `CellMap.coverage` counts those with a return.
+#: Parts of a finest cell in `CellMap.coverage`.
 COVERAGE_PARTS = 16.0
 #: Greatest distance to a hazard that improves a score, m for the default vehicle (in proportion for
-#: others); no larger distance is computed.
+#: others); larger distances are not computed.
 DISTANCE_CAP = 10.0
 #: Relative rounding error of a length.
 RELATIVE_ROUNDING = 1e-9
@@ -51,22 +51,22 @@ class TerrainRaster:
         slope_x, slope_y: (n, n) dz/dx, dz/dy of the leaf's plane; 0 where ``bridged``.
         subscale: (n, n) mean height of the leaf's subscale feature over the cell (Eq. 57), m.
         subscale_peak: (n, n) greatest height of it within the cell, m; 0 where negligible.
-        observed: (n, n) known, or within ``lss.gap`` of a known cell; never where ``unestimated`` or where
-            the gap is in a shadow.
-        interior: (n, n) known, or bridged from all around. Other observed ground borders on unseen ground,
-            which may be the drop that casts the shadow.
+        observed: (n, n) known, or in a gap within ``lss.gap`` of a known cell that is neither
+            ``unestimated`` nor in a shadow.
+        interior: (n, n) known, or in a gap that known cells enclose. Other observed ground borders
+            on unobserved ground, which may be the drop that casts the shadow.
         unestimated: (n, n) observed, but not estimated.
         bridged: (n, n) the height is that of the nearest known cell.
         returns: (M,) independent returns of each leaf per known finest cell, in the mean (see
             `independent_returns`).
         planes: The ground at the vehicle's scale at each grid point.
-        free_distance: Distance of each grid point to ground that is not interior, outside the domain, or
-            unestimated, m, as far as it matters. Pads must not reach over unestimated ground, so it
-            counts as nearer by their radius.
-        to_unestimated: Distance of each grid point to unestimated ground, m, as far as it matters.
-        assessable: Grid points at which all ground under the vehicle is observed and mapped.
-        needs_contact: Those and their neighbours, on which the predicted risk also depends, as far
-            as the vehicle fits into the domain.
+        free_distance: Distance of each grid point to ground that is not interior, outside the
+            domain, or unestimated, m, up to a limit. Pads must not reach over unestimated ground,
+            so it counts as nearer by their radius.
+        to_unestimated: Distance of each grid point to unestimated ground, m, up to a limit.
+        assessable: Grid points at which all ground under the vehicle is observed and estimated.
+        needs_contact: Those and their neighbours, on which the predicted risk also depends, where
+            the vehicle fits into the domain.
     """
 
     domain: Domain
@@ -90,14 +90,14 @@ class TerrainRaster:
 
     @property
     def unknown_bits(self) -> Bytes:
-        """Return the hazard bits (n, n) of unseen and unestimated finest cells."""
+        """Return the hazard bits (n, n) of unobserved and unestimated finest cells."""
         bits = ~self.observed * np.uint8(UNSEEN)
         bits |= self.unestimated * np.uint8(UNMAPPED)
         return np.asarray(bits)
 
 
 def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
-    """Lay out a map on its finest cells and evaluate the ground about each grid point."""
+    """Transfer a map to its finest cells and evaluate the ground about each grid point."""
     domain = cells.domain
     n, side = domain.finest_count, domain.finest_size
     leaf = np.empty((n, n), dtype=np.intp)
@@ -146,8 +146,8 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
 def _distances(
     interior: Mask, unestimated: Mask, border: Array, side: float, lss: LssConfig
 ) -> tuple[Array, Array]:
-    """Compute `TerrainRaster.free_distance` and `TerrainRaster.to_unestimated`; ``border``: (n + 1,) distance
-    of rows and columns of grid points to the domain's border, m."""
+    """Compute ``free_distance`` and ``to_unestimated`` of a `TerrainRaster`; ``border``: (n + 1,)
+    distance of rows and columns of grid points to the domain's border, m."""
     limit = max(lss.zone, DISTANCE_CAP * lss.vehicle.size)
     free_distance = distance_from(corner_bits((~interior).view(np.uint8)) > 0, side, limit)
     farthest = max(lss.zone, 0.5 * lss.vehicle.diameter) + lss.vehicle.pad_radius + side
@@ -159,10 +159,10 @@ def _distances(
 
 
 def independent_returns(coverage: Array) -> Array:
-    """Estimate how many independent returns cover this share (M,) of a finest cell's parts.
+    """Estimate the number of independent returns from the covered share (M,) of a finest cell.
 
-    Repeated returns of the same places, as in a hover, cover no new parts. Infinite where all parts
-    are covered.
+    Repeated returns at the same positions, as in a hover, cover no new parts. Infinite where all
+    parts are covered.
     """
     with np.errstate(divide="ignore"):
         return np.asarray(-COVERAGE_PARTS * np.log1p(-np.minimum(coverage, 1.0)))
@@ -176,7 +176,7 @@ def fill_layers(cells: CellMap, side: float, negligible: float, leaf: Index, lay
     Args:
         cells: The map.
         side: Side of the finest cells, m.
-        negligible: Lower parts of a feature are ignored, m.
+        negligible: Height below which parts of a feature are ignored, m.
         leaf: (n, n), set to the row of the leaf.
         layers: (5, n, n), set to elevation and slopes in x and y, and where there is a feature, to
             its mean and its greatest height.
@@ -255,7 +255,7 @@ def count_known(leaf: Index, known: Bytes, count: Ints) -> None:
 @cython.locals(returns=cython.double[::1], layers=cython.double[:, :, ::1])
 @cython.locals(observed=cython.uchar[:, ::1])
 def fill_gaps(place: Ints, leaf: Index, returns: Array, layers: Array, observed: Bytes) -> None:
-    """Make bridged ground level and as high as the nearest known cell; unseen if in a shadow.
+    """Fill gaps with level ground at the height of the nearest known cell; unobserved in a shadow.
 
     Args:
         place: (n, n) flat index of the nearest known cell.

@@ -71,11 +71,11 @@ def height_noise(cells: CellMap, noise: float) -> Array:
 def contact_limits(model: RiskModel, lss: LssConfig) -> ContactLimits:
     """Return the contacts of which the risk model and the touchdown limits need exact values."""
     vehicle, lengths = lss.vehicle, lss.vehicle.lengths
-    least_rise, most_tilt = model.span("rise")[0], model.span("tilt")[1]
+    min_rise, max_tilt = model.span("rise")[0], model.span("tilt")[1]
     return ContactLimits(
-        min(least_rise * vehicle.clearance, lengths.touchdown_roughness),
+        min(min_rise * vehicle.clearance, lengths.touchdown_roughness),
         max(
-            most_tilt * tan(radians(vehicle.max_slope_deg)),
+            max_tilt * tan(radians(vehicle.max_slope_deg)),
             tan(radians(lengths.touchdown_slope_deg)),
         ),
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The landing target: which grid point is given out, when it changes, and why.
+"""The landing target: selection, changes and their reasons.
 
 `Situation.transition` is the transition function of a state machine whose states are `State`. Its
 inputs are the candidates of an assessment, the descent of the vehicle and the request since the
@@ -9,8 +9,8 @@ the grid point that ranks first after the divert's cost if the expected gain exc
 
     S (c(target) - c) > C / (1 - d / r),    d < r
 
-c is the cost of a grid point, S and C are `GAIN_AND_COST`, d is the distance between the two points, m, and
-r is the reach of the vehicle until it is at ``lss.commit_height`` (`Descent.reach`), m.
+c is the cost of a grid point, S and C are `GAIN_AND_COST`, d is the distance between the two
+points, m, and r is the reach of the vehicle above ``lss.commit_height`` (`Descent.reach`), m.
 """
 
 from __future__ import annotations
@@ -33,25 +33,24 @@ from quadtree_lss.onboard.core.tree.domain import carried
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.landing.restrictions import Restrictions
 
-#: Numbered places that are kept; the oldest are dropped first.
+#: Most numbered sites; the oldest are dropped first.
 MAX_SITES = 1000
 #: (S, C) by ranking. S: true gain as a share of the predicted gain of the grid point that ranks
 #: first, which is the best of many predictions with errors (benchmark/target.py --bias). C: least
 #: cost of a divert: in probability, or in the score 4 m more clearance or 4.6 degrees less slope.
 GAIN_AND_COST = {"probability": (0.5, 0.001), "score": (1.0, 0.08)}
-#: The target stays on ground that is no longer safe enough to be chosen while the risk within half
-#: of ``lss.margin`` is at most this multiple of ``lss.max_risk``: where little ground is safe, its
-#: edge moves with each scan.
+#: A target on ground that is no longer safe is kept while the risk within half of ``lss.margin`` is
+#: at most this multiple of ``lss.max_risk``: the edge of small safe areas moves with each scan.
 KEEP_RISK_FACTOR = 3.0
 #: Share of the area, or of the domain, that is observed before the first target, unless
 #: ``lss.settle_time`` is over: the first survey of a closed loop observes it (config/flight.yaml).
 SETTLE_SHARE = 0.63
-#: Cost per metre to the preferred place: 0.1 % of probability, so that the nearer of two equal
-#: sites ranks first; in the score 0.2 m of clearance.
+#: Cost per metre of distance to the preferred point, so that the nearer of two equal sites ranks
+#: first: 0.1 % of probability, or in the score 0.2 m of clearance.
 DISTANCE_COST = {"probability": 0.001, "score": 0.004}
-#: Sideways acceleration of the vehicle, m/s^2, and the least downward speed for its time left, m/s.
+#: Lateral acceleration of the vehicle, m/s^2, and least downward speed for the time left, m/s.
 LATERAL_ACCELERATION, MIN_DESCENT_SPEED = 1.0, 0.5
-#: Tolerance of equal coordinates as a share of the grid's spacing: rounding when the domain moves.
+#: Tolerance of equal coordinates as a share of the grid's spacing, for rounding.
 COORDINATE_TOLERANCE = 1e-6
 
 GridIndex = tuple[int, int]
@@ -214,33 +213,32 @@ class Choice:
 
 
 def same_site_distance(lss: LssConfig) -> float:
-    """Return the distance up to which two places are the same site, m: less than half of the least
-    distance between ranked sites."""
+    """Return the distance up to which two positions are the same site, m: less than half of the
+    least distance between ranked sites."""
     return 0.49 * min(lss.vehicle.diameter, lss.vehicle.lengths.min_separation)
 
 
 class SiteNumbers:
-    """Numbers of places, from 1; none is given twice. A place keeps its number while the grid point
-    where it was first ranked, or where it became the target, is safe."""
+    """Unique numbers of sites, from 1. A site keeps its number while the grid point where it was
+    first ranked, or where it became the target, is safe."""
 
     def __init__(self) -> None:
         self._known: dict[int, tuple[float, float]] = {}
         self._last = 0
 
     def forget(self, ground: Candidates) -> None:
-        """Drop the places that are not safe any more."""
-        found = {k: ground.find(*place) for k, place in self._known.items()}
+        """Drop the sites that are no longer safe."""
+        found = {k: ground.find(*position) for k, position in self._known.items()}
         gone = [k for k, place in found.items() if place is None or not ground.safe[place]]
         for number in (*gone, *list(self._known)[:-MAX_SITES]):
             self._known.pop(number, None)
 
-    def numbers(self, places: Array, lss: LssConfig) -> Numbers:
-        """Return numbers (K,) of places (K, 2), m."""
-        return np.array([self.number(x, y, lss) for x, y in places.tolist()], dtype=np.uint32)
+    def numbers(self, positions: Array, lss: LssConfig) -> Numbers:
+        """Return the numbers (K,) of sites at positions (K, 2), m."""
+        return np.array([self.number(x, y, lss) for x, y in positions.tolist()], dtype=np.uint32)
 
     def number(self, x: float, y: float, lss: LssConfig) -> int:
-        """Return the number of one place, a new one if none is known within
-        `same_site_distance`."""
+        """Return the number of one site, a new one if none is known within `same_site_distance`."""
         nearest = min(self._known, key=lambda k: dist(self._known[k], (x, y)), default=0)
         if not nearest or dist(self._known[nearest], (x, y)) > same_site_distance(lss):
             self._last = nearest = self._last + 1
@@ -248,7 +246,7 @@ class SiteNumbers:
         return nearest
 
     def pin(self, number: int, x: float, y: float) -> None:
-        """Move a number to a place."""
+        """Move a site to a position."""
         self._known.pop(number, None)
         self._known[number] = (x, y)
 
@@ -257,18 +255,18 @@ class SiteNumbers:
 class Situation:
     """Inputs of the transition function, besides state and request.
 
-    ``confirmed``: (ny, nx) candidates that are probable enough and that the assessment before found
-    safe, too: ground at the edge of the observed part often changes with later scans.
+    ``confirmed``: (ny, nx) candidates that are probable enough and were safe in the assessment
+    before, too: ground at the edge of the observed part often changes with later scans.
     """
 
     ground: Candidates
     confirmed: Mask
     lss: LssConfig
     reason_at: Callable[[int, int], Reason]  # why landing is not permitted at a row and column
-    reason_without_site: Reason  # why it is not permitted anywhere
+    no_site_reason: Reason  # why it is not permitted anywhere
     descent: Descent | None  # to the target, None if unknown
-    settled: bool  # enough ground is observed, or the time for it is over
-    now: Candidates | None  # those within reach
+    settled: bool  # enough ground is observed, or ``lss.settle_time`` is over
+    now: Candidates | None  # candidates within reach
 
     @property
     def is_low(self) -> bool:
@@ -278,10 +276,11 @@ class Situation:
     def transition(
         self, state: State, request: Request, held: tuple[float, float] | None
     ) -> tuple[State, GridIndex | None, Reason]:
-        """Return the next state, row and column of the target, and why.
+        """Return the next state, row and column of the target, and the reason.
 
         A lost target is withdrawn, and the next assessment chooses another one; in state NOW the
-        same assessment does. ``state``, ``held`` (x and y, m): as after the assessment before.
+        same assessment does. ``state``, ``held``: state and target (x, y), m, of the assessment
+        before.
         """
         if (state is State.NOW or request is Request.LAND_NOW) and request is not Request.RELEASE:
             return State.NOW, *self._land_now(None if request is Request.LAND_NOW else held)
@@ -299,7 +298,7 @@ class Situation:
         """Choose a target as if there were none."""
         released = request is Request.RELEASE
         if not self.ground.permitted.any():
-            return None, self.reason_without_site
+            return None, self.no_site_reason
         if not (self.settled or self.is_low or released):
             return None, Reason.SETTLING
         if not self.ground.probable(self.lss.min_probability).any():
@@ -337,7 +336,7 @@ class Situation:
         return None if tolerable else reason
 
     def _risk_nearby(self, place: GridIndex) -> float:
-        """Return the greatest risk within half of ``lss.margin``, the target's own without one."""
+        """Return the greatest risk within half of ``lss.margin`` of the target."""
         if self.ground.risk is None:
             return inf
         steps = round(0.5 * self.lss.margin / self.lss.spacing)
@@ -345,13 +344,13 @@ class Situation:
         return float(self.ground.risk[row, column].max())
 
     def _land_now(self, held: tuple[float, float] | None) -> tuple[GridIndex | None, Reason]:
-        """Keep the target while it is observed and wanted, whatever its risk, unless another one
-        within reach is better; else choose the best within reach."""
+        """Keep the target while it is observed and permitted by the restrictions, whatever its risk,
+        unless another one within reach is better; else choose the best within reach."""
         now, place = self.now, None if held is None else self.ground.find(*held)
         excluded = place is None or np.isnan(self.ground.cost[place])
         if place is None or (excluded and self.reason_at(*place) is not Reason.HAZARD):
             best = None if now is None else now.best
-            return best, self.reason_without_site if best is None else Reason.LAND_NOW
+            return best, self.no_site_reason if best is None else Reason.LAND_NOW
         risk = 0.0 if self.ground.unsafe is None else float(self.ground.unsafe[place])
         if now is not None and not (self.is_low and risk <= 1.0 - self.lss.min_probability):
             if better := self._better(now, now.permitted, place, self.descent):
@@ -365,7 +364,7 @@ class Situation:
         gain exceeds that cost. ``left``: the descent that is left for the divert."""
         share, least = GAIN_AND_COST[self.lss.ranking]
         cost = ground.cost[held]
-        if ground.unsafe is not None and np.isnan(cost):  # risky, but tolerable
+        if ground.unsafe is not None and np.isnan(cost):  # excluded, but kept
             cost = ground.unsafe[held]
         worth = allowed & (share * (cost - ground.cost) > least)
         if not worth.any():
@@ -383,14 +382,14 @@ class Situation:
 
 
 class TargetKeeper:
-    """The target from one assessment to the next.
+    """Keeps the target from one assessment to the next.
 
     ``held``: x and y, m, None without a target. ``assessments``: number of assessments.
     """
 
     def __init__(self) -> None:
         self.assessments = 0
-        self.places = SiteNumbers()
+        self.site_numbers = SiteNumbers()
         self.held: tuple[float, float] | None = None
         self._state, self._request = State.NONE, Request.NONE
         self._id = 0
@@ -408,8 +407,8 @@ class TargetKeeper:
     def apply_restrictions(self, restrictions: Restrictions, lss: LssConfig) -> None:
         """Request another choice if the area excludes the target, or another point is preferred.
 
-        Guidance repeats what it can reach and where it flies, so an area that contains the target's
-        zone, and a preferred point at the target, request nothing.
+        Guidance sends its area and preferred point repeatedly, so an area that contains the
+        target's zone, and a preferred point at the target, request nothing.
         """
         goal = restrictions.target
         preferred = None if goal is None else np.ravel(np.asarray(goal, dtype=object)).tolist()
@@ -427,27 +426,27 @@ class TargetKeeper:
         lss: LssConfig,
         *,
         reason_at: Callable[[int, int], Reason],
-        reason_without_site: Reason,
+        no_site_reason: Reason,
         descent: Descent | None = None,
         settled: bool = True,
         now: Candidates | None = None,
     ) -> Choice:
         """Return the target after one more assessment; arguments as of `Situation`."""
         self.assessments += 1
-        self.places.forget(ground)
+        self.site_numbers.forget(ground)
         before, self._before = self._before, ground
         confirmed = np.zeros_like(ground.safe)
         if before is not None:
             confirmed = ground.probable(lss.min_probability) & before.safe_on(ground)
-        given = Situation(
-            ground, confirmed, lss, reason_at, reason_without_site, descent, settled, now
+        situation = Situation(
+            ground, confirmed, lss, reason_at, no_site_reason, descent, settled, now
         )
-        self._state, place, reason = given.transition(self._state, self._request, self.held)
+        self._state, place, reason = situation.transition(self._state, self._request, self.held)
         self._request, self.held = Request.NONE, None
         if place is None:
             return Choice(None, 0, reason, self._state, ground.best)
         self.held = float(ground.x[place[1]]), float(ground.y[place[0]])
         if reason is not Reason.HOLDS:
-            self._id = self.places.number(*self.held, lss)
-        self.places.pin(self._id, *self.held)
+            self._id = self.site_numbers.number(*self.held, lss)
+        self.site_numbers.pin(self._id, *self.held)
         return Choice(place, self._id, reason, self._state)

@@ -122,10 +122,8 @@ def register(
     inside = sort_points(work, len(isolated) > 0, n * n) if abs(z) < HIGHEST else 0
     centre = None
     if valid and not inside:
-        centre_x, centre_y, _ = (
-            points_map[work.ranges > 0.0].mean(axis=0) + pose.position
-        ).tolist()
-        centre = centre_x, centre_y
+        mean = points_map[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]
+        centre = float(mean[0]), float(mean[1])
     above = int(np.count_nonzero(points[:inside, 2] > 0.0)) if work.above else 0
     above = inside if 2 * above > inside else 0
     points, key, admitted = points[: inside - above], key[: inside - above], 0
