@@ -153,8 +153,8 @@ class ContactKernel:
             slope at the grid points of a span, one grid point after the other.
         z_low, z_east, z_west, z_north, z_south: Their pyramids, the corners over the middle, m.
         excess, max_excess: Upper bounds of the rise of each column of cells there, and of all, m.
-        contact_x, contact_y, contact_z, bound_y: Resting planes at one grid point, and the part of its
-            pyramid that depends on the row.
+        contact_x, contact_y, contact_z: (2 headings,) contact planes at one grid point.
+        bound_y: Part of its pyramid that depends on the row, m.
         highest_row, highest_column: Cell in the disc with the greatest rise at the last grid point.
     """
 

@@ -38,7 +38,7 @@ def reference_level(cells: CellMap, reference_size: float) -> int:
 
 
 def avoided_features(cells: CellMap, config: LssConfig) -> Bytes:
-    """Return the bits (M,) of the avoided features of each leaf; 0 for leaves without own returns."""
+    """Return the bits (M,) of the avoided features of each leaf; 0 without own returns."""
     level = reference_level(cells, config.vehicle.lengths.reference_size)
     with np.errstate(invalid="ignore"):
         east, north, up = cells.normal.T

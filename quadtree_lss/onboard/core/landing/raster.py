@@ -25,8 +25,8 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 
 TWO_PI = cython.declare(cython.double, 2.0 * np.pi)
-#: Mean number of independent returns per known finest cell of a leaf up to which a cell without
-#: returns is explained by chance (e^-6 is 1 in 400); above, it is in the shadow of a rock or a drop.
+#: Mean number of independent returns per known finest cell of a leaf up to which a cell can lack
+#: returns by chance (e^-6 is 1 in 400); above, it is in the shadow of a rock or a drop.
 MAX_RETURNS_IN_GAP = cython.declare(cython.double, 6.0)
 #: Parts of a finest cell in `CellMap.coverage`.
 COVERAGE_PARTS = 16.0
@@ -255,12 +255,13 @@ def count_known(leaf: Index, known: Bytes, count: Ints) -> None:
 @cython.locals(returns=cython.double[::1], layers=cython.double[:, :, ::1])
 @cython.locals(observed=cython.uchar[:, ::1])
 def fill_gaps(place: Ints, leaf: Index, returns: Array, layers: Array, observed: Bytes) -> None:
-    """Fill gaps with level ground at the height of the nearest known cell; unobserved in a shadow.
+    """Fill gaps with level ground at the height of the nearest known cell.
 
     Args:
         place: (n, n) flat index of the nearest known cell.
         leaf, layers: As in `fill_layers`; heights and slopes are changed.
-        returns, observed: As in `TerrainRaster`; ``observed`` is changed.
+        returns: As in `TerrainRaster`.
+        observed: As in `TerrainRaster`; set to False in shadows.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     n: cython.Py_ssize_t = place.shape[0]

@@ -344,8 +344,8 @@ class Situation:
         return float(self.ground.risk[row, column].max())
 
     def _land_now(self, held: tuple[float, float] | None) -> tuple[GridIndex | None, Reason]:
-        """Keep the target while it is observed and permitted by the restrictions, whatever its risk,
-        unless another one within reach is better; else choose the best within reach."""
+        """Keep the target at any risk while it is observed and the restrictions permit it, unless
+        another one within reach is better; else choose the best within reach."""
         now, place = self.now, None if held is None else self.ground.find(*held)
         excluded = place is None or np.isnan(self.ground.cost[place])
         if place is None or (excluded and self.reason_at(*place) is not Reason.HAZARD):
