@@ -66,7 +66,7 @@ def choose(
     steps = apart / (grid.x[1] - grid.x[0]) if len(grid.x) > 1 else 0.0
     cost, unsafe, clearance = candidates.cost, candidates.unsafe, candidates.clearance
     ranked = [*zip(*ranked_points(cost, unsafe, clearance, steps, lss.sites), strict=True)]
-    described = ranked if choice.place is None else [*ranked, choice.place]
+    described = ranked if choice.point is None else [*ranked, choice.point]
     sites = _describe(points, aims, described, keeper, lss)
     now = np.full(4, np.nan)
     if (best := aims.now.best) is not None:
@@ -77,7 +77,7 @@ def choose(
         number=keeper.assessments,
         selected=_selected(choice, sites, aims, points.raster, lss),
         seen=seen,
-        pending=landable and choice.place is None and choice.reason not in NOT_PENDING,
+        pending=landable and choice.point is None and choice.reason not in NOT_PENDING,
         sites=sites[: len(ranked)],
         now=now,
         x=grid.x,
@@ -100,7 +100,7 @@ def _selected(
     choice: Choice, sites: Sites, aims: Aims, raster: TerrainRaster, lss: LssConfig
 ) -> Selected:
     """Return the target, which is the last of ``sites``."""
-    if choice.place is None:
+    if choice.point is None:
         best = float("nan") if choice.best is None else float(aims.probability[choice.best])
         return no_target(choice.reason, choice.state, best)
     site = replace(sites[-1:], id=np.array([choice.id], dtype=np.uint32))
@@ -112,20 +112,20 @@ def _selected(
 def _describe(
     points: PointAssessment,
     aims: Aims,
-    places: list[GridIndex],
+    grid_points: list[GridIndex],
     keeper: TargetKeeper,
     lss: LssConfig,
 ) -> Sites:
-    """Describe sites at grid points; ``places``: row and column of each."""
+    """Describe sites at grid points; ``grid_points``: row and column of each."""
     vehicle, planes, grid = lss.vehicle, points.raster.planes, aims.grid
-    rows, columns = np.array(places, dtype=np.intp).reshape(-1, 2).T
+    rows, columns = np.array(grid_points, dtype=np.intp).reshape(-1, 2).T
     position = np.column_stack([grid.x[columns], grid.y[rows]])
     nearest = grid.nearest_row[rows], grid.nearest_column[columns]
     rough, raised, free_distance = _describe_zones(points, nearest, position, lss)
     slope_x, slope_y = planes.slope_x[nearest], planes.slope_y[nearest]
     normal = np.column_stack([-slope_x, -slope_y, np.ones_like(slope_x)])
     slope_deg = np.degrees(np.arctan(planes.gradient[nearest]))
-    risks = [""] * len(places)
+    risks = [""] * len(grid_points)
     if lss.ranking == "probability":
         risks = risk_texts(main_risks(points, aims.dispersion, *nearest, lss))
     limit = vehicle.max_slope_deg
@@ -220,13 +220,13 @@ def _explanation(points: PointAssessment, aims: Aims, lss: LssConfig) -> str:
             text += " that does not lie above the vehicle: poses in NED, or the lidar's mount is"
             text += " another; quadtree-lss doctor says which"
         return text
-    seen, unmapped = float(np.mean(raster.observed)), float(np.mean(raster.unestimated))
+    observed, unestimated = float(np.mean(raster.observed)), float(np.mean(raster.unestimated))
     hazardous = (points.hazard & hazards.IDENTIFIED > 0) & (points.hazard & hazards.UNSEEN == 0)
     return (
-        f"no safe site: {100.0 * seen:.0f} % of the domain is seen, "
-        + (f"{100.0 * unmapped:.0f} % seen but not yet mapped, " if unmapped > 0.0 else "")
+        f"no safe site: {100.0 * observed:.0f} % of the domain is observed, "
+        + (f"{100.0 * unestimated:.0f} % observed but not estimated, " if unestimated > 0.0 else "")
         + f"{100.0 * float(np.mean(hazardous)):.0f} % shows a hazard, and no zone of "
-        f"{lss.zone:.2f} m radius is both seen and allowed"
+        f"{lss.zone:.2f} m radius is both observed and allowed"
     )
 
 

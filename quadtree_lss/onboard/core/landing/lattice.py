@@ -176,9 +176,9 @@ def nearest_marked(marked: Mask) -> Ints:
     SciPy's distance transform finds the same points in six times the time. ``marked``: (ny, nx), at
     least one True.
     """
-    place = np.empty(marked.shape, dtype=np.int32)
-    find_nearest(np.ascontiguousarray(marked).view(np.uint8), place)
-    return place
+    nearest = np.empty(marked.shape, dtype=np.int32)
+    find_nearest(np.ascontiguousarray(marked).view(np.uint8), nearest)
+    return nearest
 
 
 @cython.boundscheck(False)
@@ -361,12 +361,12 @@ def blur(values: Single, weights: Array) -> Single:
 
 
 @cython.boundscheck(False)
-@cython.locals(marked=cython.uchar[:, ::1], place=cython.int[:, ::1])
-def find_nearest(marked: Bytes, place: Ints) -> None:
+@cython.locals(marked=cython.uchar[:, ::1], nearest=cython.int[:, ::1])
+def find_nearest(marked: Bytes, nearest: Ints) -> None:
     """Find nearest marked points in two sweeps (Meijster, Roerdink and Hesselink 2000).
 
     First the nearest marked point in each column; then along each row the lower envelope of the
-    parabolas (x - column)^2 + (distance in the column)^2. ``marked``: (ny, nx). ``place``: (ny,
+    parabolas (x - column)^2 + (distance in the column)^2. ``marked``: (ny, nx). ``nearest``: (ny,
     nx), set to flat indices; one outside the lattice if none is marked.
     """
     cython.declare(i=cython.int, j=cython.int, k=cython.int, top=cython.int, last=cython.int)
@@ -393,7 +393,7 @@ def find_nearest(marked: Bytes, place: Ints) -> None:
         for i in range(rows):
             for j in range(columns):
                 height[j] = (i - near[i, j]) * (i - near[i, j])
-                place[i, j] = i * columns + j
+                nearest[i, j] = i * columns + j
             last = -1
             while True:
                 first = last + 1
@@ -426,7 +426,7 @@ def find_nearest(marked: Bytes, place: Ints) -> None:
                         vertex[top], begin[top] = j, x
                 for j in range(last, first - 1, -1):
                     k = vertex[top]
-                    place[i, j] = near[i, k] * columns + k
+                    nearest[i, j] = near[i, k] * columns + k
                     if j == begin[top]:
                         top -= 1
 

@@ -85,13 +85,13 @@ def ranked_points(
     """
     left = np.fmin(cost, inf)
     best: list[tuple[int, int]] = []
-    while len(best) < count and (place := _best(left, unsafe, clearance)):
-        south, west = (max(index - int(steps), 0) for index in place)
-        around = left[south : place[0] + int(steps) + 1, west : place[1] + int(steps) + 1]
+    while len(best) < count and (point := _best(left, unsafe, clearance)):
+        south, west = (max(index - int(steps), 0) for index in point)
+        around = left[south : point[0] + int(steps) + 1, west : point[1] + int(steps) + 1]
         row, column = np.ogrid[: around.shape[0], : around.shape[1]]
-        apart = (row + south - place[0]) ** 2 + (column + west - place[1]) ** 2
+        apart = (row + south - point[0]) ** 2 + (column + west - point[1]) ** 2
         around[apart < steps**2] = inf
-        left[place] = inf
-        best.append(place)
+        left[point] = inf
+        best.append(point)
     found = np.array(best, dtype=np.intp).reshape(-1, 2)
     return found[:, 0], found[:, 1]

@@ -251,29 +251,29 @@ def count_known(leaf: Index, known: Bytes, count: Ints) -> None:
 
 
 @cython.boundscheck(False)
-@cython.locals(place=cython.int[:, ::1], leaf=cython.Py_ssize_t[:, ::1])
+@cython.locals(nearest=cython.int[:, ::1], leaf=cython.Py_ssize_t[:, ::1])
 @cython.locals(returns=cython.double[::1], layers=cython.double[:, :, ::1])
 @cython.locals(observed=cython.uchar[:, ::1])
-def fill_gaps(place: Ints, leaf: Index, returns: Array, layers: Array, observed: Bytes) -> None:
+def fill_gaps(nearest: Ints, leaf: Index, returns: Array, layers: Array, observed: Bytes) -> None:
     """Fill gaps with level ground at the height of the nearest known cell.
 
     Args:
-        place: (n, n) flat index of the nearest known cell.
+        nearest: (n, n) flat index of the nearest known cell.
         leaf, layers: As in `fill_layers`; heights and slopes are changed.
         returns: As in `TerrainRaster`.
         observed: As in `TerrainRaster`; set to False in shadows.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
-    n: cython.Py_ssize_t = place.shape[0]
+    n: cython.Py_ssize_t = nearest.shape[0]
     height = cython.declare(cython.double[::1], np.asarray(layers[0]).ravel())
     over = cython.declare(cython.Py_ssize_t[::1], np.asarray(leaf).ravel())
     with cython.nogil:
         for i in range(n):
             for j in range(n):
-                if place[i, j] != i * n + j:
-                    height[i * n + j] = height[place[i, j]]
+                if nearest[i, j] != i * n + j:
+                    height[i * n + j] = height[nearest[i, j]]
                     layers[1, i, j], layers[2, i, j] = 0.0, 0.0
-                    if returns[over[place[i, j]]] > MAX_RETURNS_IN_GAP:
+                    if returns[over[nearest[i, j]]] > MAX_RETURNS_IN_GAP:
                         observed[i, j] = 0
 
 

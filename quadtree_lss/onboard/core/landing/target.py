@@ -205,7 +205,7 @@ class Choice:
     """The target: row and column of its grid point, and its number; None and 0 without a target.
     ``best``: without a target, the permitted grid point that ranks first, None without one."""
 
-    place: GridIndex | None
+    point: GridIndex | None
     id: int
     reason: Reason
     state: State = State.NONE
@@ -229,7 +229,7 @@ class SiteNumbers:
     def forget(self, ground: Candidates) -> None:
         """Drop the sites that are no longer safe."""
         found = {k: ground.find(*position) for k, position in self._known.items()}
-        gone = [k for k, place in found.items() if place is None or not ground.safe[place]]
+        gone = [k for k, point in found.items() if point is None or not ground.safe[point]]
         for number in (*gone, *list(self._known)[:-MAX_SITES]):
             self._known.pop(number, None)
 
@@ -285,12 +285,12 @@ class Situation:
         if (state is State.NOW or request is Request.LAND_NOW) and request is not Request.RELEASE:
             return State.NOW, *self._land_now(None if request is Request.LAND_NOW else held)
         if held is None or request is Request.RELEASE:
-            place, reason = self._choose(request, held)
+            point, reason = self._choose(request, held)
         else:
-            place, reason = self._keep(held)
-        if place is None:
+            point, reason = self._keep(held)
+        if point is None:
             return State.SETTLING if reason is Reason.SETTLING else State.NONE, None, reason
-        return State.COMMITTED if self.is_low else State.HOLDS, place, reason
+        return State.COMMITTED if self.is_low else State.HOLDS, point, reason
 
     def _choose(
         self, request: Request, held: tuple[float, float] | None
@@ -303,59 +303,59 @@ class Situation:
             return None, Reason.SETTLING
         if not self.ground.probable(self.lss.min_probability).any():
             return None, Reason.UNLIKELY
-        place = self.ground.rank_first(np.where(self.confirmed, self.ground.cost, inf))
-        if place is None:
+        point = self.ground.rank_first(np.where(self.confirmed, self.ground.cost, inf))
+        if point is None:
             return None, Reason.UNCONFIRMED
-        return place, Reason.FIRST if held is None else Reason.RELEASED
+        return point, Reason.FIRST if held is None else Reason.RELEASED
 
     def _keep(self, held: tuple[float, float]) -> tuple[GridIndex | None, Reason]:
         """Keep the target, change it for a better one, or withdraw it."""
-        place = self.ground.find(*held)
-        if place is None:
+        point = self.ground.find(*held)
+        if point is None:
             return None, Reason.OUTSIDE_MAP
-        reason = self._reason_to_withdraw(place)
+        reason = self._reason_to_withdraw(point)
         if reason not in (None, Reason.UNLIKELY):
             return None, reason
         if not self.is_low:
             descent, commit = self.descent, self.lss.commit_height
             left = None if descent is None else Descent(descent.height - commit, descent.speed)
-            if better := self._better(self.ground, self.confirmed, place, left):
+            if better := self._better(self.ground, self.confirmed, point, left):
                 return better, Reason.BETTER
-        return (place, Reason.HOLDS) if reason is None else (None, reason)
+        return (point, Reason.HOLDS) if reason is None else (None, reason)
 
-    def _reason_to_withdraw(self, place: GridIndex) -> Reason | None:
+    def _reason_to_withdraw(self, point: GridIndex) -> Reason | None:
         """Return why the target cannot stay, None if it can."""
         most, unsafe = 1.0 - self.lss.min_probability, self.ground.unsafe
-        if self.ground.permitted[place]:
-            probable = self.is_low or unsafe is None or not unsafe[place] > most
+        if self.ground.permitted[point]:
+            probable = self.is_low or unsafe is None or not unsafe[point] > most
             return None if probable else Reason.UNLIKELY
-        reason = self.reason_at(*place)
-        if reason is not Reason.HAZARD or unsafe is None or not unsafe[place] <= most:
+        reason = self.reason_at(*point)
+        if reason is not Reason.HAZARD or unsafe is None or not unsafe[point] <= most:
             return reason
-        tolerable = self.is_low or self._risk_nearby(place) <= KEEP_RISK_FACTOR * self.lss.max_risk
+        tolerable = self.is_low or self._risk_nearby(point) <= KEEP_RISK_FACTOR * self.lss.max_risk
         return None if tolerable else reason
 
-    def _risk_nearby(self, place: GridIndex) -> float:
+    def _risk_nearby(self, point: GridIndex) -> float:
         """Return the greatest risk within half of ``lss.margin`` of the target."""
         if self.ground.risk is None:
             return inf
         steps = round(0.5 * self.lss.margin / self.lss.spacing)
-        row, column = (slice(max(i - steps, 0), i + steps + 1) for i in place)
+        row, column = (slice(max(i - steps, 0), i + steps + 1) for i in point)
         return float(self.ground.risk[row, column].max())
 
     def _land_now(self, held: tuple[float, float] | None) -> tuple[GridIndex | None, Reason]:
         """Keep the target at any risk while it is observed and the restrictions permit it, unless
         another one within reach is better; else choose the best within reach."""
-        now, place = self.now, None if held is None else self.ground.find(*held)
-        excluded = place is None or np.isnan(self.ground.cost[place])
-        if place is None or (excluded and self.reason_at(*place) is not Reason.HAZARD):
+        now, point = self.now, None if held is None else self.ground.find(*held)
+        excluded = point is None or np.isnan(self.ground.cost[point])
+        if point is None or (excluded and self.reason_at(*point) is not Reason.HAZARD):
             best = None if now is None else now.best
             return best, self.no_site_reason if best is None else Reason.LAND_NOW
-        risk = 0.0 if self.ground.unsafe is None else float(self.ground.unsafe[place])
+        risk = 0.0 if self.ground.unsafe is None else float(self.ground.unsafe[point])
         if now is not None and not (self.is_low and risk <= 1.0 - self.lss.min_probability):
-            if better := self._better(now, now.permitted, place, self.descent):
+            if better := self._better(now, now.permitted, point, self.descent):
                 return better, Reason.BETTER
-        return place, Reason.HOLDS
+        return point, Reason.HOLDS
 
     def _better(
         self, ground: Candidates, allowed: Mask, held: GridIndex, left: Descent | None
@@ -377,8 +377,8 @@ class Situation:
             price = np.where(part < 1.0, price / np.maximum(1.0 - part, 1e-9), inf)
         net = np.full(ground.cost.shape, inf)
         net[row, column] = ground.cost[row, column] + price
-        place = ground.rank_first(net)
-        return place if place is not None and net[place] < cost else None
+        point = ground.rank_first(net)
+        return point if point is not None and net[point] < cost else None
 
 
 class TargetKeeper:
@@ -441,12 +441,12 @@ class TargetKeeper:
         situation = Situation(
             ground, confirmed, lss, reason_at, no_site_reason, descent, settled, now
         )
-        self._state, place, reason = situation.transition(self._state, self._request, self.held)
+        self._state, point, reason = situation.transition(self._state, self._request, self.held)
         self._request, self.held = Request.NONE, None
-        if place is None:
+        if point is None:
             return Choice(None, 0, reason, self._state, ground.best)
-        self.held = float(ground.x[place[1]]), float(ground.y[place[0]])
+        self.held = float(ground.x[point[1]]), float(ground.y[point[0]])
         if reason is not Reason.HOLDS:
             self._id = self.site_numbers.number(*self.held, lss)
         self.site_numbers.pin(self._id, *self.held)
-        return Choice(place, self._id, reason, self._state)
+        return Choice(point, self._id, reason, self._state)

@@ -78,13 +78,13 @@ class PoseBuffer:
             self.jumps += 1
             self.add(pose)
             return "time_jump"
-        place = bisect.bisect_left(self._stamps, stamp)
-        if self._stamps[place] == stamp:
+        index = bisect.bisect_left(self._stamps, stamp)
+        if self._stamps[index] == stamp:
             return "duplicate"
-        if place == 0:
+        if index == 0:
             return "too_old"
-        self._stamps.insert(place, stamp)
-        self._poses.insert(place, pose)
+        self._stamps.insert(index, stamp)
+        self._poses.insert(index, pose)
         return None
 
     def pose_at(self, stamp_ns: int) -> Pose | None:
@@ -138,21 +138,21 @@ class PoseBuffer:
         if behind > 0.0:
             kept = f"{self.span_ns / SECOND_NS:g} s are kept"
             return f"{held}: the scan is {behind:.3f} s older ({kept}), or {what} began later"
-        place = bisect.bisect_left(self._stamps, stamp_ns)
-        gap = (self._stamps[place] - self._stamps[max(place - 1, 0)]) / SECOND_NS
+        index = bisect.bisect_left(self._stamps, stamp_ns)
+        gap = (self._stamps[index] - self._stamps[max(index - 1, 0)]) / SECOND_NS
         limit = self.max_gap_ns / SECOND_NS
         apart = f"{gap:.3f} s apart, limit {limit:.3f} s"
         return f"{held}: the {what} around it are {apart}"
 
     def _bracket(self, stamp_ns: int) -> tuple[Pose, Pose] | None:
         """Return the poses before and after a stamp, the same twice if one has it; else None."""
-        place = bisect.bisect_left(self._stamps, stamp_ns)
-        if place == len(self._stamps):
+        index = bisect.bisect_left(self._stamps, stamp_ns)
+        if index == len(self._stamps):
             return None
-        before = place if self._stamps[place] == stamp_ns else place - 1
-        if before < 0 or self._stamps[place] - self._stamps[before] > self.max_gap_ns:
+        before = index if self._stamps[index] == stamp_ns else index - 1
+        if before < 0 or self._stamps[index] - self._stamps[before] > self.max_gap_ns:
             return None
-        return self._poses[before], self._poses[place]
+        return self._poses[before], self._poses[index]
 
     def _trim(self) -> None:
         oldest = self._stamps[-1] - self.span_ns
