@@ -178,15 +178,15 @@ def test_no_change_without_cause(rows):
     share, least = GAIN_AND_COST["probability"]
     for row in rows:
         choice = choose(keeper, row)
-        assert (choice.place is None) == (choice.reason >= 16) == (choice.id == 0)
-        if choice.place is not None:
-            assert row[choice.place[1]] <= 0.1 and np.isfinite(before[choice.place[1]])
+        assert (choice.point is None) == (choice.reason >= 16) == (choice.id == 0)
+        if choice.point is not None:
+            assert row[choice.point[1]] <= 0.1 and np.isfinite(before[choice.point[1]])
         if last.place is not None:
             held = row[last.place[1]]
-            if choice.place is None:
+            if choice.point is None:
                 assert not held <= 0.1
-            elif choice.place != last.place:
-                assert share * (held - row[choice.place[1]]) > least
+            elif choice.point != last.place:
+                assert share * (held - row[choice.point[1]]) > least
                 assert choice.reason is Reason.BETTER and choice.id != last.id
             else:
                 assert choice.id == last.id
