@@ -181,11 +181,11 @@ def test_no_change_without_cause(rows):
         assert (choice.point is None) == (choice.reason >= 16) == (choice.id == 0)
         if choice.point is not None:
             assert row[choice.point[1]] <= 0.1 and np.isfinite(before[choice.point[1]])
-        if last.place is not None:
-            held = row[last.place[1]]
+        if last.point is not None:
+            held = row[last.point[1]]
             if choice.point is None:
                 assert not held <= 0.1
-            elif choice.point != last.place:
+            elif choice.point != last.point:
                 assert share * (held - row[choice.point[1]]) > least
                 assert choice.reason is Reason.BETTER and choice.id != last.id
             else:
