@@ -108,8 +108,8 @@ def test_limits_replace_only_the_contacts_beyond_them(empty):
     limits = ContactLimits(*(float(np.nanmedian(v)) for v in (exact.rise, exact.tilt)))
     found = ContactCheck(config.lss, limits).contacts(raster, needed)
     np.testing.assert_array_equal(found.tilt, exact.tilt)
-    least = np.float32(limits.least_rise)
-    expected = np.where(exact.tilt > limits.most_tilt, least, np.maximum(exact.rise, least))
+    least = np.float32(limits.min_rise)
+    expected = np.where(exact.tilt > limits.max_tilt, least, np.maximum(exact.rise, least))
     np.testing.assert_array_equal(found.rise[needed], expected[needed])
 
 

@@ -113,11 +113,11 @@ def test_subscale_is_the_mean_and_the_greatest_height_within_the_cell(place):
 def test_ground_within_the_gap_of_an_observed_cell_is_seen(columns, gap, unseen):
     """Centres lie 0.125, 0.375, 0.625 m ... from the nearest observed cell's edge."""
     raster = rasterise(strip(columns), LssConfig(max_gap=gap))
-    assert np.flatnonzero(~raster.seen.all(axis=0)).tolist() == unseen
+    assert np.flatnonzero(~raster.observed.all(axis=0)).tolist() == unseen
     assert np.isfinite(raster.elevation).all()
     # Gaps are bridged whole or not at all.
     missing = list(range(30, 30 + columns)) if unseen else []
-    assert np.flatnonzero(~raster.firm.all(axis=0)).tolist() == missing
+    assert np.flatnonzero(~raster.interior.all(axis=0)).tolist() == missing
 
 
 @pytest.mark.parametrize(("returns", "unseen"), [(5.9, []), (6.1, [30, 31, 32, 33])])
@@ -128,5 +128,5 @@ def test_a_gap_among_many_independent_returns_is_a_shadow(returns, unseen):
     covered = np.full(len(cells.level), 1.0 - np.exp(-returns / 16.0))
     many = replace(cells, count=np.full_like(cells.count, 1000), coverage=covered)
     raster = rasterise(many, LssConfig())
-    for bridged in (raster.seen, raster.firm):
+    for bridged in (raster.observed, raster.interior):
         assert np.flatnonzero(~bridged.all(axis=0)).tolist() == unseen

@@ -13,7 +13,7 @@ from quadtree_lss.onboard.core.sensing.isolated import (
     find_isolated,
     isolated_in_image,
     isolated_in_space,
-    usual_distance,
+    typical_distance,
 )
 
 
@@ -67,7 +67,7 @@ def test_in_space_groups_of_fewer_than_three_are_isolated(seed, count, size):
     rng = np.random.default_rng(seed)
     points = rng.uniform(-0.5 * size, 0.5 * size, (count, 3))
     points[: count // 2] = 0.2 * rng.normal(size=(count // 2, 3))
-    gate = max(1.0, 5.0 * usual_distance(points))
+    gate = max(1.0, 5.0 * typical_distance(points))
     pairs = cKDTree(points).query_pairs(gate, output_type="ndarray")
     expected = in_groups_of_fewer_than_three(count, pairs)
     np.testing.assert_array_equal(isolated(points, 1.0), expected)

@@ -10,12 +10,12 @@ from scipy.ndimage import distance_transform_edt
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.lattice import (
+    dilate,
     disc,
     disc_means,
     distance_from,
     ground_planes,
-    grown,
-    lower_room,
+    lower_free_distance,
     nearest_marked,
 )
 from quadtree_lss.onboard.core.landing.raster import rasterise
@@ -26,7 +26,7 @@ def test_beyond_the_edge_the_ground_goes_on():
     config = configured(noise=0.01)
     cells = mapped(config, slope(0.2, 0.0), density=60.0).snapshot()
     raster = rasterise(cells, LssConfig())
-    found = ground_planes(raster.elevation, raster.seen, cells.domain.finest_size, 1.5)
+    found = ground_planes(raster.elevation, raster.observed, cells.domain.finest_size, 1.5)
     middle = len(found.slope_x) // 2
     assert found.slope_x[middle, middle] == pytest.approx(0.2, abs=0.01)
     assert found.slope_x[middle, 0] == pytest.approx(0.5 * 0.2, abs=0.03)
@@ -45,7 +45,7 @@ def test_slope_is_that_of_three_quarters_of_the_landers_radius():
     found = LandingSiteSelector(config).assess(cells)
     side = cells.domain.finest_size
     raster = rasterise(cells, config.lss)
-    planes = ground_planes(raster.elevation, raster.seen, side, 0.75 * 0.5 * 1.9)
+    planes = ground_planes(raster.elevation, raster.observed, side, 0.75 * 0.5 * 1.9)
     slope = np.degrees(np.arctan(np.hypot(planes.slope_x, planes.slope_y)))
     np.testing.assert_allclose(found.slope_deg, slope, rtol=1e-12)
     np.testing.assert_array_equal(found.plane_elevation, planes.elevation)
@@ -118,7 +118,7 @@ def test_the_place_is_that_which_scipy_finds(share):
 def test_growth_takes_what_is_within_the_distance(share, distance, short):
     marked, side = some(share), 0.3
     expected = marked | ((brute(marked) - short) * side <= distance)
-    np.testing.assert_array_equal(grown(marked, distance, side, short), expected)
+    np.testing.assert_array_equal(dilate(marked, distance, side, short), expected)
 
 
 SIDE, N = 0.5, 24
@@ -132,7 +132,7 @@ def test_room_ends_at_the_nearest_mark(half, share):
     x, y = rng.uniform(0.0, N * SIDE, (2, 50))
     x[:3], y[:3] = (0.0, N * SIDE, 4 * SIDE), (0.0, N * SIDE, 3 * SIDE)
     room = np.full(50, 3.0)
-    lower_room(marked.view(np.uint8), half, x, y, SIDE, 0.7, room)
+    lower_free_distance(marked.view(np.uint8), half, x, y, SIDE, 0.7, room)
     row, column = np.nonzero(marked)
     for k in range(50):
         dx = np.maximum(np.abs(x[k] / SIDE - column - half) - half, 0.0)

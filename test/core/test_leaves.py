@@ -27,7 +27,7 @@ def raster_of(tree: LeafTable) -> np.ndarray:
     """(n, n) [iy, ix] row of the leaf over each finest cell."""
     n = tree.domain.finest_count
     out = np.empty((n, n), dtype=int)
-    ix, iy = morton.squeezed(np.arange(n * n))
+    ix, iy = morton.decode(np.arange(n * n))
     out[iy, ix] = tree.leaf_of
     return out
 

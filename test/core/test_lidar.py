@@ -69,5 +69,5 @@ def test_a_covariance_is_made_positive_and_bounded():
     values = np.array([-1.0, 0.0, 1e-6, 0.5, 3.0, 2e6])
     axes = np.linalg.qr(np.random.default_rng(4).standard_normal((6, 6)))[0]
     expected = (axes * np.clip(values, 0.0, 1e6)) @ axes.T
-    found = lidar.sound_covariance((axes * values) @ axes.T)
+    found = lidar.clip_covariance((axes * values) @ axes.T)
     np.testing.assert_allclose(found, expected, atol=1e-8)

@@ -13,7 +13,7 @@ from quadtree_lss.onboard.core.geometry import morton
 def test_a_code_holds_the_bits_of_both_in_turn(ix, iy):
     code = morton.encode(ix, iy)
     assert code == sum(((ix >> k & 1) | (iy >> k & 1) << 1) << 2 * k for k in range(12))
-    assert morton.squeezed(np.array([code])) == (ix, iy)
+    assert morton.decode(np.array([code])) == (ix, iy)
     assert code == morton.SPREAD[ix] | morton.SPREAD[iy] << 1
 
 

@@ -85,7 +85,7 @@ def test_upward_keeps_the_plane_and_stays_off_the_horizon():
     steepest = 0.25
     for n in np.vstack([np.eye(3), -np.eye(3), unit_vectors(np.random.default_rng(6), 100)]):
         up = n.copy()
-        plane.keep_up(up)
+        plane.orient_up(up)
         assert up[2] >= steepest - 1e-15
         assert np.linalg.norm(up) == pytest.approx(1.0, abs=1e-12)
         if abs(n[2]) >= steepest:

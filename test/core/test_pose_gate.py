@@ -6,7 +6,7 @@ import pytest
 
 from quadtree_lss.onboard.core.geometry.rotations import exp
 from quadtree_lss.onboard.core.sensing.lidar import Pose
-from quadtree_lss.onboard.core.sensing.pose_gate import PATIENCE, PoseGate
+from quadtree_lss.onboard.core.sensing.pose_gate import MAX_SUSPECT_POSES, PoseGate
 
 SECOND = 10**9
 
@@ -23,7 +23,7 @@ def pose(number: int, off=(0.0, 0.0, 0.0), turned=0.0, sigma=0.05, period=0.05) 
 def passed(poses: list[Pose]) -> tuple[list[int], PoseGate]:
     """Which of the poses come through."""
     gate = PoseGate(2 * SECOND)
-    out = [believed for one in poses for believed in gate.sift(one)]
+    out = [believed for one in poses for believed in gate.filter(one)]
     return [next(k for k, p in enumerate(poses) if p is believed) for believed in out], gate
 
 
@@ -65,4 +65,4 @@ def test_wrong_ones_at_the_start_or_at_random_hold_nothing_back_for_long():
     mad = [pose(k, 1e4 * rng.standard_normal(3)) for k in range(60)]
     steps = np.diff(passed(mad)[0])
     assert len(steps) > 10
-    assert steps.max() <= PATIENCE
+    assert steps.max() <= MAX_SUSPECT_POSES

@@ -98,7 +98,7 @@ def landed(config, cells):
 def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     config, cells = rough_ground
     terrain, contacts = landed(config, cells)
-    judged, planes, given = terrain.judged, terrain.planes, (terrain, contacts)
+    judged, planes, given = terrain.assessable, terrain.planes, (terrain, contacts)
     table = RiskTable(MODEL, config.lss, 0.06)
     found = dict(zip(LOCAL, table.features(*given), strict=True))
     side, c, steep = terrain.domain.finest_size, 0.3, np.tan(np.radians(10.0))
@@ -134,7 +134,7 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
     rough = np.sqrt(square_means(rough, under, under, size))
     np.testing.assert_allclose(found["roughness"], rough, atol=1e-4)
     corners = sliding_window_view(planes.elevation, (2, 2)).mean(axis=(2, 3))
-    over = np.clip((terrain.elevation - corners) / c, 0.0, 5.0) * terrain.seen
+    over = np.clip((terrain.elevation - corners) / c, 0.0, 5.0) * terrain.observed
     assert (over > 1.0).any()
     relief = np.sqrt(square_means(over**2, under, under, size))
     np.testing.assert_allclose(found["relief"], relief, atol=1e-4)
@@ -155,7 +155,7 @@ def test_what_is_asked_of_places_is_as_its_definitions_say(rough_ground):
 def test_the_fit_is_looked_up_as_its_equations_say(rough_ground, noise):
     config, cells = rough_ground
     terrain, contacts = landed(config, cells)
-    table, judged = RiskTable(MODEL, config.lss, noise), terrain.judged
+    table, judged = RiskTable(MODEL, config.lss, noise), terrain.assessable
     found, cause = table.risk(terrain, contacts)
     asked = table.features(terrain, contacts)[:, judged].astype(float)
     of = dict(zip(LOCAL, asked, strict=True))

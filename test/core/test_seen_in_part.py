@@ -180,7 +180,7 @@ def test_no_height_is_beyond_what_was_measured(kind):
         seen = views(rng, scene, kind)
         cells = mapped(config, seen)
         raster = rasterise(cells, config.lss)
-        row, column = np.nonzero(raster.seen & np.isfinite(raster.elevation))
+        row, column = np.nonzero(raster.observed & np.isfinite(raster.elevation))
         z = raster.elevation[row, column]
         side = cells.domain.finest_size
         x, y = cells.domain.xmin + side * (column + 0.5), cells.domain.ymin + side * (row + 0.5)

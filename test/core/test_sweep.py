@@ -14,7 +14,7 @@ from quadtree_lss.onboard.core.sensing.mount import MountedPoses, mounted
 from quadtree_lss.onboard.core.sensing.pose_buffer import PoseBuffer
 from quadtree_lss.onboard.core.sensing.register import register
 from quadtree_lss.onboard.core.sensing.scan_queue import ScanQueue
-from quadtree_lss.onboard.core.sensing.sweep import poses_during, sweep
+from quadtree_lss.onboard.core.sensing.sweep import interpolate_sweep, poses_during
 from quadtree_lss.onboard.core.tree.domain import Domain
 
 MS = 1_000_000
@@ -47,10 +47,10 @@ def test_each_point_is_turned_and_moved_by_the_pose_at_its_time(seed, count, shu
     times = times if shuffled else np.sort(times)
     offsets = np.rint(times * MS).astype(np.int32)
     points = rng.normal(0.0, 3.0, (200, 3)) + (0.0, 0.0, -40.0)
-    at_stamp = buffer.at(STAMP)
+    at_stamp = buffer.pose_at(STAMP)
     during = poses_during(buffer, STAMP + int(offsets.min()), STAMP + int(offsets.max()))
     config = configured(domain={"xmin": -100.0, "ymin": -100.0, "size": 200.0})
-    moved = sweep(offsets, at_stamp, during)
+    moved = interpolate_sweep(offsets, at_stamp, during)
     seen, dropped = register(points, at_stamp, config.lidar, Domain.of(config.domain), moved)
     assert not any(dropped.values())
     turns = Slerp(knots, Rotation.from_matrix([pose.rotation_map_lidar for pose in poses]))
@@ -104,5 +104,5 @@ def test_a_gimbal_counts_as_the_poses_do():
     assert len(queue.pop_ready()) == 1
     during = poses_during(source, STAMP, STAMP + 80 * MS)
     assert [pose.stamp_ns - STAMP for pose in during] == [0, 40 * MS, 60 * MS, 80 * MS]
-    expected = mounted(body.at(STAMP + 60 * MS), gimbal.at(STAMP + 60 * MS))
+    expected = mounted(body.pose_at(STAMP + 60 * MS), gimbal.pose_at(STAMP + 60 * MS))
     np.testing.assert_array_equal(during[2].rotation_map_lidar, expected.rotation_map_lidar)

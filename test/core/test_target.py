@@ -20,9 +20,9 @@ from quadtree_lss.onboard.core.landing.lattice import ground_planes
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.result import no_target, shown
 from quadtree_lss.onboard.core.landing.target import (
-    GAIN,
-    KEPT,
-    NEARER,
+    DISTANCE_COST,
+    GAIN_AND_COST,
+    KEEP_RISK_FACTOR,
     Candidates,
     Choice,
     Descent,
@@ -59,7 +59,7 @@ NOTHING, RELEASE, NOW = Request.NONE, Request.RELEASE, Request.LAND_NOW
 TWO = (0.02, 0.03, 0.02, 0.02)
 LOST = {"unsafe": (0.02, 0.3, 0.02, 0.02), "safe": (1, 0, 1, 1)}
 RISKY = {"unsafe": (NAN, 0.05, NAN, NAN), "safe": (0, 0, 0, 0)}
-MORE = KEPT * LSS.max_risk
+MORE = KEEP_RISK_FACTOR * LSS.max_risk
 #: State, request and column of the target before; the situation; state, column and reason after.
 TRANSITIONS = [
     (State.NONE, NOTHING, None, {"safe": (0, 0, 0, 0)}, State.NONE, None, Reason.NO_SITE),
@@ -137,7 +137,7 @@ def test_risky_ground_within_half_of_the_margin_withdraws_the_target(steps, reas
 def test_a_divert_needs_more_gain_than_it_costs(state, committed, unsafe, left, speed, riskier):
     """Against the formula at each grid point. After "land now" the vehicle diverts also when it is
     low, from ground that is too risky for a site."""
-    share, least = GAIN["probability"]
+    share, least = GAIN_AND_COST["probability"]
     unsafe = np.array(unsafe) * (riskier if state is State.NOW else 1.0)
     descent = Descent(committed + left, speed)
     given_ = situation(unsafe, descent=descent, now=candidates(unsafe))
@@ -164,7 +164,7 @@ def test_reach_is_that_of_speeding_up_and_slowing_down_aside():
 
 def choose(keeper: TargetKeeper, *unsafe, **given) -> Choice:
     """Return the last choice over some assessments."""
-    why = {"why_not": lambda *_: Reason.HAZARD, "why_none": Reason.NO_SITE}
+    why = {"reason_at": lambda *_: Reason.HAZARD, "no_site_reason": Reason.NO_SITE}
     for each in unsafe:
         choice = keeper.choose(candidates(each, np.isfinite(each), **given), LSS, **why)
     return choice
@@ -175,18 +175,18 @@ def choose(keeper: TargetKeeper, *unsafe, **given) -> Choice:
 def test_no_change_without_cause(rows):
     """On any sequence: confirmed ground, withdrawn when lost, changed only for the gain."""
     keeper, last, before = TargetKeeper(), Choice(None, 0, Reason.UNCONFIRMED), None
-    share, least = GAIN["probability"]
+    share, least = GAIN_AND_COST["probability"]
     for row in rows:
         choice = choose(keeper, row)
-        assert (choice.place is None) == (choice.reason >= 16) == (choice.id == 0)
-        if choice.place is not None:
-            assert row[choice.place[1]] <= 0.1 and np.isfinite(before[choice.place[1]])
-        if last.place is not None:
-            held = row[last.place[1]]
-            if choice.place is None:
+        assert (choice.point is None) == (choice.reason >= 16) == (choice.id == 0)
+        if choice.point is not None:
+            assert row[choice.point[1]] <= 0.1 and np.isfinite(before[choice.point[1]])
+        if last.point is not None:
+            held = row[last.point[1]]
+            if choice.point is None:
                 assert not held <= 0.1
-            elif choice.place != last.place:
-                assert share * (held - row[choice.place[1]]) > least
+            elif choice.point != last.point:
+                assert share * (held - row[choice.point[1]]) > least
                 assert choice.reason is Reason.BETTER and choice.id != last.id
             else:
                 assert choice.id == last.id
@@ -283,7 +283,7 @@ def test_a_new_area_asks_for_a_target_in_it(level_ground):
 
 def test_guidance_that_tells_what_it_can_reach_keeps_its_target(monkeypatch, level_ground):
     """Area and aim come anew with every second of a flight."""
-    monkeypatch.setitem(NEARER, "score", 0.1)
+    monkeypatch.setitem(DISTANCE_COST, "score", 0.1)
     selector = LandingSiteSelector(small())
     held = target_of(selector, level_ground, area=around((8.0, 8.0), 8.0)).selected
     for half in (7.0, 6.0):
@@ -376,7 +376,7 @@ def test_why_is_one_sentence_for_each_reason(level_ground, with_block):
 def test_land_now_takes_the_best_within_reach_at_once(monkeypatch, with_block):
     """Before anything is settled, and low: only what lies near enough, until it is released."""
     monkeypatch.setattr(choosing, "SETTLE_SHARE", 1.1)
-    monkeypatch.setitem(NEARER, "probability", 0.0)
+    monkeypatch.setitem(DISTANCE_COST, "probability", 0.0)
     selector = LandingSiteSelector(by_risk(dispersion=0.3))
     low = (3.0, 0.5, 4.0, 4.0)
     assert not selector.assess(with_block, waited=0.0, vehicle=low).selected.id
@@ -424,7 +424,7 @@ def test_covariance_is_that_of_drawn_maps():
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         moved = dataclasses.replace(cells, normal=normal, z=cells.z + error[:, 2] / normal[:, 2])
         raster = rasterise(moved, LssConfig(max_gap=1.0))
-        planes = ground_planes(raster.elevation, raster.seen, 0.5, radius)
+        planes = ground_planes(raster.elevation, raster.observed, 0.5, radius)
         at = int(y / 0.5), int(x / 0.5)
         drawn.append([planes.elevation[at], planes.slope_y[at], -planes.slope_x[at]])
     pose_free = dataclasses.replace(cells, covariance_pose=np.zeros_like(cells.covariance_pose))

@@ -47,7 +47,7 @@ def test_interpolation_is_linear_and_slerp_as_scipy_has_it(seed, share):
     buffer.add(before), buffer.add(after)
     stamp = EPOCH + round(share * 50 * MS)
     exact = (stamp - EPOCH) / (50 * MS)
-    pose = buffer.at(stamp)
+    pose = buffer.pose_at(stamp)
     both = Rotation.from_matrix([before.rotation_map_lidar, after.rotation_map_lidar])
     rotation = Slerp([0.0, 1.0], both)(exact).as_matrix()
     np.testing.assert_allclose(pose.rotation_map_lidar, rotation, atol=1e-9)
@@ -62,17 +62,17 @@ def test_interpolation_is_linear_and_slerp_as_scipy_has_it(seed, share):
 @pytest.mark.parametrize("stamp_ms", [-1, 99, 301, 10_000])
 def test_never_the_latest_pose_nor_one_beyond_the_ends(stamp_ms):
     buffer = buffer_of(100, 200, 300)
-    assert buffer.at(stamp_ms * MS) is None
+    assert buffer.pose_at(stamp_ms * MS) is None
     assert not buffer.covers(stamp_ms * MS)
-    assert PoseBuffer(SECOND, SECOND).at(stamp_ms * MS) is None
+    assert PoseBuffer(SECOND, SECOND).pose_at(stamp_ms * MS) is None
 
 
 def test_a_gap_is_not_bridged_and_an_exact_stamp_needs_no_bracket():
     buffer = buffer_of(0, 100, 301)
-    assert buffer.at(50 * MS) is not None
-    assert buffer.at(200 * MS) is None
-    assert buffer.hopeless(200 * MS) == "pose_gap"
-    assert buffer.at(301 * MS).stamp_ns == 301 * MS
+    assert buffer.pose_at(50 * MS) is not None
+    assert buffer.pose_at(200 * MS) is None
+    assert buffer.drop_reason(200 * MS) == "pose_gap"
+    assert buffer.pose_at(301 * MS).stamp_ns == 301 * MS
 
 
 @settings(max_examples=60)
@@ -89,7 +89,7 @@ def test_small_disorder_does_not_matter(stamps, asked):
         assert ordered.add(plain_pose(stamp * MS)) is None
     assert len(disordered) == len(ordered) == len(set(stamps))
     for stamp in asked:
-        pose, expected = disordered.at(stamp * MS), ordered.at(stamp * MS)
+        pose, expected = disordered.pose_at(stamp * MS), ordered.pose_at(stamp * MS)
         assert (pose is None) == (expected is None) == (not ordered.covers(stamp * MS))
         if pose is not None:
             np.testing.assert_array_equal(pose.position, expected.position)
@@ -99,7 +99,7 @@ def test_a_backward_jump_of_poses_starts_anew():
     buffer = buffer_of(10_000, 10_100)
     assert buffer.add(plain_pose(0)) == "time_jump"
     assert buffer.range_ns == (0, 0) and buffer.jumps == 1
-    assert buffer.at(10_050 * MS) is None
+    assert buffer.pose_at(10_050 * MS) is None
 
 
 def test_waiting_is_bounded_from_arrival_whatever_the_stamps_say():

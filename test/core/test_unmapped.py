@@ -10,7 +10,7 @@ from core.scenes import flat, slope
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing import hazards
-from quadtree_lss.onboard.core.landing.aim import users_grid
+from quadtree_lss.onboard.core.landing.aim import make_grid
 from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.target import Reason
@@ -79,9 +79,9 @@ def test_gaps_are_bridged_from_known_ground_alone():
     cells = replace(cells, normal=np.where(np.isfinite(cells.normal), (-0.6, 0.0, 0.8), np.nan))
     raster = rasterise(replace(cells, known=cells.known & (np.arange(64) < 34)), LssConfig())
     known = np.arange(64) < 30
-    np.testing.assert_array_equal(raster.unmapped.all(axis=0), np.arange(64) >= 34)
-    np.testing.assert_array_equal(raster.seen.all(axis=0), np.arange(64) < 32)
-    np.testing.assert_array_equal(raster.firm.all(axis=0), known)
+    np.testing.assert_array_equal(raster.unestimated.all(axis=0), np.arange(64) >= 34)
+    np.testing.assert_array_equal(raster.observed.all(axis=0), np.arange(64) < 32)
+    np.testing.assert_array_equal(raster.interior.all(axis=0), known)
     # Heights in the gap are those of the known side.
     np.testing.assert_array_equal(raster.elevation[:, 33], raster.elevation[:, 29])
     np.testing.assert_allclose(raster.slope_x, np.where(known, 0.75, 0.0) * np.ones((64, 1)))
@@ -136,7 +136,7 @@ def test_heights_keep_to_what_was_measured_there(level_ground):
     known = cells.known
     np.testing.assert_array_equal(raster.elevation[known], cut[known])
     np.testing.assert_array_equal(raster.slope_x, plane.slope_x)
-    at = users_grid(cells.domain, 0.5)
+    at = make_grid(cells.domain, 0.5)
     middles = np.clip(at.x, 0.0, 16.0 - 1e-9)
     places = (middles / side).astype(int)
     known = known[places[:, None], places][:-1, :-1]

@@ -16,7 +16,7 @@ from quadtree_lss.lab.evaluation.risk_fit import ASKED, Term, fit, risk_model_te
 from quadtree_lss.lab.evaluation.risk_flights import fly, land, table_of
 from quadtree_lss.onboard.config.parameter import ConfigError
 from quadtree_lss.onboard.config.risk import LOCAL, Cause, model_warning, risk_model
-from quadtree_lss.onboard.core.landing.risk import COARSE
+from quadtree_lss.onboard.core.landing.risk import DENSITY_ENTRIES
 
 SMALL = {
     "obstacle": (Term("rise", (0.4, 0.9, 1.5), begin=8.0), Term("noise", (-1.0, -0.5), 0)),
@@ -142,7 +142,7 @@ def test_what_a_fit_asks_is_what_is_looked_up():
     # The table has an entry for each step of what is seen, which is right in its middle.
     low, high = model.span("seen")
     half = np.zeros(asked.shape[1])
-    half[LOCAL.index("seen")] = 0.5 * (high - low) / (COARSE - 1)
+    half[LOCAL.index("seen")] = 0.5 * (high - low) / (DENSITY_ENTRIES - 1)
     step = odds(risks(model, asked + half)) - odds(risks(model, asked - half))
     assert np.mean(np.abs(off)) < 0.5 * np.mean(np.abs(step)) + 0.03
     assert abs(off.mean()) < 0.03

@@ -40,7 +40,7 @@ from quadtree_lss.onboard.config.sections import AutopilotConfig
 from quadtree_lss.onboard.config.settings import Config, ConfigError, config_from_values, parameters
 from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
-from quadtree_lss.onboard.core.sensing.pose_gate import PATIENCE
+from quadtree_lss.onboard.core.sensing.pose_gate import MAX_SUSPECT_POSES
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, from_file, to_bytes
 from quadtree_lss.onboard.messages.clouds import MessageError
@@ -211,7 +211,7 @@ class Flight(Mapping):
         if self.kind == "cloud":
             assert self.intake.scans + refused == self.sent
         if self.kind in ("pose", "odometry", "follow"):
-            assert 0 <= self.sent - self.intake.poses_taken - refused < PATIENCE
+            assert 0 <= self.sent - self.intake.poses_taken - refused < MAX_SUSPECT_POSES
 
 
 class Landing:
@@ -375,7 +375,7 @@ class Vehicle:
         self.link.close()
         self.socket.close()
         refused = sum(n for k, n in self.intake.rejected.items() if k.startswith("pose"))
-        assert 0 <= self.poses - self.intake.poses_taken - refused < PATIENCE
+        assert 0 <= self.poses - self.intake.poses_taken - refused < MAX_SUSPECT_POSES
         assert told[TAKEN] and told["damaged"] and len(told) > 3
 
 

@@ -27,7 +27,7 @@ LAYERS = {
     "hazard": (
         "",
         "bits that add up: 1 slope, 2 elevation, 4 exception, 8 touchdown, 16 uncertain,"
-        " 64 seen but not yet mapped, 128 unseen",
+        " 64 observed but not estimated, 128 unobserved",
     ),
     "safe": ("", f"1 landing centred here is allowed, 0 it is not, {NO_DATA} unseen"),
     "score": ("1", "Eq. 59, lower is better"),
@@ -93,8 +93,8 @@ def _geotiff(results: Results, folder: Path, crs: str) -> list[Path]:
     raster = rasterise(results.map, results.config.lss)
     deviation = results.map.at(x, y[:, None]).deviation
     for name, values in (("map_height", raster.elevation), ("map_deviation", deviation)):
-        known = np.where(raster.seen, values, np.nan)
-        written.append(_write_geotiff(folder, name, known, x, y, raster.seen, crs))
+        known = np.where(raster.observed, values, np.nan)
+        written.append(_write_geotiff(folder, name, known, x, y, raster.observed, crs))
     return written
 
 

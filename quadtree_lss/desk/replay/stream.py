@@ -250,7 +250,7 @@ def _mounts(
     """Yield the body's frame and the mount for each possible mount of a tree, except the identity.
     ``body``: if empty, any frame can be the body."""
     for name in [body.lstrip("/")] if body else sorted({*tree.frames()} - {config.frames.map}):
-        mount = tree.between(name, lidar)
+        mount = tree.relative_pose(name, lidar)
         if mount is not None:
             position, rotation = mount.position, mount.rotation_map_lidar
             if not (np.allclose(position, 0.0) and np.allclose(rotation, np.eye(3), atol=1e-6)):

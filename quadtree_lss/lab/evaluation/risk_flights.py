@@ -177,7 +177,7 @@ def land(mapped: Mapped, model: RiskModel) -> Landings:
     lss = mapped.config.lss
     raster = rasterise(mapped.cells, lss)
     contacts = ContactCheck(lss, contact_limits(model, lss)).contacts(raster, raster.needs_contact)
-    counts = raster.judged & mapped.known
+    counts = raster.assessable & mapped.known
     return Landings(raster, contacts, counts, ~mapped.safe[counts])
 
 

@@ -24,7 +24,7 @@ from quadtree_lss.onboard.autopilot.frames import (
     enu,
 )
 from quadtree_lss.onboard.config.settings import ConfigError
-from quadtree_lss.onboard.core.geometry.bounds import MOST_HEIGHT
+from quadtree_lss.onboard.core.geometry.bounds import MAX_HEIGHT
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -418,9 +418,9 @@ class Link:
         if offset is None:
             return "clock"
         stamp = own_ns + offset
-        if not (np.abs(place) <= MOST_HEIGHT).all():
+        if not (np.abs(place) <= MAX_HEIGHT).all():
             return "position"
-        if not (np.abs(velocity) <= MOST_HEIGHT).all():
+        if not (np.abs(velocity) <= MAX_HEIGHT).all():
             return "velocity"
         if not abs(length - 1.0) < 0.05:
             return "attitude"

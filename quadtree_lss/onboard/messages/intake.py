@@ -17,7 +17,7 @@ from quadtree_lss.onboard.core.sensing.mount import MountedPoses
 from quadtree_lss.onboard.core.sensing.pose_buffer import SECOND_NS, PoseBuffer
 from quadtree_lss.onboard.core.sensing.pose_gate import PoseGate
 from quadtree_lss.onboard.core.sensing.scan_queue import Drop, ScanQueue
-from quadtree_lss.onboard.core.sensing.sweep import Sweep, poses_during, sweep
+from quadtree_lss.onboard.core.sensing.sweep import Sweep, interpolate_sweep, poses_during
 from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import (
     MessageError,
@@ -171,7 +171,7 @@ class Intake:
             text = "pose covariance is not symmetric or has a negative eigenvalue: only its"
             self._notices.append(Notice("pose_covariance", f"{text} variances are used"))
         dropped = self._gate.dropped
-        for accepted in self._gate.sift(pose):
+        for accepted in self._gate.filter(pose):
             self.poses_taken += self._add(self._body, accepted, "pose")
         if self._gate.dropped > dropped:
             self.rejected["pose_contradiction"] += self._gate.dropped - dropped
@@ -266,7 +266,7 @@ class Intake:
             return ReadyScan(stamp, cloud.points, pose, edges=cloud.edges)
         offsets, (first, last), _ = cloud.times
         poses = poses_during(self.queue.poses, stamp + first, stamp + last)
-        return ReadyScan(stamp, cloud.points, pose, sweep(offsets, pose, poses))
+        return ReadyScan(stamp, cloud.points, pose, interpolate_sweep(offsets, pose, poses))
 
     def finish(self) -> None:
         """Drop all waiting scans, at the end of the input."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.core.geometry.polygons import FARTHEST
+from quadtree_lss.onboard.core.geometry.polygons import MAX_COORDINATE
 from quadtree_lss.onboard.core.landing.target import Motion
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.poses import check_frame
@@ -56,10 +56,10 @@ def polygon_from_message(msg: Any, map_frame: str) -> Array | None:
     corners = np.array([(p.x, p.y) for p in polygon.points], dtype=np.float64)
     if not len(corners):
         return None
-    if not 3 <= len(corners) <= MAX_VERTICES or not (np.abs(corners) <= FARTHEST).all():
+    if not 3 <= len(corners) <= MAX_VERTICES or not (np.abs(corners) <= MAX_COORDINATE).all():
         text = (
             f"polygon of {len(corners)} vertices is not usable: 3 to {MAX_VERTICES} finite ones"
-            f" within {FARTHEST:g} m, or none to lift the restriction"
+            f" within {MAX_COORDINATE:g} m, or none to lift the restriction"
         )
         raise MessageError("polygon", text)
     return corners
@@ -72,7 +72,7 @@ def target_from_message(msg: Any, map_frame: str) -> Array | None:
     position = np.array([msg.point.x, msg.point.y], dtype=np.float64)
     if np.isnan(position).all():
         return None
-    if not (np.abs(position) <= FARTHEST).all():
+    if not (np.abs(position) <= MAX_COORDINATE).all():
         text = f"target ({position[0]:g}, {position[1]:g}) is not finite or too far away"
         raise MessageError("point", text)
     return position
@@ -229,7 +229,7 @@ class Navigation:
         p = msg.pose.pose.position
         position = np.array([p.x, p.y, p.z], dtype=np.float64)
         now = 10**9 * msg.header.stamp.sec + msg.header.stamp.nanosec
-        if not (np.abs(position) <= FARTHEST).all():
+        if not (np.abs(position) <= MAX_COORDINATE).all():
             return False
         x, y, z = position.tolist()
         before, self._frame = self._frame, str(msg.header.frame_id).lstrip("/")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.limits import MAX_LEAVES, MAX_LEVEL, exceeded_limit
 from quadtree_lss.onboard.config.settings import ConfigError, LssConfig, checked_values
-from quadtree_lss.onboard.core.geometry.bounds import MOST, MOST_HEIGHT, bounded
+from quadtree_lss.onboard.core.geometry.bounds import MAX_HEIGHT, MAX_VALUE, clamp_heights
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.columns import pack
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -91,7 +91,7 @@ def encode_cells(cells: CellMap) -> NDArray[np.void]:
     out = np.empty(len(cells.level), dtype=CELL_FIELDS)
     for name in _ATTRIBUTES:
         out[name] = getattr(cells, name)
-    out["z"] = bounded(cells.z, cells.low, cells.high)
+    out["z"] = clamp_heights(cells.z, cells.low, cells.high)
     out["min_level"] = cells.domain.min_level
     pack(cells, _block(out, _PLANE), _block(out, _SINGLE))
     return out
@@ -200,9 +200,9 @@ def _check(cells: CellMap) -> None:
     known = cells.estimated
     covariances = cells.covariance_range, cells.covariance_pose
     sound = sound_planes(cells.z, cells.normal, *covariances, cells.feature)
-    sound &= ~cells.measured | ((cells.roughness >= 0.0) & (cells.roughness < MOST))
+    sound &= ~cells.measured | ((cells.roughness >= 0.0) & (cells.roughness < MAX_VALUE))
     offset, variance = cells.offset_z, cells.offset_variance
-    possible = abs(offset) < MOST_HEIGHT and 0.0 <= variance < MOST
+    possible = abs(offset) < MAX_HEIGHT and 0.0 <= variance < MAX_VALUE
     if not (possible or np.isnan((offset, variance)).all()):
         msg = f"map/cells has an impossible offset: {offset} m of variance {variance}"
         raise MessageError("values", msg)
@@ -213,7 +213,7 @@ def _check(cells: CellMap) -> None:
         msg = "map/cells has a leaf with an impossible coverage"
         raise MessageError("values", msg)
     bounds = np.stack([cells.low, cells.high])
-    if (np.abs(bounds) >= MOST_HEIGHT).any() or (cells.low > cells.high).any():
+    if (np.abs(bounds) >= MAX_HEIGHT).any() or (cells.low > cells.high).any():
         msg = "map/cells has a leaf with impossible bounds (low, high)"
         raise MessageError("values", msg)
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sphere, rotations, planes, polygons, Morton order: what does not know a map."""
+"""Sphere, rotations, planes, polygons and Morton order, independent of any map."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cells along the Morton curve: every cell of every level is one run of what lies in it."""
+"""Morton codes of cells, in whose order the points of each cell of each level are contiguous."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from quadtree_lss.onboard.arrays import Index, Keys
 
 
 def encode(ix: cython.longlong, iy: cython.longlong) -> cython.longlong:
-    """Morton code of the cell (ix, iy), each below 2^16: x in the even bits, y in the odd."""
+    """Return the Morton code of the cell (ix, iy), each below 2^16: ix in the even bits."""
     return spread(ix) | (spread(iy) << 1)
 
 
 def spread(value: cython.longlong) -> cython.longlong:
-    """Bits of a number below 2^16 moved to the even places."""
+    """Move the bits of a number below 2^16 to the even positions."""
     value = (value | (value << 8)) & 0x00FF00FF
     value = (value | (value << 4)) & 0x0F0F0F0F
     value = (value | (value << 2)) & 0x33333333
     return (value | (value << 1)) & 0x55555555
 
 
-def squeeze(code: cython.longlong) -> cython.longlong:
-    """Bits at the even places of a code below 2^32, side by side: the inverse of `spread`."""
+def compact(code: cython.longlong) -> cython.longlong:
+    """Return the even bits of a code below 2^32 as one number, the inverse of `spread`."""
     code = code & 0x55555555
     code = (code | (code >> 1)) & 0x33333333
     code = (code | (code >> 2)) & 0x0F0F0F0F
@@ -32,8 +32,8 @@ def squeeze(code: cython.longlong) -> cython.longlong:
     return (code | (code >> 8)) & 0x0000FFFF
 
 
-def squeezed(codes: Keys) -> tuple[Index, Index]:
-    """ix and iy, each (N,), of Morton codes (N,)."""
+def decode(codes: Keys) -> tuple[Index, Index]:
+    """Return ix and iy, each (N,), of Morton codes (N,)."""
     found = []
     for value in (codes, codes >> 1):
         value = value & 0x55555555
@@ -43,16 +43,16 @@ def squeezed(codes: Keys) -> tuple[Index, Index]:
     return found[0], found[1]
 
 
-#: `spread` of 0 … 4095, for loops over points.
+#: `spread` of 0 … 4095, a lookup table for loops over points.
 SPREAD = np.array([spread(value) for value in range(4096)], dtype=np.int64)
 
 
 @cython.boundscheck(False)
 def sort_packed(packed: Keys, spare: Keys) -> cython.bint:
-    """Sort numbers (N,) by their key, the bits from ``PLACE_BITS`` on, stable, digit by digit.
+    """Sort numbers (N,) by their key, the bits from ``PLACE_BITS`` on: a stable radix sort.
 
-    Digits are cut from the bits that differ between the keys. Returns True if the sorted numbers
-    are in ``spare`` (N,), False if they are in ``packed``.
+    Only the bits that differ between the keys are divided into digits. Returns True if the sorted
+    numbers are in ``spare`` (N,), False if they are in ``packed``.
     """
     i: cython.Py_ssize_t
     low: cython.longlong = PLACE_BITS
@@ -78,17 +78,17 @@ def sort_packed(packed: Keys, spare: Keys) -> cython.bint:
         digit = (width + passes - 1) // passes if passes > 0 else 0
         for k in range(passes):
             if k & 1 == 0:
-                by_digit(packed, spare, low + k * digit, 1 << digit)
+                sort_by_digit(packed, spare, low + k * digit, 1 << digit)
             else:
-                by_digit(spare, packed, low + k * digit, 1 << digit)
+                sort_by_digit(spare, packed, low + k * digit, 1 << digit)
     return passes & 1 == 1
 
 
 @cython.boundscheck(False)
-def by_digit(
+def sort_by_digit(
     source: Keys, target: Keys, low: cython.longlong, count: cython.longlong
 ) -> cython.void:
-    """Copy in the order of the digit at bit ``low``, which has ``count`` values."""
+    """Copy ``source`` to ``target`` in the order of the digit at bit ``low`` (``count`` values)."""
     cython.declare(i=cython.Py_ssize_t, digit=cython.longlong)
     before: cython.longlong = 0
     here: cython.longlong

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One plane: its fit to points, its error, and two estimates of it made one (paper IV.A to IV.C).
+"""Planes: fit to points, error covariance and fusion of two estimates (paper IV.A to IV.C).
 
 A plane is n.(r - c) = d about an origin c near the ground (Eq. 18) with its normal up. Its error is
 e = (dphi_1, dphi_2, dd): dphi in the tangent at n, axes of Eq. 2, rad; dd in m. Here d is zero: c
-is the cell's centre at the plane's height. Small matrices are flat and row by row: covariances
-nine numbers, bases of the tangent six (the first axis, then the second), scatters the six numbers
-xx, xy, xz, yy, yz, zz.
+is the cell's centre at the plane's height. Matrices are flat, row by row: a covariance has nine
+numbers, a basis of the tangent six (the first axis, then the second), a scatter six (xx, xy, xz,
+yy, yz, zz). Two covariances C and D side by side are a pair (18): C_0, D_0, C_1, D_1, ...
 """
 
 from __future__ import annotations
@@ -16,31 +16,30 @@ from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at, 
 
 from quadtree_lss.onboard.core.geometry.sphere import Vector
 
-#: A map of elevations has no walls: steeper planes are tilted back to this n_z (75.5 deg).
+#: Least n_z of a normal (75.5 deg): an elevation map has no walls, steeper planes are tilted back.
 MIN_UP = cython.declare(cython.double, 0.25)
-#: Variance that round-off leaves at least, rad^2 and m^2.
-SURE = cython.declare(cython.double, 1e-12)
-#: Square of a correlation that is not of rounding alone.
-OFF = cython.declare(cython.double, 1.02)
-#: Beyond so far a move (squared, m^2) rounding shows in a covariance.
-REMOTE = cython.declare(cython.double, 1e6)
-#: Information on a slope that a fit has at least, rad^-2.
-LEAST = cython.declare(cython.double, 1e-2)
+#: Least variance of a plane, rad^2 and m^2: below, round-off dominates.
+MIN_VARIANCE = cython.declare(cython.double, 1e-12)
+#: A squared correlation above this cannot be due to rounding only.
+ROUNDING_FACTOR = cython.declare(cython.double, 1.02)
+#: Squared distance of a shift of the origin beyond which rounding shows in a covariance, m^2.
+FAR_SQUARED = cython.declare(cython.double, 1e6)
+#: Least information of a fit on a slope, rad^-2.
+MIN_INFORMATION = cython.declare(cython.double, 1e-2)
 
 
 def multiply(a: Vector, b: Vector, out: Vector) -> None:
-    """Product of two 3x3 matrices."""
+    """Multiply two 3x3 matrices."""
     cython.declare(i=cython.int, j=cython.int)
     for i in range(3):
         for j in range(3):
             out[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j]
 
 
-def beside(c: Vector, d: Vector, out: Vector) -> None:
-    """Two 3x3 matrices side by side (18): each number of the first, then that of the second.
+def interleave(c: Vector, d: Vector, out: Vector) -> None:
+    """Interleave two 3x3 matrices to a pair (18).
 
-    What is done to both covariances of a plane is done to them together, for two numbers at a time
-    are what a processor computes as fast as one.
+    Operations on both covariances of a plane then vectorise.
     """
     k: cython.int
     for k in range(9):
@@ -49,14 +48,14 @@ def beside(c: Vector, d: Vector, out: Vector) -> None:
 
 
 def congruent(a: Vector, pair: Vector, out: Vector) -> None:
-    """A C A^T and A D A^T of symmetric C and D side by side (18), symmetric to the last bit."""
+    """Compute the pair A C A^T, A D A^T of symmetric C and D, symmetric to the last bit."""
     half = cython.declare(cython.double[18])
     cython.declare(i=cython.int, j=cython.int, k=cython.int)
     for i in range(3):
         x, y, z = a[3 * i], a[3 * i + 1], a[3 * i + 2]
         for j in range(3):
             for k in range(2 * j, 2 * j + 2):
-                # The transpose of A C: its columns lie side by side.
+                # The transpose of A C, so that its columns are contiguous.
                 half[4 * j + 2 * i + k] = x * pair[k] + y * pair[6 + k] + z * pair[12 + k]
     for i in range(3):
         x, y, z = a[3 * i], a[3 * i + 1], a[3 * i + 2]
@@ -69,11 +68,10 @@ def congruent(a: Vector, pair: Vector, out: Vector) -> None:
 
 
 def inverse_symmetric(c: Vector, out: Vector) -> None:
-    """Inverse of a symmetric positive definite matrix by cofactors of the scaled matrix.
+    """Invert a symmetric positive definite matrix by the cofactors of the scaled matrix.
 
-    Scaled to a unit diagonal, a determinant below 1e-14 is round-off and taken as that: metres and
-    radians of very different size do not spoil the inverse, and a singular matrix gives a large
-    finite one.
+    The matrix is scaled to a unit diagonal, so that metres and radians of very different size do
+    not matter. The determinant is at least 1e-14, so a singular matrix has a large finite inverse.
     """
     x = 1.0 / sqrt(max(c[0], 1e-24))
     y = 1.0 / sqrt(max(c[4], 1e-24))
@@ -94,8 +92,8 @@ def inverse_symmetric(c: Vector, out: Vector) -> None:
 
 
 def turn_tangent(c: Vector, change: Vector, count: cython.int) -> None:
-    """Map dphi of ``count`` covariances side by side (9 count) by the ``change`` (4) of `minus_at`,
-    in place."""
+    """Transform dphi of ``count`` interleaved covariances (9 count) by the ``change`` (4) of
+    `minus_at`, in place."""
     k: cython.int
     for k in range(count):
         x = change[0] * c[k] + change[1] * c[3 * count + k]
@@ -112,7 +110,7 @@ def turn_tangent(c: Vector, change: Vector, count: cython.int) -> None:
 
 
 def shift_origin(c: Vector, first: float, second: float, count: cython.int) -> None:
-    """Move the origin of ``count`` covariances side by side (9 count) by delta, in place;
+    """Move the origin of ``count`` interleaved covariances (9 count) by delta, in place;
     B^T delta = (first, second), m.
 
     d' = d - n.delta, and as dn = B dphi, dd' = dd - (B^T delta).dphi. For a move straight up by h,
@@ -128,17 +126,22 @@ def shift_origin(c: Vector, first: float, second: float, count: cython.int) -> N
         c[5 * count + k] = c[7 * count + k] = c[5 * count + k] - y
 
 
-def keep_possible(c: Vector) -> None:
-    """Make a covariance (9) diagonal, in place, if rounding made it impossible.
+def repair_covariance(c: Vector) -> None:
+    """Make a covariance (9) diagonal, in place, if rounding made it indefinite.
 
-    Planes that lie 1e5 m and more apart are fused about a place so far away that little is left,
-    and exact positions of a lidar leave nothing of the height right below it.
+    This happens if planes that are 1e5 m or more apart are fused about a distant pivot, and below a
+    lidar whose position is exact.
     """
     cython.declare(i=cython.int)
     xy, xz, yz = c[1] * c[1], c[2] * c[2], c[5] * c[5]
     x, y, z = c[0], c[4], c[8]
-    whole = x * y * z + 2.0 * c[1] * c[2] * c[5] - x * yz - y * xz - z * xy
-    if xy > OFF * x * y or xz > OFF * x * z or yz > OFF * y * z or whole < (1.0 - OFF) * x * y * z:
+    determinant = x * y * z + 2.0 * c[1] * c[2] * c[5] - x * yz - y * xz - z * xy
+    if (
+        xy > ROUNDING_FACTOR * x * y
+        or xz > ROUNDING_FACTOR * x * z
+        or yz > ROUNDING_FACTOR * y * z
+        or determinant < (1.0 - ROUNDING_FACTOR) * x * y * z
+    ):
         for i in range(1, 8):
             if i != 4:
                 c[i] = 0.0
@@ -147,14 +150,14 @@ def keep_possible(c: Vector) -> None:
 
 
 def offset_variance(c: Vector, first: float, second: float) -> cython.double:
-    """Variance of dd after `shift_origin`, m^2: that of the plane's height at another place."""
+    """Compute the variance of dd after `shift_origin`, m^2: of the plane's height elsewhere."""
     x = first * c[0] + second * c[1]
     y = first * c[3] + second * c[4]
     return c[8] + first * (x - 2.0 * c[2]) + second * (y - 2.0 * c[5])
 
 
 def moments(points: Vector, count: cython.Py_ssize_t, mean: Vector, scatter: Vector) -> None:
-    """Centroid (3), m, and scatter (6), m^2, of points, x, y and z of one after the other (3 N).
+    """Compute centroid (3), m, and scatter (6), m^2, of points (3 N), x, y and z of each in turn.
 
     Sums are about the first point, so that squares stay small.
     """
@@ -168,7 +171,7 @@ def moments(points: Vector, count: cython.Py_ssize_t, mean: Vector, scatter: Vec
         return
     for i in range(18):
         total[i] = 0.0
-    # Sums of two points at a time, side by side.
+    # Two points at a time, with interleaved sums.
     for i in range(0, 3 * count - 3, 6):
         for k in range(2):
             x = points[i + 3 * k] - x0
@@ -210,7 +213,7 @@ def moments(points: Vector, count: cython.Py_ssize_t, mean: Vector, scatter: Vec
 def height_normal(
     scatter: Vector, slope_x: float, slope_y: float, spread: float, normal: Vector
 ) -> None:
-    """Normal (3) of the regression of height on (x, y) with a weak prior on the slope.
+    """Compute the normal (3) by regression of height on (x, y) with a weak prior on the slope.
 
     z = z0 + a x + b y minimises sum (z - z0 - a x - b y)^2 + s |(a, b) - (a, b)_prior|^2, which is
     (S_xy + s I)(a, b) = S_xz + s (a, b)_prior with S the within-scan scatter.
@@ -224,16 +227,17 @@ def height_normal(
     b = share * (xx * yz - scatter[1] * xz)
     up = 1.0 / sqrt(a * a + b * b + 1.0)
     normal[0], normal[1], normal[2] = -a * up, -b * up, up
-    keep_up(normal)
+    orient_up(normal)
 
 
 def line_normal(
     scatter: Vector, prior: Vector, along: float, spread: float, normal: Vector, line: Vector
 ) -> None:
-    """Normal (3) of a plane of which points on a line tell the slope along it; across, the prior's.
+    """Compute the normal (3) of a plane from points on a line: along it their slope, across it the
+    prior's.
 
-    With l the unit vector of the longer spread in (x, y) and (a, b) the slope, the regression of
-    height on place along l, with a weak prior: the change of l.(a, b) from the prior's is
+    With l the direction of the line in (x, y) and (a, b) the slope, height is regressed on the
+    position along l with a weak prior: l.(a, b) changes from the prior's by
     (S_lz - S_ll l.(a, b)_prior) / (S_ll + s).
 
     Args:
@@ -241,9 +245,9 @@ def line_normal(
         prior: (3) normal.
         along: S_ll, the greater eigenvalue of the scatter's (x, y), m^2.
         spread: s, m^2.
-        line: (6) the scatter with nothing across l.
+        line: (6), set to the scatter without the part across l.
     """
-    # The longer of two forms of the eigenvector: neither is lost to round-off.
+    # The longer of two forms of the eigenvector, which is not affected by cancellation.
     x = along - scatter[3] if scatter[0] >= scatter[3] else scatter[1]
     y = scatter[1] if scatter[0] >= scatter[3] else along - scatter[0]
     share = 1.0 / max(sqrt(x * x + y * y), 1e-300)
@@ -257,13 +261,15 @@ def line_normal(
     b += change * y
     up = 1.0 / sqrt(a * a + b * b + 1.0)
     normal[0], normal[1], normal[2] = -a * up, -b * up, up
-    keep_up(normal)
+    orient_up(normal)
     line[0], line[1], line[3] = along * x * x, along * x * y, along * y * y
 
 
-def keep_up(normal: Vector) -> None:
-    """A unit normal (3) in place, turned up (Eq. 9: (n, d) and (-n, -d) are one plane) and off the
-    horizon to n_z of ``MIN_UP`` at least."""
+def orient_up(normal: Vector) -> None:
+    """Orient a unit normal (3) upward, in place, with n_z of at least `MIN_UP`.
+
+    By Eq. 9 (n, d) and (-n, -d) are the same plane.
+    """
     if normal[2] < 0.0:
         normal[0], normal[1], normal[2] = -normal[0], -normal[1], -normal[2]
     if normal[2] < MIN_UP:
@@ -276,7 +282,7 @@ def keep_up(normal: Vector) -> None:
 
 
 def _quadratic(scatter: Vector, a: Vector, b: Vector) -> float:
-    """a^T S b of a scatter (6)."""
+    """Compute a^T S b of a scatter (6)."""
     return (
         a[0] * (scatter[0] * b[0] + scatter[1] * b[1] + scatter[2] * b[2])
         + a[1] * (scatter[1] * b[0] + scatter[3] * b[1] + scatter[4] * b[2])
@@ -285,7 +291,7 @@ def _quadratic(scatter: Vector, a: Vector, b: Vector) -> float:
 
 
 def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
-    """The paper's ML fit by Newton's method on the sphere, from a first normal (3), in place.
+    """Improve a normal (3) by the paper's ML fit: Newton's method on the sphere, in place.
 
     Eq. 23, Eq. 24 and Eq. 25 are the cost, Eq. 26, Eq. 27, Eq. 28, Eq. 29, Eq. 30 and Eq. 31 its
     linearisation, Eq. 32, Eq. 33, Eq. 34 and Eq. 35 the normal equations, Eq. 36 the step. With
@@ -293,7 +299,7 @@ def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
     weights constant in a (cell, scan), the cost of Eq. 25 is n^T S n / 2 with S the within-scan
     scatter times 1 / (n^T Sigma n). With B the tangent basis at n: gradient B^T S n, Hessian
     B^T S B - (n^T S n) I. Where that is not positive definite the Gauss-Newton Hessian B^T S B of
-    Eq. 33 serves. Convergence is cubic.
+    Eq. 33 is used. Convergence is cubic.
     """
     basis = cython.declare(cython.double[6])
     first = cython.declare(cython.double[3])
@@ -324,15 +330,15 @@ def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
         plus_at(normal, basis, step, turned)
         for i in range(3):
             normal[i] = turned[i]
-        keep_up(normal)
+        orient_up(normal)
 
 
 def slope_covariance(scatter: Vector, normal: Vector, variance: float, out: Vector) -> None:
-    """Covariance (4) of dphi: the phi block of H^-1 (Eq. 35).
+    """Compute the covariance (4) of dphi, the phi block of H^-1 (Eq. 35).
 
-    H = M S_xy M^T / variance with M = I + kappa kappa^T / (lambda (1 + lambda)), which takes steps
-    in x and y to steps along the plane in its tangent basis. To a direction that the points do not
-    tell belongs `LEAST`, so little that many scans of one line do not add up to a slope.
+    H = M S_xy M^T / variance + `MIN_INFORMATION` I with M = I + kappa kappa^T / (lambda (1 +
+    lambda)), which maps steps in x and y to steps along the plane in its tangent basis. The added
+    information is so small that many scans of one line do not determine the slope across it.
     """
     share = 1.0 / (normal[2] * (1.0 + normal[2]))
     m00 = 1.0 + share * normal[0] * normal[0]
@@ -342,11 +348,11 @@ def slope_covariance(scatter: Vector, normal: Vector, variance: float, out: Vect
     x1 = m00 * scatter[1] + m01 * scatter[3]
     y0 = m01 * scatter[0] + m11 * scatter[1]
     y1 = m01 * scatter[1] + m11 * scatter[3]
-    h00 = (x0 * m00 + x1 * m01) / variance + LEAST
+    h00 = (x0 * m00 + x1 * m01) / variance + MIN_INFORMATION
     h01 = (x0 * m01 + x1 * m11) / variance
-    h11 = (y0 * m01 + y1 * m11) / variance + LEAST
-    # No less than of points in a line: what round-off leaves of large numbers may be 0 or below.
-    share = 1.0 / max(h00 * h11 - h01 * h01, LEAST * (h00 + h11 - LEAST))
+    h11 = (y0 * m01 + y1 * m11) / variance + MIN_INFORMATION
+    # At least the determinant of points on a line: round-off can make it 0 or negative.
+    share = 1.0 / max(h00 * h11 - h01 * h01, MIN_INFORMATION * (h00 + h11 - MIN_INFORMATION))
     out[0] = share * h11
     out[1] = out[2] = -share * h01
     out[3] = share * h00
@@ -355,7 +361,7 @@ def slope_covariance(scatter: Vector, normal: Vector, variance: float, out: Vect
 def covariance_about(
     slope: Vector, offset_variance: float, first: float, second: float, out: Vector
 ) -> None:
-    """Covariance (9) of (dphi, dd) about an origin away from the points' centroid.
+    """Compute the covariance (9) of (dphi, dd) about an origin away from the points' centroid.
 
     The plane passes through the centroid: d = n.(centroid - origin), so with dphi of covariance
     ``slope`` (4) and the centroid's offset dd_0 independent, dd = dd_0 + lever.dphi, with the lever
@@ -369,12 +375,15 @@ def covariance_about(
 
 
 def pose_part(normal: Vector, basis: Vector, arm: Vector, sigma: Vector, out: Vector) -> None:
-    """J Sigma_pose J^T (9): how a scan's pose error, ``sigma`` (36) of (dm, dw), moves one of its
-    planes, with the basis (6) of its tangent.
+    """Compute the covariance (9) of a plane due to the pose error of its scan, J Sigma_pose J^T.
 
-    A rigid motion (dm, dw), m and rad, about map axes turns n by dw x n and carries the plane's
-    point at the origin along by dm + dw x arm, ``arm`` (3) from the lidar to it, m, so dphi = B^T
-    (dw x n) and dd = n.dm + (arm x n).dw.
+    A rigid motion (dm, dw), m and rad, about map axes changes n by dw x n and moves the plane's
+    point at the origin by dm + dw x arm, so dphi = B^T (dw x n) and dd = n.dm + (arm x n).dw.
+
+    Args:
+        normal, basis: (3), and (6) of the tangent there.
+        arm: (3) from the lidar to the plane's origin, m.
+        sigma: (36) covariance of (dm, dw).
     """
     turn = cython.declare(cython.double[3])
     moved = cython.declare(cython.double[6])
@@ -383,7 +392,7 @@ def pose_part(normal: Vector, basis: Vector, arm: Vector, sigma: Vector, out: Ve
     turn[0] = arm[1] * normal[2] - arm[2] * normal[1]
     turn[1] = arm[2] * normal[0] - arm[0] * normal[2]
     turn[2] = arm[0] * normal[1] - arm[1] * normal[0]
-    # The rows of sigma are its columns.
+    # Sigma is symmetric.
     for k in range(6):
         first = sigma[k] * normal[0] + sigma[18 + k] * turn[0]
         second = sigma[6 + k] * normal[1] + sigma[24 + k] * turn[1]
@@ -416,7 +425,7 @@ def fuse(
     common: float,
     out_rise: Vector,
 ) -> None:
-    """Two estimates of a plane made one (Eq. 37 to Eq. 45), which Eq. 22 does of scans' offsets.
+    """Fuse two estimates of a plane (Eq. 37 to Eq. 45); Eq. 22 does so for offsets of scans.
 
     Eq. 39 is the error of the prior about the measured plane, e = (n_prior [-] n, d_prior), its
     covariances (Eq. 38) carried to the measured plane's tangent and origin. With A and R the
@@ -424,12 +433,12 @@ def fuse(
     (I - K) e (Eq. 43, Eq. 44), and each part of the covariance becomes
     (I - K) P (I - K)^T + K R K^T (Eq. 42, Eq. 45).
 
-    All is about the prior's pivot, the place where errors of its slope and of its height are
-    independent: what is known at a place and not of the slope there stays so whatever the slope
-    turns out to be, which a linear error about another place does not say.
+    The computation is about the prior's pivot, the point where the errors of its slope and its
+    height are independent. So a change of the slope does not change the well-known height there,
+    which a linearisation about another point would.
 
-    Pose error that both have in common decides nothing between them and does not average out: of
-    either pose part only the share 1 - common counts in A and R, and the pose part becomes
+    Common pose error neither weights the estimates nor averages out: only the share 1 - common of
+    the pose parts P and Q counts in A and R, and the fused pose part is
     common ((1 - k) P + k Q) + (1 - common) ((I - K) P (I - K)^T + K Q K^T), k = K_dd.
 
     Args:
@@ -438,7 +447,7 @@ def fuse(
         prior_range, prior_pose: (9) parts of its covariance; replaced by the fused plane's, about
             its own height.
         normal: (3) measured; replaced by the fused one.
-        range_part, pose_part: (9) parts of its covariance; spoilt.
+        range_part, pose_part: (9) parts of its covariance; overwritten.
         common: Correlation of the two pose errors, 0 .. 1.
         out_rise: (1) height of the fused plane above the measured one, m.
     """
@@ -458,7 +467,7 @@ def fuse(
     cython.declare(i=cython.int)
     basis_at(prior_normal, basis)
     _pivot(prior_range, prior_rise, basis, error, pivot)
-    beside(prior_range, prior_pose, prior)
+    interleave(prior_range, prior_pose, prior)
     shift_origin(prior, error[0], error[1], 2)
     error[0] = error[1] = 0.0
     if prior_normal[0] != normal[0] or prior_normal[1] != normal[1]:
@@ -467,7 +476,7 @@ def fuse(
         basis_at(normal, basis)
     first = basis[0] * pivot[0] + basis[1] * pivot[1] + basis[2] * pivot[2]
     second = basis[3] * pivot[0] + basis[4] * pivot[1] + basis[5] * pivot[2]
-    beside(range_part, pose_part, measured)
+    interleave(range_part, pose_part, measured)
     shift_origin(measured, first, second, 2)
     error[2] = normal[0] * pivot[0] + normal[1] * pivot[1] + normal[2] * pivot[2]
     for i in range(9):
@@ -503,23 +512,23 @@ def fuse_height(
     sloped: cython.bint,
     out_rise: Vector,
 ) -> None:
-    """`fuse` with a height that was measured at one place, and no slope.
+    """Fuse a plane with a height that was measured at one point, without a slope (see `fuse`).
 
-    With l the lever from the pivot to the place, the height there errs by h.e, h = (-l, 1). Of a
-    measurement of variance v, and q from pose error, the covariance of Eq. 40 is that of one
-    number: K = k h^T, k = A h / (h.A h + v + (1 - common) q), and
+    With l the lever from the pivot to the point, the error of the height there is h.e, h = (-l, 1).
+    For a measurement with variance v from range noise and q from pose error, Eq. 40 is scalar:
+    K = k h^T, k = A h / (h.A h + v + (1 - common) q), and
     (I - K) P (I - K)^T = P - k (P h)^T - (P h) k^T + (h.P h) k k^T.
 
     Args:
-        normal: (3) of the plane that is known; replaced by the fused one.
-        rise: Height of its origin above that of the parallel plane through the place, m.
+        normal: (3) of the prior; replaced by the fused one.
+        rise: Height of its origin above that of the parallel plane through the point, m.
         range_part, pose_part: (9) parts of its covariance; replaced by the fused plane's, about
             its own height.
-        lever: (2) from the parallel plane's origin to the place, along its tangent axes, m.
+        lever: (2) from the parallel plane's origin to the point, along its tangent axes, m.
         variance: v, m^2.
-        other_pose: (9) pose part of the parallel plane; spoilt.
+        other_pose: (9) pose part of the parallel plane; overwritten.
         common: Correlation of the two pose errors, 0 .. 1.
-        sloped: Whether the slope may change; if not, its error is considered: the covariances above
+        sloped: Whether the slope may change; if not, the covariances still include its error: they
             hold for any K.
         out_rise: (1) height of the fused plane above the parallel one, m.
     """
@@ -534,7 +543,7 @@ def fuse_height(
     cython.declare(i=cython.int, j=cython.int, k=cython.int)
     basis_at(normal, basis)
     _pivot(range_part, rise, basis, step, pivot)
-    beside(range_part, pose_part, prior)
+    interleave(range_part, pose_part, prior)
     shift_origin(prior, step[0], step[1], 2)
     first, second = step[0] + rise * basis[2], step[1] + rise * basis[5]
     shift_origin(other_pose, first, second, 1)
@@ -571,8 +580,14 @@ def fuse_height(
 
 
 def _pivot(c: Vector, rise: float, basis: Vector, arm: Vector, out: Vector) -> None:
-    """The place (3) where errors (9) of a plane's slope and height are independent, from an origin
-    that lies ``rise`` below the plane's, and the arm (2) to it from there in the tangent, m."""
+    """Find the pivot (3), where the errors of a plane's slope and height are independent, m.
+
+    Args:
+        c: (9) covariance about the plane's origin.
+        rise: Height of the plane's origin above the origin of the pivot, m.
+        basis: (6) of the tangent.
+        arm: (2), set to the pivot from the plane's origin in the tangent, m.
+    """
     square = c[0] * c[4]
     share = square - c[1] * c[1]
     share = 1.0 / share if share > 1e-9 * square else 0.0
@@ -594,12 +609,18 @@ def _from_pivot(
     pose_part: Vector,
     out_rise: Vector,
 ) -> None:
-    """A plane (normal, 3) after a step (3) of (dphi, dd) about the pivot (3), and its covariances,
-    of a pair (18) about the pivot, about its own height over the origin; the basis (6) is that of
-    its tangent, before and after."""
+    """Apply a step (3) of (dphi, dd) about the pivot (3) to a plane, and move its covariances.
+
+    Args:
+        pair: (18) covariances about the pivot; overwritten.
+        pivot, step: m, and rad and m; the pivot is overwritten.
+        basis, normal: (6) of the tangent and (3); replaced by those after the step.
+        range_part, pose_part: (9), set to the covariances about the new height over the origin.
+        out_rise: (1), set to this height over the origin, m.
+    """
     cython.declare(i=cython.int, k=cython.int)
     plus_at(normal, basis, step, normal)
-    keep_up(normal)
+    orient_up(normal)
     basis_at(normal, basis)
     rise = step[2] + normal[0] * pivot[0] + normal[1] * pivot[1] + normal[2] * pivot[2]
     rise /= normal[2]
@@ -611,14 +632,14 @@ def _from_pivot(
         range_part[i] = pair[2 * i]
         pose_part[i] = pair[2 * i + 1]
     for i in range(3):
-        if range_part[4 * i] < SURE:
-            # Lost to round-off, and with it what it has in common with the others.
+        if range_part[4 * i] < MIN_VARIANCE:
+            # Lost to round-off, and the covariances with it.
             for k in range(3):
                 range_part[3 * i + k] = range_part[3 * k + i] = 0.0
-            range_part[4 * i] = SURE
-    remote: cython.bint = first * first + second * second > REMOTE
+            range_part[4 * i] = MIN_VARIANCE
+    remote: cython.bint = first * first + second * second > FAR_SQUARED
     if remote:
-        keep_possible(range_part)
-    if remote or min(pose_part[0], pose_part[4], pose_part[8]) < SURE:
-        keep_possible(pose_part)
+        repair_covariance(range_part)
+    if remote or min(pose_part[0], pose_part[4], pose_part[8]) < MIN_VARIANCE:
+        repair_covariance(pose_part)
     out_rise[0] = rise

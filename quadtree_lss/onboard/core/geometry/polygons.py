@@ -10,22 +10,27 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array
 
-#: Coordinates over this are no place to land at, and their squares would overflow, m.
-FARTHEST = 1e12
+#: Greatest coordinate of a vertex, m: larger ones are invalid and could overflow when squared.
+MAX_COORDINATE = 1e12
 
 
 def signed_distance(polygon: ArrayLike, x: Array, y: Array) -> Array:
-    """Distance in m of points from a polygon's edge, positive inside. ``polygon``: (V, 2) or (V, 3)
-    vertices in order, V >= 3; the third column is not used. ``x``, ``y``: coordinates of any one
-    shape. Raises `ValueError`: fewer than three vertices, or one not finite or farther out than
-    ``FARTHEST``."""
+    """Compute the distance of points to the edge of a polygon, m, positive inside.
+
+    Args:
+        polygon: (V, 2) or (V, 3) vertices in order, V >= 3, m; the third column is not used.
+        x, y: Coordinates of the points, of equal shape, m.
+
+    Raises:
+        ValueError: fewer than three vertices, or one not finite or beyond `MAX_COORDINATE`.
+    """
     corners = np.asarray(polygon, dtype=np.float64)
     if corners.ndim != 2 or len(corners) < 3 or corners.shape[1] < 2:
         msg = f"a polygon needs three or more (x, y) vertices, got shape {corners.shape}"
         raise ValueError(msg)
     corners = corners[:, :2]
-    if not (np.abs(corners) <= FARTHEST).all():
-        msg = "a polygon has a vertex that is not finite or is off this world"
+    if not (np.abs(corners) <= MAX_COORDINATE).all():
+        msg = "a polygon has a vertex that is not finite or exceeds {MAX_COORDINATE:g} m"
         raise ValueError(msg)
     edges = np.hstack([corners, np.roll(corners, -1, axis=0)])
     out = np.empty(x.shape)
@@ -37,7 +42,7 @@ def signed_distance(polygon: ArrayLike, x: Array, y: Array) -> Array:
 @cython.locals(edges=cython.double[:, ::1], x=cython.double[::1], y=cython.double[::1])
 @cython.locals(out=cython.double[::1])
 def set_distances(edges: Array, x: Array, y: Array, out: Array) -> None:
-    """`signed_distance` of points (N,) from a polygon's edges (V, 4): x, y of both ends, m."""
+    """Set ``out`` (N,) to `signed_distance`; ``edges``: (V, 4) x and y of both ends, m."""
     cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, inside=cython.bint)
     with cython.nogil:
         for i in range(out.shape[0]):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rotations of space, SO(3): matrices, rotation vectors, unit quaternions (x, y, z, w)."""
+"""Rotations in 3D, SO(3): matrices, rotation vectors and unit quaternions (x, y, z, w)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from quadtree_lss.onboard.arrays import Array
 
 
 def skew(vectors: ArrayLike) -> Array:
-    """Matrices of the cross product, ``skew(a) @ b == cross(a, b)``: (..., 3) to (..., 3, 3)."""
+    """Return the matrices with ``skew(a) @ b == cross(a, b)``: (..., 3) to (..., 3, 3)."""
     v = np.asarray(vectors, dtype=np.float64)
     out = np.zeros((*v.shape, 3))
     out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
@@ -22,7 +22,7 @@ def skew(vectors: ArrayLike) -> Array:
 
 
 def exp(rotation_vectors: ArrayLike) -> Array:
-    """Rotation matrices of rotation vectors in rad (Rodrigues): (..., 3) to (..., 3, 3)."""
+    """Convert rotation vectors, rad, to matrices (Rodrigues): (..., 3) to (..., 3, 3)."""
     v = np.asarray(rotation_vectors, dtype=np.float64)
     angle = np.linalg.norm(v, axis=-1)[..., None, None]
     k = skew(v)
@@ -33,11 +33,11 @@ def exp(rotation_vectors: ArrayLike) -> Array:
 
 
 def log(rotations: ArrayLike) -> Array:
-    """Rotation vectors in rad, of length at most pi: (..., 3, 3) to (..., 3)."""
+    """Convert matrices to rotation vectors, rad, of length at most pi: (..., 3, 3) to (..., 3)."""
     quaternion = quaternion_from_rotation(rotations)
     vector, scalar = quaternion[..., :3], quaternion[..., 3:]
     sine = np.linalg.norm(vector, axis=-1, keepdims=True)
-    # NumPy's own arctan2 is another one where there is AVX-512.
+    # The result of np.arctan2 differs between CPUs with and without AVX-512.
     half = np.frompyfunc(atan2, 2, 1)(sine, scalar).astype(np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
         factor = np.where(sine > 1e-12, 2.0 * half / sine, 2.0)
@@ -45,9 +45,9 @@ def log(rotations: ArrayLike) -> Array:
 
 
 def rotation_from_quaternion(quaternions_xyzw: ArrayLike) -> Array:
-    """Rotation matrices of unit quaternions: (..., 4) to (..., 3, 3)."""
+    """Convert unit quaternions to rotation matrices: (..., 4) to (..., 3, 3)."""
     q = np.asarray(quaternions_xyzw, dtype=np.float64)
-    # Poses come one by one, at hundreds a second: plain numbers take a tenth of the time.
+    # For the single quaternion of a pose, Python floats take a tenth of the time of arrays.
     x, y, z, w = q.tolist() if q.ndim == 1 else np.moveaxis(q, -1, 0)
     scale = 2.0 / (x * x + y * y + z * z + w * w)
     xx, yy, zz = scale * x * x, scale * y * y, scale * z * z
@@ -64,12 +64,12 @@ def rotation_from_quaternion(quaternions_xyzw: ArrayLike) -> Array:
 
 
 def quaternion_from_rotation(rotations: ArrayLike) -> Array:
-    """Unit quaternions with w >= 0: (..., 3, 3) to (..., 4).
+    """Convert rotation matrices to unit quaternions with w >= 0: (..., 3, 3) to (..., 4).
 
-    The largest of the four components is found first, so that no division is ill-conditioned.
+    The largest of the four components is computed first, so that no division is ill-conditioned.
     """
     r = np.asarray(rotations, dtype=np.float64)
-    # One by one, as for poses, plain numbers take a third of the time.
+    # For the single matrix of a pose, Python floats take a third of the time of arrays.
     (xx, x_y, x_z), (y_x, yy, y_z), (z_x, z_y, zz) = (
         r.tolist() if r.ndim == 2 else np.moveaxis(r, (-2, -1), (0, 1))
     )
@@ -93,7 +93,7 @@ def quaternion_from_rotation(rotations: ArrayLike) -> Array:
 
 
 def slerp(start: ArrayLike, end: ArrayLike, fraction: float) -> Array:
-    """Rotation at ``fraction`` of the way between two matrices (3, 3), at constant rate."""
+    """Interpolate between two rotation matrices (3, 3) at constant rate; ``fraction``: 0 .. 1."""
     r0, r1 = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     x, y, z, w = quaternion_from_rotation(r0.T @ r1).tolist()
     sine = hypot(x, y, z)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Unit vectors without redundant parameters: the sphere S^2 (paper III.B, after Hertzberg).
+"""Unit vectors with a minimal parametrisation: the sphere S^2 (paper III.B, after Hertzberg).
 
 A unit vector is n = (kappa, lambda) with kappa in the x-y plane (Eq. 1); its tangent space has two
-dimensions. A basis of the tangent is six numbers, the first axis, then the second; matrices lie row
-by row.
+dimensions. A basis of the tangent has six numbers, the first axis and then the second; matrices are
+stored row by row.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Vector: TypeAlias = MutableSequence[float]
 
 
 def basis_at(normal: Vector, out: Vector) -> None:
-    """First two columns of Eq. 2, the axes of dphi in space: n (3) to (6). Not for n = -z."""
+    """Compute the first two columns of Eq. 2, the tangent axes of dphi: n (3) to (6); n != -z."""
     x, y = normal[0], normal[1]
     share = 1.0 / (1.0 + normal[2])
     out[0] = 1.0 - share * x * x
@@ -30,10 +30,10 @@ def basis_at(normal: Vector, out: Vector) -> None:
 
 
 def exp_at(tangent: Vector, out: Vector) -> None:
-    """Eq. 3: (sinc(phi) phi, cos(phi)), phi (2) to (3)."""
+    """Compute Eq. 3, (sinc(phi) phi, cos(phi)): phi (2) to (3)."""
     square = tangent[0] * tangent[0] + tangent[1] * tangent[1]
     if square < 1e-2:
-        # Their series, to the last bit.
+        # The series of sinc and cosine, exact to the last bit.
         along = 1.0 - square * (1.0 / 42.0) * (1.0 - square * (1.0 / 72.0))
         along = 1.0 - square * (1.0 / 6.0) * (1.0 - square * (1.0 / 20.0) * along)
         up = 1.0 - square * (1.0 / 30.0) * (1.0 - square * (1.0 / 56.0))
@@ -48,18 +48,18 @@ def exp_at(tangent: Vector, out: Vector) -> None:
 
 
 def log_at(normal: Vector, out: Vector, jacobian: Vector) -> None:
-    """Eq. 4: angle from the z axis along kappa, n (3) to (2), and d log / d n (2, 3).
+    """Compute Eq. 4, the angle from the z axis along kappa, n (3) to (2), and d log / d n (2, 3).
 
-    The latter for changes of n along the sphere: with unit direction k = kappa / |kappa| and angle
-    phi, a change dn turns the angle by lambda k.dkappa - |kappa| dlambda and moves across k by
-    (phi / sin phi) of dkappa: the inverse of d exp / d phi (Eq. 5, Eq. 6, Eq. 7).
+    The Jacobian holds for changes of n along the sphere and is the inverse of d exp / d phi (Eq. 5,
+    Eq. 6, Eq. 7): with unit direction k = kappa / |kappa| and angle phi, dn changes the angle by
+    lambda k.dkappa - |kappa| dlambda, and moves across k by phi / sin phi times dkappa.
     """
     square = normal[0] * normal[0] + normal[1] * normal[1]
     sine = sqrt(square)
     x = normal[0] / sine if sine > 1e-9 else 1.0
     y = normal[1] / sine if sine > 1e-9 else 0.0
     if square < 1e-3 and normal[2] > 0.0:
-        # The series of the arc sine, to the last bit.
+        # The series of the arc sine, exact to the last bit.
         across = 3.0 / 40.0 + square * (5.0 / 112.0 + square * (35.0 / 1152.0))
         across = 1.0 + square * (1.0 / 6.0 + square * across)
     else:
@@ -73,8 +73,8 @@ def log_at(normal: Vector, out: Vector, jacobian: Vector) -> None:
     jacobian[5] = -sine * y
 
 
-def seen_from(normal: Vector, reference: Vector, out: Vector) -> None:
-    """R_m^T n: n (3) in the axes in which m (3) is the pole."""
+def in_pole_axes(normal: Vector, reference: Vector, out: Vector) -> None:
+    """Compute R_m^T n: n (3) in the axes whose pole is m (3)."""
     basis = cython.declare(cython.double[6])
     basis_at(reference, basis)
     out[0] = basis[0] * normal[0] + basis[1] * normal[1] + basis[2] * normal[2]
@@ -83,7 +83,7 @@ def seen_from(normal: Vector, reference: Vector, out: Vector) -> None:
 
 
 def plus_at(normal: Vector, basis: Vector, tangent: Vector, out: Vector) -> None:
-    """Eq. 8, n [+] phi = R_n exp(phi): n (3), `basis_at` it (6), phi (2) to (3).
+    """Compute Eq. 8, n [+] phi = R_n exp(phi): n (3), basis at n (6), phi (2) to (3).
 
     An uncertain unit vector is its mean [+] a Gaussian tangent (Eq. 10, Eq. 11).
     """
@@ -96,24 +96,26 @@ def plus_at(normal: Vector, basis: Vector, tangent: Vector, out: Vector) -> None
 
 
 def minus_at(normal: Vector, reference: Vector, out: Vector, change: Vector) -> None:
-    """Eq. 9 and Eq. 12, n [-] m in the tangent at m, both up: n (3), m (3) to (2).
+    """Compute Eq. 9 and Eq. 12, n [-] m in the tangent at m, both up: n (3), m (3) to (2).
 
-    And the linear map (4) of errors in the tangent at n to the tangent at m: with w = R_m^T n, the
-    error of (n [-] m) is dlog(w) R_m^T B_n dphi.
+    Also compute ``change`` (4), the linear map of errors from the tangent at n to the tangent at m:
+    with w = R_m^T n, the error of (n [-] m) is dlog(w) R_m^T B_n dphi.
     """
-    seen = cython.declare(cython.double[3])
+    turned = cython.declare(cython.double[3])
     basis = cython.declare(cython.double[6])
     axis = cython.declare(cython.double[3])
     slope = cython.declare(cython.double[6])
     cython.declare(i=cython.int, k=cython.int)
-    seen_from(normal, reference, seen)
-    log_at(seen, out, slope)
+    in_pole_axes(normal, reference, turned)
+    log_at(turned, out, slope)
     basis_at(normal, basis)
     for i in range(2):
         for k in range(3):
             axis[k] = basis[3 * i + k]
-        seen_from(axis, reference, seen)
+        in_pole_axes(axis, reference, turned)
         for k in range(2):
             change[2 * k + i] = (
-                slope[3 * k] * seen[0] + slope[3 * k + 1] * seen[1] + slope[3 * k + 2] * seen[2]
+                slope[3 * k] * turned[0]
+                + slope[3 * k + 1] * turned[1]
+                + slope[3 * k + 2] * turned[2]
             )

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the map allows landing, and the best of it (paper V)."""
+"""Assessment of landing sites (paper V)."""

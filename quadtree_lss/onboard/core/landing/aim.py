@@ -24,22 +24,28 @@ from quadtree_lss.onboard.config.risk import CAUSES
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 from quadtree_lss.onboard.core.landing.lattice import blur
-from quadtree_lss.onboard.core.landing.raster import SLACK, TerrainRaster
+from quadtree_lss.onboard.core.landing.raster import RELATIVE_ROUNDING, TerrainRaster
 from quadtree_lss.onboard.core.landing.restrictions import Restrictions
 from quadtree_lss.onboard.core.landing.result import MainRisk
 from quadtree_lss.onboard.core.landing.score import PointAssessment
-from quadtree_lss.onboard.core.landing.target import ASIDE, NEARER, Candidates, Descent, Motion
+from quadtree_lss.onboard.core.landing.target import (
+    DISTANCE_COST,
+    LATERAL_ACCELERATION,
+    Candidates,
+    Descent,
+    Motion,
+)
 from quadtree_lss.onboard.core.tree.domain import Domain
 
-#: Range in which the score can change a cost that is a probability: it orders equal probabilities.
-TIE = 1e-5
-#: Most grid points per side that are searched within reach if none of them is safe.
-COARSE = 128
-#: No site lies higher above the vehicle than its diameter and this, which navigation's height does
-#: not drift by on the way down, m.
-ABOVE = 1.0
+#: Range of the score's contribution to a cost that is a probability: it orders equal probabilities.
+SCORE_RANGE = 1e-5
+#: Most grid points per side that are searched within reach if none is safe.
+MAX_SEARCH_POINTS = 128
+#: Ground higher above the vehicle than its diameter and this bound of the drift of navigation's
+#: height is excluded, m.
+NAVIGATION_DRIFT = 1.0
 #: Standard deviations at which the normal distribution of the touchdown is truncated.
-TAIL = 4.0
+TRUNCATION = 4.0
 CAUSE_TEXTS = {
     "obstacle": "an obstacle",
     "slope": "too steep a slope",
@@ -67,7 +73,7 @@ class Dispersion:
     def from_values(values: ArrayLike | None, lss: LssConfig) -> Dispersion:
         """Check standard deviations along x and y, m, and optionally a heading, rad, NaN for any.
 
-        None stands for the configured dispersion. Raises `ValueError`: other values."""
+        None: the configured dispersion. Raises `ValueError` for other values."""
         if values is None:
             return Dispersion(lss.dispersion, lss.dispersion)
         given = np.asarray(values, dtype=np.float64)
@@ -83,8 +89,8 @@ class Dispersion:
 class GridSampler:
     """Samples values of the finest lattice at the points of the user's grid.
 
-    A grid point that coincides with a lattice point takes its value; others depend on the two or
-    four lattice points around. ``x``, ``y``: (nx,), (ny,) of the grid points, m.
+    A grid point that coincides with a lattice point has its value; others depend on the two or four
+    surrounding lattice points. ``x``, ``y``: (nx,), (ny,) of the grid points, m.
     """
 
     def __init__(self, domain: Domain, x: Array, y: Array) -> None:
@@ -106,7 +112,7 @@ class GridSampler:
         self._cell = tuple(_as_slice(np.minimum(index, n - 1)) for index in low)
 
     def _corners(self, values: NDArray[Kind]) -> tuple[NDArray[Kind], ...]:
-        """Return values of the four lattice points around, or of the one that coincides."""
+        """Return values of the four surrounding lattice points, or of the one that coincides."""
         low, high = self._low, self._high
         if self._on_lattice:
             return (values[low[0]][:, low[1]],)
@@ -118,7 +124,7 @@ class GridSampler:
         return np.asarray(np.logical_and.reduce(self._corners(values)), dtype=np.bool_)
 
     def any(self, values: Bytes) -> Bytes:
-        """Return the bits that are set in any surrounding lattice point."""
+        """Return the bits that are set at any surrounding lattice point."""
         return np.asarray(np.bitwise_or.reduce(self._corners(values)), dtype=np.uint8)
 
     def nearest(self, values: Array) -> Array:
@@ -151,9 +157,9 @@ class GridSampler:
 
 
 @lru_cache(maxsize=4)
-def users_grid(domain: Domain, spacing: float) -> GridSampler:
-    """Return the grid points in steps of ``spacing``, m, from the domain's south-western corner to
-    the far edges; assessments share the read-only result."""
+def make_grid(domain: Domain, spacing: float) -> GridSampler:
+    """Return the grid points in steps of ``spacing``, m, from the domain's south-western corner;
+    assessments share the read-only result."""
     steps = np.arange(int(np.floor(domain.size / spacing + 1e-9)) + 1, dtype=np.float64)
     x, y = domain.xmin + spacing * steps, domain.ymin + spacing * steps
     x.flags.writeable = y.flags.writeable = False
@@ -178,11 +184,11 @@ class Aims:
         elevation: Height of the ground at the vehicle's scale, m.
         score: Eq. 59, NaN where excluded.
         probability: Probability of success; NaN without a risk model.
-        risk: Predicted risk of a touchdown exactly there; NaN without a risk model.
+        risk: Predicted risk; NaN without a risk model.
         hazard: Bits of ``hazards``.
         above: Observed ground that is excluded because it lies above the vehicle.
         descent: Of the vehicle to the target, or to the mean of all ground; None if unknown.
-        candidates: What sites are chosen from.
+        candidates: Grid points from which sites are chosen.
         now: Candidates within reach at this moment (see `within_reach`).
         withheld: Why all grid points are excluded; empty if they are not.
     """
@@ -215,20 +221,20 @@ def aim(
     ``motion``: of the vehicle by the map's height, None if unknown. ``held``: x and y of the
     target, m, None without one.
     """
-    grid = users_grid(points.raster.domain, lss.spacing)
+    grid = make_grid(points.raster.domain, lss.spacing)
     raster, by_probability = points.raster, lss.ranking == "probability"
     unsafe = points.risk
     if by_probability:
         unsafe = unsafe_aims(points.risk, raster.domain.finest_size, dispersion)
     unsafe, safe = grid.linear(unsafe), grid.all(points.safe)
     score = np.where(safe, grid.nearest(points.score), np.nan)
-    cost = probable_first(unsafe, score) if by_probability else score
+    cost = combine_cost(unsafe, score) if by_probability else score
     hazard, risk = grid.any(points.hazard), grid.linear(points.risk)
     withheld = restrictions.apply_to(cost, grid.x, grid.y, lss)
     probability = 1.0 - unsafe
     elevation, above = grid.linear(raster.planes.elevation), np.zeros_like(safe)
     if motion is not None:
-        above = elevation > motion.z + ABOVE + lss.vehicle.diameter
+        above = elevation > motion.z + NAVIGATION_DRIFT + lss.vehicle.diameter
         above &= hazard & UNSEEN == 0
         cost[above] = np.nan
         unsafe = np.where(above, 1.0, unsafe)
@@ -243,9 +249,9 @@ def aim(
     )  # fmt: skip
 
 
-def probable_first(unsafe: Array, score: Array) -> Array:
-    """Return costs that order by P(unsafe | aim), and by the score within `TIE`."""
-    return unsafe + 0.5 * TIE * score / (1.0 + np.abs(score))
+def combine_cost(unsafe: Array, score: Array) -> Array:
+    """Return costs that order by P(unsafe | aim), and equal ones by the score."""
+    return unsafe + 0.5 * SCORE_RANGE * score / (1.0 + np.abs(score))
 
 
 def unsafe_aims(risk: Array, side: float, dispersion: Dispersion) -> Array:
@@ -285,7 +291,7 @@ def touchdown_weights(risk: Array, side: float, dispersion: Dispersion) -> list[
 def normal_weights(sigma: float, count: int) -> Array:
     """Return the weights (2 K + 1,) of a truncated normal distribution up to ``count`` steps from
     its mean; ``sigma``: standard deviation, steps."""
-    reach = ceil(TAIL * sigma)
+    reach = ceil(TRUNCATION * sigma)
     # A smaller standard deviation has the same weights, and no square that overflows.
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(sigma, 1e-3)) ** 2)
     beyond = max(reach - count, 0)
@@ -303,13 +309,14 @@ def within_reach(
 ) -> Candidates:
     """Return the candidates within reach; all of them if the vehicle's position is unknown.
 
-    If none of them is both permitted and safe, observed and permitted grid points take part.
+    If none of them is permitted and safe, all observed and permitted grid points are candidates.
     """
     x, y, unsafe = grid.x, grid.y, candidates.unsafe
     reached = np.ones_like(candidates.safe)
     if motion is not None and isfinite(motion.x):
         descent = remaining_descent(points, grid, motion, (motion.x, motion.y))
-        stop = min(0.5 * np.hypot(motion.along_x, motion.along_y) / ASIDE, 0.5 * descent.seconds)
+        speed = np.hypot(motion.along_x, motion.along_y)
+        stop = min(0.5 * speed / LATERAL_ACCELERATION, 0.5 * descent.seconds)
         stop_x, stop_y = motion.x + stop * motion.along_x, motion.y + stop * motion.along_y
         reached = (x - stop_x) ** 2 + (y[:, None] - stop_y) ** 2 <= descent.reach**2
     safe = reached & candidates.permitted
@@ -318,7 +325,7 @@ def within_reach(
     if safe.any():
         cost = np.where(safe, unsafe, np.nan)
     else:
-        step, cost = max(len(x) // COARSE, 1), np.full(safe.shape, np.nan)
+        step, cost = max(len(x) // MAX_SEARCH_POINTS, 1), np.full(safe.shape, np.nan)
         part = np.where(hazard & UNSEEN, np.nan, unsafe)[::step, ::step]
         replace(restrictions, target=None).apply_to(part, x[::step], y[::step], lss)
         cost[::step, ::step] = np.where(part < 1.0, part, np.nan)
@@ -326,7 +333,7 @@ def within_reach(
     if motion is not None and isfinite(motion.x + motion.y):
         away = np.zeros_like(cost)
         np.hypot(x - motion.x, y[:, None] - motion.y, out=away, where=np.isfinite(cost))
-        cost += NEARER["probability"] * away
+        cost += DISTANCE_COST["probability"] * away
     return replace(candidates, cost=cost)
 
 
@@ -334,33 +341,32 @@ def remaining_descent(
     points: PointAssessment,
     grid: GridSampler,
     motion: Motion,
-    over: tuple[float, float] | None,
+    position: tuple[float, float] | None,
 ) -> Descent:
-    """Return the descent to the ground at x and y, m; to the mean of all ground where that is
-    unknown."""
+    """Return the descent to the ground at a position (x, y), m, or to the mean of all ground if the
+    ground there is unknown."""
     raster, ground = points.raster, nan
-    x, y = over or (nan, nan)
+    x, y = position or (nan, nan)
     if grid.x[0] <= x <= grid.x[-1] and grid.y[0] <= y <= grid.y[-1]:
         row = grid.nearest_row[np.abs(grid.y - y).argmin()]
         column = grid.nearest_column[np.abs(grid.x - x).argmin()]
-        if raster.seen[max(row - 1, 0) : row + 1, max(column - 1, 0) : column + 1].any():
+        if raster.observed[max(row - 1, 0) : row + 1, max(column - 1, 0) : column + 1].any():
             ground = float(raster.planes.elevation[row, column])
     if isnan(ground):
-        ground = float(np.mean(raster.elevation[raster.seen]))
+        ground = float(np.mean(raster.elevation[raster.observed]))
     return Descent(motion.z - ground, motion.down)
 
 
 def main_risks(
     points: PointAssessment, dispersion: Dispersion, rows: Index, columns: Index, lss: LssConfig
 ) -> list[MainRisk]:
-    """Find where most of the risk at aim points comes from; ``rows``, ``columns``: (K,) of the
-    lattice."""
+    """Find the main cause of the risk at aim points; ``rows``, ``columns``: (K,) of the lattice."""
     risk, raster = points.risk, points.raster
     side = raster.domain.finest_size
     across, along = touchdown_weights(risk, side, dispersion)
-    up, right, within = len(across) // 2, len(along) // 2, float(across.sum() * along.sum())
+    up, right, total = len(across) // 2, len(along) // 2, float(across.sum() * along.sum())
     weights, found = across[:, None] * along, []
-    reach = (1.0 - SLACK) * (0.5 * lss.vehicle.diameter + lss.vehicle.pad_radius)
+    reach = (1.0 - RELATIVE_ROUNDING) * (0.5 * lss.vehicle.diameter + lss.vehicle.pad_radius)
     for aim_row, aim_column in zip(rows.tolist(), columns.tolist(), strict=True):
         south, west = max(aim_row - up, 0), max(aim_column - right, 0)
         known = risk[south : aim_row + up + 1, west : aim_column + right + 1]
@@ -372,9 +378,9 @@ def main_risks(
         point = row + aim_row - up, column + aim_column - right
         cause = "unobserved ground"
         if 0 <= point[0] < risk.shape[0] and 0 <= point[1] < risk.shape[1]:
-            if raster.judged[point]:
+            if raster.assessable[point]:
                 cause = CAUSE_TEXTS[CAUSES[points.cause[point]]]
-            elif raster.to_unmapped[point] < reach:
+            elif raster.to_unestimated[point] < reach:
                 cause = "ground observed but not estimated"
-        found.append(MainRisk(within - float(share.sum()), cause, north, east))
+        found.append(MainRisk(total - float(share.sum()), cause, north, east))
     return found

@@ -2,7 +2,7 @@
 """Assessment of landing sites on a map (paper V), in five steps:
 
 1. ``raster``: map -> terrain on the finest cells and about their corners, the grid points
-2. ``contact``: per grid point -> rise and tilt of the vehicle at rest, over all headings
+2. ``contact``: per grid point -> rise and tilt of the vehicle, over all headings
 3. ``risk``, ``score``: per grid point -> predicted risk of a touchdown there, hazards and score
 4. ``aim``: user's grid -> probability of success with the touchdown dispersion, and restrictions
 5. ``choose``: user's grid -> ranked sites with reasons, and the target
@@ -20,11 +20,11 @@ from numpy.typing import ArrayLike
 from quadtree_lss.onboard.arrays import Bytes, keep_memory
 from quadtree_lss.onboard.config.risk import risk_model
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config
-from quadtree_lss.onboard.core.landing.aim import Dispersion, aim, users_grid
+from quadtree_lss.onboard.core.landing.aim import Dispersion, aim, make_grid
 from quadtree_lss.onboard.core.landing.choose import choose
 from quadtree_lss.onboard.core.landing.contact import ContactCheck
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
-from quadtree_lss.onboard.core.landing.lattice import touching
+from quadtree_lss.onboard.core.landing.lattice import corner_bits
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.restrictions import Restrictions
 from quadtree_lss.onboard.core.landing.result import LandingAssessment, no_sites, no_target
@@ -37,8 +37,8 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 class LandingSiteSelector:
     """Assesses successive maps.
 
-    Keeps the target (`target.TargetKeeper`), and the contacts, which are computed again only where
-    the ground changed.
+    Keeps the target (`target.TargetKeeper`), and the contacts, which are recomputed only where the
+    ground changed.
     """
 
     def __init__(self, config: Config = DEFAULTS) -> None:
@@ -47,7 +47,7 @@ class LandingSiteSelector:
         self.configure(config)
 
     def configure(self, config: Config) -> None:
-        """Use another configuration from now on, and forget the contacts."""
+        """Use another configuration, and discard the contacts."""
         self.config, lss = config, config.lss
         self._risk_table: RiskTable | None = None
         self._contact_check: ContactCheck | None = None
@@ -59,7 +59,7 @@ class LandingSiteSelector:
             self._contact_check = ContactCheck(lss)
 
     def release(self) -> None:
-        """Give up the target: the next assessment chooses as if there were none."""
+        """Drop the target: the next assessment chooses as if there were none."""
         self._keeper.release()
 
     def land_now(self) -> None:
@@ -81,7 +81,7 @@ class LandingSiteSelector:
         """Rank landing sites on a map, and choose the target.
 
         Args:
-            cells: The map; points are never needed.
+            cells: The map.
             area, keep_outs, target, withheld: As of `Restrictions`: where landing is wanted.
             dispersion: Standard deviations of the touchdown about its aim point along x and y, m,
                 and optionally the vehicle's heading, rad, NaN for any; None for ``lss.dispersion``
@@ -101,7 +101,7 @@ class LandingSiteSelector:
         keeper.apply_restrictions(restrictions, lss)
 
         raster = rasterise(cells, lss)
-        if not raster.seen.any():
+        if not raster.observed.any():
             reason = Reason.WITHHELD if withheld else Reason.NOTHING_MAPPED
             return self._nothing(cells, reason, raster.unknown_bits)
         contacts = None
@@ -110,7 +110,7 @@ class LandingSiteSelector:
             contacts = self._contact_check.contacts(raster, raster.needs_contact, heading)
         points = assess_points(raster, contacts, self._contact_check, self._risk_table, lss)
         motion = None
-        if vehicle is not None:  # its height is navigation's, which differs from the map's
+        if vehicle is not None:  # its height differs from the map's by ``offset_z``
             height, *others = vehicle
             motion = Motion(height - np.nan_to_num(cells.offset_z), *others)
         aims = aim(points, spread, restrictions, motion, keeper.held, lss)
@@ -124,12 +124,12 @@ class LandingSiteSelector:
         return replace(nothing, explanation=f"no site is given out: {why}")
 
     def _nothing(self, cells: CellMap, reason: Reason, bits: Bytes) -> LandingAssessment:
-        """Return the assessment of a map without known ground; ``bits``: hazards (n, n)."""
-        lss, grid = self.config.lss, users_grid(cells.domain, self.config.lss.spacing)
+        """Return the assessment of a map without observed ground; ``bits``: hazards (n, n)."""
+        lss, grid = self.config.lss, make_grid(cells.domain, self.config.lss.spacing)
         shape = (len(grid.y), len(grid.x))
         none, never = np.full(shape, np.nan), np.zeros(shape, dtype=np.bool_)
         ground = Candidates(grid.x, grid.y, never, none)
-        self._keeper.choose(ground, lss, why_not=lambda *_: reason, why_none=reason)
+        self._keeper.choose(ground, lss, reason_at=lambda *_: reason, no_site_reason=reason)
         return LandingAssessment(
             stamp_ns=cells.stamp_ns,
             number=self._keeper.assessments,
@@ -140,7 +140,7 @@ class LandingSiteSelector:
             now=np.full(4, np.nan),
             x=grid.x,
             y=grid.y,
-            hazard=grid.any(touching(bits)),
+            hazard=grid.any(corner_bits(bits)),
             safe=never,
             score=none,
             probability=np.zeros(shape),

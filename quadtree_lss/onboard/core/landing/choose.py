@@ -12,9 +12,9 @@ from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.aim import Aims, main_risks
-from quadtree_lss.onboard.core.landing.lattice import disc, lower_room
+from quadtree_lss.onboard.core.landing.lattice import disc, lower_free_distance
 from quadtree_lss.onboard.core.landing.ranking import ranked_points
-from quadtree_lss.onboard.core.landing.raster import SLACK, TerrainRaster
+from quadtree_lss.onboard.core.landing.raster import RELATIVE_ROUNDING, TerrainRaster
 from quadtree_lss.onboard.core.landing.result import (
     LandingAssessment,
     Selected,
@@ -27,16 +27,16 @@ from quadtree_lss.onboard.core.landing.score import PointAssessment
 from quadtree_lss.onboard.core.landing.target import (
     SETTLE_SHARE,
     Choice,
-    Place,
+    GridIndex,
     Reason,
     TargetKeeper,
 )
 from quadtree_lss.onboard.core.tree.cell_map import height_by_error
 
-#: Reasons without a target that another assessment of the same map does not change.
-WAITING = (Reason.SETTLING, Reason.UNLIKELY)
-#: Variance of a heading of which nothing is known (uniform distribution), rad^2.
-ANY_HEADING = np.pi**2 / 3.0
+#: Reasons for no target that another assessment of the same map does not change.
+NOT_PENDING = (Reason.SETTLING, Reason.UNLIKELY)
+#: Variance of an unknown heading (uniform distribution), rad^2.
+UNKNOWN_HEADING_VARIANCE = np.pi**2 / 3.0
 
 
 def choose(
@@ -47,7 +47,7 @@ def choose(
     Args:
         points: Risk and score on the finest lattice.
         aims: The points of the user's grid as aim points.
-        keeper: The target of the assessments before; updated.
+        keeper: The target of earlier assessments; updated.
         waited: Time since the first map, s.
         config: Limits.
     """
@@ -56,8 +56,8 @@ def choose(
     choice = keeper.choose(
         candidates,
         lss,
-        why_not=partial(_why_not, points, aims, lss),
-        why_none=Reason.WITHHELD if aims.withheld else Reason.NO_SITE,
+        reason_at=partial(_reason_at, points, aims, lss),
+        no_site_reason=Reason.WITHHELD if aims.withheld else Reason.NO_SITE,
         descent=aims.descent,
         settled=seen >= SETTLE_SHARE or waited >= lss.settle_time,
         now=aims.now,
@@ -66,7 +66,7 @@ def choose(
     steps = apart / (grid.x[1] - grid.x[0]) if len(grid.x) > 1 else 0.0
     cost, unsafe, clearance = candidates.cost, candidates.unsafe, candidates.clearance
     ranked = [*zip(*ranked_points(cost, unsafe, clearance, steps, lss.sites), strict=True)]
-    described = ranked if choice.place is None else [*ranked, choice.place]
+    described = ranked if choice.point is None else [*ranked, choice.point]
     sites = _describe(points, aims, described, keeper, lss)
     now = np.full(4, np.nan)
     if (best := aims.now.best) is not None:
@@ -77,7 +77,7 @@ def choose(
         number=keeper.assessments,
         selected=_selected(choice, sites, aims, points.raster, lss),
         seen=seen,
-        pending=landable and choice.place is None and choice.reason not in WAITING,
+        pending=landable and choice.point is None and choice.reason not in NOT_PENDING,
         sites=sites[: len(ranked)],
         now=now,
         x=grid.x,
@@ -100,7 +100,7 @@ def _selected(
     choice: Choice, sites: Sites, aims: Aims, raster: TerrainRaster, lss: LssConfig
 ) -> Selected:
     """Return the target, which is the last of ``sites``."""
-    if choice.place is None:
+    if choice.point is None:
         best = float("nan") if choice.best is None else float(aims.probability[choice.best])
         return no_target(choice.reason, choice.state, best)
     site = replace(sites[-1:], id=np.array([choice.id], dtype=np.uint32))
@@ -110,18 +110,22 @@ def _selected(
 
 
 def _describe(
-    points: PointAssessment, aims: Aims, places: list[Place], keeper: TargetKeeper, lss: LssConfig
+    points: PointAssessment,
+    aims: Aims,
+    grid_points: list[GridIndex],
+    keeper: TargetKeeper,
+    lss: LssConfig,
 ) -> Sites:
-    """Describe sites at grid points, given by row and column."""
+    """Describe sites at grid points; ``grid_points``: row and column of each."""
     vehicle, planes, grid = lss.vehicle, points.raster.planes, aims.grid
-    rows, columns = np.array(places, dtype=np.intp).reshape(-1, 2).T
+    rows, columns = np.array(grid_points, dtype=np.intp).reshape(-1, 2).T
     position = np.column_stack([grid.x[columns], grid.y[rows]])
     nearest = grid.nearest_row[rows], grid.nearest_column[columns]
-    rough, raised, room = _describe_zones(points, nearest, position, lss)
+    rough, raised, free_distance = _describe_zones(points, nearest, position, lss)
     slope_x, slope_y = planes.slope_x[nearest], planes.slope_y[nearest]
     normal = np.column_stack([-slope_x, -slope_y, np.ones_like(slope_x)])
     slope_deg = np.degrees(np.arctan(planes.gradient[nearest]))
-    risks = [""] * len(places)
+    risks = [""] * len(grid_points)
     if lss.ranking == "probability":
         risks = risk_texts(main_risks(points, aims.dispersion, *nearest, lss))
     limit = vehicle.max_slope_deg
@@ -136,7 +140,7 @@ def _describe(
             else "no subscale feature"
         )
         for risk, slope, clear, roughness, feature in zip(
-            risks, slope_deg, room, rough, raised, strict=True
+            risks, slope_deg, free_distance, rough, raised, strict=True
         )
     )
     return Sites(
@@ -146,9 +150,9 @@ def _describe(
         probability=aims.probability[rows, columns],
         slope_deg=slope_deg,
         roughness=rough,
-        hazard_distance=room,
+        hazard_distance=free_distance,
         subscale_height=raised,
-        id=keeper.places.numbers(position, lss),
+        id=keeper.site_numbers.numbers(position, lss),
         reasons=tuple(reasons),
     )
 
@@ -171,29 +175,33 @@ def _describe_zones(
     column = np.clip(nearest[1][:, None] + over.column, 0, last)
     rough, raised = points.roughness[raster.leaf[row, column]], raster.subscale_peak[row, column]
     x, y = position[:, 0] - domain.xmin, position[:, 1] - domain.ymin
-    room = np.minimum(np.minimum(x, domain.size - x), np.minimum(y, domain.size - y)) - zone
+    free_distance = (
+        np.minimum(np.minimum(x, domain.size - x), np.minimum(y, domain.size - y)) - zone
+    )
     for marked, reach in (
         (points.excluded, points.distance),
-        (~raster.firm, zone),
-        (raster.unmapped, zone + lss.vehicle.pad_radius),
+        (~raster.interior, zone),
+        (raster.unestimated, zone + lss.vehicle.pad_radius),
     ):
-        # Cells have an extent, points of the lattice have none.
+        # Cells have an extent, lattice points have none.
         half = 0.5 * (domain.finest_count + 1 - len(marked))
-        lower_room(marked.view(np.uint8), half, x, y, side, reach, room)
-    return rough.max(axis=1), raised.max(axis=1), np.maximum(room, 0.0)
+        lower_free_distance(marked.view(np.uint8), half, x, y, side, reach, free_distance)
+    return rough.max(axis=1), raised.max(axis=1), np.maximum(free_distance, 0.0)
 
 
-def _why_not(points: PointAssessment, aims: Aims, lss: LssConfig, row: int, column: int) -> Reason:
+def _reason_at(
+    points: PointAssessment, aims: Aims, lss: LssConfig, row: int, column: int
+) -> Reason:
     """Return why landing is not permitted at a grid point."""
     grid, raster = aims.grid, points.raster
     if aims.withheld or aims.above[row, column]:
         return Reason.WITHHELD
     if reason := aims.restrictions.reason_against(grid.x[column], grid.y[row], lss):
         return reason
-    if grid.all(raster.room >= (1.0 - SLACK) * lss.zone)[row, column]:
+    if grid.all(raster.free_distance >= (1.0 - RELATIVE_ROUNDING) * lss.zone)[row, column]:
         return Reason.HAZARD
-    reach = (1.0 - SLACK) * (lss.zone + lss.vehicle.pad_radius)
-    mapped = grid.all(raster.to_unmapped >= reach)[row, column]
+    reach = (1.0 - RELATIVE_ROUNDING) * (lss.zone + lss.vehicle.pad_radius)
+    mapped = grid.all(raster.to_unestimated >= reach)[row, column]
     return Reason.UNSEEN if mapped else Reason.UNMAPPED
 
 
@@ -212,13 +220,13 @@ def _explanation(points: PointAssessment, aims: Aims, lss: LssConfig) -> str:
             text += " that does not lie above the vehicle: poses in NED, or the lidar's mount is"
             text += " another; quadtree-lss doctor says which"
         return text
-    seen, unmapped = float(np.mean(raster.seen)), float(np.mean(raster.unmapped))
+    observed, unestimated = float(np.mean(raster.observed)), float(np.mean(raster.unestimated))
     hazardous = (points.hazard & hazards.IDENTIFIED > 0) & (points.hazard & hazards.UNSEEN == 0)
     return (
-        f"no safe site: {100.0 * seen:.0f} % of the domain is seen, "
-        + (f"{100.0 * unmapped:.0f} % seen but not yet mapped, " if unmapped > 0.0 else "")
+        f"no safe site: {100.0 * observed:.0f} % of the domain is observed, "
+        + (f"{100.0 * unestimated:.0f} % observed but not estimated, " if unestimated > 0.0 else "")
         + f"{100.0 * float(np.mean(hazardous)):.0f} % shows a hazard, and no zone of "
-        f"{lss.zone:.2f} m radius is both seen and allowed"
+        f"{lss.zone:.2f} m radius is both observed and allowed"
     )
 
 
@@ -260,5 +268,5 @@ def ground_covariance(raster: TerrainRaster, x: float, y: float, radius: float) 
     turn = np.zeros((6, 3))
     turn[2, 0], turn[3, 2], turn[4, 1] = 1.0, 1.0, -1.0
     covariance = turn @ out @ turn.T
-    covariance[5, 5] = ANY_HEADING
+    covariance[5, 5] = UNKNOWN_HEADING_VARIANCE
     return np.asarray(covariance)

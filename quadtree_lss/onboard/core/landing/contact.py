@@ -1,20 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contact of the vehicle with the ground at each grid point: its tilt, and what rises under it.
+"""Step 2 of an assessment: contact of the vehicle with the ground at each grid point.
 
-The vehicle stands on four pads on a circle, at a number of headings. Four rigid pads on uneven
-ground touch it with three: the two pads of the higher diagonal carry the vehicle, and it rocks onto
-either of the other two. So each heading has two resting planes, with a common height z at the grid
-point and slopes x and y:
+The vehicle has four pads on a circle and any of several headings. On uneven ground only three rigid
+pads touch: the two of the higher diagonal, and either of the other two. So each heading has two
+contact planes, with a common height z at the grid point and slopes x and y:
 
     tilt = max over all planes of sqrt(x^2 + y^2)
     rise = max over all planes and all cells under the vehicle of h - z - x u - y v
 
 where h is the highest ground of a finest cell whose centre lies at (u, v) from the grid point.
 
-The lowest of the resting planes is a concave function of (u, v). So it lies above the pyramid
-through its values at the grid point and at four points east, west, north and south of it, at a
+The minimum of the contact planes is a concave function of (u, v). So it lies above the pyramid
+through its values at the grid point and at four corners east, west, north and south of it, at a
 distance of the greatest |u| + |v| under the vehicle. A comparison with this pyramid excludes most
-columns of cells by their highest ground, and most cells of the others.
+columns of cells by their highest ground, and most cells of the other columns.
 """
 
 # mypy: disable-error-code="attr-defined"
@@ -33,36 +32,36 @@ from cython.cimports.quadtree_lss.onboard.core.landing.contact import HEADINGS, 
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask, Single
 from quadtree_lss.onboard.config.limits import YAWS
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.landing.lattice import disc, grown, touching
+from quadtree_lss.onboard.core.landing.lattice import corner_bits, dilate, disc
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.tree.cell_map import SHAPE
 from quadtree_lss.onboard.core.tree.domain import Domain, carried
 
-#: Higher than any ground, m.
-HIGHER = cython.declare(cython.double, 1e9)
+#: Above any ground, m.
+FAR_ABOVE = cython.declare(cython.double, 1e9)
 
 
 @dataclass(frozen=True)
 class ContactLimits:
-    """Contacts of which the exact values are needed.
+    """Range of contacts whose exact values are needed.
 
     Attributes:
-        least_rise: A smaller rise is reported as this, m.
-        most_tilt: Where the vehicle is steeper, the rise is not computed and reported as
-            ``least_rise``; rise over run.
+        min_rise: A smaller rise is reported as this, m.
+        max_tilt: At a greater tilt, the rise is not computed and reported as ``min_rise``; rise
+            over run.
     """
 
-    least_rise: float
-    most_tilt: float
+    min_rise: float
+    max_tilt: float
 
 
 @dataclass(frozen=True)
 class Contacts:
-    """Contact at each grid point, over all headings: (n + 1, n + 1), NaN where it was not needed.
+    """Contact at each grid point, maximum over all headings: (n + 1, n + 1), NaN where not needed.
 
     Attributes:
-        rise: Greatest height of ground under the vehicle above a resting plane, m.
-        tilt: Slope of the steepest resting plane, rise over run.
+        rise: Greatest height of ground under the vehicle above a contact plane, m.
+        tilt: Slope of the steepest contact plane, rise over run.
     """
 
     rise: Single
@@ -70,22 +69,22 @@ class Contacts:
 
 
 class ContactCheck:
-    """Computes contacts on successive maps, and only near cells that changed.
+    """Computes contacts on successive maps, only near changed cells.
 
     ``limits`` are by default the touchdown limits of ``config``.
     """
 
     def __init__(self, config: LssConfig, limits: ContactLimits | None = None) -> None:
         self.config = config
-        self.most_tilt = tan(radians(config.vehicle.lengths.touchdown_slope_deg))
-        self.most_rise = config.vehicle.lengths.touchdown_roughness
-        self.limits = limits or ContactLimits(self.most_rise, self.most_tilt)
+        self.max_tilt = tan(radians(config.vehicle.lengths.touchdown_slope_deg))
+        self.max_rise = config.vehicle.lengths.touchdown_roughness
+        self.limits = limits or ContactLimits(self.max_rise, self.max_tilt)
         self._computed_for: tuple[Domain, float | None] | None = None
 
     def contacts(
         self, raster: TerrainRaster, needed: Mask, heading: float | None = None
     ) -> Contacts:
-        """Contacts at grid points.
+        """Compute contacts at grid points.
 
         Args:
             raster: The map on its finest cells.
@@ -99,9 +98,9 @@ class ContactCheck:
         self._follow(domain, heading)
         changed = np.zeros(raster.elevation.shape, dtype=np.uint8)
         self._kernel.set_ground(raster, self._ground, changed)
-        # A pad or cell centre under the vehicle is at most a radius away, so a corner of its cell
-        # is, too.
-        near = grown(touching(changed) > 0, radius, domain.finest_size)
+        # Pads and cell centres under the vehicle are at most a radius away, so a corner of their
+        # cell is, too.
+        near = dilate(corner_bits(changed) > 0, radius, domain.finest_size)
         np.copyto(self._contacts, np.float32(np.nan), where=near)
         due = needed & np.isnan(self._contacts[0])
         self._kernel.update(due.view(np.uint8), self._contacts)
@@ -110,7 +109,7 @@ class ContactCheck:
         return Contacts(*found)
 
     def _follow(self, domain: Domain, heading: float | None) -> None:
-        """Keep the ground and the contacts inside ``domain``, if they are of this heading."""
+        """Move the ground and the contacts to ``domain``, or discard those of another heading."""
         n, moved = domain.finest_count, None
         if self._computed_for is not None and self._computed_for[1] == heading:
             moved = self._computed_for[0].cells_to(domain)
@@ -121,24 +120,24 @@ class ContactCheck:
         elif moved != (0, 0):
             inside = self._ground[:, 1 : n + 1, 1 : n + 1]
             inside[:] = carried(inside, *moved, np.nan)
-            # Contacts at the border read its cells again in place of those outside.
+            # Contacts at the border use border cells in place of those outside: recompute them.
             inside[:, [0, -1]] = inside[:, :, [0, -1]] = np.nan
             self._contacts = carried(self._contacts, *moved, np.nan)
         self._computed_for = domain, heading
 
     def exceeds_limits(self, contacts: Contacts) -> Mask:
-        """Where a contact exceeds the touchdown limits."""
-        high = contacts.rise > np.float32(self.most_rise)
-        return np.asarray(high | (contacts.tilt > np.float32(self.most_tilt)))
+        """Return where a contact exceeds the touchdown limits."""
+        high = contacts.rise > np.float32(self.max_rise)
+        return np.asarray(high | (contacts.tilt > np.float32(self.max_tilt)))
 
 
 @cython.boundscheck(False)
 class ContactKernel:
-    """Contact of a vehicle at one grid point after the other.
+    """Computes the contact of a vehicle at each grid point.
 
     Attributes:
         reach: Rows and columns of the disc of finest cells under the vehicle, in each direction.
-        half: (2 reach,) half width of the disc in each row, or in each column, in cells.
+        half: (2 reach,) half width of the disc in each row, or in each column, cells.
         offset, share: (2 reach,) centres of these rows or columns from the grid point, m, and the
             same without a sign, over ``corner``.
         pad_row, pad_column, pad_cell: (4 headings,) cell under each pad, from the one north-east of
@@ -146,17 +145,17 @@ class ContactKernel:
         pad_x, pad_y: (4 headings,) the pad from the centre of that cell, m.
         cos, sin: (headings,) of the headings, over the radius of the circle of pads, 1/m.
         corner: Distance of the pyramid's corners from the grid point, m.
-        width: Cells in a row of ``ground``, which repeats the cells at the border once outside.
-        ground: (4, rows x width) of each finest cell: height that a pad at its centre rests on, m,
+        width: Cells in a row of ``ground``, which has a copy of the border cells around it.
+        ground: (4, rows x width) of each finest cell: contact height of a pad at its centre, m,
             slopes in x and y, and highest ground, m.
         highest: (reach + 1, width) highest ground of 0 to reach cells on either side of a row, m.
-        pad_z, plane_x, plane_y, plane_z, steep: Pads, resting planes and the square of the steepest
+        pad_z, plane_x, plane_y, plane_z, steep: Pads, contact planes and the square of the steepest
             slope at the grid points of a span, one grid point after the other.
         z_low, z_east, z_west, z_north, z_south: Their pyramids, the corners over the middle, m.
-        excess, most: Bounds of the rise of each column of cells there, and of all, m.
-        rest_x, rest_y, rest_z, bound_y: Resting planes at one grid point, and the part of its
-            pyramid that depends on the row.
-        worst_row, worst_column: Cell in the disc that rises most at the last grid point.
+        excess, max_excess: Upper bounds of the rise of each column of cells there, and of all, m.
+        contact_x, contact_y, contact_z: (2 headings,) contact planes at one grid point.
+        bound_y: Part of its pyramid that depends on the row, m.
+        highest_row, highest_column: Cell in the disc with the greatest rise at the last grid point.
     """
 
     def __init__(
@@ -164,7 +163,7 @@ class ContactKernel:
     ) -> None:
         radius = 0.5 * config.vehicle.diameter
         under = disc(radius, side)
-        self.least_rise, self.most_tilt = limits.least_rise, limits.most_tilt
+        self.min_rise, self.max_tilt = limits.min_rise, limits.max_tilt
         self.pad_radius, self.half_side = config.vehicle.pad_radius, 0.5 * side
         self.reach, self.half = under.reach, under.half
         self.offset = (np.arange(-under.reach, under.reach) + 0.5) * side
@@ -181,7 +180,7 @@ class ContactKernel:
         self.share = np.abs(np.asarray(self.offset)) / self.corner
         self.excess = np.empty(2 * under.reach * SPAN)
         self.bound_y = np.empty(2 * under.reach)
-        self.worst_row = self.worst_column = 0
+        self.highest_row = self.highest_column = 0
 
     @cython.locals(changed=cython.uchar[:, ::1])
     def set_ground(self, raster: TerrainRaster, ground: Array, changed: Bytes) -> None:
@@ -216,8 +215,8 @@ class ContactKernel:
         cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, p=cython.Py_ssize_t)
         cython.declare(k=cython.Py_ssize_t, cell=cython.Py_ssize_t)
         cython.declare(south=cython.Py_ssize_t, north=cython.Py_ssize_t)
-        # The last span of a row may go on beyond it.
-        self.highest = np.full((self.reach + 1, self.width + SPAN), -HIGHER)
+        # The last span of a row can extend beyond it.
+        self.highest = np.full((self.reach + 1, self.width + SPAN), -FAR_ABOVE)
         self.pad_cell = np.asarray(self.pad_row) * self.width + np.asarray(self.pad_column)
         for i in np.flatnonzero(np.asarray(due).any(axis=1)):
             with cython.nogil:
@@ -236,15 +235,15 @@ class ContactKernel:
                     self.bound_rises(j + 1)
                     for p in range(min(SPAN, due.shape[1] - j)):
                         if due[i, j + p]:
-                            contacts[0, i, j + p] = self.least_rise
+                            contacts[0, i, j + p] = self.min_rise
                             contacts[1, i, j + p] = sqrt(self.steep[p])
-                            if contacts[1, i, j + p] <= self.most_tilt:
+                            if contacts[1, i, j + p] <= self.max_tilt:
                                 contacts[0, i, j + p] = self.find_rise(cell + p, p)
                     j += SPAN
             PyErr_CheckSignals()  # The user can interrupt a large map.
 
     def find_planes(self, cell: cython.Py_ssize_t) -> None:
-        """Find the resting planes and the pyramids below them at the grid points of a span.
+        """Find the contact planes and the pyramids below them at the grid points of a span.
 
         ``cell``: column of ``ground`` of the cell north-east of the first grid point.
         """
@@ -257,8 +256,8 @@ class ContactKernel:
                 x, y = self.ground[1, i + p] * u, self.ground[2, i + p] * v
                 self.pad_z[k * SPAN + p] = self.ground[0, i + p] + x + y
         for p in range(SPAN):
-            self.steep[p], self.z_low[p] = 0.0, HIGHER
-            self.z_east[p] = self.z_west[p] = self.z_north[p] = self.z_south[p] = HIGHER
+            self.steep[p], self.z_low[p] = 0.0, FAR_ABOVE
+            self.z_east[p] = self.z_west[p] = self.z_north[p] = self.z_south[p] = FAR_ABOVE
         for k in range(HEADINGS):
             cos, sin, i = self.cos[k], self.sin[k], k * SPAN
             for p in range(SPAN):
@@ -266,7 +265,7 @@ class ContactKernel:
                 west = self.pad_z[2 * HEADINGS * SPAN + i + p]
                 south = self.pad_z[3 * HEADINGS * SPAN + i + p]
                 z = 0.5 * max(east + west, north + south)
-                # On the diagonal that carries the vehicle both differences are the same.
+                # On the higher diagonal both differences are equal.
                 x, y = (east - z) * cos - (north - z) * sin, (east - z) * sin + (north - z) * cos
                 u, v = (z - west) * cos - (z - south) * sin, (z - west) * sin + (z - south) * cos
                 self.plane_x[2 * i + p], self.plane_x[2 * i + SPAN + p] = x, u
@@ -287,7 +286,7 @@ class ContactKernel:
         cython.declare(j=cython.Py_ssize_t, p=cython.Py_ssize_t, first=cython.Py_ssize_t)
         cython.declare(half=cython.Py_ssize_t)
         for p in range(SPAN):
-            self.most[p] = -HIGHER
+            self.max_excess[p] = -FAR_ABOVE
             self.z_east[p] -= self.z_low[p]
             self.z_west[p] -= self.z_low[p]
             self.z_north[p] -= self.z_low[p]
@@ -300,31 +299,32 @@ class ContactKernel:
                 z += aside * min(min(self.z_north[p], self.z_south[p]), 0.0)
                 z = self.highest[half, first + p] - self.z_low[p] - z
                 self.excess[j * SPAN + p] = z
-                self.most[p] = max(self.most[p], z)
+                self.max_excess[p] = max(self.max_excess[p], z)
 
     def find_rise(self, cell: cython.Py_ssize_t, p: cython.Py_ssize_t) -> cython.double:
-        """Greatest rise of ground over the resting planes, m, or ``least_rise`` if that is more.
+        """Return the greatest rise of the ground above the contact planes, m, at least
+        ``min_rise``.
 
-        ``cell``: of the grid point, as for `find_planes`; ``p``: its place in the span.
+        ``cell``: as in `find_planes`; ``p``: index of the grid point in the span.
         """
         cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
         cython.declare(first=cython.Py_ssize_t)
-        rise = self.least_rise
-        if self.most[p] <= rise:
+        rise = self.min_rise
+        if self.max_excess[p] <= rise:
             return rise
         for k in range(2 * HEADINGS):
-            self.rest_x[k] = self.plane_x[k * SPAN + p]
-            self.rest_y[k] = self.plane_y[k * SPAN + p]
-            self.rest_z[k] = self.plane_z[k // 2 * SPAN + p]
+            self.contact_x[k] = self.plane_x[k * SPAN + p]
+            self.contact_y[k] = self.plane_y[k * SPAN + p]
+            self.contact_z[k] = self.plane_z[k // 2 * SPAN + p]
         for i in range(2 * self.reach):
             z = self.z_south[p] if i < self.reach else self.z_north[p]
             self.bound_y[i] = self.z_low[p] + self.share[i] * z
         first = cell - self.reach * self.width - self.reach
-        # The cell that rises most at a grid point often does so at the next one to the east.
-        i, j = self.worst_row, max(self.worst_column - 1, 0)
+        # The cell with the greatest rise is often the same at the next grid point to the east.
+        i, j = self.highest_row, max(self.highest_column - 1, 0)
         if self.reach - self.half[j] <= i < self.reach + self.half[j]:
-            rise = max(rise, self.rise_of(first + i * self.width + j, i, j))
-            self.worst_column = j
+            rise = max(rise, self.cell_rise(first + i * self.width + j, i, j))
+            self.highest_column = j
         for j in range(2 * self.reach):
             if self.excess[j * SPAN + p] <= rise:
                 continue
@@ -332,21 +332,21 @@ class ContactKernel:
             for i in range(self.reach - self.half[j], self.reach + self.half[j]):
                 k = first + i * self.width + j
                 if self.ground[3, k] - bound_x - self.bound_y[i] > rise:
-                    z = self.rise_of(k, i, j)
+                    z = self.cell_rise(k, i, j)
                     if z > rise:
-                        rise, self.worst_row, self.worst_column = z, i, j
+                        rise, self.highest_row, self.highest_column = z, i, j
         return rise
 
-    def rise_of(
+    def cell_rise(
         self, cell: cython.Py_ssize_t, i: cython.Py_ssize_t, j: cython.Py_ssize_t
     ) -> cython.double:
-        """Greatest height of one cell in row i and column j of the disc over the planes, m."""
+        """Return the rise of the cell in row i and column j of the disc above the planes, m."""
         k: cython.Py_ssize_t
         above = cython.declare(cython.double[24])  # 2 HEADINGS
         z, u, v = self.ground[3, cell], self.offset[j], self.offset[i]
         for k in range(2 * HEADINGS):
-            above[k] = z - self.rest_z[k] - self.rest_x[k] * u - self.rest_y[k] * v
-        # Halves and not one after the other, so that the compiler vectorises it.
+            above[k] = z - self.contact_z[k] - self.contact_x[k] * u - self.contact_y[k] * v
+        # Compare halves, so that the compiler vectorises the loop.
         for k in range(HEADINGS):
             above[k] = max(above[k], above[k + HEADINGS])
         for k in range(HEADINGS // 2):

@@ -12,16 +12,16 @@ from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.tree.ancestors import fuse_to_level
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
-#: Greatest share of exceptions of a leaf that is no hazard. Rocks divide leaves, so only finest
-#: leaves, and all leaves of a full map, contain exceptions.
+#: Greatest share of exceptions of a leaf without a hazard. Leaves with rocks are divided, so only
+#: finest leaves, and all leaves of a full map, contain exceptions.
 MAX_EXCEPTION_FRACTION = 0.05
 SLOPE, ELEVATION, EXCEPTION, TOUCHDOWN, UNCERTAIN = 1, 2, 4, 8, 16
 #: The grid point is observed, but not the whole landing zone about it.
 PARTLY_UNOBSERVED = 32
+#: Observed but not estimated, and not observed; ground of the former kind has both bits.
 UNMAPPED, UNSEEN = 64, 128
 FEATURE = SLOPE | ELEVATION | EXCEPTION
-#: Bits of identified hazards. The others mark unknown ground; observed ground that is not estimated
-#: has both `UNMAPPED` and `UNSEEN`.
+#: Bits of identified hazards; the others mark unknown ground.
 IDENTIFIED = FEATURE | TOUCHDOWN | UNCERTAIN
 
 
@@ -38,7 +38,7 @@ def reference_level(cells: CellMap, reference_size: float) -> int:
 
 
 def avoided_features(cells: CellMap, config: LssConfig) -> Bytes:
-    """Return the bits (M,) of the avoided features of each leaf; 0 for unmeasured leaves."""
+    """Return the bits (M,) of the avoided features of each leaf; 0 without own returns."""
     level = reference_level(cells, config.vehicle.lengths.reference_size)
     with np.errstate(invalid="ignore"):
         east, north, up = cells.normal.T

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lattice of grid points, the corners of finest cells: discs about them, and distances."""
+"""The lattice of grid points (corners of finest cells): means over discs, and distances."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask, Single
 
-#: Distances of so many steps fit `find_distances`; beyond, SciPy's transform takes less time.
-NEAR = 126
-#: Points of a row of which distances are looked for together.
+#: Most steps for `find_distances`; beyond, SciPy's distance transform is faster.
+MAX_STEPS = 126
+#: Points of a row whose distances are computed together.
 SPAN = cython.declare(cython.Py_ssize_t, 64)
 Kind = TypeVar("Kind", bound=np.generic)
 
@@ -31,9 +31,9 @@ class Disc:
         row, column: (K,) index offset of each cell from the grid point's (the cell to its
             north-east).
         x, y: (K,) offset of each cell's centre from the grid point, m.
-        to_plane: (3, K) what the height of each cell weighs in the height, dz/dx and dz/dy of their
+        to_plane: (3, K) maps the heights of the cells to height, dz/dx and dz/dy of their
             least-squares plane (see `ground_planes`).
-        half: (2 reach,) half width of the disc in each row, from the southernmost, in cells.
+        half: (2 reach,) half width of the disc in each row, from the southernmost, cells.
     """
 
     reach: int
@@ -47,7 +47,7 @@ class Disc:
 
 @lru_cache(maxsize=16)
 def disc(radius: float, side: float) -> Disc:
-    """Cells of side ``side`` (m) within ``radius`` (m) of a grid point, four at the least."""
+    """Return the cells of a side within a radius of a grid point, at least four; both m."""
     reach = max(int(np.ceil(radius / side)), 1)
     offset = np.arange(-reach, reach)
     row, column = np.repeat(offset, 2 * reach), np.tile(offset, 2 * reach)
@@ -59,18 +59,22 @@ def disc(radius: float, side: float) -> Disc:
     return Disc(reach, row[inside], column[inside], x, y, to_plane, half)
 
 
-def disc_means(values: Array, over: Disc, seen: Mask) -> Array:
-    """Means over the disc of each grid point at the ``seen`` ones of the cells (n, n)."""
+def disc_means(values: Array, over: Disc, needed: Mask) -> Array:
+    """Return means of cell values (n, n) over the disc of each grid point at a ``needed`` cell."""
     out = np.empty((1, len(values) + 1, len(values) + 1))
-    disc_moments(values, 0.0, over.half, seen.view(np.uint8), 1.0, out)
+    disc_moments(values, 0.0, over.half, needed.view(np.uint8), 1.0, out)
     return np.asarray(out[0])
 
 
 @dataclass(frozen=True)
 class GroundPlanes:
-    """Least-squares plane of the map over a disc about each grid point: arrays (n + 1, n + 1).
-    ``elevation``: height at the grid point, m. ``slope_x``, ``slope_y``: dz/dx, dz/dy.
-    ``gradient``: rise over run."""
+    """Least-squares planes of the map over a disc about each grid point: arrays (n + 1, n + 1).
+
+    Attributes:
+        elevation: Height at the grid point, m.
+        slope_x, slope_y: dz/dx, dz/dy.
+        gradient: Rise over run.
+    """
 
     elevation: Array
     slope_x: Array
@@ -78,39 +82,43 @@ class GroundPlanes:
     gradient: Array
 
 
-def ground_planes(elevation: Array, seen: Mask, side: float, radius: float) -> GroundPlanes:
-    """Planes at the lander's scale, of the height (n, n) of finest cells of side ``side`` m.
-
-    They are those of the ground at grid points at ``seen`` cells; elsewhere all is 0.
+def ground_planes(elevation: Array, needed: Mask, side: float, radius: float) -> GroundPlanes:
+    """Fit planes at the vehicle's scale.
 
     A disc about a grid point is symmetric, so the normal equations are diagonal:
-    slope_x = sum(x z) / sum(x^2), slope_y alike, height = mean(z). Outside the domain the ground
-    at its edge goes on.
+    slope_x = sum(x z) / sum(x^2), slope_y likewise, height = mean(z). Beyond the domain, the cells
+    at its border continue.
+
+    Args:
+        elevation: (n, n) height of the finest cells, m.
+        needed: (n, n) cells whose grid points need planes; elsewhere all values are 0.
+        side: Side of the finest cells, m.
+        radius: Of the disc, m.
     """
     over = disc(radius, side)
     square = side * float(np.mean((over.x / side) ** 2))
     out = np.empty((4, len(elevation) + 1, len(elevation) + 1))
-    disc_moments(elevation, np.mean(elevation), over.half, seen.view(np.uint8), square, out)
+    disc_moments(elevation, np.mean(elevation), over.half, needed.view(np.uint8), square, out)
     return GroundPlanes(*out)
 
 
-def touching(cells: Bytes) -> Bytes:
-    """Bits of the up to four cells that meet at each grid point: (n, n) to (n + 1, n + 1).
+def corner_bits(cells: Bytes) -> Bytes:
+    """Combine the bits of the up to four cells at each grid point: (n, n) to (n + 1, n + 1).
 
-    The point of a lattice square that is nearest to a grid point is a grid point itself, so the
-    distance to the nearest grid point that touches a marked cell is that to the cell's edge.
+    The nearest point of a cell to a grid point is one of its corners, so the distance to the
+    nearest corner of a marked cell is the distance to the cell's edge.
     """
     rows, columns = cells.shape
     out = np.zeros((rows + 1, columns + 1), dtype=np.uint8)
     out[:rows, :columns] = cells
-    flat = out.ravel()  # what goes over the end of a row is 0
+    flat = out.ravel()  # the last value of a row is 0, so rows do not mix
     for step in (1, columns + 1):
         flat[step:] |= flat[:-step]
     return out
 
 
 def with_neighbours(values: NDArray[Kind]) -> NDArray[Kind]:
-    """The greatest of each point's value and its four neighbours', (ny, nx)."""
+    """Return the maximum of each point and its four neighbours, (ny, nx)."""
     out = values.copy()
     for one, other in ((out, values), (out.T, values.T)):
         np.maximum(one[1:], other[:-1], out=one[1:])
@@ -119,35 +127,39 @@ def with_neighbours(values: NDArray[Kind]) -> NDArray[Kind]:
 
 
 def distance_from(marked: Mask, side: float, limit: float = np.inf) -> Array:
-    """Distance in m of each point to the nearest marked one, infinite if none is marked.
-    ``marked``: (ny, nx). ``side``: of the lattice, m. ``limit``: what is farther than this may be
-    said to be infinitely far, m."""
-    return _lengths(marked, lambda steps: steps * side, limit / side)
+    """Compute the distance of each point to the nearest marked one, m, infinite if none is marked.
+
+    Args:
+        marked: (ny, nx).
+        side: Step of the lattice, m.
+        limit: Greater distances may be reported as infinite, m.
+    """
+    return _distances(marked, lambda steps: steps * side, limit / side)
 
 
-def grown(marked: Mask, distance: float, side: float, short: float = 0.0) -> Mask:
-    """Points within ``distance`` (m) of a marked one, the marked ones included.
+def dilate(marked: Mask, distance: float, side: float, short: float = 0.0) -> Mask:
+    """Return the points within a distance of a marked one, and the marked ones.
 
     Args:
         marked: (ny, nx).
         distance: m.
-        side: Of the lattice, m.
-        short: Steps by which distances are taken to be shorter.
+        side: Step of the lattice, m.
+        short: Subtracted from each distance, steps.
     """
     limit = distance / side + short
     limit += 1e-9 * limit
     if limit < 1.0 or not marked.any():
         return marked.copy()
-    away = _lengths(marked, lambda steps: (steps - short) * side, limit)
+    away = _distances(marked, lambda steps: (steps - short) * side, limit)
     return marked | (away <= distance)
 
 
-def _lengths(marked: Mask, length: Callable[[Array], Array], limit: float) -> Array:
-    """What a function makes of distances in steps; infinite beyond ``limit`` steps."""
+def _distances(marked: Mask, length: Callable[[Array], Array], limit: float) -> Array:
+    """Return a function of the distances in steps; infinite beyond ``limit`` steps."""
     if not marked.any():
         return np.full(marked.shape, np.inf)
-    if limit >= NEAR:
-        from scipy.ndimage import distance_transform_edt  # as slow to import as a short bag to map
+    if limit >= MAX_STEPS:
+        from scipy.ndimage import distance_transform_edt  # slow to import
 
         return length(distance_transform_edt(~marked))
     far = int(limit) + 1
@@ -159,37 +171,38 @@ def _lengths(marked: Mask, length: Callable[[Array], Array], limit: float) -> Ar
 
 
 def nearest_marked(marked: Mask) -> Ints:
-    """Flat index (ny, nx) of the marked point nearest to each; of two alike the southern one.
+    """Return the flat index (ny, nx) of the nearest marked point, of two the southern one.
 
-    SciPy's distance transform finds the same ones and takes six times as long. ``marked``: (ny,
-    nx), somewhere True.
+    SciPy's distance transform finds the same points in six times the time. ``marked``: (ny, nx), at
+    least one True.
     """
-    place = np.empty(marked.shape, dtype=np.int32)
-    find_nearest(np.ascontiguousarray(marked).view(np.uint8), place)
-    return place
+    nearest = np.empty(marked.shape, dtype=np.int32)
+    find_nearest(np.ascontiguousarray(marked).view(np.uint8), nearest)
+    return nearest
 
 
 @cython.boundscheck(False)
-@cython.locals(cells=cython.double[:, ::1], half=cython.Py_ssize_t[::1], seen=cython.uchar[:, ::1])
+@cython.locals(
+    cells=cython.double[:, ::1], half=cython.Py_ssize_t[::1], needed=cython.uchar[:, ::1]
+)
 @cython.locals(out=cython.double[:, :, ::1])
 def disc_moments(
-    cells: Array, level: float, half: Index, seen: Bytes, square: float, out: Array
+    cells: Array, level: float, half: Index, needed: Bytes, square: float, out: Array
 ) -> None:
-    """Means over the disc of each grid point of z, and of x z and y z over ``square``.
+    """Compute means of z, and of x z and y z over ``square``, over the disc of each grid point.
 
-    Here x and y are those from the grid point, in cells.
-
-    A disc is a stack of centred runs of cells, and the sum of a run is a difference of sums from
-    the west. Outside the lattice the cells at its edge go on.
+    x and y are counted from the grid point, in cells. A disc is a stack of centred runs of cells,
+    and the sum of a run is a difference of cumulative sums. Beyond the lattice, the cells at its
+    border continue.
 
     Args:
-        cells: (n, n).
-        level: Sums are of z over this, which keeps them small.
-        half: (2 reach,) half width of the disc in each row, in cells.
-        seen: (n, n), the points from the first to the last at such cells in a row need means.
-        square: What moments are divided by, beside the number of cells.
-        out: (4, n + 1, n + 1), set to the means of z, x z and y z, and the root of the sum of the
-            squares of these, 0 where none are needed; or (1, n + 1, n + 1) for the first alone.
+        cells: (n, n) z.
+        level: Subtracted from z, which keeps the sums small.
+        half: (2 reach,) half width of the disc in each row, cells.
+        needed: (n, n), in each row the points from the first to the last at such cells are set.
+        square: Divisor of the moments, besides the number of cells.
+        out: (4, n + 1, n + 1), set to the means of z, x z and y z, and the norm of the latter two,
+            0 where not needed; or (1, n + 1, n + 1) for the mean of z only.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
     cython.declare(row=cython.Py_ssize_t, east=cython.Py_ssize_t, west=cython.Py_ssize_t)
@@ -204,7 +217,7 @@ def disc_moments(
     length = cython.declare(cython.double[:, ::1], out[3 if slopes else 0])
     share: cython.double = 0.5 / np.sum(half)
     moment: cython.double = share / square
-    # Of the rows in reach alone: each takes the place of the one that went out of it.
+    # A ring buffer of the rows within reach.
     sums = cython.declare(cython.double[:, :, ::1], np.zeros((2, rows, n + rows + 1)))
     with cython.nogil:
         for i in range(n + rows):
@@ -227,14 +240,14 @@ def disc_moments(
             first, after = n, 0
             for k in range(max(row - 1, 0), min(row + 1, n)):
                 j = 0
-                while j < first and not seen[k, j]:
+                while j < first and not needed[k, j]:
                     j += 1
                 first, j = j, n
-                while j > after and not seen[k, j - 1]:
+                while j > after and not needed[k, j - 1]:
                     j -= 1
                 after = j
             after = after + 1 if first < n else first
-            # The row as far to the north has a run as wide.
+            # The disc is symmetric: the row as far to the north has a run of equal width.
             for k in range(reach):
                 east, west = reach + half[k], reach - half[k]
                 if east == west:
@@ -247,7 +260,7 @@ def disc_moments(
                         z = sums[0, south, j + east] - sums[0, south, j + west]
                         mean[row, j] += z + (sums[0, north, j + east] - sums[0, north, j + west])
                     continue
-                # Two loops: the compiler leaves one over all arrays as it is.
+                # Two loops: the compiler does not vectorise one over all arrays.
                 for j in range(first, after):
                     z = sums[0, south, j + east] - sums[0, south, j + west]
                     up = sums[0, north, j + east] - sums[0, north, j + west]
@@ -264,26 +277,26 @@ def disc_moments(
                     along_y[row, j] *= moment
                 for j in range(first, after):
                     x, y = along_x[row, j], along_y[row, j]
-                    length[row, j] = sqrt(x * x + y * y)  # a power is rounded otherwise
+                    length[row, j] = sqrt(x * x + y * y)  # powers are rounded differently
             for j in range(first, after):
                 mean[row, j] = level + share * mean[row, j]
 
 
 @cython.boundscheck(False)
 @cython.locals(marked=cython.uchar[:, ::1], x=cython.double[::1], y=cython.double[::1])
-@cython.locals(room=cython.double[::1])
-def lower_room(
-    marked: Bytes, half: float, x: Array, y: Array, side: float, reach: float, room: Array
+@cython.locals(free_distance=cython.double[::1])
+def lower_free_distance(
+    marked: Bytes, half: float, x: Array, y: Array, side: float, reach: float, free_distance: Array
 ) -> None:
-    """Lower ``room`` (K,) to the distances of points from what is marked, less ``reach``, m.
+    """Lower ``free_distance`` (K,) to the distance of each point to marked cells less ``reach``, m.
 
     Args:
         marked: (ny, nx) cells (``half`` = 0.5) or points (``half`` = 0) of a lattice.
-        half: Half the width of what is marked, steps.
+        half: Half the width of a marked cell or point, steps.
         x, y: (K,) points, from the first point of the lattice, m.
         side: Step of the lattice, m.
         reach: m.
-        room: (K,) m.
+        free_distance: (K,) m.
     """
     cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     cython.declare(ring=cython.Py_ssize_t, row=cython.Py_ssize_t, column=cython.Py_ssize_t)
@@ -293,8 +306,8 @@ def lower_room(
             u, v = x[k] / side, y[k] / side
             column, row = cython.cast(cython.Py_ssize_t, u), cython.cast(cython.Py_ssize_t, v)
             ring = 0
-            # Beyond a ring, everything is at least as many steps away.
-            while (ring - 1) * side - reach < room[k] and ring <= farthest:
+            # Everything outside of a ring is at least as many steps away.
+            while (ring - 1) * side - reach < free_distance[k] and ring <= farthest:
                 for i in range(row - ring, row + ring + 1):
                     if not 0 <= i < marked.shape[0]:
                         continue
@@ -303,7 +316,9 @@ def lower_room(
                         if 0 <= j < marked.shape[1] and marked[i, j]:
                             dx = max(fabs(u - j - half) - half, 0.0)
                             dy = max(fabs(v - i - half) - half, 0.0)
-                            room[k] = min(room[k], sqrt(dx * dx + dy * dy) * side - reach)
+                            free_distance[k] = min(
+                                free_distance[k], sqrt(dx * dx + dy * dy) * side - reach
+                            )
                         j += 1 if i == row - ring or i == row + ring else 2 * ring
                 ring += 1
 
@@ -315,7 +330,7 @@ def blur(values: Single, weights: Array) -> Single:
 
     Args:
         values: (ny, nx + K + 2); the last 3 columns are not used.
-        weights: (K,); the rest of their sum to 1 is the weight of ones farther away.
+        weights: (K,); values farther away are 1 and have the rest of the weight, 1 - sum.
 
     Returns:
         (nx, ny) means.
@@ -325,7 +340,7 @@ def blur(values: Single, weights: Array) -> Single:
     rows: cython.Py_ssize_t = values.shape[0]
     columns: cython.Py_ssize_t = values.shape[1] - len(weights) - 2
     beyond: cython.float = 1.0 - np.sum(weights)
-    # Four at a time, so that a sum is stored less often.
+    # Four weights at a time, so that a sum is stored less often.
     fours = np.zeros((len(weights) + 3) // 4 * 4, dtype=np.float32)
     fours[: len(weights)] = weights
     weight = cython.declare(cython.float[::1], fours)
@@ -346,12 +361,12 @@ def blur(values: Single, weights: Array) -> Single:
 
 
 @cython.boundscheck(False)
-@cython.locals(marked=cython.uchar[:, ::1], place=cython.int[:, ::1])
-def find_nearest(marked: Bytes, place: Ints) -> None:
-    """Nearest marked points in two sweeps (Meijster, Roerdink and Hesselink 2000).
+@cython.locals(marked=cython.uchar[:, ::1], nearest=cython.int[:, ::1])
+def find_nearest(marked: Bytes, nearest: Ints) -> None:
+    """Find nearest marked points in two sweeps (Meijster, Roerdink and Hesselink 2000).
 
     First the nearest marked point in each column; then along each row the lower envelope of the
-    parabolas (x - column)^2 + (distance in the column)^2. ``marked``: (ny, nx). ``place``: (ny,
+    parabolas (x - column)^2 + (distance in the column)^2. ``marked``: (ny, nx). ``nearest``: (ny,
     nx), set to flat indices; one outside the lattice if none is marked.
     """
     cython.declare(i=cython.int, j=cython.int, k=cython.int, top=cython.int, last=cython.int)
@@ -373,12 +388,12 @@ def find_nearest(marked: Bytes, place: Ints) -> None:
             for j in range(columns):
                 last = near[i + 1, j]
                 k = near[i, j]
-                # Of two alike the southern one; far ones lie below the lattice.
+                # At equal distance the southern one; missing ones have indices far below 0.
                 near[i, j] = last if last >= i and last - i < i - k else k
         for i in range(rows):
             for j in range(columns):
                 height[j] = (i - near[i, j]) * (i - near[i, j])
-                place[i, j] = i * columns + j
+                nearest[i, j] = i * columns + j
             last = -1
             while True:
                 first = last + 1
@@ -386,7 +401,7 @@ def find_nearest(marked: Bytes, place: Ints) -> None:
                     first += 1
                 if first == columns:
                     break
-                # From a column that is marked in this row to the next: none beyond is nearer.
+                # Between two columns marked in this row, no column beyond them is nearer.
                 last = first
                 while last < columns - 1 and height[last] != 0:
                     last += 1
@@ -403,7 +418,7 @@ def find_nearest(marked: Bytes, place: Ints) -> None:
                         top, vertex[0] = 0, j
                         continue
                     k = vertex[top]
-                    x = 1 + (j + k) // 2  # where both are as high, without a long division
+                    x = 1 + (j + k) // 2  # for equal heights, without a division
                     if height[j] != height[k]:
                         x = 1 + (j * j - k * k + height[j] - height[k]) // (2 * (j - k))
                     if x <= last:
@@ -411,7 +426,7 @@ def find_nearest(marked: Bytes, place: Ints) -> None:
                         vertex[top], begin[top] = j, x
                 for j in range(last, first - 1, -1):
                     k = vertex[top]
-                    place[i, j] = near[i, k] * columns + k
+                    nearest[i, j] = near[i, k] * columns + k
                     if j == begin[top]:
                         top -= 1
 
@@ -419,15 +434,15 @@ def find_nearest(marked: Bytes, place: Ints) -> None:
 @cython.boundscheck(False)
 @cython.locals(marked=cython.uchar[:, ::1], lengths=cython.double[::1], out=cython.double[:, ::1])
 def find_distances(marked: Bytes, lengths: Array, far: cython.short, out: Array) -> None:
-    """Distances to marked points that are near, in two sweeps that take eight points at a time.
+    """Compute distances to near marked points in two vectorised sweeps.
 
-    Along a row it looks as far as some point of a ``SPAN`` needs it.
+    Along a row, each `SPAN` is searched as far as any of its points needs.
 
     Args:
         marked: (ny, nx).
-        lengths: (far^2 + 1,) the distance for each square of one in steps, of those of
-            ``far`` and more the last.
-        far: Steps, 127 at the most: the sum of two squares fits into 16 bits.
+        lengths: (far^2 + 1,) distance for each squared number of steps; the last is for ``far``
+            steps and more.
+        far: Steps, at most 127: the sum of two squares fits into 16 bits.
         out: (ny, nx), set.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t, z=cython.short)
@@ -465,7 +480,7 @@ def find_distances(marked: Bytes, lengths: Array, far: cython.short, out: Array)
                     z = least[j] = height[west + most + j]
                     widest = z if z > widest else widest
                 k = 1
-                # Nothing in columns so far away is nearer than what is found.
+                # Stop when columns farther away cannot contain a nearer point.
                 while k * k + nearest < widest:
                     away, beyond, widest = k * k, (k + 1) * (k + 1), 0
                     for j in range(count):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The order of landing sites.
 
-The risk model cannot tell two probabilities apart whose difference is within its error. Candidates
-with such probabilities are equal, and the one with more clearance ranks first.
+The risk model cannot distinguish probabilities whose difference is within its error. Candidates
+with such probabilities are equal, and the one with the greatest clearance ranks first.
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Index
 
-#: Standard deviation of the true from the predicted probability p, as a share of 1 - p: of the
-#: safest grid points on maps of simulated flights (benchmark/target.py --told).
+#: Standard deviation of the error of a predicted probability p as a share of 1 - p, for the safest
+#: grid points on maps of simulated flights (benchmark/target.py --told).
 MODEL_ERROR = 0.5
 #: Two risks u <= v are equal if v - u <= MODEL_ERROR * hypot(u, v): up to v = 2.2 u ...
 EQUAL_RISKS: float = (1.0 + (1.0 - (1.0 - MODEL_ERROR**2) ** 2) ** 0.5) / (1.0 - MODEL_ERROR**2)
 #: ... or, however small u is, up to this risk: probabilities are shown as at most 99.99 %.
-LEAST_RISK = 1e-4
+MIN_RISK = 1e-4
 #: The error is that of safe ground: risks that differ by more than this are never equal.
-MOST_DIFFERENCE = 0.01
+MAX_DIFFERENCE = 0.01
 
 
 def equal_up_to(risk: float) -> float:
     """Return the highest risk that is equal to a risk."""
-    return min(max(EQUAL_RISKS * risk, LEAST_RISK), risk + MOST_DIFFERENCE)
+    return min(max(EQUAL_RISKS * risk, MIN_RISK), risk + MAX_DIFFERENCE)
 
 
 def lowest(values: Array) -> tuple[int, int]:
-    """Return row and column of the lowest value, of equal ones the first."""
+    """Return row and column of the first lowest value."""
     row, column = divmod(int(np.argmin(values)), values.shape[1])
     return row, column
 
@@ -40,12 +40,12 @@ def best_among_equals(
 ) -> tuple[int, int] | None:
     """Return row and column of the candidate that ranks first, None without a candidate.
 
-    It is the one with the greatest clearance among those that are equal to the one with the lowest
-    cost; of equal clearances the one with the lower cost.
+    Among those that are equal to the one with the lowest cost, it is the one with the greatest
+    clearance, then with the lowest cost.
 
     Args:
         cost: (ny, nx) lower is better; NaN or infinite where there is no candidate.
-        unsafe: (ny, nx) P(unsafe | aim); None if the cost is no probability: then the lowest cost
+        unsafe: (ny, nx) P(unsafe | aim); None if the cost is not a probability: the lowest cost
             ranks first.
         clearance: (ny, nx) how far the landing zone may move until it touches excluded ground, m;
             None if unknown.
@@ -80,18 +80,18 @@ def ranked_points(
 
     Args:
         cost, unsafe, clearance: As of `best_among_equals`.
-        steps: Least distance of any two, grid points.
-        count: Most candidates wanted.
+        steps: Least distance between two of them, grid points.
+        count: Most candidates to return.
     """
     left = np.fmin(cost, inf)
     best: list[tuple[int, int]] = []
-    while len(best) < count and (place := _best(left, unsafe, clearance)):
-        south, west = (max(index - int(steps), 0) for index in place)
-        around = left[south : place[0] + int(steps) + 1, west : place[1] + int(steps) + 1]
+    while len(best) < count and (point := _best(left, unsafe, clearance)):
+        south, west = (max(index - int(steps), 0) for index in point)
+        around = left[south : point[0] + int(steps) + 1, west : point[1] + int(steps) + 1]
         row, column = np.ogrid[: around.shape[0], : around.shape[1]]
-        apart = (row + south - place[0]) ** 2 + (column + west - place[1]) ** 2
+        apart = (row + south - point[0]) ** 2 + (column + west - point[1]) ** 2
         around[apart < steps**2] = inf
-        left[place] = inf
-        best.append(place)
+        left[point] = inf
+        best.append(point)
     found = np.array(best, dtype=np.intp).reshape(-1, 2)
     return found[:, 0], found[:, 1]

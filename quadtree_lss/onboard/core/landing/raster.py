@@ -14,27 +14,27 @@ from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 from quadtree_lss.onboard.core.landing.lattice import (
     GroundPlanes,
+    corner_bits,
+    dilate,
     distance_from,
     ground_planes,
-    grown,
     nearest_marked,
-    touching,
     with_neighbours,
 )
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain
 
 TWO_PI = cython.declare(cython.double, 2.0 * np.pi)
-#: Most independent returns per known finest cell of a leaf (mean) with which a cell without returns
-#: may be chance (e^-6 is one in 400); with more, the cell lies in the shadow of a rock or a drop.
-CHANCE = cython.declare(cython.double, 6.0)
-#: Parts of a finest cell of which `CellMap.coverage` counts those with a return.
-PARTS = 16.0
+#: Mean number of independent returns per known finest cell of a leaf up to which a cell can lack
+#: returns by chance (e^-6 is 1 in 400); above, it is in the shadow of a rock or a drop.
+MAX_RETURNS_IN_GAP = cython.declare(cython.double, 6.0)
+#: Parts of a finest cell in `CellMap.coverage`.
+COVERAGE_PARTS = 16.0
 #: Greatest distance to a hazard that improves a score, m for the default vehicle (in proportion for
-#: others); no larger distance is computed.
+#: others); larger distances are not computed.
 DISTANCE_CAP = 10.0
 #: Relative rounding error of a length.
-SLACK = 1e-9
+RELATIVE_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -51,22 +51,22 @@ class TerrainRaster:
         slope_x, slope_y: (n, n) dz/dx, dz/dy of the leaf's plane; 0 where ``bridged``.
         subscale: (n, n) mean height of the leaf's subscale feature over the cell (Eq. 57), m.
         subscale_peak: (n, n) greatest height of it within the cell, m; 0 where negligible.
-        seen: (n, n) known, or within ``lss.gap`` of a known cell; never where ``unmapped`` or where
-            the gap is in a shadow.
-        firm: (n, n) known, or bridged from all around. Other seen ground borders on unseen ground,
-            which may be the drop that casts the shadow.
-        unmapped: (n, n) observed, but not estimated.
+        observed: (n, n) known, or in a gap within ``lss.gap`` of a known cell that is neither
+            ``unestimated`` nor in a shadow.
+        interior: (n, n) known, or in a gap that known cells enclose. Other observed ground borders
+            on unobserved ground, which may be the drop that casts the shadow.
+        unestimated: (n, n) observed, but not estimated.
         bridged: (n, n) the height is that of the nearest known cell.
         returns: (M,) independent returns of each leaf per known finest cell, in the mean (see
             `independent_returns`).
         planes: The ground at the vehicle's scale at each grid point.
-        room: Distance of each grid point to ground that is not firm, outside the domain, or
-            unmapped, m, as far as it matters. Pads must not reach over unmapped ground, so it
-            counts as nearer by their radius.
-        to_unmapped: Distance of each grid point to unmapped ground, m, as far as it matters.
-        judged: Grid points at which all ground under the vehicle is seen and mapped.
-        needs_contact: Those and their neighbours, on which the predicted risk also depends, as far
-            as the vehicle fits into the domain.
+        free_distance: Distance of each grid point to ground that is not interior, outside the
+            domain, or unestimated, m, up to a limit. Pads must not reach over unestimated ground,
+            so it counts as nearer by their radius.
+        to_unestimated: Distance of each grid point to unestimated ground, m, up to a limit.
+        assessable: Grid points at which all ground under the vehicle is observed and estimated.
+        needs_contact: Those and their neighbours, on which the predicted risk also depends, where
+            the vehicle fits into the domain.
     """
 
     domain: Domain
@@ -77,50 +77,50 @@ class TerrainRaster:
     slope_y: Array
     subscale: Array
     subscale_peak: Array
-    seen: Mask
-    firm: Mask
-    unmapped: Mask
+    observed: Mask
+    interior: Mask
+    unestimated: Mask
     bridged: Mask
     returns: Array
     planes: GroundPlanes
-    room: Array
-    to_unmapped: Array
-    judged: Mask
+    free_distance: Array
+    to_unestimated: Array
+    assessable: Mask
     needs_contact: Mask
 
     @property
     def unknown_bits(self) -> Bytes:
-        """Return the hazard bits (n, n) of unseen and unmapped finest cells."""
-        bits = ~self.seen * np.uint8(UNSEEN)
-        bits |= self.unmapped * np.uint8(UNMAPPED)
+        """Return the hazard bits (n, n) of unobserved and unestimated finest cells."""
+        bits = ~self.observed * np.uint8(UNSEEN)
+        bits |= self.unestimated * np.uint8(UNMAPPED)
         return np.asarray(bits)
 
 
 def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
-    """Lay out a map on its finest cells and evaluate the ground about each grid point."""
+    """Transfer a map to its finest cells and evaluate the ground about each grid point."""
     domain = cells.domain
     n, side = domain.finest_count, domain.finest_size
     leaf = np.empty((n, n), dtype=np.intp)
     elevation, slope_x, slope_y, subscale, peak = layers = np.empty((5, n, n))
     layers[3:] = 0.0
-    lay_out(cells, side, lss.vehicle.lengths.negligible, leaf, layers)
+    fill_layers(cells, side, lss.vehicle.lengths.negligible, leaf, layers)
     known = cells.observed & cells.known & ~np.isnan(elevation)
     bridged = ~known
-    unmapped = cells.observed & ~known
-    seen = grown(known, lss.gap, side, short=0.5) & ~unmapped
+    unestimated = cells.observed & ~known
+    observed = dilate(known, lss.gap, side, short=0.5) & ~unestimated
     share = np.zeros(len(cells.level), dtype=np.int32)
     count_known(leaf, known.view(np.uint8), share)
     returns = np.minimum(cells.count / np.maximum(share, 1), independent_returns(cells.coverage))
     if not known.any():
         elevation[:] = np.nan
     elif bridged.any():
-        bridge(nearest_marked(known), leaf, returns, layers, seen.view(np.uint8))
-    firm = known | ~grown(~seen, lss.gap, side, short=0.5)
+        fill_gaps(nearest_marked(known), leaf, returns, layers, observed.view(np.uint8))
+    interior = known | ~dilate(~observed, lss.gap, side, short=0.5)
     radius = min(lss.vehicle.ground_radius, 0.5 * domain.size)
     border = np.minimum(np.arange(n + 1), np.arange(n, -1, -1)) * side
-    room, to_unmapped = _distances(firm, unmapped, border, side, lss)
-    needed = (0.5 - SLACK) * lss.vehicle.diameter
-    judged, inside = room >= needed, border >= needed
+    free_distance, to_unestimated = _distances(interior, unestimated, border, side, lss)
+    needed = (0.5 - RELATIVE_ROUNDING) * lss.vehicle.diameter
+    assessable, inside = free_distance >= needed, border >= needed
     return TerrainRaster(
         domain=domain,
         cells=cells,
@@ -130,53 +130,53 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
         slope_y=slope_y,
         subscale=subscale,
         subscale_peak=peak,
-        seen=seen,
-        firm=firm,
-        unmapped=unmapped,
+        observed=observed,
+        interior=interior,
+        unestimated=unestimated,
         bridged=bridged,
         returns=returns,
-        planes=ground_planes(elevation, seen, side, radius),
-        room=room,
-        to_unmapped=to_unmapped,
-        judged=judged,
-        needs_contact=with_neighbours(judged) & inside & inside[:, None],
+        planes=ground_planes(elevation, observed, side, radius),
+        free_distance=free_distance,
+        to_unestimated=to_unestimated,
+        assessable=assessable,
+        needs_contact=with_neighbours(assessable) & inside & inside[:, None],
     )
 
 
 def _distances(
-    firm: Mask, unmapped: Mask, border: Array, side: float, lss: LssConfig
+    interior: Mask, unestimated: Mask, border: Array, side: float, lss: LssConfig
 ) -> tuple[Array, Array]:
-    """Compute `TerrainRaster.room` and `TerrainRaster.to_unmapped`; ``border``: (n + 1,) distance
-    of rows and columns of grid points to the domain's border, m."""
+    """Compute ``free_distance`` and ``to_unestimated`` of a `TerrainRaster`; ``border``: (n + 1,)
+    distance of rows and columns of grid points to the domain's border, m."""
     limit = max(lss.zone, DISTANCE_CAP * lss.vehicle.diameter_ratio)
-    room = distance_from(touching((~firm).view(np.uint8)) > 0, side, limit)
+    free_distance = distance_from(corner_bits((~interior).view(np.uint8)) > 0, side, limit)
     farthest = max(lss.zone, 0.5 * lss.vehicle.diameter) + lss.vehicle.pad_radius + side
-    to_unmapped = distance_from(touching(unmapped.view(np.uint8)) > 0, side, farthest)
-    np.minimum(room, to_unmapped - lss.vehicle.pad_radius, out=room)
-    np.minimum(room, border, out=room)
-    np.minimum(room, border[:, None], out=room)
-    return room, to_unmapped
+    to_unestimated = distance_from(corner_bits(unestimated.view(np.uint8)) > 0, side, farthest)
+    np.minimum(free_distance, to_unestimated - lss.vehicle.pad_radius, out=free_distance)
+    np.minimum(free_distance, border, out=free_distance)
+    np.minimum(free_distance, border[:, None], out=free_distance)
+    return free_distance, to_unestimated
 
 
 def independent_returns(coverage: Array) -> Array:
-    """Estimate how many independent returns cover this share (M,) of a finest cell's parts.
+    """Estimate the number of independent returns from the covered share (M,) of a finest cell.
 
-    Repeated returns of the same places, as in a hover, cover no new parts. Infinite where all parts
-    are covered.
+    Repeated returns at the same positions, as in a hover, cover no new parts. Infinite where all
+    parts are covered.
     """
     with np.errstate(divide="ignore"):
-        return np.asarray(-PARTS * np.log1p(-np.minimum(coverage, 1.0)))
+        return np.asarray(-COVERAGE_PARTS * np.log1p(-np.minimum(coverage, 1.0)))
 
 
 @cython.boundscheck(False)
 @cython.locals(leaf=cython.Py_ssize_t[:, ::1], layers=cython.double[:, :, ::1])
-def lay_out(cells: CellMap, side: float, negligible: float, leaf: Index, layers: Array) -> None:
+def fill_layers(cells: CellMap, side: float, negligible: float, leaf: Index, layers: Array) -> None:
     """Fill the finest cells of each leaf.
 
     Args:
         cells: The map.
         side: Side of the finest cells, m.
-        negligible: Lower parts of a feature are ignored, m.
+        negligible: Height below which parts of a feature are ignored, m.
         leaf: (n, n), set to the row of the leaf.
         layers: (5, n, n), set to elevation and slopes in x and y, and where there is a feature, to
             its mean and its greatest height.
@@ -251,29 +251,30 @@ def count_known(leaf: Index, known: Bytes, count: Ints) -> None:
 
 
 @cython.boundscheck(False)
-@cython.locals(place=cython.int[:, ::1], leaf=cython.Py_ssize_t[:, ::1])
+@cython.locals(nearest=cython.int[:, ::1], leaf=cython.Py_ssize_t[:, ::1])
 @cython.locals(returns=cython.double[::1], layers=cython.double[:, :, ::1])
-@cython.locals(seen=cython.uchar[:, ::1])
-def bridge(place: Ints, leaf: Index, returns: Array, layers: Array, seen: Bytes) -> None:
-    """Make bridged ground level and as high as the nearest known cell; unseen if in a shadow.
+@cython.locals(observed=cython.uchar[:, ::1])
+def fill_gaps(nearest: Ints, leaf: Index, returns: Array, layers: Array, observed: Bytes) -> None:
+    """Fill gaps with level ground at the height of the nearest known cell.
 
     Args:
-        place: (n, n) flat index of the nearest known cell.
-        leaf, layers: As in `lay_out`; heights and slopes are changed.
-        returns, seen: As in `TerrainRaster`; ``seen`` is changed.
+        nearest: (n, n) flat index of the nearest known cell.
+        leaf, layers: As in `fill_layers`; heights and slopes are changed.
+        returns: As in `TerrainRaster`.
+        observed: As in `TerrainRaster`; set to False in shadows.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
-    n: cython.Py_ssize_t = place.shape[0]
+    n: cython.Py_ssize_t = nearest.shape[0]
     height = cython.declare(cython.double[::1], np.asarray(layers[0]).ravel())
     over = cython.declare(cython.Py_ssize_t[::1], np.asarray(leaf).ravel())
     with cython.nogil:
         for i in range(n):
             for j in range(n):
-                if place[i, j] != i * n + j:
-                    height[i * n + j] = height[place[i, j]]
+                if nearest[i, j] != i * n + j:
+                    height[i * n + j] = height[nearest[i, j]]
                     layers[1, i, j], layers[2, i, j] = 0.0, 0.0
-                    if returns[over[place[i, j]]] > CHANCE:
-                        seen[i, j] = 0
+                    if returns[over[nearest[i, j]]] > MAX_RETURNS_IN_GAP:
+                        observed[i, j] = 0
 
 
 @cython.cfunc

@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.geometry.polygons import signed_distance
-from quadtree_lss.onboard.core.landing.target import NEARER, Reason
+from quadtree_lss.onboard.core.landing.target import DISTANCE_COST, Reason
 
 
 @dataclass(frozen=True)
 class Restrictions:
-    """Where landing is wanted, map frame, m; None for no such restriction.
+    """Restrictions of landing, map frame, m; None for no such restriction.
 
     A polygon with fewer than three vertices or one that is not finite, or a target that is not
     finite, excludes all grid points. A polygon that crosses itself follows the even-odd rule.
@@ -26,7 +26,7 @@ class Restrictions:
         area: (V, 2) polygon that contains the landing zone.
         keep_outs: (V, 2) polygons that the zone does not touch.
         target: (2,) or (3,) preferred point.
-        withheld: Why no site may be given out, such as an unreadable keep-out; empty if none.
+        withheld: Why no site may be published, such as an unreadable keep-out; empty if none.
     """
 
     area: ArrayLike | None = None
@@ -60,11 +60,11 @@ class Restrictions:
             if goal.shape not in ((2,), (3,)) or not np.isfinite(goal[:2]).all():
                 msg = f"a landing target needs two or three finite coordinates, got {self.target!r}"
                 raise ValueError(msg)
-            left += NEARER[lss.ranking] * np.hypot(x[column] - goal[0], y[row] - goal[1])
+            left += DISTANCE_COST[lss.ranking] * np.hypot(x[column] - goal[0], y[row] - goal[1])
         cost[row, column] = left
 
     def outside_domain(self, x: Array, y: Array) -> str:
-        """Return that the landing area lies outside the grid; empty if it does not."""
+        """Return a message if the landing area lies outside the grid, else an empty string."""
         if self.area is None:
             return ""
         area = np.array([np.min(self.area, axis=0), np.max(self.area, axis=0)]).T[:2]
@@ -89,11 +89,11 @@ class Restrictions:
         return float(np.count_nonzero(observed) / observed.size) if observed.size else 0.0
 
     def reason_against(self, x: float, y: float, lss: LssConfig) -> Reason | None:
-        """Return why landing is not wanted at a point, None if it is."""
+        """Return why the restrictions exclude a point, None if they do not."""
         if not self.area_contains(x, y, lss):
             return Reason.OUTSIDE_AREA
-        at = np.array([x]), np.array([y])
-        touched = any(signed_distance(polygon, *at)[0] > -lss.zone for polygon in self.keep_outs)
+        point = np.array([x]), np.array([y])
+        touched = any(signed_distance(polygon, *point)[0] > -lss.zone for polygon in self.keep_outs)
         return Reason.KEEP_OUT if touched else None
 
     def area_contains(self, x: float, y: float, lss: LssConfig) -> bool:

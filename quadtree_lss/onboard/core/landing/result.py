@@ -30,8 +30,8 @@ def shown(probability: float) -> str:
 
 
 class MainRisk(NamedTuple):
-    """Where most of the risk at an aim point comes from: probability of success, cause, and how far
-    it lies north and east of the aim point, m."""
+    """Main cause of the risk at an aim point: probability of success, cause, and its position north
+    and east of the aim point, m."""
 
     probability: float
     cause: str
@@ -64,12 +64,11 @@ class Sites:
         score: (K,) mean score density over the zone (Eq. 59), lower is better.
         probability: (K,) probability of success of the aim point; NaN without a risk model.
         slope_deg: (K,) at the vehicle's scale.
-        roughness: (K,) greatest mean deviation from the plane beyond noise in the zone: Eq. 55's
-            volume over the leaf's area, m.
+        roughness: (K,) greatest roughness in the zone: Eq. 55's volume over the leaf's area, m.
         hazard_distance: (K,) how far the zone can move in any direction until it touches a hazard
             or unobserved ground, m.
         subscale_height: (K,) greatest height of a subscale feature in the zone, m.
-        id: (K,) number of the site, which stays while landing there is permitted (`target.Places`).
+        id: (K,) number of the site (see `target.SiteNumbers`).
         reasons: One sentence per site.
     """
 
@@ -126,10 +125,10 @@ class Sites:
 
 @dataclass(frozen=True)
 class Selected:
-    """The target, or why there is none.
+    """The target, or the reason why there is none.
 
     Attributes:
-        reason: Why it is this one, or why there is none.
+        reason: Of the choice, or why there is no target.
         state: State of the target.
         probability: Probability of success of the target, or without one of the best permitted
             grid point; NaN without either, or without a risk model.
@@ -157,31 +156,32 @@ class Selected:
 
 @dataclass(frozen=True, repr=False)
 class LandingAssessment:
-    """Where the map allows landing.
+    """Result of an assessment.
 
     Attributes:
         stamp_ns: Stamp of the map.
         number: Number of the assessment since the selector was made, from 1.
-        selected: The target, which holds from assessment to assessment.
+        selected: The target, which is kept from assessment to assessment.
         seen: Observed share of the landing area, or without one of the domain.
-        pending: There is no target yet, but another assessment of the same map would give one.
+        pending: There is no target, but another assessment of the same map would give one.
         sites: Ranked sites, none if no ground is safe.
         now: (4,) x, y, z, m, and probability of success of the best aim point within reach at this
             moment (see `aim.within_reach`), NaN without one.
         x, y: (nx,), (ny,) of the grid points, m.
         hazard: (ny, nx) bits 1 slope, 2 elevation, 4 exception, 8 touchdown (a touchdown here, or
-            within ``lss.margin``, fails or has too great a risk), 16 uncertain (only the risk is
-            too great: on the map the vehicle stands), 32 unobserved ground under the vehicle, 64
-            observed but not estimated (128 too), 128 unobserved. Landing is allowed exactly where
-            none of 8, 32 and 128 is set; with the paper's rules 1, 2 and 4 exclude, too.
+            within ``lss.margin``, fails or has too great a risk), 16 uncertain (the risk is too
+            great, but the contact on the map is within the limits), 32 unobserved ground under the
+            vehicle, 64 observed but not estimated (128 is set, too), 128 unobserved. Landing is
+            allowed exactly where none of 8, 32 and 128 is set, and with the paper's rules none of
+            1, 2 and 4.
         safe: (ny, nx) the ground allows landing centred here.
         score: (ny, nx) Eq. 59, NaN where excluded (unsafe, keep-out, outside the landing area).
         probability: (ny, nx) probability of success of the aim point, with the dispersion.
-        risk: (ny, nx) predicted risk of a touchdown exactly here; both NaN without a risk model.
+        risk: (ny, nx) predicted risk; both NaN without a risk model.
         explanation: Why there are no sites, or how many grid points are safe.
-        offset_z, offset_variance: Of the map from navigation, as in ``CellMap``, m, m^2.
+        offset_z, offset_variance: As in ``CellMap``, m, m^2.
         terrain: Sources of the layers `elevation`, `plane_elevation` and `slope_deg`.
-        warnings: Why the risks may be wrong, one line per reason (see `risk.risk_warnings`).
+        warnings: Why the risks may be wrong (see `risk.risk_warnings`).
         lss: Settings of the assessment.
     """
 
@@ -238,7 +238,7 @@ class LandingAssessment:
 
     @property
     def undecided(self) -> bool:
-        """Whether another observation decides if there is a target."""
+        """Return whether the target depends on further observations."""
         return self.selected.reason in (Reason.UNCONFIRMED, Reason.SETTLING)
 
     def __repr__(self) -> str:
@@ -278,7 +278,7 @@ class LandingAssessment:
 def no_target(
     reason: Reason, state: State = State.NONE, probability: float = float("nan")
 ) -> Selected:
-    """Return that there is no target."""
+    """Return the result without a target."""
     return Selected(reason, state, probability, no_sites(), np.full((6, 6), np.nan))
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Step 3 of an assessment: the predicted risk of a touchdown at each grid point.
 
-The risk model (``config.risk.RiskModel``) was fitted to simulated flights: how often a vehicle with
-this contact on the map, on ground observed this densely, fails on the true ground. All features are
-relative to the vehicle's diameter and clearance. On ground that is not judged the risk is 1.
+The risk model (``config.risk.RiskModel``) was fitted to simulated flights. It gives the probability
+of a failure on the true ground for a contact on the map and a density of returns. All features are
+relative to the vehicle's diameter and clearance. The risk is 1 where it cannot be assessed.
 """
 
 from __future__ import annotations
@@ -23,41 +23,41 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 #: Side of the square of ground under the vehicle, diameters.
 FOOTPRINT = 0.9
-#: Greatest height over the ground at the vehicle's scale, clearances; larger ones are cut to it.
+#: Greatest height over the ground at the vehicle's scale, clearances; greater ones are clipped.
 MAX_HEIGHT = 5.0
-#: Returns on a square as wide as the least hazard that stand for none (finite in the logarithm).
+#: Added to the returns on a square as wide as the least hazard: their logarithm stays finite.
 NO_RETURNS = 1e-3
 #: A cell counts as raised between these heights over the ground at the vehicle's scale, clearances,
-#: if no neighbour is higher: walls, cars and trees say nothing about hidden rocks.
+#: if no neighbour is higher: walls, cars and trees do not indicate hidden rocks.
 RAISED = 0.5, 1.0
 #: Side of the square about a grid point in which raised cells are counted, diameters.
 NEIGHBOURHOOD = 8.0
-#: Least share of the range variance in a height: below, rounding decides.
-LEAST_SHARE = 1e-3
-#: Prior of the share of raised cells, and the side of the square of observed ground that it counts
-#: as, diameters (half a rock of 0.5 m for a vehicle of 3.7 m). Of three choices of both sides these
-#: had the best log score on 208 flights outside the fit.
+#: Least ratio of height to range variance: below, rounding dominates.
+MIN_VARIANCE_RATIO = 1e-3
+#: Prior of the share of raised cells, and its weight as the side of a square of observed ground,
+#: diameters. Of three choices of both sides these had the best log score on 208 flights outside the
+#: fit.
 PRIOR_SHARE, PRIOR_SIDE = 0.02, 0.7
 #: Entries of a table along a curve, and along the density of returns.
-FINE = cython.declare(cython.int, 128)
-COARSE = 48
+CURVE_ENTRIES = cython.declare(cython.int, 128)
+DENSITY_ENTRIES = 48
 #: Index of the density of returns in `LOCAL`.
-SEEN = cython.declare(cython.Py_ssize_t, LOCAL.index("seen"))
+DENSITY = cython.declare(cython.Py_ssize_t, LOCAL.index("seen"))
 #: Range of log odds in the table of exp, and its entries.
 MIN_ODDS = cython.declare(cython.double, -14.0)
 MAX_ODDS = cython.declare(cython.double, 10.0)
-EXPS = cython.declare(cython.int, 4096)
-#: Greatest bridged share of the judged ground for which the risk is fitted: flights of the fit have
-#: up to 0.02.
+EXP_ENTRIES = cython.declare(cython.int, 4096)
+#: Greatest bridged share of the assessable ground without a warning: flights of the fit have up to
+#: 0.02.
 MAX_BRIDGED = 0.05
 
 
 def height_noise(cells: CellMap, noise: float) -> Array:
-    """Return the variance of single heights over that of ranges for each leaf (M,), at most 1.
+    """Return the ratio of height to range variance of single returns in each leaf (M,), at most 1.
 
-    A ray that meets the ground at a grazing angle carries little of its range noise into the
-    height. The plane's least variance of height, that at the centroid of the returns, times their
-    number is the variance of one. ``noise``: standard deviation of ranges, m.
+    At a grazing angle, little of the range noise affects the height. The plane's least height
+    variance, at the centroid of the returns, times their number is the height variance of one.
+    ``noise``: standard deviation of ranges, m.
     """
     covariance = cells.covariance_range
     xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
@@ -65,17 +65,17 @@ def height_noise(cells: CellMap, noise: float) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         explained = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
         single = (covariance[:, 2, 2] - explained) * cells.count
-    return np.asarray(np.maximum(np.fmin(single / noise**2, 1.0), LEAST_SHARE))
+    return np.asarray(np.maximum(np.fmin(single / noise**2, 1.0), MIN_VARIANCE_RATIO))
 
 
 def contact_limits(model: RiskModel, lss: LssConfig) -> ContactLimits:
-    """Return the contacts of which the risk model and the touchdown limits need exact values."""
+    """Return the range in which risk model and touchdown limits need exact contacts."""
     vehicle, lengths = lss.vehicle, lss.vehicle.lengths
-    least_rise, most_tilt = model.span("rise")[0], model.span("tilt")[1]
+    min_rise, max_tilt = model.span("rise")[0], model.span("tilt")[1]
     return ContactLimits(
-        min(least_rise * vehicle.clearance, lengths.touchdown_roughness),
+        min(min_rise * vehicle.clearance, lengths.touchdown_roughness),
         max(
-            most_tilt * tan(radians(vehicle.max_slope_deg)),
+            max_tilt * tan(radians(vehicle.max_slope_deg)),
             tan(radians(lengths.touchdown_slope_deg)),
         ),
     )
@@ -95,18 +95,18 @@ class RiskTable:
         terms: (T, 4) per table: cause, feature, index of the first entry, and entries per row; the
             last is 0 for tables that do not depend on the density of returns.
         tables: Log odds of all tables.
-        exps: (EXPS,) exp of log odds between `MIN_ODDS` and `MAX_ODDS`.
+        exp_table: (EXP_ENTRIES,) exp of log odds between `MIN_ODDS` and `MAX_ODDS`.
     """
 
     def __init__(self, model: RiskModel, lss: LssConfig, noise: float) -> None:
         self._model, self._vehicle, self._noise = model, lss.vehicle, noise
         spans = {name: model.span(name) for name in LOCAL}
         steps = {
-            name: np.linspace(*span, COARSE if name == "seen" else FINE)
+            name: np.linspace(*span, DENSITY_ENTRIES if name == "seen" else CURVE_ENTRIES)
             for name, span in spans.items()
         }
-        self.low = np.array([at[0] for at in steps.values()])
-        self.last = np.array([len(at) - 1.0 for at in steps.values()])
+        self.low = np.array([values[0] for values in steps.values()])
+        self.last = np.array([len(values) - 1.0 for values in steps.values()])
         self.per = self.last / [high - low for low, high in spans.values()]
         tables, terms, first = [], [], 0
         for number, name in enumerate(CAUSES):
@@ -117,14 +117,14 @@ class RiskTable:
                     wide = len(odds) > 1
                     if wide:
                         odds = interpolation_weights(steps["seen"], model.seen) @ odds
-                    terms.append((number, LOCAL.index(curve.feature), first, FINE * wide))
+                    terms.append((number, LOCAL.index(curve.feature), first, CURVE_ENTRIES * wide))
                     tables.append(odds.ravel())
                     first += odds.size
         self.tables = np.concatenate(tables, dtype=np.float32, casting="same_kind")
         self.terms = np.array(terms, dtype=np.int32)
-        self.exps = np.exp(np.linspace(MIN_ODDS, MAX_ODDS, EXPS))
-        # Of finest cells of one side, as of the map before.
-        self._constant: tuple[float, Array] | None = None
+        self.exp_table = np.exp(np.linspace(MIN_ODDS, MAX_ODDS, EXP_ENTRIES))
+        # Side of the finest cells of the last map, and the constant log odds for it.
+        self._constant_odds: tuple[float, Array] | None = None
 
     def overall(self, side: float) -> dict[str, float]:
         """Return the features `OVERALL` of a map with finest cells of ``side``, m."""
@@ -137,9 +137,9 @@ class RiskTable:
         }
 
     def _information_loss(self, side: float) -> float:
-        """Return log10 of how many returns are worth one at a noise of 0.2 h on cells of 0.85 h,
-        on finest cells of ``side``, m; h is the least hazard. The number of returns whose mean
-        shows h goes with the square of the noise."""
+        """Return log10 of the number of returns that have the information of one at a noise of
+        0.2 h on cells of 0.85 h, on finest cells of ``side``, m; h is the least hazard. The
+        number of returns whose mean shows h is proportional to the square of the noise."""
         least = self._vehicle.least_hazard
         wide = max(log10(side / (0.85 * least)), 0.0)
         return 2.0 * log10(self._noise / (0.2 * least)) + 3.0 * wide
@@ -155,7 +155,7 @@ class RiskTable:
             found[k + 1] = with_neighbours(found[k])
         n, wide = raster.domain.finest_count, NEIGHBOURHOOD * vehicle.diameter / side
         cell_values = self._describe_cells(raster)
-        # Probability that a return falls on something as wide as the least hazard.
+        # Probability that a return falls on an object as wide as the least hazard.
         hit = 1.0 - np.exp(-cell_values[0])
         block = min(1 << max(int(np.log2(max(wide / 16.0, 1.0))), 0), n)
         starts = np.arange(0, n, block)
@@ -191,30 +191,30 @@ class RiskTable:
         return out
 
     def risk(self, raster: TerrainRaster, contacts: Contacts) -> tuple[Array, Bytes]:
-        """Predict the risk (n + 1, n + 1) at each grid point, 1 where it is not judged.
+        """Predict the risk (n + 1, n + 1) at each grid point, 1 where it cannot be assessed.
 
-        Also return the cause of most of it, as an index of `CAUSES`.
+        Also return the main cause, as an index of `CAUSES`.
         """
         features, side = self.features(raster, contacts), raster.domain.finest_size
-        if self._constant is None or self._constant[0] != side:
+        if self._constant_odds is None or self._constant_odds[0] != side:
             overall = self.overall(side)
             odds = [self._model.causes[name].map_log_odds(overall) for name in CAUSES]
-            self._constant = side, np.array(odds)
-        judged = raster.judged
-        out, cause = np.ones(judged.shape), np.zeros(judged.shape, dtype=np.uint8)
-        look_up(self, features, judged.view(np.uint8), self._constant[1], out, cause)
+            self._constant_odds = side, np.array(odds)
+        assessable = raster.assessable
+        out, cause = np.ones(assessable.shape), np.zeros(assessable.shape, dtype=np.uint8)
+        look_up(self, features, assessable.view(np.uint8), self._constant_odds[1], out, cause)
         return out, cause
 
 
 def risk_warnings(config: Config, raster: TerrainRaster) -> tuple[str, ...]:
-    """List why the predicted risks may be wrong, one line per reason."""
+    """List the reasons why the predicted risks may be wrong, one line each."""
     return tuple(filter(None, (model_warning(config), bridging_warning(raster))))
 
 
 def bridging_warning(raster: TerrainRaster) -> str:
-    """Return a warning if more of the judged ground is bridged than in the fit, or ""."""
-    judged = raster.judged[1:, 1:]
-    share = np.count_nonzero(raster.bridged & judged) / (np.count_nonzero(judged) or 1)
+    """Return a warning if more of the assessable ground is bridged than in the fit, or ""."""
+    assessable = raster.assessable[1:, 1:]
+    share = np.count_nonzero(raster.bridged & assessable) / (np.count_nonzero(assessable) or 1)
     if share <= MAX_BRIDGED:
         return ""
     return (
@@ -233,12 +233,12 @@ def describe_cells(
     clearance: float,
     out: Single,
 ) -> None:
-    """Describe each finest cell by itself and its neighbours.
+    """Compute features of each finest cell from itself and its neighbours.
 
     Args:
         raster: The terrain.
         returns: (M,) returns of each leaf on a square as wide as the least hazard.
-        rough: (M,) mean distance of a leaf's points from its plane, clearances.
+        rough: (M,) mean distance of a leaf's points to its plane, clearances.
         clearance: m.
         out: (4, n, n), set to the mean of ``returns`` over 3 x 3 cells, ``rough``, the squared
             height over the ground at the vehicle's scale, clearances, and 1 for a raised cell.
@@ -250,7 +250,7 @@ def describe_cells(
     corner = cython.declare(cython.double[:, ::1], raster.planes.elevation)
     leaf = cython.declare(cython.Py_ssize_t[:, ::1], raster.leaf)
     bridged = cython.declare(cython.uchar[:, ::1], raster.bridged.view(np.uint8))
-    seen = cython.declare(cython.uchar[:, ::1], raster.seen.view(np.uint8))
+    observed = cython.declare(cython.uchar[:, ::1], raster.observed.view(np.uint8))
     elevation = cython.declare(cython.double[:, ::1], raster.elevation)
     # Height over the ground and returns of known cells; then maximum and sum of three in a row.
     rise = cython.declare(cython.float[:, ::1], np.zeros((n, n), dtype=np.float32))
@@ -269,7 +269,7 @@ def describe_cells(
                 over = max((elevation[i, j] - 0.25 * ground) / clearance, 0.0)
                 over = min(over, highest)
                 out[1, i, j] = count[j] = 0.0
-                out[2, i, j] = over * over * seen[i, j]
+                out[2, i, j] = over * over * observed[i, j]
                 if not bridged[i, j]:
                     out[1, i, j] = rough[k]
                     rise[i, j], count[j] = over, returns[k]
@@ -305,26 +305,26 @@ def square_means(values: Single, reach: int) -> Single:
 
 
 @cython.boundscheck(False)
-@cython.locals(features=cython.float[:, :, ::1], judged=cython.uchar[:, ::1])
+@cython.locals(features=cython.float[:, :, ::1], assessable=cython.uchar[:, ::1])
 @cython.locals(constant=cython.double[::1])
 @cython.locals(out=cython.double[:, ::1], cause=cython.uchar[:, ::1])
 def look_up(
-    table: RiskTable, features: Single, judged: Bytes, constant: Array, out: Array, cause: Bytes
+    table: RiskTable, features: Single, assessable: Bytes, constant: Array, out: Array, cause: Bytes
 ) -> None:
-    """Set the risk at the ``judged`` grid points (ny, nx), and the most probable cause.
+    """Set the risk at the ``assessable`` grid points (ny, nx), and its main cause.
 
     Args:
         table: Tables of the model.
         features: (F, ny, nx) as of `RiskTable.features`.
         constant: (C,) constant log odds of each cause.
-        out, cause: (ny, nx), set where ``judged``.
+        out, cause: (ny, nx), set where ``assessable``.
     """
     low = cython.declare(cython.double[::1], table.low)
     per = cython.declare(cython.double[::1], table.per)
     last = cython.declare(cython.double[::1], table.last)
     terms = cython.declare(cython.int[:, ::1], table.terms)
     tables = cython.declare(cython.float[::1], table.tables)
-    exps = cython.declare(cython.double[::1], table.exps)
+    exps = cython.declare(cython.double[::1], table.exp_table)
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, t=cython.Py_ssize_t)
     cython.declare(c=cython.Py_ssize_t, f=cython.Py_ssize_t, k=cython.Py_ssize_t)
     cython.declare(first=cython.Py_ssize_t, after=cython.Py_ssize_t)
@@ -332,17 +332,17 @@ def look_up(
     causes: cython.Py_ssize_t = constant.shape[0]
     count: cython.Py_ssize_t = features.shape[0]
     entry = cython.declare(cython.int[:, ::1], np.zeros((count, columns), dtype=np.int32))
-    seen = cython.declare(cython.int[::1], np.zeros(columns, dtype=np.int32))
+    row_start = cython.declare(cython.int[::1], np.zeros(columns, dtype=np.int32))
     odds = cython.declare(cython.double[:, ::1], np.zeros((causes, columns)))
     least: cython.double = MIN_ODDS
-    end: cython.double = EXPS - 1
-    step: cython.double = (EXPS - 1) / (MAX_ODDS - MIN_ODDS)
+    end: cython.double = EXP_ENTRIES - 1
+    step: cython.double = (EXP_ENTRIES - 1) / (MAX_ODDS - MIN_ODDS)
     with cython.nogil:
         for i in range(out.shape[0]):
             first, after = 0, columns
-            while first < after and not judged[i, first]:
+            while first < after and not assessable[i, first]:
                 first += 1
-            while after > first and not judged[i, after - 1]:
+            while after > first and not assessable[i, after - 1]:
                 after -= 1
             for f in range(count):
                 base: cython.double = low[f]
@@ -354,7 +354,7 @@ def look_up(
                     x = x if x < top else top
                     entry[f, j] = cython.cast(cython.int, x)
             for j in range(first, after):
-                seen[j] = FINE * entry[SEEN, j]
+                row_start[j] = CURVE_ENTRIES * entry[DENSITY, j]
             for c in range(causes):
                 for j in range(first, after):
                     odds[c, j] = constant[c]
@@ -362,12 +362,12 @@ def look_up(
                 c, f, k = terms[t, 0], terms[t, 1], terms[t, 2]
                 if terms[t, 3]:
                     for j in range(first, after):
-                        odds[c, j] += tables[k + seen[j] + entry[f, j]]
+                        odds[c, j] += tables[k + row_start[j] + entry[f, j]]
                 else:
                     for j in range(first, after):
                         odds[c, j] += tables[k + entry[f, j]]
             for j in range(first, after):
-                if not judged[i, j]:
+                if not assessable[i, j]:
                     continue
                 likeliest: cython.uchar = 0
                 most: cython.double = odds[0, j]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hazards, safety and score of each grid point of the finest lattice (paper V.D)."""
+"""Step 3 of an assessment: hazards, safety and score of each grid point (paper V.D)."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.contact import ContactCheck, Contacts
 from quadtree_lss.onboard.core.landing.lattice import (
+    corner_bits,
+    dilate,
     disc,
     disc_means,
     distance_from,
-    grown,
-    touching,
 )
 from quadtree_lss.onboard.core.landing.raster import (
     DISTANCE_CAP,
-    SLACK,
+    RELATIVE_ROUNDING,
     TerrainRaster,
 )
 from quadtree_lss.onboard.core.landing.risk import RiskTable
 
-#: Weights of Eq. 58, which the paper does not print: alpha_theta, per radian; alpha_R, per metre of
-#: roughness over the leaf's area, so that a centimetre counts like a degree of slope; alpha_H, per
-#: metre of distance to a hazard; alpha_s, per metre of subscale height. Lengths are those of the
-#: default vehicle, in proportion for others.
+#: Weights of Eq. 58, which the paper does not give: alpha_theta, per radian; alpha_R, per metre of
+#: roughness over the leaf's area, so that 1 cm equals 1 degree of slope; alpha_H, per metre of
+#: distance to a hazard; alpha_s, per metre of subscale height. Lengths are those of the default
+#: vehicle, in proportion for others.
 WEIGHT_SLOPE, WEIGHT_ROUGHNESS, WEIGHT_DISTANCE, WEIGHT_SUBSCALE = 1.0, 2.0, 0.02, 1.0
 UPRIGHT = cython.declare(cython.double, 0.5 * pi)
 
@@ -42,16 +42,16 @@ class PointAssessment:
     Attributes:
         raster: The terrain.
         risk: Predicted risk, NaN without a risk model.
-        cause: Cause of most of the risk (see `RiskTable.risk`).
+        cause: Main cause of the risk (see `RiskTable.risk`).
         hazard: Bits of ``hazards``.
         safe: The ground allows landing.
         score: Eq. 59.
         clearance: How far the landing zone can move until it touches excluded ground, m, up to
             `DISTANCE_CAP`; negative where landing is excluded.
         roughness: (M,) of the leaves: Eq. 55's volume over the area, m.
-        excluded: What the zone must keep a distance from: finest cells (n, n) with the paper's
-            rules, grid points with the others ...
-        distance: ... and that distance, of the zone's centre, m.
+        excluded: Finest cells (n, n) with the paper's rules, or grid points with the others, from
+            which the zone must keep a distance ...
+        distance: ... and that distance, from the zone's centre, m.
     """
 
     raster: TerrainRaster
@@ -86,9 +86,9 @@ def assess_points(
     vehicle, radius, zone = lss.vehicle, 0.5 * lss.vehicle.diameter, lss.zone
     cap = DISTANCE_CAP * vehicle.diameter_ratio
     bits = hazards.avoided_features(cells, lss).take(raster.leaf)
-    bits *= raster.seen.view(np.uint8)
+    bits *= raster.observed.view(np.uint8)
     bits |= raster.unknown_bits
-    hazard = touching(bits)
+    hazard = corner_bits(bits)
     if contacts is not None and table is not None:
         risk, cause = table.risk(raster, contacts)
     else:
@@ -96,61 +96,61 @@ def assess_points(
     if contacts is None or check is None or lss.assessment == "paper":
         excluded, distance = bits & hazards.FEATURE > 0, zone
         near_feature = hazard & hazards.FEATURE > 0
-        safe = ~grown(near_feature, zone, side)
+        safe = ~dilate(near_feature, zone, side)
         near = distance_from(near_feature, side, cap)
-        slope_weight, of_leaves = 0.0, np.nan_to_num(WEIGHT_SLOPE * hazards.slope(cells.normal))
+        slope_weight, leaf_part = 0.0, np.nan_to_num(WEIGHT_SLOPE * hazards.slope(cells.normal))
     else:
-        excepted = grown(hazard & hazards.EXCEPTION > 0, radius, side)
+        excepted = dilate(hazard & hazards.EXCEPTION > 0, radius, side)
         if lss.assessment == "touchdown":
-            excluded = raster.judged & (check.exceeds_limits(contacts) | excepted)
-            # A map that may be displaced at all may be displaced by one grid point.
-            steps = np.ceil(vehicle.lengths.hazard_growth / side - SLACK)
-            excluded |= raster.judged & grown(excluded, steps * side, side)
+            excluded = raster.assessable & (check.exceeds_limits(contacts) | excepted)
+            # Any displacement of the map is at least one grid point.
+            steps = np.ceil(vehicle.lengths.hazard_growth / side - RELATIVE_ROUNDING)
+            excluded |= raster.assessable & dilate(excluded, steps * side, side)
         else:
-            fails = raster.judged & (risk > lss.max_risk)
-            excluded = fails | (raster.judged & excepted)
+            fails = raster.assessable & (risk > lss.max_risk)
+            excluded = fails | (raster.assessable & excepted)
             stands = contacts.rise <= vehicle.clearance
             stands &= contacts.tilt <= tan(radians(vehicle.max_slope_deg))
             hazard |= (fails & stands) * np.uint8(hazards.UNCERTAIN)
-        safe, distance = ~grown(excluded, lss.margin, side), lss.margin
+        safe, distance = ~dilate(excluded, lss.margin, side), lss.margin
         hazard |= ~safe * np.uint8(hazards.TOUCHDOWN)
-        # Ground that makes a touchdown fail lies about a radius from the grid point.
-        near = distance_from(excluded, side, cap - (1.0 - SLACK) * radius)
+        # The ground that makes a touchdown fail is about a radius from the grid point.
+        near = distance_from(excluded, side, cap - (1.0 - RELATIVE_ROUNDING) * radius)
         near += radius
-        slope_weight, of_leaves = WEIGHT_SLOPE, np.zeros(len(cells.level))
-    judged = raster.room >= (1.0 - SLACK) * zone
-    safe &= judged
-    partly = ~judged & (hazard & hazards.UNSEEN == 0)
+        slope_weight, leaf_part = WEIGHT_SLOPE, np.zeros(len(cells.level))
+    fits = raster.free_distance >= (1.0 - RELATIVE_ROUNDING) * zone
+    safe &= fits
+    partly = ~fits & (hazard & hazards.UNSEEN == 0)
     hazard |= partly * np.uint8(hazards.PARTLY_UNOBSERVED)
-    clearance = np.minimum(near, raster.room)
+    clearance = np.minimum(near, raster.free_distance)
     clearance -= zone
-    # Eq. 55 is a volume and grows with the leaf: over its area it is a height.
+    # Eq. 55 is a volume that grows with the leaf; divided by its area it is a height.
     rough = cells.roughness / cells.size**2
     rough[np.isnan(rough)] = 0.0
-    of_leaves += WEIGHT_ROUGHNESS / vehicle.clearance_ratio * rough
+    leaf_part += WEIGHT_ROUGHNESS / vehicle.clearance_ratio * rough
     weights = (
         slope_weight,
         WEIGHT_DISTANCE / vehicle.diameter_ratio,
         WEIGHT_SUBSCALE / vehicle.clearance_ratio,
     )
     density = np.empty(raster.leaf.shape)
-    set_densities(raster, near, of_leaves, cap, weights, density)
+    set_densities(raster, near, leaf_part, cap, weights, density)
     # Eq. 56's integral is Eq. 59's mean over the disc of each point. A zone larger than the domain
-    # fits nowhere, so it needs no larger sums.
-    score = disc_means(density, disc(min(zone, 0.5 * cells.domain.size), side), raster.seen)
+    # fits nowhere, so its disc is limited.
+    score = disc_means(density, disc(min(zone, 0.5 * cells.domain.size), side), raster.observed)
     return PointAssessment(
         raster, risk, cause, hazard, safe, score, clearance, rough, excluded, distance
     )
 
 
 @cython.boundscheck(False)
-@cython.locals(near=cython.double[:, ::1], of_leaves=cython.double[::1], cap=cython.double)
+@cython.locals(near=cython.double[:, ::1], leaf_part=cython.double[::1], cap=cython.double)
 @cython.locals(out=cython.double[:, ::1], per_slope=cython.double, per_metre=cython.double)
 @cython.locals(per_height=cython.double)
 def set_densities(
     raster: TerrainRaster,
     near: Array,
-    of_leaves: Array,
+    leaf_part: Array,
     cap: float,
     weights: tuple[float, float, float],
     out: Array,
@@ -160,7 +160,7 @@ def set_densities(
     Args:
         raster: The terrain.
         near: (n + 1, n + 1) distances to hazards, m.
-        of_leaves: (M,) part of the density that is constant over a leaf.
+        leaf_part: (M,) part of the density that is constant over a leaf.
         cap: Greatest distance to a hazard that matters, m.
         weights: Of slope, distance and subscale height.
     """
@@ -168,7 +168,7 @@ def set_densities(
     n: cython.Py_ssize_t = out.shape[0]
     per_slope, per_metre, per_height = weights
     gradient = cython.declare(cython.double[:, ::1], raster.planes.gradient)
-    room = cython.declare(cython.double[:, ::1], raster.room)
+    free_distance = cython.declare(cython.double[:, ::1], raster.free_distance)
     leaf = cython.declare(cython.Py_ssize_t[:, ::1], raster.leaf)
     subscale = cython.declare(cython.double[:, ::1], raster.subscale)
     before = cython.declare(cython.double[::1], np.zeros(n + 1))
@@ -176,8 +176,10 @@ def set_densities(
     with cython.nogil:
         for i in range(n + 1):
             for j in range(n + 1):
-                free: cython.double = near[i, j] if near[i, j] < room[i, j] else room[i, j]
-                # Arc tangent to 1e-5 (Hastings 1955), which vectorises.
+                free: cython.double = (
+                    near[i, j] if near[i, j] < free_distance[i, j] else free_distance[i, j]
+                )
+                # Arc tangent with an error of 1e-5 (Hastings 1955), which vectorises.
                 x = gradient[i, j] if gradient[i, j] < 1.0 else 1.0 / gradient[i, j]
                 z = x * x
                 z = 0.180141 + z * (-0.085133 + z * 0.0208351)
@@ -189,5 +191,5 @@ def set_densities(
             if i == 0:
                 continue
             for j in range(n):
-                out[i - 1, j] = 0.25 * (both[j] + both[j + 1]) + of_leaves[leaf[i - 1, j]]
+                out[i - 1, j] = 0.25 * (both[j] + both[j + 1]) + leaf_part[leaf[i - 1, j]]
                 out[i - 1, j] += per_height * subscale[i - 1, j]

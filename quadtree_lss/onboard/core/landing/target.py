@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The landing target: which grid point is given out, when it changes, and why.
+"""The landing target: selection, changes and their reasons.
 
 `Situation.transition` is the transition function of a state machine whose states are `State`. Its
 inputs are the candidates of an assessment, the descent of the vehicle and the request since the
@@ -9,8 +9,8 @@ the grid point that ranks first after the divert's cost if the expected gain exc
 
     S (c(target) - c) > C / (1 - d / r),    d < r
 
-c is the cost of a grid point, S and C are `GAIN`, d is the distance between the two points, m, and
-r is the reach of the vehicle until it is at ``lss.commit_height`` (`Descent.reach`), m.
+c is the cost of a grid point, S and C are `GAIN_AND_COST`, d is the distance between the two
+points, m, and r is the reach of the vehicle above ``lss.commit_height`` (`Descent.reach`), m.
 """
 
 from __future__ import annotations
@@ -33,28 +33,27 @@ from quadtree_lss.onboard.core.tree.domain import carried
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.landing.restrictions import Restrictions
 
-#: Numbered places that are kept; the oldest are dropped first.
-MAX_PLACES = 1000
+#: Most numbered sites; the oldest are dropped first.
+MAX_SITES = 1000
 #: (S, C) by ranking. S: true gain as a share of the predicted gain of the grid point that ranks
 #: first, which is the best of many predictions with errors (benchmark/target.py --bias). C: least
 #: cost of a divert: in probability, or in the score 4 m more clearance or 4.6 degrees less slope.
-GAIN = {"probability": (0.5, 0.001), "score": (1.0, 0.08)}
-#: The target stays on ground that is no longer safe enough to be chosen while the risk within half
-#: of ``lss.margin`` is at most this multiple of ``lss.max_risk``: where little ground is safe, its
-#: edge moves with each scan.
-KEPT = 3.0
+GAIN_AND_COST = {"probability": (0.5, 0.001), "score": (1.0, 0.08)}
+#: A target on ground that is no longer safe is kept while the risk within half of ``lss.margin`` is
+#: at most this multiple of ``lss.max_risk``: the edge of small safe areas moves with each scan.
+KEEP_RISK_FACTOR = 3.0
 #: Share of the area, or of the domain, that is observed before the first target, unless
 #: ``lss.settle_time`` is over: the first survey of a closed loop observes it (config/flight.yaml).
 SETTLE_SHARE = 0.63
-#: Cost per metre to the preferred place: 0.1 % of probability, so that the nearer of two equal
-#: sites ranks first; in the score 0.2 m of clearance.
-NEARER = {"probability": 0.001, "score": 0.004}
-#: Sideways acceleration of the vehicle, m/s^2, and the least downward speed for its time left, m/s.
-ASIDE, SLOWEST = 1.0, 0.5
-#: Tolerance of equal coordinates as a share of the grid's spacing: rounding when the domain moves.
-SAME = 1e-6
+#: Cost per metre of distance to the preferred point, so that the nearer of two equal sites ranks
+#: first: 0.1 % of probability, or in the score 0.2 m of clearance.
+DISTANCE_COST = {"probability": 0.001, "score": 0.004}
+#: Lateral acceleration of the vehicle, m/s^2, and least downward speed for the time left, m/s.
+LATERAL_ACCELERATION, MIN_DESCENT_SPEED = 1.0, 0.5
+#: Tolerance of equal coordinates as a share of the grid's spacing, for rounding.
+COORDINATE_TOLERANCE = 1e-6
 
-Place = tuple[int, int]
+GridIndex = tuple[int, int]
 
 
 class Reason(IntEnum):
@@ -127,13 +126,13 @@ class Descent:
     @property
     def seconds(self) -> float:
         """Return the time left, s."""
-        return self.height / max(self.speed, SLOWEST)
+        return self.height / max(self.speed, MIN_DESCENT_SPEED)
 
     @property
     def reach(self) -> float:
         """Return how far the vehicle can divert, m: it accelerates for half of the time left,
         brakes for the other half, and flies at least 45 degrees down."""
-        return max(min(self.height, 0.25 * ASIDE * self.seconds**2), 0.0)
+        return max(min(self.height, 0.25 * LATERAL_ACCELERATION * self.seconds**2), 0.0)
 
 
 @dataclass(frozen=True)
@@ -164,11 +163,11 @@ class Candidates:
         return np.isfinite(self.cost)
 
     @cached_property
-    def best(self) -> Place | None:
+    def best(self) -> GridIndex | None:
         """Return row and column of the grid point that ranks first, None without one."""
         return self.rank_first(self.cost)
 
-    def rank_first(self, cost: Array) -> Place | None:
+    def rank_first(self, cost: Array) -> GridIndex | None:
         """Return the same by another cost (ny, nx), NaN or infinite where excluded."""
         return best_among_equals(cost, self.unsafe, self.clearance)
 
@@ -178,9 +177,9 @@ class Candidates:
             return self.permitted
         return self.permitted & ~(self.unsafe > 1.0 - least)
 
-    def find(self, x: float, y: float) -> Place | None:
+    def find(self, x: float, y: float) -> GridIndex | None:
         """Return row and column of the grid point at x and y, m, None if there is none."""
-        slack = SAME * float(self.x[1] - self.x[0]) if len(self.x) > 1 else 0.0
+        slack = COORDINATE_TOLERANCE * float(self.x[1] - self.x[0]) if len(self.x) > 1 else 0.0
         row, column = bisect_left(self.y, y - slack), bisect_left(self.x, x - slack)
         found = row < len(self.y) and column < len(self.x)
         found = found and self.y[row] <= y + slack and self.x[column] <= x + slack
@@ -197,7 +196,7 @@ class Candidates:
         moved = other.x[0] - self.x[0], other.y[0] - self.y[0]
         steps = np.array(moved) / (self.x[1] - self.x[0], self.y[1] - self.y[0])
         east, north = np.round(steps).astype(int).tolist()
-        whole = np.abs(steps - (east, north)).max() <= SAME
+        whole = np.abs(steps - (east, north)).max() <= COORDINATE_TOLERANCE
         return carried(self.safe, east, north, False) if whole else nowhere
 
 
@@ -206,41 +205,40 @@ class Choice:
     """The target: row and column of its grid point, and its number; None and 0 without a target.
     ``best``: without a target, the permitted grid point that ranks first, None without one."""
 
-    place: Place | None
+    point: GridIndex | None
     id: int
     reason: Reason
     state: State = State.NONE
-    best: Place | None = None
+    best: GridIndex | None = None
 
 
 def same_site_distance(lss: LssConfig) -> float:
-    """Return the distance up to which two places are the same site, m: less than half of the least
-    distance between ranked sites."""
+    """Return the distance up to which two positions are the same site, m: less than half of the
+    least distance between ranked sites."""
     return 0.49 * min(lss.vehicle.diameter, lss.vehicle.lengths.min_separation)
 
 
-class Places:
-    """Numbers of places, from 1; none is given twice. A place keeps its number while the grid point
-    where it was first ranked, or where it became the target, is safe."""
+class SiteNumbers:
+    """Unique numbers of sites, from 1. A site keeps its number while the grid point where it was
+    first ranked, or where it became the target, is safe."""
 
     def __init__(self) -> None:
         self._known: dict[int, tuple[float, float]] = {}
         self._last = 0
 
     def forget(self, ground: Candidates) -> None:
-        """Drop the places that are not safe any more."""
-        found = {k: ground.find(*place) for k, place in self._known.items()}
-        gone = [k for k, place in found.items() if place is None or not ground.safe[place]]
-        for number in (*gone, *list(self._known)[:-MAX_PLACES]):
+        """Drop the sites that are no longer safe."""
+        found = {k: ground.find(*position) for k, position in self._known.items()}
+        gone = [k for k, point in found.items() if point is None or not ground.safe[point]]
+        for number in (*gone, *list(self._known)[:-MAX_SITES]):
             self._known.pop(number, None)
 
-    def numbers(self, places: Array, lss: LssConfig) -> Numbers:
-        """Return numbers (K,) of places (K, 2), m."""
-        return np.array([self.number(x, y, lss) for x, y in places.tolist()], dtype=np.uint32)
+    def numbers(self, positions: Array, lss: LssConfig) -> Numbers:
+        """Return the numbers (K,) of sites at positions (K, 2), m."""
+        return np.array([self.number(x, y, lss) for x, y in positions.tolist()], dtype=np.uint32)
 
     def number(self, x: float, y: float, lss: LssConfig) -> int:
-        """Return the number of one place, a new one if none is known within
-        `same_site_distance`."""
+        """Return the number of one site, a new one if none is known within `same_site_distance`."""
         nearest = min(self._known, key=lambda k: dist(self._known[k], (x, y)), default=0)
         if not nearest or dist(self._known[nearest], (x, y)) > same_site_distance(lss):
             self._last = nearest = self._last + 1
@@ -248,7 +246,7 @@ class Places:
         return nearest
 
     def pin(self, number: int, x: float, y: float) -> None:
-        """Move a number to a place."""
+        """Move a site to a position."""
         self._known.pop(number, None)
         self._known[number] = (x, y)
 
@@ -257,18 +255,18 @@ class Places:
 class Situation:
     """Inputs of the transition function, besides state and request.
 
-    ``confirmed``: (ny, nx) candidates that are probable enough and that the assessment before found
-    safe, too: ground at the edge of the observed part often changes with later scans.
+    ``confirmed``: (ny, nx) candidates that are probable enough and were safe in the assessment
+    before, too: ground at the edge of the observed part often changes with later scans.
     """
 
     ground: Candidates
     confirmed: Mask
     lss: LssConfig
-    why_not: Callable[[int, int], Reason]  # why landing is not permitted at a row and column
-    why_none: Reason  # why it is not permitted anywhere
+    reason_at: Callable[[int, int], Reason]  # why landing is not permitted at a row and column
+    no_site_reason: Reason  # why it is not permitted anywhere
     descent: Descent | None  # to the target, None if unknown
-    settled: bool  # enough ground is observed, or the time for it is over
-    now: Candidates | None  # those within reach
+    settled: bool  # enough ground is observed, or ``lss.settle_time`` is over
+    now: Candidates | None  # candidates within reach
 
     @property
     def is_low(self) -> bool:
@@ -277,95 +275,96 @@ class Situation:
 
     def transition(
         self, state: State, request: Request, held: tuple[float, float] | None
-    ) -> tuple[State, Place | None, Reason]:
-        """Return the next state, row and column of the target, and why.
+    ) -> tuple[State, GridIndex | None, Reason]:
+        """Return the next state, row and column of the target, and the reason.
 
         A lost target is withdrawn, and the next assessment chooses another one; in state NOW the
-        same assessment does. ``state``, ``held`` (x and y, m): as after the assessment before.
+        same assessment does. ``state``, ``held``: state and target (x, y), m, of the assessment
+        before.
         """
         if (state is State.NOW or request is Request.LAND_NOW) and request is not Request.RELEASE:
             return State.NOW, *self._land_now(None if request is Request.LAND_NOW else held)
         if held is None or request is Request.RELEASE:
-            place, reason = self._choose(request, held)
+            point, reason = self._choose(request, held)
         else:
-            place, reason = self._keep(held)
-        if place is None:
+            point, reason = self._keep(held)
+        if point is None:
             return State.SETTLING if reason is Reason.SETTLING else State.NONE, None, reason
-        return State.COMMITTED if self.is_low else State.HOLDS, place, reason
+        return State.COMMITTED if self.is_low else State.HOLDS, point, reason
 
     def _choose(
         self, request: Request, held: tuple[float, float] | None
-    ) -> tuple[Place | None, Reason]:
+    ) -> tuple[GridIndex | None, Reason]:
         """Choose a target as if there were none."""
         released = request is Request.RELEASE
         if not self.ground.permitted.any():
-            return None, self.why_none
+            return None, self.no_site_reason
         if not (self.settled or self.is_low or released):
             return None, Reason.SETTLING
         if not self.ground.probable(self.lss.min_probability).any():
             return None, Reason.UNLIKELY
-        place = self.ground.rank_first(np.where(self.confirmed, self.ground.cost, inf))
-        if place is None:
+        point = self.ground.rank_first(np.where(self.confirmed, self.ground.cost, inf))
+        if point is None:
             return None, Reason.UNCONFIRMED
-        return place, Reason.FIRST if held is None else Reason.RELEASED
+        return point, Reason.FIRST if held is None else Reason.RELEASED
 
-    def _keep(self, held: tuple[float, float]) -> tuple[Place | None, Reason]:
+    def _keep(self, held: tuple[float, float]) -> tuple[GridIndex | None, Reason]:
         """Keep the target, change it for a better one, or withdraw it."""
-        place = self.ground.find(*held)
-        if place is None:
+        point = self.ground.find(*held)
+        if point is None:
             return None, Reason.OUTSIDE_MAP
-        reason = self._reason_to_withdraw(place)
+        reason = self._reason_to_withdraw(point)
         if reason not in (None, Reason.UNLIKELY):
             return None, reason
         if not self.is_low:
             descent, commit = self.descent, self.lss.commit_height
             left = None if descent is None else Descent(descent.height - commit, descent.speed)
-            if better := self._better(self.ground, self.confirmed, place, left):
+            if better := self._better(self.ground, self.confirmed, point, left):
                 return better, Reason.BETTER
-        return (place, Reason.HOLDS) if reason is None else (None, reason)
+        return (point, Reason.HOLDS) if reason is None else (None, reason)
 
-    def _reason_to_withdraw(self, place: Place) -> Reason | None:
+    def _reason_to_withdraw(self, point: GridIndex) -> Reason | None:
         """Return why the target cannot stay, None if it can."""
         most, unsafe = 1.0 - self.lss.min_probability, self.ground.unsafe
-        if self.ground.permitted[place]:
-            probable = self.is_low or unsafe is None or not unsafe[place] > most
+        if self.ground.permitted[point]:
+            probable = self.is_low or unsafe is None or not unsafe[point] > most
             return None if probable else Reason.UNLIKELY
-        reason = self.why_not(*place)
-        if reason is not Reason.HAZARD or unsafe is None or not unsafe[place] <= most:
+        reason = self.reason_at(*point)
+        if reason is not Reason.HAZARD or unsafe is None or not unsafe[point] <= most:
             return reason
-        tolerable = self.is_low or self._risk_nearby(place) <= KEPT * self.lss.max_risk
+        tolerable = self.is_low or self._risk_nearby(point) <= KEEP_RISK_FACTOR * self.lss.max_risk
         return None if tolerable else reason
 
-    def _risk_nearby(self, place: Place) -> float:
-        """Return the greatest risk within half of ``lss.margin``, the target's own without one."""
+    def _risk_nearby(self, point: GridIndex) -> float:
+        """Return the greatest risk within half of ``lss.margin`` of the target."""
         if self.ground.risk is None:
             return inf
         steps = round(0.5 * self.lss.margin / self.lss.spacing)
-        row, column = (slice(max(i - steps, 0), i + steps + 1) for i in place)
+        row, column = (slice(max(i - steps, 0), i + steps + 1) for i in point)
         return float(self.ground.risk[row, column].max())
 
-    def _land_now(self, held: tuple[float, float] | None) -> tuple[Place | None, Reason]:
-        """Keep the target while it is observed and wanted, whatever its risk, unless another one
-        within reach is better; else choose the best within reach."""
-        now, place = self.now, None if held is None else self.ground.find(*held)
-        excluded = place is None or np.isnan(self.ground.cost[place])
-        if place is None or (excluded and self.why_not(*place) is not Reason.HAZARD):
+    def _land_now(self, held: tuple[float, float] | None) -> tuple[GridIndex | None, Reason]:
+        """Keep the target at any risk while it is observed and the restrictions permit it, unless
+        another one within reach is better; else choose the best within reach."""
+        now, point = self.now, None if held is None else self.ground.find(*held)
+        excluded = point is None or np.isnan(self.ground.cost[point])
+        if point is None or (excluded and self.reason_at(*point) is not Reason.HAZARD):
             best = None if now is None else now.best
-            return best, self.why_none if best is None else Reason.LAND_NOW
-        risk = 0.0 if self.ground.unsafe is None else float(self.ground.unsafe[place])
+            return best, self.no_site_reason if best is None else Reason.LAND_NOW
+        risk = 0.0 if self.ground.unsafe is None else float(self.ground.unsafe[point])
         if now is not None and not (self.is_low and risk <= 1.0 - self.lss.min_probability):
-            if better := self._better(now, now.permitted, place, self.descent):
+            if better := self._better(now, now.permitted, point, self.descent):
                 return better, Reason.BETTER
-        return place, Reason.HOLDS
+        return point, Reason.HOLDS
 
     def _better(
-        self, ground: Candidates, allowed: Mask, held: Place, left: Descent | None
-    ) -> Place | None:
+        self, ground: Candidates, allowed: Mask, held: GridIndex, left: Descent | None
+    ) -> GridIndex | None:
         """Return the grid point that ranks first after the cost of the divert, if the expected
         gain exceeds that cost. ``left``: the descent that is left for the divert."""
-        share, least = GAIN[self.lss.ranking]
+        share, least = GAIN_AND_COST[self.lss.ranking]
         cost = ground.cost[held]
-        if ground.unsafe is not None and np.isnan(cost):  # risky, but tolerable
+        if ground.unsafe is not None and np.isnan(cost):  # excluded, but kept
             cost = ground.unsafe[held]
         worth = allowed & (share * (cost - ground.cost) > least)
         if not worth.any():
@@ -378,19 +377,19 @@ class Situation:
             price = np.where(part < 1.0, price / np.maximum(1.0 - part, 1e-9), inf)
         net = np.full(ground.cost.shape, inf)
         net[row, column] = ground.cost[row, column] + price
-        place = ground.rank_first(net)
-        return place if place is not None and net[place] < cost else None
+        point = ground.rank_first(net)
+        return point if point is not None and net[point] < cost else None
 
 
 class TargetKeeper:
-    """The target from one assessment to the next.
+    """Keeps the target from one assessment to the next.
 
     ``held``: x and y, m, None without a target. ``assessments``: number of assessments.
     """
 
     def __init__(self) -> None:
         self.assessments = 0
-        self.places = Places()
+        self.site_numbers = SiteNumbers()
         self.held: tuple[float, float] | None = None
         self._state, self._request = State.NONE, Request.NONE
         self._id = 0
@@ -408,8 +407,8 @@ class TargetKeeper:
     def apply_restrictions(self, restrictions: Restrictions, lss: LssConfig) -> None:
         """Request another choice if the area excludes the target, or another point is preferred.
 
-        Guidance repeats what it can reach and where it flies, so an area that contains the target's
-        zone, and a preferred point at the target, request nothing.
+        Guidance sends its area and preferred point repeatedly, so an area that contains the
+        target's zone, and a preferred point at the target, request nothing.
         """
         goal = restrictions.target
         preferred = None if goal is None else np.ravel(np.asarray(goal, dtype=object)).tolist()
@@ -426,26 +425,28 @@ class TargetKeeper:
         ground: Candidates,
         lss: LssConfig,
         *,
-        why_not: Callable[[int, int], Reason],
-        why_none: Reason,
+        reason_at: Callable[[int, int], Reason],
+        no_site_reason: Reason,
         descent: Descent | None = None,
         settled: bool = True,
         now: Candidates | None = None,
     ) -> Choice:
         """Return the target after one more assessment; arguments as of `Situation`."""
         self.assessments += 1
-        self.places.forget(ground)
+        self.site_numbers.forget(ground)
         before, self._before = self._before, ground
         confirmed = np.zeros_like(ground.safe)
         if before is not None:
             confirmed = ground.probable(lss.min_probability) & before.safe_on(ground)
-        given = Situation(ground, confirmed, lss, why_not, why_none, descent, settled, now)
-        self._state, place, reason = given.transition(self._state, self._request, self.held)
+        situation = Situation(
+            ground, confirmed, lss, reason_at, no_site_reason, descent, settled, now
+        )
+        self._state, point, reason = situation.transition(self._state, self._request, self.held)
         self._request, self.held = Request.NONE, None
-        if place is None:
+        if point is None:
             return Choice(None, 0, reason, self._state, ground.best)
-        self.held = float(ground.x[place[1]]), float(ground.y[place[0]])
+        self.held = float(ground.x[point[1]]), float(ground.y[point[0]])
         if reason is not Reason.HOLDS:
-            self._id = self.places.number(*self.held, lss)
-        self.places.pin(self._id, *self.held)
-        return Choice(place, self._id, reason, self._state)
+            self._id = self.site_numbers.number(*self.held, lss)
+        self.site_numbers.pin(self._id, *self.held)
+        return Choice(point, self._id, reason, self._state)

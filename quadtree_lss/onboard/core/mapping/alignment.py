@@ -23,7 +23,7 @@ from cython.cimports.quadtree_lss.onboard.core.mapping import update as row
 from cython.cimports.quadtree_lss.onboard.core.tree.leaves import INCOMPLETE, LeafTable
 
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.core.geometry.bounds import HEIGHTS
+from quadtree_lss.onboard.core.geometry.bounds import MAX_MAP_HEIGHT
 
 # Lengths are those of a vehicle with ``VehicleConfig.height`` 1 m, and scale with it.
 #: Residuals beyond this many standard deviations get Huber's lower weight: one Gaussian cell in 22.
@@ -53,7 +53,7 @@ JUMP_SIGMAS = 3.0
 #: Least height by which the map is lifted, m; landing reassesses ground that moves.
 MIN_LIFT = 5e-4
 #: Greatest height of a plane at a cell's centre, m.
-HIGHEST = cython.declare(cython.double, HEIGHTS)
+HIGHEST = cython.declare(cython.double, MAX_MAP_HEIGHT)
 #: A scan is inconsistent if less than this share of its cells agrees with the map, ...
 AGREEING_SHARE = 1.0 / 3.0
 #: ... or if its motion exceeds so many standard deviations: of three degrees of freedom, one sound

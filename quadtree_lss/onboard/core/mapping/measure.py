@@ -11,7 +11,7 @@ import cython
 import numpy as np
 from cython.cimports.libc.math import fabs, sqrt
 from cython.cimports.quadtree_lss.onboard.core.geometry import plane
-from cython.cimports.quadtree_lss.onboard.core.geometry.morton import encode, squeeze
+from cython.cimports.quadtree_lss.onboard.core.geometry.morton import compact, encode
 from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at
 from cython.cimports.quadtree_lss.onboard.core.tree.leaves import LIFT, UNKNOWN, WEIGHT
 
@@ -432,8 +432,8 @@ def unobserved_parts(table: LeafTable, rows: Index, out: Array) -> None:
             sx = sy = sxx = sxy = syy = 0.0
             for k in range(number):
                 if observed[first + k]:
-                    x = squeeze(k) + 0.5
-                    y = squeeze(k >> 1) + 0.5
+                    x = compact(k) + 0.5
+                    y = compact(k >> 1) + 0.5
                     sx += x
                     sy += y
                     sxx += x * x

@@ -24,7 +24,7 @@ from cython.cimports.quadtree_lss.onboard.core.mapping.update import RISE as RIS
 from cython.cimports.quadtree_lss.onboard.core.tree import leaves
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Keys
-from quadtree_lss.onboard.core.geometry.bounds import HEIGHTS
+from quadtree_lss.onboard.core.geometry.bounds import MAX_MAP_HEIGHT
 from quadtree_lss.onboard.core.mapping.features import Heights
 from quadtree_lss.onboard.core.mapping.fusion import Fusion
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
@@ -46,7 +46,7 @@ CHILD_MISFIT = cython.declare(cython.double, 0.25)
 NOISE_POINTS = cython.declare(cython.double, 8.0)
 MIN_NORMAL_Z = cython.declare(cython.double, 0.866)
 #: Greatest height of a plane at a cell's centre, m.
-HIGHEST = cython.declare(cython.double, HEIGHTS)
+HIGHEST = cython.declare(cython.double, MAX_MAP_HEIGHT)
 
 
 @cython.boundscheck(False)

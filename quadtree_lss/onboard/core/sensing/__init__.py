@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lidar, poses, and a scan on its way into the map frame."""
+"""Lidar measurements, poses, and the registration of scans in the map frame."""

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Isolated returns: noise, multipath, dust.
+"""Detection of isolated returns: noise, multipath, dust.
 
-Two neighbouring returns within the gate of each other are linked. A return is isolated if fewer
-than three returns, itself included, hang together by links: neither a single stray nor two strays
-side by side stay, and the last return of a row needs one linked neighbour only.
+Two neighbouring returns are linked if their distance is within the gate. A return is isolated if
+its group of linked returns has fewer than three members. So a single outlier and two adjacent ones
+are removed, and the last return of a row needs only one linked neighbour.
 
 In an organised scan, neighbours are the four adjacent pixels and the distance is the difference in
-range. In an unorganised scan, all points are neighbours and the distance is the distance in space.
-The gate widens to five times the scan's usual distance (the median distance to the second nearest
-neighbour), which a coarse view of slanted ground needs. Scans of fewer than three returns are not
-filtered.
+range. In an unorganised scan, all points are neighbours and the distance is Euclidean. The gate is
+at least five times the scan's typical distance (the median distance to the second nearest
+neighbour), because returns of slanted ground are far apart. Scans of fewer than three returns are
+not filtered.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from cython.cimports.libc.math import INFINITY
 
 from quadtree_lss.onboard.arrays import Array, Ints, Mask
 
-#: The gate is at least this many usual distances. A plane seen at a slant from 400 m has steps of
-#: one usual distance; rocks and pixel noise multiply them.
-WIDENING = 5.0
-#: Places of the pixels or points, as shares of their number, whose median is the usual distance:
-#: multiples of the golden section sample any raster evenly.
+#: Least gate in typical distances. Returns of a slanted plane at 400 m differ by one typical
+#: distance, those of rocks and noisy pixels by a multiple.
+GATE_FACTOR = 5.0
+#: Indices, as shares of the number of points, at which the typical distance is sampled: multiples
+#: of the golden section sample any raster evenly.
 SAMPLE = np.arange(1024) * 0.6180339887498949 % 1.0
-#: The gate for points in space is at least this, m: equal points are linked.
-LEAST_GATE = 1e-6
+#: Least gate of an unorganised scan, m: equal points are linked.
+MIN_GATE = 1e-6
 
 
 def isolated_in_image(ranges: Array, gate: float) -> Ints:
-    """Find the isolated returns of an organised scan: their places (K,), ascending.
+    """Find the isolated returns of an organised scan: flat indices (K,), ascending.
 
     Args:
         ranges: (H, W), m; NaN where there is no return.
@@ -45,8 +45,10 @@ def isolated_in_image(ranges: Array, gate: float) -> Ints:
         return pixels[:0]
     steps = np.empty(len(SAMPLE))
     known = second_steps(ranges, (SAMPLE * ranges.size).astype(np.int32), steps)
-    limit = WIDENING * float(np.partition(steps[:known], known // 2)[known // 2]) if known else 0.0
-    if limit > gate:  # a wider gate isolates no return that the narrower one does not
+    limit = (
+        GATE_FACTOR * float(np.partition(steps[:known], known // 2)[known // 2]) if known else 0.0
+    )
+    if limit > gate:  # a wider gate isolates a subset
         count = keep_isolated(ranges, limit, pixels[:count])
     return pixels[:count]
 
@@ -54,7 +56,7 @@ def isolated_in_image(ranges: Array, gate: float) -> Ints:
 @cython.boundscheck(False)
 @cython.locals(ranges=cython.double[:, ::1], pixels=cython.int[::1])
 def find_isolated(ranges: Array, limit: float, pixels: Ints) -> cython.Py_ssize_t:
-    """Write the places of isolated returns of an image (H, W) to ``pixels``; return their number.
+    """Write flat indices of isolated returns of an image (H, W) to ``pixels``; return their number.
 
     In a row without a step beyond the limit only the first and the last pixel can be isolated.
     """
@@ -80,7 +82,7 @@ def find_isolated(ranges: Array, limit: float, pixels: Ints) -> cython.Py_ssize_
 @cython.boundscheck(False)
 @cython.locals(ranges=cython.double[:, ::1], pixels=cython.int[::1])
 def keep_isolated(ranges: Array, limit: float, pixels: Ints) -> cython.Py_ssize_t:
-    """Move those of ``pixels`` (M,) that are isolated to the front; return their number."""
+    """Move isolated ``pixels`` (M,) to the front; return their number."""
     i: cython.Py_ssize_t
     count: cython.Py_ssize_t = 0
     width: cython.Py_ssize_t = ranges.shape[1]
@@ -99,7 +101,7 @@ def keep_isolated(ranges: Array, limit: float, pixels: Ints) -> cython.Py_ssize_
 def is_isolated(
     ranges: Array, row: cython.Py_ssize_t, column: cython.Py_ssize_t, limit: float
 ) -> cython.bint:
-    """True unless a pixel has two links, or one to a pixel with two."""
+    """Return whether a pixel has neither two links nor one to a pixel with two."""
     for _ in range(2):
         sides: cython.int = links(ranges, row, column, limit)
         if sides & (sides - 1) != 0:
@@ -117,7 +119,7 @@ def is_isolated(
 def links(
     ranges: Array, row: cython.Py_ssize_t, column: cython.Py_ssize_t, limit: float
 ) -> cython.int:
-    """The first two sides on which a pixel is linked: 1 right, 2 left, 4 below, 8 above, added."""
+    """Return the first two links of a pixel as bits: 1 right, 2 left, 4 below, 8 above."""
     side: cython.Py_ssize_t
     found: cython.int = 0
     for side in range(4):
@@ -136,7 +138,7 @@ def links(
 def step_to(
     ranges: Array, row: cython.Py_ssize_t, column: cython.Py_ssize_t, side: cython.Py_ssize_t
 ) -> float:
-    """Range difference of a pixel to the one next to it, m; infinite beyond the image's border.
+    """Return the range difference to an adjacent pixel, m; infinite beyond the image's border.
     ``side``: 0 right, 1 left, 2 below, 3 above."""
     r: cython.Py_ssize_t = row + (side == 2) - (side == 3)
     c: cython.Py_ssize_t = column + (side == 0) - (side == 1)
@@ -149,8 +151,8 @@ def step_to(
 @cython.boundscheck(False)
 @cython.locals(ranges=cython.double[:, ::1], pixels=cython.int[::1], steps=cython.double[::1])
 def second_steps(ranges: Array, pixels: Ints, steps: Array) -> cython.Py_ssize_t:
-    """Write the second smallest step from each of ``pixels`` (M,) to an adjacent one to ``steps``
-    (M,), m, without pixels that have fewer than two; return how many there are."""
+    """Write the second smallest step from each of ``pixels`` (M,) to its neighbours to ``steps``
+    (M,), m; skip pixels with fewer than two neighbours. Return the number of steps."""
     cython.declare(i=cython.Py_ssize_t, side=cython.Py_ssize_t)
     known: cython.Py_ssize_t = 0
     width: cython.Py_ssize_t = ranges.shape[1]
@@ -169,10 +171,10 @@ def second_steps(ranges: Array, pixels: Ints, steps: Array) -> cython.Py_ssize_t
 
 
 def isolated_in_space(points: Array, ranges: Array, gate: float) -> Ints:
-    """Find the isolated returns of an unorganised scan: their places (K,), ascending.
+    """Find the isolated returns of an unorganised scan: indices (K,), ascending.
 
     Args:
-        points: (N, 3) in any axes, m; anything where there is no return.
+        points: (N, 3) in any axes, m; undefined where there is no return.
         ranges: (N,), m; NaN where there is no return.
         gate: m; 0 keeps every return.
     """
@@ -183,24 +185,25 @@ def isolated_in_space(points: Array, ranges: Array, gate: float) -> Ints:
     linked = linked_in_order(points, gate)
     if linked.all():
         return returns[:0]
-    from scipy.spatial import cKDTree  # takes half a second: organised scans never need it
+    from scipy.spatial import cKDTree  # the import takes 0.5 s, not needed for organised scans
 
-    limit = max(gate, WIDENING * usual_distance(points), LEAST_GATE)
+    limit = max(gate, GATE_FACTOR * typical_distance(points), MIN_GATE)
     tree: Any = cKDTree(points, leafsize=32, compact_nodes=False, balanced_tree=False)
-    apart = tree.indices[~linked[tree.indices]]  # in the tree's order, several times faster
+    apart = tree.indices[~linked[tree.indices]]  # queries in the tree's order are faster
     distance, near = tree.query(points[apart], k=3, distance_upper_bound=limit)
-    held = np.isfinite(distance[:, 2])
-    pair = np.flatnonzero(np.isfinite(distance[:, 1]) & ~held)
-    other = near[pair, :2].sum(axis=1) - apart[pair]  # of the point itself and its one neighbour
-    held[pair] = np.isfinite(tree.query(points[other], k=[3], distance_upper_bound=limit)[0][:, 0])
-    isolated: Ints = np.sort(returns[apart[~held]])
+    kept = np.isfinite(distance[:, 2])
+    pair = np.flatnonzero(np.isfinite(distance[:, 1]) & ~kept)
+    other = near[pair, :2].sum(axis=1) - apart[pair]  # the point itself is one of the two
+    kept[pair] = np.isfinite(tree.query(points[other], k=[3], distance_upper_bound=limit)[0][:, 0])
+    isolated: Ints = np.sort(returns[apart[~kept]])
     return isolated
 
 
-def usual_distance(points: Array) -> float:
-    """Median distance of points (N, 3) to the second nearest other, m, from a sample.
+def typical_distance(points: Array) -> float:
+    """Estimate the median distance of points (N, 3) to their second nearest neighbour, m.
 
-    The points lie on a surface, where those of a sample of one in k are sqrt(k) times as far apart.
+    It is computed for a sample. On a surface, a sample of one point in k has sqrt(k) times the
+    distance.
     """
     from scipy.spatial import cKDTree
 
@@ -210,7 +213,7 @@ def usual_distance(points: Array) -> float:
 
 
 def linked_in_order(points: Array, limit: float) -> Mask:
-    """Mask (N,) of points (N, 3) that are linked with two of the four next in the scan's order."""
+    """Return a mask (N,) of points linked to two of their four neighbours in the scan's order."""
     links = np.zeros(len(points), dtype=np.uint8)
     for step in (1, 2):
         difference = points[step:] - points[:-step]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lidar measurements: from ranges to points in the map frame with their covariance (paper III.C).
+"""Lidar poses and measurements (paper III.C).
 
-Lidar axes are Eq. 14's: z boresight, x right, y down (ROS calls such a frame ``_optical``).
+Lidar axes are those of Eq. 14: z boresight, x right, y down (``_optical`` in ROS).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array
 
-#: Variances (m^2, rad^2) above this say no more than this: nothing is known.
+#: Greatest variance of a pose, m^2 and rad^2: above it, nothing is known.
 MAX_VARIANCE = 1e6
 
 
@@ -24,10 +24,10 @@ class Pose:
     Attributes:
         stamp_ns: Time in integer nanoseconds.
         position: (3,) lidar origin in the map frame, m.
-        rotation_map_lidar: (3, 3) takes lidar axes to map axes.
-        covariance: (6, 6) of (x, y, z, rotation about the map's fixed X, Y, Z), where Eq. 16
-            perturbs about the lidar's axes: Sigma_R = R^T Sigma_fixed R; m and rad,
-            as in ``geometry_msgs/PoseWithCovariance``.
+        rotation_map_lidar: (3, 3) rotates lidar axes to map axes.
+        covariance: (6, 6) of (x, y, z, rotation about the map's fixed axes), m and rad, as in
+            ``geometry_msgs/PoseWithCovariance``. Eq. 16 perturbs about the lidar's axes instead:
+            Sigma_R = R^T Sigma_fixed R.
     """
 
     stamp_ns: int
@@ -45,17 +45,16 @@ class Pose:
         position_sigma: float = 0.1,
         attitude_sigma_deg: float = 0.05,
     ) -> Pose:
-        """A pose from the homogeneous transform that takes points of the lidar to the map.
+        """Create a pose from the homogeneous transform of lidar points to the map.
 
         Args:
             matrix: (4, 4): rotation, position in the last column, m, and the row 0, 0, 0, 1.
             stamp_ns: Time of the scan.
-            covariance: (6, 6) as above; None takes the two standard deviations, of each axis.
-            position_sigma, attitude_sigma_deg: m, deg.
+            covariance: (6, 6) as above; None for the standard deviations below.
+            position_sigma, attitude_sigma_deg: Standard deviation of each axis, m and deg.
 
         Raises:
-            ValueError: the matrix is no rotation with a translation, or the covariance is not
-                (6, 6) and finite.
+            ValueError: not a rigid transform, or the covariance is not (6, 6) and finite.
         """
         t = np.array(matrix, dtype=np.float64)
         if t.shape != (4, 4) or not np.isfinite(t).all() or not np.allclose(t[3], (0, 0, 0, 1)):
@@ -78,7 +77,7 @@ class Pose:
 
     @property
     def matrix(self) -> Array:
-        """(4, 4) that takes points in lidar axes to the map."""
+        """Homogeneous transform (4, 4) of lidar points to the map."""
         out = np.eye(4)
         out[:3, :3], out[:3, 3] = self.rotation_map_lidar, self.position
         return out
@@ -89,7 +88,7 @@ class Pose:
 
 
 def points_from_ranges(ranges: ArrayLike, azimuth: ArrayLike, elevation: ArrayLike) -> Array:
-    """Eq. 14: ranges in m and angles in rad, each (...), to points (..., 3) in lidar axes."""
+    """Convert ranges, m, and angles, rad, each (...), to points (..., 3) in lidar axes (Eq. 14)."""
     rho = np.asarray(ranges, dtype=np.float64)
     cos_el = np.cos(elevation)
     return np.stack(
@@ -98,8 +97,8 @@ def points_from_ranges(ranges: ArrayLike, azimuth: ArrayLike, elevation: ArrayLi
     )
 
 
-def sound_covariance(covariance: Array) -> Array:
-    """A covariance (K, K) made positive semidefinite and bounded: eigenvalues 0 .. 1e6."""
+def clip_covariance(covariance: Array) -> Array:
+    """Clip the eigenvalues of a covariance (K, K) to 0 .. `MAX_VARIANCE`."""
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(values.clip(0.0, MAX_VARIANCE))
     return np.asarray(root @ root.T)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Passes over the points of a scan: to map axes, into cells, into the order of the cells."""
+"""Kernels over the points of a scan: rotation to map axes, cell lookup, sorting by cell."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from cython.cimports.quadtree_lss.onboard.core.geometry.morton import PLACE_BITS
 from quadtree_lss.onboard.arrays import Array, Ints, Keys, Points
 from quadtree_lss.onboard.core.geometry.morton import SPREAD, sort_packed
 
-#: Known to be an array of numbers once and for all.
-SPREAD_OUT = cython.declare(cython.longlong[::1], SPREAD)
+#: As a typed view.
+SPREAD_VIEW = cython.declare(cython.longlong[::1], SPREAD)
 
 
 class Workspace:
-    """What the passes over N points write and read, with room for three more (`arrange`).
+    """Arrays of the kernels for a scan of N points, and three more (see `sort_points`).
 
     Attributes:
-        turned: (N + 3, 3) points in map axes about the lidar, m; anything where there is no return.
+        points_map: (N + 3, 3) in map axes about the lidar, m; undefined where there is no return.
         ranges: (N,) m, NaN where there is no return.
-        runs: (N,) for the runs of points in one cell that follow one another: the Morton code of
-            the finest cell, its count squared for none, and the number of the run, packed as
-            `morton.sort_packed` needs them.
+        runs: (N,) runs of consecutive points in the same finest cell: its Morton code (``count``
+            squared outside the domain) and the number of the run, packed for `morton.sort_packed`.
         begins: (N + 1,) the first point of each run, and the end of the last.
-        run_count: How many runs there are.
-        still: (1, 12) motion of a lidar that keeps still: its rotation, and zeros.
-        missing, beyond: How many points are not finite, and how many out of range.
+        run_count: Number of runs.
+        still: (1, 12) motion of a lidar at rest: its rotation, and zeros.
+        missing, beyond: Number of points that are not finite, and of those out of range.
         above: Whether a point in a cell lies above the origin.
     """
 
     def __init__(self, size: cython.Py_ssize_t) -> None:
-        self.turned, self.ranges = np.empty((size + 3, 3)), np.empty(size)
-        self.points, self.flat, self.range = self.turned, self.turned.reshape(-1), self.ranges
+        self.points_map, self.ranges = np.empty((size + 3, 3)), np.empty(size)
+        self.points, self.range = self.points_map, self.ranges
+        self.flat = self.points_map.reshape(-1)
         self.runs, self.spare = np.empty((2, size), np.int64)
         self.begins = np.empty(size + 1, np.int32)
         self.still = np.zeros((1, 12))
@@ -44,42 +44,43 @@ class Workspace:
         self._fresh()
 
     def _fresh(self) -> None:
-        size = len(self.turned)
+        size = len(self.points_map)
         self._arranged, self._key = np.empty((size, 3)), np.empty(size, np.int64)
         self.arranged, self.key = self._arranged.reshape(-1), self._key
-        self._holders = sys.getrefcount(self._arranged), sys.getrefcount(self._key)
+        self._references = sys.getrefcount(self._arranged), sys.getrefcount(self._key)
 
-    def answer(self) -> tuple[Array, Keys]:
-        """Arrays for points (N + 3, 3) and keys (N + 3,): those of the scan before, or new ones if
-        somebody still has these."""
-        if (sys.getrefcount(self._arranged), sys.getrefcount(self._key)) != self._holders:
+    def output(self) -> tuple[Array, Keys]:
+        """Return arrays for points (N + 3, 3) and keys (N + 3,): those of the scan before, or new
+        ones if they are still referenced."""
+        if (sys.getrefcount(self._arranged), sys.getrefcount(self._key)) != self._references:
             self._fresh()
         return self._arranged, self._key
 
 
 @cython.boundscheck(False)
-def turn(
+def transform_points(
     points_lidar: Points,
     offsets: Ints,
     times: Array,
     motion: Array,
-    least: float,
-    most: float,
+    min_range: float,
+    max_range: float,
     west: float,
     south: float,
     per_metre: float,
     count: cython.longlong,
     work: Workspace,
 ) -> cython.void:
-    """Turn points (N, 3) to map axes, about the lidar at the scan's stamp, m; find their cells.
+    """Rotate points (N, 3) to map axes, about the lidar at the scan's stamp, m; find their cells.
 
     Args:
-        offsets, times, motion: Of a `sweep.Sweep`; without offsets, or if all times are one, the
-            first row is for all.
-        least, most: Shorter or longer ranges are no returns, m.
-        west, south: Place of the points' origin in the domain, from its corner, m.
-        per_metre, count: Finest cells to a metre, and along a side.
-        work: For the answer.
+        points_lidar: (N, 3) lidar axes, m.
+        offsets, times, motion: As in `sweep.Sweep`; without offsets, or if all times are equal, the
+            first row of ``motion`` applies to all points.
+        min_range, max_range: Shorter or longer ranges are no returns, m.
+        west, south: Position of the lidar from the domain's south-western corner, m.
+        per_metre, count: Finest cells per metre, and along a side.
+        work: Receives the results.
     """
     i: cython.Py_ssize_t
     missing: cython.longlong = 0
@@ -93,13 +94,13 @@ def turn(
     nowhere: cython.longlong = count * count
     side: cython.double = count
     moving: cython.bint = offsets.shape[0] > 0 and times[0] < times[times.shape[0] - 1]
-    nearest: cython.double = max(least, 5e-324)  # more than nothing
+    nearest: cython.double = max(min_range, 5e-324)  # greater than 0
     r = cython.declare(cython.double[12])
     points = cython.declare(cython.double[:, ::1], work.points)
     ranges = cython.declare(cython.double[::1], work.range)
     runs = cython.declare(cython.longlong[::1], work.runs)
     begins = cython.declare(cython.int[::1], work.begins)
-    spread = cython.declare(cython.longlong[::1], SPREAD_OUT)
+    spread = cython.declare(cython.longlong[::1], SPREAD_VIEW)
     begins[0] = 0
     with cython.nogil:
         for k in range(12):
@@ -110,7 +111,7 @@ def turn(
             z = points_lidar[i, 2]
             distance = sqrt(x * x + y * y + z * z)
             code = nowhere
-            if nearest <= distance <= most:
+            if nearest <= distance <= max_range:
                 ranges[i] = distance
                 if moving:
                     while at > 0 and offsets[i] < times[at]:
@@ -134,12 +135,12 @@ def turn(
                     highest = highest if highest > up else up
             else:
                 ranges[i] = NAN
-                # The square of an absurd coordinate may be infinite though it is not.
+                # The square of a finite coordinate can overflow.
                 if x - x + (y - y) + (z - z) == 0.0:
                     beyond += 1
                 else:
                     missing += 1
-            # Without a branch, which nobody could foretell.
+            # Branch-free: mispredictions are costly here.
             run += code != last
             last = code
             runs[run] = (code << PLACE_BITS) | run
@@ -151,8 +152,8 @@ def turn(
 
 
 @cython.boundscheck(False)
-def reach_beyond(points: Points, limit: float) -> cython.bint:
-    """True if one of points (N, 3) has a coordinate beyond ``limit`` or infinite."""
+def any_beyond(points: Points, limit: float) -> cython.bint:
+    """Return whether any coordinate of points (N, 3) exceeds ``limit`` in magnitude."""
     i: cython.Py_ssize_t
     with cython.nogil:
         for i in range(points.shape[0]):
@@ -162,13 +163,14 @@ def reach_beyond(points: Points, limit: float) -> cython.bint:
 
 
 @cython.boundscheck(False)
-def arrange(work: Workspace, isolated: cython.bint, nowhere: cython.longlong) -> cython.Py_ssize_t:
-    """Sort the runs; copy the points and their keys, run by run, to the `Workspace.answer`. Returns
-    how many points these are.
+def sort_points(
+    work: Workspace, isolated: cython.bint, nowhere: cython.longlong
+) -> cython.Py_ssize_t:
+    """Sort the runs, copy points and keys run by run to `Workspace.output`, return their number.
 
-    How long a run is, nobody could foretell: four points of each are copied, the next run replaces
-    what is too much, and the last three of the points are anything. Those in no cell, ``nowhere``,
-    are left, and if points are ``isolated``, those without a range, too.
+    Of each run at least four points are copied, without a branch on its length; the next run
+    overwrites the excess, and the last three points of the output are undefined. Points outside
+    the domain (key ``nowhere``) are dropped, and with ``isolated`` those without a range.
     """
     four = cython.declare(cython.double[12])
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, run=cython.Py_ssize_t)
@@ -191,7 +193,7 @@ def arrange(work: Workspace, isolated: cython.bint, nowhere: cython.longlong) ->
             if key == nowhere:
                 break
             run = runs[i] - (key << PLACE_BITS)
-            # Runs lie all over the scan: prefetch a later one.
+            # Runs are scattered over the scan: prefetch a later one.
             ahead = runs[min(i + 16, runs.shape[0] - 1)]
             ahead -= (ahead >> PLACE_BITS) << PLACE_BITS
             prefetch(cython.address(points[3 * begins[ahead]]))

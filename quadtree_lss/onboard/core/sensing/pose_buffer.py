@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses by their stamps, and the pose at any stamp between two of them."""
+"""A buffer of stamped poses with interpolation."""
 
 from __future__ import annotations
 
@@ -13,15 +13,12 @@ MAX_POSES = 100_000
 
 
 def seconds(stamp_ns: int) -> str:
-    """A stamp as text, to the microsecond."""
+    """Format a stamp in seconds, to the microsecond."""
     return f"{stamp_ns // SECOND_NS}.{stamp_ns % SECOND_NS // 1000:06d} s"
 
 
 def interpolate(before: Pose, after: Pose, stamp_ns: int) -> Pose:
-    """Pose between two: position and covariance linearly, rotation at constant rate.
-
-    The blend of two covariances with weights that sum to one is a covariance again.
-    """
+    """Interpolate position and covariance linearly, the rotation at constant rate."""
     share = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
     return Pose(
         stamp_ns,
@@ -34,9 +31,10 @@ def interpolate(before: Pose, after: Pose, stamp_ns: int) -> Pose:
 class PoseBuffer:
     """The poses of the last ``span_ns``, in the order of their stamps.
 
-    Those farther apart than ``max_gap_ns`` are not interpolated between; steps back by ``jump_ns``
-    at most are late messages and sorted in. A greater one starts anew (a looping bag): everything
-    before is forgotten and ``jumps`` counts it. ``what``: word for one of them in texts.
+    Poses farther apart than ``max_gap_ns`` are not interpolated. A pose that is older than the
+    newest by at most ``jump_ns`` is a late message and is inserted. An older one means that time
+    jumped back (a looping bag): all other poses are deleted, and ``jumps`` is incremented.
+    ``what``: name of a pose in messages.
     """
 
     def __init__(
@@ -59,15 +57,15 @@ class PoseBuffer:
         return (self._stamps[0], self._stamps[-1]) if self._stamps else None
 
     def clear(self) -> None:
-        """Forgets every pose."""
+        """Delete all poses."""
         self._stamps.clear()
         self._poses.clear()
 
     def add(self, pose: Pose) -> str | None:
-        """Takes a pose; the answer is None, or why it was not simply appended.
+        """Add a pose. Return None, or a reason.
 
-        ``duplicate``: a pose of this stamp is held, the new one is ignored. ``too_old``: older
-        than all that are held, ignored. ``time_jump``: taken, all others forgotten.
+        ``duplicate``: ignored, because the buffer holds a pose with this stamp. ``too_old``:
+        ignored, because it is older than all others. ``time_jump``: added, all others deleted.
         """
         stamp = pose.stamp_ns
         if not self._stamps or stamp > self._stamps[-1]:
@@ -80,20 +78,20 @@ class PoseBuffer:
             self.jumps += 1
             self.add(pose)
             return "time_jump"
-        place = bisect.bisect_left(self._stamps, stamp)
-        if self._stamps[place] == stamp:
+        index = bisect.bisect_left(self._stamps, stamp)
+        if self._stamps[index] == stamp:
             return "duplicate"
-        if place == 0:
+        if index == 0:
             return "too_old"
-        self._stamps.insert(place, stamp)
-        self._poses.insert(place, pose)
+        self._stamps.insert(index, stamp)
+        self._poses.insert(index, pose)
         return None
 
-    def at(self, stamp_ns: int) -> Pose | None:
-        """Pose of exactly this stamp, else between the two around it, else None.
+    def pose_at(self, stamp_ns: int) -> Pose | None:
+        """Return the pose at a stamp, interpolated if necessary, None if it is not covered.
 
-        Never the latest pose, never beyond either end. With poses that arrive in the order of
-        their stamps the answer, once there is one, does not depend on when it is asked for.
+        Poses are never extrapolated. If poses arrive in the order of their stamps, the result does
+        not depend on the time of the call.
         """
         around = self._bracket(stamp_ns)
         if around is None:
@@ -102,26 +100,26 @@ class PoseBuffer:
         return after if after.stamp_ns == stamp_ns else interpolate(before, after, stamp_ns)
 
     def covers(self, stamp_ns: int) -> bool:
-        """True if ``at`` has an answer."""
+        """Return whether `pose_at` returns a pose."""
         return self._bracket(stamp_ns) is not None
 
-    def between(self, first_ns: int, last_ns: int) -> list[int]:
-        """Stamps of the poses that lie between, both ends excluded."""
+    def stamps_between(self, first_ns: int, last_ns: int) -> list[int]:
+        """Return the stamps of the poses between two stamps, both excluded."""
         start = bisect.bisect_right(self._stamps, first_ns)
         return self._stamps[start : bisect.bisect_left(self._stamps, last_ns)]
 
-    def lacking(self, stamp_ns: int) -> str:
-        """``no_pose``: the key to count a scan by that has waited for one in vain."""
+    def timeout_reason(self, stamp_ns: int) -> str:
+        """Return the reason to count for a scan whose wait for a pose timed out, ``no_pose``."""
         return "no_pose"
 
-    def hopeless(self, stamp_ns: int) -> str | None:
-        """``before_poses`` or ``pose_gap`` if later poses cannot help any more, else None."""
+    def drop_reason(self, stamp_ns: int) -> str | None:
+        """Return ``before_poses`` or ``pose_gap`` if no later pose can cover a stamp, else None."""
         if not self._stamps or self._stamps[-1] < stamp_ns or self.covers(stamp_ns):
             return None
         return "before_poses" if stamp_ns < self._stamps[0] else "pose_gap"
 
     def explain(self, stamp_ns: int, topic: str) -> str:
-        """One clause for a log line: stamps held on ``topic`` and the likely cause."""
+        """Return a clause for a log line: the stamps held on ``topic`` and the likely cause."""
         if not self._stamps:
             return (
                 f"no {self.what} has arrived on '{topic}': is anything publishing there, with"
@@ -140,21 +138,21 @@ class PoseBuffer:
         if behind > 0.0:
             kept = f"{self.span_ns / SECOND_NS:g} s are kept"
             return f"{held}: the scan is {behind:.3f} s older ({kept}), or {what} began later"
-        place = bisect.bisect_left(self._stamps, stamp_ns)
-        gap = (self._stamps[place] - self._stamps[max(place - 1, 0)]) / SECOND_NS
+        index = bisect.bisect_left(self._stamps, stamp_ns)
+        gap = (self._stamps[index] - self._stamps[max(index - 1, 0)]) / SECOND_NS
         limit = self.max_gap_ns / SECOND_NS
         apart = f"{gap:.3f} s apart, limit {limit:.3f} s"
         return f"{held}: the {what} around it are {apart}"
 
     def _bracket(self, stamp_ns: int) -> tuple[Pose, Pose] | None:
-        """The poses to interpolate between, twice the same if one has this stamp; else None."""
-        place = bisect.bisect_left(self._stamps, stamp_ns)
-        if place == len(self._stamps):
+        """Return the poses before and after a stamp, the same twice if one has it; else None."""
+        index = bisect.bisect_left(self._stamps, stamp_ns)
+        if index == len(self._stamps):
             return None
-        before = place if self._stamps[place] == stamp_ns else place - 1
-        if before < 0 or self._stamps[place] - self._stamps[before] > self.max_gap_ns:
+        before = index if self._stamps[index] == stamp_ns else index - 1
+        if before < 0 or self._stamps[index] - self._stamps[before] > self.max_gap_ns:
             return None
-        return self._poses[before], self._poses[place]
+        return self._poses[before], self._poses[index]
 
     def _trim(self) -> None:
         oldest = self._stamps[-1] - self.span_ns

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One scan on its way into the map: validated, taken to map axes, in Morton order (paper IV.A)."""
+"""Registration of a scan: validation, rotation to map axes, Morton order (paper IV.A)."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Index, Keys, Points
 from quadtree_lss.onboard.config.settings import LidarConfig
-from quadtree_lss.onboard.core.geometry.bounds import MOST_HEIGHT
+from quadtree_lss.onboard.core.geometry.bounds import MAX_HEIGHT
 from quadtree_lss.onboard.core.geometry.morton import SPREAD
 from quadtree_lss.onboard.core.sensing.isolated import isolated_in_image, isolated_in_space
-from quadtree_lss.onboard.core.sensing.lidar import Pose, sound_covariance
-from quadtree_lss.onboard.core.sensing.points import Workspace, arrange, turn
-from quadtree_lss.onboard.core.sensing.sweep import AT_ONCE, AT_STAMP, Sweep
+from quadtree_lss.onboard.core.sensing.lidar import Pose, clip_covariance
+from quadtree_lss.onboard.core.sensing.points import Workspace, sort_points, transform_points
+from quadtree_lss.onboard.core.sensing.sweep import NO_OFFSETS, STAMP_ONLY, Sweep
 
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.tree.domain import Domain
     from quadtree_lss.onboard.core.tree.held_returns import HeldReturns, IsolatedReturns
 
-#: Of larger scans no memory is kept.
+#: Most points of a scan whose memory is kept for the next scan.
 KEPT_POINTS = 1 << 20
-#: What a lidar higher or lower than this sees is beyond the heights of maps, m: rays end at 1e6.
-HIGHEST = MOST_HEIGHT - 2e6
+#: Greatest height of a lidar, m: ranges are at most 1e6 m, and map heights less than `MAX_HEIGHT`.
+HIGHEST = MAX_HEIGHT - 2e6
 
 
 class RegisteredScan(NamedTuple):
@@ -33,15 +33,15 @@ class RegisteredScan(NamedTuple):
     Attributes:
         pose: Lidar pose at the scan's stamp, its covariance positive semidefinite and bounded.
         origin: (3,) position of the lidar at the scan's stamp, map frame, m.
-        points: (N, 3) map axes about ``origin``, m: each point is its own ray (but for the
-            lidar's way between the stamp and the point's time, far shorter than a ray).
-        key: (N,) Morton code of the finest cell under each point, ascending; points of a cell
-            keep the order of the scan.
-        centre: x and y of the middle of the sound returns, map frame, m, if all of them are outside
-            the domain; otherwise, or if there is none, None.
-        isolated: Isolated returns, compared with those held back; None if there is none, or if
+        points: (N, 3) map axes about ``origin``, m. They are also the rays, because the motion of
+            the lidar during the scan is far shorter.
+        key: (N,) Morton code of the finest cell of each point, ascending; points of a cell keep the
+            order of the scan.
+        centre: x and y of the mean valid return, map frame, m, if there are valid returns and all
+            are outside the domain, else None.
+        isolated: Isolated returns, compared with those held back; None if there are none, or if
             none are held back.
-        admitted: How many of the points are held-back returns of earlier scans.
+        admitted: Number of points that are held-back returns of earlier scans.
     """
 
     pose: Pose
@@ -61,20 +61,25 @@ def register(
     sweep: Sweep | None = None,
     held: HeldReturns | None = None,
 ) -> tuple[RegisteredScan, dict[str, int]]:
-    """Keep the sound returns, apply Eq. 15 and bring them into the order of the cells.
+    """Drop invalid returns, apply Eq. 15 and sort the points by cell.
 
     Args:
         points_lidar: (H, W, 3) organised or (N, 3), float32 or float64, lidar axes, m; not
             finite = no return.
-        pose: Of the lidar at the scan's stamp.
-        sweep: How the lidar moved while it took the scan, if it did; of as many points.
-        held: Isolated returns of earlier scans. Those that this one confirms enter with it;
+        pose: Lidar pose at the scan's stamp.
+        lidar: Range limits and outlier gate.
+        domain: Extent of the map.
+        sweep: Motion of the lidar during the scan, None if it was at rest.
+        held: Isolated returns of earlier scans. Those that this scan confirms are added to it;
             without it, all isolated returns are dropped.
 
     Returns:
-        The scan and how many points were dropped, by reason: ``no_return``, ``range``,
-        ``isolated``, ``outside`` (of the domain); ``above`` are all others of a scan most of which
-        lies above the lidar: no ground does, so its pose is of other axes.
+        The scan and the number of dropped points by reason: ``no_return``, ``range``, ``isolated``,
+        ``outside`` (of the domain) and ``above``: if more than half of the rest lies above the
+        lidar, the pose has other axes, and the rest is dropped.
+
+    Raises:
+        ValueError: the sweep has another number of points.
     """
     flat = points_lidar.reshape(-1, 3)
     if flat.dtype not in (np.float32, np.float64):
@@ -83,15 +88,15 @@ def register(
         msg = f"sweep of {len(sweep.offsets)} points for a scan of {len(flat)}"
         raise ValueError(msg)
     work = _workspace(len(flat))
-    turned = work.turned[: len(flat)]
+    points_map = work.points_map[: len(flat)]
     if sweep is None:
         work.still[0, :9] = pose.rotation_map_lidar.ravel()
-        motion = AT_ONCE, AT_STAMP, work.still
+        motion = NO_OFFSETS, STAMP_ONLY, work.still
     else:
         motion = sweep.offsets, sweep.times, sweep.motion
     x, y, z = pose.position.tolist()
     n = 1 << domain.max_level
-    turn(
+    transform_points(
         flat,
         *motion,
         lidar.min_range,
@@ -104,66 +109,68 @@ def register(
     )
     if points_lidar.ndim == 3:
         image = work.ranges.reshape(points_lidar.shape[:2])
-        alone = isolated_in_image(image, lidar.outlier_gate)
+        isolated = isolated_in_image(image, lidar.outlier_gate)
     else:
-        alone = isolated_in_space(turned, work.ranges, lidar.outlier_gate)
+        isolated = isolated_in_space(points_map, work.ranges, lidar.outlier_gate)
     compared = None
-    if held is not None and len(alone):
-        compared = held.compare(turned[alone] + pose.position, domain, lidar.outlier_gate)
-        alone = alone[~compared.confirmed]
-    work.ranges[alone] = np.nan
-    isolated = len(alone)
-    sound = len(flat) - work.missing - work.beyond - isolated
-    points, key = work.answer()
-    inside = arrange(work, isolated > 0, n * n) if abs(z) < HIGHEST else 0
-    middle = None
-    if sound and not inside:
-        middle = (turned[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]).tolist()
+    if held is not None and len(isolated):
+        compared = held.compare(points_map[isolated] + pose.position, domain, lidar.outlier_gate)
+        isolated = isolated[~compared.confirmed]
+    work.ranges[isolated] = np.nan
+    valid = len(flat) - work.missing - work.beyond - len(isolated)
+    points, key = work.output()
+    inside = sort_points(work, len(isolated) > 0, n * n) if abs(z) < HIGHEST else 0
+    centre = None
+    if valid and not inside:
+        mean = points_map[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]
+        centre = float(mean[0]), float(mean[1])
     above = int(np.count_nonzero(points[:inside, 2] > 0.0)) if work.above else 0
     above = inside if 2 * above > inside else 0
     points, key, admitted = points[: inside - above], key[: inside - above], 0
     if held is not None and compared is not None and len(compared.admitted) and len(key):
-        places = held.places(compared.admitted, domain)
-        points, key = _with_held(points, key, places - pose.position, compared.admitted, n)
-        admitted = len(places)
+        positions = held.places(compared.admitted, domain)
+        points, key = _insert_admitted(points, key, positions - pose.position, compared.admitted, n)
+        admitted = len(positions)
     scan = RegisteredScan(
         pose=Pose(
-            pose.stamp_ns, pose.position, pose.rotation_map_lidar, sound_covariance(pose.covariance)
+            pose.stamp_ns, pose.position, pose.rotation_map_lidar, clip_covariance(pose.covariance)
         ),
         origin=pose.position,
         points=points,
         key=key,
-        centre=None if middle is None else (middle[0], middle[1]),
+        centre=centre,
         isolated=compared,
         admitted=admitted,
     )
     dropped = {
         "no_return": work.missing,
         "range": work.beyond,
-        "isolated": isolated,
-        "outside": sound - inside,
+        "isolated": len(isolated),
+        "outside": valid - inside,
     }
     return scan, dropped | ({"above": above} if above else {})
 
 
-def _with_held(points: Array, key: Keys, places: Array, cells: Index, n: int) -> tuple[Array, Keys]:
-    """Points (N, 3) and their ascending keys (N,) with ``places`` (A, 3), each after the points of
-    its cell. ``cells``: (A,) of the places, iy * n + ix."""
+def _insert_admitted(
+    points: Array, key: Keys, admitted: Array, cells: Index, n: int
+) -> tuple[Array, Keys]:
+    """Insert ``admitted`` points (A, 3) after the points (N, 3) of their cells, and their keys.
+    ``cells``: (A,) index iy * n + ix of their cells."""
     iy, ix = np.divmod(cells, n)
     own = SPREAD[ix] | SPREAD[iy] << 1
     order = np.argsort(own)
-    at = np.searchsorted(key, own[order], side="right")
-    return np.insert(points, at, places[order], axis=0), np.insert(key, at, own[order])
+    index = np.searchsorted(key, own[order], side="right")
+    return np.insert(points, index, admitted[order], axis=0), np.insert(key, index, own[order])
 
 
 def _workspace(size: int) -> Workspace:
-    """Kept for the next scan of this size: fresh memory costs as much as the work in it."""
+    """Return a workspace, reused for scans of equal size: allocation is as slow as the kernels."""
     if size > KEPT_POINTS:
         return Workspace(size)
-    if getattr(_kept, "size", None) != size:
-        _kept.size, _kept.work = size, Workspace(size)
-    work: Workspace = _kept.work
+    if getattr(_cache, "size", None) != size:
+        _cache.size, _cache.work = size, Workspace(size)
+    work: Workspace = _cache.work
     return work
 
 
-_kept = threading.local()
+_cache = threading.local()

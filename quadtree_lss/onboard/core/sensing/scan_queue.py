@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scans wait here for the pose at their stamp.
+"""A queue in which scans wait for the pose at their stamp.
 
-Nothing in this file reads a clock: the caller says when a scan arrived and what time it is now,
-so that a live node (steady clock) and a replay (the bag's receive times) behave alike. Stamps and
-arrival times are never compared with each other: a bag plays old stamps.
+The caller passes arrival times and the current time, from a steady clock in a node and from the
+bag's receive times in a replay, so that both behave alike. Stamps and arrival times are never
+compared with each other, because a bag has old stamps.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.mount import PoseSource
 from quadtree_lss.onboard.core.sensing.pose_buffer import SECOND_NS, seconds
-from quadtree_lss.onboard.core.sensing.sweep import uncovered
+from quadtree_lss.onboard.core.sensing.sweep import find_uncovered_stamp
 
 
 class Drop(NamedTuple):
-    """A scan that was given up: its stamp, a short key to count by, one line that says why."""
+    """A dropped scan: its stamp, the key of the reason for counting, and the reason in one line."""
 
     stamp_ns: int
     reason: str
@@ -36,14 +36,16 @@ class _Waiting(NamedTuple):
 
 @dataclass
 class ScanQueue:
-    """Scans in the order of arrival, each waiting for its pose; bounded in number and time.
+    """First-in-first-out queue of scans, bounded in number and time. The caller adds to ``poses``.
 
-    A scan never overtakes one that waits before it. Scans are dropped, counted in ``dropped`` and
-    reported by `expire`: ``no_pose`` (waited ``max_wait_ns`` since arrival), ``before_poses``,
-    ``pose_gap`` (no later pose can help), each with ``gimbal_`` in front if that is what lacks,
-    ``queue_full`` (the oldest goes), ``duplicate`` (the stamp of the scan before) and ``time_jump``
-    (waiting when stamps jumped back by more than ``jump_ns``, which ``jumps`` counts). The caller
-    adds to ``poses``.
+    Dropped scans are counted in ``dropped`` by reason and returned by `expire`:
+
+    - ``no_pose``: waited ``max_wait_ns`` since arrival
+    - ``before_poses``, ``pose_gap``: no later pose can cover the scan
+    - the same with the prefix ``gimbal_``, and ``no_mount``, if the mount is missing
+    - ``queue_full``: the oldest of more than ``max_scans``
+    - ``duplicate``: has the stamp of the scan before
+    - ``time_jump``: waited when stamps jumped back by more than ``jump_ns`` (counted in ``jumps``)
     """
 
     poses: PoseSource
@@ -67,8 +69,8 @@ class ScanQueue:
     def push_scan(
         self, stamp_ns: int, scan: Any, arrival_ns: int, span_ns: tuple[int, int] = (0, 0)
     ) -> None:
-        """Takes a scan that arrived at ``arrival_ns`` (any steady clock). ``span_ns``: times of its
-        first and last point, from the stamp, which lies between."""
+        """Add a scan that arrived at ``arrival_ns`` (any steady clock). ``span_ns``: times of its
+        first and last point relative to the stamp."""
         self._follow_pose_jump()
         last = self._last_ns
         if last is not None and stamp_ns == last:
@@ -81,58 +83,64 @@ class ScanQueue:
         self._waiting.append(_Waiting(stamp_ns, scan, arrival_ns, first, last))
         if len(self._waiting) > self.max_scans:
             oldest = self._waiting.popleft()
-            more = f"{self.max_scans} scans wait already (pose.max_wait); {self._why(oldest)}"
+            more = f"{self.max_scans} scans wait already (pose.max_wait); {self._explain(oldest)}"
             self._drop(oldest.stamp_ns, "queue_full", more)
 
     def pop_ready(self) -> list[tuple[int, Any, Pose]]:
-        """Scans whose pose is known, with it, up to the first that must wait."""
+        """Remove and return stamps, scans and poses, up to the first scan that must wait."""
         self._follow_pose_jump()
         ready: list[tuple[int, Any, Pose]] = []
         while self._waiting:
             first = self._waiting[0]
-            lacks = self._lacks(first)
-            if lacks is not None:
-                reason = self.poses.hopeless(lacks)
+            uncovered = self._uncovered_stamp(first)
+            if uncovered is not None:
+                reason = self.poses.drop_reason(uncovered)
                 if reason is None:
                     break
-                self._drop(first.stamp_ns, reason, self._why(first))
-            elif (pose := self.poses.at(first.stamp_ns)) is not None:
+                self._drop(first.stamp_ns, reason, self._explain(first))
+            elif (pose := self.poses.pose_at(first.stamp_ns)) is not None:
                 ready.append((first.stamp_ns, first.scan, pose))
             self._waiting.popleft()
         return ready
 
     def expire(self, now_ns: int) -> list[Drop]:
-        """Drops scans that have waited too long; all drops since the last call, oldest first. Call
-        after `pop_ready`, and that again if anything was dropped: what waited behind may be
-        ready."""
+        """Drop scans that have waited too long; return all drops since the last call.
+
+        Call it after `pop_ready`, and `pop_ready` again if a scan was dropped: later ones may be
+        ready.
+        """
         while self._waiting and now_ns - self._waiting[0].arrival_ns >= self.max_wait_ns:
             first = self._waiting[0]
-            lacks = self._lacks(first)
-            if lacks is None:
+            uncovered = self._uncovered_stamp(first)
+            if uncovered is None:
                 break
             waited = (now_ns - first.arrival_ns) / SECOND_NS
-            reason = self.poses.lacking(lacks)
-            self._drop(first.stamp_ns, reason, f"waited {waited:.3f} s; {self._why(first)}")
+            reason = self.poses.timeout_reason(uncovered)
+            self._drop(first.stamp_ns, reason, f"waited {waited:.3f} s; {self._explain(first)}")
             self._waiting.popleft()
-        drops, self._drops = self._drops, []
-        return drops
+        return self._take_drops()
 
     def finish(self) -> list[Drop]:
-        """Drops what still waits, because nothing more will come."""
+        """Drop all waiting scans at the end of the data; return all drops since the last call."""
         while self._waiting:
             first = self._waiting.popleft()
-            reason = self.poses.lacking(self._lacks(first) or first.stamp_ns)
-            self._drop(first.stamp_ns, reason, f"the data end; {self._why(first)}")
+            reason = self.poses.timeout_reason(self._uncovered_stamp(first) or first.stamp_ns)
+            self._drop(first.stamp_ns, reason, f"the data end; {self._explain(first)}")
+        return self._take_drops()
+
+    def _take_drops(self) -> list[Drop]:
         drops, self._drops = self._drops, []
         return drops
 
-    def _lacks(self, waiting: _Waiting) -> int | None:
-        """A stamp within the scan for which there is no pose."""
-        return uncovered(self.poses, waiting.first_ns, waiting.last_ns)
+    def _uncovered_stamp(self, waiting: _Waiting) -> int | None:
+        """Return a stamp within the scan without a pose, None if there is none."""
+        return find_uncovered_stamp(self.poses, waiting.first_ns, waiting.last_ns)
 
-    def _why(self, waiting: _Waiting) -> str:
-        lacks = self._lacks(waiting)
-        why = self.poses.explain(waiting.stamp_ns if lacks is None else lacks, self.pose_topic)
+    def _explain(self, waiting: _Waiting) -> str:
+        uncovered = self._uncovered_stamp(waiting)
+        why = self.poses.explain(
+            waiting.stamp_ns if uncovered is None else uncovered, self.pose_topic
+        )
         if waiting.first_ns == waiting.last_ns:
             return why
         first, last = seconds(waiting.first_ns), seconds(waiting.last_ns)
@@ -144,7 +152,7 @@ class ScanQueue:
         self._drops.append(Drop(stamp_ns, reason, text))
 
     def _jump(self, stamp_ns: int, last_ns: int) -> None:
-        """Scan stamps went back: what waits is of the old time, and so are poses ahead of it."""
+        """Handle scan stamps that jumped back: drop waiting scans, and poses of the old time."""
         self.jumps += 1
         back = (last_ns - stamp_ns) / SECOND_NS
         for waiting in self._waiting:
@@ -156,7 +164,7 @@ class ScanQueue:
             self.poses.clear()
 
     def _follow_pose_jump(self) -> None:
-        """Pose stamps went back: drops the scans that wait with a stamp of the old time."""
+        """Drop waiting scans of the old time if pose stamps jumped back."""
         if self._pose_jumps == self.poses.jumps:
             return
         self._pose_jumps = self.poses.jumps

@@ -178,7 +178,7 @@ def fuse_leaves(
                     error[i] += ranges[3 * i + j] * pulled[a, j]
             basis_at(mean, basis)
             plus_at(mean, basis, error, own)
-            plane.keep_up(own)
+            plane.orient_up(own)
             # d / n_z is how far the plane passes above the origin; the origin moves up to it.
             rise = error[2] / own[2]
             planes[a, 2] += rise

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask, Numbers
-from quadtree_lss.onboard.core.geometry.bounds import bounded
+from quadtree_lss.onboard.core.geometry.bounds import clamp_heights
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import leaf_raster
 
@@ -181,7 +181,7 @@ class CellMap:
         """Heights (...) of the planes of leaves, rows (...), at x, y (...), within bounds, m."""
         normal = self.normal[leaf]
         along = normal[..., 0] * (x - self.x[leaf]) + normal[..., 1] * (y - self.y[leaf])
-        return bounded(self.z[leaf] - along / normal[..., 2], self.low[leaf], self.high[leaf])
+        return clamp_heights(self.z[leaf] - along / normal[..., 2], self.low[leaf], self.high[leaf])
 
     def profile(self, start: ArrayLike, end: ArrayLike, step: float | None = None) -> Profile:
         """The ground along the straight line between two places. ``start``, ``end``: (2,) x and y,

@@ -10,11 +10,11 @@ from cython.cimports.libc.math import fabs, sqrt
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask
 from quadtree_lss.onboard.core.geometry import bounds
 
-#: The least sigma of a feature, m, and the least n_z of a normal (`geometry.plane.keep_up`).
+#: The least sigma of a feature, m, and the least n_z of a normal (`geometry.plane.orient_up`).
 LEAST_SIGMA = cython.declare(cython.double, 1e-6)
 LEAST_UP = cython.declare(cython.double, 1e-3)
-MOST = cython.declare(cython.double, bounds.MOST)
-MOST_HEIGHT = cython.declare(cython.double, bounds.MOST_HEIGHT)
+MAX_VALUE = cython.declare(cython.double, bounds.MAX_VALUE)
+MAX_HEIGHT = cython.declare(cython.double, bounds.MAX_HEIGHT)
 #: Round-off of a correlation.
 SLACK = cython.declare(cython.double, 1.1)
 
@@ -49,7 +49,7 @@ def look_through(
     for i in range(z.shape[0]):
         square = normal[i, 0] * normal[i, 0] + normal[i, 1] * normal[i, 1]
         square += normal[i, 2] * normal[i, 2]
-        ok = fabs(square - 1.0) < 1e-6 and normal[i, 2] >= LEAST_UP and fabs(z[i]) < MOST_HEIGHT
+        ok = fabs(square - 1.0) < 1e-6 and normal[i, 2] >= LEAST_UP and fabs(z[i]) < MAX_HEIGHT
         for j in range(3):
             ok = ok and range_part[i, 4 * j] >= 0.0 and pose_part[i, 4 * j] >= 0.0
             deviation[j] = sqrt(fabs(range_part[i, 4 * j] + pose_part[i, 4 * j]))
@@ -59,10 +59,10 @@ def look_through(
                 limit = SLACK * deviation[j] * deviation[k]
                 of_range = fabs(range_part[i, 3 * j + k])
                 of_pose = fabs(pose_part[i, 3 * j + k])
-                ok = ok and of_range < MOST and of_pose < MOST
+                ok = ok and of_range < MAX_VALUE and of_pose < MAX_VALUE
                 ok = ok and of_range <= limit and of_pose <= limit
         there = 0
         for j in range(5):
             there += feature[i, j] == feature[i, j]
-            ok = ok and not fabs(feature[i, j]) >= MOST_HEIGHT
+            ok = ok and not fabs(feature[i, j]) >= MAX_HEIGHT
         sound[i] = ok and (there == 0 or there == 5 and feature[i, 4] >= LEAST_SIGMA)
