@@ -74,12 +74,12 @@ def test_heights_are_what_the_band_says(tmp_path, crs, unit, metres):
 @pytest.mark.parametrize(
     ("how", "word"),
     [
-        ({"unit": "fathom"}, "'fathom', which is no known unit"),
+        ({"unit": "fathom"}, "'fathom', which is not a known unit"),
         ({"bands": 3, "dtype": "uint8"}, "bands of red, green, blue"),
         ({"bands": 2}, "gray, "),
         ({"dtype": "complex64"}, "complex64"),
         ({"width": 200_000, "height": 90_000, "values": None, "sparse_ok": True}, "is the most"),
-        ({"values": np.where(Z > 5.0, -3.4e6, Z)}, "no data must be declared"),
+        ({"values": np.where(Z > 5.0, -3.4e6, Z)}, "declare the value that means no data"),
         ({"crs": 'LOCAL_CS["site",UNIT["foot",0.3048]]'}, "units of foot"),
     ],
 )

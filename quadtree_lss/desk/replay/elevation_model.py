@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.desk.exchange.dem import MOST_POSTS, ElevationModel, read_dem
+from quadtree_lss.desk.exchange.dem import MAX_POSTS, ElevationModel, read_dem
 from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.replay.results import ReplayResult, run_summary, write_results
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config, config_from_values
@@ -56,9 +56,9 @@ def rank_sites(
             extent = f"x {model.x[0]:g} to {model.x[-1]:g}, y {model.y[0]:g} to {model.y[-1]:g} m"
             raise OutsideInput(f"the target {x:g},{y:g} is outside the model: {extent}")
     long, across = max(len(model.x), len(model.y)), min(len(model.x), len(model.y))
-    if long**2 > MOST_POSTS:
+    if long**2 > MAX_POSTS:
         msg = f"{name or 'elevation model'}: {long} x {across} posts lie in a square of {long}^2;"
-        msg += f" {MOST_POSTS} posts is the most (an area, or gdal_translate -srcwin, cuts it)"
+        msg += f" {MAX_POSTS} posts is the most (an area, or gdal_translate -srcwin, cuts it)"
         raise ExchangeError(msg)
     cells, block = cells_of(model, config.lidar.range_noise)
     names = ("xmin", "ymin", "size", "min_level", "max_level")
