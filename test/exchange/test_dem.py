@@ -93,7 +93,7 @@ def test_what_is_no_ground_in_metres_is_refused(tmp_path, how, word):
     [
         ({"x": X, "y": Y}, "arrays x, y and elevation"),
         ({"x": X, "y": Y, "elevation": Z + 1j}, "real numbers"),
-        ({"x": X, "y": Y, "elevation": Z.T}, "does not belong"),
+        ({"x": X, "y": Y, "elevation": Z.T}, "does not match"),
         ({"x": X[::-1], "y": Y, "elevation": Z}, "equal steps"),
         ({"x": X**2, "y": Y, "elevation": Z}, "equal steps"),
         ({"x": X, "y": Y, "elevation": np.full_like(Z, np.nan)}, "too few"),

@@ -52,7 +52,7 @@ class ElevationModel:
         step = (x[-1] - x[0]) / (x.size - 1) if x.size > 1 else 0.0
         even = all(np.allclose(np.diff(axis), step, rtol=1e-3, atol=1e-9) for axis in (x, y))
         if x.size > 1 and not (even and step > 0.0):
-            raise ExchangeError("x and y must ascend in steps of one size")
+            raise ExchangeError("x and y must ascend in equal steps, the same for both")
 
     @property
     def spacing(self) -> float:
