@@ -46,8 +46,8 @@ def main() -> None:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Grid points of a map that are called safe; (K, 2) places of those that are not; the least
-    predicted risk of these, infinite for none."""
+    """Grid points of a map that are called safe; positions (K, 2) of those that are truly unsafe,
+    and the lowest predicted risk of these, infinite without any."""
 
     safe: int
     unsafe: Array

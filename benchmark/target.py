@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well the target holds: its changes over simulated flights, judged by the true ground.
+"""Changes of the target over simulated flights, compared with the true ground.
 
-Flights of Morpheus, or with ``--drone`` of a drone that descends from 25 to 5 m in 20 s with its
-preset. The true probability of a safe touchdown is that of the dispersion that the nodes are given,
-over the true ground. A change for a better target is needless if it gains less than 0.4 %; a
-withdrawal is, if the lander stands safely there. A change that follows a withdrawal is not one for
-a better target. ``--bias`` compares the predicted gain of the grid point that ranks first, over
-those that ranked first before, with the true gain.
+The flights are those of Morpheus, or with ``--drone`` of a drone that descends from 25 to 5 m in 20
+s with its preset. The true probability of success uses the configured dispersion on the true
+ground. A change for a better target is needless if it gains less than 0.4 %, a withdrawal if the
+ground is truly safe. Changes after a withdrawal are not counted as changes for a better target.
+``--bias`` compares the predicted gain of the first site over earlier first sites with the true
+gain.
 """
 
 from __future__ import annotations
