@@ -137,7 +137,7 @@ def test_the_command_writes_figures_and_page(tmp_path, capsys, monkeypatch):
     assert {"safe", "x", "y", "error", "propellant", "diverts"} <= figures.keys()
     assert (out / "decisions.csv").exists() and not (out / "flight.html").exists()  # no map
     assert main(["fly", "--lockstep", "--fault", "x@1", "--out", str(out)]) == 1
-    monkeypatch.setattr("quadtree_lss.lab.flight.fly.fly_lockstep", None)  # nothing is flown for nothing
+    monkeypatch.setattr("quadtree_lss.lab.flight.fly.fly_lockstep", None)
     assert main(["fly", "--lockstep", "--out", str(out / "flight.csv" / "none")]) == 1
     assert "cannot be written" in capsys.readouterr().err
 
