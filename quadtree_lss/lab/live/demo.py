@@ -138,7 +138,9 @@ def demonstrate(out: Path, seed: int) -> bool:
     )
     agree = sites and not cells
     unequal = [f"cells ({', '.join(cells)})"] * bool(cells) + ["sites"] * (not sites)
-    comparison = "the same map and the same sites" if agree else f"different {' and '.join(unequal)}"
+    comparison = (
+        "the same map and the same sites" if agree else f"different {' and '.join(unequal)}"
+    )
     print(f"5. Nodes against offline replay: {comparison}")
     print("6. A lander flies the last 260 m by landing/selected, over DDS", flush=True)
     short = {"slant_range": 260.0, "speed": 26.0, "half": 12.0, "survey": 4.0}
