@@ -2,10 +2,10 @@
 """Landings with ArduCopter, software in the loop: all three nodes as processes, over DDS.
 
 ``ARDUCOPTER`` names the binary; without it nothing is flown. A pilot takes off, hovers and switches
-to guided; autopilot_node lands. Scans are cast from the simulator's true place over rocky ground,
-with the drone preset, and the touchdown is judged by that ground. (The simulator's own ground is
-the plane of the field's median height.) A bridge between the simulator and autopilot_node loses,
-delays or cuts messages as a fault requires. All nodes use the simulator's time, on /clock.
+to guided; autopilot_node lands. Scans are simulated from the true position over rocky ground, with
+the drone preset, and the touchdown is evaluated on that ground. (The ground of the simulator is the
+plane of the median height of the field.) A bridge between the simulator and autopilot_node drops,
+delays or cuts messages as a fault requires. All nodes use the time of the simulator on /clock.
 """
 
 from __future__ import annotations
@@ -56,29 +56,30 @@ CONFIG = Path(__file__).parents[1] / "config"
 LOITER, GUIDED = 5, 4
 HOME, RADIUS_M = (-35.363262, 149.165237, 584.0), 6_378_100.0
 HEIGHT_M, SCAN_S = 18.0, 0.2
-AWAY_M, LONGEST_S, START_S, LONGEST_START_S = 25.0, 150.0, 120.0, 400.0
+MAX_DISTANCE_M, MAX_LANDING_S, MAX_START_S, MAX_WALL_START_S = 25.0, 150.0, 120.0, 400.0
 STEPS_HZ, BEGAN_S = 800, 1_700_000_000
-BACKLOG = 40  # places that waited to be heard
+BACKLOG = 40  # unread true positions from which the computer counts as too slow
 POSES = ("LOCAL_POSITION_NED", "ATTITUDE_QUATERNION", "ODOMETRY")
 NODES = ("mapping_node", "lss_node", "autopilot_node")
-BENCH = {
+SIMULATOR_PARAMETERS = {
     "FRAME_CLASS": 1, "LOG_BACKEND_TYPE": 0, "BATT_MONITOR": 4, "EK3_IMU_MASK": 1,
     **{f"COMPASS_OFS{n}_{a}": v for n in ("", 2, 3) for a, v in (("X", 5), ("Y", 13), ("Z", -18))},
     **{f"INS_ACC{n}OFFS_{a}": 0.001 for n in ("", 2) for a in "XYZ"},
     **{f"INS_ACC{n}SCAL_{a}": 1.001 for n in ("", 2) for a in "XYZ"},
 }  # fmt: skip
-"""A vehicle that somebody has calibrated, as the simulator's sensors err."""
+"""Calibration of the sensor errors of the simulator."""
 
 
 class Copter:
-    """The binary with a pilot at its radio, a ground station, and a bridge to autopilot_node.
+    """The binary with a pilot at its radio, a ground station and a bridge to autopilot_node.
 
     Attributes:
-        port: At which autopilot_node is to listen.
-        mode, armed: As of the last heartbeat.
-        cut, lost, delay: State of the bridge: nothing passes; no poses; delay of poses, s.
-        now: The simulator's time, s.
-        behind: The computer is too slow: the last true place is not of ``now``.
+        port: Port for autopilot_node.
+        mode, armed: State in the last heartbeat.
+        cut, lost, delay: State of the bridge: it drops all messages; it drops poses; delay of
+            poses, s.
+        now: Time of the simulator, s.
+        behind: The computer is too slow: the last true position is older than ``now``.
     """
 
     #: The mode in which it follows set-points.
@@ -93,15 +94,15 @@ class Copter:
         self._values: dict[str, float] = {}
         self.cut, self.lost, self.delay = False, False, 0.0
         self.behind = False
-        self.now, self._said, self._steps, self._clocked = 0.0, 0.0, 0, 0.0
-        self._tell = tell
-        self._late: list[tuple[float, bytes]] = []
-        self._place: tuple[float, tuple[float, ...]] = (0.0, (math.nan,) * 6)
+        self.now, self._boot_time, self._steps, self._clocked = 0.0, 0.0, 0, 0.0
+        self._publish_clock = tell
+        self._delayed: list[tuple[float, bytes]] = []
+        self._true_state: tuple[float, tuple[float, ...]] = (0.0, (math.nan,) * 6)
         self._sticks = [1500, 1500, 1000, 1500]
         with (folder / "autopilot.txt").open("wb") as output:
             self.process = self._launch(binary, folder, heading, output)
         self._end = threading.Event()
-        self._thread = threading.Thread(target=self._pump, daemon=True)
+        self._thread = threading.Thread(target=self._run_bridge, daemon=True)
 
     def _launch(
         self, binary: str, folder: Path, heading: float, output: BinaryIO
@@ -121,7 +122,7 @@ class Copter:
         self._own = mavutil.mavlink_connection(f"udpin:127.0.0.1:{own}")
         self._radio = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._radio.connect(("127.0.0.1", 5501 + 10 * instance))
-        lines = [f"{name} {value}" for name, value in BENCH.items()]
+        lines = [f"{name} {value}" for name, value in SIMULATOR_PARAMETERS.items()]
         given = (CONFIG / "ardupilot.parm").read_text("utf-8").splitlines()
         lines += [line for line in given if not line.startswith("#")]
         (folder / "bench.parm").write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -150,8 +151,8 @@ class Copter:
             port.close()
 
     def truth(self) -> tuple[float, np.ndarray, np.ndarray]:
-        """Time, s; place (3,) east, north, up of home, m; rotation from FRD axes to these."""
-        at, (longitude, latitude, height, *turn) = self._place
+        """Time, s; position (3,) east, north, up of home, m; rotation from FRD to these axes."""
+        at, (longitude, latitude, height, *turn) = self._true_state
         north = RADIUS_M * (latitude - math.radians(HOME[0]))
         east = RADIUS_M * (longitude - math.radians(HOME[1])) * math.cos(math.radians(HOME[0]))
         swap = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -174,31 +175,31 @@ class Copter:
 
     def start(self) -> None:
         """Arm."""
-        self.take_back()
+        self.switch_to_pilot()
         self.command(ARM_DISARM, 1.0)
 
-    def climb(self) -> None:
-        """Take off, soon after `start`, because it disarms otherwise."""
+    def take_off(self) -> None:
+        """Take off; soon after `start`, because the autopilot disarms otherwise."""
         self._sticks[2] = 1900
 
-    def stay(self) -> None:
+    def hover(self) -> None:
         """Hover."""
         self._sticks[2] = 1500
 
-    def hand_over(self) -> None:
+    def switch_to_guided(self) -> None:
         """Switch to the mode that follows set-points."""
         self._switch(self.GUIDED_MODE)
 
-    def take_back(self) -> None:
+    def switch_to_pilot(self) -> None:
         """Switch to the pilot's mode."""
         self._switch(LOITER)
 
     def pace(self, seconds: float) -> None:
-        """Simulate so many seconds in one."""
+        """Set the simulated seconds per second."""
         self.set("SIM_SPEEDUP", seconds)
 
     def wind(self, heading: float) -> None:
-        """Blow with 8 m/s."""
+        """Set a wind of 8 m/s."""
         self.set("SIM_WIND_DIR", heading)
         self.set("SIM_WIND_SPD", 8.0)
 
@@ -209,8 +210,8 @@ class Copter:
     def _switch(self, mode: int) -> None:
         self.command(DO_SET_MODE, CUSTOM_MODE, mode)
 
-    def _look(self) -> None:
-        """Receive the true place and the time."""
+    def _receive_truth(self) -> None:
+        """Receive the true state and the time."""
         packet, before = b"", self._steps
         try:
             while True:
@@ -220,47 +221,47 @@ class Copter:
             pass
         self.behind = self._steps - before > BACKLOG
         since = self._steps / STEPS_HZ
-        self.now = max(self.now, self._said + min(since, 0.03) if self._said else since)
+        self.now = max(self.now, self._boot_time + min(since, 0.03) if self._boot_time else since)
         if packet:
             values = struct.unpack_from(">3d4f", packet, 8)
-            self._place = (self.now, (*values[:3], *values[4:]))
+            self._true_state = (self.now, (*values[:3], *values[4:]))
 
-    def _hear(self, message: Any) -> None:
-        """Take a message to the ground station."""
+    def _on_ground_message(self, message: Any) -> None:
+        """Handle a message to the ground station."""
         if message.get_type() == "HEARTBEAT" and message.get_srcComponent() == 1:
             self.mode, self.armed = message.custom_mode, bool(message.base_mode & ARMED)
         elif message.get_type() == "PARAM_VALUE":
             self._values[message.param_id] = message.param_value
 
-    def _steer(self) -> None:
+    def _send_sticks(self) -> None:
         """Send the pilot's sticks, twenty times a second."""
         self._radio.send(struct.pack("<16H", *self._sticks, *[1500] * 12))
 
-    def _pump(self) -> None:
+    def _run_bridge(self) -> None:
         due = 0.0
         while not self._end.is_set():
-            self._look()
+            self._receive_truth()
             now = self.now
             if now - self._clocked > 0.01 and self.armed:
                 self._clocked = now
-                self._tell(now)
+                self._publish_clock(now)
             while (message := self._ground.recv_msg()) is not None:
-                self._hear(message)
+                self._on_ground_message(message)
             while (message := self._own.recv_msg()) is not None:
                 pose = message.get_type() in POSES
                 if hasattr(message, "time_boot_ms") and pose:
-                    self._said, self._steps = 1e-3 * message.time_boot_ms, 0
+                    self._boot_time, self._steps = 1e-3 * message.time_boot_ms, 0
                 if not self.cut and not (pose and self.lost):
-                    self._late.append((now + pose * self.delay, bytes(message.get_msgbuf())))
-            self._late.sort(key=lambda one: one[0])
-            while self._late and self._late[0][0] <= now:
-                _send(self._node, self._late.pop(0)[1])
+                    self._delayed.append((now + pose * self.delay, bytes(message.get_msgbuf())))
+            self._delayed.sort(key=lambda one: one[0])
+            while self._delayed and self._delayed[0][0] <= now:
+                _send(self._node, self._delayed.pop(0)[1])
             while (message := self._node.recv_msg()) is not None:
                 if not self.cut:
                     _send(self._own, bytes(message.get_msgbuf()))
             if time.monotonic() > due:
-                with suppress(OSError):  # it has ended
-                    self._steer()
+                with suppress(OSError):  # the simulator has ended
+                    self._send_sticks()
                 due = time.monotonic() + 0.05
             time.sleep(0.002)
 
@@ -297,13 +298,13 @@ class Landing:
     """Outcome of a flight.
 
     Attributes:
-        outcome: landed, hovered, given to the pilot, flew away, no target (so that the pilot never
-            handed over), no start, or broken off.
-        ground: Of a landing: safe, unsafe or withdrawn.
+        outcome: landed, hovered, given to the pilot, flew away, no target (the pilot did not switch
+            to guided), no start, or broken off.
+        ground: Ground of a landing: safe, unsafe or withdrawn.
         miss: True distance from the last target, m.
-        place: Of a landing: east and north, m; slope, deg, and rise, m, of the contact.
-        height: Height over the target at which the fault began, m; NaN if it never came.
-        seconds: Duration of the landing in simulated time; ``pace``: of these in one real second.
+        place: Position east and north, m, slope, deg, and rise, m, of a landing.
+        height: Height over the target at which the fault began, m; NaN if it did not.
+        seconds: Simulated duration of the landing; ``pace``: simulated per real second.
         states: States of autopilot_node, in order.
     """
 
@@ -341,14 +342,14 @@ class Flight:
     ) -> None:
         self.landing, self._folder, self._pace = Landing(seed, fault), folder, pace
         self._kind = kind
-        self._draw = np.random.default_rng(seed)
-        made = Conditions().ground("drone", self._draw)
+        self._generator = np.random.default_rng(seed)
+        made = Conditions().ground("drone", self._generator)
         self.terrain = Terrain(made.x, made.y, made.elevation - np.median(made.elevation))
         self._lidar = FlashLidar(60.0, pixels=120, range_noise=0.02)
-        self._height = float(self._draw.uniform(1.0, 7.0))  # at which the fault begins
-        self._for = float(self._draw.uniform(1.0, 10.0))
-        self._binary, self._heading = binary, float(self._draw.uniform(0.0, 360.0))
-        self._ends: list[tuple[float, Callable[[], object]]] = []
+        self._height = float(self._generator.uniform(1.0, 7.0))  # of the begin of the fault
+        self._cut_duration = float(self._generator.uniform(1.0, 10.0))
+        self._binary, self._heading = binary, float(self._generator.uniform(0.0, 360.0))
+        self._fault_ends: list[tuple[float, Callable[[], object]]] = []
         self._keep_out: np.ndarray | None = None
         self._target = np.full(3, np.nan)
 
@@ -360,12 +361,14 @@ class Flight:
                 "landing/selected": PoseWithCovarianceStamped,
                 "landing/autopilot": DiagnosticStatus,
             }
-            self._heard = stack.enter_context(Listener(local.number, topics))
-            node = self._heard.node
+            self._listener = stack.enter_context(Listener(local.number, topics))
+            node = self._listener.node
             self._scans = node.create_publisher(
                 PointCloud2, "lidar/points", stream(5, reliable=False)
             )
-            self._forbid = node.create_publisher(PolygonStamped, "landing/keep_out", latched())
+            self._keep_out_publisher = node.create_publisher(
+                PolygonStamped, "landing/keep_out", latched()
+            )
             self._make = Messages(TYPES, packed)
             clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
             tell = lambda now: clock.publish(Clock(clock=time_message(_stamp(now))))  # noqa: E731
@@ -396,11 +399,11 @@ class Flight:
         log = self._folder / f"{name}_{time.monotonic_ns()}.txt"
         return self._stack.enter_context(NodeProcess(name, self._args, self._env, log))
 
-    def _say_keep_out(self, corners: np.ndarray) -> None:
-        self._forbid.publish(self._make.polygon(_stamp(self.copter.now), corners))
+    def _publish_keep_out(self, corners: np.ndarray) -> None:
+        self._keep_out_publisher.publish(self._make.polygon(_stamp(self.copter.now), corners))
 
     def _tick(self) -> tuple[np.ndarray, float]:
-        """A scan, if one is due; the true place and the speed across since the last tick."""
+        """Publish a scan when one is due; return true position and speed since the last call."""
         due, stuck = self.copter.now + SCAN_S, time.monotonic() + 10.0
         while (self.copter.now < due or self.copter.behind) and time.monotonic() < stuck:
             if self.copter.process.poll() is not None:
@@ -409,14 +412,14 @@ class Flight:
             time.sleep(0.01)
         at, place, turn = self.copter.truth()
         if np.isfinite(place).all() and place[2] > 0.3:
-            points = self._lidar.scan(self.terrain, place, turn, self._draw)
+            points = self._lidar.scan(self.terrain, place, turn, self._generator)
             self._scans.publish(self._make.scan(_stamp(at), points))
         before, self._last = getattr(self, "_last", (at, place)), (at, place)
         span = max(at - before[0], 1e-3)
         state = self.state
         if state and (not self.landing.states or self.landing.states[-1] != state):
             self.landing.states.append(state)
-        selected = self._heard.newest.get("landing/selected")
+        selected = self._listener.newest.get("landing/selected")
         if selected is not None:
             at = selected.pose.pose.position
             if not math.isnan(at.x):
@@ -426,13 +429,13 @@ class Flight:
     @property
     def state(self) -> str:
         """The last state of autopilot_node."""
-        said = self._heard.newest.get("landing/autopilot")
+        said = self._listener.newest.get("landing/autopilot")
         return "" if said is None else {item.key: item.value for item in said.values}["state"]
 
     def _take_off(self) -> bool:
-        """Take off by the pilot's sticks in loiter, hover, and hand over; False if that failed."""
-        copter, asked, end = self.copter, 0.0, time.monotonic() + LONGEST_START_S
-        while copter.now < START_S and time.monotonic() < end:
+        """Take off in loiter, hover and switch to guided; return False if that failed."""
+        copter, asked, end = self.copter, 0.0, time.monotonic() + MAX_WALL_START_S
+        while copter.now < MAX_START_S and time.monotonic() < end:
             place, speed = self._tick()
             if copter.mode == copter.GUIDED_MODE:  # a heartbeat late: it may fly and sink by now
                 return True
@@ -441,24 +444,24 @@ class Flight:
                     asked = copter.now
                     copter.start()
             elif not self.nodes:
-                copter.climb()
-                copter.pace(self._pace)  # until here, nothing happens
+                copter.take_off()
+                copter.pace(self._pace)  # the start runs at the default pace
                 self.nodes = {name: self._start(name) for name in NODES}
-                self._say_keep_out(np.zeros((0, 2)))
+                self._publish_keep_out(np.zeros((0, 2)))
             elif place[2] < HEIGHT_M - 1.5:
-                copter.climb()
+                copter.take_off()
             else:
-                copter.stay()
+                copter.hover()
                 if self.landing.fault == "wind of 8 m/s":
                     copter.wind(self._heading)
                 if speed < 0.3 and np.isfinite(self._target).all():
-                    copter.hand_over()
+                    copter.switch_to_guided()
         if copter.armed and copter.truth()[1][2] >= HEIGHT_M - 1.5:
             self.landing.outcome = "no target"
         return False
 
     def _land(self) -> None:
-        """Let autopilot_node land, until the vehicle is on the ground or stays where it is."""
+        """Let autopilot_node land until the vehicle is on the ground or stays in place."""
         copter, landing, begun = self.copter, self.landing, self.copter.now
         home, still, failed = copter.truth()[1], begun, False
         farthest, wall = 0.0, time.monotonic()
@@ -470,24 +473,24 @@ class Flight:
                 failed = place[2] - self._target[2] < self._height
                 if failed:
                     landing.height = float(place[2] - self._target[2])
-                    self._fail(now)
-            for due, end in list(self._ends):
+                    self._begin_fault(now)
+            for due, end in list(self._fault_ends):
                 if now > due:
                     end()
-                    self._ends.remove((due, end))
+                    self._fault_ends.remove((due, end))
             if speed > 0.5:
                 still = now
             over = failed and (self.state in ("pilot", "hold") or self.killed("autopilot_node"))
             over = (over or self.state == "give_up") and now - still > WAIT_LIMIT_S + 3.0
-            if farthest > AWAY_M or place[2] > HEIGHT_M + 15.0:
+            if farthest > MAX_DISTANCE_M or place[2] > HEIGHT_M + 15.0:
                 landing.outcome = "flew away"
             elif not copter.armed:
                 landing.outcome = "landed"
-                self._judge(place)
-            elif over and not self._ends:
+                self._evaluate(place)
+            elif over and not self._fault_ends:
                 pilot = self.state in ("give_up", "pilot") and not self.killed("autopilot_node")
                 landing.outcome = "given to the pilot" if pilot else "hovered"
-            elif now - begun > LONGEST_S:
+            elif now - begun > MAX_LANDING_S:
                 landing.outcome = "hovered" if now - still > 10.0 else "flew on"
             if landing.outcome:
                 landing.seconds = now - begun
@@ -498,8 +501,8 @@ class Flight:
         """Whether a node has ended."""
         return self.nodes[name].process.poll() is not None
 
-    def _fail(self, now: float) -> None:
-        """Begin the fault; `_ends` gets the time and the action that end it."""
+    def _begin_fault(self, now: float) -> None:
+        """Begin the fault; store the time and the action that end it."""
         copter, fault, bridge = self.copter, self.landing.fault, self.copter.__setattr__
         name, _, how = fault.partition(" ")
         if name in NODES:
@@ -507,28 +510,28 @@ class Flight:
             self.nodes[name].process.wait()
             if how == "killed, back after 1 s":
                 again = lambda: self.nodes.__setitem__(name, self._start(name))  # noqa: E731
-                self._ends.append((now + 1.0, again))
+                self._fault_ends.append((now + 1.0, again))
         elif fault == "poses lost for 3 s":
             copter.lost = True
-            self._ends.append((now + 3.0, lambda: bridge("lost", False)))
+            self._fault_ends.append((now + 3.0, lambda: bridge("lost", False)))
         elif fault == "poses 0.7 s late":
             copter.delay = 0.7
-            self._ends.append((now + 5.0, lambda: bridge("delay", 0.0)))
+            self._fault_ends.append((now + 5.0, lambda: bridge("delay", 0.0)))
         elif fault == "link cut for 1 to 10 s":
             copter.cut = True
-            self._ends.append((now + self._for, lambda: bridge("cut", False)))
+            self._fault_ends.append((now + self._cut_duration, lambda: bridge("cut", False)))
         elif fault == "keep-out over the target":
             square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
             self._keep_out = self._target[:2] + 2.0 * square
-            self._say_keep_out(self._keep_out)
+            self._publish_keep_out(self._keep_out)
         elif fault == "GPS 11 m off for 4 s":
             copter.glitch(True)
-            self._ends.append((now + 4.0, lambda: copter.glitch(False)))
+            self._fault_ends.append((now + 4.0, lambda: copter.glitch(False)))
         elif fault == "pilot takes over":
-            copter.take_back()
+            copter.switch_to_pilot()
 
-    def _judge(self, place: np.ndarray) -> None:
-        """Judge a touchdown by the true ground and the keep-out."""
+    def _evaluate(self, place: np.ndarray) -> None:
+        """Evaluate a touchdown on the true ground, with the keep-out."""
         terrain, landing = self.terrain, self.landing
         gear = SCENARIOS["drone"].lander
         spot = place[None, :2]
@@ -561,7 +564,7 @@ def fly(case: tuple[str, int, str, float, type[Copter]]) -> Landing:
         flight = Flight(binary, seed, fault, Path(scratch), pace, kind)
         try:
             return flight.fly()
-        except (ProcessError, TimeoutError) as error:  # the other flights go on
+        except (ProcessError, TimeoutError) as error:  # the other flights continue
             flight.landing.outcome = f"broken off, {error}"
             return flight.landing
 
@@ -572,7 +575,7 @@ HEADER += ["farthest from the target, m"]
 
 
 def row(fault: str, some: list[Landing]) -> list[object]:
-    """Numbers of flights with one fault, as `HEADER` names them."""
+    """Numbers of flights with one fault, in the order of `HEADER`."""
     ends, grounds = (Counter(getattr(one, of) for one in some) for of in ("outcome", "ground"))
     misses = [one.miss for one in some if one.outcome == "landed"]
     failed, no_fault = ("no start", "broken off"), sum(math.isnan(one.height) for one in some)
@@ -590,7 +593,7 @@ def main(
     variable: str = "ARDUCOPTER",
     known: Sequence[str] = FAULTS,
 ) -> int:
-    """Fly, print a line for each flight and the table; return 1 if a flight ended badly."""
+    """Fly and print the table; return 1 if a landing was unsafe or a vehicle flew away."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--landings", type=int, default=200, help="without a fault")
     parser.add_argument("--faults", type=int, default=60, help="landings with one")

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the drone's preset, alone, calls safe: at the ends of flights over simulated ground.
+"""Ground that the drone preset calls safe at the ends of flights over simulated ground.
 
-They last 8 to 40 s, 15 to 31 m high at first, at 10 Hz, with wide and spinning lidars of 4,000 to
-33,000 beams. Judged are the grid points under whose lander all ground is seen.
+The flights last 8 to 40 s and start 15 to 31 m high, with scans at 10 Hz by wide and spinning
+lidars of 4,000 to 33,000 beams. Only grid points are evaluated where all ground under the lander is
+observed.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.lab.campaign.study import parse_seeds
 from quadtree_lss.lab.evaluation.risk_families import Family
-from quadtree_lss.lab.evaluation.risk_fit import ASKED
-from quadtree_lss.lab.evaluation.risk_flights import fly, land, table_of
+from quadtree_lss.lab.evaluation.risk_fit import FEATURES
+from quadtree_lss.lab.evaluation.risk_flights import fly, land, risk_table
 from quadtree_lss.lab.simulation.hazard_field import FIELDS
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.risk import risk_model
@@ -28,14 +29,14 @@ from quadtree_lss.onboard.config.settings import Config
 
 GROUNDS = (*FIELDS, "mixed", "bare")
 LIMITS = (0.002, 0.004, 0.006, 0.008, 0.012, 0.02, 0.05)
-#: Where ground is seen so well (log10 of returns on a square as wide as the clearance), and better.
-WELL = 1.2
+#: Smallest log10 of the number of returns per square clearance on well observed ground.
+WELL_OBSERVED = 1.2
 HEADER = ["judged, %", "unsafe, %", "kept of the safe, %", "called safe of the unsafe, %"]
 HEADER += ["unsafe of what is called safe, %", "deepest, m"]
 
 
 def main() -> None:
-    """Print a row for each ground, and for each `max_risk`."""
+    """Print a row for each ground and for each `max_risk`."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", default="94000-94026", help="dealt to the grounds in turn")
     options = parser.parse_args()
@@ -44,10 +45,12 @@ def main() -> None:
     flights: list[tuple[str, Array]] = []
     for number, seed in enumerate(parse_seeds(options.seeds)):
         ground = GROUNDS[number % len(GROUNDS)]
-        flights.append((ground, judged(ground, seed, config)))
+        flights.append((ground, evaluated(ground, seed, config)))
         print(f"seed {seed}, {ground}: {', '.join(row(flights[-1][1], config))}", flush=True)
     every = np.concatenate([of for _, of in flights], axis=1)
-    well = [of for _, of in flights if np.mean(of[2] >= WELL) > 0.5 * np.mean(of[2] > -np.inf)]
+    well = [
+        of for _, of in flights if np.mean(of[2] >= WELL_OBSERVED) > 0.5 * np.mean(of[2] > -np.inf)
+    ]
     rows = [
         [name, *row(np.concatenate([of for kind, of in flights if kind == name], axis=1), config)]
         for name in dict.fromkeys(kind for kind, _ in flights)
@@ -60,27 +63,36 @@ def main() -> None:
     table("All flights", header, [[f"{t:g}", *row(every, config, t)[2:]] for t in LIMITS])
 
 
-def judged(ground: str, seed: int, config: Config) -> Array:
-    """(3, K) of grid points: risk, NaN where it is not judged; how deep they lie in unsafe ground,
-    m, 0 where it is safe; how well they are seen."""
+def evaluated(ground: str, seed: int, config: Config) -> Array:
+    """Risk (NaN if not evaluated), depth in unsafe ground, m (0 if safe), and observation quality
+    of grid points: (3, K)."""
     mapped = fly(Family(grounds=(ground,), views=("scanning",)), seed, config)[-1]
     model = risk_model("")
     landings = land(mapped, model)
-    told = table_of(model, mapped.config)
+    risks = risk_table(model, mapped.config)
     risk, seen = np.full((2, *mapped.known.shape), np.nan)
-    risk[landings.counts] = landings.risk(told)
-    seen[landings.counts] = landings.asked(told)[:, ASKED.index("seen")]
-    deep = distance_transform_edt(~mapped.safe) * mapped.cells.domain.finest_size
-    return np.stack([risk, deep, seen])[:, mapped.known]
+    risk[landings.usable] = landings.risk(risks)
+    seen[landings.usable] = landings.features(risks)[:, FEATURES.index("seen")]
+    depth = distance_transform_edt(~mapped.safe) * mapped.cells.domain.finest_size
+    return np.stack([risk, depth, seen])[:, mapped.known]
 
 
 def row(points: Array, config: Config, limit: float | None = None) -> list[str]:
-    """As `HEADER` says."""
-    some = points[:, np.isfinite(points[0])]
-    unsafe, told = some[1] > 0.0, some[0] <= (config.lss.max_risk if limit is None else limit)
-    missed = told & unsafe
-    shares = (np.isfinite(points[0]), unsafe, told[~unsafe], told[unsafe], unsafe[told])
-    deepest = some[1][missed].max() if missed.any() else 0.0
+    """Figures as named by `HEADER`."""
+    known = points[:, np.isfinite(points[0])]
+    unsafe, called_safe = (
+        known[1] > 0.0,
+        known[0] <= (config.lss.max_risk if limit is None else limit),
+    )
+    missed = called_safe & unsafe
+    shares = (
+        np.isfinite(points[0]),
+        unsafe,
+        called_safe[~unsafe],
+        called_safe[unsafe],
+        unsafe[called_safe],
+    )
+    deepest = known[1][missed].max() if missed.any() else 0.0
     return [*(f"{100.0 * of.mean():.2f}" if of.size else "-" for of in shares), f"{deepest:.2f}"]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscale features of hemispheres in flat 2 m cells: found, how high, where, and false alarms."""
+"""Subscale features of hemispheres in flat 2 m cells: detection, height, position, false alarms."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.cell_map import peak
 
-#: Height (m) at places x, y (m).
+#: Height (m) at x, y (m).
 Ground = Callable[[np.ndarray, np.ndarray], np.ndarray]
-#: Side of a cell, m; cells along a side of the field, each with one hemisphere.
+#: Side of a cell, m; number of cells along a side of the field, each with one hemisphere.
 SIDE, CELLS = 2.0, 16
-#: Least distance of a hemisphere from the edge of its cell, m.
-ROOM = 0.05
-#: Classes of radii, m; the last one has all.
+#: Smallest distance of a hemisphere from the edge of its cell, m.
+MARGIN = 0.05
+#: Classes of radii, m; the last class contains all.
 CLASSES = ((0.15, 0.2), (0.2, 0.3), (0.3, 0.4), (0.15, 0.4))
 
 
 @dataclass(frozen=True)
 class Hemispheres:
-    """One in each cell, row by row: radius and centre (K,), m."""
+    """One hemisphere in each cell, row by row: radius and centre (K,), m."""
 
     radius: np.ndarray
     x: np.ndarray
     y: np.ndarray
 
     def ground(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """See `Ground`; flat between them."""
+        """Height of hemispheres on flat ground; see `Ground`."""
         cell = (y // SIDE).astype(int) * CELLS + (x // SIDE).astype(int)
         square = self.radius[cell] ** 2 - (x - self.x[cell]) ** 2 - (y - self.y[cell]) ** 2
         return np.sqrt(np.maximum(square, 0.0))
 
 
 def main() -> None:
-    """Print what was found of hemispheres, and what was imagined on plain ground."""
+    """Print detections of hemispheres and false alarms on plain ground."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(101, 111)))
     parser.add_argument("--density", type=float, default=100.0, help="points / m^2 and scan")
@@ -72,7 +72,7 @@ def main() -> None:
     rows = []
     for name, ground in PLAIN.items():
         states = [features(config, ground, seed, *how) for seed in options.seeds]
-        alarms = [np.isfinite(state[:, 1]) for state in states]
+        alarms = [np.isfinite(features_found[:, 1]) for features_found in states]
         rows.append([name, np.size(alarms), f"{100.0 * np.mean(alarms):.2f}"])
     table("Plain ground (false alarms: required < 4 %, aim < 1 %)", ["ground", "cells", "%"], rows)
 
@@ -84,11 +84,11 @@ PLAIN: dict[str, Ground] = {
 
 
 def hemispheres(rng: np.random.Generator) -> Hemispheres:
-    """Radii and places drawn evenly."""
+    """Draw radii and centres from uniform distributions."""
     smallest, largest = CLASSES[-1]
     count = CELLS**2
     radius = rng.uniform(smallest, largest, count)
-    reach = 0.5 * SIDE - radius - ROOM
+    reach = 0.5 * SIDE - radius - MARGIN
     row, column = np.divmod(np.arange(count), CELLS)
     x = SIDE * (column + 0.5) + reach * rng.uniform(-1.0, 1.0, count)
     y = SIDE * (row + 0.5) + reach * rng.uniform(-1.0, 1.0, count)
@@ -96,7 +96,7 @@ def hemispheres(rng: np.random.Generator) -> Hemispheres:
 
 
 def features(config: Config, ground: Ground, seed: int, density: float, scans: int) -> np.ndarray:
-    """Features (K, 5) of the cells, row by row, after some scans with an exact pose."""
+    """Features (K, 5) of the cells, row by row, after scans with an exact pose."""
     rng = np.random.default_rng((seed, 1))
     size = config.domain.size
     lidar = np.array([0.5 * size, 0.5 * size, 500.0])
@@ -113,37 +113,43 @@ def features(config: Config, ground: Ground, seed: int, density: float, scans: i
     return cells.feature[np.lexsort((cells.ix, cells.iy))]
 
 
-def show_found(fields: list[Hemispheres], state: np.ndarray) -> None:
-    """One row for each class of radii."""
+def show_found(fields: list[Hemispheres], features_found: np.ndarray) -> None:
+    """Print a row for each class of radii."""
     radius, x, y = (
         np.concatenate([getattr(f, name) for f in fields]) for name in ("radius", *"xy")
     )
-    row, column = np.divmod(np.arange(len(state)) % CELLS**2, CELLS)
-    there = np.isfinite(state[:, 1])
-    height = peak(state) / radius - 1.0
-    centre = np.hypot(SIDE * (column + 0.5) + state[:, 2] - x, SIDE * (row + 0.5) + state[:, 3] - y)
+    row, column = np.divmod(np.arange(len(features_found)) % CELLS**2, CELLS)
+    detected = np.isfinite(features_found[:, 1])
+    height = peak(features_found) / radius - 1.0
+    centre = np.hypot(
+        SIDE * (column + 0.5) + features_found[:, 2] - x,
+        SIDE * (row + 0.5) + features_found[:, 3] - y,
+    )
     rows = []
     for low, high in CLASSES:
         of = (radius >= low) & (radius <= high)
-        seen = of & there
-        off = np.abs(height[seen])
+        seen = of & detected
+        size_error = np.abs(height[seen])
         rows.append(
-            [f"{low:g} - {high:g} m", np.count_nonzero(of), percent(there[of])]
-            + [f"{100.0 * np.median(height[seen]):+.1f}", f"{100.0 * np.percentile(off, 95.0):.1f}"]
-            + [percent(off <= 0.35), percent(off <= 0.15)]
+            [f"{low:g} - {high:g} m", np.count_nonzero(of), percent(detected[of])]
+            + [
+                f"{100.0 * np.median(height[seen]):+.1f}",
+                f"{100.0 * np.percentile(size_error, 95.0):.1f}",
+            ]
+            + [percent(size_error <= 0.35), percent(size_error <= 0.15)]
             + [f"{100.0 * v:.1f}" for v in np.percentile(centre[seen], (50.0, 95.0))]
             + [percent(centre[seen] <= 0.1)]
         )
     table(
         "Hemispheres (required: found 90 %, height within 35 %, centre within 10 cm)",
-        ["radius", "cells", "found %", "height off %", "95 % of |.|", "in 35 %", "in 15 %"]
+        ["radius", "cells", "found %", "height size_error %", "95 % of |.|", "in 35 %", "in 15 %"]
         + ["centre cm", "95 %", "in 10 cm"],
         rows,
     )
 
 
 def percent(share: np.ndarray) -> str:
-    """Mean of truth values."""
+    """Format a mean of booleans in per cent."""
     return f"{100.0 * np.mean(share):.1f}"
 
 

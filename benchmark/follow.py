@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A square that follows, over a kilometre of fields with rocks: 25 m up, 6 m/s, the drone's preset.
+"""A map that follows the drone over a kilometre of fields with rocks, at 25 m height and 6 m/s.
 
-A flash lidar of 128 x 128 beams, 45 degrees wide, at 20 Hz: 21 m that the square always holds, and
-about forty returns to a leaf while it passes over it. The script prints memory, the delay of map
-and sites in CPU seconds from a scan's stamp (one core for each node), and at even moments the place
-that ``~/land_now`` would take, judged by the true ground. The ground is 105 m wide and continued by
-reflection; the way leads across it, so that no place is flown over twice.
+A flash lidar of 128 x 128 beams, 45 degrees wide, scans 21 m of ground at 20 Hz, which gives about
+forty returns per leaf. The script prints memory, the delay of map and sites in CPU seconds from the
+stamp of a scan (one core for each node), and, at regular intervals, the true safety of the place
+that ``~/land_now`` would select. The ground is 105 m wide and continued by reflection; the path
+crosses it diagonally, so that no place is passed twice.
 """
 
 from __future__ import annotations
@@ -38,36 +38,36 @@ from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.messages.maps import decode_cells, encode_cells, round_trip
 
 HEIGHT, SPEED, RATE, FIELD_OF_VIEW = 25.0, 6.0, 20.0, 45.0
-SCALE, SIDE, ROOM = 0.35, 300.0, 30.0
-#: The true ground is looked at this far from the vehicle, every so many metres.
-NEAR, EVERY = 15.0, 0.5
-#: Scans from one landing pass to the next, as ``publish.lss_rate`` has it.
-PASS = 5
+SCALE, SIDE, PART_LENGTH = 0.35, 300.0, 30.0
+#: Radius and spacing of the points around the vehicle where true safety is computed, m.
+NEAR_M, STEP_M = 15.0, 0.5
+#: Scans between assessments, as by ``publish.lss_rate``.
+ASSESSMENT_SCANS = 5
 
 
 class Fields:
-    """Ground without end along x: one made field, there and back again."""
+    """Ground without end along x: a simulated field, continued by reflection."""
 
     def __init__(self, seed: int) -> None:
         made = hazard_field(np.random.default_rng(seed), HazardField(size=SIDE))
         self._post = SCALE * float(made.x[1] - made.x[0])
         self._made, self._y = SCALE * made.elevation, SCALE * made.y
-        self._of: tuple[int, Terrain] | None = None
+        self._part: tuple[int, Terrain] | None = None
 
-    def about(self, x: float, y: float) -> Terrain:
-        """What a lidar at a place can see."""
-        part = round(x / ROOM)
-        if self._of is None or self._of[0] != part:
+    def terrain_around(self, x: float, y: float) -> Terrain:
+        """Ground within 50 m of a place along x."""
+        part = round(x / PART_LENGTH)
+        if self._part is None or self._part[0] != part:
             count = self._made.shape[1] - 1
-            first, last = (round((part * ROOM + by) / self._post) for by in (-50.0, 50.0))
+            first, last = (round((part * PART_LENGTH + by) / self._post) for by in (-50.0, 50.0))
             posts = np.arange(first, last + 1)
             folded = count - np.abs(posts % (2 * count) - count)
-            self._of = part, Terrain(posts * self._post, self._y, self._made[:, folded])
-        return self._of[1]
+            self._part = part, Terrain(posts * self._post, self._y, self._made[:, folded])
+        return self._part[1]
 
 
 def main() -> None:
-    """Print one table, a column for each seed."""
+    """Print a table with a column for each seed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", default="9481-9482", help="first-last")
     parser.add_argument("--length", type=float, default=1000.0, help="of the way, m")
@@ -83,20 +83,20 @@ def main() -> None:
 
 
 def scans(seed: int, count: int) -> Iterator[tuple[Array, Terrain, Array, Pose]]:
-    """True place, ground, points and pose of each."""
+    """Yield true position, ground, points and estimated pose of each scan."""
     fields, noise = Fields(seed), np.random.default_rng([seed, 1])
     times = np.arange(count) / RATE
-    away = np.linspace(-25.0, 25.0, count)
-    true = np.column_stack([SPEED * times, away, np.full(count, HEIGHT)])
+    distance = np.linspace(-25.0, 25.0, count)
+    true = np.column_stack([SPEED * times, distance, np.full(count, HEIGHT)])
     down = look_at(true, true - (0.0, 0.0, 1.0), NORTH)
     navigation = DriftingNavigation(attitude_bias_deg=0.02, attitude_drift_deg=0.005)
-    told = navigation.estimate(np.random.default_rng([seed, 2]), times, true, down)
+    estimate = navigation.estimate(np.random.default_rng([seed, 2]), times, true, down)
     lidar = FlashLidar(FIELD_OF_VIEW, range_noise=0.02)
     for k in range(count):
-        ground = fields.about(*true[k, :2])
+        ground = fields.terrain_around(*true[k, :2])
         points = lidar.scan(ground, true[k], down[k], noise).astype(np.float32)
         stamp_ns = 10**9 + round(1e9 * times[k])
-        pose = Pose(stamp_ns, told.positions[k], told.rotations[k], told.covariance)
+        pose = Pose(stamp_ns, estimate.positions[k], estimate.rotations[k], estimate.covariance)
         yield true[k], ground, points, pose
 
 
@@ -105,63 +105,63 @@ def fly(seed: int, options: argparse.Namespace, config: Config) -> list[list[str
     count = int(options.length / SPEED * RATE)
     mapper, selector = Mapper(config), LandingSiteSelector(config)
     moments = set(np.linspace(50, count - 1, options.moments).astype(int).tolist())
-    memory, late, places, moves, longest = [], [], [], 0, 0.0
+    memory, delays, places, moves, longest = [], [], [], 0, 0.0
     for k, (true, ground, points, pose) in enumerate(scans(seed, count)):
         before, began = mapper.domain, time.thread_time()
         mapper.update(points, pose)
-        taken = time.thread_time() - began
+        update_s = time.thread_time() - began
         if mapper.domain != before:
-            moves, longest = moves + 1, max(longest, taken)
-        if k + PASS in moments:  # the pass before: what did not change since is kept
+            moves, longest = moves + 1, max(longest, update_s)
+        if k + ASSESSMENT_SCANS in moments:  # the next assessment reuses unchanged parts
             selector.assess(round_trip(mapper.snapshot()))
         if k in moments:
             began = time.thread_time()
             cells = mapper.snapshot()
             records = encode_cells(cells)
-            mapped = taken + time.thread_time() - began
+            mapped = update_s + time.thread_time() - began
             began = time.thread_time()
             d = cells.domain
             given = cells.observed, d.xmin, d.ymin, cells.stamp_ns, config.lss, cells.known
             heard = decode_cells(records, *given)
             x, y, z = pose.position.tolist()
             found = selector.assess(heard, vehicle=(z, 0.0, x, y, SPEED, 0.0))
-            late.append((mapped, mapped + time.thread_time() - began))
-            places.append(judge(found.now, true, ground, config))
+            delays.append((mapped, mapped + time.thread_time() - began))
+            places.append(evaluate_place(found.now, true, ground, config))
             memory.append((resident(), mapper.leaves.count, mapper.leaves.capacity))
-    return table_rows(np.array(memory), np.array(late), np.array(places), moves, longest)
+    return table_rows(np.array(memory), np.array(delays), np.array(places), moves, longest)
 
 
-def judge(now: Array, at: Array, ground: Terrain, config: Config) -> tuple[float, ...]:
-    """Whether there is truly safe ground near; whether a place is named, whether the lander stands
-    there, what was told of that, and how far it is."""
-    step = np.arange(-NEAR, NEAR + EVERY, EVERY)
+def evaluate_place(now: Array, at: Array, ground: Terrain, config: Config) -> tuple[float, ...]:
+    """Whether there is truly safe ground nearby, whether a place is selected and truly safe, its
+    predicted probability, and its distance, m."""
+    step = np.arange(-NEAR_M, NEAR_M + STEP_M, STEP_M)
     around = np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2)
-    around = at[:2] + around[np.hypot(*around.T) <= NEAR]
+    around = at[:2] + around[np.hypot(*around.T) <= NEAR_M]
     named = np.isfinite(now[3])
     stands = safe(ground, now[None, :2], config)[0] if named else False
-    away = float(np.hypot(*(now[:2] - at[:2])))
-    return float(safe(ground, around, config).any()), float(named), float(stands), now[3], away
+    distance = float(np.hypot(*(now[:2] - at[:2])))
+    return float(safe(ground, around, config).any()), float(named), float(stands), now[3], distance
 
 
 def safe(ground: Terrain, places: Array, config: Config) -> Mask:
-    """(K,) whether the lander stands at places (K, 2)."""
+    """True safety (K,) at places (K, 2)."""
     return contact_safe(ground, places, lander_of(config))
 
 
 def resident() -> float:
-    """Memory of this process, with all that simulates, MB."""
+    """Memory of this process, including the simulation, MB."""
     with Path("/proc/self/statm").open(encoding="ascii") as file:
         return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def table_rows(
-    memory: Array, late: Array, places: Array, moves: int, longest: float
+    memory: Array, delays: Array, places: Array, moves: int, longest: float
 ) -> list[list[str]]:
     """Rows of the table."""
     third = max(len(memory) // 3, 1)
     near = places[:, 0] > 0.0
     stands = places[near, 2] > 0.0
-    late = np.percentile(late, (50, 95, 100), axis=0).T
+    delays = np.percentile(delays, (50, 95, 100), axis=0).T
     return [
         ["moves of the square", f"{moves}"],
         ["longest scan update with a move, ms", f"{1e3 * longest:.0f}"],
@@ -171,9 +171,9 @@ def table_rows(
             "memory of the process, most of the first, of the last third, MB",
             f"{memory[:third, 0].max():.0f}, {memory[-third:, 0].max():.0f}",
         ],
-        ["map behind, median, 95 %, most, s", "{:.3f}, {:.3f}, {:.3f}".format(*late[0])],
-        ["sites behind, median, 95 %, most, s", "{:.3f}, {:.3f}, {:.3f}".format(*late[1])],
-        [f"moments, with truly safe ground within {NEAR:g} m", f"{len(places)}, {near.sum()}"],
+        ["map behind, median, 95 %, most, s", "{:.3f}, {:.3f}, {:.3f}".format(*delays[0])],
+        ["sites behind, median, 95 %, most, s", "{:.3f}, {:.3f}, {:.3f}".format(*delays[1])],
+        [f"moments, with truly safe ground within {NEAR_M:g} m", f"{len(places)}, {near.sum()}"],
         ["of these a place is named", f"{int(places[near, 1].sum())}"],
         ["and the lander stands there", f"{int(stands.sum())}"],
         ["probability given on average, %", f"{100.0 * np.nanmean(places[near, 3]):.2f}"],

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the map claims against what it errs by, when a lander hovers while pose errors persist.
+"""Claimed and true errors of the map of a hover_mapper lander with persistent pose errors.
 
 Flat ground seen from 100 m, 20 scans a second, pose errors of 0.3 m and 2 mrad along and about
 each axis, as claimed: independent from scan to scan (white), constant, or Gauss-Markov. The
@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from common import machine, table
-from common.as_posed import AsPosed, lengths
+from common.as_posed import UnalignedMapper, lengths
 
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.geometry.rotations import exp
@@ -34,7 +34,7 @@ KINDS = {"white": 0.0, "Gauss-Markov 100 s": 100.0, "constant": 1e6}
 
 
 def main() -> None:
-    """Print one table."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--flights", type=int, default=12)
     parser.add_argument("--scans", type=int, nargs="+", default=[100, 1000, 10000])
@@ -45,16 +45,19 @@ def main() -> None:
     for align in (True, False):
         for kind, correlation_time in KINDS.items():
             counts = sorted(options.scans)
-            maps = ((hovering(correlation_time, align), seed) for seed in seeds)
+            maps = ((hover_mapper(correlation_time, align), seed) for seed in seeds)
             flights = np.array([hover(*one, counts) for one in maps])
             for at, scans in enumerate(counts):
                 error, claimed = flights[:, at, 0], flights[:, at, 1]
-                (tilt, height), (says_tilt, says_height) = both(error), both(claimed)
-                ratio_tilt, ratio_height = both(error / claimed)
+                (tilt, height), (claimed_tilt, claimed_height) = (
+                    rms_slope_height(error),
+                    rms_slope_height(claimed),
+                )
+                ratio_tilt, ratio_height = rms_slope_height(error / claimed)
                 rows.append(
                     [kind if at == 0 else "", "yes" if align else "no", f"{scans:,}"]
-                    + [f"{height:.3f}", f"{says_height:.3f}", f"{ratio_height:.2f}"]
-                    + [f"{1e3 * tilt:.2f}", f"{1e3 * says_tilt:.2f}", f"{ratio_tilt:.2f}"]
+                    + [f"{height:.3f}", f"{claimed_height:.3f}", f"{ratio_height:.2f}"]
+                    + [f"{1e3 * tilt:.2f}", f"{1e3 * claimed_tilt:.2f}", f"{ratio_tilt:.2f}"]
                 )
     table(
         f"{options.flights} flights, seeds {seeds[0]} to {seeds[-1]}",
@@ -64,39 +67,40 @@ def main() -> None:
     )
 
 
-def both(values: np.ndarray) -> tuple[float, float]:
-    """Root mean squares of (flights, cells, 3): of either slope, and of heights."""
+def rms_slope_height(values: np.ndarray) -> tuple[float, float]:
+    """Root mean squares of (flights, cells, 3): of slopes and of heights."""
     square = np.mean(values**2, axis=(0, 1))
     return float(np.sqrt(0.5 * (square[0] + square[1]))), float(np.sqrt(square[2]))
 
 
-def hovering(correlation_time: float, align: bool) -> Mapper:
-    """Of 16 cells of 4 m."""
+def hover_mapper(correlation_time: float, align: bool) -> Mapper:
+    """Make a mapper of 16 cells of 4 m."""
     domain = {"xmin": -8.0, "ymin": -8.0, "size": 16.0, "min_level": 2, "max_level": 2}
     values = {f"domain.{name}": value for name, value in domain.items()}
     values |= {"lidar.range_noise": NOISE, "pose.correlation_time": correlation_time}
     with lengths(outlier_gate=0.0, feature_height=math.inf):
-        return (Mapper if align else AsPosed)(config_from_values(values))
+        return (Mapper if align else UnalignedMapper)(config_from_values(values))
 
 
 def hover(mapper: Mapper, seed: int, counts: list[int]) -> np.ndarray:
-    """Errors and claimed deviations after so many scans: (counts, 2, cells, 3), rad and m."""
+    """Errors and claimed standard deviations (counts, 2, cells, 3) after ``counts`` scans, rad,
+    m."""
     rng = np.random.default_rng(seed)
     covariance = np.diag(SIGMA**2)
     position = np.array([0.0, 0.0, HEIGHT])
     tau = mapper.config.pose.correlation_time
-    keep = np.exp(-1.0 / (RATE * tau)) if tau > 0.0 else 0.0
+    decay = np.exp(-1.0 / (RATE * tau)) if tau > 0.0 else 0.0
     error = SIGMA * rng.standard_normal(6)
     found = []
     for scan in range(1, counts[-1] + 1):
-        # The pose is off by the error: ground is seen from a place that is off the other way.
+        # The true position is the estimated one minus the error.
         ground = np.column_stack([16.0 * rng.random((400, 2)) - 8.0, np.zeros(400)])
         turn = exp(error[3:])
         seen = (ground - (position - error[:3])) @ turn.T @ DOWN
         distance = np.linalg.norm(seen, axis=1, keepdims=True)
         seen *= 1.0 + NOISE * rng.standard_normal(distance.shape) / distance
         mapper.update(seen, Pose(round(1e9 * scan / RATE), position, DOWN, covariance))
-        error = keep * error + np.sqrt(1.0 - keep * keep) * SIGMA * rng.standard_normal(6)
+        error = decay * error + np.sqrt(1.0 - decay * decay) * SIGMA * rng.standard_normal(6)
         if scan in counts:
             cells = mapper.snapshot()
             off = np.column_stack([cells.normal[:, :2], cells.z])

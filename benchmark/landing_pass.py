@@ -21,11 +21,11 @@ from quadtree_lss.onboard.messages.maps import round_trip
 
 
 def main() -> None:
-    """Print one table."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=101)
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--duration", type=float, help="s of the flight, by default all")
+    parser.add_argument("--duration", type=float, help="duration of the flight, s")
     options = parser.parse_args()
     print(machine())
     flight = recording("morpheus", options.seed, options.duration)
@@ -61,7 +61,7 @@ CASES: tuple[tuple[str, dict[str, object]], ...] = (
 )
 
 
-#: Scans between the maps of a flight: 20 Hz mapped, 4 Hz published.
+#: Scans between published maps: 20 Hz mapped, 4 Hz published.
 EVERY = 5
 
 
@@ -74,7 +74,7 @@ def map_of(flight: Recording, config: Config) -> CellMap:
 
 
 def measure(cells: CellMap, config: Config, repeats: int) -> list[str]:
-    """Assess a map several times, each time by a new selector."""
+    """Assess a map several times, each time with a new selector."""
     received, spent, found = round_trip(cells), [], None
     for _ in range(repeats + 1):  # the first one warms up
         began = time.process_time()
@@ -86,7 +86,7 @@ def measure(cells: CellMap, config: Config, repeats: int) -> list[str]:
 
 
 def follow(flight: Recording, config: Config) -> list[list[str]]:
-    """A selector that follows the growing map, as ``lss_node`` does, and a new one for each map."""
+    """Compare one selector for all maps, as in ``lss_node``, with a new one for each map."""
     mapper, follower = Mapper(config), LandingSiteSelector(config)
     spent: dict[str, list[float]] = {"follows the map": [], "new for each map": []}
     for number, scan in enumerate(flight.scans, start=1):

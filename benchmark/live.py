@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Both nodes as processes on a simulated Morpheus flight in real time, over DDS with reliable QoS.
 
-20 Hz scans of 128 x 128, 100 Hz poses; the 20 s flight is flown again and again with stamps that
-go on. Prints latencies from a scan's stamp to the publication of map and sites, processor time,
-memory and losses. Another process listens: to sites and target as guidance does, and in a flight
-before that to the map as well, which is sent once more for it.
+Scans of 128 x 128 at 20 Hz, poses at 100 Hz; the flight of 20 s is repeated with increasing stamps.
+The script prints latencies from the stamp of a scan to the publication of map and sites, processor
+time, memory and losses. A separate process subscribes to sites and target, as guidance does, and in
+the first of two flights also to the map.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ SECOND_NS = 1_000_000_000
 POSE_NS = 10_000_000
 CELLS, SITES, SELECTED = "map/cells", "landing/sites", "landing/selected"
 GUIDANCE = {SITES: PoseArray, SELECTED: PoseWithCovarianceStamped}
-"""What guidance takes: nobody but ``lss_node`` takes the map then."""
-ALL = {CELLS: PointCloud2, **GUIDANCE}
+"""Topics of guidance; then only ``lss_node`` subscribes to the map."""
+GUIDANCE_AND_MAP = {CELLS: PointCloud2, **GUIDANCE}
 Stamps = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Script:
-    """Serialised messages of one flight with their offsets from its start, in order."""
+    """Serialised messages of one flight in order, with their offsets from its start."""
 
     offset_ns: list[int]
     is_scan: list[bool]
@@ -68,7 +68,7 @@ class Script:
 
 @dataclass
 class Observed:
-    """What came out: stamp and time of reception of each message, last diagnostics."""
+    """Stamp and time of reception of each message, ns; last diagnostics."""
 
     received: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
     diagnostics: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -82,18 +82,18 @@ class Usage:
     seconds: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
     memory_mb: list[float] = field(default_factory=list)
-    _before: float = 0.0
+    _earlier_cpu: float = 0.0
 
     def sample(self) -> None:
         spent = self.process.cpu_times()
         self.seconds.append(time.monotonic())
-        self.cpu.append(self._before + spent.user + spent.system)
+        self.cpu.append(self._earlier_cpu + spent.user + spent.system)
         self.memory_mb.append(self.process.memory_info().rss / 2**20)
 
     def follow(self, process: psutil.Process) -> None:
-        """Go on with another process, whose processor time begins at zero."""
+        """Continue with another process, whose processor time begins at zero."""
         self.process = process
-        self._before = self.cpu[-1] if self.cpu else 0.0
+        self._earlier_cpu = self.cpu[-1] if self.cpu else 0.0
 
     def share(self, first: int = 0, last: int = -1) -> float:
         """Per cent of one core from sample ``first`` to ``last``."""
@@ -131,19 +131,19 @@ def write_script(seed: int) -> Script:
 def observe(
     domain: int, ready: Event, stop: Event, out: Any, topics: Mapping[str, type[Any]]
 ) -> None:
-    """Record when messages arrive, in a process; put an `Observed` into ``out`` at the end."""
+    """Process that records the arrival of messages and finally puts an `Observed` into ``out``."""
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     node = Node("observer", context=context)
     seen = Observed({topic: [] for topic in topics})
 
     def note(topic: str) -> Any:
-        def take(raw: bytes) -> None:
+        def record(raw: bytes) -> None:
             now = time.time_ns()
             seconds, nanoseconds = struct.unpack_from("<iI", raw, 4)
             seen.received[topic].append((seconds * SECOND_NS + nanoseconds, now))
 
-        return take
+        return record
 
     def keep(message: Any) -> None:
         for status in message.status:
@@ -171,14 +171,14 @@ def fly(
     *,
     extra: Sequence[str] = (),
     kill_every: float = 0.0,
-    topics: Mapping[str, type[Any]] = ALL,
+    topics: Mapping[str, type[Any]] = GUIDANCE_AND_MAP,
 ) -> Flight:
-    """Starts the nodes, plays the script for some time, watches.
+    """Start the nodes and play the script for some time.
 
     Args:
-        extra: ROS arguments for both nodes.
-        kill_every: Kill the nodes in turn and start them again, s; 0 for never.
-        topics: What another process listens to.
+        extra: ROS arguments of both nodes.
+        kill_every: Period at which the nodes are killed and restarted in turn, s; 0 for never.
+        topics: Topics that a separate process subscribes to.
     """
     args = ["--params-file", str(find_config("morpheus"))]
     args += ["-p", "qos_overrides./lidar/points.subscription.reliability:=reliable", *extra]
@@ -200,7 +200,7 @@ def fly(
         usage = {node.name: Usage(psutil.Process(node.process.pid)) for node in nodes}
         killed: list[tuple[str, int]] = []
 
-        def replace_one() -> None:
+        def restart_next_node() -> None:
             turn = len(killed) % len(nodes)
             nodes[turn].process.kill()
             nodes[turn].process.wait()
@@ -210,7 +210,7 @@ def fly(
             usage[name].follow(psutil.Process(nodes[turn].process.pid))
             killed.append((name, time.time_ns()))
 
-        sent, late = play(script, seconds, domain.number, usage, kill_every, replace_one)
+        sent, delay = play(script, seconds, domain.number, usage, kill_every, restart_next_node)
         time.sleep(3.0)
         for node in nodes:
             node.check()
@@ -221,7 +221,7 @@ def fly(
         if any(codes):
             msg = f"nodes ended with exit codes {codes}"
             raise RuntimeError(msg)
-    flight = Flight(np.array(sent, dtype=np.int64), seen, usage, late)
+    flight = Flight(np.array(sent, dtype=np.int64), seen, usage, delay)
     for name, at in killed:
         topic = CELLS if name == "mapping_node" else SITES
         later = [t for stamp, t in seen.received[topic] if t > at and stamp > at]
@@ -246,7 +246,7 @@ def play(
     scans = node.create_publisher(PointCloud2, "lidar/points", profile)
     poses = node.create_publisher(PoseWithCovarianceStamped, "nav/pose", profile)
     sent: list[int] = []
-    late = sampled = 0
+    delay = sampled = 0
     try:
         wait_for_subscribers(node, [scans, poses], 30.0)
         start = killed = time.time_ns()
@@ -254,13 +254,13 @@ def play(
             turn, k = divmod(number, len(script.content))
             due = start + turn * script.period_ns + script.offset_ns[k]
             if due >= start + seconds * SECOND_NS:
-                return sent, late / 1e6
+                return sent, delay / 1e6
             time.sleep(max(due - time.time_ns(), 0) / SECOND_NS)
             struct.pack_into("<iI", script.content[k], 4, *divmod(due, SECOND_NS))
             (scans if script.is_scan[k] else poses).publish(bytes(script.content[k]))
             if script.is_scan[k]:
                 sent.append(due)
-                late = max(late, time.time_ns() - due)
+                delay = max(delay, time.time_ns() - due)
             if due - sampled >= SECOND_NS:
                 sampled = due
                 for each in usage.values():
@@ -273,7 +273,7 @@ def play(
 
 
 def latencies_ms(sent: Stamps, received: Sequence[tuple[int, int]]) -> tuple[Any, Any]:
-    """Latencies of messages from their stamps, and of scans to the first message that has them."""
+    """Latencies of messages from their stamps, and of scans to the first message with them."""
     stamps = np.array([stamp for stamp, _ in received], dtype=np.int64)
     times = np.array([at for _, at in received], dtype=np.int64)
     of_messages = (times - stamps)[np.isin(stamps, sent)] / 1e6
@@ -282,13 +282,13 @@ def latencies_ms(sent: Stamps, received: Sequence[tuple[int, int]]) -> tuple[Any
     return of_messages, (times[first[within]] - sent[within]) / 1e6
 
 
-def report(flight: Flight, alone: Flight | None) -> None:
-    """Print a flight's figures, and the processor time when only the nodes receive the map."""
+def report(flight: Flight, without_map: Flight | None) -> None:
+    """Print the figures of a flight, and the processor time if only the nodes receive the map."""
     rows = []
-    for topic, must, aim in ((CELLS, 150, 50), (SITES, 400, 150), (SELECTED, 400, 150)):
+    for topic, required, aim in ((CELLS, 150, 50), (SITES, 400, 150), (SELECTED, 400, 150)):
         messages, scans = latencies_ms(flight.sent, flight.observed.received[topic])
         for name, values in (("message", messages), ("every scan", scans)):
-            rows.append([f"{topic}, {name}", len(values), *_spread(values), must, aim])
+            rows.append([f"{topic}, {name}", len(values), *_median_p95_max(values), required, aim])
     table(
         "Latency from scan stamp, ms (a message's: from the newest scan in it; every scan's: to"
         " the first message that has it, which withdraws the target if the scan shows a hazard)",
@@ -299,9 +299,9 @@ def report(flight: Flight, alone: Flight | None) -> None:
     for name, usage in flight.usage.items():
         memory = usage.memory_mb
         shown = memory[min(60, len(memory) // 2)], memory[-1], max(memory)
-        shares = [share(of, [name]) for of in (alone, flight)]
+        shares = [share(of, [name]) for of in (without_map, flight)]
         rows.append([name, *shares, *(f"{size:.0f}" for size in shown)])
-    shares = [share(of, list(flight.usage)) for of in (alone, flight)]
+    shares = [share(of, list(flight.usage)) for of in (without_map, flight)]
     rows.append(["both (required < 60, aim < 25)", *shares, "", "", ""])
     table(
         "Processes, % of a core (mapping_node is to stay flat below 200 MB, aim 150)",
@@ -314,25 +314,25 @@ def report(flight: Flight, alone: Flight | None) -> None:
         lost = f"{mapped} mapped since the last restart"
     print(
         f"\n{len(flight.sent)} scans sent, {lost};"
-        f" the player was at most {flight.late_ms:.0f} ms late"
+        f" the player was at most {flight.late_ms:.0f} ms delay"
     )
     for name, seconds in flight.recovery_s:
         print(f"{name} killed and started again: new scans {seconds:.1f} s later (required 6)")
 
 
 def share(flight: Flight | None, names: Sequence[str]) -> str:
-    """Of some of the nodes together, per cent of a core."""
+    """Total load of some nodes, per cent of a core."""
     return "-" if flight is None else f"{sum(flight.usage[of].share() for of in names):.1f}"
 
 
-def _spread(values: Any) -> list[str]:
+def _median_p95_max(values: Any) -> list[str]:
     if not len(values):
         return ["-", "-", "-"]
     return [f"{v:.1f}" for v in (np.median(values), np.percentile(values, 95), values.max())]
 
 
 def main() -> None:
-    """Fly and print."""
+    """Run the flights and print their figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0, help="of flight")
     parser.add_argument("--seed", type=int, default=101)
@@ -344,11 +344,16 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         if options.kill:
             extra += ["-p", f"checkpoint.path:={folder}/checkpoint.map"]
-        script, how = write_script(options.seed), {"extra": extra, "kill_every": options.kill}
-        flight = fly(script, options.seconds, Path(folder), **how)
-        how["topics"] = GUIDANCE
-        alone = None if options.kill else fly(script, options.seconds, Path(folder), **how)
-    report(flight, alone)
+        script, options_of_fly = (
+            write_script(options.seed),
+            {"extra": extra, "kill_every": options.kill},
+        )
+        flight = fly(script, options.seconds, Path(folder), **options_of_fly)
+        options_of_fly["topics"] = GUIDANCE
+        without_map = (
+            None if options.kill else fly(script, options.seconds, Path(folder), **options_of_fly)
+        )
+    report(flight, without_map)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Grid points called safe on ground that was observed in part, judged by the true ground.
+"""True safety of grid points that are called safe on partly observed ground.
 
-All scenes are closed formulas (`common.rays`): edges of the scanned area, small footprints, fields
-of rocks, and drops.
+The scenes are analytic (`common.rays`): edges of the scanned area, small footprints, fields of
+rocks, drops and posts.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 NOISE = 0.06
-#: m: posts of the true ground that the lander is set down on.
+#: Distance of the posts of the true ground, m.
 POST = 0.05
 FLASH = fan(1.0, 128)
 
@@ -46,11 +46,11 @@ def main() -> None:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Grid points of a map that are called safe; (K, 2) places of those that are not; the least
-    predicted risk of these, infinite for none."""
+    """Grid points of a map that are called safe; positions (K, 2) of those that are truly unsafe,
+    and the lowest predicted risk of these, infinite without any."""
 
     safe: int
-    wrong: Array
+    unsafe: Array
     risk: float
 
 
@@ -59,29 +59,29 @@ HEADER = ["maps", "safe", "unsafe", "%", "least risk"]
 
 def row(verdicts: list[Verdict]) -> list[object]:
     """Sums over maps, as `HEADER` names them."""
-    safe, wrong = sum(v.safe for v in verdicts), sum(len(v.wrong) for v in verdicts)
+    safe, unsafe = sum(v.safe for v in verdicts), sum(len(v.unsafe) for v in verdicts)
     risk = min(v.risk for v in verdicts)
     least = f"{risk:.1e}" if np.isfinite(risk) else "-"
-    return [len(verdicts), safe, wrong, f"{100 * wrong / max(safe, 1):.2f}", least]
+    return [len(verdicts), safe, unsafe, f"{100 * unsafe / max(safe, 1):.2f}", least]
 
 
 def verdict(cells: CellMap, config: Config, scene: Scene) -> Verdict:
     """Set the lander down on the true ground wherever the map calls it safe."""
-    found, gear = LandingSiteSelector(config).assess(cells), LandingGear()
-    j, i = np.nonzero(found.safe)
-    places = np.column_stack([found.x[i], found.y[j]])
+    assessment, gear = LandingSiteSelector(config).assess(cells), LandingGear()
+    j, i = np.nonzero(assessment.safe)
+    places = np.column_stack([assessment.x[i], assessment.y[j]])
     if not len(places):
         return Verdict(0, places, np.inf)
     reach = gear.reach + 0.5
     x, y = (np.arange(v.min() - reach, v.max() + reach, POST) for v in places.T)
     slope, rises = worst_contact(Terrain(x, y, scene.dem(x, y)), places, gear)
-    wrong = (slope > np.tan(np.radians(gear.max_slope_deg))) | (rises > gear.max_roughness)
-    risk = found.risk[j[wrong], i[wrong]].min(initial=np.inf)
-    return Verdict(len(wrong), places[wrong], float(risk))
+    unsafe = (slope > np.tan(np.radians(gear.max_slope_deg))) | (rises > gear.max_roughness)
+    risk = assessment.risk[j[unsafe], i[unsafe]].min(initial=np.inf)
+    return Verdict(len(unsafe), places[unsafe], float(risk))
 
 
 def mapped(config: Config, views: list[View]) -> CellMap:
-    """Map all views in order."""
+    """Map views in order."""
     mapper = Mapper(config)
     for one in views:
         mapper.update(one.points, one.pose)
@@ -89,14 +89,14 @@ def mapped(config: Config, views: list[View]) -> CellMap:
 
 
 def from_glide_slope(target: Array, heading: float, slant: float, slope_deg: float) -> Array:
-    """Position of a lidar that looks at a place (2,) on z = 0."""
+    """Position of a lidar that points at (2,) on z = 0 from a glide slope."""
     slope = np.radians(slope_deg)
     back = -np.cos(slope) * np.array([np.cos(heading), np.sin(heading)])
     return np.array([*(target + slant * back), slant * np.sin(slope)])
 
 
 def edge(seeds: list[int] | None, quick: bool) -> None:
-    """A rock where the scanned ground ends, in a leaf that was observed in part."""
+    """A rock at the edge of the scanned ground, in a partly observed leaf."""
     rows = []
     for level, border, edges in (
         (4, 20.0, (20.8, 21.3, 21.8, 20.4, 22.4, 23.2)),
@@ -108,19 +108,19 @@ def edge(seeds: list[int] | None, quick: bool) -> None:
             verdicts = []
             for seed in seeds or range(401, 403 if quick else 409):
                 rng = np.random.default_rng([seed, level, round(100 * at)])
-                verdicts.append(one_edge(rng, config, border, at))
+                verdicts.append(scan_edge(rng, config, border, at))
             rows.append([f"{config.domain.size / 2**level:g}", f"{at:g}", *row(verdicts)])
     title = "edge: rock of 0.45 m at the edge of the scanned ground; grid points called safe"
     table(title, ["leaf m", "edge m", *HEADER], rows)
 
 
-def one_edge(rng: np.random.Generator, config: Config, border: float, at: float) -> Verdict:
+def scan_edge(rng: np.random.Generator, config: Config, border: float, at: float) -> Verdict:
     """Scan the ground up to ``at``; the rock stands within the leaf that begins at ``border``."""
     low, high = border + 0.25, max(at - 0.1, border + 0.3)
     side = config.domain.size / 2**config.domain.min_level
     place = np.array([low + (high - low) * rng.random(), side * rng.random() - 0.5 * side])
     scene = Scene(spheres=rocks(place[None], 0.45, 0.45))
-    # The edge is east, or north: along or across the line of sight.
+    # The edge is at random in the east or in the north.
     heading, turned = 2.0 * np.pi * rng.random(), rng.random() < 0.5
     if turned:
         scene = Scene(spheres=scene.spheres[:, [1, 0, 2, 3]])
@@ -139,7 +139,7 @@ def one_edge(rng: np.random.Generator, config: Config, border: float, at: float)
 
 
 def footprints(seeds: list[int] | None, quick: bool) -> None:
-    """A lidar low over the ground: footprints smaller than a coarse cell."""
+    """A low lidar, whose footprints are smaller than a coarse cell."""
     rows = []
     low = ((60.0, 8.0), (100.0, 12.0)) if quick else ((28.65, 10.0), (60.0, 16.0))
     heights = low if quick else (*low, (100.0, 24.0), (150.0, 24.0))
@@ -164,7 +164,7 @@ def footprints(seeds: list[int] | None, quick: bool) -> None:
 def small_footprints(
     rng: np.random.Generator, rock: float, above: float, half: float
 ) -> tuple[Scene, list[View]]:
-    """Rocks of a height, and scans that cover a square three times."""
+    """Rocks of one height, and scans that cover a square three times."""
     reach = np.arange(-half - 6.0, half + 6.1, 4.0) + rng.uniform(-2.0, 2.0)
     places = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
     places += rng.uniform(-0.3, 0.3, places.shape)
@@ -207,7 +207,8 @@ def inside(seeds: list[int] | None, quick: bool) -> None:
 
 
 def drops(seeds: list[int] | None, quick: bool) -> None:
-    """Ditches, steps and pits, seen often, only from one side: no return from their floors."""
+    """Ditches, steps and pits, scanned often, but only from one side: no returns from their
+    floors."""
     domain = {"domain__xmin": -16.0, "domain__ymin": -16.0, "domain__size": 32.0}
     config = configuration("flight", **domain, domain__min_level=3, domain__max_level=7)
     rows, rays = [], fan(8.0, 96)
@@ -216,7 +217,7 @@ def drops(seeds: list[int] | None, quick: bool) -> None:
             verdicts = []
             for seed in seeds or range(5201, 5203 if quick else 5213):
                 rng = np.random.default_rng([seed, incidence])
-                scene, top = dropping(rng, kind)
+                scene, top = drop_scene(rng, kind)
                 heading, mapper = rng.uniform(-1.0, 1.0), Mapper(config)
                 for k in range(40):
                     aim = rng.uniform(-6.0, 6.0, 2)
@@ -234,7 +235,7 @@ def drops(seeds: list[int] | None, quick: bool) -> None:
     )
 
 
-def dropping(rng: np.random.Generator, kind: str) -> tuple[Scene, float]:
+def drop_scene(rng: np.random.Generator, kind: str) -> tuple[Scene, float]:
     """Level ground over a plane, with holes down to it; and how high that ground is, m."""
     deep, wide, far = rng.uniform(0.4, 0.8), rng.uniform(0.4, 1.0), 30.0
     if kind == "pits":

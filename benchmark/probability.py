@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far the risk of a place can be trusted: on families of flights that its fit left out."""
+"""Reliability of the predicted risk, on families of flights that its fit did not use."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from quadtree_lss.lab.evaluation.risk_flights import (
     fitted,
     fly,
     land,
+    risk_table,
     sampled,
-    table_of,
 )
-from quadtree_lss.lab.simulation.hazard_field import strewn
+from quadtree_lss.lab.simulation.hazard_field import add_rocks_to
 from quadtree_lss.lab.simulation.terrain import Terrain, load_terrain
 from quadtree_lss.onboard.arrays import Array, Index, Mask, Single
 from quadtree_lss.onboard.config.risk import risk_model
@@ -39,63 +39,79 @@ from quadtree_lss.onboard.config.settings import Config, LssConfig
 
 BINS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
 LIMITS = (0.001, 0.0018, 0.002, 0.003, 0.005, 0.008, 0.012, 0.02, 0.05)
-RESAMPLED = 500
+RESAMPLES = 500
 TILE = 2.2
-"""Side of the tiles, diameters, whose failures are taken for independent."""
+"""Side of the tiles, diameters, whose failures are treated as independent."""
 HALF, POST = 40.0, 0.1
-#: Views of real terrains, in turn, three times.
-REAL = ("whole", "thin", "few", "views")
+#: Families of the flights over measured terrains, in turn, three times.
+TERRAIN_FAMILIES = ("whole", "thin", "few", "views")
 
 
 @dataclass(frozen=True)
-class Judged:
-    """Landings of a map: what was asked (K, F), what failed (K,), tiles (K,), which maps of one
-    flight share, part flown."""
+class EvaluatedMap:
+    """All landings on a map: features (K, F), failures (K,), tiles (K,), which the maps of one
+    flight share, and the fraction of the flight."""
 
-    asked: Single
+    features: Single
     failed: Mask
     tile: Index
     part: float
 
 
 def main() -> None:
-    """Print the tables, draw the figure."""
+    """Print the tables and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__)
     add = parser.add_argument
-    add("--seeds", default="93000-93054", help="of flights to judge by, dealt to the families")
-    add("--fit-seeds", default="90000-90219", help="of those that a fit is made of, likewise")
-    add("--terrain", type=Path, action="append", default=[], help=".npz; flown with rocks, without")
+    add(
+        "--seeds",
+        default="93000-93054",
+        help="of flights for the evaluation, assigned to the families in turn",
+    )
+    add("--fit-seeds", default="90000-90219", help="of flights for the fits, likewise")
+    add(
+        "--terrain",
+        type=Path,
+        action="append",
+        default=[],
+        help=".npz of a terrain; flown with and without rocks",
+    )
     add("--model", default="", help="file of fit-risk, by default the one of the package")
-    add("--keep", type=Path, default=Path("risk_flights"), help="folder of what was flown")
-    add("--shipped", action="store_true", help="judge the model alone: no fit without each family")
+    add("--keep", type=Path, default=Path("risk_flights"), help="folder of simulated flights")
+    add(
+        "--shipped",
+        action="store_true",
+        help="evaluate only the shipped model, without further fits",
+    )
     add("--figure", type=Path, help="PNG to draw")
     options = parser.parse_args()
     print(machine())
     config, model = configuration("morpheus"), risk_model(options.model)
     by = hashlib.sha256(repr((this_build(), config)).encode()).hexdigest()[:8]
-    keep = options.keep / by  # what others flew is not taken for it
+    keep = options.keep / by  # separate for each build
     keep.mkdir(parents=True, exist_ok=True)
-    judged = flown(parse_seeds(options.seeds), config, keep, options.terrain)
-    told = {name: [risks(model, of.asked) for of in maps] for name, maps in judged.items()}
-    reliability("the shipped model", judged, told)
+    evaluated = fly_all(parse_seeds(options.seeds), config, keep, options.terrain)
+    predicted = {
+        name: [risks(model, of.features) for of in maps] for name, maps in evaluated.items()
+    }
+    reliability("the shipped model", evaluated, predicted)
     if not options.shipped:
         samples, seeds = fit_samples(parse_seeds(options.fit_seeds), config, keep)
         of = {}
         for name in FAMILIES:
             rest = {other: some for other, some in samples.items() if other != name}
             model = fitted(rest, seeds, config)
-            of[name] = [risks(model, one.asked) for one in judged[name]]
-        reliability("a fit without the family", {name: judged[name] for name in FAMILIES}, of)
-        curve("whole flights, left out of the fit", judged["whole"], of["whole"])
-    curve("whole flights, the shipped model", judged["whole"], told["whole"])
+            of[name] = [risks(model, one.features) for one in evaluated[name]]
+        reliability("a fit without the family", {name: evaluated[name] for name in FAMILIES}, of)
+        curve("whole flights, left out of the fit", evaluated["whole"], of["whole"])
+    curve("whole flights, the shipped model", evaluated["whole"], predicted["whole"])
     if options.figure:
-        draw(options.figure, judged, told)
+        draw(options.figure, evaluated, predicted)
 
 
 def fit_samples(
     seeds: list[int], config: Config, keep: Path
 ) -> tuple[dict[str, list[Sample]], dict[str, list[int]]]:
-    """What `fit_risk` would fit to, by family, and the seeds of each."""
+    """Samples by family as in `fit_risk`, and the seeds of each family."""
     names = list(FAMILIES)
     out: dict[str, list[Sample]] = {name: [] for name in names}
     for number, seed in enumerate(seeds):
@@ -109,52 +125,54 @@ def fit_samples(
     return out, {name: seeds[k :: len(names)] for k, name in enumerate(names)}
 
 
-def flown(
+def fly_all(
     seeds: list[int], config: Config, keep: Path, terrains: list[Path]
-) -> dict[str, list[Judged]]:
-    """Flights by family, and over real terrains with and without rocks, which no fit has."""
+) -> dict[str, list[EvaluatedMap]]:
+    """Flights by family, and over measured terrains with and without rocks, which no fit uses."""
     names = list(FAMILIES)
-    out: dict[str, list[Judged]] = {name: [] for name in names}
+    out: dict[str, list[EvaluatedMap]] = {name: [] for name in names}
     for number, seed in enumerate(seeds):
         name = names[number % len(names)]
-        out[name] += judged_flight(keep / f"{name}_{seed}.pkl", FAMILIES[name], seed, config)
+        out[name] += evaluated_flight(keep / f"{name}_{seed}.pkl", FAMILIES[name], seed, config)
     for path in terrains:
         for rocks in ("", " + rocks"):
             of = out.setdefault(path.stem + rocks, [])
-            for k, seed in enumerate(seeds[: 3 * len(REAL)]):
+            for k, seed in enumerate(seeds[: 3 * len(TERRAIN_FAMILIES)]):
                 rng = np.random.default_rng([seed, 2])
-                ground = piece(rng, load_terrain(path))
-                ground = strewn(rng, ground, 0.05) if rocks else ground
+                ground = terrain_sample(rng, load_terrain(path))
+                ground = add_rocks_to(rng, ground, 0.05) if rocks else ground
                 file = keep / f"{path.stem}{rocks.replace(' ', '')}_{seed}.pkl"
-                of += judged_flight(file, FAMILIES[REAL[k % 4]], seed, config, ground)
+                of += evaluated_flight(
+                    file, FAMILIES[TERRAIN_FAMILIES[k % 4]], seed, config, ground
+                )
     return out
 
 
-def judged_flight(
+def evaluated_flight(
     file: Path, family: Family, seed: int, config: Config, terrain: Terrain | None = None
-) -> list[Judged]:
-    """The maps of a flight, from a file if it is there."""
+) -> list[EvaluatedMap]:
+    """Return the maps of a flight from a file, which is written if it does not exist."""
     if not file.exists():
-        maps = [judge(mapped, seed) for mapped in fly(family, seed, config, terrain)]
+        maps = [evaluate_map(mapped, seed) for mapped in fly(family, seed, config, terrain)]
         file.write_bytes(pickle.dumps(maps))
         print(f"flown: {file.stem}", flush=True)
     return list(pickle.loads(file.read_bytes()))
 
 
-def judge(mapped: Mapped, seed: int) -> Judged:
-    """All landings of a map."""
+def evaluate_map(mapped: Mapped, seed: int) -> EvaluatedMap:
+    """Compute all landings of a map."""
     model = unfitted()
     landings = land(mapped, model)
-    asked = landings.asked(table_of(model, mapped.config))
+    asked = landings.features(risk_table(model, mapped.config))
     finest = landings.raster.domain.finest_size
     side = max(1, round(TILE * mapped.config.vehicle.diameter / finest))
-    row, column = np.argwhere(landings.counts).T // side
+    row, column = np.argwhere(landings.usable).T // side
     tiles = 10**8 * seed + 10_000 * row + column
-    return Judged(asked, landings.failed, tiles, mapped.part)
+    return EvaluatedMap(asked, landings.failed, tiles, mapped.part)
 
 
-def piece(rng: np.random.Generator, terrain: Terrain) -> Terrain:
-    """80 x 80 m somewhere in a terrain, or what it has, turned at random; posts 0.1 m apart."""
+def terrain_sample(rng: np.random.Generator, terrain: Terrain) -> Terrain:
+    """Cut 80 x 80 m, or less, at random from a terrain and rotate it; posts 0.1 m apart."""
     xmin, xmax, ymin, ymax = terrain.bounds
     half = POST * np.floor(min(HALF, 0.5 * (xmax - xmin), 0.5 * (ymax - ymin)) / POST - 1e-6)
     free = np.array([0.5 * (xmax - xmin) - half, 0.5 * (ymax - ymin) - half])
@@ -168,30 +186,34 @@ def piece(rng: np.random.Generator, terrain: Terrain) -> Terrain:
     return Terrain(own, own, np.ascontiguousarray(z - z.mean()))
 
 
-def reliability(title: str, judged: dict[str, list[Judged]], told: dict[str, list[Array]]) -> None:
-    """A line for each family; of ``whole`` another after a part of the flight."""
+def reliability(
+    title: str, evaluated: dict[str, list[EvaluatedMap]], predicted: dict[str, list[Array]]
+) -> None:
+    """Print a row for each family; another for ``whole`` after a third of the flight."""
     rows = []
-    for name, maps in judged.items():
+    for name, maps in evaluated.items():
         picks = {name: [True] * len(maps)}
         if name == "whole":
-            picks |= {"whole, at most a third flown": [one.part < 0.34 for one in maps]}
+            picks |= {"whole, at upper a third flown": [one.part < 0.34 for one in maps]}
         for of, pick in picks.items():
-            some = [(one, p) for one, p, yes in zip(maps, told[name], pick, strict=True) if yes]
+            some = [
+                (one, p) for one, p, yes in zip(maps, predicted[name], pick, strict=True) if yes
+            ]
             if some:
-                rows.append([of, *line(some)])
+                rows.append([of, *reliability_row(some)])
     bins = [f"{100 * a:g}-{100 * b:g}" for a, b in zip(BINS, BINS[1:], strict=False)]
     header = ["family", *bins, "called safe", "unsafe of it, %", "safe kept, %", "Brier", "log"]
     table(f"Truly unsafe over told, by told risk in %, of {title}", header, rows)
 
 
-def line(some: list[tuple[Judged, Array]]) -> list[str]:
-    """Ratios with 90 % of those that other tiles would give, and what is allowed by default."""
+def reliability_row(some: list[tuple[EvaluatedMap, Array]]) -> list[str]:
+    """Ratios with 90 % intervals by resampling of tiles, and figures of the default limit."""
     risk, failed = np.concatenate([p for _, p in some]), np.concatenate([j.failed for j, _ in some])
     if not failed.size:
         return ["-"] * (len(BINS) + 4)
     tiles, place = np.unique(np.concatenate([one.tile for one, _ in some]), return_inverse=True)
     rng = np.random.default_rng(1)
-    times = rng.multinomial(len(tiles), np.full(len(tiles), 1.0 / len(tiles)), RESAMPLED)
+    times = rng.multinomial(len(tiles), np.full(len(tiles), 1.0 / len(tiles)), RESAMPLES)
     out = []
     for low, high in zip(BINS, BINS[1:], strict=False):
         here = (risk >= low) & (risk < high)
@@ -200,8 +222,8 @@ def line(some: list[tuple[Judged, Array]]) -> list[str]:
             continue
         sums = [np.bincount(place[here], v[here], len(tiles)) for v in (failed, risk)]
         with np.errstate(invalid="ignore", divide="ignore"):
-            least, most = np.nanpercentile((times @ sums[0]) / (times @ sums[1]), (5.0, 95.0))
-        out.append(f"{sums[0].sum() / sums[1].sum():.2f} ({least:.1f}-{most:.1f})")
+            lower, upper = np.nanpercentile((times @ sums[0]) / (times @ sums[1]), (5.0, 95.0))
+        out.append(f"{sums[0].sum() / sums[1].sum():.2f} ({lower:.1f}-{upper:.1f})")
     safe = risk <= LssConfig().max_risk
     unsafe = 100.0 * failed[safe].mean() if safe.any() else 0.0
     kept = 100.0 * safe[~failed].mean() if not failed.all() else np.nan
@@ -210,9 +232,10 @@ def line(some: list[tuple[Judged, Array]]) -> list[str]:
     ]
 
 
-def found_kept(judged: list[Judged], told: list[Array]) -> Array:
-    """(L, N, 2) hazards found and safe ground kept by each of `LIMITS`, at the ends of flights."""
-    ends = [(one, p) for one, p in zip(judged, told, strict=True) if one.part == 1.0]
+def detection_rates(evaluated: list[EvaluatedMap], predicted: list[Array]) -> Array:
+    """Detected hazards and kept safe ground for each of `LIMITS`, at the ends of flights: (L, N,
+    2)."""
+    ends = [(one, p) for one, p in zip(evaluated, predicted, strict=True) if one.part == 1.0]
     ends = [(one, p) for one, p in ends if one.failed.sum() >= 20]
     return np.array(
         [
@@ -222,10 +245,10 @@ def found_kept(judged: list[Judged], told: list[Array]) -> Array:
     )
 
 
-def curve(title: str, judged: list[Judged], told: list[Array]) -> None:
-    """Operating points."""
+def curve(title: str, evaluated: list[EvaluatedMap], predicted: list[Array]) -> None:
+    """Print the operating points."""
     rows = []
-    for limit, of in zip(LIMITS, 100.0 * found_kept(judged, told), strict=True):
+    for limit, of in zip(LIMITS, 100.0 * detection_rates(evaluated, predicted), strict=True):
         found, kept = of.T
         rows.append(
             [f"{limit:g}", f"{found.mean():.2f}", f"{found.min():.2f}", f"{kept.mean():.1f}"]
@@ -234,16 +257,18 @@ def curve(title: str, judged: list[Judged], told: list[Array]) -> None:
     table(f"Operating points: {title}", header, rows)
 
 
-def draw(file: Path, judged: dict[str, list[Judged]], told: dict[str, list[Array]]) -> None:
-    """Reliability of all, and what is found and kept on whole flights."""
+def draw(
+    file: Path, evaluated: dict[str, list[EvaluatedMap]], predicted: dict[str, list[Array]]
+) -> None:
+    """Draw the reliability of all families and the operating points of whole flights."""
     figure = Figure(figsize=(11.0, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     left.set_prop_cycle(color=colormaps["tab20"].colors)
     edges = np.geomspace(3e-4, 0.9, 12)
-    for name, maps in judged.items():
+    for name, maps in evaluated.items():
         if not maps:
             continue
-        risk, failed = np.concatenate(told[name]), np.concatenate([one.failed for one in maps])
+        risk, failed = np.concatenate(predicted[name]), np.concatenate([one.failed for one in maps])
         at = [(risk >= a) & (risk < b) for a, b in zip(edges, edges[1:], strict=False)]
         at = [here for here in at if here.sum() >= 300]
         x, y = [risk[here].mean() for here in at], [failed[here].mean() for here in at]
@@ -253,7 +278,7 @@ def draw(file: Path, judged: dict[str, list[Judged]], told: dict[str, list[Array
     left.set(xscale="log", yscale="log", xlabel="risk given", ylabel="truly unsafe share")
     left.set(ylim=(1e-4, 1.0))
     left.legend(fontsize=7)
-    of = found_kept(judged["whole"], told["whole"])
+    of = detection_rates(evaluated["whole"], predicted["whole"])
     for what, values in (("mean", of.mean(axis=1)), ("worst flight", of.min(axis=1))):
         kept, missed = 100.0 * of[:, :, 1].mean(axis=1), 100.0 * (1.0 - values[:, 0])
         right.plot(kept, np.maximum(missed, 1e-3), marker=".", label=what)

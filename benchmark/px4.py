@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Landings with PX4, software in the loop, by its own simulator SIH: as with ArduCopter.
+"""Landings with PX4, software in the loop with its simulator SIH, as with ArduCopter.
 
-``PX4`` names the folder of a build of ``px4_sitl``; without it nothing is flown. By the simulator's
-GPS and compass PX4 errs by decimetres and ten degrees, so the stand gives it place and heading,
-with errors of ``FIX_M`` and ``FIX_RAD``. The pilot takes off, holds and switches to offboard.
+``PX4`` names the folder of a build of ``px4_sitl``; without it nothing is flown. With the simulated
+GPS and compass the estimate of PX4 is wrong by decimetres and ten degrees, so this program sends it
+position and heading with errors of ``FIX_M`` and ``FIX_RAD``. The pilot takes off, holds and
+switches to offboard.
 """
 
 from __future__ import annotations
@@ -38,20 +39,20 @@ HOME, METRES_PER_DEG = (47.397742, 8.545594, 489.4), 111_194.9
 TAKE_OFF, HOLD = 4 << 16 | 2 << 24, 4 << 16 | 3 << 24
 TRUTH, TURN, TRUTH_HZ = 115, 31, 100.0
 FIX_HZ, FIX_M, FIX_RAD = 30.0, 0.02, 0.01
-BENCH = {
+SIMULATOR_PARAMETERS = {
     "MIS_TAKEOFF_ALT": HEIGHT_M, "COM_RC_IN_MODE": 1, "SDLOG_BACKEND": 0,
     "EKF2_EV_CTRL": 11, "EKF2_GPS_CTRL": 0, "EKF2_HGT_REF": 3, "EKF2_MAG_TYPE": 5,
     "EKF2_ACC_NOISE": 1.0, "EKF2_GYR_NOISE": 0.1,
     "EKF2_EVP_NOISE": FIX_M, "EKF2_EVA_NOISE": 0.05, "SENS_EN_GPSSIM": 0, "SYS_HAS_GPS": 0,
     "SYS_HAS_MAG": 0,
 }  # fmt: skip
-"""The pilot has a joystick at the ground station; place and heading come from without."""
-WITHOUT = ("wind of 8 m/s", "GPS 11 m off for 4 s")
-"""Faults that its simulator does not have."""
+"""A joystick at the ground station; external position and heading."""
+UNSUPPORTED_FAULTS = ("wind of 8 m/s", "GPS 11 m off for 4 s")
+"""Faults that SIH does not simulate."""
 
 
 class Px4(Copter):
-    """The build, with all that a `Copter` has."""
+    """PX4 with SIH in place of ArduCopter."""
 
     GUIDED_MODE = GUIDED_MODES[PX4]
 
@@ -59,7 +60,9 @@ class Px4(Copter):
         self, binary: str, folder: Path, heading: float, output: BinaryIO
     ) -> subprocess.Popen[bytes]:
         mavutil = dialect()
-        for instance in map(int, np.random.default_rng().permutation(10)):  # more share a port
+        for instance in map(
+            int, np.random.default_rng().permutation(10)
+        ):  # further instances would share a port
             try:
                 with bound(14540 + instance), bound(19410 + instance):
                     break
@@ -72,11 +75,11 @@ class Px4(Copter):
         lines = (CONFIG / "px4.params").read_text("utf-8").splitlines()
         given = [line.split() for line in lines if not line.startswith("#")]
         values = {name: value for _, _, name, value, _ in given if name[:4] not in ("MAV_", "SER_")}
-        values |= {name: str(value) for name, value in BENCH.items()}
+        values |= {name: str(value) for name, value in SIMULATOR_PARAMETERS.items()}
         env = {**os.environ, "PX4_SIM_MODEL": "sihsim_quadx"}
         env |= {f"PX4_PARAM_{name}": value for name, value in values.items()}
-        self._system, self._turn = instance + 1, np.full(4, np.nan)
-        self._beat = self._shown = 0.0
+        self._system, self._attitude = instance + 1, np.full(4, np.nan)
+        self._next_heartbeat = self._last_fix = 0.0
         self._noise = np.random.default_rng(instance)
         build = Path(binary).resolve()
         return subprocess.Popen(
@@ -85,9 +88,9 @@ class Px4(Copter):
         )  # fmt: skip
 
     def truth(self) -> tuple[float, np.ndarray, np.ndarray]:
-        """As a `Copter`'s, from where the simulator began."""
-        at, (latitude, longitude, height, *_) = self._place
-        turn = SWAP @ rotation_from_quaternion(np.roll(self._turn, -1))
+        """As in `Copter`, relative to the start."""
+        at, (latitude, longitude, height, *_) = self._true_state
+        turn = SWAP @ rotation_from_quaternion(np.roll(self._attitude, -1))
         return at, self._metres(latitude, longitude, height), turn
 
     def _metres(self, latitude: float, longitude: float, height: float) -> np.ndarray:
@@ -96,41 +99,41 @@ class Px4(Copter):
         return np.array([east, north, height - HOME[2]])
 
     def start(self) -> None:
-        """To take off at once."""
+        """Switch to take-off and arm."""
         self._switch(TAKE_OFF)
         self.command(ARM_DISARM, 1.0)
 
-    def climb(self) -> None:
-        """It does so by itself."""
+    def take_off(self) -> None:
+        """Do nothing; the take-off mode climbs and holds."""
 
-    def stay(self) -> None:
-        """It does so by itself."""
+    def hover(self) -> None:
+        """Do nothing; the take-off mode climbs and holds."""
 
-    def take_back(self) -> None:
-        """To hold."""
+    def switch_to_pilot(self) -> None:
+        """Switch to hold."""
         self._switch(HOLD)
 
     def pace(self, seconds: float) -> None:
-        """Its own, of ``PX4_SIM_SPEED_FACTOR``."""
+        """Do nothing; PX4 uses ``PX4_SIM_SPEED_FACTOR``."""
 
     def _switch(self, mode: int) -> None:
         self.command(DO_SET_MODE, CUSTOM_MODE, mode >> 16 & 0xFF, mode >> 24)
 
-    def _look(self) -> None:
+    def _receive_truth(self) -> None:
         while (message := self._truth.recv_msg()) is not None:
             kind = message.get_type()
             if kind == "ATTITUDE_QUATERNION":
                 self.now = max(self.now, 1e-3 * message.time_boot_ms)
             elif kind == "HIL_STATE_QUATERNION":
-                self._turn = np.array(message.attitude_quaternion)
+                self._attitude = np.array(message.attitude_quaternion)
                 place = 1e-7 * message.lat, 1e-7 * message.lon, 1e-3 * message.alt
-                self._place = (self.now, place)
-                if self.now - self._shown >= 1.0 / FIX_HZ:
-                    self._shown = self.now
-                    self._fix()
+                self._true_state = (self.now, place)
+                if self.now - self._last_fix >= 1.0 / FIX_HZ:
+                    self._last_fix = self.now
+                    self._send_position()
 
-    def _fix(self) -> None:
-        """What it has instead of GPS and compass, as a camera or two antennas would tell."""
+    def _send_position(self) -> None:
+        """Send position and attitude as an external vision system would."""
         _, place, turn = self.truth()
         north_east_down = SWAP @ place + FIX_M * self._noise.standard_normal(3)
         angles = Rotation.from_matrix(SWAP @ turn).as_euler("ZYX")[::-1]
@@ -140,10 +143,10 @@ class Px4(Copter):
         upper = covariance[np.triu_indices(6)]
         self._truth.mav.vision_position_estimate_send(round(1e6 * self.now), *sent, upper)
 
-    def _steer(self) -> None:
+    def _send_sticks(self) -> None:
         self._ground.mav.manual_control_send(self._system, 0, 0, 500, 0, 0)
-        if time.monotonic() > self._beat:
-            self._beat = time.monotonic() + 1.0
+        if time.monotonic() > self._next_heartbeat:
+            self._next_heartbeat = time.monotonic() + 1.0
             self._ground.mav.heartbeat_send(6, 8, 0, 0, 0)
             begin = round(1e7 * HOME[0]), round(1e7 * HOME[1]), 0
             self._ground.mav.set_gps_global_origin_send(self._system, *begin)
@@ -153,4 +156,4 @@ class Px4(Copter):
 
 
 if __name__ == "__main__":
-    sys.exit(main(None, Px4, "PX4", [name for name in FAULTS if name not in WITHOUT]))
+    sys.exit(main(None, Px4, "PX4", [name for name in FAULTS if name not in UNSUPPORTED_FAULTS]))

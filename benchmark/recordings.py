@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Landing ground on recordings of real lidars, by the README's path without a further setting.
+"""Landing ground on recordings of real lidars with suggested configurations.
 
 For each recording: ``config suggest BAG --vehicle 3.7,0.3``, ``replay``, and the contact check of
-``measured_points.py judge``, which lies with the recordings. That script sets the vehicle down on
-the highest measured returns at every grid point whose ground was measured densely. The folder of
+``measured_points.py judge``, which is stored with the recordings. That script sets the vehicle down
+on the highest measured returns at each grid point whose ground was measured densely. The folder of
 the recordings is ``QUADTREE_LSS_DATA``, by default ``../shared/data`` beside the repository.
 """
 
@@ -28,8 +28,9 @@ VEHICLE = "3.7,0.3"
 
 
 class Recording(NamedTuple):
-    """Judged on cells of ``cell`` m where no gap exceeds ``gap`` m. ``points``: the measured
-    points, by default those of the bag; ``flown``: the bag is a virtual flight over them."""
+    """Parameters of a recording: it is evaluated on cells of ``cell`` m without gaps over ``gap``
+    m. ``points``: the measured points, by default those of the bag; ``flown``: the bag is a virtual
+    flight over them."""
 
     cell: float = 0.15
     gap: float = 0.6
@@ -57,15 +58,15 @@ def main() -> int:
     parser.add_argument("--data", type=Path, default=folder, help="folder of the recordings")
     parser.add_argument("names", nargs="*", metavar="NAME", help="recordings (default: all)")
     options = parser.parse_args()
-    judge = options.data / "measured_points.py"
-    if not judge.exists():
+    script = options.data / "measured_points.py"
+    if not script.exists():
         print(f"no recordings in {options.data}; {machine()}")
         return 0
     print(machine())
     rows = []
     for name in options.names or RECORDINGS:
         with tempfile.TemporaryDirectory() as scratch:
-            found = judged(name, RECORDINGS[name], judge.resolve(), Path(scratch))
+            found = evaluated(name, RECORDINGS[name], script.resolve(), Path(scratch))
         refused = found["good_and_refused_percent"]
         bad = f"{found['allowed_and_bad']} of {found['allowed']:,}"
         rows.append([name, found["good_percent"], f"{100.0 - refused:.1f}", bad, refused])
@@ -74,16 +75,16 @@ def main() -> int:
     return 0
 
 
-def judged(name: str, recording: Recording, judge: Path, scratch: Path) -> dict[str, float]:
+def evaluated(name: str, recording: Recording, script: Path, scratch: Path) -> dict[str, float]:
     """Suggest a configuration, replay with it, and compare the result with the measured points."""
-    bag, config, out = judge.parent / name, scratch / "suggested.yaml", scratch / "out"
+    bag, config, out = script.parent / name, scratch / "suggested.yaml", scratch / "out"
     if recording.flown:
         bag = scratch / name
-        run(sys.executable, judge, "fly", recording.points, bag)
+        run(sys.executable, script, "fly", recording.points, bag)
     config.write_text(run(PROGRAM, "config", "suggest", bag, "--vehicle", VEHICLE), "utf-8")
     run(PROGRAM, "replay", bag, "--config", config, "--out", out, "--no-report", "--quiet")
     how = ["--vehicle", VEHICLE, "--cell", recording.cell, "--gap", recording.gap]
-    return json.loads(run(sys.executable, judge, "judge", out, recording.points or bag, *how))
+    return json.loads(run(sys.executable, script, "judge", out, recording.points or bag, *how))
 
 
 def run(*words: object) -> str:

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CPU time of one scan update by flight, by points and by leaves, with everything on.
+"""CPU time of one scan update, by flight, number of points and number of leaves.
 
-For comparison, mean heights on a fixed grid are computed in two ways (`common/heights.py`) from the
-same scans in the same run.
+For comparison, `common/heights.py` computes mean heights on a fixed grid from the same scans.
 """
 
 from __future__ import annotations
@@ -44,19 +43,19 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=101)
-    parser.add_argument("--duration", type=float, help="s of each flight, by default all")
+    parser.add_argument("--duration", type=float, help="duration of each flight, s")
     parser.add_argument("--largest", type=int, default=POINTS[-1], help="side of the largest scan")
     options = parser.parse_args()
     print(machine())
     flights = {name: recording(name, options.seed, options.duration) for name, _ in FLIGHTS}
     for scenario, title in FLIGHTS:
-        totals(title, flights[scenario], configuration(scenario))
+        print_flight(title, flights[scenario], configuration(scenario))
     growth_with_points([side for side in POINTS if side <= options.largest])
     growth_with_leaves()
 
 
-def side_by_side(mapper: Mapper, scans: list[tuple[np.ndarray, Pose]]) -> dict[str, np.ndarray]:
-    """CPU time (S,) of each scan in `mapper` and for mean heights on its finest cells, ms."""
+def cpu_times(mapper: Mapper, scans: list[tuple[np.ndarray, Pose]]) -> dict[str, np.ndarray]:
+    """CPU time (S,) of each scan in ``mapper`` and for mean heights on its finest cells, ms."""
     methods = {OURS: mapper.update, **mean_heights(mapper.domain)}
     spent = {}
     for name, method in methods.items():
@@ -65,10 +64,10 @@ def side_by_side(mapper: Mapper, scans: list[tuple[np.ndarray, Pose]]) -> dict[s
     return spent
 
 
-def totals(title: str, flight: Recording, config: Config) -> None:
-    """A whole flight: ours, the others, and how many times theirs ours is."""
+def print_flight(title: str, flight: Recording, config: Config) -> None:
+    """Print the times of a flight, and the ratios of our median to the others."""
     mapper = Mapper(config)
-    spent = side_by_side(mapper, [scan[1:3] for scan in flight.scans])
+    spent = cpu_times(mapper, [scan[1:3] for scan in flight.scans])
     rows = []
     for name, ms in spent.items():
         median, most = np.percentile(ms, [50.0, 99.0])
@@ -82,8 +81,8 @@ def totals(title: str, flight: Recording, config: Config) -> None:
     )
 
 
-def waves(side: int, stamp: int, rng: np.random.Generator, extent: float = 60.0):
-    """An organised scan, ``side`` squared points, of gentle waves seen from 450 m straight up."""
+def wave_scan(side: int, stamp: int, rng: np.random.Generator, extent: float = 60.0):
+    """Organised scan of ``side`` squared points of gentle waves, from 450 m above."""
     step = (np.arange(side) + 0.5) / side * extent - 0.5 * extent
     x, y = np.meshgrid(step, step)
     z = 0.1 * np.sin(0.7 * x) * np.sin(0.5 * y)
@@ -95,14 +94,14 @@ def waves(side: int, stamp: int, rng: np.random.Generator, extent: float = 60.0)
 
 
 def growth_with_points(sides: list[int]) -> None:
-    """First and later scans of more and more points."""
+    """Print times for growing scans."""
     rng = np.random.default_rng(1)
     rows = []
     for side in sides:
-        scans = [waves(side, k, rng) for k in range(4)]
+        scans = [wave_scan(side, k, rng) for k in range(4)]
         mapper = Mapper(configuration("morpheus"))
-        spent = side_by_side(mapper, scans)
-        points, pose = waves(side, 9, rng)
+        spent = cpu_times(mapper, scans)
+        points, pose = wave_scan(side, 9, rng)
         loose = cpu_ms(mapper.update, points.reshape(-1, 3), pose)
         rows.append([f"{side * side:,}", mapper.leaves.count, *growth(spent), f"{loose:.2f}"])
     table(
@@ -113,13 +112,13 @@ def growth_with_points(sides: list[int]) -> None:
 
 
 def growth_with_leaves() -> None:
-    """Fixed resolutions under the same scan."""
+    """Print times for growing numbers of leaves."""
     rng = np.random.default_rng(2)
-    scans = [waves(128, k, rng, 63.9) for k in range(6)]
+    scans = [wave_scan(128, k, rng, 63.9) for k in range(6)]
     rows = []
     for level in LEVELS:
         config = configuration("morpheus", domain__min_level=level, domain__max_level=level)
-        spent = side_by_side(Mapper(config), scans)
+        spent = cpu_times(Mapper(config), scans)
         rows.append([f"{4**level:,}", f"{64.0 / 2**level:g}", *growth(spent)])
     table(
         "Growth with leaves: 16,384 points over leaves of one size, ms (required: 65,536 in 8 ms)",
@@ -132,7 +131,7 @@ GROWTH = ("first", "later", "loop", "bincount")
 
 
 def growth(spent: dict[str, np.ndarray]) -> list[str]:
-    """Our first scan, and medians of the later ones: ours, then those of the others."""
+    """Our first scan, and medians of the later scans: ours, then those of the other methods."""
     later = [np.median(ms[1:]) for ms in spent.values()]
     return [f"{value:.2f}" for value in (spent[OURS][0], *later)]
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The closed loop over ground of which 3 to 10 % is safe: is a place found there?
+"""Closed-loop flights over ground of which only 3 to 10 % is safe.
 
-Made fields of 6 to 12 degrees root mean square slope, a tenth to a quarter of them under rocks; of
-a seed the first that has such a share of safe ground in the candidate area. A flight counts if
-somewhere in that area the true ground is safe with 1 m of room all around. One without touchdown
-has climbed away.
+Simulated fields have root mean square slopes of 6 to 12 degrees, with a tenth to a quarter of the
+ground under rocks; each seed takes its first field with such a share of safe ground in the
+candidate area. A flight counts if the area has a safe place with 1 m of clearance. A flight without
+touchdown has climbed away.
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ import numpy as np
 from common import machine, table
 
 from quadtree_lss.lab.campaign.study import parse_seeds
-from quadtree_lss.lab.flight.fly import flown
+from quadtree_lss.lab.flight.fly import fly_lockstep
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.simulation.scenarios import Conditions
 
-#: Share of the candidate area that is truly safe; room about a place that a flight counts for, m.
-SHARE, ROOM = (0.03, 0.10), 1.0
-#: What fields are drawn from: root mean square slope, degrees, and the share that rocks cover.
+#: Range of the truly safe share of the candidate area; clearance that a flight needs to count, m.
+SHARE, MIN_CLEARANCE = (0.03, 0.10), 1.0
+#: Ranges of fields: root mean square slope, deg, and share of the ground under rocks.
 SLOPES, ROCKS = (6.0, 12.0), (0.1, 0.25)
 
 
 class Landing(NamedTuple):
-    """A flight: how much of its ground is safe, the greatest room there, m, and what came of it."""
+    """Result of a flight: truly safe share of the ground, largest clearance, m, and outcome."""
 
     seed: int
     share: float
-    room: float
+    clearance: float
     outcome: str
     safe: bool
     said: str
 
     @property
     def counts(self) -> bool:
-        return self.room >= ROOM
+        return self.clearance >= MIN_CLEARANCE
 
     @property
     def down(self) -> bool:
@@ -53,12 +53,12 @@ class Landing(NamedTuple):
 
     def __str__(self) -> str:
         end = f"{'safe' if self.safe else 'unsafe'}, map said {self.said}" if self.down else "-"
-        ground = f"{100.0 * self.share:.1f} % safe, room {self.room:.2f} m"
+        ground = f"{100.0 * self.share:.1f} % safe, room {self.clearance:.2f} m"
         return f"seed {self.seed}: {ground}; {self.outcome}, {end}"
 
 
 def main() -> None:
-    """Print a line a flight and their sums."""
+    """Print a line for each flight and a summary."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", default="98000-98059")
     parser.add_argument("--jobs", type=int, default=1, help="flights at once")
@@ -69,35 +69,37 @@ def main() -> None:
         for one in pool.map(land, parse_seeds(options.seeds)):
             landings.append(one)
             print(one, flush=True)
-    parts = {f"with {ROOM:g} m of room": [one for one in landings if one.counts]}
+    parts = {f"with {MIN_CLEARANCE:g} m of room": [one for one in landings if one.counts]}
     parts["less room"] = [one for one in landings if not one.counts]
     table(
         f"{len(landings)} flights",
-        ["in truth", "flights", "touchdowns", "safe", "unsafe", "share that came down, %"],
+        ["in truth", "flights", "touchdowns", "safe", "unsafe", "share that outcome down, %"],
         list(starmap(row, parts.items())),
     )
 
 
 def land(seed: int) -> Landing:
     settings = FlightSettings()
-    ground, share, room = scarce(seed, settings)
-    figures = flown(seed, settings, ground=ground).figures
-    came = figures["outcome"], figures["safe"], figures["map_said"]
-    return Landing(seed, share, room, *came)
+    ground, share, clearance = scarce_ground(seed, settings)
+    figures = fly_lockstep(seed, settings, ground=ground).figures
+    outcome = figures["outcome"], figures["safe"], figures["map_said"]
+    return Landing(seed, share, clearance, *outcome)
 
 
-def scarce(seed: int, settings: FlightSettings) -> tuple[Ground, float, float]:
-    """A field, the share of it that is safe, and the greatest room in it, m."""
+def scarce_ground(seed: int, settings: FlightSettings) -> tuple[Ground, float, float]:
+    """Make a field; return it with its truly safe share and its largest clearance, m."""
     generator = np.random.default_rng(seed)
     while True:
-        asked = Conditions(rocks=generator.uniform(*ROCKS), slope_deg=generator.uniform(*SLOPES))
-        terrain = asked.ground("morpheus", generator)
+        conditions = Conditions(
+            rocks=generator.uniform(*ROCKS), slope_deg=generator.uniform(*SLOPES)
+        )
+        terrain = conditions.ground("morpheus", generator)
         planned = np.array([0.0, 0.0, float(terrain.elevation_at(0.0, 0.0))])
         ground = Ground(terrain, planned, settings.half)
-        room = ground.safe[2]
-        share = float(np.mean(room > 0.0))
+        clearance = ground.safe[2]
+        share = float(np.mean(clearance > 0.0))
         if SHARE[0] <= share <= SHARE[1]:
-            return ground, share, float(room.max())
+            return ground, share, float(clearance.max())
 
 
 def row(name: str, some: list[Landing]) -> list[str]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Section VI of the paper: quadtree against fixed resolution, on the same scans.
+"""Section VI of the paper: quadtree and fixed resolution on the same scans.
 
-Seeds are ones that no tuning used (studies/RESULTS.md lists those).
+The default seeds were not used for tuning (studies/RESULTS.md).
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from quadtree_lss.lab.evaluation.consistency import Counts
 
 
 def main() -> None:
-    """Print means over the flights, and the paper's figures beside them."""
+    """Map the flights and print the comparison."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(101, 111)))
-    parser.add_argument("--duration", type=float, help="s of each flight, by default all")
+    parser.add_argument("--duration", type=float, help="duration of each flight, s")
     parser.add_argument("--terrain", help="an elevation model to fly over")
     options = parser.parse_args()
     quadtree, fixed = configuration("parabola"), configuration("parabola", "parabola_fixed")
@@ -39,7 +39,7 @@ def main() -> None:
 
 
 def summary(tree: list[MapScore], grid: list[MapScore]) -> None:
-    """Means over the flights, beside the paper's."""
+    """Print means over the flights beside the figures of the paper."""
 
     def both(measure, form: str, paper: tuple[str, str], pick=np.mean) -> list[str]:
         values = [pick([measure(s) for s in scores]) for scores in (tree, grid)]
@@ -77,7 +77,7 @@ def summary(tree: list[MapScore], grid: list[MapScore]) -> None:
 
 
 def percent(fractions) -> list[str]:
-    """Two fractions in per cent, none of the paper's (it gives none for Section VI)."""
+    """Two fractions in per cent; the paper gives none for Section VI."""
     return [*(f"{100.0 * f:.2f}" for f in fractions), "-", "-"]
 
 

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of leaves over their claimed standard deviations, whatever part of a leaf was observed.
+"""Errors of partly observed leaves over their claimed standard deviations.
 
-The ground under one leaf of 0.25 to 8 m, which may divide down to 0.25 m, is scanned in a straight
-strip of any share, direction and place, from incidences of 0 to 75 degrees, with 5 to 5,000 points
-a scan, 6 cm range noise and an exact pose. It is a plane, with ``--rolling`` also waves of 12 to
-60 m, or with ``--terrain`` measured ground. The ratios are those of the mean height of the observed
-part, and of the slope of the whole leaf along both axes of its covariance. A calibrated map has a
-root mean square of 1 and almost none beyond 4.
+Each leaf of 0.25 to 8 m, which may divide down to 0.25 m, is scanned in a straight strip of random
+share, direction and position, at incidences of 0 to 75 degrees, with 5 to 5,000 points per scan, 6
+cm range noise and an exact pose. The ground is a plane, with ``--rolling`` also waves of 12 to 60
+m, or with ``--terrain`` measured ground. The ratios are those of the mean height of the observed
+part and of the slopes of the whole leaf along the axes of its covariance. A calibrated map has a
+root mean square of 1 and almost no ratio beyond 4.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ from quadtree_lss.onboard.core.sensing.lidar import Pose
 NOISE = 0.06
 #: Shortest and longest waves of rolling ground, m, and how many there are.
 WAVES = (12.0, 60.0, 8)
-#: From a place on measured ground to its edge, at least, m: leaves have a corner there.
-ROOM = 12.5
-#: Sides of the coarse leaf, m; it may be divided down to 0.25 m.
+#: Smallest distance of a place on measured ground from the edge, m.
+EDGE_DISTANCE = 12.5
+#: Sides of the coarse leaf, m.
 SIDES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-#: Shares of the leaf that are shown apart.
+#: Bounds of the observed shares in the figure.
 SHARES = (0.01, 0.1, 0.25, 0.5, 0.75, 1.0)
 
 
 @dataclass(frozen=True)
 class Draw:
-    """A leaf drawn at random: the share of it that was observed, in so many scans, and the claims
-    of the leaf or of those it was divided into."""
+    """A random leaf: its observed share, the number of scans, and the claims of its final
+    leaves."""
 
     share: float
     scans: int
@@ -55,7 +55,7 @@ class Draw:
 
 
 def main() -> None:
-    """Print a table, draw the figure."""
+    """Print a table and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--draws", type=int, default=4000, help="leaves of one scan")
     parser.add_argument("--of-twenty", type=int, default=1000, help="leaves of twenty scans")
@@ -68,8 +68,8 @@ def main() -> None:
     print(machine())
     counts = {1: options.draws, 20: options.of_twenty}
     of = math.tan(math.radians(options.rolling))
-    over = of if options.terrain is None else load_terrain(options.terrain)
-    found = [d for scans, n in counts.items() for d in drawn(options.seed, n, scans, over)]
+    relief = of if options.terrain is None else load_terrain(options.terrain)
+    found = [d for scans, n in counts.items() for d in draw_leaves(options.seed, n, scans, relief)]
     rows = []
     for scans in (1, 20):
         rows.append([f"{scans}, all", *row_of([d for d in found if d.scans == scans])])
@@ -85,7 +85,7 @@ def main() -> None:
 
 
 def row_of(draws: list[Draw]) -> list[object]:
-    """Leaves drawn and measured, and how their ratios are distributed."""
+    """Numbers of draws and of estimated leaves, and statistics of their ratios."""
     out: list[object] = [len(draws), sum(len(d.found.height) for d in draws)]
     for of in ("height", "slope", "all"):
         ratios = pooled(draws, of)
@@ -98,34 +98,36 @@ def row_of(draws: list[Draw]) -> list[object]:
 
 
 def pooled(draws: list[Draw], of: str = "all") -> Array:
-    """Ratios of ``height``, ``slope`` or ``all``, in one row."""
+    """Ratios of ``height``, ``slope`` or ``all`` in one array."""
     return np.concatenate([np.zeros(0), *(getattr(d.found, of).ravel() for d in draws)])
 
 
 def one_leaf(side: float) -> Config:
-    """A domain that is one leaf, which may be divided down to 0.25 m."""
+    """Configuration of a domain of one leaf that may divide down to 0.25 m."""
     domain = {"xmin": 0.0, "ymin": 0.0, "size": side, "min_level": 0}
     domain["max_level"] = round(np.log2(side / 0.25))
     values: dict[str, object] = {f"domain.{name}": value for name, value in domain.items()}
     return config_from_values(values | {"lidar.range_noise": NOISE})
 
 
-def drawn(seed: int, draws: int, scans: int, over: float | Terrain = 0.0) -> list[Draw]:
-    """So many leaves, each of so many scans; over waves, or a terrain, as of `ground`."""
-    return [strip(np.random.default_rng([seed, scans, k]), scans, over) for k in range(draws)]
+def draw_leaves(seed: int, draws: int, scans: int, relief: float | Terrain = 0.0) -> list[Draw]:
+    """Draw leaves with a number of scans each, over waves or a terrain as in `ground`."""
+    return [
+        scan_strip(np.random.default_rng([seed, scans, k]), scans, relief) for k in range(draws)
+    ]
 
 
 def ground(
-    gradient: tuple[float, float], over: float | Terrain, rng: np.random.Generator
+    gradient: tuple[float, float], relief: float | Terrain, rng: np.random.Generator
 ) -> Surface:
-    """A plane, and waves of so much root mean square slope, or a terrain about some place."""
-    if isinstance(over, Terrain):
-        return somewhere(over, gradient, rng)
-    if over == 0.0:
+    """Plane with waves of a root mean square slope, or with a terrain."""
+    if isinstance(relief, Terrain):
+        return terrain_surface(relief, gradient, rng)
+    if relief == 0.0:
         return lambda x, y: gradient[0] * x + gradient[1] * y
     number = 2.0 * np.pi / np.geomspace(*WAVES)
     heading, phase = rng.uniform(0.0, 2.0 * np.pi, (2, WAVES[2]))
-    high = over * np.sqrt(2.0 / WAVES[2]) / number
+    high = relief * np.sqrt(2.0 / WAVES[2]) / number
 
     def surface(x: Array, y: Array) -> Array:
         along = x[..., None] * np.cos(heading) + y[..., None] * np.sin(heading)
@@ -135,10 +137,15 @@ def ground(
     return surface
 
 
-def somewhere(terrain: Terrain, gradient: tuple[float, float], rng: np.random.Generator) -> Surface:
-    """A terrain about a place drawn at random, turned, from its height there; on a plane."""
+def terrain_surface(
+    terrain: Terrain, gradient: tuple[float, float], rng: np.random.Generator
+) -> Surface:
+    """Terrain around a random place, rotated and relative to its height there, on a plane."""
     low_x, high_x, low_y, high_y = terrain.bounds
-    place = rng.uniform([low_x + ROOM, low_y + ROOM], [high_x - ROOM, high_y - ROOM])
+    place = rng.uniform(
+        [low_x + EDGE_DISTANCE, low_y + EDGE_DISTANCE],
+        [high_x - EDGE_DISTANCE, high_y - EDGE_DISTANCE],
+    )
     turn = rng.uniform(0.0, 2.0 * np.pi)
     level = terrain.elevation_at(*place)
 
@@ -150,8 +157,8 @@ def somewhere(terrain: Terrain, gradient: tuple[float, float], rng: np.random.Ge
     return surface
 
 
-def strip(rng: np.random.Generator, scans: int, over: float | Terrain = 0.0) -> Draw:
-    """A leaf seen in a strip, each scan with points of its own."""
+def scan_strip(rng: np.random.Generator, scans: int, relief: float | Terrain = 0.0) -> Draw:
+    """Scan a random strip of a random leaf, each scan with its own points."""
     side = float(rng.choice(SIDES))
     share, incidence = rng.uniform(0.01, 1.0), rng.uniform(0.0, 75.0)
     share = share if rng.random() < 0.8 else rng.uniform(0.01, 0.1)
@@ -159,10 +166,10 @@ def strip(rng: np.random.Generator, scans: int, over: float | Terrain = 0.0) -> 
     count = int(np.exp(rng.uniform(np.log(5.0), np.log(5000.0))) / (1 if scans == 1 else 4)) + 3
     turn, azimuth = rng.uniform(0.0, 2.0 * np.pi, 2)
     across = np.array([np.cos(turn), np.sin(turn)])
-    # Between which lines the strip lies, so that it holds this share of the leaf.
-    begin = rng.choice([0.0, rng.random(), 1.0]) * (1.0 - share)
-    low, high = np.quantile(rng.uniform(0.0, side, (4000, 2)) @ across, [begin, begin + share])
-    low, high = (-np.inf if begin <= 0.0 else low), (np.inf if begin + share >= 1.0 else high)
+    # Lines between which the strip contains this share of the leaf.
+    start = rng.choice([0.0, rng.random(), 1.0]) * (1.0 - share)
+    low, high = np.quantile(rng.uniform(0.0, side, (4000, 2)) @ across, [start, start + share])
+    low, high = (-np.inf if start <= 0.0 else low), (np.inf if start + share >= 1.0 else high)
     normal = np.array([-gradient[0], -gradient[1], 1.0])
     normal /= np.linalg.norm(normal)
     # A ray that meets the ground at this incidence.
@@ -174,9 +181,9 @@ def strip(rng: np.random.Generator, scans: int, over: float | Terrain = 0.0) -> 
     axes = looking(position, middle)
     with lengths(outlier_gate=0.0, feature_height=math.inf):
         mapper = Mapper(one_leaf(side))
-    surface = ground(gradient, over, rng)
+    surface = ground(gradient, relief, rng)
     for k in range(scans):
-        # Noise carries points over the rim of the leaf, in and out.
+        # Noise moves points across the edge of the leaf.
         margin = 0.3
         number = rng.poisson(count / share * (1.0 + 2.0 * margin / side) ** 2)
         places = rng.uniform(-margin, side + margin, (min(number, 100_000), 2))
@@ -190,7 +197,7 @@ def strip(rng: np.random.Generator, scans: int, over: float | Terrain = 0.0) -> 
 
 
 def draw(file: Path, found: list[Draw]) -> None:
-    """How many leaves are off by more than so many deviations, by the share of the leaf seen."""
+    """Draw the share of ratios beyond each value, by the observed share of the leaf."""
     figure = Figure(figsize=(11.0, 4.4), layout="constrained")
     colours = ("#d55e00", "#e69f00", "#009e73", "#56b4e9", "#0072b2")
     at = np.linspace(0.0, 8.0, 401)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well the target holds: its changes over simulated flights, judged by the true ground.
+"""Changes of the target over simulated flights, compared with the true ground.
 
-Flights of Morpheus, or with ``--drone`` of a drone that descends from 25 to 5 m in 20 s with its
-preset. The true probability of a safe touchdown is that of the dispersion that the nodes are given,
-over the true ground. A change for a better target is in vain if it gains less than 0.4 %; a
-withdrawal is, if the lander stands safely there. A change that follows a withdrawal is not one for
-a better target. ``--bias`` compares the predicted gain of the grid point that ranks first, over
-those that ranked first before, with the true gain.
+The flights are those of Morpheus, or with ``--drone`` of a drone that descends from 25 to 5 m in 20
+s with its preset. The true probability of success uses the configured dispersion on the true
+ground. A change for a better target is needless if it gains less than 0.4 %, a withdrawal if the
+ground is truly safe. Changes after a withdrawal are not counted as changes for a better target.
+``--bias`` compares the predicted gain of the first site over earlier first sites with the true
+gain.
 """
 
 from __future__ import annotations
@@ -37,28 +37,30 @@ from quadtree_lss.onboard.core.landing.result import LandingAssessment
 from quadtree_lss.onboard.core.landing.target import Reason, State
 from quadtree_lss.onboard.messages.maps import round_trip
 
-#: Scans between the maps that are assessed, of 20 Hz, or of a drone's 10 Hz; seconds of one.
+#: Scans between assessed maps and their period, s: at 20 Hz, and at 10 Hz for a drone.
 MORPHEUS, DRONE = (5, 0.25), (2, 0.2)
-#: Heights of a drone at its start and end, m, and what it takes for that, s.
+#: Initial and final height of a drone, m, and duration of its descent, s.
 HEIGHTS, DURATION = (25.0, 5.0), 20.0
-#: Least distance of a change, m; a change in so many seconds before commitment, or before the end
-#: of the flight, is late; least gain of true probability.
-FAR, LATE, GAIN = 1.0, 8.0, 0.004
-#: Withdrawals that the ground is the reason for.
-LOST = (Reason.HAZARD, Reason.UNSEEN, Reason.UNMAPPED, Reason.UNLIKELY)
-#: Told probabilities of failing between which flights are compared, with ``--told``.
-RISKS = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1)
-#: Predicted gains between which flights are compared, with ``--bias``.
-GAINS = (0.0, 0.001, 0.004, 0.01, 0.02, 0.04, 0.1)
+#: Smallest distance of a change, m; time before commitment or the end of the flight from which a
+#: change is late, s; smallest useful gain of true probability.
+MIN_MOVE, LATE_S, MIN_GAIN = 1.0, 8.0, 0.004
+#: Reasons of withdrawals because of the ground.
+WITHDRAWAL_REASONS = (Reason.HAZARD, Reason.UNSEEN, Reason.UNMAPPED, Reason.UNLIKELY)
+#: Bounds of the bins of predicted risk, with ``--told``.
+RISK_EDGES = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1)
+#: Bounds of the bins of predicted gain, with ``--bias``.
+GAIN_EDGES = (0.0, 0.001, 0.004, 0.01, 0.02, 0.04, 0.1)
 
 
 def main() -> None:
-    """Print one row a flight and their sums."""
+    """Print a line for each flight and a summary."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", default="541-547", help="first-last; fields take turns")
     parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="of lss")
     parser.add_argument("--drone", action="store_true", help="a drone's flights, with its preset")
-    parser.add_argument("--told", action="store_true", help="the best places: told, end, truth")
+    parser.add_argument(
+        "--told", action="store_true", help="risks of the safest aims: predicted, at the end, true"
+    )
     parser.add_argument("--bias", action="store_true", help="gains: predicted and true")
     options = parser.parse_args()
     changes = {
@@ -76,14 +78,17 @@ def main() -> None:
     moves = [move for flight in flights for move in flight.moves]
     lost = [move for flight in flights for move in flight.lost]
     missed = np.array([flight.first_site - flight.last for flight in flights])
-    late = sum(m.time > f.end - LATE for f in flights for m in f.moves)
+    late = sum(m.time > f.end - LATE_S for f in flights for m in f.moves)
     table(
         f"{n} flights",
         ["", "a flight"],
         [
-            [f"changes over {FAR:g} m", f"{len(moves) / n:.2f}"],
-            [f"- in the last {LATE:g} s before commitment or the end", f"{late / n:.2f}"],
-            [f"- for less than {GAIN:.1%} of true probability", f"{sum(m.vain for m in moves)}"],
+            [f"changes over {MIN_MOVE:g} m", f"{len(moves) / n:.2f}"],
+            [f"- in the last {LATE_S:g} s before commitment or the end", f"{late / n:.2f}"],
+            [
+                f"- for less than {MIN_GAIN:.1%} of true probability",
+                f"{sum(m.is_needless for m in moves)}",
+            ],
             ["withdrawn from truly safe ground", f"{sum(m.safe for m in lost) / n:.2f}"],
             ["withdrawn from truly unsafe ground", f"{sum(not m.safe for m in lost) / n:.2f}"],
             ["first target after, s", f"{np.mean([f.first for f in flights]):.1f}"],
@@ -101,19 +106,19 @@ def main() -> None:
 
 @dataclass(frozen=True)
 class Move:
-    """From a target to another, or to none: when, s, how far, m, and the gain of true probability;
-    ``safe``: the one that is left was truly safe; ``follows``: a withdrawal."""
+    """A change of the target or a withdrawal: time, s, distance, m, and gain of true probability.
+    ``safe``: the abandoned target was truly safe; ``follows``: the change follows a withdrawal."""
 
     time: float
-    away: float
+    distance: float
     gain: float
     safe: bool
     follows: bool = False
 
     @property
-    def vain(self) -> bool:
-        """For a better target that gains next to nothing."""
-        return self.gain < GAIN and not self.follows
+    def is_needless(self) -> bool:
+        """Whether the change gains almost nothing, without a withdrawal before it."""
+        return self.gain < MIN_GAIN and not self.follows
 
 
 @dataclass
@@ -135,8 +140,8 @@ class Tally:
 
 
 class Truth:
-    """On the grid of an assessment (ny, nx): where the lander stands, and how likely by an aim;
-    ``best``: the most likely in the area that is to be scanned."""
+    """True safety and probability of success on the grid of an assessment (ny, nx); ``best`` is the
+    highest probability in the scanned area."""
 
     def __init__(self, simulation: Simulation, found: LandingAssessment, config: Config) -> None:
         dem, lander = simulation.legs[0].plan.terrain, lander_of(config)
@@ -156,13 +161,13 @@ class Truth:
 
 
 def morpheus(seed: int, name: str) -> Simulation:
-    """A flight over a field."""
+    """Make a flight over a field."""
     terrain = hazard_field(np.random.default_rng([seed, 1]), FIELDS[name])
     return Simulation("morpheus", seed, terrain=terrain)
 
 
 def drone(seed: int, name: str) -> Simulation:
-    """Likewise, of a drone over a field of its size."""
+    """Make a flight of a drone over a scaled field."""
     made = hazard_field(np.random.default_rng([seed, 1]), FIELDS[name])
     terrain = made.scaled(SCENARIOS["drone"].scale)
     simulation = Simulation("drone", seed, terrain=terrain, duration=DURATION)
@@ -176,13 +181,13 @@ def drone(seed: int, name: str) -> Simulation:
 
 
 def fly(simulation: Simulation, config: Config, every: int, period: float) -> Tally:
-    """A flight, assessed after every so many scans, ``period`` s."""
+    """Fly and assess after every ``every`` scans, ``period`` s."""
     selector, tally, truth = LandingSiteSelector(config), Tally(), None
-    held, withdrawn = None, False
+    target, was_withdrawn = None, False
     before = (float("nan"), float("nan"))
     told: list[tuple[tuple[int, int], float]] = []
     gains: list[tuple[float, float]] = []
-    firsts: set[tuple[int, int]] = set()
+    first_sites: set[tuple[int, int]] = set()
     for number, (scan, _, mapper) in enumerate(steps(in_memory(simulation), config), start=1):
         if number % every:
             continue
@@ -195,29 +200,29 @@ def fly(simulation: Simulation, config: Config, every: int, period: float) -> Ta
         if truth is None:
             truth = Truth(simulation, found, config)
             tally.best = truth.best
-        told += [(at, 1.0 - found.probability[at]) for at in _best_places(found)]
+        told += [(at, 1.0 - found.probability[at]) for at in _safest_aims(found)]
         chosen = found.selected
         if chosen.state is State.COMMITTED and np.isnan(tally.end):
             tally.end = now
         if len(found.sites) and np.isnan(tally.end):
             site = truth.at(found.sites.position[0])
             tally.first_site = float(truth.probability[site])
-            gains += _gains(found, truth, site, firsts)
-            firsts.add(site)
+            gains += _gains(found, truth, site, first_sites)
+            first_sites.add(site)
         if chosen.id:
-            if held is None:
+            if target is None:
                 tally.first = now
-            elif np.hypot(*(chosen.position - held)[:2]) > FAR:
-                move = _move(now, held, chosen.position, truth)
-                tally.moves.append(replace(move, follows=withdrawn))
-            held, withdrawn = chosen.position, False
-        elif held is not None and chosen.reason in LOST:
-            withdrawn = True
-            tally.lost.append(_move(now, held, held, truth))
+            elif np.hypot(*(chosen.position - target)[:2]) > MIN_MOVE:
+                move = _move(now, target, chosen.position, truth)
+                tally.moves.append(replace(move, follows=was_withdrawn))
+            target, was_withdrawn = chosen.position, False
+        elif target is not None and chosen.reason in WITHDRAWAL_REASONS:
+            was_withdrawn = True
+            tally.lost.append(_move(now, target, target, truth))
     assert truth is not None
     tally.end = now if np.isnan(tally.end) else tally.end
     tally.gains = np.array(gains).reshape(-1, 2)
-    tally.last = 0.0 if held is None else float(truth.probability[truth.at(held)])
+    tally.last = 0.0 if target is None else float(truth.probability[truth.at(target)])
     end = 1.0 - found.probability
     tally.told = np.array([(r, end[at], 1.0 - truth.probability[at]) for at, r in told])
     return tally
@@ -226,12 +231,13 @@ def fly(simulation: Simulation, config: Config, every: int, period: float) -> Ta
 def _gains(
     found: LandingAssessment, truth: Truth, site: tuple[int, int], before: set[tuple[int, int]]
 ) -> list[tuple[float, float]]:
-    """Predicted and true gain of the first site over permitted grid points that were it before."""
+    """Predicted and true gains of the first site over permitted points that were first sites
+    before."""
     pairs = []
-    for held in before - {site}:
-        predicted = float(found.probability[site] - found.probability[held])
-        if np.isfinite(found.score[held]) and predicted > 0.0:
-            pairs.append((predicted, float(truth.probability[site] - truth.probability[held])))
+    for target in before - {site}:
+        predicted = float(found.probability[site] - found.probability[target])
+        if np.isfinite(found.score[target]) and predicted > 0.0:
+            pairs.append((predicted, float(truth.probability[site] - truth.probability[target])))
     return pairs
 
 
@@ -241,15 +247,15 @@ def _move(now: float, start: Array, end: Array, truth: Truth) -> Move:
     return Move(now, float(np.hypot(*(end - start)[:2])), gain, bool(truth.safe[a]))
 
 
-def _best_places(found: LandingAssessment) -> list[tuple[int, int]]:
-    """The safest place of each 8 m square that has one."""
+def _safest_aims(found: LandingAssessment) -> list[tuple[int, int]]:
+    """Safest aim in each square of 8 m that has one."""
     value = np.where(found.safe, found.probability, 0.0)
     side = max(round(8.0 / (found.x[1] - found.x[0])), 1)
     places = []
     for row in range(0, len(found.y), side):
         for column in range(0, len(found.x), side):
             part = value[row : row + side, column : column + side]
-            if part.max() >= 1.0 - RISKS[-1]:
+            if part.max() >= 1.0 - RISK_EDGES[-1]:
                 i, j = divmod(int(np.argmax(part)), part.shape[1])
                 places.append((row + i, column + j))
     return places
@@ -257,7 +263,7 @@ def _best_places(found: LandingAssessment) -> list[tuple[int, int]]:
 
 def _print_told(told: Array) -> None:
     rows = []
-    for low, high in zip(RISKS, RISKS[1:], strict=False):
+    for low, high in zip(RISK_EDGES, RISK_EDGES[1:], strict=False):
         some = told[(told[:, 0] >= low) & (told[:, 0] < high)]
         if len(some):
             off = np.sqrt(np.mean((some[:, 1:] - some[:, :1]) ** 2, axis=0))
@@ -272,7 +278,7 @@ def _print_told(told: Array) -> None:
 
 def _print_gains(gains: Array) -> None:
     rows = []
-    for low, high in zip(GAINS, GAINS[1:], strict=False):
+    for low, high in zip(GAIN_EDGES, GAIN_EDGES[1:], strict=False):
         some = gains[(gains[:, 0] >= low) & (gains[:, 0] < high)]
         if len(some):
             mean = some.mean(axis=0)

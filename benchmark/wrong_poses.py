@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effect of one pose that is off by many of its own standard deviations.
+"""Response of the map to one pose that is wrong by many of its standard deviations.
 
 Level ground, or hills 0.3 m high and 8 m apart, 16 m wide, is scanned from 60 m twice a second.
-Pose errors are drawn from the claimed covariance, once for the flight (they persist) or for each
-scan (white, with ``pose.correlation_time`` 0). Then one scan's pose is off in height or in tilt;
-the table has the share of that error by which the map moves, the greatest of all seeds.
+Pose errors are drawn from the claimed covariance, once for the flight (persistent) or for each scan
+(white, with ``pose.correlation_time`` 0). The pose of the last scan has an additional error in
+height or in tilt. The table shows the largest share of that error by which the map moves, over all
+seeds.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ SIZE, HEIGHT, NOISE = 16.0, 60.0, 0.05
 DOWN = np.diag([1.0, -1.0, -1.0])
 #: Claims of position, m, and of attitude, rad.
 CLAIMS = ((0.05, 0.001), (0.3, 0.002))
-OFF = (3, 5, 8, 20)
+ERROR_FACTORS = (3, 5, 8, 20)
 
 
 def main() -> None:
-    """Print one table."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--before", type=int, nargs="+", default=[3, 10])
@@ -45,36 +46,41 @@ def main() -> None:
         for errors in ("persist", "white")
         for axis in ("height", "tilt")
     ]
-    title = "wrong scans refused, and the greatest share of the error that the map follows"
-    table(title, ["ground", "errors", "off in", *(f"{off} dev." for off in OFF)], rows)
+    title = "wrong scans rejected, and the greatest share of the error that the map follows"
+    table(
+        title, ["ground", "errors", "off in", *(f"{factor} dev." for factor in ERROR_FACTORS)], rows
+    )
 
 
 def row_of(height: float, options: argparse.Namespace, tilt: bool, white: bool) -> list[str]:
-    """Over all claims and numbers of scans before."""
+    """Ranges over all claims and numbers of earlier scans."""
     row = []
-    for off in OFF:
+    for factor in ERROR_FACTORS:
         cases = itertools.product(CLAIMS, options.before)
         found = [
             np.array(
-                [moved(height, k, claim, off, tilt, before, white) for k in range(options.seeds)]
+                [
+                    response(height, k, claim, factor, tilt, earlier_scans, white)
+                    for k in range(options.seeds)
+                ]
             ).T
-            for claim, before in cases
+            for claim, earlier_scans in cases
         ]
-        refused, share = [f[0].mean() for f in found], max(f[1].max() for f in found)
-        row.append(f"{min(refused):.0%} to {max(refused):.0%}, {share:.3f}")
+        rejected, share = [f[0].mean() for f in found], max(f[1].max() for f in found)
+        row.append(f"{min(rejected):.0%} to {max(rejected):.0%}, {share:.3f}")
     return row
 
 
-def moved(
+def response(
     height: float,
     seed: int,
     claim: tuple[float, float],
-    off: float,
+    factor: float,
     tilt: bool,
-    before: int,
+    earlier_scans: int,
     white: bool,
 ) -> tuple[bool, float]:
-    """Whether the scan was refused, and the share of its error that the map follows."""
+    """Whether the scan was rejected, and the share of its error that the map follows."""
     rng = np.random.default_rng(seed)
     sigma = np.repeat(claim, 3)
     values: dict[str, object] = {
@@ -89,24 +95,27 @@ def moved(
     error = sigma * rng.standard_normal(6)
     at = np.array([0.0, 0.0, HEIGHT])
 
-    def scan(number: int, wrong: np.ndarray) -> bool:
+    def scan(number: int, extra_error: np.ndarray) -> bool:
         x, y = SIZE * (rng.random((2, 6000)) - 0.5)
         seen = (np.column_stack([x, y, height * np.sin(0.8 * x) * np.cos(0.7 * y)]) - at) @ DOWN
         distance = np.linalg.norm(seen, axis=1, keepdims=True)
         seen *= 1.0 + NOISE * rng.standard_normal(distance.shape) / distance
         pose = Pose(
-            500_000_000 * (number + 1), at + wrong[:3], exp(wrong[3:]) @ DOWN, np.diag(sigma**2)
+            500_000_000 * (number + 1),
+            at + extra_error[:3],
+            exp(extra_error[3:]) @ DOWN,
+            np.diag(sigma**2),
         )
         return mapper.update(seen, pose).points_used == 0
 
-    for number in range(before):
+    for number in range(earlier_scans):
         scan(number, error)
         if white:
             error = sigma * rng.standard_normal(6)
     first = mapper.snapshot()
     extra = np.zeros(6)
-    extra[3 if tilt else 2] = off * sigma[3 if tilt else 2]
-    refused = scan(before, error * (not white) + extra)
+    extra[3 if tilt else 2] = factor * sigma[3 if tilt else 2]
+    rejected = scan(earlier_scans, error * (not white) + extra)
     last = mapper.snapshot()
     # Leaves may have been divided in between: both maps at the middles of the finest cells.
     count = first.domain.finest_count
@@ -116,8 +125,8 @@ def moved(
     if tilt:
         # A turn about x raises the ground along y.
         slope = np.polyfit(grid, np.nanmedian(change, axis=1), 1)[0]
-        return refused, abs(slope) / extra[3]
-    return refused, abs(float(np.nanmedian(change))) / extra[2]
+        return rejected, abs(slope) / extra[3]
+    return rejected, abs(float(np.nanmedian(change))) / extra[2]
 
 
 if __name__ == "__main__":

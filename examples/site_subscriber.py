@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Follows the target of ``landing/selected``: what a guidance node does with it, and no more.
+"""Follow the target on ``landing/selected`` as a guidance node does.
 
-The target holds by itself: while landing there is permitted it stays, whatever the ranking does. So
-a guidance node flies to the last one, and has none after a message without a place (NaN) or when
-``lss_node`` is heard of no more. Run it beside the nodes: ``python3 site_subscriber.py``.
+``lss_node`` keeps a target while landing there is permitted, even if the ranking changes. A
+guidance node flies to the last target. It has none after a message without a position (NaN), or
+when ``lss_node`` no longer publishes. Run it beside the nodes: ``python3 site_subscriber.py``.
 """
 
 import math
@@ -23,11 +23,11 @@ LATCHED = {
     "reliability": ReliabilityPolicy.RELIABLE,
     "durability": DurabilityPolicy.TRANSIENT_LOCAL,
 }
-DEADLINE = Duration(seconds=1.0)  # lss_node says its target again before that
+DEADLINE = Duration(seconds=1.0)  # lss_node repeats its target within this time
 
 
 class TargetFollower(Node):
-    """Publishes the target to fly to on ``guidance/target``; NaN when there is none."""
+    """Publish the target to fly to on ``guidance/target``; NaN without a target."""
 
     def __init__(self):
         super().__init__("target_follower")
@@ -39,29 +39,27 @@ class TargetFollower(Node):
             self._on_selected,
             QoSProfile(**LATCHED, deadline=DEADLINE),
             event_callbacks=SubscriptionEventCallbacks(
-                deadline=self._on_silence, matched=self._on_publishers
+                deadline=self._on_deadline_missed, matched=self._on_publishers
             ),
         )
 
     def _on_selected(self, message):
         place = message.pose.pose.position
         if math.isnan(place.x):
-            self._take(None, message.header, "withdrawn: landing/status tells why")
+            self._set_target(None, message.header, "withdrawn, see landing/status")
             return
         sigma = math.sqrt(message.pose.covariance[14])
-        self._take(place, message.header, f"height known to {sigma:.2f} m")
+        self._set_target(place, message.header, f"height known to {sigma:.2f} m")
 
-    def _on_silence(self, event):
-        self._take(None, None, "lss_node is not heard of")
+    def _on_deadline_missed(self, event):
+        self._set_target(None, None, "lss_node does not publish")
 
     def _on_publishers(self, event):
         if event.current_count > 1:
-            text = (
-                f"{event.current_count} publishers of landing/selected: the last one's word counts"
-            )
+            text = f"{event.current_count} publishers of landing/selected; the last message counts"
             self.get_logger().warning(text)
 
-    def _take(self, place, header, remark):
+    def _set_target(self, place, header, reason):
         if place == self._target:
             return
         self._target = place
@@ -70,17 +68,17 @@ class TargetFollower(Node):
         if header is not None:
             output.header = header
         if place is None:
-            self.get_logger().warning(f"no target: {remark}")
+            self.get_logger().warning(f"no target: {reason}")
         else:
             output.point = place
-            text = f"target {place.x:.2f} {place.y:.2f} {place.z:.2f} m, {remark}"
+            text = f"target {place.x:.2f} {place.y:.2f} {place.z:.2f} m, {reason}"
             self.get_logger().info(text)
         self._output.publish(output)
 
 
 def main():
-    """Runs until it is told to stop."""
-    # ROS's own handlers end the context at once, and whatever is being sent fails.
+    """Run until SIGINT or SIGTERM."""
+    # The handlers of rclpy shut down the context at once, so that publishing would fail.
     stop = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.append(True))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the benchmark scripts share: simulated flights, yardsticks, scores and tables."""
+"""Shared parts of the benchmarks: simulated flights, reference methods, scores and tables."""
 
 from common.flights import Recording, configuration, recording
 from common.heights import mean_heights

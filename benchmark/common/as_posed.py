@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Maps of which a part is left out, to see what it does."""
+"""Mappers with parts of the method disabled."""
 
 import contextlib
 import dataclasses
@@ -12,8 +12,8 @@ from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.mapping.update import ScanUpdate
 
 
-class AsPosed(Mapper):
-    """Scan and map are not brought to one height."""
+class UnalignedMapper(Mapper):
+    """A mapper without the alignment of scan and map."""
 
     def _align(self, change: ScanUpdate, cells: Array, now: float) -> float:
         return 0.0
@@ -21,7 +21,9 @@ class AsPosed(Mapper):
 
 @contextlib.contextmanager
 def lengths(**own: float) -> Iterator[None]:
-    """Of the default vehicle, with some of one's own, while a configuration and a mapper are made:
-    ``outlier_gate`` 0 keeps every return, an infinite ``feature_height`` finds no feature."""
+    """Replace lengths of the default vehicle while a configuration and a mapper are made.
+
+    ``outlier_gate`` 0 keeps all returns; an infinite ``feature_height`` disables features.
+    """
     with mock.patch.object(VehicleConfig, "lengths", dataclasses.replace(Lengths(), **own)):
         yield

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated flights, each made once in a run and kept in memory."""
+"""Simulated flights, cached in memory."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from quadtree_lss.onboard.messages.intake import ReadyScan
 
 @dataclass(frozen=True)
 class Recording:
-    """A flight as a mapper gets it, and the truth."""
+    """The scans of a flight as a mapper receives them, and the truth."""
 
     scans: list[ReadyScan]
     truth: Truth
 
 
 def configuration(*names: str, **changes: object) -> Config:
-    """Shipped configurations ``names``, later over earlier, with ``section__key`` changes."""
+    """Load shipped configurations in order, with changes as ``section__key``."""
     return load_config(names, {k.replace("__", "."): v for k, v in changes.items()})
 
 
@@ -32,8 +32,7 @@ def configuration(*names: str, **changes: object) -> Config:
 def recording(
     scenario: str, seed: int, duration: float | None = None, terrain: str | None = None
 ) -> Recording:
-    """What is recorded of a flight of ``scenario``; ``duration`` (s) cuts it, and it may be over an
-    elevation model."""
+    """Simulate a flight, optionally of a shorter ``duration``, s, or over an elevation model."""
     flight = Simulation(scenario, seed, duration=duration, terrain=terrain)
     found = list(scans(in_memory(flight), configuration(scenario)))
     return Recording(found, truth_of(flight.truth()))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The least that a map can do with a scan: a loop that bins heights. `heights.py` compiles it."""
+"""The simplest terrain map: mean heights in a loop. `heights.py` compiles it."""
 
 import cython
 
@@ -19,7 +19,7 @@ def mean_heights(
 ) -> None:
     """Mean height of the points (N, 3), lidar axes, in each cell of a square grid, m.
 
-    ``count`` and ``mean`` (n, n) [iy, ix] are filled; ``mean`` is 0 where no point fell.
+    Fill ``count`` and ``mean`` (n, n) [iy, ix]; ``mean`` is 0 in cells without points.
     """
     n: cython.Py_ssize_t = count.shape[0]
     i: cython.Py_ssize_t

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mean heights on a fixed grid, the least a terrain map can be, in three ways.
+"""Mean heights on a fixed grid, the simplest terrain map, as a reference for the mapper.
 
-All start from the raw scan, as the mapper does, and give the mean heights of that scan: a plain
-compiled loop (the floor under anything that looks at every point), ``numpy.bincount`` and
-``scipy.stats.binned_statistic_2d``.
+Both methods compute the mean heights of a raw scan: a compiled loop, which is a lower bound for any
+method that processes each point, and ``numpy.bincount``.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ METHODS = ("plain compiled loop", "numpy.bincount")
 
 
 def mean_heights(domain: Domain) -> dict[str, Heights]:
-    """Each of `METHODS` on the finest cells of ``domain``; 0 or NaN where no point fell."""
+    """Make `METHODS` for the finest cells of ``domain``; cells without points are 0."""
     n, size, low = domain.finest_count, domain.finest_size, (domain.xmin, domain.ymin)
     loop = compiled(Path(__file__).with_name("height_loop.py")).mean_heights
     count, mean = np.zeros((n, n)), np.zeros((n, n))
@@ -60,7 +59,7 @@ def mean_heights(domain: Domain) -> dict[str, Heights]:
 
 @functools.cache
 def compiled(source: Path) -> ModuleType:
-    """The module of one Cython source, compiled with the flags of the package's kernels."""
+    """Compile a Cython source with the flags of the kernels; return its module."""
     from Cython.Build import cythonize
     from setuptools import Distribution, Extension
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Small scenes by closed formulas, seen by a flash lidar: shares nothing with the simulator.
+"""Analytic scenes for a flash lidar, independent of the simulator.
 
-Ground is a plane z = gradient . (x, y), on which spheres (rocks), cones and boxes stand. A ray
-returns from the nearest of them, so that rocks hide what lies behind them.
+The ground is a plane z = gradient . (x, y) with spheres (rocks), cones and boxes. A ray returns
+from the nearest of them.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ import numpy as np
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 
-#: As good as exact: 1 mm and a microradian.
+#: Covariance of a practically exact pose: 1 mm and 1 µrad.
 EXACT = np.diag([1e-6] * 3 + [1e-12] * 3)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A plane and what stands on it, m.
+    """A plane with objects, m.
 
     Attributes:
         gradient: (2,) dz/dx, dz/dy of the plane, which passes through the origin.
         spheres: (K, 4) centre and radius.
-        cones: (K, 5) middle of the base, radius, height over the base.
+        cones: (K, 5) centre of the base, radius, height over the base.
         boxes: (K, 6) west, south, bottom, east, north, top.
     """
 
@@ -35,11 +35,11 @@ class Scene:
     boxes: Array = field(default_factory=lambda: np.zeros((0, 6)))
 
     def plane(self, x: Array, y: Array) -> Array:
-        """Height of the plane alone."""
+        """Height of the plane."""
         return self.gradient[0] * np.asarray(x) + self.gradient[1] * np.asarray(y)
 
     def dem(self, x: Array, y: Array) -> Array:
-        """Height (ny, nx) of what is on top over axes (nx,), (ny,), which ascend."""
+        """Height (ny, nx) of the surface over ascending axes (nx,), (ny,)."""
         z = self.plane(x[None, :], y[:, None]) + 0.0
 
         def window(cx: float, cy: float, r: float) -> tuple[Array, Array, Array]:
@@ -54,8 +54,8 @@ class Scene:
             np.maximum(part, high, out=part, where=square > 0.0)
         for cx, cy, cz, r, h in self.cones:
             part, east, north = window(cx, cy, r)
-            away = np.hypot(east, north)
-            np.maximum(part, cz + h * (1.0 - away / r), out=part, where=away < r)
+            distance = np.hypot(east, north)
+            np.maximum(part, cz + h * (1.0 - distance / r), out=part, where=distance < r)
         for west, south, _, east, north, top in self.boxes:
             i, j = np.searchsorted(y, [south, north]), np.searchsorted(x, [west, east])
             part = z[slice(*i), slice(*j)]
@@ -63,7 +63,7 @@ class Scene:
         return z
 
     def near(self, low: Array, high: Array) -> tuple[Scene, Array]:
-        """What stands within a rectangle (2,), (2,) of places, and its numbers."""
+        """Scene of the objects within a rectangle (2,), (2,), and their numbers."""
         s, c, b = self.spheres, self.cones, self.boxes
         first = np.vstack([s[:, :2] - s[:, 3:], c[:, :2] - c[:, 3:4], b[:, :2]])
         last = np.vstack([s[:, :2] + s[:, 3:], c[:, :2] + c[:, 3:4], b[:, 3:5]])
@@ -72,20 +72,20 @@ class Scene:
         return Scene(self.gradient, s[of[0]], c[of[1]], b[of[2]]), np.flatnonzero(here)
 
     def cast(self, origin: Array, rays: Array) -> tuple[Array, Array]:
-        """Ranges (N,) along unit rays (N, 3), NaN for none, and what was hit (N,).
+        """Ranges (N,) along unit rays (N, 3), NaN without a hit, and the hit objects (N,).
 
-        That is -1 for the plane, else the number of the sphere, cone or box, in this order.
+        These are -1 for the plane, else the number of the sphere, cone or box, in this order.
         """
         normal = np.array([-self.gradient[0], -self.gradient[1], 1.0])
         with np.errstate(divide="ignore"):
-            away = -(normal @ origin) / (rays @ normal)
-        nearest, hit = np.where(away > 0.0, away, np.inf), np.full(len(rays), -1)
+            distance = -(normal @ origin) / (rays @ normal)
+        nearest, hit = np.where(distance > 0.0, distance, np.inf), np.full(len(rays), -1)
         number = 0
-        for shapes, meet in ((self.spheres, _sphere), (self.cones, _cone), (self.boxes, _box)):
+        for shapes, intersect in ((self.spheres, _sphere), (self.cones, _cone), (self.boxes, _box)):
             for shape in shapes:
-                away = meet(shape, origin, rays)
-                first = away < nearest
-                nearest[first], hit[first] = away[first], number
+                distance = intersect(shape, origin, rays)
+                first = distance < nearest
+                nearest[first], hit[first] = distance[first], number
                 number += 1
         return np.where(np.isfinite(nearest), nearest, np.nan), hit
 
@@ -94,8 +94,8 @@ def _sphere(shape: Array, origin: Array, rays: Array) -> Array:
     to = origin - shape[:3]
     along = rays @ to
     square = along * along - (to @ to - shape[3] ** 2)
-    away = -along - np.sqrt(np.maximum(square, 0.0))
-    return np.where((square > 0.0) & (away > 0.0), away, np.inf)
+    distance = -along - np.sqrt(np.maximum(square, 0.0))
+    return np.where((square > 0.0) & (distance > 0.0), distance, np.inf)
 
 
 def _cone(shape: Array, origin: Array, rays: Array) -> Array:
@@ -107,10 +107,10 @@ def _cone(shape: Array, origin: Array, rays: Array) -> Array:
     root = np.sqrt(np.maximum(square, 0.0))
     best = np.full(len(rays), np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
-        for away in ((-b - root) / a, (-b + root) / a):
-            z = to[2] + away * rays[:, 2]
-            good = (square > 0.0) & (away > 0.0) & (z <= 0.0) & (z >= -shape[4])
-            best[good] = np.minimum(best, away)[good]
+        for distance in ((-b - root) / a, (-b + root) / a):
+            z = to[2] + distance * rays[:, 2]
+            good = (square > 0.0) & (distance > 0.0) & (z <= 0.0) & (z >= -shape[4])
+            best[good] = np.minimum(best, distance)[good]
     return best
 
 
@@ -123,7 +123,7 @@ def _box(shape: Array, origin: Array, rays: Array) -> Array:
 
 
 def rocks(places: Array, height: Array, radius: Array, scene: Scene | None = None) -> Array:
-    """Spheres (K, 4) whose caps of heights and radii (K,) or one stand at places (K, 2)."""
+    """Spheres (K, 4) whose caps at places (K, 2) have the given heights and radii, (K,) or one."""
     scene = scene or Scene()
     height, radius = (np.broadcast_to(v, len(places)) for v in (height, radius))
     ball = 0.5 * (radius**2 / height + height)
@@ -132,7 +132,7 @@ def rocks(places: Array, height: Array, radius: Array, scene: Scene | None = Non
 
 
 def looking(position: Array, target: Array) -> Array:
-    """(3, 3) that takes lidar axes (z boresight, x right, y down) to map axes."""
+    """Rotation (3, 3) from lidar axes (z boresight, x right, y down) to map axes."""
     z = np.asarray(target, np.float64) - position
     z /= np.linalg.norm(z)
     x = np.cross(z, [0.0, 1.0, 0.0] if abs(z[2]) > 0.999 else [0.0, 0.0, 1.0])
@@ -149,7 +149,7 @@ def fan(width_deg: float, pixels: int) -> Array:
 
 @dataclass(frozen=True)
 class View:
-    """A scan: points (H, W, 3) in lidar axes, its true pose, and what was hit (H, W)."""
+    """A scan: points (H, W, 3) in lidar axes, its true pose, and the hit objects (H, W)."""
 
     points: Array
     pose: Pose
@@ -166,11 +166,11 @@ def view(
     stamp: float = 1.0,
     keep=None,
 ) -> View:
-    """Look at a target from a place; ``keep`` (x, y) says which ground the scan covers."""
+    """Scan towards a target from a position; ``keep`` (x, y) selects the scanned ground."""
     position = np.asarray(position, np.float64)
     turn = looking(position, target)
     flat = rays.reshape(-1, 3) @ turn.T
-    # What stands where the corners of the scan, widened, meet the ground.
+    # Consider only the objects within the footprint, with a margin of 2 m.
     reach, _ = Scene(scene.gradient).cast(position, flat)
     places = position + reach[:, None] * flat
     low, high = np.nanmin(places[:, :2], axis=0) - 2.0, np.nanmax(places[:, :2], axis=0) + 2.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Map a flight once; time, accuracy and consistency of what comes out."""
+"""Time, accuracy and consistency of the map of a flight."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from quadtree_lss.onboard.core.sensing.register import register
 
 @dataclass(frozen=True)
 class MapScore:
-    """One flight through one configuration; ``scan_ms`` is CPU time of each map update."""
+    """Scores of one flight with one configuration; ``scan_ms`` is the CPU time of each update."""
 
     leaves: int
     elevation: ElevationError
@@ -39,12 +39,12 @@ class MapScore:
 
     @property
     def seconds(self) -> float:
-        """Of all scans."""
+        """CPU time of all scans."""
         return 1e-3 * self.scan_ms.sum()
 
 
 def score(flight: Recording, config: Config, *, consistent: bool = True) -> MapScore:
-    """Map ``flight`` and compare the map with the truth, and each scan with the map before it."""
+    """Map a flight; compare the map with the truth and each scan with the map before it."""
     mapper, counts, times = Mapper(config), Counts(), []
     for scan in flight.scans:
         if consistent:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Aligned tables, and what they were measured on."""
+"""Tables, and the machine they were measured on."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from quadtree_lss.desk.replay.results import aligned
 
 
 def machine() -> str:
-    """Cores and versions, in one line; nothing in documents, whose figures name build and date."""
+    """Cores and versions in one line; empty for the documents, which state build and date."""
     if os.environ.get("TABLES") == "markdown":
         return ""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
@@ -27,10 +27,7 @@ def machine() -> str:
 
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print ``rows`` under ``header``: first column to the left, the others to the right.
-
-    With ``TABLES=markdown`` as Markdown, for the documents.
-    """
+    """Print a table, with ``TABLES=markdown`` as Markdown for the documents."""
     if os.environ.get("TABLES") == "markdown":
         lines = [header, ["---"] * len(header), *rows]
         print(f"\n{title}\n")

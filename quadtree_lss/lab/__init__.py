@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What proves it: simulation, flights, campaigns, evaluation against the truth."""
+"""Simulation, flights, campaigns, and evaluation against the truth."""

@@ -10,7 +10,7 @@ from core.builders import configured, flat, look, make_pose, mapped
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from quadtree_lss.lab.evaluation.risk_fit import ASKED, risks
+from quadtree_lss.lab.evaluation.risk_fit import FEATURES, risks
 from quadtree_lss.onboard.config.risk import LOCAL, Cause, Curve, RiskModel, risk_model
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.aim import Dispersion, normal_weights, unsafe_aims
@@ -183,8 +183,8 @@ def test_the_fit_is_looked_up_as_its_equations_say(rough_ground, noise):
 def test_more_that_speaks_against_a_place_never_lowers_its_risk():
     """Of the shipped model: returns alone lower it."""
     rng, model = np.random.default_rng(8), risk_model("")
-    low, high = np.transpose([model.span(name) for name in ASKED])
-    places = rng.uniform(low, high, (4000, len(ASKED)))
+    low, high = np.transpose([model.span(name) for name in FEATURES])
+    places = rng.uniform(low, high, (4000, len(FEATURES)))
     risk = risks(model, places)
     for k, name in enumerate(LOCAL):
         if name == "seen":

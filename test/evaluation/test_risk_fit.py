@@ -12,8 +12,15 @@ from quadtree_lss.cli import main
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.lab.evaluation import risk_fit, risk_flights
 from quadtree_lss.lab.evaluation.risk_families import FAMILIES
-from quadtree_lss.lab.evaluation.risk_fit import ASKED, Term, fit, risk_model_text, risks, unfitted
-from quadtree_lss.lab.evaluation.risk_flights import fly, land, table_of
+from quadtree_lss.lab.evaluation.risk_fit import (
+    FEATURES,
+    Term,
+    fit,
+    risk_model_text,
+    risks,
+    unfitted,
+)
+from quadtree_lss.lab.evaluation.risk_flights import fly, land, risk_table
 from quadtree_lss.onboard.config.parameter import ConfigError
 from quadtree_lss.onboard.config.risk import LOCAL, Cause, model_warning, risk_model
 from quadtree_lss.onboard.core.landing.risk import DENSITY_ENTRIES
@@ -42,8 +49,8 @@ def made_up(small):
     }
     model = replace(model, causes=causes)
     rng = np.random.default_rng(1)
-    places = rng.uniform(-1.2, 1.6, (6000, len(ASKED)))
-    places[:, ASKED.index("seen")] = rng.uniform(-1.5, 2.5, len(places))
+    places = rng.uniform(-1.2, 1.6, (6000, len(FEATURES)))
+    places[:, FEATURES.index("seen")] = rng.uniform(-1.5, 2.5, len(places))
     # Each place stands for landings that fail and some that do not.
     risk = risks(model, places)
     both = np.repeat(places, 2, axis=0)
@@ -116,7 +123,7 @@ def test_a_model_of_another_vehicle_or_map_is_told(changes, said):
 def test_the_command_flies_and_fits(tmp_path, capsys):
     out = tmp_path / "m.yaml"
     given = ["fit-risk", "--out", str(out), "--families", "few", "--seeds", "1-2"]
-    with mock.patch.object(risk_flights, "TAKEN", 100):
+    with mock.patch.object(risk_flights, "MAX_LANDINGS", 100):
         assert main(given) == 0
     model = risk_model(str(out))
     assert model.provenance["families"]["few"]["seeds"] == [1, 2]
@@ -130,8 +137,8 @@ def test_what_a_fit_asks_is_what_is_looked_up():
     """On a flight: the table of a model tells what its equations tell of what a fit is given."""
     config, model = load_config(["morpheus"]), risk_model("")
     mapped = fly(FAMILIES["drone"], 3, config)[-1]
-    landings, table = land(mapped, model), table_of(model, mapped.config)
-    asked = landings.asked(table)
+    landings, table = land(mapped, model), risk_table(model, mapped.config)
+    asked = landings.features(table)
     assert len(asked) > 1000 and 0.01 < landings.failed.mean() < 0.99
 
     def odds(found):

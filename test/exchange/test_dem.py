@@ -74,12 +74,12 @@ def test_heights_are_what_the_band_says(tmp_path, crs, unit, metres):
 @pytest.mark.parametrize(
     ("how", "word"),
     [
-        ({"unit": "fathom"}, "'fathom', which is no known unit"),
+        ({"unit": "fathom"}, "'fathom', which is not a known unit"),
         ({"bands": 3, "dtype": "uint8"}, "bands of red, green, blue"),
         ({"bands": 2}, "gray, "),
         ({"dtype": "complex64"}, "complex64"),
         ({"width": 200_000, "height": 90_000, "values": None, "sparse_ok": True}, "is the most"),
-        ({"values": np.where(Z > 5.0, -3.4e6, Z)}, "no data must be declared"),
+        ({"values": np.where(Z > 5.0, -3.4e6, Z)}, "declare the value that means no data"),
         ({"crs": 'LOCAL_CS["site",UNIT["foot",0.3048]]'}, "units of foot"),
     ],
 )
@@ -93,7 +93,7 @@ def test_what_is_no_ground_in_metres_is_refused(tmp_path, how, word):
     [
         ({"x": X, "y": Y}, "arrays x, y and elevation"),
         ({"x": X, "y": Y, "elevation": Z + 1j}, "real numbers"),
-        ({"x": X, "y": Y, "elevation": Z.T}, "does not belong"),
+        ({"x": X, "y": Y, "elevation": Z.T}, "does not match"),
         ({"x": X[::-1], "y": Y, "elevation": Z}, "equal steps"),
         ({"x": X**2, "y": Y, "elevation": Z}, "equal steps"),
         ({"x": X, "y": Y, "elevation": np.full_like(Z, np.nan)}, "too few"),

@@ -9,7 +9,7 @@ from report.pages import Page, accessible, in_a_browser, sheets
 
 from quadtree_lss.cli import main
 from quadtree_lss.lab.flight.flight_page import write_flight
-from quadtree_lss.lab.flight.fly import flown
+from quadtree_lss.lab.flight.fly import fly_lockstep
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.settings import FlightError, flight_settings
 from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
@@ -20,13 +20,13 @@ SEED = 40049
 
 
 def fly(**more):
-    return flown(SEED, flight_settings({**SHORT, **more})).figures
+    return fly_lockstep(SEED, flight_settings({**SHORT, **more})).figures
 
 
 @pytest.fixture(scope="module")
 def short():
     faults = ("pose_gap@60+1",)
-    return flown(SEED, flight_settings({**SHORT, "faults": faults}), record=True)
+    return fly_lockstep(SEED, flight_settings({**SHORT, "faults": faults}), record=True)
 
 
 def test_it_lands_safely_on_the_target(short):
@@ -55,13 +55,13 @@ def test_without_avoidance_it_lands_on_the_planned_point_and_by_perfect_knowledg
 
 
 def test_a_target_outlives_the_node_that_chose_it():
-    flight = flown(SEED, flight_settings({**SHORT, "faults": ("kill_lss@60+2",)})).flight
+    flight = fly_lockstep(SEED, flight_settings({**SHORT, "faults": ("kill_lss@60+2",)})).flight
     done = [decision.what for decision in flight.pilot.decisions]
     assert "target" in done and "lost" not in done, done
 
 
 def test_land_now_is_flown_to_the_ground():
-    done = flown(SEED, flight_settings({**SHORT, "faults": ("land_now@60",)}))
+    done = fly_lockstep(SEED, flight_settings({**SHORT, "faults": ("land_now@60",)}))
     assert done.last.selected.state is State.NOW and done.figures["outcome"] == "touchdown"
     away = np.hypot(*(done.last.selected.position - done.flight.lander.position)[:2])
     assert away < 1.0 and done.figures["map_said"] == "safe"
@@ -74,7 +74,7 @@ def test_land_now_is_flown_to_the_ground():
 def test_no_fault_ends_on_ground_that_was_known_to_be_unsafe(fault):
     """And a target outlives a node that comes back with its checkpoint, but not a map that is
     forgotten."""
-    done = flown(SEED, flight_settings({**SHORT, "faults": (fault,)}))
+    done = fly_lockstep(SEED, flight_settings({**SHORT, "faults": (fault,)}))
     assert done.figures["safe"] or done.figures["outcome"] == "aborted", done.figures
     assert done.figures["map_said"] != "unsafe"
     if "mapping" in fault:
@@ -137,7 +137,7 @@ def test_the_command_writes_figures_and_page(tmp_path, capsys, monkeypatch):
     assert {"safe", "x", "y", "error", "propellant", "diverts"} <= figures.keys()
     assert (out / "decisions.csv").exists() and not (out / "flight.html").exists()  # no map
     assert main(["fly", "--lockstep", "--fault", "x@1", "--out", str(out)]) == 1
-    monkeypatch.setattr("quadtree_lss.lab.flight.fly.flown", None)  # nothing is flown for nothing
+    monkeypatch.setattr("quadtree_lss.lab.flight.fly.fly_lockstep", None)
     assert main(["fly", "--lockstep", "--out", str(out / "flight.csv" / "none")]) == 1
     assert "cannot be written" in capsys.readouterr().err
 

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from quadtree_lss.lab.flight.guidance import Limits, paths, thrust_for, zem_zev
+from quadtree_lss.lab.flight.guidance import Limits, limited_thrust, paths, zem_zev
 from quadtree_lss.lab.flight.vehicle import Vehicle
 
 VEHICLE = Vehicle()
@@ -64,7 +64,7 @@ def test_a_place_behind_the_vehicle_is_out_of_reach():
 
 
 def test_thrust_is_cut_across_before_it_is_cut_upwards():
-    thrust = thrust_for(VEHICLE, 1800.0, np.array([5.0, 0.0, 3.0]))
+    thrust = limited_thrust(VEHICLE, 1800.0, np.array([5.0, 0.0, 3.0]))
     assert thrust[2] == pytest.approx(1800.0 * 3.0)
     assert np.linalg.norm(thrust) <= VEHICLE.thrust_max * (1.0 + 1e-9)
     assert thrust[0] > 0.0

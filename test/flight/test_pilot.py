@@ -54,9 +54,9 @@ def whats(pilot):
 )
 def test_it_comes_down_softly_on_the_target(below, heard, ends, done):
     course = Course()
-    course.fly(2.0).pilot.hear(at(8.0, -6.0))
+    course.fly(2.0).pilot.on_selected(at(8.0, -6.0))
     if heard is not None:
-        course.below(below).pilot.hear(heard)
+        course.below(below).pilot.on_selected(heard)
     course.fly()
     assert np.hypot(*(course.lander.position[:2] - ends)) < 0.1
     assert 0.8 < -course.lander.velocity[2] < 1.6
@@ -66,8 +66,8 @@ def test_it_comes_down_softly_on_the_target(below, heard, ends, done):
 
 def test_a_target_out_of_reach_is_not_flown_to():
     course = Course()
-    course.fly(2.0).pilot.hear(at(0.0, 0.0))
-    course.below(30.0).pilot.hear(at(400.0, 0.0))
+    course.fly(2.0).pilot.on_selected(at(0.0, 0.0))
+    course.below(30.0).pilot.on_selected(at(400.0, 0.0))
     assert "out of reach" in whats(course.pilot)
     np.testing.assert_array_equal(course.pilot.aim, np.zeros(3))
 
@@ -85,11 +85,11 @@ def test_without_a_target_it_hovers_and_in_the_end_leaves():
 def test_one_that_is_lost_leads_up_or_to_a_hover_and_the_next_one_down(height, then, said):
     """Lost low, it is left upwards before another is flown to."""
     course = Course()
-    course.fly(2.0).pilot.hear(at(3.0, 0.0))
-    course.below(height).pilot.hear(None)
-    course.fly(then).pilot.hear(at(12.0, 0.0))
+    course.fly(2.0).pilot.on_selected(at(3.0, 0.0))
+    course.below(height).pilot.on_selected(None)
+    course.fly(then).pilot.on_selected(at(12.0, 0.0))
     assert said in whats(course.pilot)
-    course.fly(15.0).pilot.hear(at(12.0, 0.0))
+    course.fly(15.0).pilot.on_selected(at(12.0, 0.0))
     course.fly()
     assert course.lowest <= 0.0
     assert np.hypot(*(course.lander.position[:2] - [12.0, 0.0])) < 0.1

@@ -93,7 +93,8 @@ def test_ground_not_yet_mapped_has_a_word_and_a_colour_of_its_own(content):
     assert names[:2] == ["observed but not estimated", "unobserved"]
 
     def words(figure):
-        return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+        legends = [axes.get_legend() for axes in figure.axes]
+        return [text.get_text() for legend in legends for text in legend.get_texts()]
 
     hazard = content.grid["hazard"].copy()
     hazard[20:30, 20:30] = 192

@@ -16,7 +16,7 @@ from quadtree_lss.lab.flight.flight_page import write_flight
 from quadtree_lss.lab.flight.settings import flight_settings
 from quadtree_lss.lab.live import flight, processes
 from quadtree_lss.lab.live.flight import fly_live
-from quadtree_lss.lab.live.processes import ProcessError, given_domain
+from quadtree_lss.lab.live.processes import ProcessError, environment_domain
 
 SHORT = {"slant_range": 260.0, "speed": 26.0, "half": 8.0, "scatter": 3.0, "survey": 3.0}
 SEED = 40049
@@ -59,17 +59,17 @@ def test_other_publishers_of_the_same_topics_are_named(tmp_path):
 def test_the_domain_is_the_given_one(monkeypatch):
     for text, number in (("", None), ("0", 0), ("42", 42)):
         monkeypatch.setenv("ROS_DOMAIN_ID", text)
-        assert given_domain() == number
+        assert environment_domain() == number
     for text in ("x", "-1", "232", "9" * 5000):
         monkeypatch.setenv("ROS_DOMAIN_ID", text)
         with pytest.raises(ProcessError, match="ROS_DOMAIN_ID is"):
-            given_domain()
+            environment_domain()
 
 
 def test_outcome_of_nodes_that_never_start(tmp_path, capsys, monkeypatch):
     """Over the one that a flight before it left there; the error says how the node ended."""
     monkeypatch.setattr(processes, "program", lambda name: "/bin/false")
-    monkeypatch.setattr(flight, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(flight, "MAX_STARTUP_S", 1.0)
     (path := tmp_path / "touchdown.json").write_text('{"outcome": "touchdown", "safe": true}')
     assert main(["fly", "--seed", str(SEED), "--out", str(tmp_path)]) == 1
     figures = json.loads(path.read_text())

@@ -109,11 +109,11 @@ def test_truth_has_the_agreed_arrays(morpheus):
 
 
 def test_same_seed_same_messages(tmp_path, hill):
-    options = {"duration": 1.0, "terrain": hill, "truth": False}
+    options = {"duration": 1.0, "terrain": hill}
     bags = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
-        simulate("descent", tmp_path / name, seed=seed, **options)
-        with Reader(tmp_path / name) as reader:
+        simulate("descent", tmp_path / name / "bag", seed=seed, **options)
+        with Reader(tmp_path / name / "bag") as reader:
             bags.append([(received, bytes(raw)) for _, received, raw in reader.messages()])
     assert bags[0] == bags[1]
     assert bags[0] != bags[2]

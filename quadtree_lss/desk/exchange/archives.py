@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arrays in ``.npz`` files that anybody may have written."""
+"""Reading of ``.npz`` files from unknown sources."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from numpy.typing import NDArray
 
 from quadtree_lss.desk.exchange.libraries import ExchangeError
 
-MOST_BYTES = 2 << 30
-"""Of all arrays of a file together: a few MB may unpack to more than there is memory."""
+MAX_BYTES = 2 << 30
+"""Largest total size of the arrays of a file, because a small file may expand beyond memory."""
 
 
 def read_arrays(path: Path, names: Collection[str] = ()) -> dict[str, NDArray[Any]]:
-    """Arrays by name: all, or those of ``names`` that there are. Raises `ExchangeError`: there is
-    no such file, it is damaged, or unpacks to too much."""
+    """Read all arrays, or those of ``names`` that exist. Raises `ExchangeError`: the file does not
+    exist, is damaged, or expands to more than `MAX_BYTES`."""
     try:
-        # A single array, which is none, is mapped and not read.
+        # Memory mapping avoids reading a file with a single array, which is invalid.
         with np.load(path, mmap_mode="r", allow_pickle=False) as file:
             size = sum(part.file_size for part in file.zip.infolist())
-            if size <= MOST_BYTES:
+            if size <= MAX_BYTES:
                 return {name: file[name] for name in file.files if not names or name in names}
-    except Exception as error:  # zipfile and NumPy raise a dozen kinds on damaged bytes
+    except Exception as error:  # zipfile and NumPy raise many types on damaged files
         why = getattr(error, "strerror", None) or str(error) or type(error).__name__
         msg = f"{path}: cannot be read: {why}"
         raise ExchangeError(msg) from None
-    msg = f"{path}: its arrays have {1e-9 * size:.1f} GB; {1e-9 * MOST_BYTES:.1f} is the most"
+    msg = f"{path}: its arrays have {1e-9 * size:.1f} GB; the limit is {1e-9 * MAX_BYTES:.1f} GB"
     raise ExchangeError(msg)

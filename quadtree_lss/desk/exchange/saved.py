@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading a results folder; a map as the arrays of ``cells.npz``."""
+"""Reading of a results folder; conversion of a map from and to the arrays of ``cells.npz``."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ from quadtree_lss.onboard.core.tree.domain import Domain, carried
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 Table = dict[str, NDArray[Any]]
-"""Columns of a CSV file by name: integers, else floats, else texts."""
-SAME = ("level", "ix", "iy", "z", "covariance_pose", "count", "measured", "roughness")
-SAME += ("exception_fraction", "feature", "low", "high", "coverage")
+"""Columns of a CSV file by name, as integers, floats or texts."""
+MAP_COLUMNS = ("level", "ix", "iy", "z", "covariance_pose", "count", "measured", "roughness")
+MAP_COLUMNS += ("exception_fraction", "feature", "low", "high", "coverage")
 """Arrays of ``cells.npz`` that are attributes of `CellMap`."""
-COLUMNS, MASKS = (*SAME, "nx", "ny", "nz", "covariance"), ("observed_cells", "known_cells")
+COLUMNS, MASKS = (*MAP_COLUMNS, "nx", "ny", "nz", "covariance"), ("observed_cells", "known_cells")
 
 
 class ResultsError(QuadtreeLssError):
-    """A folder does not hold results, or one of its files cannot be read."""
+    """A folder does not contain results, or one of its files cannot be read."""
 
 
 def cells_arrays(cells: CellMap) -> dict[str, NDArray[Any]]:
-    """Content of ``cells.npz``; leaves are in Morton order."""
+    """Convert a map to the content of ``cells.npz``; leaves are in Morton order."""
     domain = cells.domain
     of_domain = [domain.xmin, domain.ymin, domain.size, domain.min_level, domain.max_level]
     return {
-        **{name: getattr(cells, name) for name in (*SAME, "x", "y", "size", "covariance")},
+        **{name: getattr(cells, name) for name in (*MAP_COLUMNS, "x", "y", "size", "covariance")},
         **{f"n{axis}": cells.normal[:, k] for k, axis in enumerate("xyz")},
         "observed": np.bincount(cells.leaf_raster()[cells.observed], minlength=len(cells.z)),
         "observed_cells": cells.observed,
@@ -55,7 +55,7 @@ def cells_arrays(cells: CellMap) -> dict[str, NDArray[Any]]:
 
 
 def cell_map(path: str | Path, a: Mapping[str, NDArray[Any]]) -> CellMap:
-    """Make a map of the arrays of ``cells.npz``. Raises `ResultsError`: they are not a map."""
+    """Convert the arrays of ``cells.npz`` to a map. Raises `ResultsError`: they are invalid."""
     missing = [n for n in (*COLUMNS, *MASKS, "domain", "stamp_ns", "offset") if n not in a]
     if missing:
         raise unreadable(path, f"it lacks {', '.join(missing)}: replay the bag again")
@@ -70,7 +70,7 @@ def cell_map(path: str | Path, a: Mapping[str, NDArray[Any]]) -> CellMap:
     kinds = {"level": np.uint8, "measured": np.bool_}
     kinds |= dict.fromkeys(("ix", "iy", "count"), np.uint32)
     return CellMap(
-        **{name: a[name].astype(kinds.get(name, a[name].dtype)) for name in SAME},
+        **{name: a[name].astype(kinds.get(name, a[name].dtype)) for name in MAP_COLUMNS},
         stamp_ns=int(a["stamp_ns"]),
         domain=domain,
         normal=np.column_stack([a["nx"], a["ny"], a["nz"]]),
@@ -145,14 +145,14 @@ class Grid(dict[str, NDArray[Any]]):
 
 @dataclass(frozen=True, repr=False)
 class Results:
-    """Output of a replay: lengths in m, map frame. Each attribute reads its file when it is first
-    used, and raises `ResultsError` if it cannot be read."""
+    """Output of a replay; lengths in m, map frame. Each attribute reads its file on first use and
+    raises `ResultsError` if it cannot be read."""
 
     folder: Path
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """``summary.json``; None for numbers that are not finite."""
+        """``summary.json``; numbers that are not finite are None."""
         path = self.folder / "summary.json"
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
@@ -204,7 +204,7 @@ class Results:
 
     @cached_property
     def map(self) -> CellMap:
-        """``cells.npz``: the map that landing sites were ranked on, as it was."""
+        """``cells.npz``: the map of the last assessment."""
         path = self.folder / "cells.npz"
         return cell_map(path, _arrays(path))
 
@@ -214,9 +214,9 @@ class Results:
         path = self.folder / "history.npz"
         return _arrays(path) if path.exists() else {}
 
-    def then(self, name: str, answers: NDArray[np.intp]) -> NDArray[np.uint8]:
-        """A layer of the history at some assessments, (A, ny, nx), bits or risks, moved to the
-        last grid because the domain may have followed the vehicle."""
+    def history_layer(self, name: str, answers: NDArray[np.intp]) -> NDArray[np.uint8]:
+        """Layer of the history at some assessments (A, ny, nx), bits or risks, shifted to the last
+        grid because the domain may follow the vehicle."""
         shape, rows = self.grid["hazard"].shape, self.history[name][answers]
         fill = 255 if name == "risk" else 0
         if not fill:
@@ -242,13 +242,13 @@ class Results:
 
     @property
     def probability(self) -> Array | None:
-        """(ny, nx) of a safe touchdown, NaN where unknown; None if unknown everywhere."""
+        """Probability of success (ny, nx), NaN if unknown; None if unknown everywhere."""
         found = self.grid.get("probability")
         return None if found is None or not np.isfinite(found).any() else found
 
     @property
     def reasons(self) -> list[str]:
-        """A sentence for each site."""
+        """Reason for each site."""
         rows = len(self.sites["x"])
         return [*self.summary.get("reasons", ()), *[""] * rows][:rows]
 
@@ -258,7 +258,7 @@ class Results:
 
 
 def load_results(folder: str | os.PathLike[str]) -> Results:
-    """The results in a folder, for instance ``results/latest``. Raises `ResultsError`: there is no
+    """Open the results in a folder, such as ``results/latest``. Raises `ResultsError`: it has no
     ``summary.json`` or no ``grid.npz``."""
     path = Path(folder)
     if not path.is_dir():

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Playing a bag into running nodes; listening to live topics."""
+"""Playing of bags into running nodes; recording of live topics in memory."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Play scans and poses, or maps, of a bag into running nodes, their bytes as recorded.
+"""Play the scans and poses, or the maps, of a bag into running nodes without changing their bytes.
 
 `ros2 bag play` is not available as a wheel, does not read damaged bags, and does not wait for
 subscribers.
@@ -37,9 +37,9 @@ from quadtree_lss.onboard.nodes.qos import latched, stream
 from quadtree_lss.onboard.nodes.ros_messages import TYPES, time_message
 
 MATCH_PAUSE_S = 0.5
-"""After a publisher sees its match the subscriber may not be ready yet."""
+"""Pause after a publisher has matched its subscriber, which may not be ready yet."""
 CLOCK_S = 0.02
-"""Longest interval between two messages on ``/clock``, s of the steady clock."""
+"""Largest interval between two messages on ``/clock``, s of the steady clock."""
 DEPTH = 200
 LANDING = {f"/landing/{name}": kind for name, kind in landing_inputs.TYPES.items()}
 MAPS = {f"/{name}": TOPIC_TYPES[name] for name in (CELLS, OBSERVED)}
@@ -54,7 +54,7 @@ class PlayError(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class PlayReport:
-    """Numbers of messages that were sent, ``duration`` in s, and a line for each loss."""
+    """Numbers of sent messages, duration, s, and a line for each loss."""
 
     scans: int
     poses: int
@@ -94,7 +94,7 @@ def play(
             raise PlayError(msg)
         names = _names(source, scan_topic, pose_topic)
         part = Part.of(source, start, duration)
-        # Not our own options, of which --remap's look like ROS's of old.
+        # Pass only ROS arguments on; --remap of this program resembles an old one of ROS.
         ours = sys.argv.index("--ros-args") if "--ros-args" in sys.argv else len(sys.argv)
         rclpy.init(args=sys.argv[ours:], context=context, domain_id=domain_id)
         try:
@@ -127,7 +127,7 @@ def play(
 
 
 def _wait_until(bag_ns: int, clock: Publisher, began_ns: int, began_s: float, rate: float) -> None:
-    """Publish the bag's time, ``began_ns`` at ``began_s``, until it is ``bag_ns``."""
+    """Publish the time of the bag until ``bag_ns``; it was ``began_ns`` at ``began_s``."""
     while True:
         now_ns = began_ns + round((time.monotonic() - began_s) * rate * SECOND_NS)
         clock.publish(Clock(clock=time_message(min(now_ns, bag_ns))))
@@ -137,7 +137,7 @@ def _wait_until(bag_ns: int, clock: Publisher, began_ns: int, began_s: float, ra
 
 
 def _names(bag: Bag, scan_topic: str | None, pose_topic: str | None) -> dict[str, str]:
-    """The topics of the bag to play, and the name under which each is published."""
+    """Map the topics of the bag to the names under which they are published."""
     pairs = MapPairs.of_maps_only(bag, scan_topic)
     if pairs is not None:
         return dict(zip(pairs.topics, MAPS, strict=True))
@@ -155,14 +155,14 @@ def _names(bag: Bag, scan_topic: str | None, pose_topic: str | None) -> dict[str
 
 
 def _serialised(raw: bytes) -> bytes:
-    """Decompress a message if necessary; nodes reject damaged ones."""
+    """Decompress a message if necessary; damaged ones are left for the nodes to reject."""
     with contextlib.suppress(DamagedError):
         return plain_message(raw)
     return raw
 
 
 def _publishers(node: Node, names: Mapping[str, str]) -> dict[str, Publisher]:
-    """By topic of the bag."""
+    """Create a publisher for each topic of the bag."""
     found = {}
     for recorded, name in names.items():
         profile = stream(DEPTH, reliable=True)
@@ -175,17 +175,17 @@ def _publishers(node: Node, names: Mapping[str, str]) -> dict[str, Publisher]:
 def player_node(
     context: Context, namespace: str, remap: Sequence[str], played: Iterable[str]
 ) -> Node:
-    """Make the node. Raises `PlayError`: a name is invalid, or such a topic is not played."""
+    """Create the node. Raises `PlayError`: a name is invalid, or a remapped topic is not played."""
     known = [name.lstrip("/") for name in played]
     arguments = ["--ros-args"]
     for rule in remap:
         name, _, to = rule.lstrip("/").partition(":=")
         if name not in known:
-            msg = f"--remap {rule}: of the form FROM:=TO, where FROM is one of {', '.join(known)}"
+            msg = f"--remap {rule}: expected FROM:=TO, where FROM is one of {', '.join(known)}"
             raise PlayError(msg)
         arguments += ["-r", f"{name}:={to}"]
     try:
-        # The node is never spun.
+        # The node is never spun, so its parameter services could not respond.
         how = {"namespace": namespace, "cli_args": arguments, "start_parameter_services": False}
         return Node("bag_player", context=context, **how)
     except (NameValidationException, rclpy_implementation.RCLError) as error:
@@ -199,14 +199,14 @@ def wait_for_subscribers(node: Node, publishers: Sequence[Publisher], wait: floa
     while missing := [p for p in publishers if not p.get_subscription_count()]:
         if time.monotonic() > deadline:
             names = ", ".join(p.topic_name for p in missing)
-            msg = f"nobody subscribed to {names} within {wait:g} s: {_subscribed(node, missing)}"
+            msg = f"no subscriber of {names} within {wait:g} s: {_subscribed(node, missing)}"
             raise PlayError(msg)
         time.sleep(0.05)
     time.sleep(MATCH_PAUSE_S)
 
 
 def _subscribed(node: Node, publishers: Sequence[Publisher]) -> str:
-    """Name the topics of the same types that have subscribers."""
+    """Describe the topics of the same types that have subscribers."""
     kinds = {f"{p.msg_type.__module__.split('.')[0]}/msg/{p.msg_type.__name__}" for p in publishers}
     found = [
         name
@@ -214,5 +214,5 @@ def _subscribed(node: Node, publishers: Sequence[Publisher]) -> str:
         if kinds & set(types) and node.count_subscribers(name)
     ]
     if not found:
-        return "nor to any topic of these types; are nodes running?"
+        return "no topic of these types has one; are the nodes running?"
     return f"subscribed are {', '.join(sorted(found))} (--namespace, --remap FROM:=TO)"

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.desk.exchange.dem import MOST_POSTS, ElevationModel, read_dem
+from quadtree_lss.desk.exchange.dem import MAX_POSTS, ElevationModel, read_dem
 from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.replay.results import ReplayResult, run_summary, write_results
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config, config_from_values
@@ -56,11 +56,11 @@ def rank_sites(
             extent = f"x {model.x[0]:g} to {model.x[-1]:g}, y {model.y[0]:g} to {model.y[-1]:g} m"
             raise OutsideInput(f"the target {x:g},{y:g} is outside the model: {extent}")
     shorter, longer = sorted((len(model.x), len(model.y)))
-    if longer**2 > MOST_POSTS:
+    if longer**2 > MAX_POSTS:
         msg = (
             f"{name or 'elevation model'}: {longer} x {shorter} posts need a square of {longer}^2;"
         )
-        msg += f" the limit is {MOST_POSTS} posts (crop by an area or gdal_translate -srcwin)"
+        msg += f" the limit is {MAX_POSTS} posts (crop by an area or gdal_translate -srcwin)"
         raise ExchangeError(msg)
     cells, block = cells_of(model, config.lidar.range_noise)
     names = ("xmin", "ymin", "size", "min_level", "max_level")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.desk.exchange.libraries import ExchangeError, library
-from quadtree_lss.desk.exchange.reference import WHAT, reference
+from quadtree_lss.desk.exchange.reference import EXPORTS_NEEDING_CRS, reference
 from quadtree_lss.desk.exchange.saved import Results, load_results
 from quadtree_lss.desk.replay.files import write_bytes, write_json, writing
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask
@@ -71,8 +71,8 @@ def export_results(
 
 def to_degrees(x: Array, y: Array, crs: str) -> tuple[Array, Array]:
     """Convert coordinates to longitude and latitude, deg (WGS 84). Raises `ExchangeError`."""
-    rasterio = library("rasterio", WHAT)
-    warp = library("rasterio.warp", WHAT)
+    rasterio = library("rasterio", EXPORTS_NEEDING_CRS)
+    warp = library("rasterio.warp", EXPORTS_NEEDING_CRS)
     try:
         found = warp.transform(crs, "EPSG:4326", list(map(float, x)), list(map(float, y)))
     except (rasterio.errors.RasterioError, rasterio.errors.CRSError) as error:
@@ -103,7 +103,7 @@ def _write_geotiff(
 ) -> Path:
     """Write a layer (ny, nx) as cloud-optimised GeoTIFF with pixels about x (nx,), y (ny,),
     ascending, evenly spaced, m."""
-    rasterio = library("rasterio", WHAT)
+    rasterio = library("rasterio", EXPORTS_NEEDING_CRS)
     unit, description = LAYERS.get(name, ("", ""))
     integer, path = values.dtype in (np.bool_, np.uint8), folder / f"{name}.tif"
     options: dict[str, Any] = {"driver": "COG", "compress": "deflate", "crs": crs or None}

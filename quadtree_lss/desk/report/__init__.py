@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a person looks at first: the page and its figures."""
+"""The HTML report of a results folder and its figures."""

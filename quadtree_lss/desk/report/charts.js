@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Curves, drawn by uPlot.
+// Charts of curves, drawn with uPlot.
 "use strict";
 const CURVES = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a6a00", "#777777"];
 const plots = [];
@@ -18,10 +18,10 @@ function plot(parent, high, options, columns) {
 function resizePlots() {
   for (const { chart, size, room } of plots) if (room.clientWidth) chart.setSize(size());
 }
-const told = unit => (u, v) => (v === null || v === undefined ? "–" : short(v) + unit);
+const valueWithUnit = unit => (u, v) => (v === null || v === undefined ? "–" : short(v) + unit);
 const second_s = (u, v) => (v === null ? "" : v.toFixed(2) + " s");
 function curve(label, stroke, unit = "", more = {}) {
-  return { label, stroke, width: 1.3, value: told(unit), points: { show: false }, ...more };
+  return { label, stroke, width: 1.3, value: valueWithUnit(unit), points: { show: false }, ...more };
 }
 function timing() {
   const parent = byId("timing"), { seconds, map_ms } = data.timing;

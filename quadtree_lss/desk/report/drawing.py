@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of figures: images of grids, shaded ground, scale bars, marked sites."""
+"""Parts of figures: images of grids, shaded relief, scale bars, markers of sites."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Box = tuple[float, float, float, float]
 
 
 def extent(x: Array, y: Array) -> Box:
-    """Box of an image with samples at x (nx,), y (ny,): half a step beyond the outer ones."""
+    """Box of an image with samples at x (nx,), y (ny,), including half a step at each edge."""
     dx, dy = 0.5 * _step(x), 0.5 * _step(y)
     return x[0] - dx, x[-1] + dx, y[0] - dy, y[-1] + dy
 
@@ -35,7 +35,7 @@ def _step(axis: Array) -> float:
 
 
 def image(axes: Any, x: Array, y: Array, values: Any, **style: Any) -> Any:
-    """Draw an array (ny, nx) with samples at x, y; the limits of the axes stay."""
+    """Draw an array (ny, nx) with samples at x, y; keep the limits of the axes."""
     limits = axes.get_xlim(), axes.get_ylim()
     style = {"interpolation": "nearest", "origin": "lower", **style}
     drawn = axes.imshow(values, extent=extent(x, y), **style)
@@ -46,7 +46,7 @@ def image(axes: Any, x: Array, y: Array, values: Any, **style: Any) -> Any:
 def classes(
     axes: Any, x: Array, y: Array, kind: Any, colours: Any, heights: Array | None = None
 ) -> None:
-    """Draw class numbers (ny, nx) in their colours, shaded if ``heights`` are given."""
+    """Draw class numbers (ny, nx) in their colours, with a relief of ``heights`` if given."""
     drawn = ListedColormap(colours)(np.asarray(kind, dtype=np.int64))[..., :3]
     if heights is not None:
         drawn = shaded(drawn, heights, _step(x), 0.6)
@@ -64,8 +64,8 @@ def layer(
     heights: Array | None = None,
     unknown: str = "white",
 ) -> ScalarMappable:
-    """Draw values (ny, nx) with a colour map of `palette.MAPS` on shaded ground (``heights``, by
-    default the values). Returns the mappable for a colour bar."""
+    """Draw values (ny, nx) with a colour map of `palette.MAPS` and a relief of ``heights``, by
+    default the values. Return the mappable for a colour bar."""
     norm = Normalize(*(limits or colour_limits(values)))
     colours = matplotlib.colormaps[MAPS[kind]].with_extremes(bad=unknown)
     drawn = colours(norm(np.ma.masked_invalid(values)))[..., :3]
@@ -76,13 +76,15 @@ def layer(
 
 
 def map_axes(axes: Any, title: str, box: Box) -> None:
-    """Set up axes in metres of equal scale, with a scale bar."""
+    """Set up axes of equal scale in metres with a scale bar."""
     axes.set(xlabel="x (map), m", ylabel="y (map), m", aspect="equal")
     axes.set(xlim=box[:2], ylim=box[2:])
     axes.set_title(title, fontsize="medium")
-    about = 0.2 * (box[1] - box[0])
-    power = 10.0 ** np.floor(np.log10(about))
-    length = power * max(m for m in (1.0, 2.0, 5.0) if m * power <= about * (1.0 + 1e-9))
+    approximate_length = 0.2 * (box[1] - box[0])
+    power = 10.0 ** np.floor(np.log10(approximate_length))
+    length = power * max(
+        m for m in (1.0, 2.0, 5.0) if m * power <= approximate_length * (1.0 + 1e-9)
+    )
     bar = AnchoredSizeBar(axes.transData, length, f"{length:g} m", "lower left", pad=0.4)
     bar.patch.set_alpha(0.85)
     bar.set_zorder(9)
@@ -90,7 +92,7 @@ def map_axes(axes: Any, title: str, box: Box) -> None:
 
 
 def mark_sites(axes: Any, places: ArrayLike, radius: float = 0.0) -> list[Any]:
-    """Mark ranked places (K, 2 or 3) with their ranks and circles of ``radius`` m."""
+    """Mark ranked sites (K, 2 or 3) with their ranks and circles of ``radius`` m."""
     drawn = []
     for rank, (x, y, *_) in enumerate(np.asarray(places, np.float64), start=1):
         if radius > 0.0:
@@ -103,11 +105,11 @@ def mark_sites(axes: Any, places: ArrayLike, radius: float = 0.0) -> list[Any]:
     return drawn
 
 
-def outline(axes: Any, cells: CellMap, which: Any = slice(None), **style: Any) -> None:
-    """Draw boundaries of leaves, thinner if there are many."""
+def outline(axes: Any, cells: CellMap, selection: Any = slice(None), **style: Any) -> None:
+    """Draw the boundaries of leaves."""
     corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]], float)
     centre = np.stack([cells.x, cells.y], axis=-1)
-    edges = (centre[:, None, :] + 0.5 * cells.size[:, None, None] * corner)[which]
+    edges = (centre[:, None, :] + 0.5 * cells.size[:, None, None] * corner)[selection]
     width = float(np.clip(30.0 / np.sqrt(max(cells.level.size, 1)), 0.15, 0.6))
     style = {"colors": "black", "linewidths": width, **style}
     axes.add_collection(LineCollection(list(edges), **style))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a results folder, for print and for readers without JavaScript."""
+"""Figures of a results folder, for print and for browsers without JavaScript."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from quadtree_lss.desk.exchange.saved import Results
 from quadtree_lss.desk.report import drawing, palette
 from quadtree_lss.onboard.arrays import Array
 
-NONE_COLOUR = "#cdcdcd"
+NO_VALUE_COLOUR = "#cdcdcd"
 
 
 def figures(content: Results) -> dict[str, Figure]:
-    """Figures by name."""
+    """Draw all figures; return them by name."""
     grid, zone = content.grid, content.zone
     found = {"hazards": hazard_figure(content)}
     found["elevation"], axes = _map("Elevation of the map's planes", content)
@@ -36,11 +36,11 @@ def figures(content: Results) -> dict[str, Figure]:
 
 
 def hazard_figure(content: Results) -> Figure:
-    """Draw kinds of hazards (outlines if they do not exclude landing), and beside them the allowed
-    ground with the ranked sites."""
-    figure = Figure(figsize=(11.0, 6.4))
+    """Draw the kinds of hazards, as outlines if they do not exclude landing, and beside them the
+    allowed ground with the ranked sites."""
+    figure = Figure(figsize=(11.0, 6.7))
     left, right = figure.subplots(1, 2, sharey=True)
-    figure.subplots_adjust(left=0.07, right=0.98, top=0.95, bottom=0.18, wspace=0.05)
+    figure.subplots_adjust(left=0.07, right=0.98, top=0.96, bottom=0.21, wspace=0.05)
     for axes, title in ((left, "Hazards by kind"), (right, "Where landing is allowed")):
         drawing.map_axes(axes, title, _box(content))
     right.set_ylabel("")
@@ -55,7 +55,7 @@ def hazard_figure(content: Results) -> Figure:
     for bit, name, colour in palette.HAZARDS:
         shown = ((grid["hazard"] & bit) > 0) & content.grid.seen
         if not (bits | palette.UNKNOWN) & bit and shown.any():
-            if not shown.all():  # otherwise there is no outline
+            if not shown.all():  # otherwise it has no outline
                 left.contour(grid["x"], grid["y"], shown, [0.5], colors=colour, linewidths=0.7)
             kinds.append(Patch(facecolor="none", edgecolor=colour, label=f"{name}, not excluding"))
     unseen = np.where(grid.unmapped, 3, 2)
@@ -63,8 +63,9 @@ def hazard_figure(content: Results) -> Figure:
     names = [("excluded", palette.EXCLUDED_COLOUR), ("allowed", palette.SAFE_COLOUR)]
     names += [(name, colour) for _, name, colour in palette.HAZARDS[1::-1]]
     decisions = _classes(right, content, allowed, names)
-    figure.legend(handles=kinds, loc="lower left", ncols=3, frameon=False)
-    figure.legend(handles=decisions, loc="lower right", ncols=2, frameon=False)
+    for axes, handles in ((left, kinds), (right, decisions)):
+        layout = {"ncols": 2, "columnspacing": 1.0, "fontsize": "small", "frameon": False}
+        axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(-0.02, -0.1), **layout)
     drawing.mark_sites(right, content.positions, content.zone)
     return figure
 
@@ -77,16 +78,16 @@ def _map(title: str, content: Results) -> tuple[Figure, Any]:
 
 
 def _layer(axes: Any, content: Results, values: Array, kind: str, label: str, **style: Any) -> Any:
-    """Draw values (ny, nx) on shaded ground; return the colour bar."""
+    """Draw values (ny, nx) with the relief of the map; return the colour bar."""
     grid = content.grid
-    style |= {"heights": grid["elevation"], "unknown": NONE_COLOUR}
+    style |= {"heights": grid["elevation"], "unknown": NO_VALUE_COLOUR}
     drawn = drawing.layer(axes, grid.x, grid.y, values, kind, **style)
     label += "" if "grey" in label else " (grey: unobserved)"
     return axes.figure.colorbar(drawn, ax=axes, label=label, shrink=0.85, extend="both")
 
 
 def _box(content: Results) -> drawing.Box:
-    """Box of the observed ground, or of the grid."""
+    """Box of the observed ground, or of the grid if nothing was observed."""
     grid = content.grid
     if not grid.seen.any():
         return drawing.extent(grid.x, grid.y)
@@ -96,7 +97,8 @@ def _box(content: Results) -> drawing.Box:
 
 
 def _classes(axes: Any, content: Results, kind: Any, names: list[tuple[str, str]]) -> list[Patch]:
-    """Draw class numbers on shaded ground; return a legend with shares of the observed ground."""
+    """Draw class numbers with the relief of the map; return legend entries with the shares of the
+    observed ground."""
     grid, colours = content.grid, [colour for _, colour in names]
     drawing.classes(axes, grid.x, grid.y, kind, colours, grid["elevation"])
     seen = max(np.count_nonzero(grid.seen), 1)

@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// A flight over its map: path, reach, decisions, faults, height and speed, touchdown. Its moments are samples.
+// A flight on its map: path, reachable area, decisions, faults, height, speed, touchdown. The time slider
+// selects one of its samples.
 "use strict";
 const flightCharts = [], MARK = "#e69f00", FAILED = "#d55e00", PATH = "#004c8c";
-const sampleAt = t => { // the last one until a time of flight
+const sampleAt = t => { // index of the last sample at a time of flight
   const times = data.flight.time, k = times.findIndex(v => v > t + 1e-3);
   return k < 0 ? times.length - 1 : Math.max(k - 1, 0);
 };
 const momentTime = () => data.flight.time[view.moment];
 const eventRows = () => document.querySelectorAll("#decisions tbody tr, #targets tbody tr");
-function moment(i) { // the map and its sites as they were then, and the lander
+function showMoment(i) { // show map, sites and lander at sample i
   const f = data.flight, h = data.history, t = () => momentTime() - f.before;
   view.moment = clamp(i, 0, frames.last);
   if (h) {
@@ -33,9 +34,9 @@ function startFlight() {
     const a = Math.max(k - 1, 0), b = Math.min(k + 1, f.time.length - 1);
     return Math.hypot(f.x[b] - f.x[a], f.y[b] - f.y[a], f.z[b] - f.z[a]) / (f.time[b] - f.time[a] || 1);
   });
-  Object.assign(frames, { last: f.time.length - 1, step: 2, at: () => view.moment, go: moment });
+  Object.assign(frames, { last: f.time.length - 1, step: 2, at: () => view.moment, go: showMoment });
   view.moment = frames.last;
-  const marks = u => { // faults as bars, decisions as lines, the shown moment
+  const marks = u => { // faults as bars, decisions and the shown time as lines
     const c = u.ctx, { top, height: high } = u.bbox, at = t => u.valToPos(t - f.before, "x", true);
     c.save();
     for (const [, begin, end] of f.faults) {
@@ -53,13 +54,13 @@ function startFlight() {
       series: [{ label: "time", value: second_s }, curve(label, CURVES[tone], unit)],
       scales: { x: { time: false } }, axes: [{ label: "time, s" }, { label }], legend: { show: false },
       hooks: { draw: [marks] }, cursor: { sync: { key: "flight" },
-        bind: { mousedown: u => () => { moment(u.cursor.idx); return null; } } },
+        bind: { mousedown: u => () => { showMoment(u.cursor.idx); return null; } } },
     }, [Array.from(f.time, t => t - f.before), values]));
   }
-  for (const row of eventRows()) row.onclick = () => moment(sampleAt(Number(row.cells[0].textContent) + 0.1));
+  for (const row of eventRows()) row.onclick = () => showMoment(sampleAt(Number(row.cells[0].textContent) + 0.1));
   byId("time").hidden = false;
   player();
-  moment(frames.last);
+  showMoment(frames.last);
 }
 function drawFlight(c) { // on the map
   const f = data.flight, t = momentTime(), k = view.moment;
@@ -100,7 +101,7 @@ function flightInSpace(scene) {
   for (const [t] of f.decisions) if (t <= momentTime()) ball(at(sampleAt(t)), 0xe69f00);
   for (const [, t] of f.faults) if (t <= momentTime()) ball(at(sampleAt(t)), 0xd55e00);
   const truth = data.layers.find(l => l.name === "truth"), landed = f.down && k === frames.last;
-  const ground = (x, y) => truth.values[gridPointAt(x, y)]; // each pad on the true ground
+  const ground = (x, y) => truth.values[gridPointAt(x, y)]; // the pads stand on the true ground
   scene.drawLander({ x: f.x[k], y: f.y[k], z: f.z[k] }, landed ? ground : () => f.z[k]);
   const area = f.areas.filter(([t]) => t <= momentTime()).pop();
   if (area && !landed) scene.line(area[1].map(([x, y]) => scene.on(x, y, 0.15)), 0x0072b2, true);

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// The map's own planes: which leaf is where, how high the ground is, how it is lit.
+// The planes of the map: leaf, height and shading of each place.
 "use strict";
 const leafSize = level => leaves.size / 2 ** level;
 const fine = { n: 0, size: 0, leaf: null, z: null, shade: null };
 
-function layOut() { // leaves on cells of one size, at most 1024 a side
+function rasteriseLeaves() { // rasterise the leaves to at most 1024 cells a side
   const level = Math.min(leaves.max_level, 10);
   const n = fine.n = 2 ** level;
   fine.size = leaves.size / n;
@@ -19,7 +19,7 @@ function layOut() { // leaves on cells of one size, at most 1024 a side
     const x = leaves.xmin + (i + 0.5) * fine.size, y = leaves.ymin + (j + 0.5) * fine.size;
     fine.z[j * n + i] = seenAt(x, y) ? heightAt(x, y) : NaN;
   }
-  light();
+  computeShading();
 }
 function leafAt(x, y) {
   const n = fine.n;
@@ -32,7 +32,7 @@ function gridPointAt(x, y) {
   return i >= 0 && j >= 0 && i < grid.nx && j < grid.ny ? j * grid.nx + i : -1;
 }
 const UNSEEN = data.hazards.find(h => h.bit === 128);
-const UNMAPPED = data.hazards.find(h => h.bit === 64); // observed, not estimated: it has both bits
+const UNMAPPED = data.hazards.find(h => h.bit === 64); // observed but not estimated ground has both bits
 const PARTLY_UNOBSERVED = data.hazards.find(h => h.bit === 32);
 function seenAt(x, y) {
   const i = gridPointAt(x, y);
@@ -43,9 +43,9 @@ function planeAt(r, x, y) {
   const cx = leaves.xmin + (leaves.ix[r] + 0.5) * size, cy = leaves.ymin + (leaves.iy[r] + 0.5) * size;
   return leaves.z[r] + leaves.slope_x[r] * (x - cx) + leaves.slope_y[r] * (y - cy);
 }
-// A height keeps to what was measured; a bound that is NaN is none.
+// Clamp a height to the measured range; a bound that is NaN has no effect.
 const within = (z, low, high) => (z < low ? low : z > high ? high : z);
-function heightAt(x, y) { // the leaf's plane; bridged where the leaf was not measured
+function heightAt(x, y) { // by the plane of an estimated leaf, otherwise by the landing grid
   const r = leafAt(x, y);
   if (r >= 0 && leaves.z && leaves.measured[r]) {
     const z = planeAt(r, x, y);
@@ -54,20 +54,20 @@ function heightAt(x, y) { // the leaf's plane; bridged where the leaf was not me
   const i = gridPointAt(x, y);
   return i < 0 ? NaN : grid.elevation[i];
 }
-function light() { // of each cell from the north-west, 128 for level ground
+function computeShading() { // of each cell, lit from the north-west; 128 is level ground
   const { n, z } = fine, shade = fine.shade = new Uint8Array(n * n);
   const gx = new Float32Array(n * n), gy = new Float32Array(n * n), steep = [];
   const middle = k => [leaves.xmin + (k % n + 0.5) * fine.size,
                        leaves.ymin + (Math.floor(k / n) + 0.5) * fine.size];
   const large = Math.log2(leaves.size / fine.size) - 2; // level of leaves four cells wide
-  const beside = (k, v) => { // between large planes a step of less than the noise is none
+  const beside = (k, v) => { // ignore steps between large planes below the noise
     const r = fine.leaf[k];
     if (r === fine.leaf[v] || r < 0 || !leaves.z || !leaves.measured[r] ||
         leaves.level[r] > large) return z[v];
     const goes = planeAt(r, ...middle(v));
     return Math.abs(z[v] - goes) < data.noise ? goes : z[v];
   };
-  const rise = (k, a, b) => { // between neighbours, or the cell and the one that is there
+  const rise = (k, a, b) => { // slope between the neighbours, or the cell and its only neighbour
     const high = Number.isNaN(z[b]) ? z[k] : beside(k, b);
     const low = Number.isNaN(z[a]) ? z[k] : beside(k, a);
     const steps = (b !== k && !Number.isNaN(z[b])) + (a !== k && !Number.isNaN(z[a]));
@@ -80,7 +80,7 @@ function light() { // of each cell from the north-west, 128 for level ground
     gy[k] = rise(k, j > 0 ? k - n : k, j < n - 1 ? k + n : k);
     if (k % 7 === 0) steep.push(Math.hypot(gx[k], gy[k]));
   }
-  // Slopes are exaggerated until the steeper ones throw shade: gentle ground shows its forms.
+  // Exaggerate slopes so that the steepest tenth is clearly shaded.
   steep.sort((a, b) => a - b);
   const factor = clamp(0.6 / (steep[Math.floor(0.9 * steep.length)] || 1), 0.5, 6);
   for (let k = 0; k < n * n; k++) {
@@ -90,7 +90,7 @@ function light() { // of each cell from the north-west, 128 for level ground
       128 + 100 * (lit - 1) / 0.41421, 12, 236);
   }
 }
-function seenBox() { // without the last thousandth of stray points
+function seenBox() { // box of the estimated ground without the outermost thousandth
   const xs = new Uint32Array(grid.nx), ys = new Uint32Array(grid.ny);
   let total = 0;
   for (let j = 0; j < grid.ny; j++) for (let i = 0; i < grid.nx; i++) {

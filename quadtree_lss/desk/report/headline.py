@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The headline of the page: the result, how far to trust it, or why there is no site.
-
-Ground is *allowed* by the risk at a grid point; an aim point has a *probability*.
-"""
+"""The headline of the page: the result and its reliability, or why there is no site."""
 
 from __future__ import annotations
 
@@ -22,16 +19,16 @@ from quadtree_lss.onboard.core.landing.ranking import equal_up_to
 from quadtree_lss.onboard.core.landing.result import shown
 from quadtree_lss.onboard.messages.intake import noise_notice
 
-#: Least probability of a good site: one landing in a hundred fails.
-GOOD = 0.99
-#: Least share of allowed ground within a vehicle's diameter of a good site.
-AROUND = 0.5
+#: Smallest probability of success at a good site.
+GOOD_PROBABILITY = 0.99
+#: Smallest share of allowed ground within a vehicle diameter of a good site.
+MIN_ALLOWED_SHARE = 0.5
 #: Levels of trust in a site.
 LEVELS = {"good": "Good", "care": "With care", "none": "Not good enough"}
 
 
 class Areas(NamedTuple):
-    """Areas of the ground at the grid points, m²."""
+    """Areas of classes of grid points, m²."""
 
     seen: float
     allowed: float
@@ -39,7 +36,7 @@ class Areas(NamedTuple):
 
 
 class NearestMiss(NamedTuple):
-    """The grid point that is nearest to being a site, and why it is not one."""
+    """The grid point that is closest to being a site, and the limit that it misses."""
 
     x: float
     y: float
@@ -47,7 +44,7 @@ class NearestMiss(NamedTuple):
 
 
 def areas(content: Results, moment: Moment) -> Areas:
-    """Areas that are observed, allowed, and observed but not estimated."""
+    """Areas that are estimated, allowed, and observed but not estimated."""
     x, y = (np.full(len(content.grid[name]), content.grid.spacing) for name in "xy")
     x[[0, -1]] *= 0.5  # the outer points are on the edge of the map
     y[[0, -1]] *= 0.5
@@ -56,7 +53,8 @@ def areas(content: Results, moment: Moment) -> Areas:
 
 
 def nearest_miss(content: Results) -> NearestMiss | None:
-    """The grid point with room for a zone that has the least risk, else slope; None if none."""
+    """Find the grid point with the lowest risk, or slope, among those with space for a zone; None
+    if there are sites or no point has the space."""
     grid, lss = content.grid, content.config.lss
     room = _room(grid.seen, grid.spacing) >= content.zone
     word, values = "slope {:.1f}°, but a hazard within the zone", grid["slope_deg"]
@@ -86,8 +84,8 @@ class Fact(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """An assessment: masks (ny, nx) of the grid, positions (K, 2) or (K, 3) of the ranked sites, m,
-    their probabilities (K,), NaN if not computed, and the target (2,), None without one."""
+    """An assessment: masks (ny, nx), positions (K, 2) or (K, 3) of the ranked sites, m, their
+    probabilities (K,), NaN if not computed, and the target (2,), None without one."""
 
     seen: Mask
     allowed: Mask
@@ -98,7 +96,7 @@ class Moment(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """The result: a key of `LEVELS`, a headline, details, and the facts behind them."""
+    """The result: a key of `LEVELS`, headline, details and facts."""
 
     level: str
     answer: str
@@ -107,7 +105,7 @@ class Verdict(NamedTuple):
 
 
 def last_moment(content: Results) -> Moment:
-    """The assessment that the sites are of."""
+    """The last assessment."""
     grid, sites = content.grid, content.sites
     none = np.full(len(sites["x"]), np.nan)
     probability = np.asarray(sites.get("probability", none), np.float64)
@@ -116,7 +114,7 @@ def last_moment(content: Results) -> Moment:
 
 
 def last_target(content: Results) -> Array | None:
-    """(2,) of the last target; None if there was none, or it was withdrawn."""
+    """Position (2,) of the last target; None without one, or if it was withdrawn."""
     known = [content.selected[name] for name in ("id", "x", "y")]
     if not len(known[0]) or not known[0][-1]:
         return None
@@ -124,22 +122,22 @@ def last_target(content: Results) -> Array | None:
 
 
 def allowed_around(content: Results, moment: Moment) -> Array:
-    """Share (K,) of the grid points within a vehicle's diameter of each site that are allowed."""
+    """Share (K,) of allowed grid points within a vehicle diameter of each site."""
     x, y, reach = content.grid.x, content.grid.y, content.config.vehicle.diameter
     found = np.zeros(len(moment.position))
-    for k, (at_x, at_y) in enumerate(moment.position[:, :2]):
-        columns = slice(*np.searchsorted(x, [at_x - reach, at_x + reach]))
-        rows = slice(*np.searchsorted(y, [at_y - reach, at_y + reach]))
-        near = np.hypot(x[columns] - at_x, (y[rows] - at_y)[:, None]) <= reach
+    for k, (site_x, site_y) in enumerate(moment.position[:, :2]):
+        columns = slice(*np.searchsorted(x, [site_x - reach, site_x + reach]))
+        rows = slice(*np.searchsorted(y, [site_y - reach, site_y + reach]))
+        near = np.hypot(x[columns] - site_x, (y[rows] - site_y)[:, None]) <= reach
         found[k] = np.mean(moment.allowed[rows, columns][near]) if near.any() else 0.0
     return found
 
 
 def ratings(content: Results, moment: Moment) -> list[tuple[str, str]]:
-    """Level of each site (a key of `LEVELS`) and what speaks against it, or an empty text.
+    """Level of each site (a key of `LEVELS`) and the reasons against it, or an empty text.
 
-    A site is good if its probability is at least `GOOD`, at least `AROUND` of the ground around it
-    is allowed, and the risk model fits the case.
+    A site is good if its probability and the allowed share of the ground around it reach their
+    limits and the risk model fits the case.
     """
     lss, warnings = content.config.lss, content.summary.get("doubts", ())
     reach, found = content.config.vehicle.diameter, []
@@ -150,12 +148,12 @@ def ratings(content: Results, moment: Moment) -> list[tuple[str, str]]:
             level = "care"
         elif probability < lss.min_probability:
             level, against = "none", [f"a target needs {shown(lss.min_probability)}"]
-        elif probability < GOOD:
-            level, against = "care", [f"that is less than {shown(GOOD)}"]
-        if share < AROUND:
+        elif probability < GOOD_PROBABILITY:
+            level, against = "care", [f"that is less than {shown(GOOD_PROBABILITY)}"]
+        if share < MIN_ALLOWED_SHARE:
             level = "none" if level == "none" else "care"
             near = f"the ground within {reach:.3g} m is allowed"
-            against += [f"only {few(100.0 * share)} % of {near}"]
+            against += [f"only {rounded(100.0 * share)} % of {near}"]
         if warnings:
             level = "none" if level == "none" else "care"
             against += ["its risk may be wrong (see the warnings)"]
@@ -164,18 +162,18 @@ def ratings(content: Results, moment: Moment) -> list[tuple[str, str]]:
 
 
 def verdict(content: Results, moment: Moment | None = None) -> Verdict:
-    """The result of an assessment, by default of the last one."""
+    """Summarise an assessment, by default the last one."""
     at_end, moment = moment is None, moment or last_moment(content)
     found, number = areas(content, moment), len(moment.position)
-    percent = few(100.0 * found.allowed / (found.seen or 1.0))
-    ground = f"Landing is allowed on {percent} % of the {few(found.seen)} m² observed"
+    percent = rounded(100.0 * found.allowed / (found.seen or 1.0))
+    ground = f"Landing is allowed on {percent} % of the {rounded(found.seen)} m² observed"
     if found.allowed:
-        ground += f": {few(found.allowed)} m²"
+        ground += f": {rounded(found.allowed)} m²"
     if found.unmapped >= 0.5:
-        ground += f"; {few(found.unmapped)} m² more are observed but not estimated"
+        ground += f"; {rounded(found.unmapped)} m² more are observed but not estimated"
     facts = _facts(content, moment)
     if not number:
-        details = _without(content, ground) if at_end else f"{ground}."
+        details = _details_without_site(content, ground) if at_end else f"{ground}."
         return Verdict("none", "No landing site.", details, facts)
     (level, against), best = ratings(content, moment)[0], float(moment.probability[0])
     of = f"site 1, the best of {number}," if number > 1 else "the only site"
@@ -204,10 +202,14 @@ def _facts(content: Results, moment: Moment) -> list[Fact]:
     facts, warnings = [], summary.get("doubts", ())
     if len(moment.position):
         best, share = float(moment.probability[0]), float(allowed_around(content, moment)[0])
-        level = "none" if best < lss.min_probability else "good" if best >= GOOD else "care"
+        level = (
+            "none" if best < lss.min_probability else "good" if best >= GOOD_PROBABILITY else "care"
+        )
         aim = ("not computed", "care") if np.isnan(best) else (shown(best), level)
-        near = f"{few(100.0 * share)} % within {vehicle.diameter:.3g} m"
-        around = Fact("allowed around site 1", near, "good" if share >= AROUND else "care")
+        near = f"{rounded(100.0 * share)} % within {vehicle.diameter:.3g} m"
+        around = Fact(
+            "allowed around site 1", near, "good" if share >= MIN_ALLOWED_SHARE else "care"
+        )
         facts = [Fact("success at site 1", *aim), around]
     if "probability" in (lss.assessment, lss.ranking):
         bad = "may be wrong, see warnings", "care"
@@ -220,14 +222,14 @@ def _facts(content: Results, moment: Moment) -> list[Fact]:
     ratio, noise = summary.get("range_noise_ratio"), content.config.lidar.range_noise
     if ratio is not None:
         level = "" if noise_notice(ratio, content.config) is None else "care"
-        told = f"{noise * ratio:.3g} m, set to {noise:.3g} m"
-        facts.append(Fact("range noise, 1 σ", told, level))
+        measured = f"{noise * ratio:.3g} m, set to {noise:.3g} m"
+        facts.append(Fact("range noise, 1 σ", measured, level))
     return facts
 
 
 def rank_reasons(sites: Mapping[str, Array], wanted: bool = False) -> list[str]:
-    """Why each site ranks where it does, in few words (see ``landing.ranking``). ``wanted``: sites
-    near a planned point rank before others."""
+    """Explain the rank of each site (see ``landing.ranking``). ``wanted``: sites near a requested
+    target rank first."""
     probability, clear = sites.get("probability"), sites["hazard_distance"]
     if probability is None or not len(clear) or np.isnan(probability).any():
         return ["lowest score"] * (len(clear) > 0) + ["higher score"] * (len(clear) - 1)
@@ -248,13 +250,13 @@ def rank_reasons(sites: Mapping[str, Array], wanted: bool = False) -> list[str]:
     return words
 
 
-def few(value: float) -> str:
-    """Format a whole number, or two digits of a small one."""
+def rounded(value: float) -> str:
+    """Format as a whole number, or with two digits if small."""
     return f"{value:,.0f}" if value >= 9.95 or not value else f"{value:.2g}"
 
 
 def shortfall(content: Results) -> str:
-    """Without a site, the limit that is missed and by how much; or empty."""
+    """Describe the limit that no grid point meets and by how much; empty if there are sites."""
     lss, need = content.config.lss, content.zone
     if content.grid["safe"].any() or not content.grid.seen.any():
         return ""
@@ -283,8 +285,8 @@ def shortfall(content: Results) -> str:
     return f"Clear ground is {need - widest:.2f} m short of the {need:.2f} m radius of a zone"
 
 
-def _without(content: Results, ground: str) -> str:
-    """Details without a site: the missed limit and the nearest miss."""
+def _details_without_site(content: Results, ground: str) -> str:
+    """Describe the missed limit and the nearest miss."""
     text = f"{content.summary['explanation']}".removeprefix("no safe site: ").rstrip(".")
     lines = [shortfall(content) or f"{text[:1].upper()}{text[1:]}"]
     lines += [ground] if content.grid.seen.any() else []
@@ -294,7 +296,7 @@ def _without(content: Results, ground: str) -> str:
 
 
 def when(content: Results) -> str:
-    """Frame and date of the map."""
+    """Frame and time of the map."""
     frame = f"frame {content.config.frames.map}"
     stamp = content.summary.get("last_stamp_ns")
     if stamp is None:

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The layers: values, units, colours, legends.
+// Layers: values, units, colours, legends.
 "use strict";
 const UNKNOWN = [195, 212, 238], LANDING = "landing";
 const LAYERS = {}; // by name, in the order of the list
@@ -7,10 +7,10 @@ const hazardNames = bits =>
   data.hazards.filter(h => bits & h.bit).map(h => h.name).join(", ") || "none";
 const isUnknown = h => h.name === UNSEEN.name || h.name === UNMAPPED.name;
 const excludes = h => isUnknown(h) || (data.excluding & h.bit);
-// State of a grid point in the k-th assessment, or the last one (-1): it decides the first picture.
+// State of a grid point in assessment k (-1: the last one), shown by the layer LANDING.
 const ALLOWED = 0, EXCLUDED = 1, PARTLY = 2, UNOBSERVED = 3, UNESTIMATED = 4;
 function stateAt(i, k) {
-  if (k >= 0) return laterThan(i, k) ? UNOBSERVED : allowedAt(i, k) ? ALLOWED : EXCLUDED;
+  if (k >= 0) return isUnobservedAt(i, k) ? UNOBSERVED : allowedAt(i, k) ? ALLOWED : EXCLUDED;
   const bits = grid.hazard[i];
   return bits & UNMAPPED.bit ? UNESTIMATED : bits & UNSEEN.bit ? UNOBSERVED :
     grid.safe[i] ? ALLOWED : bits & PARTLY_UNOBSERVED.bit ? PARTLY : EXCLUDED;
@@ -35,7 +35,7 @@ function makeLayers() {
   if (grid.aim) {
     onGrid("aim", "Risk if aimed here", "", grid.aim, "score", UNSEEN.name,
       { ...chance, mark: Math.log10(data.limit.good), markName: "good",
-        note: "With the dispersion of the touchdown. Sites are ranked by this." });
+        note: "Includes the touchdown dispersion. Sites are ranked by this." });
   }
   LAYERS.elevation = { title: "Elevation of the map's planes", unit: "m", of: "fine",
     at: k => fine.z[k], limits: limitsOf(fine.z), map: "elevation", none: UNSEEN.name };
@@ -44,10 +44,10 @@ function makeLayers() {
     title: "Why landing is excluded", of: "grid", outlines: lines,
     classes: [{ name: "none", colour: data.colours.clear }, ...filled],
     value: i => filled.findIndex(h => grid.hazard[i] & h.bit) + 1,
-    note: "Judged for the vehicle's centre. " +
+    note: "For the centre of the vehicle. " +
       (lines.length ? "Outlines do not exclude landing. " : ""),
   };
-  onGrid("slope", "Slope at the lander's scale", "°", grid.slope, "slope", UNSEEN.name,
+  onGrid("slope", "Slope at the scale of the lander", "°", grid.slope, "slope", UNSEEN.name,
          { mark: grid.slope.mark, markName: "limit" });
   if (grid.risk) onGrid("score", "Score, lower is better", "", grid.score, "score", "excluded");
   const sizes = [leaves.max_level, leaves.min_level].map(l => Math.log2(leafSize(l)));
@@ -63,7 +63,7 @@ function makeLayers() {
            Float64Array.from(leaves.level, l => Math.log2(leafSize(l))), sizes);
   LAYERS.cells.power = 2;
 }
-function limitsOf(values) { // 1 and 99 %
+function limitsOf(values) { // 1st and 99th percentiles
   const known = Float64Array.from(values).filter(v => !Number.isNaN(v)).sort();
   if (!known.length) return [0, 1];
   const at = share => known[Math.round(share * (known.length - 1))];
@@ -72,7 +72,7 @@ function limitsOf(values) { // 1 and 99 %
 function colour(layer, value) {
   if (Number.isNaN(value) || value === undefined) return UNKNOWN;
   const [low, high] = layer.limits, table = data.maps[layer.map];
-  // The first picture: colours up to the limit, beyond it grey.
+  // The layer LANDING is grey beyond the limit.
   const share = clamp((value - low) / (high - low || 1), 0, 1);
   const limit = layer.states && layer.mark !== undefined ? (layer.mark - low) / (high - low) : 1;
   if (share > limit + 1e-9) return greyAt(share, limit);
@@ -92,7 +92,7 @@ function stateColour(layer, i, k) {
   return greyAt(clamp((value - low) / (high - low || 1), 0, 1), (limit - low) / (high - low || 1));
 }
 const painted = {};
-function canvasOf(nx, ny, colourOf) { // a picture with a pixel per value, row of least y last
+function canvasOf(nx, ny, colourOf) { // a pixel per value, the row of the smallest y at the bottom
   const canvas = document.createElement("canvas");
   canvas.width = nx; canvas.height = ny;
   const context = canvas.getContext("2d"), image = context.createImageData(nx, ny);
@@ -105,19 +105,19 @@ function canvasOf(nx, ny, colourOf) { // a picture with a pixel per value, row o
 }
 const gridBox = () => [grid.xmin - grid.spacing / 2, grid.ymin - grid.spacing / 2,
                        grid.nx * grid.spacing, grid.ny * grid.spacing];
-function kept(key, make) { // of moments that are not shown any more nothing is kept
+function cached(key, make) { // images of earlier assessments are dropped
   if (!painted[key]) {
     for (const old of Object.keys(painted)) if (!old.endsWith(" -1")) delete painted[old];
     painted[key] = make();
   }
   return painted[key];
 }
-function picture(name, k = -1) { // canvas of a layer, of the last assessment or the k-th one
-  return kept(`${name} ${k}`, () => {
+function picture(name, k = -1) { // canvas of a layer at assessment k (-1: the last one)
+  return cached(`${name} ${k}`, () => {
     const layer = LAYERS[name], ofFine = layer.of === "fine";
     const colours = layer.classes && layer.classes.map(c => rgb(c.colour));
-    const gone = k < 0 ? () => false : ofFine ? i => laterThan(gridUnder(i), k) : i => laterThan(i, k);
-    const colourOf = layer.states ? i => stateColour(layer, i, k) : i => (gone(i) ? UNKNOWN :
+    const isHidden = k < 0 ? () => false : ofFine ? i => isUnobservedAt(gridUnder(i), k) : i => isUnobservedAt(i, k);
+    const colourOf = layer.states ? i => stateColour(layer, i, k) : i => (isHidden(i) ? UNKNOWN :
       colours ? colours[layer.value ? layer.value(i) : layer.values[i]] :
       colour(layer, ofFine ? layer.at(i) : layer.values[i]));
     return ofFine ? { canvas: canvasOf(fine.n, fine.n, colourOf),
@@ -126,7 +126,7 @@ function picture(name, k = -1) { // canvas of a layer, of the last assessment or
   });
 }
 function excludedMask(k = view.answer) { // opaque where observed ground is excluded
-  return kept(`excluded ${k}`, () => ({ box: gridBox(), canvas: canvasOf(grid.nx, grid.ny, i => {
+  return cached(`excluded ${k}`, () => ({ box: gridBox(), canvas: canvasOf(grid.nx, grid.ny, i => {
     const state = stateAt(i, k);
     return [0, 0, 0, state === EXCLUDED || state === PARTLY ? 255 : 0];
   }) }));
@@ -136,10 +136,10 @@ function gridUnder(k) {
                      leaves.ymin + (Math.floor(k / fine.n) + 0.5) * fine.size);
 }
 let relief = null;
-function reliefPicture(k = -1) { // of what was observed by the k-th assessment, or the last one
+function reliefPicture(k = -1) { // relief of the ground observed by assessment k (-1: the last one)
   if (relief && relief.k === k) return relief;
   const canvas = canvasOf(fine.n, fine.n, i =>
-    new Array(3).fill(k >= 0 && laterThan(gridUnder(i), k) ? 128 : fine.shade[i]));
+    new Array(3).fill(k >= 0 && isUnobservedAt(gridUnder(i), k) ? 128 : fine.shade[i]));
   return (relief = { k, canvas, box: [leaves.xmin, leaves.ymin, leaves.size, leaves.size] });
 }
 
@@ -148,7 +148,7 @@ const swatch = (style, name, value = "") =>
   `<span class="key"><i style="${style}"></i>${name}<b>${value}</b></span>`;
 const FLIGHT_MARKS = "Blue: path. ×: planned point. Orange: decisions. Red: faults.";
 const HATCHED = "background:repeating-linear-gradient(135deg,#333 0 1px,#aaa 1px 4px)";
-function areas(count, classOf) { // m2 of each class; at the edge of the grid, half a cell
+function areas(count, classOf) { // of each class, m²; grid points at the edge count half
   const found = new Array(count).fill(0), { nx, ny } = grid;
   for (let j = 0; j < ny; j++) for (let i = 0; i < nx; i++) {
     const weight = (i % (nx - 1) ? 1 : 0.5) * (j % (ny - 1) ? 1 : 0.5);
@@ -156,7 +156,7 @@ function areas(count, classOf) { // m2 of each class; at the edge of the grid, h
   }
   return found;
 }
-function stateKeys() { // of the first picture, with areas
+function stateLegend() { // of the layer LANDING, with areas
   const found = areas(5, i => stateAt(i, view.answer)), style = {
     [ALLOWED]: "background:linear-gradient(90deg," + [0, 0.5, 1].map(s => { const l = LAYERS[LANDING];
       const top = l.mark === undefined ? l.limits[1] : l.mark;
@@ -178,13 +178,13 @@ function legend() {
       (found[i] ? swatch(`background:${k.colour}`, k.name, `${few(found[i])} m²`) : "")).join("") +
       (layer.outlines || []).map(k =>
         swatch(`border:2px solid ${k.colour}`, k.name, "outline")).join("") + hatch;
-  } else box.innerHTML += layer.states ? stateKeys() :
+  } else box.innerHTML += layer.states ? stateLegend() :
     swatch(`background:rgb(${UNKNOWN})`, layer.none) + hatch;
   box.innerHTML += note && `<p class="note">${note}</p>`;
   if (data.flight) box.innerHTML += `<p class="note">${FLIGHT_MARKS}</p>`;
   if (!layer.classes) scale(box.firstChild, layer);
 }
-function scale(canvas, layer) { // colours with round numbers, and the mark of a limit
+function scale(canvas, layer) { // colour bar with ticks and the mark of a limit
   const c = fitCanvas(canvas), w = canvas.clientWidth - 24, [low, high] = layer.limits;
   const at = v => 12 + w * (v - low) / (high - low || 1);
   for (let p = 0; p < w; p++) {
@@ -192,24 +192,24 @@ function scale(canvas, layer) { // colours with round numbers, and the mark of a
     c.fillRect(12 + p, 0, 1.5, 14);
   }
   c.fillStyle = ink("--ink"); c.font = "11px system-ui, sans-serif"; c.textBaseline = "top";
-  const tell = (v, text, y) => {
+  const drawText = (v, text, y) => {
     const half = c.measureText(text).width / 2;
     c.textAlign = "center"; c.fillText(text, clamp(at(v), half, w + 24 - half), y);
   };
   const marks = ticks(layer);
   marks.forEach((v, i) => {
     c.fillRect(at(v) - 0.5, 14, 1, 4);
-    tell(v, inUnit(layer, v) + (i === marks.length - 1 && layer.unit ? " " + layer.unit : ""), 20);
+    drawText(v, inUnit(layer, v) + (i === marks.length - 1 && layer.unit ? " " + layer.unit : ""), 20);
   });
   if (layer.mark === undefined || layer.mark > high) return;
   c.fillRect(at(layer.mark) - 1, 0, 2, 36);
-  tell(layer.mark, `${layer.markName} ${inUnit(layer, layer.mark)}${layer.unit}`, 36);
+  drawText(layer.mark, `${layer.markName} ${inUnit(layer, layer.mark)}${layer.unit}`, 36);
 }
 function inUnit(layer, v) { // per cent, or the value itself
   const value = layer.power ? layer.power ** v : v;
   return layer.percent ? `${short(100 * value)} %` : short(value);
 }
-function ticks(layer) { // round numbers; on logarithmic scales, powers
+function ticks(layer) { // round numbers, or powers on logarithmic scales
   const [low, high] = layer.limits;
   const step = layer.power ? Math.ceil((high - low) / 6) || 1 : nice((high - low) / 4);
   const found = [];

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The map: one view of the ground, drawn on one or two panes that move together.
+// The map: one view of the ground on one or two panes that move together.
 "use strict";
 const view = { x: 0, y: 0, scale: 1, layer: "", beside: "", mode: "map", site: -1, answer: -1, moment: 0,
                sites: true, relief: true, excluded: true, leaves: false, track: false, cursor: null, line: null, opacity: 1,
@@ -17,12 +17,12 @@ function wholeScale() {
   return 0.98 * Math.min((width() - MARGIN.left) / (extent.x1 - extent.x0),
                          (height() - MARGIN.bottom) / (extent.y1 - extent.y0));
 }
-function fit() { // all seen ground
+function fit() { // show all observed ground
   view.x = (extent.x0 + extent.x1) / 2; view.y = (extent.y0 + extent.y1) / 2;
   view.scale = whole = wholeScale();
   draw();
 }
-function fitSites() { // the view at the start: all sites, or all observed ground
+function fitSites() { // initial view: all sites, or all observed ground
   fit();
   if (!sites.length) return;
   const room = 5 * data.zone, xs = sites.map(s => s.x), ys = sites.map(s => s.y);
@@ -34,8 +34,8 @@ function fitSites() { // the view at the start: all sites, or all observed groun
   draw();
 }
 const isWhole = () => view.scale <= whole * 1.001;
-function resized() { // the whole map stays whole; another view stays where it is
-  if (!width()) return; // hidden: it has no size to fit into
+function resized() { // keep a full view full; keep the position of other views
+  if (!width()) return; // hidden, without a size
   if (isWhole()) fit();
   else { whole = wholeScale(); draw(); }
 }
@@ -63,7 +63,7 @@ function fitCanvas(canvas) {
   return context;
 }
 let pending = 0;
-function draw() { // once a frame, however often it is asked for
+function draw() { // at most once per frame
   if (!pending) pending = requestAnimationFrame(() => { pending = 0; drawNow(); });
 }
 function drawNow() {
@@ -71,7 +71,7 @@ function drawNow() {
   drawPane(map, view.layer);
   second.hidden = !view.beside;
   if (view.beside) drawPane(second, view.beside);
-  remember();
+  saveView();
 }
 function drawPane(canvas, name) {
   const c = fitCanvas(canvas), layer = LAYERS[name];
@@ -91,7 +91,7 @@ function drawPane(canvas, name) {
   for (const kind of layer.outlines || []) drawOutline(c, kind.colour, edges(kind.name, hazardAt(kind)));
   if (view.excluded) hatch(c, name);
   if (view.leaves) drawLeaves(c);
-  drawWishes(c);
+  drawRequests(c);
   if (view.track || view.answer >= 0) drawScans(c);
   if (data.flight) drawFlight(c);
   if (view.sites) drawSites(c);
@@ -103,13 +103,13 @@ function drawPane(canvas, name) {
   c.restore();
   drawAxes(c);
 }
-// How the relief is laid on a layer: so thinly that a colour is still found in the legend.
+// Blend mode and opacity of the relief; colours must remain recognisable in the legend.
 const reliefOf = layer => (layer.map === "elevation" ? ["hard-light", 0.45] : ["soft-light", 0.5]);
 function place(c, { canvas, box: [x, y, w, h] }) {
   c.drawImage(canvas, px(x), py(y + h), w * view.scale, h * view.scale);
 }
 const tile = document.createElement("canvas");
-function hatch(c, name) { // lines over excluded ground, of one width at every zoom
+function hatch(c, name) { // hatch excluded ground, with one line width at each zoom
   const ratio = c.getTransform().a, canvas = document.createElement("canvas");
   canvas.width = width() * ratio; canvas.height = height() * ratio;
   const own = canvas.getContext("2d"), side = tile.width = tile.height = Math.round(7 * ratio);
@@ -131,7 +131,7 @@ function hatch(c, name) { // lines over excluded ground, of one width at every z
 }
 const outlines = {};
 const hazardAt = kind => i => (grid.hazard[i] & kind.bit) > 0 && !(grid.hazard[i] & UNSEEN.bit);
-function edges(name, at) { // x0, y0, x1, y1 of each side of a grid point that has it to one without
+function edges(name, at) { // x0, y0, x1, y1 of the outline of the grid points where at() is true
   if (outlines[name]) return outlines[name];
   const found = [], { nx, ny, spacing: s } = grid;
   const has = (i, j) => i >= 0 && j >= 0 && i < nx && j < ny && Boolean(at(j * nx + i));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What is drawn over the layers: sites, wishes, scans, cursor, scale, axes.
+// Markers over the layers: sites, landing requests, scans, cursor, scale, axes.
 "use strict";
 function ring(c, x, y, radius, dash = []) {
   c.beginPath(); c.arc(px(x), py(y), radius * view.scale, 0, 2 * Math.PI);
@@ -22,7 +22,7 @@ function drawTarget(c, x, y) {
 function drawSites(c) {
   if (view.answer >= 0) {
     data.history.sites[view.answer].forEach(([, x, y], k, all) => {
-      const [, rx, ry] = all[all.length - 1 - k]; // the best on top
+      const [, rx, ry] = all[all.length - 1 - k]; // the best one on top
       ring(c, rx, ry, data.zone); badge(c, rx, ry, all.length - k, false);
     });
     const [id, x, y] = data.history.targets[view.answer];
@@ -43,8 +43,8 @@ function shape(c, points, colour) {
   c.closePath(); c.setLineDash([8, 4]); c.lineWidth = 2; c.strokeStyle = colour; c.stroke();
   c.setLineDash([]);
 }
-function drawWishes(c) { // landing area, keep-out, target
-  if (!data.flight) shape(c, data.landing.area, "#0072b2"); // a flight has those of its moments
+function drawRequests(c) { // landing area, keep-out, target
+  if (!data.flight) shape(c, data.landing.area, "#0072b2"); // a flight draws its own areas
   for (const name in data.landing) if (name.startsWith("keep_out")) shape(c, data.landing[name], "#d00");
   if (data.landing.target) {
     const [x, y] = data.landing.target, p = px(x), q = py(y);
@@ -52,7 +52,7 @@ function drawWishes(c) { // landing area, keep-out, target
     c.moveTo(p - 8, q); c.lineTo(p + 8, q); c.moveTo(p, q - 8); c.lineTo(p, q + 8); c.stroke();
   }
 }
-function drawScans(c) { // where the lidar was above, and what it saw until the shown time
+function drawScans(c) { // track and footprints of the lidar up to the shown time
   const h = data.history;
   if (!h) return;
   const now = view.answer < 0 ? Infinity : h.seconds[view.answer];
@@ -75,7 +75,7 @@ function drawScans(c) { // where the lidar was above, and what it saw until the 
   c.stroke();
   if (last && view.answer >= 0) { c.lineWidth = 2.5; outline(last - 1); }
 }
-function drawPicks(c) { // places that were clicked, for a command line
+function drawPicks(c) { // picked places for the command line
   if (view.picks.length > 1) shape(c, view.picks.map(p => [p.x, p.y]), "#7a00a8");
   for (const { x, y } of view.picks) {
     c.beginPath(); c.arc(px(x), py(y), 4, 0, 7); c.fillStyle = "#7a00a8"; c.fill();
@@ -98,12 +98,12 @@ function drawCursor(c) {
     c.moveTo(0, q); c.lineTo(p - 6, q); c.moveTo(p + 6, q); c.lineTo(width(), q); c.stroke();
   }
 }
-function box(c, text, x, y) { // words on the map, from their middle on to the right
+function box(c, text, x, y) { // label whose left edge is at x
   c.font = "600 13px system-ui, sans-serif"; c.textAlign = "left"; c.textBaseline = "top";
   c.fillStyle = ink("--panel"); c.fillRect(x, y, c.measureText(text).width + 12, 20);
   c.fillStyle = ink("--ink"); c.fillText(text, x + 6, y + 3);
 }
-function drawTitle(c, layer) { // of the second pane: name, unit and range of its colours
+function drawTitle(c, layer) { // title of the second pane: name, unit and colour range
   const range = layer.classes ? "" : `: ${layer.limits.map(v => inUnit(layer, v)).join(" … ")} ${layer.unit || ""}`;
   box(c, layer.title + range, MARGIN.left + 8, 8);
   if (layer.classes) return;

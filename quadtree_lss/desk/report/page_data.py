@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The data of ``report.html``: results as columns with units and limits."""
+"""Data of the scripts of ``report.html``: results as columns with limits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from quadtree_lss.desk.exchange.saved import Results
 from quadtree_lss.desk.report import palette
 from quadtree_lss.desk.report.headline import (
-    GOOD,
+    GOOD_PROBABILITY,
     Moment,
     last_moment,
     last_target,
@@ -26,15 +26,15 @@ from quadtree_lss.desk.report.pages import Columns
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, peak
 
-MAX_GRID_POINTS = 250_000  # embedded; larger grids are thinned
-MAX_LEAVES = 80_000  # embedded with their planes; of more leaves only the outlines
-MAX_ANSWERS = 60  # assessments on the slider
+MAX_GRID_POINTS = 250_000  # larger grids are thinned
+MAX_LEAVES = 80_000  # larger maps are embedded without their planes
+MAX_ASSESSMENTS = 60  # assessments on the slider
 
 
 @dataclass(frozen=True)
 class Layer:
-    """A further layer, such as the truth: ``values`` (ny, nx) are numbers with ``kind`` of
-    ``palette.MAPS`` and ``limits``, or indices of ``classes``, pairs of name and colour."""
+    """An additional layer, such as the truth. ``values`` (ny, nx) are numbers with a ``kind`` of
+    `palette.MAPS` and ``limits``, or indices of ``classes``, pairs of name and colour."""
 
     name: str
     title: str
@@ -47,11 +47,11 @@ class Layer:
 
 
 def page_data(content: Results, layers: Sequence[Layer] = ()) -> tuple[dict[str, Any], Columns]:
-    """Data for the page's script, ready for JSON, and the columns it refers to."""
+    """Collect the data for JSON and the columns it refers to."""
     columns, config = Columns(), content.config
     grid = _grid(content, columns)
     stride = grid["stride"]
-    miss = nearest_miss(content)
+    nearest = nearest_miss(content)
     return {
         "grid": grid,
         "layers": [_layer(layer, columns, stride) for layer in layers],
@@ -60,10 +60,10 @@ def page_data(content: Results, layers: Sequence[Layer] = ()) -> tuple[dict[str,
         "zone": content.zone,
         "noise": config.lidar.range_noise,
         "lander": {"radius": 0.5 * config.vehicle.diameter, "pad": config.vehicle.pad_radius},
-        "miss": miss and miss._asdict(),
+        "miss": nearest and nearest._asdict(),
         "target": None if (target := last_target(content)) is None else target.tolist(),
         "landing": content.summary.get("landing") or {},
-        "limit": {"risk": config.lss.max_risk, "good": 1.0 - GOOD},
+        "limit": {"risk": config.lss.max_risk, "good": 1.0 - GOOD_PROBABILITY},
         "history": _history(content, columns, stride),
         "timing": _timing(content),
         "hazards": [{"bit": b, "name": name, "colour": c} for b, name, c in palette.HAZARDS],
@@ -80,7 +80,7 @@ def _grid(content: Results, columns: Columns) -> dict[str, Any]:
     grid = content.grid
     stride = int(np.ceil(np.sqrt(max(grid["hazard"].size / MAX_GRID_POINTS, 1.0))))
 
-    def part(name: str) -> NDArray[Any]:
+    def thinned(name: str) -> NDArray[Any]:
         return grid[name][::stride, ::stride]
 
     lss, limits, heights = content.config.lss, palette.colour_limits, grid["elevation"]
@@ -93,33 +93,33 @@ def _grid(content: Results, columns: Columns) -> dict[str, Any]:
         "ymin": float(grid["y"][0]),
         "spacing": content.grid.spacing * stride,
         "stride": stride,
-        "elevation": columns.quantised(part("elevation"), least=5e-4, limits=limits(heights)),
-        "slope": columns.quantised(part("slope_deg"), least=5e-3, **slope),
-        "score": columns.quantised(part("score"), least=2e-4, limits=limits(grid["score"])),
+        "elevation": columns.quantised(thinned("elevation"), min_step=5e-4, limits=limits(heights)),
+        "slope": columns.quantised(thinned("slope_deg"), min_step=5e-3, **slope),
+        "score": columns.quantised(thinned("score"), min_step=2e-4, limits=limits(grid["score"])),
     }
     for name in ("hazard", "safe"):
-        found[name] = columns.whole(part(name), "u1")
+        found[name] = columns.whole(thinned(name), "u1")
     if content.probability is not None:
         known = np.where(grid.seen, grid["risk"], np.nan)[::stride, ::stride]
-        for name, values in (("risk", known), ("aim", 1.0 - part("probability"))):
-            ends = _exponents([0.0, 1.0]).tolist()
-            found[name] = columns.quantised(_exponents(values), limits=ends)
+        for name, values in (("risk", known), ("aim", 1.0 - thinned("probability"))):
+            ends = _log_risk([0.0, 1.0]).tolist()
+            found[name] = columns.quantised(_log_risk(values), limits=ends)
     return found
 
 
-def _exponents(chances: ArrayLike) -> Array:
-    """Decimal logarithms of chances, at least that of ``LEAST_SHOWN``."""
-    return np.asarray(np.log10(np.maximum(chances, palette.LEAST_SHOWN)))
+def _log_risk(risks: ArrayLike) -> Array:
+    """Decimal logarithms of risks, clipped at `palette.MIN_SHOWN_RISK`."""
+    return np.asarray(np.log10(np.maximum(risks, palette.MIN_SHOWN_RISK)))
 
 
 def _layer(layer: Layer, columns: Columns, stride: int) -> dict[str, Any]:
     values = layer.values[::stride, ::stride]
-    about = {"name": layer.name, "title": layer.title, "unit": layer.unit, "note": layer.note}
+    header = {"name": layer.name, "title": layer.title, "unit": layer.unit, "note": layer.note}
     if layer.classes:
         classes = [{"name": name, "colour": colour} for name, colour in layer.classes]
-        return {**about, "classes": classes, "values": columns.whole(values, "u1")}
+        return {**header, "classes": classes, "values": columns.whole(values, "u1")}
     limits = layer.limits or palette.colour_limits(layer.values)
-    return {**about, "kind": layer.kind, "values": columns.quantised(values, limits=limits)}
+    return {**header, "kind": layer.kind, "values": columns.quantised(values, limits=limits)}
 
 
 def _leaves(cells: CellMap, columns: Columns) -> dict[str, Any]:
@@ -180,7 +180,7 @@ def _json(value: float) -> float | None:
 
 
 def _history(content: Results, columns: Columns, stride: int) -> dict[str, Any] | None:
-    """Assessments and scans, in seconds since the first; None with fewer than two assessments."""
+    """Assessments and scans, times in s since the first; None with fewer than two assessments."""
     history = content.history
     answers = history.get("answer_stamp_ns", np.zeros(0))
     mapped = np.flatnonzero(answers > 0)
@@ -188,9 +188,9 @@ def _history(content: Results, columns: Columns, stride: int) -> dict[str, Any] 
         return None
     scans = history["scan_stamp_ns"]
     first = int(min(scans.min(initial=answers[mapped[0]]), answers[mapped].min()))
-    shown = mapped[np.unique(np.linspace(0, len(mapped) - 1, MAX_ANSWERS).round().astype(int))]
+    shown = mapped[np.unique(np.linspace(0, len(mapped) - 1, MAX_ASSESSMENTS).round().astype(int))]
 
-    masks = {name: content.then(name, shown).astype(bool) for name in ("seen", "allowed")}
+    masks = {name: content.history_layer(name, shown).astype(bool) for name in ("seen", "allowed")}
 
     def packed(name: str) -> NDArray[Any]:
         bits = masks[name][:, ::stride, ::stride]
@@ -201,7 +201,7 @@ def _history(content: Results, columns: Columns, stride: int) -> dict[str, Any] 
     seen[1:] ^= seen[:-1].copy()
     likely = {}
     if "risk" in history:
-        found = content.then("risk", shown)[:, ::stride, ::stride]
+        found = content.history_layer("risk", shown)[:, ::stride, ::stride]
         likely["risk"] = columns.whole(np.diff(found, axis=0, prepend=np.uint8(0)), "u1")
     names = ("site_id", "site_position", "site_score", "site_probability")
     sites = np.column_stack([history[name] for name in names])

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pages: self-contained HTML files made of jinja2 templates, all text escaped.
+"""Self-contained HTML pages from jinja2 templates, with all text escaped.
 
-A template is named by its path in the package and extends ``desk/report/page.html`` (style and
-content policy); ``desk/report/macros.html`` has tables and pictures.
+A template is named by its path in the package and extends ``desk/report/page.html``.
 """
 
 from __future__ import annotations
@@ -19,13 +18,13 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 from numpy.typing import ArrayLike, NDArray
 
-#: Aligned to the right in a table: a number with its unit or its total.
+#: A cell that is aligned to the right: a number with its unit or its total.
 NUMBER = re.compile(r"[-+−]?[\d.,]+( of [\d,]+| \w{1,3}| %)?")
-_NONE = {"u1": 0xFF, "u2": 0xFFFF}
+_NAN_CODES = {"u1": 0xFF, "u2": 0xFFFF}
 
 
 def render(template: str, **values: Any) -> str:
-    """Fill a template; text that is not valid UTF-8, as in file names, becomes a question mark."""
+    """Fill a template; invalid UTF-8, as in file names, becomes question marks."""
     text = _environment().get_template(template).render(**values)
     return text.encode(errors="replace").decode()
 
@@ -36,12 +35,12 @@ def source(name: str) -> str:
 
 
 def compressed(content: bytes) -> str:
-    """Compress bytes for a page; `inflate` of ``columns.js`` expands them."""
+    """Compress bytes for a page; ``inflate`` in ``columns.js`` expands them."""
     return base64.b64encode(zlib.compress(content, 9)).decode()
 
 
 def is_words(value: object) -> bool:
-    """True for a cell of a table that is text, aligned to the left; not markup or a number."""
+    """Whether a table cell is text, aligned to the left, and not markup or a number."""
     text = str(value)
     number = not any(map(str.isalpha, text)) or NUMBER.fullmatch(text)
     return not number and not isinstance(value, Markup)
@@ -65,25 +64,25 @@ def _environment() -> Environment:
 
 
 class Columns:
-    """Arrays inside a page, compressed, in base64. Calls return the place for ``columns.js``."""
+    """Compressed arrays of a page. Each method returns where ``columns.js`` finds the array."""
 
     def __init__(self) -> None:
         self._end = 0
-        self._known: dict[bytes, int] = {}
+        self._starts: dict[bytes, int] = {}
 
     def quantised(
-        self, values: ArrayLike, kind: str = "u2", least: float = 0.0, **more: Any
+        self, values: ArrayLike, kind: str = "u2", min_step: float = 0.0, **extra: Any
     ) -> dict[str, Any]:
-        """Add values as low + step · data[i], with step >= ``least``; the greatest integer is NaN.
-        ``more`` is returned with the place."""
+        """Add values as low + step · data[i] with step >= ``min_step``; the largest integer is NaN.
+        The result includes ``extra``."""
         flat = np.asarray(values, dtype=np.float64).ravel()
         finite = np.isfinite(flat)
         low, high = (flat[finite].min(), flat[finite].max()) if finite.any() else (0.0, 0.0)
-        top = _NONE[kind] - 1
-        step = max(float(high - low) / top, least) if high > low else 1.0
-        data = np.full(flat.shape, _NONE[kind], dtype=f"<{kind}")
+        top = _NAN_CODES[kind] - 1
+        step = max(float(high - low) / top, min_step) if high > low else 1.0
+        data = np.full(flat.shape, _NAN_CODES[kind], dtype=f"<{kind}")
         data[finite] = np.rint((flat[finite] - low) / step)
-        return {"low": float(low), "step": step, **self._add(data, kind), **more}
+        return {"low": float(low), "step": step, **self._add(data, kind), **extra}
 
     def whole(self, values: NDArray[Any], kind: str) -> dict[str, Any]:
         """Add integers of kind ``u1``, ``u2`` or ``u4``."""
@@ -95,12 +94,12 @@ class Columns:
 
     def text(self) -> str:
         """The content of all columns."""
-        return compressed(b"".join(self._known))
+        return compressed(b"".join(self._starts))
 
     def _add(self, data: NDArray[Any], kind: str) -> dict[str, Any]:
         raw = data.tobytes()
         raw += bytes(-len(raw) % 4)  # typed arrays must be aligned
-        start = self._known.setdefault(raw, self._end)
+        start = self._starts.setdefault(raw, self._end)
         if start == self._end:
             self._end += len(raw)
         return {"kind": kind, "at": start, "length": data.size}

@@ -15,7 +15,7 @@ UNSEEN_COLOUR = "#c3d4ee"
 UNMAPPED_NAME, UNMAPPED_COLOUR = "observed but not estimated", "#8c8ca6"
 PARTLY_NAME, PARTLY_COLOUR = "unobserved ground under the vehicle", "#9db1cc"
 UNKNOWN = UNSEEN | UNMAPPED
-# Bit, name and colour of hazards; the first that applies is drawn.
+# Bit, name and colour of each hazard; a grid point is drawn with the first one that applies.
 HAZARDS = (
     (UNMAPPED, UNMAPPED_NAME, UNMAPPED_COLOUR),
     (UNSEEN, "unobserved", UNSEEN_COLOUR),
@@ -28,7 +28,7 @@ HAZARDS = (
 CLEAR_COLOUR = "#f0e9c8"  # no hazard
 SAFE_COLOUR, EXCLUDED_COLOUR = "#009e73", "#882255"
 SITE_COLOUR = "#1c1c1c"
-#: Colour maps of matplotlib by kind of layer; bright is good.
+#: Colour maps of matplotlib by kind of layer; bright colours are favourable.
 MAPS = {
     "elevation": "cividis",
     "slope": "viridis_r",
@@ -37,7 +37,7 @@ MAPS = {
     "deviation": "magma_r",
     "error": "RdBu_r",
 }
-#: Kind of each layer whose name is not a kind.
+#: Kinds of the layers whose name is not a kind.
 KINDS = {
     "plane_elevation": "elevation",
     "map_height": "elevation",
@@ -45,8 +45,8 @@ KINDS = {
     "map_deviation": "deviation",
     "risk": "score",
 }
-#: Chances of failure are shown on a logarithmic scale from here to 1.
-LEAST_SHOWN = 1e-4
+#: Lower end of the logarithmic scale of risks, which ends at 1.
+MIN_SHOWN_RISK = 1e-4
 
 
 def excluding(assessment: str) -> int:
@@ -55,13 +55,13 @@ def excluding(assessment: str) -> int:
 
 
 def slope_limit(lss: LssConfig) -> float:
-    """Slope limit shown to the reader, deg."""
+    """Slope limit shown on the page, deg."""
     vehicle, touchdown = lss.vehicle, lss.assessment == "touchdown"
     return vehicle.lengths.touchdown_slope_deg if touchdown else vehicle.max_slope_deg
 
 
 def colour_limits(values: Array) -> tuple[float, float]:
-    """Range of a colour map: percentiles 1 and 99."""
+    """Range of a colour map: the 1st and 99th percentiles."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return 0.0, 1.0
@@ -70,24 +70,24 @@ def colour_limits(values: Array) -> tuple[float, float]:
 
 
 def top_limit(values: Array) -> tuple[float, float]:
-    """From 0 to the 99th percentile."""
+    """Range from 0 to the 99th percentile."""
     return 0.0, max(colour_limits(values)[1], 1e-6)
 
 
 def even_limits(values: Array) -> tuple[float, float]:
-    """Symmetric about 0, to the 99th percentile of the absolute values."""
+    """Range symmetric about 0, up to the 99th percentile of the absolute values."""
     top = top_limit(np.abs(values))[1]
     return -top, top
 
 
 def gradients(heights: Array, spacing: float) -> Sequence[Array]:
-    """dz/dy and dz/dx of heights (ny, nx); a single row or column is level."""
+    """dz/dy and dz/dx of heights (ny, nx); zero for a single row or column."""
     return np.gradient(heights, spacing) if min(heights.shape) > 1 else [0.0 * heights] * 2
 
 
 def shaded(image: Array, elevation: Array, spacing: float, strength: float = 0.75) -> Array:
-    """Shade colours (ny, nx, 3) in 0 … 1 as if the ground (ny, nx) were lit from the north-west,
-    with slopes exaggerated as on the page; level and unknown ground keeps its colours."""
+    """Shade colours (ny, nx, 3) in 0 … 1 by a light from the north-west, with slopes exaggerated as
+    on the page; level and unknown ground keeps its colours."""
     along_y, along_x = gradients(elevation, spacing)
     slopes = np.hypot(along_x, along_y)
     steep = np.nanpercentile(slopes, 90) if np.isfinite(slopes).any() else 0.0

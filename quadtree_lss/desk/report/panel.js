@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Beside the map: layers, the table of sites, modes; the address that leads back to a view.
+// The panel beside the map: layers, table of sites, modes; the view in the address.
 "use strict";
 function options(select, none) {
   select.innerHTML = (none ? `<option value="">${none}</option>` : "") +
@@ -29,13 +29,13 @@ function setMode(mode) {
   const inSpace = mode === "scene";
   map.hidden = inSpace; second.hidden = inSpace || !view.beside;
   byId("scene").hidden = byId("scene-tools").hidden = !inSpace;
-  silent();
+  hideTooltip();
   showSection(mode === "section");
   if (inSpace) showScene();
   else resized();
-  remember();
+  saveView();
 }
-function tellSite(k) { // its row, its reasons
+function showSiteReason(k) { // highlight its row, show its reason
   for (const row of document.querySelectorAll("tr[data-site]")) {
     const chosen = Number(row.dataset.site) === k;
     row.classList.toggle("chosen", chosen);
@@ -48,21 +48,21 @@ function tellSite(k) { // its row, its reasons
     byId("why").append(site.reason + (site.against ? `. Against it: ${site.against}` : ""));
   }
 }
-function choose(k, going = true) { // a site: its row, its reasons, its place
+function choose(k, going = true) { // select site k and move the view to it
   view.site = k;
-  if (view.answer < 0) tellSite(k);
+  if (view.answer < 0) showSiteReason(k);
   const site = sites[k];
   if (site && going) goTo(site);
   if (space) space.update(going);
-  if (view.mode === "section") { view.line = usualLine(); drawSection(); }
+  if (view.mode === "section") { view.line = defaultLine(); drawSection(); }
   draw();
 }
-function rows() {
+function connectRows() {
   const found = [...document.querySelectorAll("tr[data-site]")];
   found.forEach((row, k) => {
     row.onclick = () => choose(k);
     row.onmouseenter = () => { view.cursor = sites[k]; draw(); };
-    row.onmouseleave = silent;
+    row.onmouseleave = hideTooltip;
     row.onkeydown = e => {
       const to = { ArrowDown: k + 1, ArrowUp: k - 1, Home: 0, End: found.length - 1 }[e.key];
       if (e.key === "Enter" || e.key === " ") choose(k);
@@ -75,7 +75,7 @@ function rows() {
 
 // ---- the address -------------------------------------------------------------------------------
 const SHOWN = ["sites", "relief", "excluded", "leaves", "track"];
-let remembering = 0;
+let saveTimer = 0;
 function address() {
   const words = { layer: view.layer, x: view.x.toFixed(2), y: view.y.toFixed(2),
                   scale: isWhole() ? "" : view.scale.toFixed(2), beside: view.beside,
@@ -87,14 +87,14 @@ function address() {
                   show: SHOWN.filter(name => view[name]).join() };
   return Object.entries(words).filter(([, v]) => v !== "").map(([k, v]) => `${k}=${v}`).join("&");
 }
-function remember() {
-  clearTimeout(remembering);
-  remembering = setTimeout(() => {
+function saveView() {
+  clearTimeout(saveTimer);
+  saveTimer = setTimeout(() => {
     try { history.replaceState(null, "", "#" + address()); }
-    catch (refused) { /* some browsers do not for files; the link button tells it all the same */ }
+    catch (refused) { /* some browsers forbid this for files; the link button still works */ }
   }, 300);
 }
-function recall() { // the view that the address tells
+function restoreView() { // restore the view from the address
   const words = new URLSearchParams(location.hash.slice(1)), number = name => Number(words.get(name));
   if (words.has("show")) {
     for (const name of SHOWN) byId(`show-${name}`).checked = view[name] =
@@ -151,10 +151,10 @@ function panel() {
       row.hidden = !row.textContent.toLowerCase().includes(filter.value.toLowerCase());
     }
   };
-  rows();
+  connectRows();
   document.addEventListener("keydown", keys);
-  window.addEventListener("hashchange", () => { // a link to a place
-    recall(); draw();
+  window.addEventListener("hashchange", () => { // a link within the page
+    restoreView(); draw();
     byId("frame").scrollIntoView({ block: "nearest" });
   });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a person does on the map: mouse, fingers, keys; the values at the pointer.
+// Input on the map by mouse, touch and keys; the tooltip with the values at the pointer.
 "use strict";
-function values(x, y) {
+function valuesAt(x, y) {
   const i = gridPointAt(x, y), r = leafAt(x, y);
   const rows = [["place", `${x.toFixed(2)}, ${y.toFixed(2)} m`]];
-  const k = view.answer, seen = i >= 0 && (k < 0 ? !(grid.hazard[i] & UNSEEN.bit) : !laterThan(i, k));
+  const k = view.answer, seen = i >= 0 && (k < 0 ? !(grid.hazard[i] & UNSEEN.bit) : !isUnobservedAt(i, k));
   if (!seen) {
     const hit = k < 0 && i >= 0 && grid.hazard[i] & UNMAPPED.bit;
     rows.push(["ground", hit ? UNMAPPED.name : UNSEEN.name]);
@@ -14,7 +14,7 @@ function values(x, y) {
     rows.push(["landing", (k < 0 ? grid.safe[i] : allowedAt(i, k)) ? "allowed" : "excluded"]);
     if (grid.risk) rows.push(["fails here", chanceText(risk)]);
     if (grid.aim && k < 0) rows.push(["fails if aimed here", chanceText(grid.aim[i])]);
-    if (k >= 0) return rows; // of the rest, what was known then is not kept
+    if (k >= 0) return rows; // other values are only known for the last assessment
     const h = heightAt(x, y), s = r >= 0 && leaves.deviation ? leaves.deviation[r] : NaN;
     rows.push(["height", Number.isNaN(s) ? withUnit(h, 2, "m") :
       `${h.toFixed(3)} ± ${s.toFixed(3)} m`]);
@@ -47,15 +47,15 @@ function values(x, y) {
 }
 const chanceText = v => (Number.isNaN(v) ? "–" : v <= -4 ? "≤ 0.01 %" : `${short(100 * 10 ** v)} %`);
 const tooltip = byId("tooltip");
-function tell(x, y, canvas = map) { // at the place, and the crosshair on every pane
+function showTooltip(x, y, canvas = map) { // and the crosshair on each pane
   const frame = byId("frame").getBoundingClientRect(), own = canvas.getBoundingClientRect();
   view.cursor = { x, y };
-  tellBeside(x, y, px(x) + own.left - frame.left, py(y) + own.top - frame.top);
+  placeTooltip(x, y, px(x) + own.left - frame.left, py(y) + own.top - frame.top);
   pointAt(x, y); draw();
 }
-function tellBeside(x, y, p, q) { // p, q within the frame; a narrow screen has it at its foot
+function placeTooltip(x, y, p, q) { // p, q: position within the frame
   tooltip.innerHTML = "<table>" +
-    values(x, y).map(([k, v]) => `<tr><th>${k}</th><td>${v}</td></tr>`).join("") + "</table>";
+    valuesAt(x, y).map(([k, v]) => `<tr><th>${k}</th><td>${v}</td></tr>`).join("") + "</table>";
   tooltip.hidden = false;
   const frame = byId("frame"), w = tooltip.offsetWidth, h = tooltip.offsetHeight;
   const beside = (at, size, room) =>
@@ -63,14 +63,14 @@ function tellBeside(x, y, p, q) { // p, q within the frame; a narrow screen has 
   tooltip.style.left = beside(p, w, frame.clientWidth);
   tooltip.style.top = beside(q, h, frame.clientHeight);
 }
-function silent() {
+function hideTooltip() {
   tooltip.hidden = true;
   if (!view.cursor) return;
   view.cursor = null;
   pointAt(NaN, NaN); draw();
 }
 
-function command() { // what the picked places are on the command line
+function command() { // show the picked places as command-line options
   const places = view.picks.map(({ x, y }) => `${x.toFixed(2)},${y.toFixed(2)}`), box = byId("command");
   const far = view.picks.slice(1).map((p, k) => Math.hypot(p.x - view.picks[k].x, p.y - view.picks[k].y));
   const way = `${short(far.reduce((sum, d) => sum + d, 0))} m along the places`;
@@ -81,52 +81,52 @@ function command() { // what the picked places are on the command line
     box.append(Object.assign(document.createElement("code"), { textContent: word }), " ");
   }
 }
-function mark(p, q, more) { // a place of the command line; with shift, one more
+function mark(p, q, more) { // pick a place; with shift, add it
   view.picks = [...(more ? view.picks : []), { x: mx(p), y: my(q) }];
   command(); draw();
 }
-function pick(p, q) { // the site whose marker is there
+function pick(p, q) { // select the site whose marker is there
   if (!view.sites || view.answer >= 0) return false;
   const k = sites.findIndex(s => Math.hypot(px(s.x) - p, py(s.y) - q) <= 13);
-  if (k >= 0) { choose(k, false); silent(); }
+  if (k >= 0) { choose(k, false); hideTooltip(); }
   return k >= 0;
 }
-let held = null; // what the mouse holds: a place of the map, or an end of the section's line
-function watch(canvas) {
+let drag = null; // current drag of the map or of an end of the section line
+function addPointerHandlers(canvas) {
   canvas.addEventListener("pointerdown", e => {
     if (e.pointerType === "touch") return;
-    held = { p: e.offsetX, q: e.offsetY, moved: 0 };
+    drag = { p: e.offsetX, q: e.offsetY, moved: 0 };
     if (view.mode === "section") startLine(mx(e.offsetX), my(e.offsetY));
-    try { canvas.setPointerCapture(e.pointerId); } catch (ignored) { /* made up by a test */ }
+    try { canvas.setPointerCapture(e.pointerId); } catch (ignored) { /* synthetic event of a test */ }
   });
-  const drop = () => { held = null; };
+  const drop = () => { drag = null; };
   canvas.addEventListener("pointerup", e => {
-    if (held && held.moved < 4 && view.mode === "map" && !pick(e.offsetX, e.offsetY)) {
+    if (drag && drag.moved < 4 && view.mode === "map" && !pick(e.offsetX, e.offsetY)) {
       mark(e.offsetX, e.offsetY, e.shiftKey);
     }
     drop();
   });
   canvas.addEventListener("pointercancel", drop);
-  canvas.addEventListener("pointerleave", e => { if (e.pointerType !== "touch") silent(); });
+  canvas.addEventListener("pointerleave", e => { if (e.pointerType !== "touch") hideTooltip(); });
   canvas.addEventListener("pointermove", e => {
     if (e.pointerType === "touch") return;
-    if (held && view.mode === "section") moveLine(mx(e.offsetX), my(e.offsetY));
-    else if (held) {
-      view.x -= (e.offsetX - held.p) / view.scale; view.y += (e.offsetY - held.q) / view.scale;
-      const way = Math.hypot(e.offsetX - held.p, e.offsetY - held.q);
-      held = { p: e.offsetX, q: e.offsetY, moved: held.moved + way };
+    if (drag && view.mode === "section") moveLine(mx(e.offsetX), my(e.offsetY));
+    else if (drag) {
+      view.x -= (e.offsetX - drag.p) / view.scale; view.y += (e.offsetY - drag.q) / view.scale;
+      const way = Math.hypot(e.offsetX - drag.p, e.offsetY - drag.q);
+      drag = { p: e.offsetX, q: e.offsetY, moved: drag.moved + way };
     }
-    tell(mx(e.offsetX), my(e.offsetY), canvas);
+    showTooltip(mx(e.offsetX), my(e.offsetY), canvas);
   });
-  canvas.addEventListener("wheel", e => { // with all in sight, the page scrolls on
+  canvas.addEventListener("wheel", e => { // at full view the page scrolls
     if (e.deltaY > 0 && isWhole() && !e.ctrlKey) return;
     e.preventDefault();
     zoom(Math.exp(-0.0015 * e.deltaY), e.offsetX, e.offsetY);
   }, { passive: false });
   canvas.addEventListener("dblclick", e => zoom(2, e.offsetX, e.offsetY));
-  canvas.addEventListener("blur", silent);
+  canvas.addEventListener("blur", hideTooltip);
 
-  // One finger scrolls the page, or draws a section; two move and zoom the map; a tap tells.
+  // One finger scrolls the page or draws a section; two move and zoom the map; a tap shows values.
   let last = null, tapped = null;
   const fingers = e => {
     const box = canvas.getBoundingClientRect();
@@ -155,7 +155,7 @@ function watch(canvas) {
   }, { passive: false });
   canvas.addEventListener("touchend", () => {
     if (tapped && view.mode !== "section" && !pick(tapped.p, tapped.q)) {
-      tell(mx(tapped.p), my(tapped.q), canvas);
+      showTooltip(mx(tapped.p), my(tapped.q), canvas);
     }
     last = tapped = null;
   });
@@ -166,10 +166,10 @@ function keys(e) {
   const move = (dx, dy) => onMap && (() => { view.x += dx * step; view.y += dy * step; draw(); });
   const doing = { "+": () => zoom(1.4), "=": () => zoom(1.4), "-": () => zoom(1 / 1.4), 0: fit,
     1: () => setMode("map"), 3: () => setMode("scene"), x: () => setMode("section"),
-    l: nextLayer, Escape: () => { silent(); view.picks = []; command(); draw(); if (view.mode === "section") setMode("map"); },
+    l: nextLayer, Escape: () => { hideTooltip(); view.picks = []; command(); draw(); if (view.mode === "section") setMode("map"); },
     ArrowLeft: move(-1, 0), ArrowRight: move(1, 0), ArrowUp: move(0, 1), ArrowDown: move(0, -1),
-    Enter: onMap && (() => tell(view.x, view.y)) }[e.key];
+    Enter: onMap && (() => showTooltip(view.x, view.y)) }[e.key];
   if (!doing || (view.mode === "scene" && "+=-0".includes(e.key))) return;
   e.preventDefault(); doing();
-  if (onMap && view.cursor && e.key.startsWith("Arrow")) tell(view.x, view.y);
+  if (onMap && view.cursor && e.key.startsWith("Arrow")) showTooltip(view.x, view.y);
 }

@@ -26,24 +26,24 @@ from quadtree_lss.desk.report.pages import Columns, render
 from quadtree_lss.onboard.config.settings import parameters, values_from_config
 from quadtree_lss.onboard.core.landing.result import shown
 
-ROOM = "how far the zone may move until it touches excluded or unobserved ground"
-FEATURE = "greatest height of a feature smaller than a cell in the zone"
-SITES = (
-    ("x", "m", "x", "{:.2f}", "place, map frame"),
-    ("y", "m", "y", "{:.2f}", "place, map frame"),
+ROOM_MEANING = "distance by which the zone can move before it touches excluded or unobserved ground"
+FEATURE_MEANING = "largest height of a feature smaller than a cell in the zone"
+SITE_COLUMNS = (
+    ("x", "m", "x", "{:.2f}", "position, map frame"),
+    ("y", "m", "y", "{:.2f}", "position, map frame"),
     ("success", "%", "probability", "", "probability of a safe touchdown if aimed here"),
     ("score", "", "score", "{:.3f}", "mean over the landing zone, lower is better"),
-    ("room", "m", "hazard_distance", "{:.1f}", ROOM),
-    ("slope", "°", "slope_deg", "{:.1f}", "slope at the lander's scale"),
-    ("rough", "m", "roughness", "{:.3f}", "greatest mean deviation from the planes in the zone"),
-    ("feature", "m", "subscale_height", "{:.2f}", FEATURE),
+    ("room", "m", "hazard_distance", "{:.1f}", ROOM_MEANING),
+    ("slope", "°", "slope_deg", "{:.1f}", "slope at the scale of the lander"),
+    ("rough", "m", "roughness", "{:.3f}", "largest mean distance from the planes in the zone"),
+    ("feature", "m", "subscale_height", "{:.2f}", FEATURE_MEANING),
 )
 """Columns of the table of sites: heading, unit, name in ``sites.csv``, format, meaning."""
-EQUAL = "as probable: within the error of the risk model; then more room ranks first"
+RANK_MEANING = "as probable: within the error of the risk model; then more room ranks first"
 
 
 def report_files(folder: str | Path) -> dict[str, bytes]:
-    """The page and figures of a results folder: content by path in the folder."""
+    """Make the page and the figures of a results folder; return contents by file path."""
     content = load_results(folder)
     pictures = {f"figures/{name}.png": png(figure) for name, figure in figures(content).items()}
     return {**pictures, "report.html": page(content).encode()}
@@ -53,21 +53,28 @@ def page(
     content: Results,
     layers: Sequence[Layer] = (),
     template: str = "desk/report/report.html",
-    also: Callable[[dict[str, Any], Columns], Mapping[str, Any]] | None = None,
+    extra_data: Callable[[dict[str, Any], Columns], Mapping[str, Any]] | None = None,
     **values: Any,
 ) -> str:
-    """Make the page. ``layers``: shown first; ``template``: extends ``report.html`` and uses
-    ``values``; ``also``: returns more data for the script."""
+    """Render the page.
+
+    Args:
+        layers: Additional layers, shown first.
+        template: A template that extends ``report.html`` and uses ``values``.
+        extra_data: Returns further data for the scripts, from their data and columns.
+    """
     data, columns = page_data(content, layers)
-    data |= {} if also is None else also(data, columns)
+    data |= {} if extra_data is None else extra_data(data, columns)
     summary, config, sites = content.summary, content.config, content.sites
     level, answer, ground, facts = verdict(content)
     known = np.isfinite(sites.get("probability", np.array([]))).any()
-    shown_columns = [row for row in SITES if row[2] != ("score" if known else "probability")]
+    shown_columns = [row for row in SITE_COLUMNS if row[2] != ("score" if known else "probability")]
     wanted = "target" in summary.get("landing", {})
-    why, rated = rank_reasons(sites, wanted), ratings(content, last_moment(content))
-    set_to = values_from_config(config)
-    rows = [(row.name, set_to[row.name], row.default, row.unit, row.doc) for row in parameters()]
+    rank_texts, rated = rank_reasons(sites, wanted), ratings(content, last_moment(content))
+    values_by_name = values_from_config(config)
+    rows = [
+        (row.name, values_by_name[row.name], row.default, row.unit, row.doc) for row in parameters()
+    ]
     shown_values = {
         "title": f"Landing sites from {short_name(summary['bag'])}",
         "when": when(content),
@@ -79,10 +86,16 @@ def page(
         "warnings": [*summary.get("losses", ()), *summary.get("warnings", ())],
         "head": [
             *((word, unit, meaning) for word, unit, _, _, meaning in shown_columns),
-            ("why this rank", "", EQUAL),
+            ("why this rank", "", RANK_MEANING),
         ],
         "rows": [
-            [*(_cell(name, sites[name][k], form) for _, _, name, form, _ in shown_columns), why[k]]
+            [
+                *(
+                    _format_cell(name, sites[name][k], form)
+                    for _, _, name, form, _ in shown_columns
+                ),
+                rank_texts[k],
+            ]
             for k in range(len(sites["x"]))
         ],
         "levels": [(level, LEVELS[level]) for level, _ in rated],
@@ -104,12 +117,12 @@ def page(
 
 
 def short_name(bag: str) -> str:
-    """The name of a bag, with its folder's if it is just ``bag``."""
+    """Name of a bag, with the name of its folder if it is only ``bag``."""
     path = Path(bag)
     return f"{path.parent.name}/{path.name}" if path.name == "bag" else path.name
 
 
-def _cell(name: str, value: float, form: str) -> str:
+def _format_cell(name: str, value: float, form: str) -> str:
     if not np.isfinite(value):
         return "–"
     return shown(value).removesuffix(" %") if name == "probability" else form.format(value)

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The ground in space, by three.js: any layer on it, sites, the lander at true scale, the track.
+// 3D view with three.js: ground with a layer, sites, the lander to scale, the track.
 "use strict";
 let space = null;
 async function showScene() {
@@ -30,7 +30,7 @@ class Space {
     this.reach = Math.hypot(extent.x1 - extent.x0, extent.y1 - extent.y0) / 2;
     this.controls = new T.OrbitControls(this.eye, this.renderer.domElement);
     this.controls.maxPolarAngle = 0.495 * Math.PI;
-    this.controls.addEventListener("change", () => { this.render(); remember(); });
+    this.controls.addEventListener("change", () => { this.render(); saveView(); });
     const sun = new T.DirectionalLight(0xffffff, 2.6);
     sun.position.set(-1, 1, 1.15);
     this.scene.add(sun, new T.AmbientLight(0xffffff, 0.9));
@@ -42,9 +42,9 @@ class Space {
     byId("exaggeration").oninput = () => this.update();
     byId("scene-track").onclick = () => this.fitTrack();
     this.renderer.domElement.addEventListener("pointermove", e => this.point(e));
-    this.renderer.domElement.addEventListener("pointerleave", silent);
+    this.renderer.domElement.addEventListener("pointerleave", hideTooltip);
   }
-  makeGround() { // a corner per cell; what is unseen stays open
+  makeGround() { // one vertex per cell; unobserved ground stays open
     const T = THREE, { n, size } = fine;
     const at = (v, low) => clamp(Math.floor((v - low) / size), 0, n - 1);
     const i0 = at(extent.x0, leaves.xmin), i1 = at(extent.x1, leaves.xmin);
@@ -115,7 +115,7 @@ class Space {
     put(lit.canvas, lit.box);
     return { canvas, box: lit.box };
   }
-  at(x, y, z) { // of the map, in the scene
+  at(x, y, z) { // map to scene coordinates
     return new THREE.Vector3(x - this.middle.x, y - this.middle.y, this.high * (z - this.z0));
   }
   on(x, y, above = 0.04) {
@@ -146,7 +146,7 @@ class Space {
       this.circle(site.x, site.y, 1.02 * data.zone, 0xffffff);
       this.line([this.on(site.x, site.y), top], chosen ? 0x0b5fa5 : 0x1c1c1c);
       this.label(this.badge(site.rank, chosen), top);
-      if (chosen && !data.flight) this.drawLander(site); // a flight has one
+      if (chosen && !data.flight) this.drawLander(site); // a flight draws its own
     }
   }
   label(map, place, wide = 1) {
@@ -156,7 +156,7 @@ class Space {
     found.position.copy(place);
     this.marks.add(found);
   }
-  drawScale() { // a bar of a round length along x, and an arrow to the north (y)
+  drawScale() { // scale bar along x and an arrow to the north (y)
     const length = nice((extent.x1 - extent.x0) / 5), tip = length / 6, up = 0.3;
     const x = extent.x0, y = extent.y0, ink = 0xc00000, z = this.z0 + up;
     const at = (u, v) => this.at(x + u, y + v, z);
@@ -195,7 +195,7 @@ class Space {
     const feet = [0, 1, 2, 3].map(k => {
       const turn = Math.PI * (0.25 + 0.5 * k);
       const x = site.x + radius * Math.cos(turn), y = site.y + radius * Math.sin(turn);
-      let z = -Infinity; // the highest ground under the pad carries it
+      let z = -Infinity; // a pad stands on the highest ground under it
       for (let a = 0; a < 12; a++) for (const r of [0, 0.5, 1]) {
         const h = ground(x + r * pad * Math.cos(a * Math.PI / 6), y + r * pad * Math.sin(a * Math.PI / 6));
         if (h > z) z = h;
@@ -226,7 +226,7 @@ class Space {
     hull.position.copy(middle).addScaledVector(up, 0.22 * radius);
     this.marks.add(hull);
   }
-  drawTrack() { // and the scan of the shown time
+  drawTrack() { // track, and the scan at the shown time
     const h = data.history;
     if (!h) return;
     const now = view.answer < 0 ? Infinity : h.seconds[view.answer];
@@ -263,7 +263,7 @@ class Space {
     this.controls.update();
   }
   approach(site) {
-    const d = 8 * data.zone; // its label is in sight too
+    const d = 8 * data.zone; // keeps its label in view
     this.controls.target.copy(this.on(site.x, site.y, 0.4));
     this.eye.position.copy(this.controls.target);
     this.eye.position.x -= 0.35 * d; this.eye.position.y -= 0.8 * d; this.eye.position.z += 0.45 * d;
@@ -281,14 +281,14 @@ class Space {
     this.eye.position.set(x, y, z); this.controls.target.set(u, v, w);
     this.controls.update();
   }
-  point(e) { // the values where the pointer meets the ground
+  point(e) { // tooltip with the values under the pointer
     if (e.buttons || e.pointerType === "touch") { tooltip.hidden = true; return; }
     const box = this.renderer.domElement.getBoundingClientRect(), ray = new THREE.Raycaster();
     ray.setFromCamera(new THREE.Vector2(2 * (e.clientX - box.left) / box.width - 1,
       1 - 2 * (e.clientY - box.top) / box.height), this.eye);
     const [hit] = ray.intersectObject(this.ground);
-    if (!hit) { silent(); return; }
-    tellBeside(hit.point.x + this.middle.x, hit.point.y + this.middle.y,
+    if (!hit) { hideTooltip(); return; }
+    placeTooltip(hit.point.x + this.middle.x, hit.point.y + this.middle.y,
                e.clientX - box.left, e.clientY - box.top);
   }
   resize() {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A cross-section along a line of the map: the cells' planes, their standard deviation without the
-// pose error, which is common to all of them, and the truth.
+// Cross-section along a line: the planes of the cells, their standard deviation without the common
+// pose error, and the truth.
 "use strict";
 const SAMPLES = 800;
 let profile = null;
@@ -9,14 +9,14 @@ function moveLine(x, y) {
   view.line[1] = { x, y };
   drawSection(); draw();
 }
-function usualLine() { // west to east through the chosen site, or the middle
+function defaultLine() { // west to east through the selected site or the centre
   const site = sites[Math.max(view.site, 0)];
   const y = site ? site.y : (extent.y0 + extent.y1) / 2;
   const middle = site ? site.x : (extent.x0 + extent.x1) / 2;
   const half = Math.min(6 * data.zone, (extent.x1 - extent.x0) / 2);
   return [{ x: middle - half, y }, { x: middle + half, y }];
 }
-function sampled() { // distance, height, its deviation, truth
+function sampled() { // distance, height, height ± σ, truth
   const [a, b] = view.line, length = Math.hypot(b.x - a.x, b.y - a.y);
   const truth = data.layers.find(l => l.name === "truth");
   const columns = [[], [], [], [], []];
@@ -36,7 +36,7 @@ function drawSection() {
   if (Math.hypot(b.x - a.x, b.y - a.y) < 0.01) return;
   const columns = sampled();
   if (profile) { profile.setData(columns); return; }
-  const none = { stroke: "transparent", points: { show: false }, value: told(" m"), spanGaps: false };
+  const none = { stroke: "transparent", points: { show: false }, value: valueWithUnit(" m"), spanGaps: false };
   const series = [{ label: "from A", value: (u, v) => (v === null ? "" : v.toFixed(2) + " m") },
     curve("height", CURVES[0], " m", { spanGaps: false, width: 2 }),
     { ...none, label: "+ 1 σ, relative" }, { ...none, label: "− 1 σ, relative" }];
@@ -46,15 +46,15 @@ function drawSection() {
     scales: { x: { time: false } },
     axes: [{ label: "distance from A, m" }, { label: "height, m" }] }, columns);
   profile.over.addEventListener("mousemove", follow);
-  profile.over.addEventListener("mouseleave", silent);
+  profile.over.addEventListener("mouseleave", hideTooltip);
 }
-function follow(e) { // the crosshair on the map goes along
+function follow(e) { // move the crosshair on the map
   const [a, b] = view.line, length = Math.hypot(b.x - a.x, b.y - a.y) || 1;
   const share = profile.posToVal(e.offsetX, "x") / length;
   view.cursor = { x: a.x + (b.x - a.x) * share, y: a.y + (b.y - a.y) * share };
   draw();
 }
-function pointAt(x, y) { // the crosshair of the section, at the line's point nearest to a place
+function pointAt(x, y) { // move the crosshair of the section to the nearest point of the line
   if (!profile || !view.line || byId("section").hidden) return;
   const [a, b] = view.line, dx = b.x - a.x, dy = b.y - a.y;
   const share = clamp(((x - a.x) * dx + (y - a.y) * dy) / (dx * dx + dy * dy || 1), 0, 1);
@@ -63,6 +63,6 @@ function pointAt(x, y) { // the crosshair of the section, at the line's point ne
 }
 function showSection(on) {
   byId("section").hidden = !on;
-  if (on) { view.line = view.line || usualLine(); drawSection(); resizePlots(); }
+  if (on) { view.line = view.line || defaultLine(); drawSection(); resizePlots(); }
   else view.line = null;
 }

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Studies of many flights, flown on one computer or many."""
+"""Campaigns: studies of many simulated flights on one or several computers."""

@@ -6,7 +6,7 @@ const canvas = byId("scatter");
 const chosen = { x: "", y: "", flight: -1 };
 const EDGE = { left: 56, right: 14, top: 10, bottom: 40 };
 const known = name => Array.from(columns[name]).filter(v => !Number.isNaN(v));
-function scaleOf(name, from, to) { // of values on paper, with room at both ends
+function scaleOf(name, from, to) { // from values to pixels, with a margin at both ends
   const all = known(name), low = Math.min(...all), high = Math.max(...all);
   const room = 0.04 * (high - low) || 0.5, a = low - room, b = high + room;
   return { low: a, high: b, at: v => from + (v - a) / (b - a) * (to - from) };
@@ -15,7 +15,7 @@ function scales() {
   const w = canvas.clientWidth, h = canvas.clientHeight;
   return [scaleOf(chosen.x, EDGE.left, w - EDGE.right), scaleOf(chosen.y, h - EDGE.bottom, EDGE.top)];
 }
-function places() { // of each flight on the canvas, or null where it lacks a quantity
+function places() { // position of each flight on the canvas, or null without both quantities
   const [sx, sy] = scales();
   return indices.map((_, k) => {
     const x = columns[chosen.x][k], y = columns[chosen.y][k];
@@ -68,7 +68,7 @@ function pickFlight(index) { // show its figures and the command that flies it a
     row.insertCell().textContent = short(columns[name][k]);
   }
   try { history.replaceState(null, "", `#x=${chosen.x}&y=${chosen.y}&flight=${index}`); }
-  catch (refused) { /* some browsers do not for files */ }
+  catch (refused) { /* some browsers forbid this for files */ }
   drawScatter();
 }
 async function startCampaign() {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``campaign.html``: the result, each flight as a point, the worst flights, the tables."""
+"""``campaign.html``: verdicts, a scatter plot of the flights, the worst flights, tables."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from quadtree_lss.desk.report.pages import Columns, render, source
 from quadtree_lss.lab.campaign.summary import CampaignResult, Line, badness, number
 
-#: Colours of combinations, of Okabe and Ito's palette.
+#: Colours of combinations, from the palette of Okabe and Ito.
 COLOURS = ("#e69f00", "#0072b2", "#cc79a7", "#009e73", "#d55e00", "#56b4e9")
 #: Headings of the worst flights.
 RANKS = ("worst", "second", "third", "fourth", "fifth")
 
 
 def page(result: CampaignResult) -> str:
-    """Render the page as text."""
+    """Render the page."""
     study, kind, flights = result.study, result.study.kind, result.flown
     note = f"{len(result.records)} of {study.count} flights"
     note += f", {len(result.failed)} failed" if result.failed else ""
@@ -26,13 +26,13 @@ def page(result: CampaignResult) -> str:
     titles = {name: name.replace("_", " ") for name in study.varied}
     titles |= {q.name: q.title for q in kind.quantities}
     means = [q.name for q in kind.quantities if q.of is None]
-    judged, worst = kind.quantities[0], [(q, pairs) for q, pairs in result.worst() if pairs]
+    first, worst = kind.quantities[0], [(q, pairs) for q, pairs in result.worst() if pairs]
     keep = f"quadtree-lss campaign STUDY.yaml --out {shlex.quote(str(result.out))} --keep"
     return render(
         "lab/campaign/campaign.html",
         title=f"Campaign {study.name}",
         note=f"interrupted: {note}" if result.interrupted else note,
-        answers=[_answer(name, lines[0]) for name, lines in result.lines],
+        answers=[_verdict(name, lines[0]) for name, lines in result.lines],
         legend=[(name, COLOURS[k % len(COLOURS)]) for k, (name, _) in enumerate(result.lines)],
         lines=[(name, [line.cells() for line in lines]) for name, lines in result.lines],
         keep=keep,
@@ -52,7 +52,7 @@ def page(result: CampaignResult) -> str:
                 name: columns.floats(np.array([number(record, name) for record in flights]))
                 for name in titles
             },
-            "bad": [judged.of is not None and badness(judged, r) > 0.0 for r in flights],
+            "bad": [first.of is not None and badness(first, r) > 0.0 for r in flights],
             "first": [*means[-1:], *means[:1]],
             "command": keep,
         },
@@ -61,8 +61,8 @@ def page(result: CampaignResult) -> str:
     )
 
 
-def _answer(name: str, line: Line) -> tuple[str, str]:
-    """The first quantity of a combination as a sentence, and its level of trust."""
+def _verdict(name: str, line: Line) -> tuple[str, str]:
+    """Sentence on the first quantity of a combination, and its level of trust."""
     label, value, interval, _, _ = line.cells()
     words = f"{name.rpartition(':')[0]}: {label} {value}, 95 %: {interval}."
     if line.events is None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fly a study with Dask: each flight is a task with a file as its result."""
+"""Run a study with Dask: each flight is a task that writes one file."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from quadtree_lss.lab.campaign.summary import CampaignResult, write_flights
 from quadtree_lss.onboard.errors import one_line
 
 Progress = Callable[[int, int], None]
-#: Dask's workers return freed memory page by page (a sixth of a flight's time), and profile
-#: themselves a hundred times a second; both off.
-SETTINGS = {
+#: Dask by default makes workers return freed memory page by page, which takes a sixth of the time
+#: of a flight, and profiles them a hundred times a second; this disables both.
+DASK_SETTINGS = {
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 1 << 30,
     "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 1 << 30,
     "distributed.worker.profile.enabled": False,
 }
-LOCAL = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
-LOCAL |= {"processes": True, "silence_logs": logging.CRITICAL}
-#: Longest wait before the workers are counted again, s.
+LOCAL_CLUSTER = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+LOCAL_CLUSTER |= {"processes": True, "silence_logs": logging.CRITICAL}
+#: Period at which the workers are counted, s.
 POLL_S = 0.5
-#: One class from Python 3.11 on.
-TIMED_OUT = (TimeoutError, asyncio.TimeoutError)
-#: Longest time without a worker, s.
-NO_WORKER_S = 60.0
+#: The same class from Python 3.11 on.
+TIMEOUT_ERRORS = (TimeoutError, asyncio.TimeoutError)
+#: Time without a worker after which a campaign fails, s.
+MAX_S_WITHOUT_WORKER = 60.0
 
 
 def campaign(
@@ -53,14 +53,19 @@ def campaign(
     stop: Callable[[], bool] | None = None,
     tell: Callable[[str], None] | None = None,
 ) -> CampaignResult:
-    """Fly the flights of a study that have no file in ``out``, and those of ``rerun``; write the
-    summary.
+    """Fly the flights of a study that have no file in ``out`` and write the summary.
 
-    They are flown by a number of ``workers`` on this computer, by default one for each core, or by
-    the workers of the Dask scheduler at ``scheduler_address``. ``stop`` ends the campaign early by
-    returning True; ``tell`` gets the address of the dashboard. Raises `CampaignError`: Dask is
-    missing, or the study cannot be flown there; KeyboardInterrupt: stopped before a flight was
-    done.
+    Args:
+        workers: Number of processes on this computer, by default one for each core.
+        scheduler_address: Use the workers of this Dask scheduler instead.
+        rerun: Flights to fly again.
+        progress: Called with the numbers of done and of all flights.
+        stop: Ends the campaign early by returning True.
+        tell: Called with the address of the dashboard.
+
+    Raises:
+        CampaignError: Dask is missing, or the study cannot be flown.
+        KeyboardInterrupt: stopped before a flight was done.
     """
     store, stopped = Store(out), stop or (lambda: False)
     with store.opened():
@@ -71,15 +76,15 @@ def campaign(
             if record is not None and not (record.error and rerun == "failed"):
                 records[case.index] = record
         missing = iter(i for i in range(study.count) if i not in records)
-        tell_progress = progress or (lambda done, total: None)
-        tell_progress(len(records), study.count)
+        report_progress = progress or (lambda done, total: None)
+        report_progress(len(records), study.count)
         if len(records) < study.count:
             with _client(workers, scheduler_address) as client:
                 if tell is not None:
                     tell(f"dashboard: {client.dashboard_link}")
                 for record in _fly_all(client, study, store, missing, stopped):
                     records[record.index] = record
-                    tell_progress(len(records), study.count)
+                    report_progress(len(records), study.count)
         interrupted = len(records) < study.count
         if interrupted and not records:
             raise KeyboardInterrupt
@@ -91,15 +96,15 @@ def campaign(
 
 
 def keep(study: Study, out: str | Path, index: int) -> Path:
-    """Fly ``index`` again and return the folder with all its results. Raises `CampaignError`: there
-    is no such flight."""
+    """Fly flight ``index`` again and return the folder with all its results. Raises
+    `CampaignError`: there is no such flight."""
     folder = Path(out) / "kept" / f"{index:06d}"
     study.kind.keep(study.case(index), folder)
     return folder
 
 
 def fly(case: Case) -> Figures | str:
-    """Figures of one flight on a worker, or the reason of its failure."""
+    """Fly one flight on a worker; return its figures or the reason of its failure."""
     if (case.version, case.build) != this_build():
         return f"the worker has version and build {this_build()}, not {case.version, case.build}"
     try:
@@ -113,27 +118,29 @@ def fly(case: Case) -> Figures | str:
 def _fly_all(
     client: Any, study: Study, store: Store, missing: Iterator[int], stop: Callable[[], bool]
 ) -> Iterator[Record]:
-    """Submit one flight per worker at a time: this bounds memory, and Dask gives up tasks that wait
-    at a dying worker."""
+    """Submit one flight per worker at a time, which bounds memory; Dask also fails tasks that are
+    queued at a worker that dies."""
     from dask.distributed import wait
 
     running: dict[Any, Case] = {}
-    seen = time.monotonic()
+    last_worker_time = time.monotonic()
     while not stop():
         with _scheduler_errors():
             threads = sum(client.nthreads().values())
             if threads:
-                seen = time.monotonic()
-            elif time.monotonic() - seen > NO_WORKER_S:
-                raise CampaignError(f"the scheduler has had no worker for {NO_WORKER_S:.0f} s")
+                last_worker_time = time.monotonic()
+            elif time.monotonic() - last_worker_time > MAX_S_WITHOUT_WORKER:
+                raise CampaignError(
+                    f"the scheduler has had no worker for {MAX_S_WITHOUT_WORKER:.0f} s"
+                )
             for index in itertools.islice(missing, max(threads - len(running), not running)):
                 case, key = study.case(index), f"flight-{index}-{id(store)}"
                 running[client.submit(fly, case, key=key, pure=False)] = case
             if not running:
                 break
-            with contextlib.suppress(*TIMED_OUT):
+            with contextlib.suppress(*TIMEOUT_ERRORS):
                 wait(list(running), timeout=POLL_S, return_when="FIRST_COMPLETED")
-            ended = {f: _outcome(f) for f in running if f.done()}
+            ended = {f: _result_of(f) for f in running if f.done()}
         for future, found in ended.items():
             case = running.pop(future)
             yield store.write(case, *(({}, found) if isinstance(found, str) else (found,)))
@@ -144,19 +151,19 @@ def _fly_all(
 
 @contextlib.contextmanager
 def _scheduler_errors() -> Iterator[None]:
-    """Raise `CampaignError` where the scheduler is lost."""
+    """Raise `CampaignError` if the connection to the scheduler is lost."""
     try:
         yield
     except (OSError, CancelledError) as error:
-        raise CampaignError("the scheduler is lost; what was flown is kept") from error
+        raise CampaignError("the scheduler is lost; finished flights are kept") from error
 
 
-def _outcome(future: Any) -> Figures | str:
+def _result_of(future: Any) -> Figures | str:
     if future.status != "error":
         return future.result()
     error = future.exception()
     if type(error).__name__ == "KilledWorker":  # its text contains addresses
-        return "the worker that flew it died, each time it was tried"
+        return "the worker died at each attempt"
     return one_line(f"{type(error).__name__}: {error}")
 
 
@@ -176,9 +183,9 @@ def _client(workers: int | None, scheduler_address: str | None) -> Iterator[Any]
             if scheduler_address:
                 client = stack.enter_context(Client(scheduler_address, timeout="20s"))
             else:
-                with _sigint_blocked(), dask.config.set(SETTINGS):
-                    client = stack.enter_context(Client(n_workers=workers, **LOCAL))
-        except (OSError, ValueError, RuntimeError, *TIMED_OUT) as error:
+                with _sigint_blocked(), dask.config.set(DASK_SETTINGS):
+                    client = stack.enter_context(Client(n_workers=workers, **LOCAL_CLUSTER))
+        except (OSError, ValueError, RuntimeError, *TIMEOUT_ERRORS) as error:
             which = "no scheduler" if scheduler_address else "the workers could not be started"
             msg = f"{which}: {one_line(str(error) or type(error).__name__)}"
             raise CampaignError(msg) from error
@@ -187,8 +194,8 @@ def _client(workers: int | None, scheduler_address: str | None) -> Iterator[Any]
 
 @contextlib.contextmanager
 def _sigint_blocked() -> Iterator[None]:
-    """Block SIGINT for child processes, which inherit that; this process gets it afterwards."""
-    resource_tracker.ensure_running()  # its start would lift the block
+    """Block SIGINT; child processes inherit this, and this process receives it afterwards."""
+    resource_tracker.ensure_running()  # its start would remove the block
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield

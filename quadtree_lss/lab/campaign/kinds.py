@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kinds of flights of studies: a name in `REGISTERED`, or a ``module:attribute`` of the user.
+"""Kinds of flights: names in `REGISTERED`, or a ``module:attribute`` of the user.
 
 The figures of a flight depend only on its `Case`.
 """
@@ -24,14 +24,14 @@ Figures = dict[str, Value]
 
 
 class CampaignError(QuadtreeLssError):
-    """A study or campaign that cannot be run; the text is one line."""
+    """A study or campaign cannot be run."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One flight of a study: number from 0, seed, ``conditions`` that differ from the scenario's,
-    all dotted ``parameters``, ``labels`` that vary over the study, version and build of the
-    package."""
+    """One flight of a study: number from 0, seed, ``conditions`` that differ from those of the
+    scenario, all ``parameters`` by dotted key, ``labels`` that vary over the study, version and
+    build of the package."""
 
     index: int
     kind: str
@@ -46,7 +46,8 @@ class Case:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A figure of the summary, and its bad end. With ``of``, another figure, it counts events."""
+    """A figure of the summary and its unfavourable end. With ``of``, the figure with the number of
+    trials, it counts events."""
 
     name: str
     label: str
@@ -62,8 +63,8 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Kind:
-    """How to fly a case, and its figures. ``fly`` may raise `QuadtreeLssError`; ``keep`` writes all
-    results into a folder."""
+    """Functions and quantities of a kind of flight. ``fly`` may raise `QuadtreeLssError`; ``keep``
+    writes all results into a folder."""
 
     fly: Callable[[Case], Figures]
     keep: Callable[[Case, Path], None]
@@ -73,7 +74,7 @@ class Kind:
 
 
 def kind_of(name: str) -> Kind:
-    """The kind of that name, or of that ``module:attribute``."""
+    """Return the kind with that name, or the one at ``module:attribute``."""
     module, colon, attribute = REGISTERED.get(name, name).partition(":")
     if colon:
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kind ``fly``: landings in closed loop, in lock-step."""
+"""The kind ``fly``: landings in closed loop, flown in lock-step."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CONDITIONS += "slant_range speed glide_slope_deg scatter survey fault".split()
 
 
 def settings_of(case: Case) -> FlightSettings:
-    """The scenario is the avoidance; ``survey`` is the first pass of the lidar, s."""
+    """Settings of a case, whose scenario is the avoidance."""
     given: dict[str, Any] = dict(case.conditions)
     fault = given.pop("fault", None)
     given |= {"avoidance": case.scenario, "config": dict(case.parameters)}
@@ -27,7 +27,7 @@ def settings_of(case: Case) -> FlightSettings:
 
 
 def fly(case: Case) -> Figures:
-    found = lockstep.flown(case.seed, settings_of(case)).figures
+    found = lockstep.fly_lockstep(case.seed, settings_of(case)).figures
     down = found["outcome"] == "touchdown"
     return {
         **{k: int(v) if isinstance(v, bool) else v for k, v in found.items() if k != "seed"},
@@ -43,7 +43,7 @@ def fly(case: Case) -> Figures:
 def keep(case: Case, folder: Path) -> None:
     from quadtree_lss.lab.flight.flight_page import write_flight
 
-    write_flight(folder, lockstep.flown(case.seed, settings_of(case), record=True))
+    write_flight(folder, lockstep.fly_lockstep(case.seed, settings_of(case), record=True))
 
 
 FLY = Kind(

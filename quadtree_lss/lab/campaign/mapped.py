@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kind ``map``: simulate, map, rank sites and score, in memory."""
+"""The kind ``map``: simulate, map, rank sites and score in memory."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def fly(case: Case) -> Figures:
 
 
 def in_memory(simulation: Simulation) -> MessageBag:
-    """A simulated flight as a bag in memory, which can be read once."""
+    """A simulated flight as a bag in memory that can be read once."""
     depth, counts = {**DEPTH_TYPES, POSE_TOPIC: POSE}, {POSE_TOPIC: simulation.poses}
     kinds = depth if isinstance(simulation.legs[0].plan.lidar, StereoCamera) else TYPES
     topics = [Topic(name, kind, counts.get(name, simulation.scans)) for name, kind in kinds.items()]
@@ -43,7 +43,7 @@ def in_memory(simulation: Simulation) -> MessageBag:
 def fly_in_memory(
     scenario: str, seed: int, config: Config, conditions: Any
 ) -> tuple[Results, Truth]:
-    """Results and truth of a simulated flight, bit-identical to those through a bag."""
+    """Results and truth of a simulated flight, bit-identical to those from a recorded bag."""
     simulation = Simulation(scenario, seed, **conditions)
     results = results_of(replay(in_memory(simulation), None, config, report=False))
     return results, truth_of(simulation.truth(lander_of(config)))
@@ -51,7 +51,7 @@ def fly_in_memory(
 
 def figures(scores: EvaluationResult, results: Results, truth: Truth) -> Figures:
     detection, elevation = scores.detection, scores.elevation
-    judged = [verdict for verdict in scores.site_verdicts if verdict != "unknown"]
+    known = [verdict for verdict in scores.site_verdicts if verdict != "unknown"]
     found: dict[str, float | int | None] = {
         "hazardous_found": 100.0 * detection.hazardous_found,
         "safe_found": 100.0 * detection.safe_found,
@@ -60,7 +60,7 @@ def figures(scores: EvaluationResult, results: Results, truth: Truth) -> Figures
         "missed_depth": detection.missed_depth,
         "sites": scores.sites,
         "unsafe_in_top_five": scores.unsafe_in_top_five,
-        "judged_in_top_five": len(judged),
+        "judged_in_top_five": len(known),
         "unsafe_first": int(scores.site_verdicts[:1] == ("unsafe",)),
         "judged_first": int(bool(scores.site_verdicts) and scores.site_verdicts[0] != "unknown"),
         "without_site": int(not scores.sites),

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of a campaign: one file for each flight, written in one step.
+"""The folder of a campaign: one file for each flight, written atomically.
 
-Names and contents have the number of the flight and a hash of everything that determines it.
+Name and content include the number of the flight and a hash of everything that determines it.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from pathlib import Path
 from quadtree_lss.desk.replay.files import locked, plain, write_bytes, writing
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Value
 
-MOST_FLIGHTS = 1_000_000
-#: Conditions and parameters that name a file, whose content decides a flight.
+MAX_FLIGHTS = 1_000_000
+#: Conditions and parameters that name a file; the hash covers its content.
 FILES = ("terrain", "lss.risk_model")
 
 
 @dataclass(frozen=True)
 class Record:
-    """Figures of a flight, or its error."""
+    """Figures or error of a flight."""
 
     index: int
     seed: int
@@ -77,27 +77,27 @@ class Store:
         return self._flights / record_name(case.index, key_of(case))
 
     def read(self, case: Case) -> Record | None:
-        """The record of a flight, None if there is none; raises as `read_record` does."""
+        """Return the record of a flight, or None; raises like `read_record`."""
         path = self.path(case)
         return read_record(path) if path.exists() else None
 
     def write(self, case: Case, figures: dict[str, Value], error: str = "") -> Record:
-        of = case.index, case.seed, case.scenario, dict(case.labels)
-        record = Record(*of, plain(figures), error, key_of(case), case.version, case.build)
+        identity = case.index, case.seed, case.scenario, dict(case.labels)
+        record = Record(*identity, plain(figures), error, key_of(case), case.version, case.build)
         text = json.dumps(plain(asdict(record)), indent=1, allow_nan=False)
         write_bytes(self.path(case), (text + "\n").encode())
         return record
 
 
 def read_record(path: Path) -> Record:
-    """Read a flight's file. Raises `CampaignError`: it is malformed or a copy."""
+    """Read the file of a flight. Raises `CampaignError`: it is malformed or renamed."""
     try:
-        if not path.is_file():  # reading a named pipe would wait for ever
+        if not path.is_file():  # reading a named pipe would block
             raise ValueError
         record = Record(**json.loads(path.read_text(encoding="utf-8")))
         if record_name(record.index, record.key) != path.name:
             raise ValueError
         return record
     except (OSError, ValueError, TypeError, RecursionError):
-        why = "is not the record of this flight; with --rerun, or without the file, it is flown"
-        raise CampaignError(f"{path} {why} again") from None
+        fix = "use --rerun or delete the file"
+        raise CampaignError(f"{path} is not the record of this flight: {fix}") from None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A study: which flights there are. Read from a YAML file; see ``studies/RESULTS.md``."""
+"""Studies: definitions of many flights in a YAML file (see ``studies/RESULTS.md``)."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from quadtree_lss import build
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.results import versions
 from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Kind, kind_of
-from quadtree_lss.lab.campaign.store import FILES, MOST_FLIGHTS
-from quadtree_lss.lab.evaluation.risk_families import even
+from quadtree_lss.lab.campaign.store import FILES, MAX_FLIGHTS
+from quadtree_lss.lab.evaluation.risk_families import log_uniform
 from quadtree_lss.onboard.config.settings import values_from_config
 from quadtree_lss.onboard.config.yaml_text import YamlError, read_yaml
 
 KEYS = tuple("name kind scenario config seed flights seeds conditions parameters cases".split())
-OF_CASES = ("name", "scenario", "config", "conditions", "parameters")
+CASE_KEYS = ("name", "scenario", "config", "conditions", "parameters")
 
-DRAWN: dict[str, Callable[..., float]] = {
+DISTRIBUTIONS: dict[str, Callable[..., float]] = {
     "uniform": lambda generator, low, high: float(generator.uniform(low, high)),
-    "log_uniform": even,
+    "log_uniform": log_uniform,
 }
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """A value that each flight draws for itself."""
+    """A value that is drawn for each flight."""
 
-    how: str
+    distribution: str
     low: float
     high: float
 
@@ -49,8 +49,8 @@ Combination = Mapping[tuple[str, str], Any]
 
 @dataclass(frozen=True)
 class Study:
-    """Flights by number. ``seed`` is the entropy of their seeds, unless ``seeds`` has these;
-    ``repeats`` the number of flights of each combination; ``files`` the configurations by case."""
+    """The flights of a study: ``repeats`` flights of each combination; ``files`` has the
+    configurations by case. The seeds are ``seeds``, or generated from ``seed``."""
 
     name: str
     kind_name: str
@@ -75,8 +75,8 @@ class Study:
         return kind_of(self.kind_name)
 
     def case(self, index: int) -> Case:
-        """Flight ``index``. Combinations take turns, so more flights do not change the first ones;
-        flights of one turn have the same seed, so combinations can be compared in pairs."""
+        """Return flight ``index``. Combinations alternate, so that more flights do not change the
+        first ones; all combinations share their seeds, which permits comparisons in pairs."""
         if not 0 <= index < self.count:
             raise CampaignError(f"no flight {index}; the study has 0 to {self.count - 1}")
         turn, which = divmod(index, len(self.combinations))
@@ -92,7 +92,7 @@ class Study:
                 own = zlib.crc32(".".join(key).encode())
                 sequence = np.random.SeedSequence(entropy, spawn_key=(turn, own))
                 generator = np.random.default_rng(sequence)
-                value = DRAWN[value.how](generator, value.low, value.high)
+                value = DISTRIBUTIONS[value.distribution](generator, value.low, value.high)
             values[key] = value
         files = self.files[str(values[("case", "case")])]
         overrides = {name: v for (part, name), v in values.items() if part == "parameters"}
@@ -116,7 +116,7 @@ def _parameters(files: tuple[str, ...], overrides: str) -> dict[str, Any]:
 
 @cache
 def this_build() -> tuple[str, str]:
-    """Version and build of what runs here, of all its sources and the risk model."""
+    """Version of the package and a digest of its sources, its risk model and its build."""
     found, kinds = versions(), (".py", ".yaml")
     files = [path for path in build.PACKAGE.rglob("*") if path.suffix in kinds]
     sources = {p.relative_to(build.PACKAGE).as_posix(): p.read_text("utf-8") for p in files}
@@ -124,7 +124,7 @@ def this_build() -> tuple[str, str]:
 
 
 def read_study(path: str | Path) -> Study:
-    """Read and check a study; raises `CampaignError`, and what its parts raise."""
+    """Read and check a study. Raises `CampaignError`, or the errors of its parameters and files."""
     file = Path(path)
     try:
         content = read_yaml(file)
@@ -139,9 +139,9 @@ def read_study(path: str | Path) -> Study:
 
 
 def _study(content: Mapping[Any, Any], file: Path) -> Study:
-    _only(content, KEYS, "the study")
-    name_kind = str(content.get("name", file.stem)), str(content.get("kind", "map"))
-    kind = kind_of(name_kind[1])
+    _check_keys(content, KEYS, "the study")
+    name_and_kind = str(content.get("name", file.stem)), str(content.get("kind", "map"))
+    kind = kind_of(name_and_kind[1])
     seeds: tuple[int, ...] = ()
     if ("seeds" in content) == ("flights" in content):
         raise CampaignError("needs either seeds (101-120) or flights (a number, with seed)")
@@ -155,13 +155,13 @@ def _study(content: Mapping[Any, Any], file: Path) -> Study:
     if not isinstance(cases, list) or not all(isinstance(case, Mapping) for case in cases):
         raise CampaignError("cases must be a list of mappings")
     for number, case in enumerate(cases, start=1):
-        _only(case, OF_CASES, f"case {number}")
+        _check_keys(case, CASE_KEYS, f"case {number}")
         name = str(case.get("name", number))
         if name in files:
             raise CampaignError(f"two cases are called {name!r}")
         named = case.get("config", content.get("config", []))
         listed = named or [] if isinstance(named or [], list) else [named]
-        files[name] = tuple(str(_beside(entry, file)) for entry in listed)
+        files[name] = tuple(str(_resolve(entry, file)) for entry in listed)
         combinations += _combinations(content, case, name, kind, file)
     keys = {key for c in combinations for key in c}
     values = {key: [c.get(key) for c in combinations] for key in keys}
@@ -170,15 +170,15 @@ def _study(content: Mapping[Any, Any], file: Path) -> Study:
         for (_, name), of in values.items()
         if len({*map(repr, of)}) > 1 or any(isinstance(value, Drawn) for value in of)
     }
-    _few_enough(repeats * len(combinations))
+    _check_count(repeats * len(combinations))
     flights = seed, repeats, seeds, tuple(combinations)
-    return Study(*name_kind, *flights, files, tuple(sorted(varied)))
+    return Study(*name_and_kind, *flights, files, tuple(sorted(varied)))
 
 
 def _combinations(
     content: Mapping[Any, Any], case: Mapping[Any, Any], name: str, kind: Kind, file: Path
 ) -> list[Combination]:
-    """Every combination of the lists in a case, which wins over what holds for all."""
+    """Combine all lists of a case, which takes precedence over the rest of the study."""
     scenario = case.get("scenario", content.get("scenario", "morpheus"))
     parts: dict[Any, Any] = {("case", "case"): name, ("scenario", "scenario"): scenario}
     for part in ("conditions", "parameters"):
@@ -195,23 +195,23 @@ def _combinations(
             what = part.removesuffix("s")
             raise CampaignError(f"unknown {what} {wrong[0]!r}; there are {', '.join(known)}")
         if key in FILES:
-            axes[(part, key)] = [_beside(value, file) for value in values]
-    _few_enough(math.prod(map(len, axes.values())))
+            axes[(part, key)] = [_resolve(value, file) for value in values]
+    _check_count(math.prod(map(len, axes.values())))
     return [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
 
 
-def _few_enough(flights: int) -> None:
-    if flights > MOST_FLIGHTS:
-        raise CampaignError(f"{flights} flights; {MOST_FLIGHTS} is the most")
+def _check_count(flights: int) -> None:
+    if flights > MAX_FLIGHTS:
+        raise CampaignError(f"{flights} flights; at most {MAX_FLIGHTS} are allowed")
 
 
-def _beside(name: Any, file: Path) -> Any:
-    """The path of a file beside the study; the name itself if there is none."""
+def _resolve(name: Any, file: Path) -> Any:
+    """Return the path of a file beside the study, or the name itself."""
     there = file.parent / str(name)
     return str(there.resolve()) if there.is_file() else name
 
 
-def _only(given: Mapping[Any, Any], known: Sequence[str], where: str) -> None:
+def _check_keys(given: Mapping[Any, Any], known: Sequence[str], where: str) -> None:
     unknown = [str(key) for key in given if key not in known]
     if unknown:
         raise CampaignError(f"unknown key {unknown[0]!r} in {where}; there are {', '.join(known)}")
@@ -224,7 +224,7 @@ def _whole(value: object, name: str, least: int) -> int:
 
 
 def values_of(value: Any, name: str) -> list[Any]:
-    """Return the values of an entry of a study: one, several in turn, or one that is drawn."""
+    """Return the values of an entry of a study: one, several, or one that is drawn."""
     if isinstance(value, list):
         if not value:
             raise CampaignError(f"{name}: an empty list")
@@ -234,10 +234,14 @@ def values_of(value: Any, name: str) -> list[Any]:
     if not isinstance(value, Mapping):
         return [value]
     try:
-        ((how, of),) = value.items()
+        ((distribution, of),) = value.items()
         low, high = (float(v) for v in of)
-        if how in DRAWN and -math.inf < low < high < math.inf and (low > 0 or how == "uniform"):
-            return [Drawn(how, low, high)]
+        if (
+            distribution in DISTRIBUTIONS
+            and -math.inf < low < high < math.inf
+            and (low > 0 or distribution == "uniform")
+        ):
+            return [Drawn(distribution, low, high)]
     except (TypeError, ValueError):
         pass
     forms = "uniform: [low, high] or log_uniform: [low, high]"
@@ -245,12 +249,12 @@ def values_of(value: Any, name: str) -> list[Any]:
 
 
 def parse_seeds(text: str) -> list[int]:
-    """Distinct numbers from ``101-120``, ``1,2,7`` or both; raises `CampaignError`."""
+    """Parse distinct numbers such as ``101-120,7``. Raises `CampaignError`: the text is invalid."""
     seeds: list[int] = []
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", part)
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
-        if not first <= last < first + MOST_FLIGHTS:
+        if not first <= last < first + MAX_FLIGHTS:
             raise CampaignError(f"{text!r}: expected numbers and ranges, such as 101-120 or 1,2,7")
         seeds += range(first, last + 1)
     if len(set(seeds)) < len(seeds):

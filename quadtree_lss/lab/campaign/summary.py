@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Summary of a campaign: rates and means with intervals, and the worst flights."""
+"""Summary of a campaign: rates and means with confidence intervals, and the worst flights."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from quadtree_lss.lab.campaign.kinds import Quantity
 from quadtree_lss.lab.campaign.store import Record
 from quadtree_lss.lab.campaign.study import Study
 
-#: Flights that are listed as the worst by one quantity, and failed ones in the printed table.
+#: Number of listed flights: the worst by one quantity, and failed ones in the printed table.
 LISTED, LISTED_FAILED = 5, 10
 
 
 class Line(NamedTuple):
-    """A quantity over many flights: its mean or rate, 95 % interval, and the worst flight."""
+    """Mean or rate of a quantity over many flights, its 95 % interval, and the worst flight."""
 
     quantity: Quantity
     mean: float
@@ -49,21 +49,21 @@ class Line(NamedTuple):
 
 
 def number(record: Record, name: str) -> float:
-    """A figure or label of a flight as a number; NaN if it is none."""
+    """A figure or label of a flight as a number; NaN if it is not one."""
     value = record.figures.get(name, record.labels.get(name))
     return float(value) if isinstance(value, (int, float)) else float("nan")
 
 
 def line_of(quantity: Quantity, records: Sequence[Record]) -> Line:
-    """Sum up one quantity of flights; those without the figure are left out."""
+    """Summarise one quantity of the flights that have it."""
     values = np.array([number(record, quantity.name) for record in records])
     if quantity.of is None:
         kept = np.flatnonzero(np.isfinite(values))
         if not kept.size:
             return Line(quantity, *[float("nan")] * 4, None, 0)
         value = values[kept]
-        at = int(value.argmin() if quantity.worst == "smallest" else value.argmax())
-        worst = float(value[at]), records[int(kept[at])].index
+        extreme = int(value.argmin() if quantity.worst == "smallest" else value.argmax())
+        worst = float(value[extreme]), records[int(kept[extreme])].index
         return Line(quantity, float(value.mean()), *mean_interval(value), *worst, int(kept.size))
     events = int(np.nansum(values))
     trials = int(np.nansum([number(record, quantity.of) for record in records]))
@@ -101,7 +101,7 @@ def badness(quantity: Quantity, record: Record) -> float:
 
 @dataclass(frozen=True)
 class CampaignResult:
-    """Records by number, with failed flights; ``interrupted``: not all were flown."""
+    """Records by number, including failed flights; ``interrupted``: not all were flown."""
 
     out: Path
     study: Study
@@ -119,7 +119,7 @@ class CampaignResult:
 
     @cached_property
     def lines(self) -> list[tuple[str, list[Line]]]:
-        """Each combination's name with its number of flights, and its quantities."""
+        """Name (with the number of flights) and quantities of each combination."""
         study, found = self.study, []
         for k in range(len(study.combinations)):
             if part := [r for r in self.flown if r.index % len(study.combinations) == k]:
@@ -129,7 +129,7 @@ class CampaignResult:
         return found
 
     def worst(self) -> list[tuple[Quantity, list[tuple[int, float]]]]:
-        """The worst flights by each quantity, and its values."""
+        """The worst flights by each quantity with its values."""
         found = []
         for quantity in self.study.kind.quantities:
             rated = [(badness(quantity, r), r) for r in self.flown]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``quadtree-lss campaign``: a study of many flights."""
+"""``quadtree-lss campaign``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Exit code 3 if some flights failed. Ctrl-C ends it there; what was flown is kept
 second one stops at once.
 """
 
-FLYING = ("rerun", "workers", "scheduler_address")
+CAMPAIGN_OPTIONS = ("rerun", "workers", "scheduler_address")
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -42,7 +42,9 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 def _run(options: argparse.Namespace) -> int:
     options.out = options.out or Path("campaigns", Path(options.study).stem)
     if options.keep is not None:
-        common.reject_options(options, "--keep, which flies one after the other here", *FLYING)
+        common.reject_options(
+            options, "--keep, which flies one after the other here", *CAMPAIGN_OPTIONS
+        )
     from quadtree_lss.lab.campaign.engine import campaign, keep
     from quadtree_lss.lab.campaign.study import parse_seeds, read_study
 
@@ -57,8 +59,11 @@ def _run(options: argparse.Namespace) -> int:
             common.print_json({"kept": kept})
         return common.DONE
     rerun = options.rerun or ()
-    then, verbose = f"sums up in {options.out} what is done", options.verbose
-    with Interruption(then) as interruption, ProgressBar("campaign", "flights", verbose) as bar:
+    consequence, verbose = f"sums up in {options.out} what is done", options.verbose
+    with (
+        Interruption(consequence) as interruption,
+        ProgressBar("campaign", "flights", verbose) as bar,
+    ):
         result = campaign(
             study,
             options.out,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``quadtree-lss evaluate``: one run against the truth; and ``fit-risk``."""
+"""``quadtree-lss evaluate`` and ``fit-risk``."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ It flies over simulated ground and takes truth from the simulation alone. Famili
 vehicle nor noise nor cells have those of the configuration (default: morpheus). Seeds are dealt to
 the families in turn, a flight each, about 2 s.
 """
-SEEDS = "90000-90219"
+DEFAULT_SEEDS = "90000-90219"
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -39,7 +39,12 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add = parser.add_argument
     text = "file to write (default risk_model.yaml)"
     add("--out", type=common.path, default=Path("risk_model.yaml"), metavar="YAML", help=text)
-    add("--seeds", default=SEEDS, metavar="LIST", help=f"of the flights (default {SEEDS})")
+    add(
+        "--seeds",
+        default=DEFAULT_SEEDS,
+        metavar="LIST",
+        help=f"of the flights (default {DEFAULT_SEEDS})",
+    )
     add("--families", metavar="LIST", help="of flights, of those that the docs list (all)")
     common.add_config_options(parser)
     add("--overwrite", action="store_true", help="replace an existing file")

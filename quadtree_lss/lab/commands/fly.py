@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``quadtree-lss fly`` and ``simulate``: a lander that flies, and a flight as a bag."""
+"""``quadtree-lss fly`` and ``simulate``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from quadtree_lss.desk.commands import common, console
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 if TYPE_CHECKING:
-    from quadtree_lss.lab.flight.fly import Flown
+    from quadtree_lss.lab.flight.fly import FlightResult
     from quadtree_lss.lab.flight.settings import FlightSettings
 
 Progress = Callable[[float], None]
@@ -26,10 +26,13 @@ EXAMPLES = """examples:
   quadtree-lss fly --lockstep --fault kill_mapping@60+3 --out fault
 """
 AVOIDANCE = ("package", "paper", "none", "perfect")
-LONGEST = 100.0
+#: Time at which the progress bar is full, s.
+MAX_TIME_S = 100.0
 TERRAIN = "elevation model: GeoTIFF, or .npz with x, y, elevation (ny, nx), m"
 SCENARIOS = ("morpheus", "parabola", "descent", "drone", "depth")
-GIVEN = "seed duration terrain range_noise outliers dropouts flights rocks overwrite".split()
+SIMULATE_OPTIONS = (
+    "seed duration terrain range_noise outliers dropouts flights rocks overwrite".split()
+)
 SIMULATE = "Simulate a flight: a bag, and truth.npz beside it."
 FLIGHTS = """flights:
   morpheus   Section VII of the paper: 20 s at 20 Hz on a 30 degree glide slope from 450 m, 1 degree
@@ -93,7 +96,7 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 def _fly(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.files import made, new_folder, write_json
     from quadtree_lss.lab.flight.flight_page import headline, write_flight
-    from quadtree_lss.lab.flight.fly import flown
+    from quadtree_lss.lab.flight.fly import fly_lockstep
     from quadtree_lss.lab.flight.settings import flight_settings
 
     options.out = options.out or new_folder(Path("results"))
@@ -105,16 +108,16 @@ def _fly(options: argparse.Namespace) -> int:
         "config": common.overrides(options),
     }
     settings = flight_settings(given)
-    alone = options.lockstep or options.avoidance in ("none", "perfect")
+    lockstep = options.lockstep or options.avoidance in ("none", "perfect")
     figures = {"seed": options.seed, "avoidance": options.avoidance, "outcome": "none"}
     with (
         made(options.out, QuadtreeLssError),
         console.ProgressBar("fly", "s", options.verbose) as bar,
     ):
-        progress = partial(bar.update, total=LONGEST)
+        progress = partial(bar.update, total=MAX_TIME_S)
         try:
-            if alone:
-                done = flown(options.seed, settings, progress=progress, record=True)
+            if lockstep:
+                done = fly_lockstep(options.seed, settings, progress=progress, record=True)
             else:
                 done = _live(options, settings, progress)
         except BaseException as error:
@@ -128,25 +131,27 @@ def _fly(options: argparse.Namespace) -> int:
     return common.DONE
 
 
-def _live(options: argparse.Namespace, settings: FlightSettings, progress: Progress) -> Flown:
+def _live(
+    options: argparse.Namespace, settings: FlightSettings, progress: Progress
+) -> FlightResult:
     try:
         from quadtree_lss.lab.live.flight import fly_live
-        from quadtree_lss.lab.live.processes import given_domain
+        from quadtree_lss.lab.live.processes import environment_domain
     except ImportError as error:
-        msg = f"ROS 2 is not here ({console.first_line(error)}); --lockstep flies without"
+        msg = f"ROS 2 is not available ({console.first_line(error)}); --lockstep flies without it"
         raise QuadtreeLssError(msg) from None
     live = options.out / "nodes"
-    return fly_live(options.seed, settings, live, progress=progress, domain=given_domain())
+    return fly_live(options.seed, settings, live, progress=progress, domain=environment_domain())
 
 
 def _simulate(options: argparse.Namespace) -> int:
     from quadtree_lss.lab.simulation.simulate import simulate
 
     options.out = options.out or Path(f"{options.scenario}_{options.seed}", "bag")
-    then = f"closes {options.out} and writes truth.npz for what was flown so far"
-    verbose, how = options.verbose, common.keywords(options, *GIVEN)
+    consequence = f"closes {options.out} and writes truth.npz for what was flown so far"
+    verbose, how = options.verbose, common.keywords(options, *SIMULATE_OPTIONS)
     with (
-        console.Interruption(then) as interruption,
+        console.Interruption(consequence) as interruption,
         console.ProgressBar("simulate", "scans", verbose) as bar,
     ):
         how |= {"progress": bar.update, "stop": interruption.asked}

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scoring of results against simulated truth."""
+"""Evaluation of results against simulated truth, and the fit of the risk model."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prefit residuals of a scan against the map's covariances (Table 2; Eq. 46, 61-63).
 
-Eq. 61 compares a measured point with the point of the plane on the same ray, so that the residual
-has one degree of freedom. It is tested against chi_1, not against the paper's chi_3.
+Eq. 61 compares a measured point with the intersection of its ray and the plane, so that the
+residual has one degree of freedom. The test uses chi_1, where the paper uses chi_3.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from quadtree_lss.onboard.core.tree.cell_map import CellMap
 #: Acceptance interval of |residual| / sigma (Eq. 62, Eq. 63): the central 95 % of chi_1.
 LOW, HIGH = (float(bound) for bound in chi(1).interval(0.95))
 #: Lower bound of a variance, m^2.
-LEAST_VARIANCE = 1e-12
+MIN_VARIANCE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -59,15 +59,15 @@ class PrefitStatistics:
 
 
 def prefit_statistics(cells: CellMap, scan: RegisteredScan, lidar: LidarConfig) -> PrefitStatistics:
-    """Compute the residuals of a scan about the map ``cells`` from before the scan.
+    """Compute the residuals of a scan to the map ``cells`` before that scan.
 
     e = n.(r - c) - d has the variance n^T Sigma_r n + a^T Sigma_P a with Sigma_r of Eq. 17 and
     a = (B^T (r - c), -1).
     """
     column, row = decode(scan.key)
-    of_point = cells.leaf_raster()[row, column]
-    point = np.flatnonzero(cells.measured[of_point])
-    leaf = of_point[point].astype(np.intp)
+    leaf_rows = cells.leaf_raster()[row, column]
+    point = np.flatnonzero(cells.measured[leaf_rows])
+    leaf = leaf_rows[point].astype(np.intp)
     n, r = cells.normal[leaf], scan.points[point]
     arm = r - (np.column_stack([cells.x, cells.y, cells.z]) - scan.origin)[leaf]
     residual = _dot(n, arm)
@@ -80,7 +80,7 @@ def prefit_statistics(cells: CellMap, scan: RegisteredScan, lidar: LidarConfig) 
     along = np.einsum("ni,nij->nj", n, np.concatenate([unit, -skew(r)], axis=-1))
     pose = np.einsum("ni,ij,nj->n", along, scan.pose.covariance, along)
     variance = plane + (lidar.range_noise * cosine) ** 2 + pose
-    return PrefitStatistics(point, leaf, residual, np.sqrt(np.maximum(variance, LEAST_VARIANCE)))
+    return PrefitStatistics(point, leaf, residual, np.sqrt(np.maximum(variance, MIN_VARIANCE)))
 
 
 def _dot(one: Array, other: Array) -> Array:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evaluation of one run: scores and page."""
+"""Evaluation of one run."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def evaluate(
 
     Writes ``evaluation.json`` and, with ``page``, ``report.html`` into ``out`` (default:
     ``results_dir/evaluation``). Raises `EvaluationError`: a file is missing or malformed, results
-    and truth are not of one flight (`results.check_truth`), or map and truth do not overlap.
+    and truth are from different flights, or map and truth do not overlap.
     """
     results, truth = load_results(results_dir), load_truth(truth_path)
     check_truth(results, truth, Path(truth_path))
-    result, notes = score(results, truth), _other_lander(results, truth)
+    result, notes = score(results, truth), _lander_notes(results, truth)
     folder = Path(out) if out is not None else results.folder / "evaluation"
     with writing(folder, EvaluationError):
         folder.mkdir(parents=True, exist_ok=True)
@@ -52,7 +52,7 @@ def evaluate(
     return result
 
 
-def _other_lander(results: Results, truth: Truth) -> list[str]:
+def _lander_notes(results: Results, truth: Truth) -> list[str]:
     try:
         own = lander_of(results.config).limits
     except QuadtreeLssError:  # no readable configuration

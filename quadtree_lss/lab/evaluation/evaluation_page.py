@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of an evaluation: that of the results, with the truth, the error and the verdicts."""
+"""The page of an evaluation: the report of the results with truth, error and verdicts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from quadtree_lss.lab.evaluation.metrics import SafetyField
 from quadtree_lss.lab.evaluation.results import Truth
 from quadtree_lss.lab.evaluation.score import EvaluationResult, percent
 
-#: Verdicts on grid points, in colours of Okabe and Ito's palette.
+#: Verdicts on grid points with colours from the palette of Okabe and Ito.
 VERDICTS = (
     ("safe, found", "#56b4e9"),
     ("hazard, found", "#7f7f7f"),
@@ -26,7 +26,7 @@ VERDICTS = (
 
 
 def verdict_classes(safety: SafetyField) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-    """(ny, nx) of the field: which of `VERDICTS` each grid point is."""
+    """Index into `VERDICTS` of each grid point (ny, nx)."""
     called, safe = safety.called_safe & safety.seen, safety.truly_safe
     return np.select(
         [~safety.scored, safe & called, ~safe & ~called, safe & ~called], [4, 0, 1, 2], 3
@@ -34,7 +34,7 @@ def verdict_classes(safety: SafetyField) -> np.ndarray[tuple[int, ...], np.dtype
 
 
 def evaluation_page(folder: Path, truth: Truth, result: EvaluationResult) -> str:
-    """The page as text. Raises `KeyError`: the results lack an array that a page shows."""
+    """Render the page. Raises `KeyError`: the results lack an array that a page shows."""
     content, safety = load_results(folder), result.safety
     grid = content.grid
     true = truth.elevation_at(*np.meshgrid(grid["x"], grid["y"]))
@@ -43,8 +43,8 @@ def evaluation_page(folder: Path, truth: Truth, result: EvaluationResult) -> str
     classes = np.full(grid["hazard"].shape, 4, dtype=np.uint8)
     rows = np.searchsorted(grid["y"], safety.y - 1e-6)
     classes[np.ix_(rows, np.searchsorted(grid["x"], safety.x - 1e-6))] = verdict_classes(safety)
-    note = f"Estimate less truth; the mean of {mean:+.3f} m, navigation's, is taken away."
-    where = "Where the lander's centre would be. "
+    note = f"Estimate minus truth, without the mean error of navigation, {mean:+.3f} m."
+    where = "For the centre of the lander. "
     title, limits = "Error of the elevation, mean removed", even_limits(error - mean)
     layers = (
         Layer("verdict", "Verdict against the truth", classes, classes=VERDICTS, note=where),

@@ -20,10 +20,10 @@ from quadtree_lss.onboard.core.landing.hazards import UNMAPPED
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 #: Bounds of the bins of predicted risk.
-EDGES = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
-#: Least probability in a log score.
-LEAST = 1e-6
-#: Largest distance between points where elevations are compared; of equal coordinates, m.
+RISK_EDGES = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+#: Probabilities in a log score are clipped here.
+MIN_PROBABILITY = 1e-6
+#: Largest distance between points where elevations are compared, m; tolerance of coordinates, m.
 _SAMPLE_STEP, _COINCIDE = 0.5, 1e-3
 #: ``unknown``: the lander would reach over the edge of the true terrain.
 SiteVerdict = Literal["safe", "unsafe", "unknown"]
@@ -48,16 +48,16 @@ class ElevationError:
 
 @dataclass(frozen=True)
 class Detection:
-    """Hazard and safe detection (Table 3) over observed ground with small holes filled. The holes
-    and ground without an estimate are unknown.
+    """Detection of hazardous and safe ground (Table 3), over observed ground with small holes
+    filled. The holes and ground without an estimate are unknown.
 
     Attributes:
         hazardous_found: Fraction of the truly hazardous grid points not called safe.
         safe_found: Fraction of the truly safe grid points called safe.
         hazardous_unknown, safe_unknown: Fractions of these that are unknown.
         missed_depth: Distance of the deepest missed grid point from safe ground, m.
-        unseen_box: Fraction of the scanned box out of the score.
-        precision: Fraction of the grid points called safe that are; NaN if none is called safe.
+        unseen_box: Fraction of the scanned box that is not scored.
+        precision: Fraction of the grid points called safe that are safe; NaN without any.
     """
 
     hazardous_found: float
@@ -89,14 +89,14 @@ class SafetyField:
         return self.scored & ~self.truly_safe & self.called_safe & self.seen
 
 
-def seen_at(grid: Grid, x: Array, y: Array) -> Mask:
-    """Whether all grid points around each of the points x (n,), y (m,) are seen: (m, n)."""
+def observed_at(grid: Grid, x: Array, y: Array) -> Mask:
+    """Whether all grid points around each of the points x (n,), y (m,) are estimated: (m, n)."""
     unseen = (~grid.seen).astype(np.float64)
     return np.asarray(bilinear(grid.x, grid.y, unseen, x[None, :], y[:, None]) < 1e-8)
 
 
 def elevation_error(cells: CellMap, grid: Grid, truth: Truth) -> ElevationError:
-    """Compare leaf planes with the truth at points spread evenly over the finest cells; NaN where
+    """Compare leaf planes with the truth at points spread evenly over the finest cells; NaN if
     nothing was observed."""
     domain = cells.domain
     parts = max(2, int(np.ceil(domain.finest_size / _SAMPLE_STEP)))
@@ -107,7 +107,7 @@ def elevation_error(cells: CellMap, grid: Grid, truth: Truth) -> ElevationError:
     with np.errstate(invalid="ignore"):
         fine = leaf.repeat(parts, axis=0).repeat(parts, axis=1)
         error = cells.heights(fine, x[None, :], y[:, None]) - truth.elevation_at(*np.meshgrid(x, y))
-    error = error[seen_at(grid, x, y) & np.isfinite(error)]
+    error = error[observed_at(grid, x, y) & np.isfinite(error)]
     estimated = cells.estimated[leaf[cells.observed]]
     without = float(1.0 - estimated.mean()) if estimated.size else float("nan")
     if not error.size:
@@ -126,7 +126,7 @@ def elevation_error(cells: CellMap, grid: Grid, truth: Truth) -> ElevationError:
 
 
 def fill_holes(seen: Mask, spacing: float) -> Mask:
-    """Close unseen gaps up to 2 m wide: morphological closing with a disc."""
+    """Close gaps up to 2 m wide by a morphological closing with a disc."""
     radius = 1.0 / spacing
     reach = int(np.floor(radius + 1e-9))
     if reach == 0:
@@ -138,8 +138,8 @@ def fill_holes(seen: Mask, spacing: float) -> Mask:
 
 
 def safety_field(grid: Grid, truth: Truth) -> SafetyField:
-    """Bring the map's verdict and the truth to the same grid points of the scanned box: the common
-    ones, or, where these are less than half, the map's with the contact simulated there."""
+    """Compare map and truth at common grid points of the scanned box. If these are less than half
+    of the points of the map, simulate the contact at all of its points."""
     xmin, xmax, ymin, ymax = truth.box
     own_x, own_y = (
         np.flatnonzero((axis >= low - _COINCIDE) & (axis <= high + _COINCIDE))
@@ -153,7 +153,7 @@ def safety_field(grid: Grid, truth: Truth) -> SafetyField:
         in_x, in_y = own_x, own_y
         truly_safe = safety_map(truth, grid.x[in_x], grid.y[in_y], truth.lander)
     window = np.ix_(in_y, in_x)
-    looked_at = grid.seen | ((grid["hazard"] & UNMAPPED) > 0)
+    observed = grid.seen | ((grid["hazard"] & UNMAPPED) > 0)
     risk = grid.layers.get("risk")
     return SafetyField(
         x=grid.x[in_x],
@@ -161,28 +161,28 @@ def safety_field(grid: Grid, truth: Truth) -> SafetyField:
         truly_safe=truly_safe,
         called_safe=grid["safe"][window],
         seen=grid.seen[window],
-        scored=fill_holes(looked_at, grid.spacing)[window],
+        scored=fill_holes(observed, grid.spacing)[window],
         risk=None if risk is None else risk[window],
     )
 
 
 def _common(axis: Array, lattice: Array, some: NDArray[np.int64]) -> tuple[Index, Index]:
-    """Indices into an even ``lattice`` and into ``axis`` of ``some`` coordinates that both have."""
+    """Indices of common coordinates: into an even ``lattice`` and into ``axis``, among ``some``."""
     step = (lattice[-1] - lattice[0]) / (lattice.size - 1)
     near = np.rint((axis[some] - lattice[0]) / step).astype(np.intp).clip(0, lattice.size - 1)
     same = np.abs(lattice[near] - axis[some]) < _COINCIDE
     return near[same], some[same]
 
 
-def _depth(field: SafetyField) -> Array:
-    """(ny, nx) how far each grid point lies inside hazardous ground, m."""
+def _hazard_depth(field: SafetyField) -> Array:
+    """Depth (ny, nx) of each grid point inside hazardous ground, m."""
     spacing = float(field.x[1] - field.x[0]) if field.x.size > 1 else 0.0
     inside = np.pad(~field.truly_safe, 1, mode="edge")
     return np.asarray(spacing * distance_transform_edt(inside)[1:-1, 1:-1])
 
 
 def detection(field: SafetyField) -> Detection:
-    """Detection rates of Table 3 (fractions); a rate over no grid points is NaN."""
+    """Detection rates of Table 3; NaN over no grid points."""
     hazardous = field.scored & ~field.truly_safe
     safe = field.scored & field.truly_safe
     called = field.called_safe & field.seen
@@ -198,15 +198,15 @@ def detection(field: SafetyField) -> Detection:
         hazardous_grid_points=int(hazardous.sum()),
         safe_grid_points=int(safe.sum()),
         missed_grid_points=int(field.missed.sum()),
-        missed_depth=float(_depth(field)[field.missed].max(initial=0.0)),
+        missed_depth=float(_hazard_depth(field)[field.missed].max(initial=0.0)),
         unseen_box=float(1.0 - field.scored.mean()) if field.scored.size else float("nan"),
         precision=share(field.truly_safe, called & field.scored),
     )
 
 
 def site_verdicts(sites: Array, truth: Truth) -> tuple[SiteVerdict, ...]:
-    """Whether a lander at each site (K, 2 or 3) is safe: by the true safety map at its grid points,
-    elsewhere by the contact on the DEM."""
+    """True safety of each site (K, 2 or 3): from the true safety map at its grid points, elsewhere
+    from the contact on the DEM."""
     places = sites[:, :2]
     known, safe = on_dem(truth, places, truth.lander), contact_safe(truth, places, truth.lander)
     for k, (x, y) in enumerate(places):
@@ -249,20 +249,20 @@ class Reliability:
 
 def scores(risk: Array, failed: Mask, weight: Array | None = None) -> tuple[float, float]:
     """Weighted Brier score and log score of risks (K,)."""
-    sure = np.clip(risk, LEAST, 1.0 - LEAST)
-    log = -np.where(failed, np.log(sure), np.log1p(-sure))
+    clipped = np.clip(risk, MIN_PROBABILITY, 1.0 - MIN_PROBABILITY)
+    log = -np.where(failed, np.log(clipped), np.log1p(-clipped))
     brier = np.square(risk - failed)
     return float(np.average(brier, weights=weight)), float(np.average(log, weights=weight))
 
 
 def reliability_of(safety: SafetyField) -> Reliability | None:
-    """Reliability at observed grid points; None without risks. A risk of 1 is not a prediction: the
-    lander would reach unobserved ground."""
-    if safety.risk is None or not (asked := safety.seen & (safety.risk < 1.0)).any():
+    """Reliability at observed grid points; None without risks. A risk of 1 marks unobserved ground
+    under the lander and is not a prediction."""
+    if safety.risk is None or not (predicted := safety.seen & (safety.risk < 1.0)).any():
         return None
-    given, true = safety.risk[asked], ~safety.truly_safe[asked]
+    given, true = safety.risk[predicted], ~safety.truly_safe[predicted]
     bins = []
-    for low, high in zip(EDGES, EDGES[1:], strict=False):
+    for low, high in zip(RISK_EDGES, RISK_EDGES[1:], strict=False):
         here = (given >= low) & (given < high)
         shares = (given[here].mean(), true[here].mean()) if here.any() else (np.nan, np.nan)
         bins.append(RiskBin(low, high, int(here.sum()), float(shares[0]), float(shares[1])))

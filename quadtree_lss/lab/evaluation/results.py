@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results of ``replay``, truth of ``simulate``, and a check that both are of one flight."""
+"""Results of ``replay``, truth of ``simulate``, and a check that both belong to one flight."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-#: Sites that are drawn and judged.
+#: Number of sites that are drawn and evaluated.
 TOP = 5
 #: Layers of the landing grid that are scored.
 LAYERS = ("elevation", "hazard", "safe", "score")
 #: Columns of ``timing.csv`` that are compared.
-COLUMNS = ("stamp_ns", "points", "points_used", "leaves")
-#: Arrays of ``truth.npz`` that are read, with the lengths of their first axes: a number, or the
-#: length of another array.
+TIMING_COLUMNS = ("stamp_ns", "points", "points_used", "leaves")
+#: Required arrays of ``truth.npz`` with the lengths of their first axes: a number, or the name of
+#: another array of that length.
 SHAPES: dict[str, tuple[int | str, ...]] = {
     **{name: (name,) for name in ("x", "y", "safe_x", "safe_y")},
     "elevation": ("y", "x"),
@@ -37,18 +37,17 @@ SHAPES: dict[str, tuple[int | str, ...]] = {
     "box": (4,),
     "scan_stamp_ns": ("scan_stamp_ns",),
 }
-#: Further ones, which other programs may leave out.
-OPTIONAL = ("seed", "lander")
+#: Optional arrays of ``truth.npz``.
+OPTIONAL_ARRAYS = ("seed", "lander")
 
 
 class EvaluationError(QuadtreeLssError):
-    """Results or truth that cannot be scored; the text is one clear line."""
+    """Results or truth cannot be scored."""
 
 
 @dataclass(frozen=True)
 class Truth(Terrain):
-    """Content of ``truth.npz``, metres, map frame. ``seed``: None if unknown; ``lander``: the
-    vehicle whose safety it is."""
+    """Content of ``truth.npz``, m, map frame. ``seed`` is None if unknown."""
 
     safe_x: Array
     safe_y: Array
@@ -63,7 +62,7 @@ def load_truth(path: str | Path) -> Truth:
     """Read ``truth.npz``. Raises `EvaluationError`: it is missing or malformed."""
     file = Path(path)
     try:
-        found = read_arrays(file, (*SHAPES, *OPTIONAL))
+        found = read_arrays(file, (*SHAPES, *OPTIONAL_ARRAYS))
     except ExchangeError as error:
         raise EvaluationError(str(error)) from error
     if missing := [name for name in SHAPES if name not in found]:
@@ -72,8 +71,8 @@ def load_truth(path: str | Path) -> Truth:
 
 
 def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
-    """Check the arrays of ``truth.npz``. Raises `EvaluationError`: they do not fit together."""
-    a = {name: arrays[name] for name in (*SHAPES, *OPTIONAL) if name in arrays}
+    """Make the truth from arrays. Raises `EvaluationError`: their shapes or values are invalid."""
+    a = {name: arrays[name] for name in (*SHAPES, *OPTIONAL_ARRAYS) if name in arrays}
     for name, of in SHAPES.items():
         shape, expected = a[name].shape, tuple(a[n].size if isinstance(n, str) else n for n in of)
         too_short = name in ("x", "y", "safe_x", "safe_y") and shape < (2,)
@@ -92,21 +91,21 @@ def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
 
 
 def results_of(replayed: ReplayResult) -> Results:
-    """Results of a replay without a folder."""
+    """Results of a replay that has no folder."""
     rows, found = replayed.timings, Results(Path())
     places = replayed.assessment.sites.position.reshape(-1, 3)
     vars(found).update(
         map=replayed.cells,
         grid=grid_of(replayed.assessment),
         sites=dict(zip("xyz", places.T, strict=True)),
-        timing={name: np.array([getattr(row, name) for row in rows]) for name in COLUMNS},
+        timing={name: np.array([getattr(row, name) for row in rows]) for name in TIMING_COLUMNS},
         summary=replayed.summary,
     )
     return found
 
 
 def load_results(directory: str | Path) -> Results:
-    """Read a results directory of ``replay``; raises `EvaluationError` if a file is amiss."""
+    """Read a results folder of ``replay``. Raises `EvaluationError`: a file cannot be read."""
     folder = Path(directory)
     try:
         read = saved.load_results(folder)
@@ -114,7 +113,7 @@ def load_results(directory: str | Path) -> Results:
             raise EvaluationError(f"{folder / 'grid.npz'} lacks {', '.join(missing)}")
         for part in ("map", "positions", "summary"):  # reads the files
             getattr(read, part)
-        for name in COLUMNS:
+        for name in TIMING_COLUMNS:
             read.timing[name] = read.timing[name].astype(np.int64)
         return read
     except saved.ResultsError as error:
@@ -125,10 +124,10 @@ def load_results(directory: str | Path) -> Results:
 
 
 def check_truth(results: Results, truth: Truth, truth_path: Path) -> None:
-    """Raise `EvaluationError` unless the truth is of the flight that was mapped: it must know the
-    stamp of each mapped scan, and have the same seed where both name one."""
+    """Raise `EvaluationError` unless results and truth belong to one flight: the truth must have
+    the stamp of each mapped scan, and the seeds must agree if both are known."""
     stamps = results.timing["stamp_ns"], truth.scan_stamp_ns
-    mapped, flown = (np.unique(of[of > 0]) for of in stamps)  # zero is no stamp
+    mapped, flown = (np.unique(of[of > 0]) for of in stamps)  # zero means no stamp
     unknown = mapped[~np.isin(mapped, flown)]
     if flown.size and unknown.size:
         msg = f"{truth_path} is of another flight than {results.folder}: {unknown.size} of"

@@ -18,19 +18,25 @@ from quadtree_lss.lab.simulation.trajectory import NORTH, Sweep, look_at
 from quadtree_lss.onboard.arrays import Array
 
 Range = tuple[float, float]
-#: The lander that grounds and views are made for, m; half the side of what it looks at.
-LANDER, HALF = 3.7, 30.0
+#: Diameter of the lander that grounds and views are made for; half side of the viewed square, m.
+REFERENCE_DIAMETER, HALF_SIDE = 3.7, 30.0
 
 
 @dataclass(frozen=True)
 class Family:
     """Ranges and choices of a family; None takes the configuration's value.
 
-    ``grounds``: names in `FIELDS`, ``any``, ``mixed`` or ``bare``; ``views``: names in `VIEWS`;
-    vehicle's diameter, m; clearance over diameter; slope limits, deg; cells along the diameter;
-    noise of a range over the clearance; factors on it for the mapping (``told``); shares of
-    outliers; height of grass over the clearance; share of returns that dark ground loses
-    (``lost``); weight in a fit.
+    Attributes:
+        grounds: Names in `FIELDS`, ``any``, ``mixed`` or ``bare``.
+        views: Names in `VIEWS`.
+        diameter: Diameter of the vehicle, m.
+        clearance, noise, grass: Clearance over the diameter; range noise and height of grass over
+            the clearance.
+        slopes: Slope limits, deg.
+        cells: Number of finest cells along the diameter.
+        noise_factors: Configured over true range noise.
+        outliers, dark_loss: Fractions of outliers, and of the returns lost on dark ground.
+        weight: Weight in a fit.
     """
 
     grounds: tuple[str, ...] = tuple(FIELDS)
@@ -40,10 +46,10 @@ class Family:
     slopes: tuple[float, ...] | None = None
     cells: Range | None = None
     noise: Range | None = None
-    told: tuple[float, ...] = (1.0,)
+    noise_factors: tuple[float, ...] = (1.0,)
     outliers: tuple[float, ...] = (0.0,)
     grass: Range | None = None
-    lost: Range | None = None
+    dark_loss: Range | None = None
     weight: float = 1.0
 
 
@@ -60,7 +66,11 @@ FAMILIES: dict[str, Family] = {
     "mixed": Family(grounds=("mixed",), views=("morpheus", "sweep"), weight=1.5),
     "bare": Family(grounds=("bare",), views=("morpheus", "sweep", "descent")),
     "noise": Family(
-        views=("sweep",), noise=(0.1, 0.3), told=(1.0, 0.75, 1.3), outliers=(0.0, 0.02), weight=1.5
+        views=("sweep",),
+        noise=(0.1, 0.3),
+        noise_factors=(1.0, 0.75, 1.3),
+        outliers=(0.0, 0.02),
+        weight=1.5,
     ),
     "few": Family(grounds=(*_ANY, "mixed"), views=("few",), weight=0.7),
     "views": Family(grounds=_ANY, views=("sweep", "descent", "wide"), weight=0.7),
@@ -89,20 +99,20 @@ FAMILIES: dict[str, Family] = {
         cells=(5.0, 16.0),
         noise=(0.05, 0.15),
         grass=(0.03, 0.35),
-        lost=(0.05, 0.8),
+        dark_loss=(0.05, 0.8),
     ),
     "hover": Family(
         grounds=(*_ANY, "mixed", "bare"),
         views=("hover",),
         cells=(5.0, 16.0),
         noise=(0.05, 0.3),
-        lost=(0.01, 0.5),
+        dark_loss=(0.01, 0.5),
     ),
     "any": Family(
         grounds=(*_ANY, "mixed", "bare"),
         views=("sweep", "descent", "oblique", "wide", "few"),
         noise=(0.07, 0.4),
-        told=(1.0, 1.0, 0.8, 1.25),
+        noise_factors=(1.0, 1.0, 0.8, 1.25),
         outliers=(0.0, 0.0, 0.01),
         weight=0.7,
         **_SIZES,
@@ -114,7 +124,7 @@ def ground(rng: np.random.Generator, kind: str) -> Terrain:
     """Make 80 x 80 m of a field in `FIELDS`, or of ``any``, ``plain``, ``cratered``, ``bare`` (an
     incline), or ``mixed`` ground: two of these, in halves or patches."""
     if kind == "mixed":
-        one, two = rng.choice(_PAIRS)
+        one, two = rng.choice(_MIXED_PAIRS)
         first, second = ground(rng, one), ground(rng, two)
         x, y = np.meshgrid(first.x, first.y)
         if rng.random() < 0.6:
@@ -153,7 +163,7 @@ def ground(rng: np.random.Generator, kind: str) -> Terrain:
     return Terrain(made.x, made.y, made.elevation + east * made.x + north * made.y[:, None])
 
 
-_PAIRS = (
+_MIXED_PAIRS = (
     ("rocky", "bare"),
     ("any", "any"),
     ("cratered", "plain"),
@@ -165,7 +175,7 @@ _PAIRS = (
 
 @dataclass(frozen=True)
 class View:
-    """Times (S,), s, true poses (S, 3), (S, 3, 3), and beams of scans."""
+    """Times (S,), s, and true poses (S, 3), (S, 3, 3) of scans, and their beams."""
 
     times: Array
     positions: Array
@@ -173,20 +183,20 @@ class View:
     beams: Array
 
 
-def even(rng: np.random.Generator, low: float, high: float) -> float:
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     """Draw from a log-uniform distribution."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def _morpheus(rng: np.random.Generator) -> View:
     """Section VII: 20 s at 20 Hz from 450 m on a glide slope of 30 deg."""
-    return _swept(Sweep((0.0, 0.0, 0.0), HALF, HALF, 20.0, 1.0), 20.0, 128)
+    return _sweep_view(Sweep((0.0, 0.0, 0.0), HALF_SIDE, HALF_SIDE, 20.0, 1.0), 20.0, 128)
 
 
 def _sweep(rng: np.random.Generator) -> View:
-    """Such a sweep from nearer and steeper, with fewer scans."""
+    """A sweep as of `_morpheus`, but closer, steeper and with fewer scans."""
     duration, slant = rng.uniform(5.0, 25.0), rng.uniform(120.0, 450.0)
-    seen = (0.0, 0.0, 0.0), HALF, HALF, duration, even(rng, 1.0, 5.0)
+    seen = (0.0, 0.0, 0.0), HALF_SIDE, HALF_SIDE, duration, log_uniform(rng, 1.0, 5.0)
     sweep = Sweep(
         *seen,
         slant_range=slant,
@@ -194,13 +204,13 @@ def _sweep(rng: np.random.Generator) -> View:
         approach_speed=rng.uniform(1.0, 0.4 * slant / duration),
         reverse=rng.random() < 0.5,
     )
-    return _swept(sweep, even(rng, 2.0, 20.0), int(rng.choice([48, 64, 96, 128])))
+    return _sweep_view(sweep, log_uniform(rng, 2.0, 20.0), int(rng.choice([48, 64, 96, 128])))
 
 
 def _oblique(rng: np.random.Generator) -> View:
     """A fast approach from about 180 m at about 55 deg that misses much of the ground."""
     duration, slant = rng.uniform(8.0, 16.0), rng.uniform(140.0, 220.0)
-    half = HALF * rng.uniform(0.5, 1.0)
+    half = HALF_SIDE * rng.uniform(0.5, 1.0)
     centre = rng.uniform(-10.0, 10.0), rng.uniform(-10.0, 10.0), 0.0
     sweep = Sweep(
         *(centre, half, half, duration, float(rng.integers(1, 4))),
@@ -210,32 +220,32 @@ def _oblique(rng: np.random.Generator) -> View:
         overlap=float(rng.choice([-0.6, -0.3, 0.0, 0.2])),
         reverse=rng.random() < 0.5,
     )
-    return _swept(sweep, even(rng, 2.0, 20.0), int(rng.choice([48, 64, 96, 128])))
+    return _sweep_view(sweep, log_uniform(rng, 2.0, 20.0), int(rng.choice([48, 64, 96, 128])))
 
 
-def _swept(sweep: Sweep, rate: float, pixels: int) -> View:
+def _sweep_view(sweep: Sweep, rate: float, pixels: int) -> View:
     times = np.arange(0.05 / rate, sweep.duration, 1.0 / rate)
     fov = sweep.field_of_view_deg
     return View(times, *sweep.trajectory().poses(times), pixel_beams(fov, fov, pixels, pixels))
 
 
 def _descent(rng: np.random.Generator) -> View:
-    """A descent to a place near the middle."""
+    """A descent to a point near the centre."""
     high, fov, pixels = rng.uniform(90.0, 250.0), rng.uniform(8.0, 35.0), rng.choice([48, 64, 128])
     begin = np.array([*rng.uniform(-45.0, 45.0, 2), high])
     end = np.array([*rng.uniform(-12.0, 12.0, 2), high * rng.uniform(0.15, 0.8)])
-    times, at = _passed(rng, begin, end)
+    times, at = _straight_pass(rng, begin, end)
     aims = np.tile([*rng.uniform(-10.0, 10.0, 2), 0.0], (len(times), 1))
     beams = pixel_beams(fov, fov, int(pixels), int(pixels))
     return View(times, at, look_at(at, aims, NORTH), beams)
 
 
 def _wide(rng: np.random.Generator, rate: float | None = None) -> View:
-    """A pass over the ground with a wide or a spinning lidar, at a rate, Hz, or at random times."""
+    """A pass with a wide or a spinning lidar; scans at a rate, Hz, or at random times."""
     high = rng.uniform(90.0, 190.0)
     begin = np.array([*rng.uniform(-45.0, 45.0, 2), high])
     end = np.array([*(-begin[:2] * rng.uniform(0.2, 1.0)), high * rng.uniform(0.5, 1.0)])
-    times, at = _passed(rng, begin, end, rate)
+    times, at = _straight_pass(rng, begin, end, rate)
     aims = np.column_stack([at[:, :2] + rng.uniform(-0.2, 0.2, 2) * high, np.zeros(len(at))])
     lines = int(rng.choice([16, 32, 64])) if rng.random() < 0.6 else 0
     pixels, fov = int(rng.choice([64, 96, 128])), rng.uniform(40.0, 80.0)
@@ -250,7 +260,7 @@ def _few(rng: np.random.Generator) -> View:
     tilt = np.radians(rng.uniform(0.0, 60.0)) * (rng.random() < 0.5)
     rows, columns = int(rng.choice([16, 32, 48, 64, 128])), int(rng.choice([32, 64, 128]))
     area = (2.0 * high * np.tan(np.radians(0.5 * fov))) ** 2 / np.cos(tilt)
-    count = int(np.clip(even(rng, 0.3, 40.0) * area / (0.09 * rows * columns), 4, 200))
+    count = int(np.clip(log_uniform(rng, 0.3, 40.0) * area / (0.09 * rows * columns), 4, 200))
     times = np.sort(rng.uniform(0.0, rng.uniform(5.0, 20.0), count))
     heading = rng.uniform(0.0, 2.0 * np.pi)
     ahead = np.array([np.cos(heading), np.sin(heading)])
@@ -264,14 +274,14 @@ def _few(rng: np.random.Generator) -> View:
 
 
 def _hover(rng: np.random.Generator) -> View:
-    """One to six places, each held for many scans: nearly the same rays again and again."""
+    """Hover at one to six positions, each for many nearly identical scans."""
     places, high = int(rng.integers(1, 7)), rng.uniform(60.0, 190.0)
     stays = rng.integers(5, 40, places)
     count = int(stays.sum())
     at = np.column_stack([rng.uniform(-20.0, 20.0, (places, 2)), np.full(places, high)])
     aims = np.column_stack([rng.uniform(-8.0, 8.0, (places, 2)), np.zeros(places)])
     at, aims = (np.repeat(of, stays, axis=0) for of in (at, aims))
-    sway = even(rng, 0.003, 0.1)
+    sway = log_uniform(rng, 0.003, 0.1)
     at, aims = (of + rng.normal(0.0, sway, of.shape) for of in (at, aims))
     fov, pixels = rng.uniform(20.0, 45.0), int(rng.choice([64, 96, 128]))
     return View(
@@ -279,10 +289,10 @@ def _hover(rng: np.random.Generator) -> View:
     )
 
 
-def _passed(
+def _straight_pass(
     rng: np.random.Generator, begin: Array, end: Array, rate: float | None = None
 ) -> tuple[Array, Array]:
-    """Times, at a rate or 12 to 119 at random, and positions between two places."""
+    """Times (at a rate, or 12 to 119 random ones) and positions of a flight between two points."""
     duration = rng.uniform(8.0, 40.0)
     count = int(rng.integers(12, 120))
     times = np.sort(rng.uniform(0.0, duration, count))
@@ -307,28 +317,32 @@ VIEWS: dict[str, Callable[[np.random.Generator], View]] = {
 class Cover:
     """Patches of grass and of dark ground.
 
-    Returns end anywhere in grass up to ``height``, m. Dark ground loses a share ``lost`` of them.
-    ``waves``: (4, 3) wave numbers along x and y, rad/m, and phases of the patches.
+    Attributes:
+        height: Largest height of grass, m; returns come from anywhere up to it.
+        dark_loss: Fraction of the returns that is lost on dark ground.
+        waves: (4, 3) wave numbers along x and y, rad/m, and phases of the patches.
     """
 
     height: float
-    lost: float
+    dark_loss: float
     waves: Array
 
     @staticmethod
     def draw(rng: np.random.Generator, family: Family, clearance: float, scale: float) -> Cover:
-        """Draw the cover of a flight over ground ``scale`` times that of `LANDER`."""
-        height, lost = (0.0 if of is None else even(rng, *of) for of in (family.grass, family.lost))
+        """Draw the cover of a flight over ground that is scaled by ``scale``."""
+        height, dark_loss = (
+            0.0 if of is None else log_uniform(rng, *of) for of in (family.grass, family.dark_loss)
+        )
         length = np.exp(rng.uniform(np.log(3.0), np.log(30.0), 4)) * scale
         turn, phase = rng.uniform(0.0, 2.0 * np.pi, (2, 4))
         waves = np.column_stack([np.cos(turn) / length, np.sin(turn) / length]) * 2.0 * np.pi
-        return Cover(clearance * height, lost, np.column_stack([waves, phase]))
+        return Cover(clearance * height, dark_loss, np.column_stack([waves, phase]))
 
     def apply(
         self, rng: np.random.Generator, position: Array, directions: Array, ranges: Array
     ) -> None:
-        """Shorten ranges (N,), m, along directions (N, 3) from a position; lost ones become NaN."""
-        if not self.height and not self.lost:
+        """Shorten ranges (N,), m, along directions (N, 3) by grass; set lost ones to NaN."""
+        if not self.height and not self.dark_loss:
             return
         x, y = (position[:2] + ranges[:, None] * directions[:, :2]).T
         sines = np.sin(
@@ -337,4 +351,4 @@ class Cover:
         grass, dark = (0.5 + 0.25 * (sines[k] + sines[k + 1]) for k in (0, 2))
         down = np.maximum(-directions[:, 2], 0.2)
         ranges -= self.height * grass * rng.random(ranges.shape) / down
-        ranges[rng.random(ranges.shape) < self.lost * (dark > 0.6)] = np.nan
+        ranges[rng.random(ranges.shape) < self.dark_loss * (dark > 0.6)] = np.nan

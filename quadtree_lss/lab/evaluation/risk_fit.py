@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fit a ``RiskModel`` to features of places in a map and failures of landings there.
+"""Fit a ``RiskModel`` to features of grid points and the failures of landings there.
 
-The log odds of each cause are a constant plus steps between the knots of its curves. Steps of most
-curves have one sign, so that for example a higher rise never lowers the risk.
+The log odds of each cause are a constant plus steps between the knots of its curves. The steps of
+most curves have one sign, so that for example a larger rise never reduces the risk.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, OVERALL, Cause, Curve, RiskModel, Row
 from quadtree_lss.onboard.core.landing.risk import interpolation_weights
 
-#: Columns of the features.
-ASKED = LOCAL + OVERALL
+#: Names of the features, in order.
+FEATURES = LOCAL + OVERALL
 #: Knots of the feature ``seen`` for curves that have a row for each.
 SEEN = (0.0, 1.2, 2.2)
-#: Weight of the squared steps, against the mean log score.
+#: Weight of the squared steps relative to the mean log score.
 RIDGE = 3e-7
-SEARCH = {"maxiter": 2000, "maxfun": 3000, "maxcor": 40, "ftol": 1e-12, "gtol": 1e-7}
+SOLVER_OPTIONS = {"maxiter": 2000, "maxfun": 3000, "maxcor": 40, "ftol": 1e-12, "gtol": 1e-7}
 
 
 class Term(NamedTuple):
@@ -76,7 +76,7 @@ TERMS: dict[str, tuple[Term, ...]] = {
 
 
 def fit(places: Array, failed: Mask, weight: Array) -> RiskModel:
-    """Return the maximum-likelihood model from features (K, len(ASKED)), failures (K,) and weights
+    """Fit a model by maximum likelihood to features (K, len(FEATURES)), failures (K,) and weights
     (K,) of landings."""
     columns = [_columns(places, terms) for terms in TERMS.values()]
     ends = np.cumsum([part.shape[1] for part in columns])
@@ -86,11 +86,11 @@ def fit(places: Array, failed: Mask, weight: Array) -> RiskModel:
         signs += [0.0, *(t.sign for t in terms for _ in range(np.prod(t.shape)))]
     sign = np.array(signs)
     ridge = np.full(len(begin), RIDGE)
-    ridge[[0, *ends[:-1]]] = 0.0  # of the constants
+    ridge[[0, *ends[:-1]]] = 0.0  # the constants
     weight, fails = weight / weight.sum(), np.asarray(failed, np.float64)
 
     def score(steps: Array) -> tuple[float, Array]:
-        """Mean log score with the ridge, and how it changes with each step."""
+        """Mean log score with the ridge term, and its gradient."""
         each = zip(columns, np.split(steps, ends[:-1]), strict=True)
         odds = [(part @ own.astype(np.float32)).astype(np.float64) for part, own in each]
         safe = np.minimum(-sum(np.logaddexp(0.0, z) for z in odds), -1e-9)
@@ -102,19 +102,21 @@ def fit(places: Array, failed: Mask, weight: Array) -> RiskModel:
         return float(value + np.sum(ridge * steps**2)), slope + 2.0 * ridge * steps
 
     bounds = Bounds(np.where(sign > 0, 0.0, -np.inf), np.where(sign < 0, 0.0, np.inf))
-    found = minimize(score, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=SEARCH)
+    found = minimize(
+        score, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=SOLVER_OPTIONS
+    )
     return _model(np.split(found.x, ends[:-1]))
 
 
 def risks(model: RiskModel, given: ArrayLike) -> Array:
-    """(K,) P(unsafe) at places (K, len(ASKED))."""
+    """Risk (K,) at features (K, len(FEATURES))."""
     places = np.asarray(given, np.float64)
-    seen = interpolation_weights(places[:, ASKED.index("seen")], model.seen)
+    seen = interpolation_weights(places[:, FEATURES.index("seen")], model.seen)
     safe = np.zeros(len(places))
     for cause in model.causes.values():
         odds = np.full(len(places), cause.constant)
         for curve in cause.curves:
-            along = interpolation_weights(places[:, ASKED.index(curve.feature)], curve.knots)
+            along = interpolation_weights(places[:, FEATURES.index(curve.feature)], curve.knots)
             rows = along @ np.array(curve.odds).T
             odds += rows[:, 0] if len(curve.odds) == 1 else np.sum(rows * seen, axis=1)
         safe -= np.logaddexp(0.0, odds)
@@ -122,11 +124,11 @@ def risks(model: RiskModel, given: ArrayLike) -> Array:
 
 
 def _columns(places: Array, terms: tuple[Term, ...]) -> Array:
-    """Weights (K, 1 + steps) of the constant and the steps of a cause."""
-    seen = interpolation_weights(places[:, ASKED.index("seen")], SEEN)
+    """Coefficients (K, 1 + steps) of the constant and the steps of a cause."""
+    seen = interpolation_weights(places[:, FEATURES.index("seen")], SEEN)
     parts = [np.ones((len(places), 1))]
     for term in terms:
-        knots, at = np.array(term.knots), places[:, ASKED.index(term.of), None]
+        knots, at = np.array(term.knots), places[:, FEATURES.index(term.of), None]
         steps = np.clip((at - knots[:-1]) / np.diff(knots), 0.0, 1.0)
         if term.by_seen:
             steps = (seen[:, :, None] * steps[:, None]).reshape(len(places), -1)
@@ -135,7 +137,7 @@ def _columns(places: Array, terms: tuple[Term, ...]) -> Array:
 
 
 def unfitted() -> RiskModel:
-    """The model that a fit starts with."""
+    """Return the initial model of a fit."""
     begin = {"obstacle": -9.0, "slope": -9.0, "hidden": -2.5}
     causes = {}
     for name, terms in TERMS.items():
@@ -171,7 +173,7 @@ def rounded(values: Array) -> Row:
 
 
 def risk_model_text(model: RiskModel) -> str:
-    """The model as `risk_model` reads it."""
+    """Format a model as YAML for `risk_model`."""
     content: dict[str, Any] = {"seen": list(model.seen)}
     for name, cause in model.causes.items():
         curves = {

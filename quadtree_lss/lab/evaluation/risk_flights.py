@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulate flights in memory and fit the risk model to their maps.
 
-Ground and views are made for a lander of 3.7 m and scaled to the vehicle. Each flight draws ground,
-view, vehicle, cells and noise from its family.
+Ground and views are made for a lander of 3.7 m and scaled to the vehicle. Ground, view, vehicle,
+cells and noise of each flight are drawn from its family.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from quadtree_lss.lab.evaluation.metrics import scores
 from quadtree_lss.lab.evaluation.results import EvaluationError
 from quadtree_lss.lab.evaluation.risk_families import (
     FAMILIES,
-    LANDER,
+    REFERENCE_DIAMETER,
     VIEWS,
     Cover,
     Family,
     Range,
-    even,
     ground,
+    log_uniform,
 )
 from quadtree_lss.lab.evaluation.risk_fit import fit, risks, unfitted
 from quadtree_lss.lab.simulation.navigation import DriftingNavigation
@@ -42,16 +42,16 @@ from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.maps import round_trip
 
-#: Ranges of the parts of a flight after which its map is used.
+#: Ranges of the fractions of a flight after which its map is used.
 PARTS: tuple[Range, ...] = ((0.05, 0.33), (0.33, 0.8), (1.0, 1.0))
 #: Largest number of landings of one map in a fit.
-TAKEN = 500
+MAX_LANDINGS = 500
 
 
 @dataclass(frozen=True)
 class Mapped:
-    """A map after a ``part`` of a flight, and slope (tangent) and rise (m) of the worst true
-    contact at the corners of its finest cells, (n + 1, n + 1); NaN if unknown."""
+    """A map after a fraction ``part`` of a flight, and slope (tangent) and rise (m) of the worst
+    true contact at the corners of its finest cells, (n + 1, n + 1); NaN if unknown."""
 
     config: Config
     part: float
@@ -71,21 +71,21 @@ class Mapped:
 
 
 def fly(family: Family, seed: int, config: Config, terrain: Terrain | None = None) -> list[Mapped]:
-    """Simulate and map a flight; return the maps after each of `PARTS`. ``config``: defaults of
-    what the family does not vary; ``terrain``: at the scale of `LANDER`, None to draw it."""
+    """Simulate and map a flight; return the maps after each of `PARTS`. ``config`` has the values
+    that the family does not vary; ``terrain`` is for a lander of 3.7 m, None to draw one."""
     rng = np.random.default_rng([seed, 77])
-    own, noise, outliers = _drawn(rng, family, config)
-    scale = own.vehicle.diameter / LANDER
+    own, noise, outliers = _draw_case(rng, family, config)
+    scale = own.vehicle.diameter / REFERENCE_DIAMETER
     made = ground(rng, str(rng.choice(family.grounds))) if terrain is None else terrain
     surface = made.scaled(scale)
     name = str(rng.choice(family.views))
     view = VIEWS[name](rng)
-    # An attitude is as good as the lidar needs it.
-    error, turn = scale * even(rng, 0.3, 1.5), 1.0 if name in ("morpheus", "sweep") else 3.0
+    # Wide lidars are combined with a less accurate attitude.
+    error, turn = scale * log_uniform(rng, 0.3, 1.5), 1.0 if name in ("morpheus", "sweep") else 3.0
     navigation = DriftingNavigation(0.03 * error, 0.01 * error, 0.01 * turn, 0.0015 * turn)
     positions = scale * view.positions
-    told = navigation.estimate(rng, view.times, positions, view.rotations)
-    parts = [even(rng, *part) for part in PARTS]
+    noise_factors = navigation.estimate(rng, view.times, positions, view.rotations)
+    parts = [log_uniform(rng, *part) for part in PARTS]
     marks = {max(2, round(part * len(view.times))): part for part in parts}
     cover = Cover.draw(rng, family, own.vehicle.clearance, scale)
     mapper, found, beams = Mapper(own), [], view.beams.reshape(-1, 3)
@@ -99,37 +99,47 @@ def fly(family: Family, seed: int, config: Config, terrain: Terrain | None = Non
         ranges[~(ranges > 0.0)] = np.nan
         points = (ranges[:, None] * beams).astype(np.float32).reshape(view.beams.shape)
         stamp = round(1e9 * (1000.0 + time))
-        mapper.update(points, Pose(stamp, told.positions[k], told.rotations[k], told.covariance))
+        mapper.update(
+            points,
+            Pose(
+                stamp,
+                noise_factors.positions[k],
+                noise_factors.rotations[k],
+                noise_factors.covariance,
+            ),
+        )
         if k + 1 in marks:
             found.append((marks[k + 1], round_trip(mapper.snapshot())))
     slope, rise = _truth(found[-1][1], surface, own)
     return [Mapped(own, part, cells, slope, rise) for part, cells in found]
 
 
-def _drawn(rng: np.random.Generator, family: Family, config: Config) -> tuple[Config, float, float]:
-    """Configuration, true noise of ranges, m, and share of outliers of a flight."""
+def _draw_case(
+    rng: np.random.Generator, family: Family, config: Config
+) -> tuple[Config, float, float]:
+    """Draw configuration, true range noise, m, and fraction of outliers of a flight."""
 
-    def between(ends: Range | None, usual: float) -> float:
-        return usual if ends is None else even(rng, *ends)
+    def between(ends: Range | None, default: float) -> float:
+        return default if ends is None else log_uniform(rng, *ends)
 
-    usual = config.vehicle
-    diameter = between(family.diameter, usual.diameter)
-    clearance = diameter * between(family.clearance, usual.clearance / usual.diameter)
-    slope = usual.max_slope_deg if family.slopes is None else float(rng.choice(family.slopes))
-    pad = usual.pad_radius * diameter / usual.diameter
+    default = config.vehicle
+    diameter = between(family.diameter, default.diameter)
+    clearance = diameter * between(family.clearance, default.clearance / default.diameter)
+    slope = default.max_slope_deg if family.slopes is None else float(rng.choice(family.slopes))
+    pad = default.pad_radius * diameter / default.diameter
     sizes = {"diameter": diameter, "clearance": clearance, "pad_radius": pad}
-    vehicle = replace(usual, max_slope_deg=slope, **sizes)
-    noise = clearance * between(family.noise, config.lidar.range_noise / usual.clearance)
+    vehicle = replace(default, max_slope_deg=slope, **sizes)
+    noise = clearance * between(family.noise, config.lidar.range_noise / default.clearance)
     domain = config.domain
-    cells = usual.diameter / (domain.size / 2**domain.max_level)
+    cells = default.diameter / (domain.size / 2**domain.max_level)
     side = diameter / between(family.cells, cells)
-    level = int(np.log2(64.1 / LANDER * diameter / side))
+    level = int(np.log2(64.1 / REFERENCE_DIAMETER * diameter / side))
     size = side * 2**level
     above = int(rng.integers(3, 5)) if family.cells else domain.max_level - domain.min_level
     levels = {"min_level": max(level - above, 0), "max_level": level}
     own = replace(domain, xmin=-0.5 * size, ymin=-0.5 * size, size=size, **levels)
-    told = max(noise * float(rng.choice(family.told)), 1e-4)
-    lidar = replace(config.lidar, range_noise=told)
+    noise_factors = max(noise * float(rng.choice(family.noise_factors)), 1e-4)
+    lidar = replace(config.lidar, range_noise=noise_factors)
     lss = replace(config.lss, grid_spacing=side)
     made = replace(config, vehicle=vehicle, domain=own, lidar=lidar, lss=lss)
     return made, noise, float(rng.choice(family.outliers))
@@ -146,65 +156,70 @@ def _truth(cells: CellMap, surface: Terrain, config: Config) -> tuple[Single, Si
 
 
 def lander_of(config: Config) -> LandingGear:
-    """The vehicle of the parameters ``vehicle.*``."""
+    """Landing gear by the parameters ``vehicle.*``."""
     of = config.vehicle
     return LandingGear(of.diameter, of.pad_radius, of.max_slope_deg, max_roughness=of.clearance)
 
 
 @dataclass(frozen=True)
 class Landings:
-    """Contacts at the grid points of a map. ``counts`` (n + 1, n + 1): all ground under the lander
-    is observed, and the truth is known. ``failed`` (K,): whether the lander fails at these."""
+    """Contacts at the grid points of a map.
+
+    Attributes:
+        usable: (n + 1, n + 1) grid points where all ground under the lander is observed and the
+            truth is known.
+        failed: (K,) whether a landing fails, at each usable grid point.
+    """
 
     raster: TerrainRaster
     contacts: Contacts
-    counts: Mask
+    usable: Mask
     failed: Mask
 
     def risk(self, table: RiskTable) -> Array:
-        return table.risk(self.raster, self.contacts)[0][self.counts]
+        return table.risk(self.raster, self.contacts)[0][self.usable]
 
-    def asked(self, table: RiskTable) -> Single:
-        """Features (K, len(ASKED)) of a model."""
-        of = table.features(self.raster, self.contacts)[:, self.counts].T
+    def features(self, table: RiskTable) -> Single:
+        """Features (K, len(FEATURES)) at the usable grid points."""
+        of = table.features(self.raster, self.contacts)[:, self.usable].T
         overall = table.overall(self.raster.domain.finest_size)
         all_over = np.tile([overall[name] for name in OVERALL], (len(of), 1))
         return np.hstack([of, all_over]).astype(np.float32)
 
 
 def land(mapped: Mapped, model: RiskModel) -> Landings:
-    """Compute the contact at every grid point, with the limits of a model."""
+    """Compute the contact at each grid point with the limits of a model."""
     lss = mapped.config.lss
     raster = rasterise(mapped.cells, lss)
     contacts = ContactCheck(lss, contact_limits(model, lss)).contacts(raster, raster.needs_contact)
-    counts = raster.assessable & mapped.known
-    return Landings(raster, contacts, counts, ~mapped.safe[counts])
+    usable = raster.assessable & mapped.known
+    return Landings(raster, contacts, usable, ~mapped.safe[usable])
 
 
-def table_of(model: RiskModel, config: Config) -> RiskTable:
+def risk_table(model: RiskModel, config: Config) -> RiskTable:
     return RiskTable(model, config.lss, config.lidar.range_noise)
 
 
 class Sample(NamedTuple):
-    """Landings of a map: features (K, len(ASKED)), failures (K,) and weights (K,)."""
+    """Landings of a map: features (K, len(FEATURES)), failures (K,) and weights (K,)."""
 
-    asked: Single
+    features: Single
     failed: Mask
     weight: Array
 
 
 def sampled(rng: np.random.Generator, mapped: Mapped) -> Sample:
-    """Sample landings of a map: fewer of the certain failures, more of the unexpected ones."""
+    """Sample landings of a map, with few certain and many unexpected failures."""
     model = unfitted()
     landings = land(mapped, model)
-    asked, failed = landings.asked(table_of(model, mapped.config)), landings.failed
-    share = np.full(failed.size, min(1.0, TAKEN / max(failed.size, 1)))
-    rise, rise_beside, tilt, tilt_beside = asked[:, :4].T
+    features, failed = landings.features(risk_table(model, mapped.config)), landings.failed
+    share = np.full(failed.size, min(1.0, MAX_LANDINGS / max(failed.size, 1)))
+    rise, rise_beside, tilt, tilt_beside = features[:, :4].T
     share[(rise > 1.45) | (tilt > 1.14)] *= 0.25
     unseen = failed & (rise_beside < 1.0) & (tilt_beside < 1.0)
     share[unseen] = np.minimum(8.0 * share[unseen], 1.0)
     some = rng.random(failed.size) < share
-    return Sample(asked[some], failed[some], 1.0 / share[some])
+    return Sample(features[some], failed[some], 1.0 / share[some])
 
 
 def fit_risk(
@@ -213,41 +228,43 @@ def fit_risk(
     families: Iterable[str] = tuple(FAMILIES),
     progress: Callable[[int, int], None] | None = None,
 ) -> RiskModel:
-    """Simulate flights and fit a model. Families take the seeds in turn, one flight each. Raises
-    `EvaluationError`: an unknown family, or one without a seed or without failures."""
+    """Simulate flights and fit a model. The seeds are assigned to the families in turn. Raises
+    `EvaluationError`: a family is unknown or has no seed or no failure."""
     names = list(dict.fromkeys(families))
     for name in names:
         if name not in FAMILIES:
             raise EvaluationError(f"there is no family {name!r}; there are {', '.join(FAMILIES)}")
     if len(seeds) < len(names) or not names:
         raise EvaluationError(f"{len(seeds)} seeds are too few for {len(names)} families")
-    flown: dict[str, list[Sample]] = {name: [] for name in names}
+    samples_by_family: dict[str, list[Sample]] = {name: [] for name in names}
     for done, seed in enumerate(seeds):
         name, rng = names[done % len(names)], np.random.default_rng([seed, 78])
-        flown[name] += [sampled(rng, mapped) for mapped in fly(FAMILIES[name], seed, config)]
+        samples_by_family[name] += [
+            sampled(rng, mapped) for mapped in fly(FAMILIES[name], seed, config)
+        ]
         if progress is not None:
             progress(done + 1, len(seeds))
-    dealt = {name: list(seeds[k :: len(names)]) for k, name in enumerate(names)}
-    return fitted(flown, dealt, config)
+    seeds_by_family = {name: list(seeds[k :: len(names)]) for k, name in enumerate(names)}
+    return fitted(samples_by_family, seeds_by_family, config)
 
 
 def fitted(
-    flown: dict[str, list[Sample]], seeds: dict[str, list[int]], config: Config
+    samples_by_family: dict[str, list[Sample]], seeds: dict[str, list[int]], config: Config
 ) -> RiskModel:
-    """Fit a model to landings and seeds by family."""
+    """Fit a model to the landings of each family; ``seeds`` are those of its flights."""
     parts, weights = [], []
-    for name, samples in flown.items():
+    for name, samples in samples_by_family.items():
         one = Sample(*map(np.concatenate, zip(*samples, strict=True)))
         if one.failed.all() or not one.failed.any():
             which = "every" if one.failed.any() else "no"
             raise EvaluationError(f"family {name}: {which} landing fails: nothing to fit")
         parts.append(one)
         weights.append(FAMILIES[name].weight * one.weight / one.weight.sum())
-    asked, failed, _ = map(np.concatenate, zip(*parts, strict=True))
-    model = fit(asked, failed, np.concatenate(weights))
+    features, failed, _ = map(np.concatenate, zip(*parts, strict=True))
+    model = fit(features, failed, np.concatenate(weights))
     families = {}
-    for name, one in zip(flown, parts, strict=True):
-        risk = risks(model, one.asked)
+    for name, one in zip(samples_by_family, parts, strict=True):
+        risk = risks(model, one.features)
         brier, log = scores(risk, one.failed, one.weight)
         families[name] = {
             "seeds": seeds[name],
@@ -256,7 +273,7 @@ def fitted(
             "brier": round(brier, 5),
             "log_score": round(log, 5),
         }
-    overall = asked[:, -len(OVERALL) :].T
+    overall = features[:, -len(OVERALL) :].T
     return replace(model, provenance=_provenance(families, overall, config))
 
 
@@ -266,8 +283,8 @@ def _provenance(
     noise, cell, clearance, _ = overall
     of = [FAMILIES[name] for name in families]
 
-    def span(name: str, usual: float) -> list[float]:
-        ends = [getattr(family, name) or (usual,) for family in of]
+    def span(name: str, default: float) -> list[float]:
+        ends = [getattr(family, name) or (default,) for family in of]
         return [min(min(end) for end in ends), max(max(end) for end in ends)]
 
     def ends(values: Array) -> list[float]:

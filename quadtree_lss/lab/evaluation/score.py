@@ -18,8 +18,12 @@ from quadtree_lss.lab.evaluation.results import TOP, EvaluationError, Results, T
 class EvaluationResult:
     """Scores of one run.
 
-    ``site_verdicts``: of the first five ranks. ``risk``: None without risks. ``notes``: parts that
-    could not be checked. ``safety``: the compared grid points. ``out``: folder of the files.
+    Attributes:
+        site_verdicts: Verdicts on the first five sites.
+        risk: None without risks.
+        notes: Parts that could not be checked.
+        safety: The compared grid points.
+        out: Folder of the files.
     """
 
     elevation: metrics.ElevationError

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated lander in closed loop with the nodes: vehicle, guidance, lidar, loop."""
+"""A simulated lander in closed loop with the nodes."""

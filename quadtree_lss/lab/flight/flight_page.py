@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a flight: that of its map, with path, diverts, faults and touchdown."""
+"""The page of a flight: the report of its map with the path, diverts, faults and touchdown."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from quadtree_lss.desk.report.palette import (
 )
 from quadtree_lss.desk.report.report import page
 from quadtree_lss.lab.flight.flight import START_NS
-from quadtree_lss.lab.flight.fly import Flown, flight_config
+from quadtree_lss.lab.flight.fly import FlightResult, flight_config
 from quadtree_lss.lab.flight.ground import GRID, Ground
 from quadtree_lss.lab.flight.pilot import Decision
 
 
-def write_flight(out: Path, flown: Flown) -> None:
-    """Write figures, record and decisions; of a flight with a map also a replay's results and the
-    page. Raises `OSError`: ``out`` cannot be written."""
+def write_flight(out: Path, flown: FlightResult) -> None:
+    """Write the figures, samples and decisions of a flight. If it has a map, also write the results
+    of a replay and the page. Raises `OSError`: ``out`` cannot be written."""
     write_json(out / "touchdown.json", flown.figures)
     flight = flown.flight
     _write_csv(out / "flight.csv", flight.samples[0]._fields, flight.samples)
@@ -37,8 +37,8 @@ def write_flight(out: Path, flown: Flown) -> None:
         write_bytes(out / "flight.html", _page(_write_map(out, flown), flown).encode())
 
 
-def headline(flown: Flown) -> str:
-    """Outcome of a flight in one line."""
+def headline(flown: FlightResult) -> str:
+    """Describe the outcome of a flight in one line."""
     f = flown.figures
     if f["outcome"] != "touchdown":
         return f"seed {f['seed']}: {f['outcome']} after {f['time']:.1f} s"
@@ -50,16 +50,15 @@ def headline(flown: Flown) -> str:
     )
 
 
-def _page(content: Results, flown: Flown) -> str:
-    """Render the page of the flight's results, with the flight."""
+def _page(content: Results, flown: FlightResult) -> str:
     flight, figures = flown.flight, flown.figures
     down = figures["outcome"] == "touchdown"
     words, _, ground = headline(flown).partition(": ")[2].partition(" after ")
     return page(
         content,
-        _truth(content, flight.ground),
+        _truth_layers(content, flight.ground),
         "lab/flight/flight.html",
-        also=lambda data, columns: {"flight": _flight_data(data, columns, flown)},
+        extra_data=lambda data, columns: {"flight": _flight_data(data, columns, flown)},
         title=f"Flight, seed {figures['seed']}",
         answer=f"{words[:1].upper()}{words[1:]}.",
         ground=f"After {ground}.",
@@ -79,8 +78,8 @@ def _page(content: Results, flown: Flown) -> str:
     )
 
 
-def _write_map(out: Path, flown: Flown) -> Results:
-    """Write the map of the flight as the results of a replay, and read them."""
+def _write_map(out: Path, flown: FlightResult) -> Results:
+    """Write the map of the flight as the results of a replay; return them."""
     flight, cells, last = flown.flight, flown.cells, flown.last
     assert cells is not None and last is not None
     config = flight_config(flight.settings, flight.ground)
@@ -93,18 +92,21 @@ def _write_map(out: Path, flown: Flown) -> Results:
     return load_results(out)
 
 
-def _truth(content: Results, ground: Ground) -> tuple[Layer, Layer]:
-    """The true ground at the grid points, and where a lander stands on it."""
+def _truth_layers(content: Results, ground: Ground) -> tuple[Layer, Layer]:
+    """Layers of the true elevation and of the true safety at the grid points."""
     x, y = content.grid["x"], content.grid["y"]
     true = ground.terrain.elevation_at(*np.meshgrid(x, y))
     stands = np.full(true.shape, 2, dtype=np.uint8)
-    at_x, at_y, room = ground.safe
+    at_x, at_y, clearance = ground.safe
     rows, columns = (
         np.flatnonzero((at >= own[0] - 1e-6) & (at <= own[-1] + 1e-6))
         for at, own in ((y, at_y), (x, at_x))
     )
-    near = np.rint((y[rows] - at_y[0]) / GRID), np.rint((x[columns] - at_x[0]) / GRID)
-    stands[np.ix_(rows, columns)] = room[np.ix_(*(index.astype(int) for index in near))] <= 0.0
+    near = (
+        np.rint((y[rows] - at_y[0]) / GRID),
+        np.rint((x[columns] - at_x[0]) / GRID),
+    )
+    stands[np.ix_(rows, columns)] = clearance[np.ix_(*(index.astype(int) for index in near))] <= 0.0
     limits = colour_limits(true[content.grid.seen] if content.grid.seen.any() else true)
     words = ("stands", SAFE_COLOUR), ("falls", EXCLUDED_COLOUR), ("beyond", UNSEEN_COLOUR)
     return (
@@ -113,8 +115,8 @@ def _truth(content: Results, ground: Ground) -> tuple[Layer, Layer]:
     )
 
 
-def _flight_data(data: dict[str, Any], columns: Columns, flown: Flown) -> dict[str, Any]:
-    """The flight for the page's script; times in s of flight."""
+def _flight_data(data: dict[str, Any], columns: Columns, flown: FlightResult) -> dict[str, Any]:
+    """Return the data of the flight for ``flight.js``; times since its start, s."""
     flight, names = flown.flight, ("time", "x", "y", "z")
     rows = np.array([[getattr(s, name) for name in names] for s in flight.samples])
     first = (data["history"] or {}).get("first_ns", START_NS)

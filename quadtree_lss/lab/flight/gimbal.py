@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pointing of the lidar: strips over the candidate area, then around the target, repeatedly."""
+"""Pointing of the lidar: repeated surveys in strips, first of the candidate area, then around the
+target."""
 
 from __future__ import annotations
 
@@ -9,18 +10,24 @@ from math import radians, sqrt
 
 import numpy as np
 
-from quadtree_lss.lab.flight.vehicle import turned
+from quadtree_lss.lab.flight.vehicle import rotate_toward
 from quadtree_lss.lab.simulation.trajectory import look_at
 from quadtree_lss.onboard.arrays import Array
 
 
 @dataclass(frozen=True)
 class ScanPlan:
-    """Durations of a pass over the area (``survey``) and around the target (``closer``), s; largest
-    and smallest ``half`` side of the latter, m; ``overlap`` of strips; rates per s."""
+    """Parameters of the surveys.
+
+    Attributes:
+        survey, target_survey: Durations of a survey of the area and around the target, s.
+        half: Largest and smallest half side of the surveyed square around the target, m.
+        overlap: Overlap of neighbouring strips as a fraction of their width.
+        rate_deg, scan_rate: Turn rate of the boresight, deg/s; scans per second.
+    """
 
     survey: float = 8.0
-    closer: float = 1.5
+    target_survey: float = 1.5
     half: tuple[float, float] = (9.0, 3.0)
     overlap: float = 0.2
     rate_deg: float = 60.0
@@ -28,7 +35,7 @@ class ScanPlan:
 
 
 class Gimbal:
-    """Boresight (3,), map frame, over an area with ``centre`` (3,) and ``half`` side, m."""
+    """Boresight (3,), map frame, for surveys of a square: ``centre`` (3,), ``half`` side, m."""
 
     def __init__(
         self, plan: ScanPlan, field_of_view_deg: float, centre: Array, half: float
@@ -50,48 +57,51 @@ class Gimbal:
         dt: float,
         aim: Array | None = None,
     ) -> None:
-        """Turn the boresight for ``dt`` s: around the ``target`` (3,); without one over the area,
-        or at low height around the ``aim`` (3,)."""
+        """Turn the boresight for ``dt`` s. A survey is around the ``target`` (3,); without one
+        it covers the area or, at low height, surrounds ``aim`` (3,)."""
         if now >= self._ends:
             known = (target, aim) if self.passes else (None, None)
-            self._begin(now, position, velocity, *known)
+            self._plan_survey(now, position, velocity, *known)
             self.passes += 1
-        way = (now - self._began) / (self._ends - self._began) * self._arc[-1]
-        leg = min(bisect_right(self._arc, way), len(self._arc) - 1)
-        share = (way - self._arc[leg - 1]) / (self._arc[leg] - self._arc[leg - 1])
+        travelled = (now - self._began) / (self._ends - self._began) * self._arc[-1]
+        leg = min(bisect_right(self._arc, travelled), len(self._arc) - 1)
+        share = (travelled - self._arc[leg - 1]) / (self._arc[leg] - self._arc[leg - 1])
         before, after = self._corners[leg - 1], self._corners[leg]
         wanted = before + min(share, 1.0) * (after - before) - position
         wanted /= sqrt(float(wanted @ wanted))
         if self.passes == 1 and now == self._began:
             self.boresight = wanted
-        self.boresight = turned(self.boresight, wanted, radians(self.plan.rate_deg) * dt)
+        self.boresight = rotate_toward(self.boresight, wanted, radians(self.plan.rate_deg) * dt)
 
     def rotation(self) -> Array:
         """Rotation (3, 3) from lidar axes to the map."""
         return look_at(np.zeros(3), self.boresight)
 
-    def _begin(
+    def _plan_survey(
         self, now: float, position: Array, velocity: Array, target: Array | None, aim: Array | None
     ) -> None:
         """Plan strips across the line of sight, from near to far, as wide as the footprint f at the
-        end of the pass. T s cover a square of half side h if (2 h)^2 <= ((1 - overlap) f)^2 T rate,
-        less a tenth for turns. If they do not cover the area, look around the aim."""
+        end of the survey. T s cover a square of half side h if
+        (2 h)^2 <= ((1 - overlap) f)^2 T rate, less a tenth for turns. If they do not cover the
+        area, survey the surroundings of the aim."""
         centre = self.centre if target is None else target
-        seconds = self.plan.survey if target is None else self.plan.closer
+        seconds = self.plan.survey if target is None else self.plan.target_survey
         half = self.half
         if target is None and aim is not None:
             across = self._angle * float(np.linalg.norm(aim - position - 0.9 * seconds * velocity))
-            sees = 0.45 * (1.0 - self.plan.overlap) * across * sqrt(seconds * self.plan.scan_rate)
-            if sees < half:
-                centre, half = aim, max(sees, self.plan.half[1])
-                seconds *= (half / sees) ** 2
+            covered = (
+                0.45 * (1.0 - self.plan.overlap) * across * sqrt(seconds * self.plan.scan_rate)
+            )
+            if covered < half:
+                centre, half = aim, max(covered, self.plan.half[1])
+                seconds *= (half / covered) ** 2
         sight = centre - position
         across_deep = self._angle * float(np.linalg.norm(sight - 0.9 * seconds * velocity))
         if target is not None:
             half = float(np.clip(3.0 * across_deep, self.plan.half[1], self.plan.half[0]))
         level = float(np.hypot(*sight[:2]))
         along = sight[:2] / level if level > 1.0 else np.array([1.0, 0.0])
-        # The footprint is longer along the line of sight, the more so the flatter that is.
+        # A flat line of sight lengthens the footprint.
         deep = across_deep / max(-sight[2] / float(np.linalg.norm(sight)), 0.2)
         edge = half * (abs(along[0]) + abs(along[1])) - 0.4 * deep
         edge = max(edge, 0.0)

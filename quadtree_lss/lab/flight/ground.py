@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The true ground of a flight, its start, and what is truly safe there."""
+"""The true ground of a flight, its true safety, and the start of the flight."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
 from quadtree_lss.onboard.arrays import Array
 
 GRID = 0.25
-"""Lattice of what perfect knowledge chooses from, m."""
+"""Spacing of the points that ``perfect`` avoidance chooses from, m."""
 
 
 @dataclass(frozen=True)
 class Ground:
-    """True terrain, planned point (3,) on it, and half side of the candidate area around it, m."""
+    """True terrain, the planned landing point (3,) and the half side of the candidate area, m."""
 
     terrain: Terrain
     planned: Array
@@ -29,24 +29,27 @@ class Ground:
 
     @classmethod
     def of(cls, settings: FlightSettings, generator: np.random.Generator) -> Ground:
-        """Ground of the settings; on a DEM the planned point is drawn within 100 m of the middle.
-        Raises `SimulationError`: the terrain cannot be read, or is too small."""
+        """Make the ground of the settings. On a DEM the planned point is drawn within 100 m of its
+        centre. Raises `SimulationError`: the terrain cannot be read or is too small."""
         given = Conditions(terrain=settings.terrain or None, rocks=settings.rock_abundance)
         terrain = given.ground("morpheus", generator)
         xmin, xmax, ymin, ymax = terrain.bounds
-        x, y = GRID * round(0.5 * (xmin + xmax) / GRID), GRID * round(0.5 * (ymin + ymax) / GRID)
-        room = 0.5 * min(xmax - xmin, ymax - ymin) - 4.0
-        if room < 2.0:
+        x, y = (
+            GRID * round(0.5 * (xmin + xmax) / GRID),
+            GRID * round(0.5 * (ymin + ymax) / GRID),
+        )
+        clearance = 0.5 * min(xmax - xmin, ymax - ymin) - 4.0
+        if clearance < 2.0:
             raise SimulationError("terrain: too small; a flight needs 12 m by 12 m")
         if settings.terrain:
-            spread = float(np.clip(room - settings.half, 0.0, 100.0))
+            spread = float(np.clip(clearance - settings.half, 0.0, 100.0))
             x, y = (c + GRID * round(generator.uniform(-spread, spread) / GRID) for c in (x, y))
         planned = np.array([x, y, float(terrain.elevation_at(x, y))])
-        return cls(terrain, planned, min(settings.half, room))
+        return cls(terrain, planned, min(settings.half, clearance))
 
     def touches(self, position: Array) -> bool:
         """Whether a lander whose pads are level with ``position`` (3,) is on the ground."""
-        if position[2] > self._highest:  # the usual case, fast
+        if position[2] > self._highest:  # fast path
             return False
         radius = 0.5 * safety.LandingGear().diameter
         angles = 0.25 * np.pi * np.arange(8)
@@ -62,20 +65,20 @@ class Ground:
 
     @cached_property
     def safe(self) -> tuple[Array, Array, Array]:
-        """x, y (n,) of the candidate area and distance from unsafe ground (n, n), m."""
+        """x, y (n,) of the candidate area and the distance from unsafe ground (n, n), m."""
         n = int(self.half / GRID)
         x = self.planned[0] + GRID * np.arange(-n, n + 1)
         y = self.planned[1] + GRID * np.arange(-n, n + 1)
         safe = safety.safety_map(self.terrain, x, y)
         return x, y, GRID * distance_transform_edt(np.pad(safe, 1))[1:-1, 1:-1]
 
-    def best(self) -> Array | None:
-        """Place (3,) far from unsafe ground and near the planned point."""
-        x, y, room = self.safe
-        away = np.hypot(x[None, :] - self.planned[0], y[:, None] - self.planned[1])
-        worth = np.where(room > 0.0, np.minimum(room, 1.5) - 0.01 * away, -np.inf)
-        row, column = divmod(int(np.argmax(worth)), len(x))
-        if not np.isfinite(worth[row, column]):
+    def best_point(self) -> Array | None:
+        """Point (3,) far from unsafe ground and near the planned one; None without safe ground."""
+        x, y, clearance = self.safe
+        distance = np.hypot(x[None, :] - self.planned[0], y[:, None] - self.planned[1])
+        value = np.where(clearance > 0.0, np.minimum(clearance, 1.5) - 0.01 * distance, -np.inf)
+        row, column = divmod(int(np.argmax(value)), len(x))
+        if not np.isfinite(value[row, column]):
             return None
         z = float(self.terrain.elevation_at(x[column], y[row]))
         return np.array([x[column], y[row], z])
@@ -84,7 +87,7 @@ class Ground:
 def start(
     settings: FlightSettings, planned: Array, generator: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Position and velocity (3,) at the start: on the glide slope, flying along +x, scattered."""
+    """Draw the initial position and velocity (3,) around the glide slope along +x."""
     slope = np.radians(settings.glide_slope_deg)
     way = np.array([np.cos(slope), 0.0, -np.sin(slope)])
     position = planned - settings.slant_range * way

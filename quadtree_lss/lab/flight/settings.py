@@ -10,33 +10,35 @@ from typing import Any
 from quadtree_lss.lab.flight.gimbal import ScanPlan
 from quadtree_lss.lab.flight.pilot import Rules
 from quadtree_lss.lab.flight.vehicle import Vehicle
-from quadtree_lss.lab.simulation.scenarios import LIMITS as SIMULATED
+from quadtree_lss.lab.simulation.scenarios import LIMITS as SIMULATION_LIMITS
 from quadtree_lss.lab.simulation.terrain import check
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-#: Guided by the nodes; by them with the paper's rules; to the planned point; by the true ground.
+#: By the nodes; by the nodes with the paper's rules; to the planned point; by the true ground.
 AVOIDANCE = ("package", "paper", "none", "perfect")
 FAULTS = tuple(
     "kill_lss kill_mapping forget_mapping pose_gap pose_jump lidar_gap keep_out land_now".split()
 )
-LIMITS = {k: SIMULATED[k] for k in "range_noise outliers dropouts glide_slope_deg".split()} | {
+LIMITS = {
+    k: SIMULATION_LIMITS[k] for k in "range_noise outliers dropouts glide_slope_deg".split()
+} | {
     "half": (2.0, 1e4),
     "slant_range": (20.0, 1e5),
     "speed": (0.0, 1e3),
     "scatter": (0.0, 1e3),
 }
-#: Limit of the height, m, and the duration, s, of a fault.
-MOST = 1e4
+#: Largest height, m, and duration, s, of a fault.
+MAX_FAULT_VALUE = 1e4
 
 
 class FlightError(QuadtreeLssError):
-    """A flight that cannot be flown as asked; the text is one clear line."""
+    """Invalid settings of a flight."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of one of `FAULTS` (``studies/RESULTS.md``) that begins at a height over the aim, m,
-    and lasts some seconds; a keep-out lasts until the next one, ``land_now`` for good."""
+    """A fault: its kind (``studies/RESULTS.md``), its begin as a height over the aim, m,
+    and its duration, s. A keep-out lasts until the next one, ``land_now`` until the end."""
 
     kind: str
     height: float
@@ -45,13 +47,13 @@ class Fault:
     def __post_init__(self) -> None:
         if self.kind not in FAULTS:
             raise FlightError(f"unknown fault {self.kind!r}; there are {', '.join(FAULTS)}")
-        if not (0.0 <= self.height <= MOST and 0.0 < self.seconds <= MOST):
+        if not (0.0 <= self.height <= MAX_FAULT_VALUE and 0.0 < self.seconds <= MAX_FAULT_VALUE):
             given = f"{self.kind} at {self.height:g} m for {self.seconds:g} s"
-            raise FlightError(f"fault {given}: from 0 to {MOST:g}")
+            raise FlightError(f"fault {given}: from 0 to {MAX_FAULT_VALUE:g}")
 
     @classmethod
     def read(cls, text: str) -> Fault:
-        """From ``kind@height`` or ``kind@height+seconds``."""
+        """Parse ``kind@height`` or ``kind@height+seconds``. Raises `FlightError`: neither."""
         kind, _, when = text.partition("@")
         height, _, seconds = when.partition("+")
         try:
@@ -63,15 +65,15 @@ class Fault:
 
 @dataclass(frozen=True)
 class FlightSettings:
-    """All of a flight except its seed.
+    """Settings of a flight.
 
     Attributes:
-        terrain: As ``simulate --terrain``; empty for a field of rocks and craters.
-        rock_abundance: Share of the ground under rocks; None: 0.05 on that field, 0 on a terrain.
+        terrain: File as in ``simulate --terrain``; empty for a field of rocks and craters.
+        rock_abundance: Fraction of ground under rocks; None: 0.05 on that field, 0 on a terrain.
         half: Half side of the candidate area around the planned point, m.
-        slant_range, speed, glide_slope_deg: At the start, m, m/s, deg.
-        scatter: 1 sigma of the start, m; of its speed a twentieth, m/s.
-        config: Parameters by dotted key, over ``config/flight.yaml``.
+        slant_range, speed, glide_slope_deg: Nominal start, m, m/s, deg.
+        scatter: 1 sigma of the initial position, m; a twentieth of it for the velocity, m/s.
+        config: Parameters by dotted key that override ``config/flight.yaml``.
     """
 
     avoidance: str = "package"
@@ -100,8 +102,8 @@ class FlightSettings:
 
 
 def flight_settings(values: Mapping[str, Any]) -> FlightSettings:
-    """Settings from plain values: ``faults`` are texts for `Fault.read`, ``survey`` is that of the
-    plan. Raises `FlightError`: an unknown name or an invalid value."""
+    """Make settings of plain values: ``faults`` are parsed by `Fault.read`, ``survey`` is part of
+    the scan plan. Raises `FlightError`: an unknown name or an invalid value."""
     given, known = dict(values), sorted(item.name for item in fields(FlightSettings))
     if "survey" in given:
         given["plan"] = ScanPlan(survey=given.pop("survey"))

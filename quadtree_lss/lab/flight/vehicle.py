@@ -16,14 +16,14 @@ EARTH_G = 9.80665
 
 @dataclass(frozen=True)
 class Vehicle:
-    """A small lunar lander; kg, N, s, degrees, m/s^2.
+    """Parameters of a small lunar lander; kg, N, m/s^2.
 
     Attributes:
-        mass, propellant: At the start; part of it.
-        isp: Specific impulse.
-        thrust_min, thrust_max, thrust_rate: Of the engine, which is never off in flight.
-        tilt_max_deg, tilt_rate_deg: Of the thrust from the vertical.
-        delay: From a command to its effect.
+        mass, propellant: Initial mass; part of it that can be burnt.
+        isp: Specific impulse, s.
+        thrust_min, thrust_max, thrust_rate: Limits of the engine, which stays on in flight.
+        tilt_max_deg, tilt_rate_deg: Limits of the angle between thrust and vertical.
+        delay: Time from a command to its effect, s.
     """
 
     mass: float = 1800.0
@@ -48,8 +48,8 @@ class Vehicle:
 
 
 class VehicleState:
-    """The true state: position and velocity (3,), map frame, m, m/s; mass, kg; thrust, N, and its
-    direction (3,)."""
+    """The true state: position (3,), m, and velocity (3,), m/s, map frame; mass, kg; thrust, N, and
+    its direction (3,)."""
 
     def __init__(self, vehicle: Vehicle, position: Array, velocity: Array) -> None:
         self.vehicle = vehicle
@@ -75,7 +75,7 @@ class VehicleState:
         self._commands.append((self._now + self.vehicle.delay - 1e-9, np.array(thrust)))
 
     def step(self, dt: float) -> None:
-        """Move actuators, then the vehicle under constant thrust, for ``dt`` s."""
+        """Advance the actuators, then the vehicle under constant thrust, by ``dt`` s."""
         while self._commands and self._commands[0][0] <= self._now:
             self._command = self._commands.popleft()[1]
         self._actuate(dt)
@@ -92,22 +92,22 @@ class VehicleState:
         v = self.vehicle
         size = sqrt(float(self._command @ self._command))
         wanted = self._command / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
-        wanted = within_tilt(wanted, v.tilt_max_deg)
-        self.direction = turned(self.direction, wanted, radians(v.tilt_rate_deg) * dt)
+        wanted = limit_tilt(wanted, v.tilt_max_deg)
+        self.direction = rotate_toward(self.direction, wanted, radians(v.tilt_rate_deg) * dt)
         change = min(max(size - self.thrust, -v.thrust_rate * dt), v.thrust_rate * dt)
         self.thrust = min(max(self.thrust + change, v.thrust_min), v.thrust_max)
 
 
-def turned(old: Array, new: Array, most: float) -> Array:
-    """A unit vector (3,) turned from ``old`` toward ``new``, by ``most`` rad at most."""
+def rotate_toward(old: Array, new: Array, max_angle: float) -> Array:
+    """Rotate the unit vector ``old`` (3,) toward ``new`` by at most ``max_angle`` rad."""
     angle = acos(min(max(float(new @ old), -1.0), 1.0))
-    if angle > most:
-        new = sin(angle - most) * old + sin(most) * new
+    if angle > max_angle:
+        new = sin(angle - max_angle) * old + sin(max_angle) * new
     return new / sqrt(float(new @ new))
 
 
-def within_tilt(direction: Array, limit_deg: float) -> Array:
-    """A unit vector (3,) no farther from the vertical than the limit, in the same heading."""
+def limit_tilt(direction: Array, limit_deg: float) -> Array:
+    """Limit the angle of a unit vector (3,) from the vertical; its heading stays."""
     limit = radians(limit_deg)
     if direction[2] >= cos(limit):
         return direction

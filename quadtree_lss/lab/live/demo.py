@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``make demo``: replay a bag offline and through the nodes, compare, and fly a lander."""
+"""``make demo``: replay a bag offline and through the nodes, compare the results, fly a lander."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from quadtree_lss.lab.live.flight import fly_live
 from quadtree_lss.lab.live.listener import TOPICS, Listener
 from quadtree_lss.lab.live.processes import (
     NodeProcess,
-    given_domain,
+    check_publishers,
+    environment_domain,
     local_domain,
     program,
-    refuse_others,
 )
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -44,7 +44,7 @@ class DemoError(QuadtreeLssError):
 
 
 class LiveResult(NamedTuple):
-    """The last map, and ranked sites (K, 3), map frame, m."""
+    """The last map and the ranked sites (K, 3), map frame, m."""
 
     cells: CellMap
     position: NDArray[np.float64]
@@ -59,10 +59,10 @@ def run_live(
     rate: float = 1.0,
     given: int | None = None,
 ) -> LiveResult:
-    """Play a bag to both nodes and wait for the sites on the map of ``last_stamp_ns``. Their output
-    goes to ``folder``; the default of ``given`` is a free ROS domain. Raises `DemoError`: no sites;
-    `ProcessError`: a node ended, or others publish the same topics."""
-    # Lose no scan on a busy computer: the result is compared with a replay.
+    """Play a bag to both nodes and wait for the sites on the map of ``last_stamp_ns``. The nodes
+    write their output to ``folder``. ``given`` is the ROS domain, by default a free one. Raises
+    `DemoError`: no sites; `ProcessError`: a node ended, or others publish the same topics."""
+    # The comparison with the replay requires that no scan is lost on a busy computer.
     qos = "qos_overrides./lidar/points.subscription"
     lossless = (f"{qos}.reliability:=reliable", f"{qos}.depth:=500")
     lossless += ("pose.max_wait:=10.0", "diagnostics.warn_age:=100.0")
@@ -71,7 +71,7 @@ def run_live(
         domain = stack.enter_context(local_domain(folder, given))
         listener = stack.enter_context(Listener(domain.number))
         published = (*TOPICS, "lidar/points", "nav/pose", "/clock")
-        refuse_others(listener.node, dict.fromkeys(published, 0))
+        check_publishers(listener.node, dict.fromkeys(published, 0))
         nodes = [
             stack.enter_context(NodeProcess(name, args, domain.env, folder / f"{name}.txt"))
             for name in ("mapping_node", "lss_node")
@@ -97,7 +97,7 @@ def run_live(
 
 
 def differing(one: Path, other: Path) -> list[str]:
-    """Arrays of two ``cells.npz`` that differ; NaN equals NaN."""
+    """Names of the arrays that differ between two ``cells.npz``; NaN equals NaN."""
     with np.load(one) as a, np.load(other) as b:
         both = sorted({*a.files} & {*b.files})
         differ = [n for n in both if not np.array_equal(a[n], b[n], equal_nan=True)]
@@ -126,7 +126,7 @@ def demonstrate(out: Path, seed: int) -> bool:
     stamps = results.timing["stamp_ns"]
     print("3. Play the bag over DDS to mapping_node and lss_node", flush=True)
     started = time.monotonic()
-    result = run_live(bag, params, int(stamps[-1]), live, given=given_domain())
+    result = run_live(bag, params, int(stamps[-1]), live, given=environment_domain())
     write_npz(live / "cells.npz", cells_arrays(result.cells))
     took = f"{time.monotonic() - started:.1f} s with start-up"
     print(f"   {len(stamps)} scans, {len(result.cells.level)} leaves, {took}")
@@ -138,15 +138,17 @@ def demonstrate(out: Path, seed: int) -> bool:
     )
     agree = sites and not cells
     unequal = [f"cells ({', '.join(cells)})"] * bool(cells) + ["sites"] * (not sites)
-    told = "the same map and the same sites" if agree else f"different {' and '.join(unequal)}"
-    print(f"5. Nodes against offline replay: {told}")
+    comparison = (
+        "the same map and the same sites" if agree else f"different {' and '.join(unequal)}"
+    )
+    print(f"5. Nodes against offline replay: {comparison}")
     print("6. A lander flies the last 260 m by landing/selected, over DDS", flush=True)
     short = {"slant_range": 260.0, "speed": 26.0, "half": 12.0, "survey": 4.0}
     nodes = out / "lander" / "nodes"
-    flown = fly_live(seed, flight_settings(short), nodes, domain=given_domain())
+    flown = fly_live(seed, flight_settings(short), nodes, domain=environment_domain())
     write_flight(out / "lander", flown)
     print(f"   {headline(flown)}")
-    print("7. The same for GIS, 3D programs and navigation", flush=True)
+    print("7. Export the results for GIS and 3D programs", flush=True)
     exported = subprocess.run([str(program("quadtree-lss")), "export", str(offline)], check=False)
     print(f"\nOpen {offline / 'report.html'}: the sites, the map, the ground in 3D")
     print(f"Open {out / 'lander' / 'flight.html'}: the landing")
@@ -156,7 +158,7 @@ def demonstrate(out: Path, seed: int) -> bool:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Command line of the demonstration; exit code 1 if live and offline differ."""
+    """Command line; exit code 1 if live and offline results differ."""
     parser = argparse.ArgumentParser(prog="demo", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("demo_output"), help="results folder")
     parser.add_argument("--seed", type=int, default=1, help="of the simulated field and flight")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flight over DDS: the same flight, the real nodes, ``/clock`` in its time."""
+"""A flight with the real nodes over DDS; ``/clock`` carries its simulated time."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from std_srvs.srv import Trigger
 from quadtree_lss.desk.player.player import PlayError, wait_for_subscribers
 from quadtree_lss.desk.replay.assessments import TargetChange
 from quadtree_lss.desk.replay.configuration import dump_config
-from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, Sent, flight_config
-from quadtree_lss.lab.flight.fly import Flown, figures_of, fly
+from quadtree_lss.lab.flight.flight import START_NS, TICK, Flight, FlightMessage, flight_config
+from quadtree_lss.lab.flight.fly import FlightResult, flight_figures, run_flight
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.live.listener import TOPICS, Listener
-from quadtree_lss.lab.live.processes import NodeProcess, local_domain, refuse_others
+from quadtree_lss.lab.live.processes import NodeProcess, check_publishers, local_domain
 from quadtree_lss.lab.simulation.recording import CLOUD, POSE, Messages
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config
@@ -43,11 +43,11 @@ from quadtree_lss.onboard.messages.outputs import (
 from quadtree_lss.onboard.nodes.qos import latched, stream
 from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
 
-WISHES = ("dispersion", "area", "keep_out", "target")
-KINDS = {"nav/pose": POSE, "lidar/points": CLOUD}
-KINDS |= {f"landing/{name}": landing_inputs.TYPES[name] for name in WISHES}
-#: Longest time until the nodes subscribe, s.
-PATIENCE_S = 30.0
+REQUESTS = ("dispersion", "area", "keep_out", "target")
+TOPIC_KINDS = {"nav/pose": POSE, "lidar/points": CLOUD}
+TOPIC_KINDS |= {f"landing/{name}": landing_inputs.TYPES[name] for name in REQUESTS}
+#: Largest time until the nodes subscribe, s.
+MAX_STARTUP_S = 30.0
 
 
 def fly_live(
@@ -57,31 +57,31 @@ def fly_live(
     *,
     progress: Callable[[float], None] | None = None,
     domain: int | None = None,
-) -> Flown:
-    """Fly with both nodes as processes, whose parameters, checkpoint and output go to ``folder``.
+) -> FlightResult:
+    """Fly with both nodes as processes; their parameters, checkpoint and output go to ``folder``.
 
-    The avoidance must be one of the nodes. ``/clock`` slows down with the computer. The default of
-    ``domain`` is a free one. Raises `PlayError`: the nodes did not start in time; `ProcessError`: a
-    node is not installed or has ended, or others publish the same topics.
+    The avoidance must be ``package`` or ``paper``. A slow computer slows ``/clock`` down.
+    ``domain``: by default a free one. Raises `PlayError`: the nodes did not start in time;
+    `ProcessError`: a node is not installed or has ended, or others publish the same topics.
     """
     flight = Flight(seed, settings)
     config = flight_config(settings, flight.ground)
     with ExitStack() as stack:
         nodes = LiveNodes(stack, config, folder, domain)
-        fly(flight, nodes, progress)
+        run_flight(flight, nodes, progress)
         cells, requests = nodes.map(), nodes.requests
     last = None
-    if cells is not None:  # as lss_node assessed it; only the target depends on the maps before
+    if cells is not None:  # as in lss_node, except for the target, which depends on earlier maps
         last = LandingSiteSelector(config).assess(cells, **requests.arguments())
-    figures = figures_of(seed, flight, last)
+    figures = flight_figures(seed, flight, last)
     targets, more = tuple(nodes.targets), {"landing": requests.as_lists()}
     more |= {"target": targets[-1].id if targets else 0, "target_changes": len(targets)}
-    return Flown(flight, figures, last, cells, None, targets, more)
+    return FlightResult(flight, figures, last, cells, None, targets, more)
 
 
 class LiveNodes:
-    """Both nodes as processes that end with ``stack``. ``requests``: the last inputs of guidance.
-    ``targets``: changes of the target in ``landing/status``."""
+    """Both nodes as processes that end with ``stack``. ``requests`` holds the last requests of
+    guidance, ``targets`` the changes of the target in ``landing/status``."""
 
     def __init__(self, stack: ExitStack, config: Config, folder: Path, domain: int | None) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -105,27 +105,29 @@ class LiveNodes:
                 topic,
                 latched() if topic.startswith("landing/") else stream(200, reliable=True),
             )
-            for topic, kind in KINDS.items()
+            for topic, kind in TOPIC_KINDS.items()
         }
         self._service = node.create_client(Trigger, "lss_node/land_now")
-        self._said: list[Array | None] = []
+        self._received: list[Array | None] = []
         self.requests, self.targets = LandingRequests(config.frames.map), list[TargetChange]()
-        node.create_subscription(TOPICS[SELECTED], SELECTED, self._hear, latched())
-        node.create_subscription(TOPICS[STATUS], STATUS, self._note, latched())
-        refuse_others(node, dict.fromkeys(("/clock", *KINDS), 1) | dict.fromkeys(TOPICS, 0))
-        self._down: set[str] = set()
+        node.create_subscription(TOPICS[SELECTED], SELECTED, self._on_selected, latched())
+        node.create_subscription(TOPICS[STATUS], STATUS, self._on_status, latched())
+        check_publishers(
+            node, dict.fromkeys(("/clock", *TOPIC_KINDS), 1) | dict.fromkeys(TOPICS, 0)
+        )
+        self._killed: set[str] = set()
         self._nodes = {name: self._start(name) for name in ("mapping", "lss")}
         try:
-            wait_for_subscribers(node, list(self._publishers.values()), PATIENCE_S)
+            wait_for_subscribers(node, list(self._publishers.values()), MAX_STARTUP_S)
         except PlayError:
             for process in self._nodes.values():
                 process.check()
             raise
-        # There is no keep-out, for which lss_node waits.
-        self.take(Sent("landing/keep_out", START_NS, np.zeros((0, 2))), START_NS)
+        # lss_node waits for the first keep-out message; this one is empty.
+        self.publish(FlightMessage("landing/keep_out", START_NS, np.zeros((0, 2))), START_NS)
         self._began = time.monotonic()
 
-    def take(self, sent: Sent, now_ns: int) -> None:
+    def publish(self, sent: FlightMessage, now_ns: int) -> None:
         """Publish a message."""
         message = sent.message(self._make)
         if sent.topic.startswith("landing/"):
@@ -134,36 +136,37 @@ class LiveNodes:
             self.requests.navigation.use_pose(message)
         self._publishers[sent.topic].publish(message)
 
-    def work(self, now_ns: int) -> list[Array | None]:
-        """Publish the time, wait for its moment, and return the answers until then."""
+    def step(self, now_ns: int) -> list[Array | None]:
+        """Publish the time, wait until it is reached, and return the targets received since."""
         self._clock.publish(Clock(clock=time_message(now_ns)))
         seconds = 1e-9 * (now_ns - START_NS)
         time.sleep(max(self._began + seconds - time.monotonic(), 0.0))
         tick = round(seconds / TICK)
-        for name in self._nodes.keys() - self._down if tick % 100 == 0 else ():
+        for name in self._nodes.keys() - self._killed if tick % 100 == 0 else ():
             self._nodes[name].check()
-        count = len(self._said)
-        said, self._said[:count] = self._said[:count], []
+        count = len(self._received)
+        said, self._received[:count] = self._received[:count], []
         return said
 
     def land_now(self) -> None:
         self._service.call_async(Trigger.Request())
 
     def kill(self, node: str) -> None:
-        self._down.add(node)
+        self._killed.add(node)
         self._nodes[node].process.kill()
         self._nodes[node].process.wait()
 
     def respawn(self, node: str, *, checkpoint: bool = True) -> None:
         if not checkpoint:
             self._checkpoint.unlink(missing_ok=True)
-        self._down.discard(node)
+        self._killed.discard(node)
         self._nodes[node] = self._start(node)
 
     def map(self) -> CellMap | None:
-        """The last map, once its sites have come; all of its messages carry one stamp."""
+        """Return the last map whose sites have arrived; its messages share one stamp."""
         heard = self._listener
-        heard.wait_for(lambda: len({heard.stamp(of) for of in (CELLS, OBSERVED, SITES)}) == 1, 2.0)
+        topics = (CELLS, OBSERVED, SITES)
+        heard.wait_for(lambda: len({heard.stamp(topic) for topic in topics}) == 1, 2.0)
         if heard.stamp(CELLS) != heard.stamp(OBSERVED) or CELLS not in heard.newest:
             return None
         return map_from_messages(heard.newest[CELLS], heard.newest[OBSERVED])
@@ -172,7 +175,7 @@ class LiveNodes:
         log = self._folder / f"{name}_{time.monotonic_ns()}.txt"
         return self._stack.enter_context(NodeProcess(f"{name}_node", self._args, self._env, log))
 
-    def _note(self, message: Any) -> None:
+    def _on_status(self, message: Any) -> None:
         said = status_from_message(message)
         x, y, z, share = (float(said[name]) for name in ("x", "y", "z", "probability"))
         stamp, reason = stamp_ns(message.header), Reason(said["reason"]).key
@@ -180,7 +183,7 @@ class LiveNodes:
         if row.follows(self.targets[-1] if self.targets else None):
             self.targets.append(row)
 
-    def _hear(self, message: Any) -> None:
+    def _on_selected(self, message: Any) -> None:
         place = message.pose.pose.position
         known = not math.isnan(place.x)
-        self._said.append(np.array([place.x, place.y, place.z]) if known else None)
+        self._received.append(np.array([place.x, place.y, place.z]) if known else None)

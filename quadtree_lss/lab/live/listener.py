@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Collect the messages of the nodes in a thread: for the demo, flights and tests."""
+"""Collect the messages of the nodes in a thread, for the demo, flights and tests."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ TOPICS: Mapping[str, Any] = {name: TYPES[kind] for name, kind in TOPIC_TYPES.ite
 
 
 class Listener:
-    """Context manager that holds the ``newest`` message of each latched topic, by default of all of
-    ours, and the last status of ``diagnostics`` by name. ``node`` is for publishers and clients of
-    the user's own."""
+    """Context manager that holds the ``newest`` message of each latched topic, by default of all
+    topics of the nodes, and the last status of ``diagnostics`` by name. The caller may add
+    publishers and clients to ``node``."""
 
     def __init__(
         self, domain: int, topics: Mapping[str, Any] = TOPICS, name: str = "listener"
@@ -58,12 +58,12 @@ class Listener:
         self._context.try_shutdown()
 
     def stamp(self, topic: str) -> int | None:
-        """Stamp of the newest message in ns, None if there is none."""
+        """Stamp of the newest message, ns; None without one."""
         message = self.newest.get(topic)
         return None if message is None else stamp_ns(message.header)
 
     def wait_for(self, condition: Callable[[], object], timeout: float = 20.0) -> bool:
-        """Wait until ``condition()`` is true, checked after each message; False after a timeout."""
+        """Wait until ``condition()``, checked after each message; return whether it became true."""
         deadline = time.monotonic() + timeout
         with self._changed:
             while not condition():

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start and end the installed programs as processes, in a ROS domain of their own.
+"""Start and end the installed programs as processes in a ROS domain of their own.
 
-ROS has launch_testing and domain_coordinator for this, but not as wheels.
+launch_testing and domain_coordinator of ROS do the same but are not available as wheels.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from unittest import mock
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 PACKAGE = "quadtree_lss"
-#: Fast DDS profile: the discovery of ROS's range LOCALHOST, without its shared memory.
+#: Fast DDS profile: discovery as in the ROS range LOCALHOST, without shared memory.
 LOCAL_PROFILE = Path(__file__).with_name("fastdds.xml")
-#: Ports of a domain (RTPS specification, 9.6.1.1). Participants use the first ones; this program
-#: reserves a domain by its last one.
+#: Ports of a domain (RTPS specification, 9.6.1.1). Participants use the first ports; the last port
+#: serves here to reserve a domain.
 FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
 DOMAINS, LAST_DOMAIN = range(1, 98), 231
 #: Time to discover all other participants, s.
@@ -34,12 +34,12 @@ DISCOVERY_S = 2.0
 
 
 class ProcessError(QuadtreeLssError):
-    """A program is not installed or ended when it should not."""
+    """A program is not installed, or ended unexpectedly."""
 
 
 def program(name: str) -> Path:
-    """Path of an installed executable as ``ros2 run quadtree_lss <name>`` finds it. Raises
-    `ProcessError`: it is not installed."""
+    """Find an installed executable as ``ros2 run quadtree_lss <name>`` does. Raises `ProcessError`:
+    it is not installed."""
     prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     for prefix in (sys.prefix, *prefixes):
         path = Path(prefix) / "lib" / PACKAGE / name
@@ -57,8 +57,8 @@ class LocalDomain:
     env: dict[str, str]
 
 
-def given_domain() -> int | None:
-    """``ROS_DOMAIN_ID``, or None. Raises `ProcessError`: it is not a domain."""
+def environment_domain() -> int | None:
+    """Return ``ROS_DOMAIN_ID``, or None. Raises `ProcessError`: it is not a domain."""
     text = os.environ.get("ROS_DOMAIN_ID", "")
     if not text:
         return None
@@ -68,8 +68,8 @@ def given_domain() -> int | None:
     return int(text)
 
 
-def refuse_others(node: Any, ours: Mapping[str, int]) -> None:
-    """Raise `ProcessError` if topics have more publishers than ``ours``."""
+def check_publishers(node: Any, ours: Mapping[str, int]) -> None:
+    """Raise `ProcessError` if a topic has more publishers than its number in ``ours``."""
     time.sleep(DISCOVERY_S)
     others = []
     for topic, count in ours.items():
@@ -84,14 +84,14 @@ def refuse_others(node: Any, ours: Mapping[str, int]) -> None:
 
 @contextmanager
 def local_domain(log_dir: Path, given: int | None = None) -> Iterator[LocalDomain]:
-    """A ROS domain for this process and its children: the ``given`` one, or a free one, reserved on
-    this computer until the context ends. Within it SIGTERM acts like Ctrl-C, so that the children
-    end. Raises `ProcessError`: other programs have reserved the domain or all domains."""
+    """Reserve a ROS domain on this computer for this process and its children: the ``given`` one or
+    a free one. Within the context SIGTERM acts like Ctrl-C, so that the children end. Raises
+    `ProcessError`: other programs have reserved the domain, or all domains."""
     if given is None:
-        found = ((n, _reserved(n)) for n in random.SystemRandom().sample(DOMAINS, len(DOMAINS)))
+        found = ((n, _reserve(n)) for n in random.SystemRandom().sample(DOMAINS, len(DOMAINS)))
         number, reservation = next((one for one in found if one[1]), (-1, None))
     else:
-        number, reservation = given, _reserved(given)
+        number, reservation = given, _reserve(given)
     if reservation is None:
         which = f"between {min(DOMAINS)} and {max(DOMAINS)}" if given is None else f"{given}"
         raise ProcessError(f"no free ROS domain {which}: set another ROS_DOMAIN_ID")
@@ -103,7 +103,7 @@ def local_domain(log_dir: Path, given: int | None = None) -> Iterator[LocalDomai
 @contextmanager
 def _interrupted_by_sigterm() -> Iterator[None]:
     before: Any = signal.SIG_DFL
-    with suppress(ValueError):  # only the main thread gets signals
+    with suppress(ValueError):  # only the main thread receives signals
         before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
@@ -112,8 +112,8 @@ def _interrupted_by_sigterm() -> Iterator[None]:
             signal.signal(signal.SIGTERM, before)
 
 
-def _reserved(domain: int) -> socket.socket | None:
-    """Bind the last port of a domain; None if another program has."""
+def _reserve(domain: int) -> socket.socket | None:
+    """Bind the last port of a domain; return None if another program has bound it."""
     result = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         result.bind(("", FIRST_PORT + PORTS_PER_DOMAIN * (domain + 1) - 1))
@@ -124,7 +124,7 @@ def _reserved(domain: int) -> socket.socket | None:
 
 
 def _local_environment(domain: int, log_dir: Path) -> dict[str, str]:
-    """This process's environment with a ROS domain that stays on this computer."""
+    """Environment of this process with a ROS domain that is limited to this computer."""
     env = {
         **os.environ,
         "ROS_DOMAIN_ID": str(domain),
@@ -139,7 +139,7 @@ def _local_environment(domain: int, log_dir: Path) -> dict[str, str]:
 
 
 class NodeProcess:
-    """A node as a process, with ROS arguments and a file for its output; ends with the context."""
+    """A node as a process with ROS arguments and an output file; it ends with the context."""
 
     def __init__(self, name: str, ros_args: Sequence[str], env: dict[str, str], log: Path) -> None:
         self.name = name
@@ -162,7 +162,7 @@ class NodeProcess:
             raise ProcessError(f"{self.name} ended with exit code {code}: {said}")
 
     def stop(self, signal_number: int = signal.SIGINT, timeout: float = 15.0) -> int:
-        """End the process by a signal, after the timeout by SIGKILL; return its exit code."""
+        """End the process by a signal, or by SIGKILL after the timeout; return its exit code."""
         try:
             self.process.send_signal(signal_number)
             with suppress(subprocess.TimeoutExpired):

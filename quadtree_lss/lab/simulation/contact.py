@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A four-legged lander set down on the posts of a DEM, compiled; see `safety`."""
+"""Contact of a four-legged lander with the posts of a DEM, compiled; see `safety`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cython.cimports.libc.math import INFINITY, ceil, sqrt
 
 from quadtree_lss.onboard.arrays import Array
 
-#: m: a post on the very rim of a pad or of the circle is under it.
+#: Posts on the rim of a pad or of the circle count as under it, m.
 TOLERANCE = cython.declare(cython.double, 1e-9)
 
 
@@ -17,7 +17,7 @@ TOLERANCE = cython.declare(cython.double, 1e-9)
 @cython.locals(elevation=cython.double[:, ::1], frame=cython.double[::1])
 @cython.locals(points=cython.double[:, ::1], heading=cython.double[:, ::1])
 @cython.locals(worst=cython.double[:, ::1])
-def stand(
+def worst_contacts(
     elevation: Array,
     frame: Array,
     points: Array,
@@ -26,15 +26,15 @@ def stand(
     pad_radius: float,
     worst: Array,
 ) -> None:
-    """Steepest resting plane, and how far the ground rises above any of them, to ``worst`` (K, 2):
-    tangent of the slope, and rise in m.
+    """Fill ``worst`` (K, 2) with the tangent of the steepest resting plane and the largest rise of
+    the ground above any of the planes, m.
 
     Args:
         elevation: (ny, nx) posts, m.
-        frame: (4,) place of the first post and steps between posts: x, y, dx, dy, m.
-        points: (K, 2) centres of landers, all of each over the posts, m.
-        heading: (4 yaws, 2) cosine and sine of the pads' directions, once round the circle.
-        radius, pad_radius: Of the circle on which the pads stand and of a pad, m.
+        frame: (4,) position of the first post and distances between posts: x, y, dx, dy, m.
+        points: (K, 2) centres of landers that are entirely over the posts, m.
+        heading: (4 yaws, 2) cosine and sine of the directions of the pads, once round the circle.
+        radius, pad_radius: Radii of the circle on which the pads stand and of a pad, m.
     """
     cython.declare(k=cython.Py_ssize_t, p=cython.Py_ssize_t, q=cython.Py_ssize_t)
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, r=cython.Py_ssize_t)
@@ -65,7 +65,7 @@ def stand(
                 tilt_y += 2.0 * z * heading[p, 1] / (pads * radius)
             steepest, spread = 0.0, -INFINITY
             for p in range(yaws):
-                # The diagonal that carries is a-c, a quarter turn on lies b-d.
+                # The diagonal a-c carries the vehicle; b-d is a quarter turn on.
                 q = p
                 if height[p] + height[p + 2 * yaws] < height[p + yaws] + height[p + 3 * yaws]:
                     q = p + yaws
@@ -77,13 +77,13 @@ def stand(
                     slope_x = along * heading[q, 0] - across * heading[q, 1]
                     slope_y = along * heading[q, 1] + across * heading[q, 0]
                     steepest = max(steepest, sqrt(slope_x * slope_x + slope_y * slope_y))
-                    # How far it may lie below the mean plane within the circle.
+                    # Largest distance below the mean plane within the circle.
                     slope_x, slope_y = slope_x - tilt_x, slope_y - tilt_y
                     below = radius * sqrt(slope_x * slope_x + slope_y * slope_y)
                     spread = max(spread, below + mean - centre)
                     plane[2 * p + r, 0] = centre - mean
                     plane[2 * p + r, 1], plane[2 * p + r, 2] = slope_x, slope_y
-            # Posts over the mean plane; of the highest one the rise over all planes is a bound.
+            # List the posts; the highest one gives a lower bound of the rise over all planes.
             i = max(first_post(x, radius, frame[0], dx), 0)
             j = max(first_post(y, radius, frame[1], dy), 0)
             listed = 0
@@ -118,7 +118,7 @@ def stand(
 @cython.exceptval(check=False)
 @cython.locals(elevation=cython.double[:, ::1], frame=cython.double[::1])
 def under_pad(elevation: Array, frame: Array, x: float, y: float, radius: float) -> cython.double:
-    """Highest ground under a pad: posts within its radius, the surface under its centre."""
+    """Highest ground under a pad: the posts within its radius and the surface under its centre."""
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     ny: cython.Py_ssize_t = elevation.shape[0]
     nx: cython.Py_ssize_t = elevation.shape[1]
@@ -149,5 +149,5 @@ def under_pad(elevation: Array, frame: Array, x: float, y: float, radius: float)
 @cython.nogil
 @cython.exceptval(check=False)
 def first_post(place: float, reach: float, origin: float, step: float) -> cython.Py_ssize_t:
-    """Index of the first post that can lie within reach of a place along an axis."""
+    """Index of the first post that can be within ``reach`` of ``place`` along an axis."""
     return cython.cast(cython.Py_ssize_t, ceil((place - reach - TOLERANCE - origin) / step - 1e-7))

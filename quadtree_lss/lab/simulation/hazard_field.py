@@ -9,14 +9,14 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import gaussian_filter
 
-from quadtree_lss.lab.simulation.rocks import lay
+from quadtree_lss.lab.simulation.rocks import add_rocks
 from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.arrays import Array
 
 
 @dataclass(frozen=True)
 class HazardField:
-    """Content of a field; lengths in m, rates per m². Rocks larger than D cover the fraction
+    """Parameters of a field; lengths in m, rates per m². Rocks larger than D cover the fraction
     F(D) = k exp(−q D) of the ground, q = 1.79 + 0.152/k (Golombek and Rapp)."""
 
     size: float = 100.0
@@ -32,11 +32,11 @@ class HazardField:
     crater_largest: float = 5.0
     crater_depth: float = 0.1  # of the diameter
     slope_rms_deg: float = 1.5
-    texture: float = 0.01  # standard deviation of the soil's own roughness
-    texture_length: float = 0.25  # its correlation length
+    texture: float = 0.01  # standard deviation of the roughness of the soil
+    texture_length: float = 0.25  # correlation length of that roughness
 
 
-#: Fields to try things on, by name.
+#: Fields by name.
 FIELDS = {
     "default": HazardField(),
     "rocky": HazardField(rock_abundance=0.10, piles=6e-3),
@@ -51,8 +51,8 @@ FIELDS = {
 def sample_rock_diameters(
     generator: np.random.Generator, area: float, abundance: float, smallest: float, largest: float
 ) -> Array:
-    """Diameters (m) of a Poisson number of rocks on ``area`` (m²). A rock covers π D²/4, so the
-    number density is n(D) = 4 k q exp(−q D)/(π D²)."""
+    """Draw diameters (m) of rocks on ``area`` (m²). A rock covers π D²/4, so the number density is
+    n(D) = 4 k q exp(−q D)/(π D²)."""
     q = 1.79 + 0.152 / abundance
     diameter = np.geomspace(smallest, largest, 4001)
     density = 4.0 * abundance * q * np.exp(-q * diameter) / (np.pi * diameter**2)
@@ -63,7 +63,7 @@ def sample_rock_diameters(
 
 
 def hazard_field(generator: np.random.Generator, field: HazardField) -> Terrain:
-    """Build a field centred on the origin; the same generator state gives the same field."""
+    """Make a field centred on the origin."""
     count = round(field.size / field.post) + 1
     axis = np.linspace(-0.5 * field.size, 0.5 * field.size, count)
     ground = _undulation(generator, axis, field.slope_rms_deg)
@@ -72,25 +72,25 @@ def hazard_field(generator: np.random.Generator, field: HazardField) -> Terrain:
     ground += field.texture * (soil / soil.std())
     _add_craters(generator, axis, ground, field)
     if field.rock_abundance > 0.0:
-        ground += _rocks(generator, axis, field)
+        ground += _rock_heights(generator, axis, field)
     return Terrain(axis, axis, ground)
 
 
-def strewn(generator: np.random.Generator, terrain: Terrain, abundance: float) -> Terrain:
-    """A given terrain with rocks and rock piles, over 100 m about its centre or all of it."""
+def add_rocks_to(generator: np.random.Generator, terrain: Terrain, abundance: float) -> Terrain:
+    """Add rocks and rock piles to a terrain, within 100 m by 100 m around its centre."""
     xmin, xmax, ymin, ymax = terrain.bounds
     field = HazardField(rock_abundance=abundance)
     size = field.post * np.floor(min(field.size, xmax - xmin, ymax - ymin) / field.post)
     field = replace(field, size=float(size))
     own = np.linspace(-0.5 * field.size, 0.5 * field.size, round(field.size / field.post) + 1)
-    rocks = _rocks(generator, own, field)
+    rocks = _rock_heights(generator, own, field)
     x = np.clip(own + 0.5 * (xmin + xmax), xmin, xmax)
     y = np.clip(own + 0.5 * (ymin + ymax), ymin, ymax)
     return Terrain(x, y, terrain.elevation_at(x[None, :], y[:, None]) + rocks)
 
 
 def _undulation(generator: np.random.Generator, axis: Array, slope_rms_deg: float) -> Array:
-    """Plane waves of 12 to 60 m with the given root mean square slope."""
+    """Sum of plane waves of 12 to 60 m with the given root mean square slope."""
     waves = 16
     wavelength = np.geomspace(12.0, 60.0, waves)
     heading = generator.uniform(0.0, np.pi, waves)
@@ -107,7 +107,7 @@ def _undulation(generator: np.random.Generator, axis: Array, slope_rms_deg: floa
 def _add_craters(
     generator: np.random.Generator, axis: Array, ground: Array, field: HazardField
 ) -> None:
-    """Degraded craters: a smooth bowl and a low rim; sizes by a cumulative power law D⁻²."""
+    """Add degraded craters, a smooth bowl with a low rim; sizes by a cumulative power law D⁻²."""
     count = generator.poisson(field.craters * field.size**2)
     small, large = field.crater_smallest**-2, field.crater_largest**-2
     diameters = (small - generator.uniform(0.0, 1.0, count) * (small - large)) ** -0.5
@@ -123,8 +123,8 @@ def _add_craters(
         ground[rows, columns] += depth * (0.15 * rim - bowl)
 
 
-def _rocks(generator: np.random.Generator, axis: Array, field: HazardField) -> Array:
-    """Heights over the ground (n, n) of half-buried rocks, and of heaps of 8 to 20 rocks."""
+def _rock_heights(generator: np.random.Generator, axis: Array, field: HazardField) -> Array:
+    """Heights over the ground (n, n) of half-buried rocks and of heaps of 8 to 20 rocks."""
     rocks = np.zeros((axis.size, axis.size))
     diameters = sample_rock_diameters(
         generator, field.size**2, field.rock_abundance, field.rock_smallest, field.rock_largest
@@ -134,7 +134,7 @@ def _rocks(generator: np.random.Generator, axis: Array, field: HazardField) -> A
     heights = diameters * generator.uniform(*field.rock_height, count)
     axes = generator.uniform(*field.rock_axes, count)
     yaws = generator.uniform(0.0, np.pi, count)
-    _lay(axis, rocks, (*centres.T, diameters, heights, axes, yaws))
+    _add_rocks(axis, rocks, (*centres.T, diameters, heights, axes, yaws))
     stones = []
     for _ in range(generator.poisson(field.piles * field.size**2)):
         centre = generator.uniform(axis[0] + 2.0, axis[-1] - 2.0, 2)
@@ -145,15 +145,17 @@ def _rocks(generator: np.random.Generator, axis: Array, field: HazardField) -> A
             stones.append((x, y, diameter, generator.uniform(0.0, np.pi)))
     x, y, diameters, yaws = np.array(stones).reshape(-1, 4).T
     axes = np.full(len(stones), 0.85)
-    _lay(axis, rocks, (x, y, diameters, 0.5 * diameters, axes, yaws), heaped=True)
+    _add_rocks(axis, rocks, (x, y, diameters, 0.5 * diameters, axes, yaws), heaped=True)
     return rocks
 
 
-def _lay(axis: Array, rocks: Array, stones: tuple[Array, ...], *, heaped: bool = False) -> None:
-    """Add ellipsoids: x, y, diameter, height, ratio of axes and yaw (K,); plan area π D²/4."""
+def _add_rocks(
+    axis: Array, rocks: Array, stones: tuple[Array, ...], *, heaped: bool = False
+) -> None:
+    """Add ellipsoids given by x, y, diameter, height, ratio of axes and yaw (K,)."""
     x, y, diameter, height, axes, yaw = stones
     long, short = 0.5 * diameter / np.sqrt(axes), 0.5 * diameter * np.sqrt(axes)
     ends = np.column_stack([y - long, y + long, x - long, x + long])
     posts = np.searchsorted(axis, ends).astype(np.intp)
     shapes = np.column_stack([x, y, height, long, short, np.cos(yaw), np.sin(yaw)])
-    lay(rocks, axis, posts, shapes, heaped)
+    add_rocks(rocks, axis, posts, shapes, heaped)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flash lidar, and a stereo camera: all pixels range at one instant."""
+"""A flash lidar and a stereo camera: all pixels measure at one instant."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.arrays import Array
 
 #: Largest error of a false return, m.
-WRONG = 10.0
+MAX_OUTLIER = 10.0
 
 
 @cache
 def pixel_beams(width_deg: float, height_deg: float, columns: int, rows: int) -> Array:
-    """Unit directions (rows, columns, 3) over a field of view; not to be written to."""
+    """Unit directions (rows, columns, 3) over a field of view, read-only."""
     across, down = (
         np.radians(angle) * ((np.arange(count) + 0.5) / count - 0.5)
         for angle, count in ((width_deg, columns), (height_deg, rows))
@@ -36,8 +36,8 @@ def pixel_beams(width_deg: float, height_deg: float, columns: int, rows: int) ->
 
 @dataclass(frozen=True)
 class FlashLidar:
-    """Square array of ``pixels``² beams over a square field of view, in the frame of Eq. 14 (z
-    boresight, x right, y down). Row 0 is the upper edge, column 0 the left one."""
+    """Square array of ``pixels``² beams over a square field of view in the frame of Eq. 14 (z
+    boresight, x right, y down). Row 0 is the upper edge, column 0 the left edge."""
 
     field_of_view_deg: float
     pixels: int = 128
@@ -61,13 +61,13 @@ class FlashLidar:
     def scan(
         self, terrain: Terrain, position_map: Array, rotation_map_lidar: Array, generator: Generator
     ) -> Array:
-        """Points (pixels, pixels, 3) in the lidar frame, NaN = no return, with Gaussian noise of
-        ranges (Eq. 13), ``outliers`` of up to `WRONG`, and ``dropouts``."""
+        """Points (pixels, pixels, 3) in the lidar frame, NaN = no return, with Gaussian range noise
+        (Eq. 13), ``outliers`` and ``dropouts``."""
         ranges = self.true_ranges(terrain, position_map, rotation_map_lidar)
         ranges = ranges + generator.normal(0.0, self.range_noise, ranges.shape)
         if self.outliers > 0.0:
             wrong = generator.random(ranges.shape) < self.outliers
-            error = generator.uniform(-WRONG, WRONG, ranges.shape)
+            error = generator.uniform(-MAX_OUTLIER, MAX_OUTLIER, ranges.shape)
             ranges = np.where(wrong, ranges + error, ranges)
         if self.dropouts > 0.0:
             ranges[generator.random(ranges.shape) < self.dropouts] = np.nan
@@ -77,8 +77,8 @@ class FlashLidar:
 
 @dataclass(frozen=True)
 class StereoCamera(FlashLidar):
-    """Depths along z like a RealSense D455's, in whole millimetres. Gaussian noise of disparities
-    is averaged over 3 x 3 pixels; half of the pixels at an edge get a depth in between."""
+    """Depths along z as of a RealSense D455, in whole millimetres. The Gaussian disparity noise is
+    averaged over 3 x 3 pixels; half of the pixels at an edge get an intermediate depth."""
 
     field_of_view_deg: float = 64.0
     columns: int = 640
@@ -100,7 +100,7 @@ class StereoCamera(FlashLidar):
         """Measured points (rows, columns, 3), NaN = no return."""
         rays = self.directions()
         z = self.true_ranges(terrain, position_map, rotation_map_lidar) * rays[..., 2]
-        for axis in (0, 1):  # what lies beside the pixel, where that is elsewhere
+        for axis in (0, 1):  # smear depths across edges
             beside = np.roll(z, 1, axis)
             share = generator.random(z.shape)
             smeared = (np.abs(beside - z) > 0.02 * z) & (generator.random(z.shape) < 0.5)

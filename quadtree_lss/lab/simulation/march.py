@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rays over a bilinear heightfield, compiled: each marches to its first hit.
+"""Ray casting on a bilinear heightfield, compiled.
 
-Horizontal coordinates count posts. Where a ray is above the highest post of the window around it,
-it may travel to that height or to the edge of the window without hitting anything. Close to the
-ground it moves from cell to cell; within a cell the height above the bilinear surface is a
-quadratic of the range, whose first root is the hit.
+Horizontal coordinates count posts. A ray above the highest post of the window around it advances
+to that height or to the edge of the window. Close to the ground it advances cell by cell; within a
+cell the height above the bilinear surface is a quadratic of the range, whose first root is the hit.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from cython.cimports.libc.math import INFINITY, NAN, fabs, sqrt
 
 from quadtree_lss.onboard.arrays import Array
 
-#: Posts past the edge of a cell, so that the next position is in the next cell.
+#: Advance past the edge of a cell, posts, so that the next position is in the next cell.
 NUDGE = cython.declare(cython.double, 1e-7)
 
 
@@ -32,14 +31,14 @@ def march(
     speed: Array,
     ranges: Array,
 ) -> None:
-    """Set the range of every ray to its first hit, NaN where it has none.
+    """Set the range of each ray to its first hit, NaN without one.
 
     Args:
         elevation: (ny, nx) posts, m.
         far, middle, near: Highest post within one window of each block of 64, 16 and 4 posts.
-        box: (2,) height of the lowest and of the highest post, m.
-        start: (3,) where the rays begin: posts, posts, m.
-        speed: (N, 3) what a ray covers per unit of its range: posts, posts, m.
+        box: (2,) heights of the lowest and of the highest post, m.
+        start: (3,) origin of the rays: posts, posts, m.
+        speed: (N, 3) change of position per unit of range: posts, posts, m.
         ranges: (N,), set.
     """
     cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
@@ -53,7 +52,7 @@ def march(
         for k in range(ranges.shape[0]):
             ranges[k] = NAN
             vx, vy, vz = speed[k, 0], speed[k, 1], speed[k, 2]
-            # Where it is over the posts and between the lowest and the highest.
+            # Range interval over the posts and between the lowest and the highest one.
             t, end = 0.0, INFINITY
             for axis in range(3):
                 low = 0.0 if axis < 2 else box[0] - 1e-6
@@ -77,10 +76,12 @@ def march(
                 x, y, z = start[0] + t * vx, start[1] + t * vy, start[2] + t * vz
                 i = min(max(cython.cast(cython.Py_ssize_t, x), 0), nx - 1)
                 j = min(max(cython.cast(cython.Py_ssize_t, y), 0), ny - 1)
-                step = free_way(z - far[j // 64, i // 64], 64.0, per_post, per_height)
-                step = max(step, free_way(z - middle[j // 16, i // 16], 16.0, per_post, per_height))
+                step = free_range(z - far[j // 64, i // 64], 64.0, per_post, per_height)
+                step = max(
+                    step, free_range(z - middle[j // 16, i // 16], 16.0, per_post, per_height)
+                )
                 clear = z - near[j // 4, i // 4]
-                step = max(step, free_way(clear, 4.0, per_post, per_height))
+                step = max(step, free_range(clear, 4.0, per_post, per_height))
                 if clear <= 0.0:
                     i, j = min(i, nx - 2), min(j, ny - 2)
                     z00 = elevation[j, i]
@@ -92,14 +93,14 @@ def march(
                     if vy != 0.0:
                         cross = min(cross, ((1.0 - fy) if vy > 0.0 else -fy) / vy)
                     cross = max(cross, 0.0)
-                    # Height above the surface at s ahead: f0 + f1 s + f2 s^2.
+                    # Height above the surface after another range s: f0 + f1 s + f2 s^2.
                     f0 = z - (z00 + along_x * fx + along_y * fy + twist * fx * fy)
                     f1 = vz - (along_x * vx + along_y * vy + twist * (fx * vy + fy * vx))
                     if entering and f0 <= 0.0:
-                        break  # Through the side of the DEM below its surface: nothing known.
-                    ahead = ahead_in_cell(f0, f1, -twist * vx * vy, cross)
-                    if t + ahead <= end:
-                        ranges[k] = t + ahead
+                        break  # enters through the side of the DEM, below its surface
+                    hit = range_in_cell(f0, f1, -twist * vx * vy, cross)
+                    if t + hit <= end:
+                        ranges[k] = t + hit
                         break
                     step = max(step, cross)
                 entering = False
@@ -111,18 +112,18 @@ def march(
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def free_way(clear: float, window: float, per_post: float, per_height: float) -> cython.double:
-    """Range that a ray can travel ``clear`` above the highest post of its window."""
+def free_range(clear: float, window: float, per_post: float, per_height: float) -> cython.double:
+    """Range without a hit for a ray that is ``clear`` above the highest post of its window."""
     if clear <= 0.0:
         return 0.0
-    # One post less than the window: the surface at its far edge hangs on the post beyond.
+    # One post less than the window because the surface at its edge depends on the next post.
     return min((window - 1.0) * per_post, clear * per_height)
 
 
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
-def ahead_in_cell(f0: float, f1: float, f2: float, cross: float) -> cython.double:
+def range_in_cell(f0: float, f1: float, f2: float, cross: float) -> cython.double:
     """First root of f0 + f1 s + f2 s^2 up to ``cross``, infinite if none; 0 if f0 is below 0."""
     if f0 <= 0.0:
         return 0.0
@@ -130,7 +131,7 @@ def ahead_in_cell(f0: float, f1: float, f2: float, cross: float) -> cython.doubl
     if square < 0.0:
         return INFINITY
     below = sqrt(square) - f1
-    # The tolerance closes the gap that the nudge from cell to cell leaves open.
+    # The tolerance covers the gap that `NUDGE` leaves between cells.
     if below <= 0.0 or 2.0 * f0 / below > cross * (1.0 + 1e-6):
         return INFINITY
     return 2.0 * f0 / below

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of navigation and the covariance that it claims."""
+"""Errors of navigation and the covariance that it reports."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _isotropic(position_sigma: float, attitude_sigma: float) -> Array:
 
 @dataclass(frozen=True)
 class WhiteNavigation:
-    """Independent isotropic errors of every pose (right perturbation of Eq. 16), and their true
+    """Independent isotropic errors of each pose (right perturbation of Eq. 16) with their true
     covariance."""
 
     position_sigma: float = 0.5
@@ -36,7 +36,7 @@ class WhiteNavigation:
     def estimate(
         self, generator: np.random.Generator, times: Array, positions: Array, rotations: Array
     ) -> Estimate:
-        """Estimate of true poses (n, 3), (n, 3, 3) at times (n,), s."""
+        """Estimate true poses (n, 3), (n, 3, 3) at times (n,), s."""
         sigma = np.radians(self.attitude_sigma_deg)
         offset = generator.normal(0.0, self.position_sigma, positions.shape)
         tilt = Rotation.from_rotvec(generator.normal(0.0, sigma, positions.shape)).as_matrix()
@@ -47,7 +47,7 @@ class WhiteNavigation:
 @dataclass(frozen=True)
 class DriftingNavigation:
     """A constant bias and a first-order Gauss–Markov drift about the fixed axes of the map. The
-    claimed standard deviation is that of both together times ``conservatism``."""
+    reported standard deviation is that of their sum times ``conservatism``."""
 
     position_bias: float = 0.03
     position_drift: float = 0.01
@@ -59,7 +59,7 @@ class DriftingNavigation:
     def estimate(
         self, generator: np.random.Generator, times: Array, positions: Array, rotations: Array
     ) -> Estimate:
-        """Estimate of true poses, as `WhiteNavigation.estimate`."""
+        """Estimate true poses as `WhiteNavigation.estimate` does."""
         offset = self._error(generator, times, self.position_bias, self.position_drift)
         bias, drift = np.radians([self.attitude_bias_deg, self.attitude_drift_deg])
         tilt = Rotation.from_rotvec(self._error(generator, times, bias, drift)).as_matrix()

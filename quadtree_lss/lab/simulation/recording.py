@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scans, poses and landing inputs as messages of rosbags or rclpy; bags."""
+"""Scans, poses and landing inputs as messages of rosbags or rclpy; recording of bags."""
 
 from __future__ import annotations
 
@@ -29,8 +29,13 @@ XYZ = record_dtype(("f4", "xyz"))
 
 
 class Messages(MessageMaker):
-    """Makes messages from arrays. ``types``: classes by name, by default those of rosbags; ``pack``
-    converts arrays of uint8 for them; ``frame``: map frame."""
+    """Make messages from arrays.
+
+    Args:
+        types: Message classes by name, by default those of rosbags.
+        pack: Converts arrays of uint8 for these classes.
+        frame: The map frame.
+    """
 
     def __init__(
         self,
@@ -42,7 +47,7 @@ class Messages(MessageMaker):
         super().__init__(types, pack, frame)
 
     def scan(self, stamp_ns: int, points_lidar: Array) -> Any:
-        """An organised cloud (H, W, 3): x, y, z float32, NaN = no return."""
+        """Organised cloud of points (H, W, 3), float32, NaN = no return."""
         points = np.ascontiguousarray(points_lidar, "<f4").view(XYZ)[..., 0]
         cloud = self.cloud(points, stamp_ns)
         cloud.header.frame_id = "lidar"
@@ -50,7 +55,7 @@ class Messages(MessageMaker):
         return cloud
 
     def depth(self, stamp_ns: int, z: Array) -> Any:
-        """A depth image (H, W), m, as 16UC1 in mm; NaN = no return."""
+        """Depth image of depths (H, W), m, NaN = no return, as 16UC1 in mm."""
         height, width = z.shape
         pixels = np.nan_to_num(np.rint(1e3 * z)).astype("<u2")
         return self._make(
@@ -65,7 +70,7 @@ class Messages(MessageMaker):
         )
 
     def camera(self, stamp_ns: int, height: int, width: int, focal_length: float) -> Any:
-        """The CameraInfo of an image with its axis in the middle, without distortion."""
+        """CameraInfo without distortion, its principal point in the centre of the image."""
         f, middle = focal_length, (0.5 * (width - 1), 0.5 * (height - 1))
         k = np.array([f, 0.0, middle[0], 0.0, f, middle[1], 0.0, 0.0, 1.0])
         window = dict.fromkeys(("x_offset", "y_offset", "height", "width"), 0)
@@ -85,17 +90,17 @@ class Messages(MessageMaker):
         )
 
     def pose(self, stamp: int, position: Any, xyzw: Any, covariance: Array) -> Any:
-        """A pose in the map with its covariance (6, 6)."""
+        """Pose in the map frame with its covariance (6, 6)."""
         matrix = np.ascontiguousarray(covariance, np.float64).reshape(36)
         return super().pose(stamp, position, xyzw, matrix)
 
     def point(self, stamp_ns: int, xyz: Array) -> Any:
-        """A place (3,) in the map."""
+        """Point (3,) in the map frame."""
         point, header = self._point("Point", xyz), self._header(stamp_ns)
         return self._make("geometry_msgs/msg/PointStamped", header=header, point=point)
 
     def polygon(self, stamp_ns: int, corners: Array, number: int | None = None) -> Any:
-        """Corners (K, 2) in the map; with a number, of a set of polygons."""
+        """Polygon (K, 2) in the map frame; with a ``number``, a PolygonInstance."""
         points = [self._point("Point32", (x, y, 0.0)) for x, y in corners]
         polygon, kind = self._make("geometry_msgs/msg/Polygon", points=points), "Polygon"
         if number is not None:
@@ -116,7 +121,7 @@ class Messages(MessageMaker):
 
 @contextmanager
 def recorded(path: Path) -> Iterator[Callable[[str, int, Any], None]]:
-    """A new mcap bag, as a function that writes topic, time of reception, ns, and message."""
+    """Record a new mcap bag with a function of topic, time of reception, ns, and message."""
     store, kinds = get_typestore(Stores.ROS2_JAZZY), TYPES | DEPTH_TYPES
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
 

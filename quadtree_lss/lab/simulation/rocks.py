@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rocks on a field's posts, compiled: half buried ellipsoids, single or in heaps."""
+"""Rocks on the posts of a field, compiled: half-buried ellipsoids, single or in heaps."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from quadtree_lss.onboard.arrays import Array, Index
 @cython.boundscheck(False)
 @cython.locals(rocks=cython.double[:, ::1], axis=cython.double[::1])
 @cython.locals(posts=cython.Py_ssize_t[:, ::1], stones=cython.double[:, ::1])
-def lay(rocks: Array, axis: Array, posts: Index, stones: Array, heaped: cython.bint) -> None:
-    """Raise the posts under rocks, one after the other, to the highest rock there.
+def add_rocks(rocks: Array, axis: Array, posts: Index, stones: Array, heaped: cython.bint) -> None:
+    """Raise the posts under each rock to its surface if that is higher.
 
     Args:
         rocks: (n, n) heights of rocks over the ground, changed in place, m.
         axis: (n,) coordinates of the posts, m.
-        posts: (K, 4) of each rock: first row and the one after the last, columns alike.
+        posts: (K, 4) first row, row after the last, and likewise columns, of each rock.
         stones: (K, 7) x, y, height, half axes, cosine and sine of the longer one's heading.
-        heaped: Whether each lies on those below its centre, 0.6 of their height and 0.6 m up at
-            the most.
+        heaped: Whether each rock lies on the rocks below its centre, at 0.6 of their height but
+            at most 0.6 m up.
     """
     cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     base = 0.0

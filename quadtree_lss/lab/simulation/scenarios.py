@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The flights that can be simulated, from terrain to bag and truth file."""
+"""Scenarios: named flights that can be simulated."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.lab.simulation.hazard_field import HazardField, hazard_field, strewn
+from quadtree_lss.lab.simulation.hazard_field import HazardField, add_rocks_to, hazard_field
 from quadtree_lss.lab.simulation.lidar import FlashLidar, StereoCamera
 from quadtree_lss.lab.simulation.navigation import DriftingNavigation, Navigation, WhiteNavigation
 from quadtree_lss.lab.simulation.safety import LandingGear
@@ -29,11 +29,11 @@ from quadtree_lss.lab.simulation.trajectory import (
 )
 from quadtree_lss.onboard.arrays import Array
 
-#: Lattice of the true safety map and of boxes, m.
+#: Spacing of the true safety map and of the corners of boxes, m.
 GRID_SPACING = 0.25
-#: Ground between a box and the edge of a DEM, m: more than a lander's radius.
+#: Distance between a box and the edge of a DEM, m; more than the radius of the lander.
 EDGE = 2.25
-#: Lead and lag of poses around the scans, s.
+#: Time by which the poses begin before and end after the scans, s.
 LEAD = 0.1
 
 
@@ -65,15 +65,17 @@ LIMITS = {
 
 @dataclass(frozen=True)
 class Conditions:
-    """Conditions of a flight; None is the scenario's own. Raises `SimulationError`: invalid values.
+    """Conditions of a flight; None takes the value of the scenario.
+
+    Raises `SimulationError`: a value is out of its limits.
 
     Attributes:
-        duration, range_noise: Of the flight, s; 1 sigma of a range, m.
+        duration, range_noise: Duration of the flight, s; 1 sigma of a range, m.
         terrain: A DEM or its path.
-        outliers, dropouts: Shares of false and of missing returns.
-        glide_slope_deg: Of the morpheus scenario.
-        navigation_error: Factor on the usual errors of morpheus and descent.
-        rocks: Share of the ground under rocks (Golombek and Rapp's k); added on a terrain.
+        outliers, dropouts: Fractions of false and of missing returns.
+        glide_slope_deg: Glide slope of the morpheus scenario.
+        navigation_error: Factor on the default errors of all scenarios except parabola.
+        rocks: Fraction of the ground under rocks (k of Golombek and Rapp); added to a terrain.
         slope_deg: RMS slope of a simulated field.
     """
 
@@ -97,14 +99,14 @@ class Conditions:
             terrain = load_terrain(terrain)
         if terrain is not None:
             if slope_deg is not None:
-                raise SimulationError("slope_deg is of a made field, not of a given terrain")
-            return strewn(generator, terrain, rocks) if rocks else terrain
-        given: dict[str, Any] = {"rock_abundance": rocks, "slope_rms_deg": slope_deg}
-        given = {name: value for name, value in given.items() if value is not None}
+                raise SimulationError("slope_deg applies to simulated fields, not to a terrain")
+            return add_rocks_to(generator, terrain, rocks) if rocks else terrain
+        field: dict[str, Any] = {"rock_abundance": rocks, "slope_rms_deg": slope_deg}
+        field = {name: value for name, value in field.items() if value is not None}
         if scale := SCENARIOS[scenario].scale:
-            return hazard_field(generator, HazardField(**given)).scaled(scale)
-        if given:
-            raise SimulationError(f"{scenario} has no rocks and no field: give a terrain")
+            return hazard_field(generator, HazardField(**field)).scaled(scale)
+        if field:
+            raise SimulationError(f"{scenario} simulates no field: rocks need a terrain")
         return parabola()
 
     def lidar(self, field_of_view_deg: float, range_noise: float) -> FlashLidar:
@@ -112,14 +114,14 @@ class Conditions:
         return FlashLidar(field_of_view_deg, 128, noise, self.outliers, self.dropouts)
 
     def drifting(self, attitude_bias_deg: float, attitude_drift_deg: float) -> DriftingNavigation:
-        usual, many = DriftingNavigation(), self.navigation_error
-        place = many * usual.position_bias, many * usual.position_drift
-        turn = many * attitude_bias_deg, many * attitude_drift_deg
+        default, factor = DriftingNavigation(), self.navigation_error
+        place = factor * default.position_bias, factor * default.position_drift
+        turn = factor * attitude_bias_deg, factor * attitude_drift_deg
         return DriftingNavigation(*place, *turn)
 
 
 def _box(terrain: Terrain, half: float) -> tuple[float, float, float, float]:
-    """A square box around the terrain's centre, on the lattice, clear of the edge."""
+    """Square box around the centre of the terrain, a distance `EDGE` within its edges."""
     xmin, xmax, ymin, ymax = terrain.bounds
     middles = 0.5 * (xmin + xmax), 0.5 * (ymin + ymax)
     x, y = (GRID_SPACING * round(middle / GRID_SPACING) for middle in middles)
@@ -139,35 +141,35 @@ def _times(duration: float, rate: float, first: float = 0.0) -> Array:
     return first + np.arange(int(np.floor(duration * rate + 1e-9)) + 1, dtype=np.float64) / rate
 
 
-def _parabola(given: Conditions, terrain: Terrain, duration: float, flight: int) -> FlightPlan:
-    """Section VI; ``duration`` cuts the flight short."""
+def _parabola(conditions: Conditions, terrain: Terrain, duration: float, flight: int) -> FlightPlan:
+    """Section VI; a shorter ``duration`` ends the flight early."""
     target_z = float(terrain.elevation_at(10.0, 0.0))
     if not np.isfinite(target_z):
         raise SimulationError("terrain: it does not cover (10, 0) m, where the lidar points")
     times = _times(min(duration, 60.0), 1.0)
-    trajectory, lidar = section_vi_trajectory(target_z), given.lidar(10.0, 0.08)
+    trajectory, lidar = section_vi_trajectory(target_z), conditions.lidar(10.0, 0.08)
     box = _box(terrain, 60.0)
     return FlightPlan(terrain, lidar, trajectory, WhiteNavigation(), times, times, box)
 
 
-def _morpheus(given: Conditions, terrain: Terrain, duration: float, flight: int) -> FlightPlan:
-    """Section VII; a shorter ``duration`` sweeps a smaller box (20 m at least) as densely."""
+def _morpheus(conditions: Conditions, terrain: Terrain, duration: float, flight: int) -> FlightPlan:
+    """Section VII; a shorter ``duration`` sweeps a smaller box (at least 20 m) as densely."""
     box = _box(terrain, float(np.clip(30.0 * np.sqrt(duration / 20.0), 10.0, 30.0)))
     rate = 20.0
     area = tuple(_centre(terrain, box)), 0.5 * (box[1] - box[0]), 0.5 * (box[3] - box[2])
-    how = {"glide_slope_deg": given.glide_slope_deg, "reverse": flight % 2 == 1}
+    how = {"glide_slope_deg": conditions.glide_slope_deg, "reverse": flight % 2 == 1}
     trajectory = Sweep(*area, duration, field_of_view_deg=1.0, **how).trajectory()
     # Scans at 20 Hz, between poses.
     scans = (np.arange(int(np.floor(duration * rate + 1e-9)), dtype=np.float64) + 0.37 / 5.0) / rate
     poses = _times(duration + 2.0 * LEAD, 100.0, -LEAD)
-    lidar, navigation = given.lidar(1.0, 0.06), given.drifting(0.01, 0.0015)
+    lidar, navigation = conditions.lidar(1.0, 0.06), conditions.drifting(0.01, 0.0015)
     return FlightPlan(terrain, lidar, trajectory, navigation, scans, poses, box)
 
 
 @dataclass(frozen=True)
 class LookingDown:
-    """Plan of a descent between two ``heights``, m, over a box of ``half`` side, m, at a ``rate``,
-    Hz. ``lidar``: field of view, deg, and noise, m; None for a stereo camera."""
+    """Plan of a descent between two ``heights``, m, over a box of ``half`` side, m, with scans at a
+    ``rate``, Hz. ``lidar``: field of view, deg, and noise, m; None for a stereo camera."""
 
     half: float
     rate: float
@@ -176,23 +178,27 @@ class LookingDown:
     spacing: float = GRID_SPACING
 
     def __call__(
-        self, given: Conditions, terrain: Terrain, duration: float, flight: int
+        self, conditions: Conditions, terrain: Terrain, duration: float, flight: int
     ) -> FlightPlan:
-        if self.lidar is None and (given.range_noise is not None or given.outliers):
+        if self.lidar is None and (conditions.range_noise is not None or conditions.outliers):
             raise SimulationError("a stereo camera has neither range_noise nor outliers")
         box = _box(terrain, self.half)
         trajectory = descent_trajectory(_centre(terrain, box), duration, *self.heights)
         count = max(int(np.floor(duration * self.rate + 1e-9)), 1)
         scans = (np.arange(count, dtype=np.float64) + 0.137) / self.rate
         poses = _times(duration + 2.0 * LEAD, 50.0, -LEAD)
-        sensor = given.lidar(*self.lidar) if self.lidar else StereoCamera(dropouts=given.dropouts)
-        navigation = given.drifting(0.02, 0.005)
+        sensor = (
+            conditions.lidar(*self.lidar)
+            if self.lidar
+            else StereoCamera(dropouts=conditions.dropouts)
+        )
+        navigation = conditions.drifting(0.02, 0.005)
         return FlightPlan(terrain, sensor, trajectory, navigation, scans, poses, box, self.spacing)
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """A named flight: plan, duration, s, scale of its field (0: none), and default lander."""
+    """A named flight: plan, duration, s, scale of its field (0: parabola), and default lander."""
 
     plan: Callable[[Conditions, Terrain, float, int], FlightPlan]
     duration: float

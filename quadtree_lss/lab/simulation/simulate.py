@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fly a scenario: write the bag and, beside it, the truth."""
+"""Simulate a scenario into a bag and a truth file."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ TRUTH_NAME = "truth.npz"
 
 @dataclass(frozen=True)
 class SimulationResult:
-    """Summary of the bag; ``interrupted``: it ends early."""
+    """Summary of a simulation; ``interrupted``: the bag ends early."""
 
     scenario: str
     seed: int
     bag_path: Path
-    truth_path: Path | None
+    truth_path: Path
     scans: int
     poses: int
     points: int
     duration: float
     box: tuple[float, float, float, float]
-    safe_fraction: float | None
+    safe_fraction: float
     interrupted: bool = False
 
     def as_dict(self) -> dict[str, Any]:
@@ -45,11 +45,9 @@ class SimulationResult:
             ("Scans / poses / returns", f"{self.scans} / {self.poses} / {self.points}"),
             ("Seconds of scanning", f"{self.duration:.1f}"),
             ("Scanned box", f"x {xmin:g} … {xmax:g} m, y {ymin:g} … {ymax:g} m"),
+            ("Truth", str(self.truth_path)),
+            ("Safe part of the box", f"{100.0 * self.safe_fraction:.1f} %"),
         ]
-        if self.truth_path is not None:
-            rows.append(("Truth", str(self.truth_path)))
-        if self.safe_fraction is not None:
-            rows.append(("Safe part of the box", f"{100.0 * self.safe_fraction:.1f} %"))
         return "\n".join(f"{label:<24}  {value}" for label, value in rows)
 
 
@@ -59,32 +57,37 @@ def simulate(
     *,
     seed: int,
     flights: int = 1,
-    truth: bool = True,
     overwrite: bool = False,
     lander: LandingGear | None = None,
     progress: Callable[[int, int], None] | None = None,
     stop: Callable[[], bool] | None = None,
     **conditions: Any,
 ) -> SimulationResult:
-    """Simulate ``scenario`` (see `scenarios`) into a ROS 2 bag, reproducibly.
+    """Simulate a flight into a ROS 2 bag, with ``truth.npz`` beside it; reproducible by its seed.
 
-    Topics: ``/lidar/points`` (organised cloud in frame ``lidar``; ``depth``: ``/depth/image`` and
-    ``/depth/camera_info``) and ``/nav/pose`` (estimated pose of the lidar in frame ``map``, with
-    covariance). ``truth.npz`` goes beside the bag. ``flights`` > 1 repeats the flight over the same
-    ground with new navigation errors. ``lander``: whose safety is in the truth; ``conditions``: see
-    `scenarios.Conditions`. ``progress(done, total)`` is called after every scan; the flight ends
-    when ``stop`` returns True.
+    The topics are ``/lidar/points`` (organised cloud in frame ``lidar``; for the scenario ``depth``
+    ``/depth/image`` and ``/depth/camera_info``) and ``/nav/pose`` (estimated pose of the lidar in
+    frame ``map``, with covariance).
 
-    Raises `SimulationError`: the options are invalid, or a file would be overwritten without
-    ``overwrite``; KeyboardInterrupt: stopped before the first scan.
+    Args:
+        scenario: A key of `SCENARIOS`.
+        flights: Number of flights over the same ground, each with new navigation errors.
+        lander: Vehicle of the true safety, by default that of the scenario.
+        progress: Called with the numbers of done and of all scans after each scan.
+        stop: Called after each message; True ends the flight there.
+        conditions: Fields of `Conditions`.
+
+    Raises:
+        SimulationError: the options are invalid, or a file exists and ``overwrite`` is False.
+        KeyboardInterrupt: stopped before the first scan.
     """
     path = Path(bag_path)
     simulation = Simulation(scenario, seed, flights=flights, **conditions)
-    safe_fraction, truth_path = None, path.parent / TRUTH_NAME if truth else None
-    if truth_path is not None and truth_path.exists() and not overwrite:
+    truth_path = path.parent / TRUTH_NAME
+    if truth_path.exists() and not overwrite:
         msg = f"{truth_path} exists; choose another folder, or --overwrite to replace it"
         raise SimulationError(msg)
-    _make_room(path, overwrite)
+    _prepare_path(path, overwrite)
     done = 0
     try:
         with recorded(path) as write:
@@ -95,12 +98,10 @@ def simulate(
                     progress(done, simulation.scans)
         if not simulation.legs[0].scans:
             raise KeyboardInterrupt
-        if truth_path is not None:
-            arrays = simulation.truth(lander)
-            np.savez_compressed(truth_path, **arrays)  # type: ignore[arg-type]
-            safe_fraction = float(arrays["safe"].mean())
+        arrays = simulation.truth(lander)
+        np.savez_compressed(truth_path, **arrays)  # type: ignore[arg-type]
     except BaseException as error:
-        # Half a bag looks like a whole one.
+        # Remove an incomplete bag, which looks like a complete one.
         shutil.rmtree(path, ignore_errors=True)
         if isinstance(error, OSError):
             raise SimulationError(f"cannot write {path}: {error.strerror or error}") from error
@@ -116,20 +117,20 @@ def simulate(
         points=sum(leg.points for leg in flown),
         duration=sum(float(leg.plan.scan_times[leg.scans - 1]) for leg in flown if leg.scans),
         box=simulation.box,
-        safe_fraction=safe_fraction,
+        safe_fraction=float(arrays["safe"].mean()),
         interrupted=simulation.stopped,
     )
 
 
-def _make_room(path: Path, overwrite: bool) -> None:
-    """Make the parent directory; remove an old bag only when asked to."""
+def _prepare_path(path: Path, overwrite: bool) -> None:
+    """Make the parent directory; remove an existing bag if ``overwrite``."""
     if path.exists():
         if not overwrite:
             raise SimulationError(
                 f"{path} exists; choose another path, or --overwrite to replace it"
             )
         if not (path / "metadata.yaml").is_file():
-            raise SimulationError(f"{path} is no bag; it is not overwritten")
+            raise SimulationError(f"{path} is not a bag; it is not overwritten")
         shutil.rmtree(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

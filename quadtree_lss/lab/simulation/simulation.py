@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights over one ground: their messages in the order of arrival, and what was true."""
+"""Flights over one ground: their messages in the order of arrival, and the truth."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _POSE_LATENCY_NS = 3_000_000
 
 @dataclass
 class Leg:
-    """One flight over the ground: its schedule, and what was flown so far."""
+    """One flight over the ground: its schedule and its progress."""
 
     plan: FlightPlan
     start_ns: int
@@ -49,8 +49,8 @@ class Leg:
 
 
 class Simulation:
-    """A scenario as a reproducible stream of messages; arguments as of `simulate`. ``stopped``:
-    `messages` ended early. Raises `SimulationError`: invalid options."""
+    """A scenario as a reproducible stream of messages; arguments as in `simulate`. ``stopped`` is
+    True if `messages` ended early. Raises `SimulationError`: invalid options."""
 
     def __init__(self, scenario: str, seed: int, *, flights: int = 1, **conditions: Any) -> None:
         if flights < 1:
@@ -66,11 +66,11 @@ class Simulation:
         if scenario not in SCENARIOS:
             msg = f"unknown scenario {scenario!r}; there are {', '.join(sorted(SCENARIOS))}"
             raise SimulationError(msg)
-        of, given = SCENARIOS[scenario], Conditions(**conditions)
-        seconds = of.duration if given.duration is None else float(given.duration)
+        flight, given = SCENARIOS[scenario], Conditions(**conditions)
+        seconds = flight.duration if given.duration is None else float(given.duration)
         ground = given.ground(scenario, terrain)
         for number in range(flights):
-            plan = of.plan(given, ground, seconds, number)
+            plan = flight.plan(given, ground, seconds, number)
             self.legs.append(Leg(plan, start_ns))
             start_ns += round((plan.pose_times[-1] + _GAP_S) * 1e9)
 
@@ -84,7 +84,7 @@ class Simulation:
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """Times of the first and the last arrival."""
+        """Times of the first and the last arrival, ns."""
         return self.legs[0].arrivals[0][0], self.legs[-1].arrivals[-1][0]
 
     @property
@@ -93,7 +93,7 @@ class Simulation:
         return self.legs[0].plan.box
 
     def messages(self, stop: Callable[[], bool] | None = None) -> Iterator[tuple[str, int, Any]]:
-        """All messages with topic and time of reception, until ``stop`` returns True."""
+        """Yield topic, time of reception, ns, and message until ``stop`` returns True."""
         for leg in self.legs:
             plan = leg.plan
             poses = plan.trajectory.poses(plan.pose_times)
@@ -109,8 +109,8 @@ class Simulation:
                     pose = self.make.pose(stamp, place, rotations[k], estimate.covariance)
                     yield POSE_TOPIC, received_ns, pose
                     continue
-                at = leg.positions[k], leg.rotations[k]
-                scan = plan.lidar.scan(plan.terrain, *at, self._noise)
+                view = leg.positions[k], leg.rotations[k]
+                scan = plan.lidar.scan(plan.terrain, *view, self._noise)
                 leg.scans += 1
                 leg.points += int(np.isfinite(scan[..., 0]).sum())
                 stamp, camera = int(leg.scan_ns[k]), plan.lidar
@@ -122,7 +122,7 @@ class Simulation:
                 yield DEPTH_TOPIC, received_ns, self.make.depth(stamp, scan[..., 2])
 
     def truth(self, lander: LandingGear | None = None) -> dict[str, NDArray[Any]]:
-        """Content of ``truth.npz`` for what has been flown."""
+        """Content of ``truth.npz`` for the part of the flights that has been simulated."""
         lander = lander or SCENARIOS[self.scenario].lander
         flown = [leg for leg in self.legs if leg.scans]
         xmin, xmax, ymin, ymax = self.box

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ground of a simulation: a bilinear elevation model, and the parabola of Section VI."""
+"""The ground of a simulation: a bilinear elevation model; the parabola of Section VI."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from quadtree_lss.lab.simulation.march import march
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-#: Posts; see `march`.
+#: Sizes of windows, posts; see `march`.
 WINDOWS = (64, 16, 4)
 
 
 class SimulationError(QuadtreeLssError):
-    """A simulation that cannot be run as asked; the text is one clear line."""
+    """A simulation cannot be run with the given options."""
 
 
 def check(
-    of: object, limits: Mapping[str, tuple[float, float]], error: type[QuadtreeLssError]
+    settings: object, limits: Mapping[str, tuple[float, float]], error: type[QuadtreeLssError]
 ) -> None:
-    """Raise ``error`` for an attribute that is neither None nor a number within its limits."""
+    """Raise ``error`` if an attribute is neither None nor a number within its limits."""
     for name, (low, high) in limits.items():
-        value = getattr(of, name)
+        value = getattr(settings, name)
         if value is not None and not (isinstance(value, Real) and low <= value <= high):
             raise error(f"{name} must be between {low:g} and {high:g}, not {value}")
 
@@ -42,8 +42,8 @@ def spacing(axis: Array) -> float:
 
 
 def bilinear(posts_x: Array, posts_y: Array, elevation: Array, x: ArrayLike, y: ArrayLike) -> Array:
-    """Interpolate ``elevation`` (ny, nx) at map coordinates of any equal shape; NaN outside the
-    posts (nx,), (ny,), which ascend in equal steps."""
+    """Interpolate ``elevation`` (ny, nx) at map coordinates of equal shape; NaN outside the posts
+    (nx,), (ny,), which ascend in equal steps."""
     x_map, y_map = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
     nx, ny = posts_x.size, posts_y.size
     u = (x_map - posts_x[0]) / spacing(posts_x)
@@ -62,7 +62,7 @@ def bilinear(posts_x: Array, posts_y: Array, elevation: Array, x: ArrayLike, y: 
 @dataclass(frozen=True)
 class Terrain:
     """A bilinear heightfield: posts ``x`` (nx,), ``y`` (ny,), ascending in equal steps,
-    ``elevation`` (ny, nx), m, z up. Raises `SimulationError`: the arrays are not such a field."""
+    ``elevation`` (ny, nx), m, z up. Raises `SimulationError`: the arrays are invalid."""
 
     x: Array
     y: Array
@@ -94,12 +94,12 @@ class Terrain:
         return Terrain(scale * self.x, scale * self.y, scale * self.elevation)
 
     def elevation_at(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Bilinear elevation (m) at map coordinates of any equal shape; NaN outside."""
+        """Bilinear elevation (m) at map coordinates of equal shape; NaN outside."""
         return bilinear(self.x, self.y, self.elevation, x, y)
 
     @cached_property
     def window_maxima(self) -> tuple[Array, ...]:
-        """For each of `WINDOWS` the highest post within one window of each block of that size."""
+        """For each of `WINDOWS`, the highest post within one window of each block of that size."""
         maxima = []
         for window in WINDOWS:
             blocks = self.elevation
@@ -109,7 +109,7 @@ class Terrain:
         return tuple(maxima)
 
     def cast(self, origin_map: Array, directions_map: Array) -> Array:
-        """Range (N,) to the first hit of each ray, with occlusion; NaN where a ray misses."""
+        """Range (N,) to the first hit of each ray; NaN without one."""
         dx, dy = self.post
         box = np.array([self.elevation.min(), self.elevation.max()])
         origin = np.asarray(origin_map, float)
@@ -122,15 +122,15 @@ class Terrain:
 
 
 def parabola() -> Terrain:
-    """The ground of Section VI, 140 m wide: z = a (x² + y² − r²) where that is positive, else 0
-    (Eq. 60: a = 3·10⁻³/m, r = 12 m)."""
+    """Ground of Section VI, 140 m wide: z = max(a (x² + y² − r²), 0) with a = 3·10⁻³/m, r = 12 m
+    (Eq. 60)."""
     axis = np.linspace(-70.0, 70.0, 561)
     squared = axis[None, :] ** 2 + axis[:, None] ** 2
     return Terrain(axis, axis, np.maximum(3e-3 * (squared - 12.0**2), 0.0))
 
 
 def load_terrain(path: str | Path) -> Terrain:
-    """A DEM from a file; see `read_dem`. Raises `SimulationError`: it cannot be flown over."""
+    """Read a DEM with `read_dem`. Raises `SimulationError`: it cannot be read or has gaps."""
     try:
         model = read_dem(Path(path))
         return Terrain(model.x, model.y, model.elevation)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Positions and pointing of the lidar."""
+"""Trajectories: position and pointing of the lidar over time."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def look_at(
     position_map: ArrayLike, target_map: ArrayLike, up_map: tuple[float, float, float] = UP
 ) -> Array:
     """Rotations (..., 3, 3) from the lidar frame (z boresight, x right, y down) to map, for
-    positions and targets (..., 3), m. The image's upper edge points to ``up_map``, or to +y if the
-    boresight is parallel to that."""
+    positions and targets (..., 3), m. The upper edge of the image points to ``up_map``, or to +y if
+    the boresight is parallel to ``up_map``."""
     sight = np.asarray(target_map, float) - np.asarray(position_map, float)
     boresight = sight / np.linalg.norm(sight, axis=-1, keepdims=True)
     right = np.cross(boresight, up_map)
@@ -52,7 +52,7 @@ def _constant(duration: float, point: ArrayLike) -> CubicHermiteSpline:
 
 
 def section_vi_trajectory(target_z: float = 0.0) -> Trajectory:
-    """Section VI: the cubic of 60 s from (100, −100, 500) m at (−5, −5, −5) m/s to rest 20 m above
+    """Section VI: a cubic of 60 s from (100, −100, 500) m at (−5, −5, −5) m/s to rest 20 m above
     the origin; the boresight points at (10, 0) m on the ground."""
     position = CubicHermiteSpline(
         [0.0, 60.0], [[100.0, -100.0, 500.0], [0.0, 0.0, 20.0]], [[-5.0, -5.0, -5.0], [0.0] * 3]
@@ -62,9 +62,9 @@ def section_vi_trajectory(target_z: float = 0.0) -> Trajectory:
 
 @dataclass(frozen=True)
 class Sweep:
-    """A gimballed sweep of a box, and ``margin`` around it, from a straight approach along +x on a
-    glide slope. Strips run along y, from near to far and back, and overlap by at least ``overlap``
-    of the footprint."""
+    """Gimballed sweep of a box and a ``margin`` around it during a straight approach along +x on a
+    glide slope. Strips along y from near to far overlap by at least ``overlap`` of the
+    footprint."""
 
     centre_map: tuple[float, float, float]
     half_x: float
@@ -89,7 +89,7 @@ class Sweep:
         return Trajectory(position, self._aim(centre, stop))
 
     def _aim(self, centre: Array, closest: Array) -> CubicSpline:
-        """Ground point under the boresight over time, a polyline with rounded turns."""
+        """Ground point under the boresight over time: a polyline with rounded turns."""
         half_angle = np.radians(0.5 * self.field_of_view_deg)
         height, distance = closest[2] - centre[2], centre[0] - closest[0]
         # Edges to cover, seen from the closest point, where footprints are smallest.
@@ -137,7 +137,7 @@ class Sweep:
 def descent_trajectory(
     centre_map: ArrayLike, duration: float, high: float = 200.0, low: float = 50.0
 ) -> Trajectory:
-    """A braking descent above a ground point with a decaying sideways drift, looking down."""
+    """Braking descent above a ground point with a decaying sideways drift, looking at it."""
     ground = np.asarray(centre_map, float)
     start = ground + np.array([0.1 * high, -0.06 * high, high])
     stop = ground + np.array([0.0, 0.0, low])
