@@ -28,7 +28,7 @@ def test_more_bridged_ground_than_in_the_fit_gives_a_warning(more):
     judged = np.zeros((101, 101), dtype=np.bool_)
     judged[1:, 1:] = place < 8000
     bridged = (place >= 8000) | (place < 8000 * (MAX_BRIDGED + more))
-    line = bridging_warning(SimpleNamespace(bridged=bridged, judged=judged))
+    line = bridging_warning(SimpleNamespace(bridged=bridged, assessable=judged))
     assert line.startswith("7 % of the judged ground") if more > 0.0 else line == ""
 
 

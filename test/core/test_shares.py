@@ -24,7 +24,7 @@ pytestmark = pytest.mark.xdist_group("shares")  # drawn once
 @pytest.fixture(scope="module")
 def leaves() -> list[shares.Draw]:
     """Of one scan, and of twenty."""
-    return shares.drawn(4501, 1500, 1) + shares.drawn(4502, 400, 20)
+    return shares.draw_leaves(4501, 1500, 1) + shares.draw_leaves(4502, 400, 20)
 
 
 def sizes(draws: list[shares.Draw], of: str) -> np.ndarray:
@@ -59,7 +59,7 @@ def test_no_share_is_trusted_too_much(leaves, scans, low, high, most, beyond):
 @pytest.mark.slow
 def test_claims_hold_over_rolling_ground():
     """Waves of 4 degrees: what planes leave out of the unseen part is within what leaves allow."""
-    rolling = shares.drawn(4503, 500, 1, 0.07) + shares.drawn(4503, 130, 20, 0.07)
+    rolling = shares.draw_leaves(4503, 500, 1, 0.07) + shares.draw_leaves(4503, 130, 20, 0.07)
     ratios = sizes(rolling, "all")
     assert len(ratios) > 1000
     assert 0.6 < np.sqrt(np.mean(ratios**2)) < 1.0
@@ -73,7 +73,7 @@ def test_claims_hold_over_broken_ground():
     posts, rng = 0.2 * np.arange(200.0), np.random.default_rng(1)
     bumps = gaussian_filter(rng.standard_normal((200, 200)), 4.0)
     ground = Terrain(posts, posts, 0.2 * bumps / bumps.std())
-    found = shares.drawn(4503, 200, 1, ground) + shares.drawn(4503, 50, 20, ground)
+    found = shares.draw_leaves(4503, 200, 1, ground) + shares.draw_leaves(4503, 50, 20, ground)
     ratios = sizes(found, "slope")
     assert len(ratios) > 2500
     assert 0.8 < np.sqrt(np.mean(ratios**2)) < 1.25

@@ -176,7 +176,7 @@ def test_a_flight_is_gone_over(text, in_browser):
         text,
         """
         const f = data.flight, seen = () => [...Array(grid.nx * grid.ny).keys()].filter(
-          i => !(view.answer < 0 ? grid.hazard[i] & 128 : laterThan(i, view.answer))).length;
+          i => !(view.answer < 0 ? grid.hazard[i] & 128 : isUnobservedAt(i, view.answer))).length;
         const slider = byId("instant");
         const at = k => { slider.value = k; slider.dispatchEvent(new Event("input"));
           return [view.answer, seen(), byId("clock").textContent, byId("verdict").textContent]; };
@@ -186,15 +186,15 @@ def test_a_flight_is_gone_over(text, in_browser):
         const last = f.decisions.length - 1;
         document.querySelectorAll("#decisions tbody tr")[last].click();
         tellTest("there", [momentTime(), f.decisions[last][0]]);
-        const [kind, begin] = f.faults[0]; moment(sampleAt(begin + 0.5));
+        const [kind, begin] = f.faults[0]; showMoment(sampleAt(begin + 0.5));
         view.sites = view.excluded = view.relief = false;
         view.x = f.x[view.moment]; view.y = f.y[view.moment]; view.scale = 200; drawNow();
         const red = () => { drawNow();
           const d = map.getContext("2d").getImageData(0, 0, map.width, map.height).data;
           let n = 0; for (let i = 0; i < d.length; i += 4) {
             n += d[i] === 0xd5 && d[i + 1] === 0x5e && d[i + 2] === 0; } return n; };
-        const during = red(); moment(sampleAt(begin - 1)); tellTest("fault", [during, red()]);
-        moment(frames.last); setMode("scene");
+        const during = red(); showMoment(sampleAt(begin - 1)); tellTest("fault", [during, red()]);
+        showMoment(frames.last); setMode("scene");
         await until(() => root.dataset.scene || document.querySelector("#scene .warning"));
         if (space) {
           const pads = [], truth = data.layers.find(l => l.name === "truth");
@@ -243,7 +243,7 @@ def test_a_moment_has_its_view_reach_and_target_on_the_map_and_in_space(text, in
             if (about && about.radiusTop === data.lander.pad) low = Math.min(low, o.position.z); });
           return [found.filter(c => c === "6fa8dc").length, found.includes("0072b2"),
                   low - 0.03 + space.z0 - f.z[view.moment]]; };
-        if (space) { tellTest("space", inSpace()); moment((f.time.length >> 1) + 20);
+        if (space) { tellTest("space", inSpace()); showMoment((f.time.length >> 1) + 20);
           tellTest("later", [view.moment, ...inSpace()]); tellTest("corners", h.corners); }
         """,
     )

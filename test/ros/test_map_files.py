@@ -128,7 +128,7 @@ def test_broken_map_never_replaces_a_checkpoint(tmp_path, name, value):
     path = tmp_path / "map"
     checkpoints, mapper = kept(path, 2)
     good = path.read_bytes()
-    row = int(np.flatnonzero(mapper.leaves.rows["known"][: mapper.leaves.count] == 3)[0])
+    row = int(np.flatnonzero(mapper.leaves.rows["state"][: mapper.leaves.count] == 3)[0])
     covariance = mapper.leaves.rows[name][row].reshape(3, 3)
     if value == "indefinite":  # the small variances alone: a large one beside must not hide it
         covariance[2, 2] = 1e6
