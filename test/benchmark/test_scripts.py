@@ -15,10 +15,6 @@ SMALL = {
     ),
     "arducopter": ([], ["nothing flown: ARDUCOPTER names no"]),
     "px4": ([], ["nothing flown: PX4 names no"]),
-    "follow": (
-        ["--seeds", "9481", "--length", "80", "--moments", "3"],
-        ["moves of the square", "a place is named"],
-    ),
     "recordings": (["--data", "nowhere"], ["no recordings in nowhere"]),
     "hover": (["--flights", "1", "--scans", "20", "50"], ["white", "Gauss-Markov", "constant"]),
     "section_vi": (["--seeds", "201", "--duration", "3"], ["187", "220", "prefit below"]),
