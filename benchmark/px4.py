@@ -23,7 +23,7 @@ import numpy as np
 from arducopter import CONFIG, FAULTS, HEIGHT_M, Copter, bound, main
 from scipy.spatial.transform import Rotation
 
-from quadtree_lss.onboard.autopilot.frames import SWAP
+from quadtree_lss.onboard.autopilot.frames import R_ENU_NED
 from quadtree_lss.onboard.autopilot.link import (
     ARM_DISARM,
     CUSTOM_MODE,
@@ -90,7 +90,7 @@ class Px4(Copter):
     def truth(self) -> tuple[float, np.ndarray, np.ndarray]:
         """As in `Copter`, relative to the start."""
         at, (latitude, longitude, height, *_) = self._true_state
-        turn = SWAP @ rotation_from_quaternion(np.roll(self._attitude, -1))
+        turn = R_ENU_NED @ rotation_from_quaternion(np.roll(self._attitude, -1))
         return at, self._metres(latitude, longitude, height), turn
 
     def _metres(self, latitude: float, longitude: float, height: float) -> np.ndarray:
@@ -135,8 +135,8 @@ class Px4(Copter):
     def _send_position(self) -> None:
         """Send position and attitude as an external vision system would."""
         _, place, turn = self.truth()
-        north_east_down = SWAP @ place + FIX_M * self._noise.standard_normal(3)
-        angles = Rotation.from_matrix(SWAP @ turn).as_euler("ZYX")[::-1]
+        north_east_down = R_ENU_NED @ place + FIX_M * self._noise.standard_normal(3)
+        angles = Rotation.from_matrix(R_ENU_NED @ turn).as_euler("ZYX")[::-1]
         covariance = np.zeros((6, 6))
         covariance[np.diag_indices(6)] = np.repeat((FIX_M**2, FIX_RAD**2), 3)
         sent = *north_east_down, *(angles + FIX_RAD * self._noise.standard_normal(3))

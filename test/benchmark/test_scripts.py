@@ -33,7 +33,7 @@ SMALL = {
         ["--draws", "200", "--of-twenty", "50", "--rolling", "3", "--figure", "c.png"],
         ["error over claimed deviation", "20, all"],
     ),
-    "wrong_poses": (["--seeds", "1", "--before", "3"], ["wrong scans refused", "hills"]),
+    "wrong_poses": (["--seeds", "1", "--before", "3"], ["wrong scans rejected", "hills"]),
     "landing_pass": (["--duration", "1", "--repeats", "1"], ["the paper's rules"]),
     "target": (["--seeds", "201", "--told"], ["withdrawn from truly safe ground", "truth off by"]),
     "live": (
