@@ -219,7 +219,7 @@ def test_space_shows_the_ground_and_the_lander(browse):
             colours.add(pixels[i] >> 4 | pixels[i + 1] & 240);
           }
           tellTest("colours", colours.size);
-          again(); choose(0); // the map is hidden, and must be there when it is shown again
+          refresh(); choose(0); // the map is hidden, and must be there when it is shown again
           setMode("map"); drawNow(); await until(() => width());
           tellTest("map", [view.scale / whole, view.x, view.y, address().includes("scale=0.00")]);
           const there = colourAt(px(view.x) + 20, py(view.y) + 20);

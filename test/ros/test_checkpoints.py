@@ -114,7 +114,7 @@ def test_failed_last_checkpoint_is_logged(ros):
         listener.until(listener.at_least, "problems.checkpoint", 1)
     assert mapping.stop() == 0
     last = mapping.output().splitlines()[-1]
-    assert "is lost" in last and "[ERROR]" in last
+    assert "are lost" in last and "[ERROR]" in last
 
 
 @pytest.mark.slow
@@ -130,7 +130,7 @@ def test_scan_with_an_error_is_dropped_and_the_node_continues(ros, kept):
         leaves = len(listener.newest["map/cells"].data)
         sensors.publish(1, offset_ns=TEN_SECONDS_NS)
 
-        how = "that of the checkpoint" if kept else "sound and goes on"
+        how = "that of the checkpoint" if kept else "consistent and kept"
         listener.until(listener.told, "mapping_node", ERROR, how)
         assert "ValueError" in listener.diagnostics["mapping_node"].message
         assert listener.has("problems.scan_failed", 1)
