@@ -105,7 +105,7 @@ def test_the_drone_of_the_tutorial_is_checked_and_its_hover_is_replayed(tmp_path
     def run(script):
         script = script.replace("$(ros2 pkg prefix --share quadtree_lss)", str(ROOT))
         script = script.replace("ros2 run quadtree_lss ", "")
-        script = re.sub("^(ros2 bag record|quadtree-lss doctor) .*$", "", script, flags=re.MULTILINE)
+        script = re.sub("(?m)^(ros2 bag record|quadtree-lss doctor) .*$", "", script)
         script = script.replace("quadtree-lss ", f"{sys.executable} -m quadtree_lss.cli ")
         return ran(tmp_path, "bash", "-ec", script)
 
