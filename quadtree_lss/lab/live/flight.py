@@ -180,7 +180,7 @@ class LiveNodes:
         x, y, z, share = (float(said[name]) for name in ("x", "y", "z", "probability"))
         stamp, reason = stamp_ns(message.header), Reason(said["reason"]).key
         row = TargetChange(stamp, int(said["id"]), x, y, z, share, reason)
-        if row.follows(self.targets[-1] if self.targets else None):
+        if row.differs_from(self.targets[-1] if self.targets else None):
             self.targets.append(row)
 
     def _on_selected(self, message: Any) -> None:
