@@ -14,7 +14,7 @@ CELLS = {"min_level": 4, "max_level": 4}
 
 
 def cells_of(rise, own=1e-4, of_scan=0.09, of_map=0.01, first=0.0, last=0.0) -> np.ndarray:
-    """What `height_offset` takes, of cells with this rise."""
+    """Return the cells that `height_offset` takes, with this rise."""
     rise = np.asarray(rise, dtype=np.float64)
     columns = (rise, own, of_scan, of_map, first, last)
     return np.array([np.broadcast_to(column, rise.shape) for column in columns], dtype=np.float64)

@@ -134,7 +134,7 @@ def test_noise_ratio_is_that_of_level_ground():
 
 
 def test_the_noise_ratio_moves_by_a_tenth_of_what_each_scan_says():
-    """What a scan says by itself, the first scan of a new mapper tells."""
+    """The first scan of a new mapper gives what a scan determines by itself."""
     config = fixed(3, 0.05)
     rng, mapper, before = np.random.default_rng(2), Mapper(config), None
     for factor in (1.0, 3.0, 3.0, 0.5):

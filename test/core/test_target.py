@@ -439,7 +439,7 @@ def test_covariance_is_that_of_drawn_maps():
 
 
 def test_land_now_does_not_climb():
-    """No ground is safe but a plateau, which lies above the vehicle."""
+    """Only a plateau above the vehicle is safe."""
 
     def plateau(x, y):
         return np.where(x > 9.0, 13.0, 0.5 * (np.floor(x) % 2) * (np.floor(y) % 2))
