@@ -37,8 +37,9 @@ if TYPE_CHECKING:
 MAX_SITES = 1000
 #: (S, C) by ranking. S: true gain as a share of the predicted gain of the grid point that ranks
 #: first, which is the best of many predictions with errors (benchmark/target.py --bias). C: least
-#: cost of a divert: in probability, or in the score 4 m more clearance or 4.6 degrees less slope.
-GAIN_AND_COST = {"probability": (0.5, 0.001), "score": (1.0, 0.08)}
+#: cost of a divert: in probability, because a third of a predicted gain below 0.004 is true; in the
+#: score 4 m more clearance or 4.6 degrees less slope.
+GAIN_AND_COST = {"probability": (0.5, 0.002), "score": (1.0, 0.08)}
 #: A target on ground that is no longer safe is kept while the risk within half of ``lss.margin`` is
 #: at most this multiple of ``lss.max_risk``: the edge of small safe areas moves with each scan.
 KEEP_RISK_FACTOR = 3.0
