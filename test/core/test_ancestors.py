@@ -32,14 +32,13 @@ def test_fused_planes_are_those_of_a_direct_fit(level):
     order = np.lexsort((direct.ix, direct.iy))
     cell = (direct.iy.astype(int) << level) + direct.ix
     np.testing.assert_array_equal(fused.cell, cell[order])
-    np.testing.assert_allclose(fused.x, direct.x[order])
-    np.testing.assert_allclose(fused.y, direct.y[order])
+    np.testing.assert_allclose(fused.planes[:, :2], np.stack([direct.x, direct.y], 1)[order])
     sigma = np.sqrt(np.einsum("mii->mi", direct.covariance_range[order]))
-    pairs = zip(fused.normal, direct.normal[order], strict=True)
+    pairs = zip(fused.planes[:, 3:], direct.normal[order], strict=True)
     tilt = np.abs([minus(one, other) for one, other in pairs])
     # Bins move by the noise across the ray, and small leaves' own tilt weights: second order.
     assert (tilt < 0.7 * sigma[:, :2]).all()
-    assert (np.abs(fused.z - direct.z[order]) < 0.5 * sigma[:, 2]).all()
+    assert (np.abs(fused.planes[:, 2] - direct.z[order]) < 0.5 * sigma[:, 2]).all()
     # What a cell's points leave out by chance makes single cells less certain.
     parts = fused.range_part, direct.covariance_range[order]
     part, other = (np.median(of, axis=0) for of in parts)
@@ -57,8 +56,8 @@ def test_each_leaf_finds_its_ancestor():
             if cells.level[k] < level:
                 assert a == -1
                 continue
-            assert abs(cells.x[k] - fused.x[a]) <= 0.5 * size
-            assert abs(cells.y[k] - fused.y[a]) <= 0.5 * size
+            x, y = fused.planes[a, :2]
+            assert max(abs(cells.x[k] - x), abs(cells.y[k] - y)) <= 0.5 * size
 
 
 def test_inherited_leaves_are_no_information():
@@ -67,7 +66,7 @@ def test_inherited_leaves_are_no_information():
     wrong = cells.z + 5.0 * inherited
     poisoned = dataclasses.replace(cells, measured=~inherited, z=wrong)
     fused, full = fuse_to_level(poisoned, 2), fuse_to_level(cells, 2)
-    assert np.abs(fused.z - full.z).max() < 0.05
+    assert np.abs(fused.planes - full.planes)[:, 2].max() < 0.05
     ratio = fused.range_part[:, 2, 2] / full.range_part[:, 2, 2]
     np.testing.assert_allclose(ratio, 2.0, rtol=0.3)
 
@@ -96,6 +95,6 @@ def test_leaves_of_one_steep_plane_give_that_plane_wherever_they_lie():
         count=(1 + 10 * cells.ix).astype(cells.count.dtype),
     )
     for level in range(4):
-        fused = fuse_to_level(steep, level)
-        np.testing.assert_allclose(fused.z, gradient @ np.array([fused.x, fused.y]), atol=1e-9)
-        np.testing.assert_allclose(fused.normal, np.tile(normal, (len(fused.z), 1)), atol=1e-9)
+        fused = fuse_to_level(steep, level).planes
+        np.testing.assert_allclose(fused[:, 2], fused[:, :2] @ gradient, atol=1e-9)
+        np.testing.assert_allclose(fused[:, 3:], np.tile(normal, (len(fused), 1)), atol=1e-9)

@@ -139,7 +139,6 @@ def test_no_geometry_and_no_covariance_breaks_the_map(seed, method, lidar, poses
         assert_sound(cells)
         for name in ("division_sum", "square_sum", "distance_sum", "exception_sum"):
             assert np.isfinite(mapper.leaves.rows[name][: mapper.leaves.count]).all(), name
-    parents = fuse_to_level(cells, 1)
-    for value in (parents.z, parents.normal):
-        assert np.isfinite(value).all()
-    assert (parents.normal[:, 2] > 0.0).all()
+    parents = fuse_to_level(cells, 1).planes
+    assert np.isfinite(parents).all()
+    assert (parents[:, 5] > 0.0).all()

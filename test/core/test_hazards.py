@@ -44,7 +44,7 @@ def test_elevation_deviation_is_the_greatest_over_the_footprint(cells, level):
         n = cells.normal[k]
         z = cells.z[k] - (n[0] * dx + n[1] * dy) / n[2]
         points = np.column_stack([cells.x[k] + dx, cells.y[k] + dy, z])
-        off = (points - (fused.x[a], fused.y[a], fused.z[a])) @ fused.normal[a]
+        off = (points - fused.planes[a, :3]) @ fused.planes[a, 3:]
         assert found[k] == pytest.approx(np.abs(off).max(), abs=1e-9)
 
 

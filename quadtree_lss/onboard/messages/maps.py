@@ -19,10 +19,9 @@ from quadtree_lss.onboard.config.limits import MAX_LEAVES, MAX_LEVEL, exceeded_l
 from quadtree_lss.onboard.config.settings import ConfigError, LssConfig, checked_values
 from quadtree_lss.onboard.core.geometry.bounds import MAX_HEIGHT, MAX_VALUE, clamp_heights
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.core.tree.columns import pack
+from quadtree_lss.onboard.core.tree.columns import sound_planes
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.leaves import leaf_raster
-from quadtree_lss.onboard.core.tree.soundness import sound_planes
 from quadtree_lss.onboard.messages.clouds import MessageError
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
@@ -40,10 +39,9 @@ _RANGE = tuple(f"covariance_range_{entry}" for entry in _UPPER)
 _POSE = tuple(f"covariance_pose_{entry}" for entry in _UPPER)
 _NORMAL = ("normal_x", "normal_y", "normal_z")
 _FEATURE = ("feature_a", "feature_k", "feature_x", "feature_y", "feature_sigma")
-_PLANE = ("size", "elevation", *_NORMAL)
-_SINGLE = (*_RANGE, *_POSE, "roughness", "exception_fraction", *_FEATURE)
-_ATTRIBUTES = "x y count ix iy level measured offset_z offset_variance low high coverage".split()
-"""Fields with the name of a `CellMap` attribute, except those written by `pack`."""
+_ATTRIBUTES = "x y size roughness exception_fraction count ix iy level measured".split()
+_ATTRIBUTES += "offset_z offset_variance low high coverage".split()
+"""Fields with the name of a `CellMap` attribute."""
 
 
 def record_dtype(*columns: tuple[str, Iterable[str]]) -> np.dtype[np.void]:
@@ -54,8 +52,8 @@ def record_dtype(*columns: tuple[str, Iterable[str]]) -> np.dtype[np.void]:
 #: A ``map/cells`` point.
 CELL_FIELDS = record_dtype(
     ("f4", "xyz"),
-    ("f8", _PLANE),
-    ("f4", _SINGLE),
+    ("f8", ("size", "elevation", *_NORMAL)),
+    ("f4", (*_RANGE, *_POSE, "roughness", "exception_fraction", *_FEATURE)),
     ("u4", ["count"]),
     ("u2", ("ix", "iy")),
     ("u1", ("level", "min_level", "measured")),
@@ -93,7 +91,12 @@ def encode_cells(cells: CellMap) -> NDArray[np.void]:
         out[name] = getattr(cells, name)
     out["z"] = clamp_heights(cells.z, cells.low, cells.high)
     out["min_level"] = cells.domain.min_level
-    pack(cells, _block(out, _PLANE), _block(out, _SINGLE))
+    out["elevation"] = cells.z
+    _block(out, _NORMAL)[:] = cells.normal
+    _block(out, _FEATURE)[:] = cells.feature
+    row, column = np.triu_indices(3)
+    _block(out, _RANGE)[:] = cells.covariance_range[:, row, column]
+    _block(out, _POSE)[:] = cells.covariance_pose[:, row, column]
     return out
 
 

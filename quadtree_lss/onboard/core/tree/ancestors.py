@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cython
 import numpy as np
-from cython.cimports.libc.math import fabs, sqrt
 from cython.cimports.quadtree_lss.onboard.core.geometry import plane
 from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at, minus_at, plus_at
 
@@ -15,27 +14,22 @@ from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 
-@dataclass(frozen=True)
-class Ancestors:
+class Ancestors(NamedTuple):
     """Fused planes of the cells of one level that have a measured leaf below them.
 
     Attributes:
         cell: (A,) iy * 2^level + ix.
-        x, y, z: (A,) plane's elevation z above the cell's centre, m.
-        normal: (A, 3).
+        planes: (A, 6) x, y, z: elevation z above the cell's centre, m; upward unit normal.
         range_part: (A, 3, 3) covariance of (dphi_1, dphi_2, dd), d about (x, y, z), from range
             noise.
-        of_leaf: (M,) place of each leaf's ancestor, -1 where there is none (the leaf is of a
-            higher level, or nothing below the ancestor was measured).
+        of_leaf: (M,) row of each leaf's ancestor, -1 where there is none (the leaf is of a higher
+            level, or no leaf below the ancestor was measured).
         off: (M,) greatest distance of each leaf's plane from its ancestor's, along the normal of
             that, over the leaf's square, m; 0 where there is none.
     """
 
     cell: Index
-    x: Array
-    y: Array
-    z: Array
-    normal: Array
+    planes: Array
     range_part: Array
     of_leaf: Index
     off: Array
@@ -51,150 +45,97 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
 
     Fusing children of children at once is the same as level by level, information being additive.
     """
-    n = 1 << level
-    of_leaf, place = np.empty(len(cells.level), dtype=np.intp), np.full(n * n, -1, dtype=np.intp)
-    find_ancestors(cells, level, place, of_leaf)
-    cell = np.flatnonzero(place >= 0)
+    n, below = 1 << level, cells.level >= level
+    down = np.where(below, cells.level, level) - level
+    over = (cells.iy.astype(np.intp) >> down << level) + (cells.ix >> down)
+    row = np.full(n * n, -1, dtype=np.intp)
+    row[over[below & cells.measured]] = 0
+    cell = np.flatnonzero(row == 0)
+    row[cell] = np.arange(len(cell))
+    of_leaf = np.where(below, row[over], -1)
+    leaf = np.flatnonzero(below & cells.measured)
+    ancestor = of_leaf[leaf]
+    leaves = np.stack([cells.x, cells.y, cells.z, *cells.normal.T])
+    # Linearised about the mean of the leaves.
+    weight = np.maximum(cells.count[leaf], 1.0)
+    mean = [np.bincount(ancestor, weight * value[leaf], len(cell)) for value in leaves[2:]]
+    up = np.stack(mean[1:], axis=1)
     size = float(cells.domain.cell_size(level))
-    planes, off = np.zeros((len(cell), 6)), np.zeros(len(of_leaf))
+    x = cells.domain.xmin + (cell % n + 0.5) * size
+    y = cells.domain.ymin + (cell // n + 0.5) * size
+    z = mean[0] / np.bincount(ancestor, weight, len(cell))
+    planes = np.column_stack([x, y, z, up / np.linalg.norm(up, axis=1, keepdims=True)])
     range_part = np.zeros((len(cell), 3, 3))
-    planes[:, 0] = cells.domain.xmin + (cell % n + 0.5) * size
-    planes[:, 1] = cells.domain.ymin + (cell // n + 0.5) * size
-    fuse_leaves(cells, of_leaf, planes, range_part, off)
-    x, y, z = planes[:, :3].T
-    return Ancestors(cell, x, y, z, planes[:, 3:], range_part, of_leaf, off)
+    fuse_leaves(leaves[:, leaf], cells.covariance_range[leaf], ancestor, planes, range_part)
+    # Both are planes, so their distance varies linearly and is greatest at a corner.
+    off, own = np.zeros(len(of_leaf)), np.flatnonzero(of_leaf >= 0)
+    x, y, z, *normal = leaves[:, own]
+    fused_x, fused_y, fused_z, east, north, up = planes.T[:, of_leaf[own]]
+    middle = east * (x - fused_x) + north * (y - fused_y) + up * (z - fused_z)
+    corner = np.abs(east - up * normal[0] / normal[2]) + np.abs(north - up * normal[1] / normal[2])
+    off[own] = np.abs(middle) + 0.5 * cells.size[own] * corner
+    return Ancestors(cell, planes, range_part, of_leaf, off)
 
 
 @cython.boundscheck(False)
-@cython.locals(at=cython.int, place=cython.Py_ssize_t[::1], of_leaf=cython.Py_ssize_t[::1])
-def find_ancestors(cells: CellMap, at: int, place: Index, of_leaf: Index) -> None:
-    """Number the cells of the level ``at`` that have a measured leaf below them: ``place`` (4^at,)
-    is -1, which stays where there is none; ``of_leaf`` (M,) is set to that of each leaf's, -1 of
-    those of a higher level."""
-    cython.declare(k=cython.Py_ssize_t, a=cython.Py_ssize_t, found=cython.Py_ssize_t)
-    level = cython.declare(cython.uchar[::1], cells.level)
-    ix = cython.declare(cython.uint[::1], cells.ix)
-    iy = cython.declare(cython.uint[::1], cells.iy)
-    measured = cython.declare(cython.uchar[::1], cells.measured.view(np.uint8))
-    down: cython.int
-    found = 0
-    with cython.nogil:
-        for k in range(level.shape[0]):
-            down = cython.cast(cython.int, level[k]) - at
-            of_leaf[k] = -1 if down < 0 else ((iy[k] >> down) << at) + (ix[k] >> down)
-            if down >= 0 and measured[k]:
-                place[of_leaf[k]] = 0
-        for a in range(place.shape[0]):
-            if place[a] == 0:
-                place[a] = found
-                found += 1
-        for k in range(level.shape[0]):
-            if of_leaf[k] >= 0:
-                of_leaf[k] = place[of_leaf[k]]
-
-
-@cython.boundscheck(False)
+@cython.locals(leaves=cython.double[:, :], ranges=cython.double[:, :, ::1])
 @cython.locals(ancestor=cython.Py_ssize_t[::1], planes=cython.double[:, ::1])
-@cython.locals(range_part=cython.double[:, :, ::1], off=cython.double[::1])
+@cython.locals(range_part=cython.double[:, :, ::1])
 def fuse_leaves(
-    cells: CellMap, ancestor: Index, planes: Array, range_part: Array, off: Array
+    leaves: Array, ranges: Array, ancestor: Index, planes: Array, range_part: Array
 ) -> None:
-    """Fuse the measured leaves (M) into their ancestors (A).
-
-    Args:
-        cells: The map.
-        ancestor: (M,) of each leaf, 0 .. A - 1, or less where it has none.
-        planes: (A, 6) x and y of the ancestors' centres, m; what is 0 is set: z and the normal.
-        range_part: (A, 3, 3) their covariances; 0 before.
-        off: (M,) as of `Ancestors`; 0 before.
-    """
-    measured = cython.declare(cython.uchar[::1], cells.measured.view(np.uint8))
-    size = cython.declare(cython.double[::1], cells.size)
-    x = cython.declare(cython.double[::1], cells.x)
-    y = cython.declare(cython.double[::1], cells.y)
-    z = cython.declare(cython.double[::1], cells.z)
-    normal = cython.declare(cython.double[:, ::1], cells.normal)
-    count = cython.declare(cython.uint[::1], cells.count)
-    of_leaves = cython.declare(cython.double[:, :, ::1], cells.covariance_range)
+    """Fuse planes (6, M) of covariances (M, 3, 3) into those of their ancestors, rows (M,) of
+    ``planes`` (A, 6), which have the place and direction to linearise about. ``range_part``
+    (A, 3, 3) is 0 before."""
     cython.declare(k=cython.Py_ssize_t, a=cython.Py_ssize_t, i=cython.Py_ssize_t)
     cython.declare(j=cython.Py_ssize_t)
-    number: cython.Py_ssize_t = planes.shape[0]
-    total = cython.declare(cython.double[::1], np.zeros(number))
-    pulled = cython.declare(cython.double[:, ::1], np.zeros((number, 3)))
+    pulled = cython.declare(cython.double[:, ::1], np.zeros((len(planes), 3)))
     own = cython.declare(cython.double[3])
     mean = cython.declare(cython.double[3])
     arm = cython.declare(cython.double[3])
     error = cython.declare(cython.double[3])
     basis = cython.declare(cython.double[6])
     turn = cython.declare(cython.double[4])
-    ranges = cython.declare(cython.double[9])
+    covariance = cython.declare(cython.double[9])
     information = cython.declare(cython.double[9])
     with cython.nogil:
-        for k in range(ancestor.shape[0]):
-            a = ancestor[k]
-            if a < 0 or not measured[k]:
-                continue
-            weight = max(count[k], 1.0)
-            total[a] += weight
-            planes[a, 2] += weight * z[k]
-            for i in range(3):
-                planes[a, 3 + i] += weight * normal[k, i]
-        for a in range(number):
-            planes[a, 2] /= total[a]
-            east, north, up = planes[a, 3], planes[a, 4], planes[a, 5]
-            length = sqrt(east * east + north * north + up * up)
-            for i in range(3, 6):
-                planes[a, i] /= length
         # Each leaf seen from its ancestor's centre, its error in the tangent at the mean normal.
         for k in range(ancestor.shape[0]):
             a = ancestor[k]
-            if a < 0 or not measured[k]:
-                continue
-            arm[0], arm[1], arm[2] = planes[a, 0] - x[k], planes[a, 1] - y[k], planes[a, 2] - z[k]
             for i in range(3):
-                own[i], mean[i] = normal[k, i], planes[a, 3 + i]
+                arm[i] = planes[a, i] - leaves[i, k]
+                own[i], mean[i] = leaves[3 + i, k], planes[a, 3 + i]
                 for j in range(3):
-                    ranges[3 * i + j] = of_leaves[k, i, j]
+                    covariance[3 * i + j] = ranges[k, i, j]
             basis_at(own, basis)
             minus_at(own, mean, error, turn)
             first = basis[0] * arm[0] + basis[1] * arm[1] + basis[2] * arm[2]
             second = basis[3] * arm[0] + basis[4] * arm[1] + basis[5] * arm[2]
-            plane.shift_origin(ranges, first, second, 1)
-            plane.turn_tangent(ranges, turn, 1)
+            plane.shift_origin(covariance, first, second, 1)
+            plane.turn_tangent(covariance, turn, 1)
             error[2] = -(own[0] * arm[0] + own[1] * arm[1] + own[2] * arm[2])
-            plane.inverse_symmetric(ranges, information)
+            plane.inverse_symmetric(covariance, information)
             for i in range(3):
                 for j in range(3):
                     range_part[a, i, j] += information[3 * i + j]
                     pulled[a, i] += information[3 * i + j] * error[j]
-        for a in range(number):
+        for a in range(planes.shape[0]):
             for i in range(3):
                 for j in range(3):
                     information[3 * i + j] = range_part[a, i, j]
-            plane.inverse_symmetric(information, ranges)
+            plane.inverse_symmetric(information, covariance)
             for i in range(3):
                 mean[i], error[i] = planes[a, 3 + i], 0.0
                 for j in range(3):
-                    error[i] += ranges[3 * i + j] * pulled[a, j]
+                    error[i] += covariance[3 * i + j] * pulled[a, j]
             basis_at(mean, basis)
             plus_at(mean, basis, error, own)
             plane.orient_up(own)
             # d / n_z is how far the plane passes above the origin; the origin moves up to it.
             rise = error[2] / own[2]
             planes[a, 2] += rise
-            plane.shift_origin(ranges, -rise * own[0], -rise * own[1], 1)
+            plane.shift_origin(covariance, -rise * own[0], -rise * own[1], 1)
             for i in range(3):
                 planes[a, 3 + i] = own[i]
                 for j in range(3):
-                    range_part[a, i, j] = ranges[3 * i + j]
-        # Both are planes, so their distance varies linearly and is greatest at a corner.
-        for k in range(ancestor.shape[0]):
-            a = ancestor[k]
-            if a < 0:
-                continue
-            east, north, up = planes[a, 3], planes[a, 4], planes[a, 5]
-            middle = east * (x[k] - planes[a, 0]) + north * (y[k] - planes[a, 1])
-            middle += up * (z[k] - planes[a, 2])
-            corner = fabs(east - up * normal[k, 0] / normal[k, 2])
-            corner += fabs(north - up * normal[k, 1] / normal[k, 2])
-            off[k] = fabs(middle) + 0.5 * size[k] * corner
+                    range_part[a, i, j] = covariance[3 * i + j]

@@ -1,31 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mapper's state as bytes and back, checked before it replaces anything.
-
-The bytes are an ``npz`` archive, which has a checksum for each array. The caller reads and writes
-the files.
-"""
+"""A mapper's state as an ``npz`` archive, which has a checksum for each array, and its check."""
 
 from __future__ import annotations
 
 import io
 import math
-from dataclasses import replace
+from dataclasses import astuple, replace
 from typing import Any, BinaryIO, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from quadtree_lss.onboard.core.tree.columns import sound_planes
 from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.held_returns import SHOWN
 from quadtree_lss.onboard.core.tree.leaves import ESTIMATED, LEAF, leaf_raster
-from quadtree_lss.onboard.core.tree.soundness import sound_planes
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 #: Increases whenever the arrays of `Mapper.export_state` change their meaning.
 FORMAT = 10
 
-#: Tolerance of a principal minor of a correlation matrix. Fusion leaves this much when the pose
-#: variance is up to 10^18 times the range variance (`geometry.plane.repair_covariance`).
+#: Tolerance of the entries and eigenvalues of a correlation matrix. Fusion leaves this much when the
+#: pose variance is up to 10^18 times the range variance (`geometry.plane.repair_covariance`).
 CORRELATION_ROUNDING = 0.05
 #: Variance that rounding leaves in `geometry.plane`, rad^2 and m^2.
 ROUNDING_VARIANCE = 1e-12
@@ -54,15 +50,14 @@ def from_file(file: BinaryIO) -> State:
         raise CheckpointError(msg) from None
 
 
-def _see(sound: bool | np.bool_, otherwise: str) -> None:
-    """Raise `CheckpointError` with this line unless ``sound``."""
-    if not sound:
+def _require(condition: bool | np.bool_, otherwise: str) -> None:
+    if not condition:
         raise CheckpointError(otherwise)
 
 
 def identified(state: State, domain: Domain) -> State:
     """Add the format version and the domain to a state."""
-    return {"format": np.array(FORMAT), "domain": _identity(domain), **state}
+    return {"format": np.array(FORMAT), "domain": np.array(astuple(domain), float), **state}
 
 
 def check(
@@ -77,29 +72,27 @@ def check(
     wanted, found = like["domain"], state.get("domain", np.empty(0))
     alike = found.dtype == wanted.dtype and found.shape == wanted.shape
     alike &= np.array_equal(state.get("format", ""), FORMAT)
-    _see(alike, "is not a checkpoint of this version")
+    _require(alike, "is not a checkpoint of this version")
     xmin, ymin, *_ = found.tolist()
     there = replace(domain, xmin=xmin, ymin=ymin)
     off = domain.cells_to(there) if follows and np.isfinite(found).all() else None
     whole = 1 << (domain.max_level - domain.min_level)
     moved = off is not None and not any(cells % whole for cells in off)
     same = np.array_equal(found, wanted) or (moved and np.array_equal(found[2:], wanted[2:]))
-    listed = f"{_listed(found)}, here {_listed(wanted)}"
-    _see(same, f"is of another domain: xmin, ymin, size, min_level, max_level are {listed}")
+    listed = f"{found.tolist()}, here {wanted.tolist()}"
+    _require(same, f"is of another domain: xmin, ymin, size, min_level, max_level are {listed}")
     for name, example in like.items():
-        _see(name in state, f"lacks {name}")
-        array, any_number = state[name], 1 if name == "leaves" else 0
+        array, any_number = state.get(name, np.empty(0)), 1 if name == "leaves" else 0
         alike = array.dtype == example.dtype and array.ndim == example.ndim
-        _see(alike, f"holds {name} as {array.dtype} of {array.ndim} dimensions")
-        alike = array.shape[any_number:] == example.shape[any_number:]
-        _see(alike, f"holds {name} of shape {array.shape}")
+        alike = alike and array.shape[any_number:] == example.shape[any_number:]
+        _require(alike, f"has no {name} of the type and shape of {example.dtype}{example.shape}")
     count = len(state["leaves"])
-    _see(count <= max_cells, f"has {count} leaves, mapping.max_cells is {max_cells}")
+    _require(count <= max_cells, f"has {count} leaves, mapping.max_cells is {max_cells}")
     _check_leaves(state["leaves"], domain)
     held, scans = state["held_scan"], int(state["held_scans"])
     sound = bool(((held >= 0) & (held <= scans)).all()) and scans < 2**31
     sound &= bool(np.isfinite(state["held_height"]).all() and (state["held_shown"] <= SHOWN).all())
-    _see(sound and math.isfinite(float(state["held_lifted"])), "has impossible held-back returns")
+    _require(sound and math.isfinite(float(state["held_lifted"])), "has impossible held-back returns")
     return there
 
 
@@ -111,37 +104,25 @@ def _check_leaves(leaves: NDArray[Any], domain: Domain) -> None:
     if sound.all():
         leaf_raster(level.astype(np.uint8), ix.astype(np.uint32), iy.astype(np.uint32), raster)
     tiled = sound.all() and np.sum(0.25 ** level.astype(np.float64)) == 1.0
-    _see(tiled and (raster >= 0).all(), "has leaves that do not tile the domain")
+    _require(tiled and (raster >= 0).all(), "has leaves that do not tile the domain")
     known = leaves["state"]
     possible = ((known >= 0) & (known <= ESTIMATED)).all()
     for name in LEAF.names or ():
         if LEAF[name].base.kind == "f" and name not in {"low", "high", "feature"}:
             possible &= np.isfinite(leaves[name]).all()
     planes = leaves[known > 0]
-    of_plane = (planes[name] for name in ("z", "normal", "range_part", "pose_part", "feature"))
-    possible &= sound_planes(*of_plane).all()
-    parts = (planes[name].reshape(-1, 3, 3) for name in ("range_part", "pose_part"))
-    _see(possible and all(map(_are_covariances, parts)), "has a leaf with an impossible plane")
+    parts = [planes[name].reshape(-1, 3, 3) for name in ("range_part", "pose_part")]
+    possible &= sound_planes(planes["z"], planes["normal"], *parts, planes["feature"]).all()
+    _require(possible and all(map(_are_covariances, parts)), "has a leaf with an impossible plane")
 
 
 def _are_covariances(matrices: NDArray[np.float64]) -> bool:
-    """Whether finite matrices (M, 3, 3) are symmetric and positive semidefinite.
+    """Return whether finite matrices (M, 3, 3) are symmetric and positive semidefinite.
 
     Correlations are compared, so that a large variance does not hide a wrong small one.
     """
     sigma = np.sqrt(matrices.diagonal(axis1=1, axis2=2) + ROUNDING_VARIANCE)
     correlation = matrices / (sigma[:, :, None] * sigma[:, None, :])
-    a, b, c = correlation[:, 0, 1], correlation[:, 0, 2], correlation[:, 1, 2]
-    minors = [1.0 - a * a, 1.0 - b * b, 1.0 - c * c]
-    minors.append(minors[0] - b * b - c * c + 2.0 * a * b * c)
     asymmetry = np.abs(correlation - correlation.transpose(0, 2, 1))
-    return all((minor >= -CORRELATION_ROUNDING).all() for minor in [*minors, -asymmetry])
-
-
-def _identity(domain: Domain) -> NDArray[np.float64]:
-    numbers = (domain.xmin, domain.ymin, domain.size, domain.min_level, domain.max_level)
-    return np.array(numbers, dtype=np.float64)
-
-
-def _listed(values: NDArray[Any]) -> str:
-    return ", ".join(f"{value:g}" for value in values)
+    least = min(np.linalg.eigvalsh(correlation).min(initial=0.0), -asymmetry.max(initial=0.0))
+    return bool(least >= -CORRELATION_ROUNDING)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Columns of `cell_map.CellMap` from the table of leaves."""
+"""Columns of `cell_map.CellMap` from the table of leaves, and whether received ones can be."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import cython
 import numpy as np
-from cython.cimports.libc.math import NAN
+from cython.cimports.libc.math import NAN, fabs, sqrt
 from cython.cimports.quadtree_lss.onboard.core.geometry.morton import encode
 from cython.cimports.quadtree_lss.onboard.core.tree.leaves import (
     ESTIMATED,
@@ -16,12 +16,20 @@ from cython.cimports.quadtree_lss.onboard.core.tree.leaves import (
     LeafTable,
 )
 
-from quadtree_lss.onboard.arrays import Array, Index, Single
-from quadtree_lss.onboard.core.tree.cell_map import SHAPE, CellMap
+from quadtree_lss.onboard.arrays import Array, Index, Mask
+from quadtree_lss.onboard.core.geometry import bounds
+from quadtree_lss.onboard.core.tree.cell_map import SHAPE
 
 #: A bell fitted to a hemisphere (Eq. 53) by least squares peaks a quarter above it. Its volume is
 #: right; a sigma wider by this lowers the peak and keeps it.
 WIDER = cython.declare(cython.double, SHAPE**0.5)
+#: The least sigma of a feature, m, and the least n_z of a normal (`geometry.plane.orient_up`).
+LEAST_SIGMA = cython.declare(cython.double, 1e-6)
+LEAST_UP = cython.declare(cython.double, 1e-3)
+MAX_VALUE = cython.declare(cython.double, bounds.MAX_VALUE)
+MAX_HEIGHT = cython.declare(cython.double, bounds.MAX_HEIGHT)
+#: Greatest correlation, with round-off.
+MAX_CORRELATION = cython.declare(cython.double, 1.1)
 
 
 @cython.boundscheck(False)
@@ -97,29 +105,36 @@ def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, 
 
 
 @cython.boundscheck(False)
-@cython.locals(plane=cython.double[:, :], rest=cython.float[:, :])
-def pack(cells: CellMap, plane: Array, rest: Single) -> None:
-    """Columns of a map (M, ...) side by side: sizes, elevations and normals as ``plane`` (M, 5);
-    covariances (upper triangles), roughness, exceptions and features as ``rest`` (M, 19)."""
-    cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int, at=cython.int)
-    size = cython.declare(cython.double[:], cells.size)
-    z = cython.declare(cython.double[:], cells.z)
-    normal = cython.declare(cython.double[:, :], cells.normal)
-    range_part = cython.declare(cython.double[:, :, :], cells.covariance_range)
-    pose_part = cython.declare(cython.double[:, :, :], cells.covariance_pose)
-    roughness = cython.declare(cython.double[:], cells.roughness)
-    exception = cython.declare(cython.double[:], cells.exception_fraction)
-    bell = cython.declare(cython.double[:, :], cells.feature)
-    with cython.nogil:
-        for i in range(plane.shape[0]):
-            plane[i, 0], plane[i, 1] = size[i], z[i]
-            at = 0
-            for j in range(3):
-                plane[i, 2 + j] = normal[i, j]
-                for k in range(j, 3):
-                    rest[i, at] = range_part[i, j, k]
-                    rest[i, 6 + at] = pose_part[i, j, k]
-                    at += 1
-            rest[i, 12], rest[i, 13] = roughness[i], exception[i]
-            for j in range(5):
-                rest[i, 14 + j] = bell[i, j]
+@cython.locals(z=cython.double[:], normal=cython.double[:, :], feature=cython.double[:, :])
+@cython.locals(range_part=cython.double[:, :, :], pose_part=cython.double[:, :, :])
+def sound_planes(
+    z: Array, normal: Array, range_part: Array, pose_part: Array, feature: Array
+) -> Mask:
+    """Return (M,) whether planes and features from a file or message are possible.
+
+    ``z`` (M,), m; ``normal`` (M, 3); ``range_part``, ``pose_part`` (M, 3, 3) of the covariance;
+    ``feature`` (M, 5).
+    """
+    cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int, present=cython.int)
+    sigma = cython.declare(cython.double[3])
+    found = np.empty(len(z), dtype=np.bool_)
+    sound = cython.declare(cython.uchar[::1], found.view(np.uint8))
+    ok: cython.bint
+    for i in range(z.shape[0]):
+        square = normal[i, 0] * normal[i, 0] + normal[i, 1] * normal[i, 1]
+        square += normal[i, 2] * normal[i, 2]
+        ok = fabs(square - 1.0) < 1e-6 and normal[i, 2] >= LEAST_UP and fabs(z[i]) < MAX_HEIGHT
+        for j in range(3):
+            ok = ok and range_part[i, j, j] >= 0.0 and pose_part[i, j, j] >= 0.0
+            sigma[j] = sqrt(fabs(range_part[i, j, j] + pose_part[i, j, j]))
+        for j in range(3):
+            for k in range(3):
+                limit = min(MAX_CORRELATION * sigma[j] * sigma[k], MAX_VALUE)
+                ok = ok and fabs(range_part[i, j, k]) <= limit
+                ok = ok and fabs(pose_part[i, j, k]) <= limit
+        present = 0
+        for j in range(5):
+            present += feature[i, j] == feature[i, j]
+            ok = ok and not fabs(feature[i, j]) >= MAX_HEIGHT
+        sound[i] = ok and (present == 0 or present == 5 and feature[i, 4] >= LEAST_SIGMA)
+    return found
