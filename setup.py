@@ -4,6 +4,7 @@
 import json
 import multiprocessing
 import os
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -106,7 +107,7 @@ def checked_copy():
     shutil.copytree(PACKAGE, copy / NAME, ignore=shutil.ignore_patterns("*.so", "__pycache__"))
     for source in copy.rglob("*.py"):
         text = source.read_text(encoding="utf-8")
-        source.write_text(text.replace("boundscheck(False)", "boundscheck(True)"))
+        source.write_text(re.sub(r"boundscheck(\(|=)False", r"boundscheck\1True", text))
     return copy
 
 

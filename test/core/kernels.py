@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.core.mapping.measure import RUN
-from quadtree_lss.onboard.core.tree.leaves import ESTIMATED, UNKNOWN, blank_leaf
+from quadtree_lss.onboard.core.tree.leaves import ESTIMATED, UNKNOWN, blank_leaves
 
 Array = np.ndarray
 
@@ -120,7 +120,7 @@ def fit(
 ):
     """All points (N, 3) fitted in one cell: a record of type `measure.RUN`."""
     run = np.zeros(1, dtype=RUN).view(np.recarray)
-    leaf = blank_leaf().view(np.recarray)
+    leaf = blank_leaves(0, [0], [0]).view(np.recarray)
     leaf.x, leaf.y, leaf.z, leaf.normal = x, y, z, prior
     leaf.state = UNKNOWN if np.isnan(z) else ESTIMATED
     points = np.ascontiguousarray(points)

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
+# cython: boundscheck=False
 """A scan against the map: their common motion, whether it is plausible, and the height offset.
 
-Pose error moves all points of a scan at once. The cells that a scan and the map have in common
-therefore give its rigid motion (`rigid_motion`) far more precisely than any single cell, and it is
-tested against the covariance that the poses claim. A scan that fails the test is rejected, until
-`OVERRULING_SCANS` consecutive rejected scans agree with each other (`RejectedScans`). The height
-offset of an accepted scan is divided between scan and map (`height_offset`). Eq. 20 has one offset
-for each scan and cell; a common one avoids steps between cells that different scans have observed.
+Pose error moves all points of a scan at once, so the cells that a scan and the map have in common
+give its rigid motion far more precisely than any single cell. Eq. 20 has one offset for each scan
+and cell; a common one avoids steps between cells that different scans have observed.
 """
 
 from __future__ import annotations
@@ -94,15 +92,9 @@ class Motion(NamedTuple):
 
 
 class Offset(NamedTuple):
-    """Height offset between a scan and the map.
-
-    Attributes:
-        height: Of the scan over the map, m.
-        scan: Share of it that is the scan's error and is subtracted from the scan, m.
-        map: Share of it that is the map's error, by which the map is lifted, m.
-        since: Mean time of the first scan in the compared planes, s.
-        variance: Of ``height``, m^2.
-    """
+    """Height of a scan over the map, m, and its variance, m^2. ``scan``: share that is the scan's
+    error, which is subtracted from it; ``map``: share by which the map is lifted, m. ``since``:
+    mean time of the first scan in the compared planes, s."""
 
     height: float
     scan: float
@@ -122,24 +114,17 @@ class Verdict(Enum):
 
 @dataclass
 class RejectedScans:
-    """Consecutive rejected scans that agree with each other.
-
-    Attributes:
-        count: Number of these scans.
-        height: Median height of the last one's ground over the map, m.
-        variance: Variance of that height from its own pose and noise, m^2.
-    """
+    """Number of consecutive rejected scans that agree with each other, and the last one's median
+    height over the map, m, with its variance from its own pose and noise, m^2."""
 
     count: int = 0
     height: float = 0.0
     variance: float = 0.0
 
     def decide(self, cells: Array, inconsistent: bool) -> Verdict:
-        """Accept a scan, reject it, or let it overrule the map.
-
-        Rejected scans agree if their heights differ by no more than their own poses claim.
-        ``cells``: of `ScanUpdate.fit` or `ScanUpdate.fit_finest`.
-        """
+        """Accept a scan, reject it, or let it overrule the map, by its cells of `ScanUpdate.fit` or
+        `ScanUpdate.fit_finest`. Rejected scans agree if their heights differ by no more than their
+        own poses claim."""
         if not inconsistent:
             self.count = 0
             return Verdict.ACCEPTED
@@ -163,8 +148,7 @@ def is_inconsistent(motion: Motion | None) -> bool:
 
 def is_inconsistent_narrow(finest: Array, length_unit: float) -> bool:
     """Return the same for a scan with too few leaves for a `Motion`: whether less than
-    `AGREEING_SHARE` of its estimated finest cells agree. ``finest``: (4, M) of
-    `ScanUpdate.fit_finest`. ``length_unit``: as in `rigid_motion`."""
+    `AGREEING_SHARE` of its explained finest cells, of `ScanUpdate.fit_finest`, agree."""
     height, own, of_scan, of_map = finest
     allowed = MAX_SIGMAS**2 * (own + of_scan + of_map + FLOOR * length_unit**2)
     count = len(height)
@@ -172,7 +156,6 @@ def is_inconsistent_narrow(finest: Array, length_unit: float) -> bool:
     return count >= MIN_CELLS and agreeing < AGREEING_SHARE * count
 
 
-@cython.boundscheck(False)
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
@@ -188,7 +171,6 @@ def _pose_jacobian(cells: Array, i: cython.Py_ssize_t, out: Array) -> cython.voi
     out[5] = x * out[1] - y * out[0]
 
 
-@cython.boundscheck(False)
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
@@ -197,9 +179,8 @@ def _pose_jacobian(cells: Array, i: cython.Py_ssize_t, out: Array) -> cython.voi
 def _agreeing_cells(
     cells: Array, length_unit: cython.double, kept: Array, work: Array, centre: Array
 ) -> cython.Py_ssize_t:
-    """Select the cells that the poses explain: columns ``kept``, rows 0 and 1 of ``work`` with
-    their standard deviation, m, and weight, and their weighted ``centre`` (2), m. Return their
-    number."""
+    """Select the cells that the poses explain, and return their number: columns ``kept``, standard
+    deviation and weight in rows 0 and 1 of ``work``, weighted ``centre`` (2)."""
     i: cython.Py_ssize_t
     agreeing: cython.Py_ssize_t = 0
     floor: cython.double = FLOOR_VARIANCE * length_unit * length_unit
@@ -220,7 +201,6 @@ def _agreeing_cells(
     return agreeing
 
 
-@cython.boundscheck(False)
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
@@ -237,11 +217,9 @@ def _fit_motion(
     normal: Array,
     inverse: Array,
 ) -> cython.void:
-    """Fit height and tilt ``theta`` (3) by iteratively reweighted least squares.
-
-    ``cells``, ``kept``, ``agreeing``, ``work``, ``centre``: of `_agreeing_cells`. Row 2 of ``work``
-    is set to the last of Huber's weights, ``normal`` and ``inverse`` (9) to A and A^-1 with them.
-    """
+    """Fit height and tilt ``theta`` (3) to the cells of `_agreeing_cells` by iteratively reweighted
+    least squares. Row 2 of ``work``: the last of Huber's weights; ``normal``, ``inverse`` (9): A
+    and A^-1 with them."""
     right = cython.declare(cython.double[3])
     cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.Py_ssize_t, step=cython.int)
     theta[0] = theta[1] = theta[2] = 0.0
@@ -274,7 +252,6 @@ def _fit_motion(
                     theta[j] += inverse[3 * j + k] * right[k]
 
 
-@cython.boundscheck(False)
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
@@ -283,8 +260,9 @@ def _fit_motion(
 def _explained_tilt(
     sigma: Array, gain: Array, inverse: Array, theta: Array, out: Array
 ) -> cython.void:
-    """Rise along x and y, ``out`` (2), that the attitude error k^2 Sigma T^T (k^2 P + V)^-1 theta
-    explains; ``gain``: T (3, 6), ``inverse``: (k^2 P + V)^-1."""
+    """Compute the rise along x and y, ``out`` (2), from the attitude error k^2 Sigma T^T (k^2 P +
+    V)^-1 theta of a pose k = `POSE_EXCESS` times worse than claimed. ``gain``: T; ``inverse``:
+    (k^2 P + V)^-1."""
     cython.declare(j=cython.int, m=cython.int)
     excess: cython.double = POSE_EXCESS * POSE_EXCESS
     out[0] = out[1] = 0.0
@@ -299,7 +277,6 @@ def _explained_tilt(
             out[1] += sigma[3, m] * gain[6 * j + m] * off
 
 
-@cython.boundscheck(False)
 @cython.locals(cells=cython.double[:, :], sigma=cython.double[:, ::1])
 def rigid_motion(
     cells: Array,
@@ -315,9 +292,8 @@ def rigid_motion(
     plus `SMOOTHED`, theta = A^-1 X^T W b, A = X^T W X. Cells that neither pose explains,
     b_i^2 > `MAX_SIGMAS`^2 (v_i + S_i + M_i + `FLOOR`), are left out (rocks, errors of the map).
 
-    A pose error e = (dm, dw) lifts the ground of cell i by J_i e, J_i = (m_i, a_i x m_i) with
-    m_i = (-g_i, 1) of its slope g_i and its place a_i about the lidar. If both poses are as good as
-    they claim, theta has the covariance V, the sum of
+    A pose error e = (dm, dw) lifts the ground of cell i by J_i e (`_pose_jacobian`). If both poses
+    are as good as they claim, theta has the covariance V, the sum of
 
     - P = T Sigma T^T, T = A^-1 X^T W J, from the scan's pose;
     - the map's, from the height variance M and the slope variance Q that its cells claim. Common
@@ -326,19 +302,14 @@ def rigid_motion(
       different scans have observed the cells, M also tilts: Q + M / (mean square of r - r_0);
     - `FLOOR` for the height;
     - s^2 A^-1 from noise, s^2 = (sum of squares over v_i + 3) / max(N, 3) for the effective number
-      N = (sum w)^2 / sum w^2 of cells. Excess over v_i may be the same in `CORRELATED_SHARE` of
-      them: max(s^2 - 1, 0) `CORRELATED_SHARE` N A^-1 more, so that rough or partly observed ground
-      does not reject a scan.
+      N = (sum w)^2 / sum w^2 of cells, and max(s^2 - 1, 0) `CORRELATED_SHARE` N A^-1, so that rough
+      or partly observed ground does not reject a scan.
 
-    theta^T V^-1 theta is chi^2 with three degrees of freedom. For a pose that is k = `POSE_EXCESS`
-    times worse than claimed, its error is k^2 Sigma T^T (k^2 P + V)^-1 theta.
+    theta^T V^-1 theta is chi^2 with three degrees of freedom.
 
-    Args:
-        cells: (ROWS, M) of `ScanUpdate.fit`.
-        sigma: (6, 6) pose covariance of the scan.
-        now: Time of the scan, s.
-        correlation_time: Of pose errors, s; 0 if they are white.
-        length_unit: Scale of the constants of this module (``VehicleConfig.height``), m.
+    ``cells``: (ROWS, M) of `ScanUpdate.fit`. ``sigma``: (6, 6) pose covariance. ``now``: s.
+    ``correlation_time``: of pose errors, s, 0 if they are white. ``length_unit``: scale of the
+    constants of this module (``VehicleConfig.height``), m.
     """
     centre = cython.declare(cython.double[2])
     tilt = cython.declare(cython.double[2])
@@ -433,12 +404,11 @@ def rigid_motion(
     )
 
 
-@cython.boundscheck(False)
 def height_offset(
     cells: Array, now: float, correlation_time: float, length_unit: float = 1.0
 ) -> Offset | None:
     """Estimate the height offset of a scan and divide it between scan and map; None with fewer than
-    3 common cells.
+    3 common cells. Arguments as of `rigid_motion`.
 
     The scan's planes are b above the map's: a weighted mean over M cells with Huber's weights about
     the weighted median, of variance R. S and M are the variances that pose error gives the height
@@ -450,8 +420,7 @@ def height_offset(
     If b^2 > `JUMP_SIGMAS`^2 (S + M + R), the pose error jumped, and nothing of it is common. If
     n^2 = b^2 / max(S, M, R) exceeds `JUMP_SIGMAS`^2 as well and the map has several scans, the pose
     is worse than it claims: S counts (n / `JUMP_SIGMAS`)^6 times, at most `POSE_EXCESS`^2 times. So
-    the map follows an error of five standard deviations by less than a tenth. Arguments are those
-    of `rigid_motion`.
+    the map follows an error of five standard deviations by less than a tenth.
     """
     i: cython.Py_ssize_t
     column = cython.declare(cython.double[:, :], cells)
@@ -499,7 +468,6 @@ def height_offset(
     return Offset(height, share * of_scan, share * of_map, since, noise)
 
 
-@cython.boundscheck(False)
 def weighted_median(values: Array, weights: Array) -> float:
     """Weighted median of values (N,), N at least 1."""
     i: cython.Py_ssize_t = 0
@@ -518,23 +486,16 @@ def weighted_median(values: Array, weights: Array) -> float:
 
 
 def remove_tilt(points: Array, motion: Motion) -> None:
-    """Tilt points (N, 3) about the lidar in place, m, so that the scan is parallel to the map.
-
-    For an accepted scan whose motion exceeds `JUMP_SIGMAS`: fusion would tilt the map.
-    """
+    """Tilt points (N, 3) about the lidar in place, m, so that the scan is parallel to the map."""
     # Rounded, as the offsets are, so that the order of the cells does not change the last bits.
     along_x, along_y, x, y = (round(value, 9) for value in (*motion.tilt, *motion.centre))
     points[:, 2] -= along_x * (points[:, 0] - x) + along_y * (points[:, 1] - y)
 
 
-@cython.boundscheck(False)
 @cython.locals(table=LeafTable)
 def lift_map(table: LeafTable, height: float, since: float) -> None:
-    """Lift the leaves by ``height``, m, as far as they share the error of the compared ground.
-
-    The error of a leaf is a mean over its scans from ``first_time`` to ``last_time``; those from
-    ``since`` (s) on are also in the compared ground.
-    """
+    """Lift the leaves by ``height``, m, times the share of their scans from ``since`` (s) on, which
+    are also in the compared ground."""
     row: cython.Py_ssize_t
     leaf = table.leaf
     for row in range(table.count):

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# cython: boundscheck=False
 """Subscale features: one bell in a leaf, smaller than the leaf (paper V.C).
 
 Heights are above the cell's plane, so that a slope is not a feature. The state is Eq. 51's
@@ -53,7 +54,6 @@ class Heights:
         self.count = 0
         self.weight = weight
 
-    @cython.boundscheck(False)
     def add(self, x: float, y: float, z: float) -> None:
         """Add a height above the plane at a place relative to the cell's centre, m."""
         self.x[self.count] = x
@@ -76,7 +76,6 @@ def bell(square: float) -> cython.double:
     return 1.0 / e
 
 
-@cython.boundscheck(False)
 def bells(heights: Heights, state: Vector) -> None:
     """Write `bell` at each height to ``heights.bell``, for the centre and sigma of a state (5)."""
     i: cython.Py_ssize_t
@@ -96,7 +95,6 @@ def feature_height(state: Vector) -> cython.double:
     return state[1] * state[1] / (2.0 * PI * state[4] * state[4] * SHAPE)
 
 
-@cython.boundscheck(False)
 def max_gain(heights: Heights, state: Vector) -> cython.double:
     """Return the greatest reduction of the flat cost by a feature of the state's place and width.
 
@@ -117,7 +115,6 @@ def max_gain(heights: Heights, state: Vector) -> cython.double:
     return heights.weight * rise * rise / max(square - share * total, 1e-9 * square + 1e-300)
 
 
-@cython.boundscheck(False)
 def _linearise(
     heights: Heights, state: Vector, mean: Vector, information: Vector, system: Vector
 ) -> cython.double:
@@ -315,7 +312,6 @@ def first_state(
     out[4] = sqrt(footprint / (2.0 * PI))
 
 
-@cython.boundscheck(False)
 def update_feature(
     rules: Rules,
     leaf: Record,

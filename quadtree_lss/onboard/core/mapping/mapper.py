@@ -105,9 +105,9 @@ class Mapper:
     """Builds the quadtree map: ``update`` maps a scan with its pose, ``snapshot`` copies the map.
 
     Not thread-safe. A scan enters as a whole, or changes nothing if none of its points is usable or
-    it contradicts the map. With ``domain.follow`` the square then moves, if the followed point left
-    its middle (`Domain.steps_to`). Scans without a mapped point move it only after
-    `OVERRULING_SCANS` in a row, so that a wrong pose does not discard the map.
+    it contradicts the map. With ``domain.follow`` the square then moves. Scans without a mapped
+    point move it only after `OVERRULING_SCANS` in a row, so that a wrong pose does not discard the
+    map.
 
     Attributes:
         config: The configuration.
@@ -122,15 +122,9 @@ class Mapper:
         self._area: tuple[float, float] | None = None
         self._rules = Rules(config)
         self._buffers = ScanBuffers()
-        self._held = HeldReturns(self.domain)
+        # Arguments of the alignment: correlation time, s, and scale of its constants, m.
+        self._scales = config.pose.correlation_time, config.vehicle.clearance_ratio
         self.reset()
-
-    def __repr__(self) -> str:
-        d = self.domain
-        return (
-            f"<Mapper: {self.leaves.count} leaves on {d.size:g} x {d.size:g} m;"
-            f" newest scan at {self.stamp_ns} ns>"
-        )
 
     @property
     def domain(self) -> Domain:
@@ -150,7 +144,7 @@ class Mapper:
     def reset(self) -> None:
         """Clear the map."""
         self.leaves.reset()
-        self._held.clear()
+        self._held = HeldReturns(self.domain)
         self.stamp_ns = 0
         self._start_ns = 0
         self._noise_ratio = float("nan")
@@ -181,7 +175,7 @@ class Mapper:
         if not self.stamp_ns or self.config.domain.follow == "area":
             self._follow(pose)  # nothing can be lost, or the pose does not decide
         if pose.stamp_ns < self.stamp_ns - JUMP_NS:
-            self._held.clear()
+            self._held = HeldReturns(self.domain)
         lidar = self.config.lidar
         # Register the points and order them by their finest cells.
         scan, dropped = register(points_lidar, pose, lidar, self.domain, sweep, self._held)
@@ -243,10 +237,7 @@ class Mapper:
         self, scan: RegisteredScan, now: float
     ) -> tuple[ScanUpdate, Array, Verdict]:
         """Fit a scan to the leaves and accept, reject or overrule; apply the decision to the map or
-        to the tilt of the scan.
-
-        Returns the update, the compared cells (`ScanUpdate.fit`) and the decision.
-        """
+        to the tilt of the scan. Return also the compared cells (`ScanUpdate.fit`)."""
         change, cells, motion = self._compare(scan, now)
         compared, inconsistent = cells, is_inconsistent(motion)
         if motion is not None:
@@ -254,17 +245,17 @@ class Mapper:
         comparable = change.compared > COMPARABLE_SHARE * change.estimated
         if not inconsistent and comparable and cells.shape[1] <= NARROW_CELLS:
             compared = change.fit_finest()
-            inconsistent = is_inconsistent_narrow(compared, self.config.vehicle.clearance_ratio)
+            inconsistent = is_inconsistent_narrow(compared, self._scales[1])
         verdict = self._rejected.decide(compared, inconsistent)
         if verdict is Verdict.OVERRULES:
             height = float(np.median(compared[RISE]))
             self._pending_offset = 0.0
             cells[RISE] -= height
-            if is_inconsistent(self._motion(scan, cells, now)):
+            if is_inconsistent(rigid_motion(cells, scan.pose.covariance, now, *self._scales)):
                 self.leaves.reset()
             else:
                 lift_map(self.leaves, height, -np.inf)
-            self._held.clear()
+            self._held = HeldReturns(self.domain)
             change, cells, _ = self._compare(scan, now)
             self._gaps.clear()
         elif verdict is Verdict.ACCEPTED and motion is not None and motion.sigmas > JUMP_SIGMAS:
@@ -278,12 +269,7 @@ class Mapper:
         cells = change.fit()
         if change.compared < COMPARABLE_SHARE * change.estimated:
             return change, cells, None
-        return change, cells, self._motion(scan, cells, now)
-
-    def _motion(self, scan: RegisteredScan, cells: Array, now: float) -> Motion | None:
-        time, height = self.config.pose.correlation_time, self.config.vehicle.clearance_ratio
-        motion: Motion | None = rigid_motion(cells, scan.pose.covariance, now, time, height)
-        return motion
+        return change, cells, rigid_motion(cells, scan.pose.covariance, now, *self._scales)
 
     def _record_gap(self, cells: Array, motion: Motion) -> None:
         """Record the height of a scan over the map, accepted or not, for `pose_gap`."""
@@ -291,21 +277,20 @@ class Mapper:
         if motion.share < AGREEING_SHARE:  # too few cells for a common height
             values = np.median(cells[[RISE, OF_SCAN, OF_MAP, OWN]], axis=1).tolist()
         height, claimed, mapped, noise = values
-        floor = FLOOR * self.config.vehicle.clearance_ratio**2
+        floor = FLOOR * self._scales[1] ** 2
         self._gaps.append((height**2, claimed + mapped, noise + floor))
 
     def _align(self, change: ScanUpdate, cells: Array, now: float) -> float:
         """Remove the height offset between scan and map; return it, m."""
         cells[RISE] -= self._pending_offset
-        time, length_unit = self.config.pose.correlation_time, self.config.vehicle.clearance_ratio
-        offset: Offset | None = height_offset(cells, now, time, length_unit)
+        offset: Offset | None = height_offset(cells, now, *self._scales)
         if offset is None:
             return 0.0
         # Rounded, because the order of the cells depends on where the square is, and results must
         # not.
         of_scan, of_map = round(offset.scan, 9), round(offset.map, 9)
         self._pending_offset += of_map
-        if abs(self._pending_offset) >= MIN_LIFT * length_unit:
+        if abs(self._pending_offset) >= MIN_LIFT * self._scales[1]:
             lift_map(self.leaves, self._pending_offset, round(offset.since, 9))
             self._held.lifted += self._pending_offset
             self._pending_offset = 0.0
@@ -324,13 +309,8 @@ class Mapper:
         return math.sqrt(square), math.sqrt(claimed)
 
     def _update_noise_ratio(self, ratio: Array) -> None:
-        """Update the running mean of observed over configured range noise.
-
-        Each scan gives the median over its points on level ground of the residual's standard
-        deviation about their cell's own plane, over what the configured range noise makes of it.
-        On planar ground that is one; rough ground raises some cells, not the median while most of
-        the ground is smooth at the size of a leaf.
-        """
+        """Update the running mean of observed over configured range noise by a scan's median over
+        its points on level ground, which a smaller part of rough ground does not raise."""
         if ratio.shape[1] < NOISE_CELLS:
             return
         median = weighted_median(ratio[0], ratio[1])
@@ -341,9 +321,8 @@ class Mapper:
 
     def snapshot(self) -> CellMap:
         """Return a copy of the map."""
-        rows, n = self.leaves.rows_in_morton_order(), self.domain.finest_count
-        observed, range_part = np.empty((n, n), dtype=np.uint8), np.empty((len(rows), 9))
-        to_grid(self.leaves.observed, observed)
+        rows, observed = self.leaves.rows_in_morton_order(), to_grid(self.leaves.observed)
+        range_part = np.empty((len(rows), 9))
         unobserved_parts(self.leaves, rows, range_part)
         return CellMap(
             stamp_ns=self.stamp_ns,
@@ -355,16 +334,22 @@ class Mapper:
             **leaf_columns(self.leaves, rows, range_part),
         )
 
+    def _arrays(self) -> State:
+        """Arrays of the state whose shape does not change, not copies."""
+        return {
+            "observed": self.leaves.observed,
+            "piled": self.leaves.piled,
+            "hit_parts": self.leaves.hit_parts,
+            "held_height": self._held.height,
+            "held_scan": self._held.scan,
+            "held_shown": self._held.shown,
+        }
+
     def export_state(self) -> State:
-        """All that a mapper must know to go on, by name; copies (see ``tree.checkpoint``)."""
+        """Return all that a mapper must know to continue, by name; copies (`tree.checkpoint`)."""
         state = {
             "leaves": np.array(self.leaves.rows[: self.leaves.count]),
-            "observed": self.leaves.observed.copy(),
-            "piled": self.leaves.piled.copy(),
-            "hit_parts": self.leaves.hit_parts.copy(),
-            "held_height": self._held.height.copy(),
-            "held_scan": self._held.scan.copy(),
-            "held_shown": self._held.shown.copy(),
+            **{name: array.copy() for name, array in self._arrays().items()},
             "held_scans": np.array(self._held.scans),
             "held_lifted": np.array(self._held.lifted),
             "stamp_ns": np.array(self.stamp_ns),
@@ -377,32 +362,25 @@ class Mapper:
         return checkpoint.identified(state, self.domain)
 
     def import_state(self, state: State) -> None:
-        """Go on from `export_state` of a mapper of the same domain, or, if it follows, of one that
-        was moved. Raises `CheckpointError`: it is none; the mapper is then unchanged."""
+        """Continue from `export_state` of a mapper of the same domain, or, if it follows, of one
+        that was moved. Raises `CheckpointError`: it is none; the mapper is then unchanged."""
         like, follows = self.export_state(), self.config.domain.follow != "none"
         most = self.config.mapping.max_cells
         domain = checkpoint.check(state, like, self.domain, most, follows=follows)
-        leaves = state["leaves"]
+        self.reset()
         self.leaves.set_domain(domain)
-        self.leaves.set_leaves({name: leaves[name] for name in leaves.dtype.names or ()})
-        self.leaves.observed[:] = state["observed"]
-        self.leaves.piled[:] = state["piled"]
-        self.leaves.hit_parts[:] = state["hit_parts"]
-        self._held.height[:] = state["held_height"]
-        self._held.scan[:] = state["held_scan"]
-        self._held.shown[:] = state["held_shown"]
+        self.leaves.set_leaves(state["leaves"])
+        for name, array in self._arrays().items():
+            array[:] = state[name]
         self._held.scans = int(state["held_scans"])
         self._held.lifted = float(state["held_lifted"])
         self.stamp_ns = int(state["stamp_ns"])
         self._start_ns = int(state["start_ns"])
         self._noise_ratio = float(state["noise_ratio"])
-        height, variance = state["offset"].tolist()
-        self._offset = (height, variance)
+        self._offset = tuple(state["offset"].tolist())
         self._pending_offset = float(state["owed"])
-        self._unmapped_scans = 0
-        self._gaps.clear()
-        count, height, variance = state["against"].tolist()
-        self._rejected = RejectedScans(int(count), height, variance)
+        count, *last = state["against"].tolist()
+        self._rejected = RejectedScans(int(count), *last)
 
 
 def _check_arguments(points: Points, pose: Pose) -> None:

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# cython: boundscheck=False
 """Update of the leaves by one scan: fit, fuse, divide, residual statistics (paper IV)."""
 
 from __future__ import annotations
@@ -49,7 +50,6 @@ MIN_NORMAL_Z = cython.declare(cython.double, 0.866)
 HIGHEST = cython.declare(cython.double, MAX_MAP_HEIGHT)
 
 
-@cython.boundscheck(False)
 def set_states(
     seen: Bytes, key: Keys, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, state: cython.uchar
 ) -> None:
@@ -125,7 +125,6 @@ class ScanUpdate:
         self.divisions = self.refused = self.noise_count = self.estimated = self.compared = 0
         self._find_runs()
 
-    @cython.boundscheck(False)
     def _find_runs(self) -> None:
         """Find the runs of points that share a leaf, by exponential search."""
         i: cython.Py_ssize_t = 0
@@ -153,27 +152,22 @@ class ScanUpdate:
         self.buffers.reserve_runs(cells + self.table.max_level + 1)
         self.runs = self.buffers.runs
 
-    @cython.boundscheck(False)
     def _run(self, at: cython.Py_ssize_t) -> Record:
         """Return a pointer to a record of type `measure.RUN`."""
         return cython.address(self.runs[at])
 
-    @cython.boundscheck(False)
     def _leaf(self, row: cython.Py_ssize_t) -> Record:
         """Return a pointer to a leaf."""
         return cython.address(self.table.leaf[row])
 
-    @cython.boundscheck(False)
     def _points_from(self, begin: cython.Py_ssize_t) -> Any:
         """Return a pointer to the points from ``begin`` on (x, y, z interleaved)."""
         return cython.address(self.points[begin, 0])
 
-    @cython.boundscheck(False)
     def _residual_from(self, begin: cython.Py_ssize_t) -> Any:
         """Return a pointer to the residuals from ``begin`` on."""
         return cython.address(self.residual[begin])
 
-    @cython.boundscheck(False)
     def fit(self) -> Array:
         """Fit the scan in each touched leaf, and compare it with the M estimated ones.
 
@@ -210,7 +204,6 @@ class ScanUpdate:
                     found += 1
         return out[:, :found]
 
-    @cython.boundscheck(False)
     def fit_finest(self) -> Array:
         """Return `RISE` to `OF_MAP` as (4, M), for the mean in each explained finest cell."""
         cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t)
@@ -283,7 +276,6 @@ class ScanUpdate:
         """Lower the scan by ``down``, m."""
         self.fusion.lower(down)
 
-    @cython.boundscheck(False)
     def update_leaves(self) -> None:
         """Fuse the fits, divide where a plane does not suffice, update residual statistics."""
         cython.declare(i=cython.Py_ssize_t, begin=cython.Py_ssize_t, end=cython.Py_ssize_t)
@@ -441,7 +433,6 @@ class ScanUpdate:
             self._shows_mound(begin, end, run.variance, -1.0)  # the children add them again
         self._update_children(row, begin, end, same_scan or fresh)
 
-    @cython.boundscheck(False)
     def _update_children(
         self,
         row: cython.Py_ssize_t,
@@ -463,7 +454,6 @@ class ScanUpdate:
             self._update_leaf(child, begin, stop, run, same_scan)
             begin = stop
 
-    @cython.boundscheck(False)
     def _raise_states(
         self, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, state: cython.uchar
     ) -> None:
@@ -473,7 +463,6 @@ class ScanUpdate:
             if self.table.seen[self.key[i]] < state:
                 self.table.seen[self.key[i]] = state
 
-    @cython.boundscheck(False)
     def _record_hits(self, begin: cython.Py_ssize_t, end: cython.Py_ssize_t) -> None:
         """Record in which of the 4 x 4 parts of their finest cells the points of a run fell."""
         cython.declare(i=cython.Py_ssize_t, column=cython.int, line=cython.int)
@@ -487,7 +476,6 @@ class ScanUpdate:
             line = cython.cast(cython.int, self.points[i, 1] * per + y)
             self.table.hits[self.key[i]] |= 1 << ((column & 3) | (line & 3) << 2)
 
-    @cython.boundscheck(False)
     def _update_residuals(
         self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record
     ) -> None:
@@ -517,7 +505,6 @@ class ScanUpdate:
                     self._raise_states(i, i + 1, leaves.OBSERVED)
                 out = count = 0.0
 
-    @cython.boundscheck(False)
     def _shows_mound(
         self, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, variance: float, sign: float
     ) -> cython.bint:

@@ -25,13 +25,8 @@ def peak(feature: Array) -> Array:
 
 
 def height_by_error(normal: Array, x: Array, y: Array) -> Array:
-    """Derivative (K, 3) of planes' heights at x, y (K,) from their origins by their errors.
-
-    Args:
-        normal: (K, 3) upward unit normals; the errors are a tilt along the axes of Eq. 2, rad, and
-            a shift along the normal, m.
-        x, y: (K,) from the points that the planes are stored about, m.
-    """
+    """Return the derivative (K, 3) of planes' heights at ``x``, ``y`` (K,), m from their origins,
+    by their errors: a tilt along the axes of Eq. 2, rad, and a shift along ``normal`` (K, 3), m."""
     nx, ny, nz = normal.T
     share, rise = 1.0 / (1.0 + nz), -(x * nx + y * ny) / nz
     along = x * nx + y * ny
@@ -48,12 +43,6 @@ class Ground(NamedTuple):
     slope_deg: Array
     deviation: Array
     """Standard deviation of the height by the plane's covariance, m."""
-
-    def __repr__(self) -> str:
-        if np.ndim(self.height):
-            return f"<Ground at {np.size(self.height)} places>"
-        height = f"{self.height:.3f} ± {self.deviation:.3f} m"
-        return f"<Ground: height {height}, slope {self.slope_deg:.1f} deg>"
 
 
 class Profile(NamedTuple):
@@ -166,7 +155,7 @@ class CellMap:
             ends = (column >= 0) & (column < domain.finest_count)
             inside = ends & (row >= 0) & (row < domain.finest_count)
         out = np.full((3, len(place_x)), np.nan)
-        leaf = self._leaves[row[inside].astype(np.intp), column[inside].astype(np.intp)]
+        leaf = self.leaf_raster()[row[inside].astype(np.intp), column[inside].astype(np.intp)]
         normal = self.normal[leaf]
         east, north = place_x[inside] - self.x[leaf], place_y[inside] - self.y[leaf]
         out[0, inside] = self.heights(leaf, place_x[inside], place_y[inside])
@@ -184,16 +173,15 @@ class CellMap:
         return clamp_heights(self.z[leaf] - along / normal[..., 2], self.low[leaf], self.high[leaf])
 
     def profile(self, start: ArrayLike, end: ArrayLike, step: float | None = None) -> Profile:
-        """The ground along the straight line between two places. ``start``, ``end``: (2,) x and y,
-        map frame, m. ``step``: distance of the samples, m; by default half a finest cell. Both ends
-        are samples. Raises `ValueError`: the step is not positive, or a place is no pair of finite
-        numbers."""
+        """Sample the ground along the straight line from ``start`` to ``end``, (2,) x and y, map
+        frame, m, both included. ``step``: distance of the samples, m; by default half a finest
+        cell. Raises `ValueError`: a place is no pair of finite numbers, or ``step`` not positive.
+        """
         first, last = np.asarray(start, np.float64), np.asarray(end, np.float64)
         if first.shape != (2,) or last.shape != (2,) or not np.isfinite([first, last]).all():
             msg = "start and end of a profile are pairs (x, y) of finite numbers"
             raise ValueError(msg)
-        if step is None:
-            step = 0.5 * self.domain.finest_size
+        step = 0.5 * self.domain.finest_size if step is None else step
         if not step > 0.0:
             msg = f"step = {step} m is not positive"
             raise ValueError(msg)
@@ -209,10 +197,6 @@ class CellMap:
             f" x {d.xmin:g} ... {d.xmin + d.size:g}, y {d.ymin:g} ... {d.ymin + d.size:g} m;"
             f" cells of {float(d.cell_size(d.min_level)):g} ... {d.finest_size:g} m>"
         )
-
-    @cached_property
-    def _leaves(self) -> Ints:
-        return self.leaf_raster()
 
     def leaf_raster(self) -> Ints:
         """(n, n) [iy, ix] row of the leaf that covers each finest cell."""

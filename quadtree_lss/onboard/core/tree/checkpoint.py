@@ -20,7 +20,7 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 #: Increases whenever the arrays of `Mapper.export_state` change their meaning.
 FORMAT = 10
 
-#: Tolerance of the entries and eigenvalues of a correlation matrix. Fusion leaves this much when the
+#: Tolerance of entries and eigenvalues of a correlation matrix. Fusion leaves this much when the
 #: pose variance is up to 10^18 times the range variance (`geometry.plane.repair_covariance`).
 CORRELATION_ROUNDING = 0.05
 #: Variance that rounding leaves in `geometry.plane`, rad^2 and m^2.
@@ -92,7 +92,8 @@ def check(
     held, scans = state["held_scan"], int(state["held_scans"])
     sound = bool(((held >= 0) & (held <= scans)).all()) and scans < 2**31
     sound &= bool(np.isfinite(state["held_height"]).all() and (state["held_shown"] <= SHOWN).all())
-    _require(sound and math.isfinite(float(state["held_lifted"])), "has impossible held-back returns")
+    sound &= math.isfinite(float(state["held_lifted"]))
+    _require(sound, "has impossible held-back returns")
     return there
 
 

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# cython: boundscheck=False
 """Columns of `cell_map.CellMap` from the table of leaves, and whether received ones can be."""
 
 from __future__ import annotations
@@ -32,7 +33,6 @@ MAX_HEIGHT = cython.declare(cython.double, bounds.MAX_HEIGHT)
 MAX_CORRELATION = cython.declare(cython.double, 1.1)
 
 
-@cython.boundscheck(False)
 @cython.locals(table=LeafTable, rows=cython.Py_ssize_t[::1], range_part=cython.double[:, ::1])
 def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, Any]:
     """Return the columns of ``cell_map.CellMap``, by name, of leaves (M,), NaN where a leaf has no
@@ -104,7 +104,6 @@ def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, 
     }
 
 
-@cython.boundscheck(False)
 @cython.locals(z=cython.double[:], normal=cython.double[:, :], feature=cython.double[:, :])
 @cython.locals(range_part=cython.double[:, :, :], pose_part=cython.double[:, :, :])
 def sound_planes(

@@ -69,14 +69,12 @@ class Domain:
     def cells_to(self, other: Domain) -> tuple[int, int] | None:
         """By how many finest cells, along x and along y, another square is farther; None if it is
         not this one moved by whole cells."""
-        if replace(other, xmin=self.xmin, ymin=self.ymin) != self:
-            return None
-        off = (other.xmin - self.xmin, other.ymin - self.ymin)
-        cells = [round(part / self.finest_size) for part in off]
         side = self.finest_size
-        if any(abs(a - n * side) > SLACK * side for a, n in zip(off, cells, strict=True)):
-            return None
-        return cells[0], cells[1]
+        east, north = (other.xmin - self.xmin) / side, (other.ymin - self.ymin) / side
+        cells = round(east), round(north)
+        off = max(abs(east - cells[0]), abs(north - cells[1]))
+        alike = replace(other, xmin=self.xmin, ymin=self.ymin) == self
+        return cells if alike and off <= SLACK else None
 
     def cell_size(self, level: NDArray[np.integer] | int) -> Array:
         """Side in m of cells of ``level``, any shape."""

@@ -72,13 +72,6 @@ class HeldReturns:
         self.scans = 0
         self.lifted = 0.0
 
-    def clear(self) -> None:
-        """Forget all returns."""
-        self.height[:] = 0.0
-        self.scan[:] = 0
-        self.shown[:] = 0
-        self.scans, self.lifted = 0, 0.0
-
     def follow(self, east: int, north: int) -> None:
         """The domain moved by so many finest cells along x and along y."""
         self.height = carried(self.height, east, north, 0.0)

@@ -53,7 +53,6 @@ cdef class LeafTable:
     cdef readonly object leaf_of
     cdef Leaf[::1] leaf
     cdef int[::1] over
-    cdef Py_ssize_t[::1] order
     cdef readonly object observed
     cdef unsigned char[::1] seen
     cdef readonly object piled
@@ -77,5 +76,4 @@ cdef class LeafTable:
     cpdef bint divide(self, Py_ssize_t row, double square, double tilt, double spread, double parent_misfit) noexcept nogil
     cpdef reserve(self, Py_ssize_t more)
 
-cpdef to_grid(unsigned char[::1] values, unsigned char[:, ::1] out)
 cpdef leaf_raster(unsigned char[::1] level, unsigned int[::1] ix, unsigned int[::1] iy, int[:, ::1] out)

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# cython: boundscheck=False
 """The quadtree (paper III.A) as a table: a row for each leaf, and the row over each finest cell.
 
 Finest cells are numbered in Morton order, so that every cell of every level is one run of numbers,
@@ -8,6 +9,7 @@ A plane is Eq. 37 with the covariance of Eq. 38.
 
 from __future__ import annotations
 
+import math
 from typing import Any, TypeAlias
 
 import cython
@@ -25,7 +27,7 @@ from cython.cimports.quadtree_lss.onboard.core.tree.leaves import (
 )
 from numpy.typing import NDArray
 
-from quadtree_lss.onboard.arrays import Bytes, Index, Ints, Numbers
+from quadtree_lss.onboard.arrays import Bytes, Index, Ints, Mask, Numbers
 from quadtree_lss.onboard.core.geometry.morton import SPREAD
 from quadtree_lss.onboard.core.tree.domain import Domain
 
@@ -59,20 +61,13 @@ Record: TypeAlias = Any
 #:   (`LIFT`), m, and the weight of the turn (`WEIGHT`), m^2;
 #: - feature: A, k, mu_x, mu_y about the centre, sigma (Eq. 51), NaN for none, and its inverse
 #:   covariance (25), feature_information.
+NUMBERS = "points distance_sum noise_sum exception_sum exception_noise residuals division_sum"
+NUMBERS += " division_weight square_sum low high greatest strip_width parent_misfit"
 LEAF = np.dtype(
     [(name, "i4") for name in ("level", "ix", "iy", "state")]
     + [(name, "f8") for name in ("x", "y", "z", "first_time", "last_time")]
-    + [("normal", "f8", 3), ("range_part", "f8", 9), ("pose_part", "f8", 9), ("points", "f8")]
-    + [(f"{name}_sum", "f8") for name in ("distance", "noise", "exception")]
-    + [("exception_noise", "f8")]
-    + [("residuals", "f8"), ("division_sum", "f8"), ("division_weight", "f8"), ("square_sum", "f8")]
-    + [
-        ("low", "f8"),
-        ("high", "f8"),
-        ("greatest", "f8"),
-        ("strip_width", "f8"),
-        ("parent_misfit", "f8"),
-    ]
+    + [("normal", "f8", 3), ("range_part", "f8", 9), ("pose_part", "f8", 9)]
+    + [(name, "f8") for name in NUMBERS.split()]
     + [("bias", "f8", 5), ("feature", "f8", 5), ("feature_information", "f8", 25)]
 )
 
@@ -90,12 +85,13 @@ def reset_statistics(leaf: Record) -> None:
         leaf.feature[i] = NAN
 
 
-def blank_leaf() -> NDArray[np.void]:
-    """Return (1,) a leaf without a place and without information."""
-    leaf = np.zeros(1, dtype=LEAF)
-    leaf["feature"] = np.nan
-    leaf["low"], leaf["high"] = np.inf, -np.inf
-    return leaf
+def blank_leaves(level: int, ix: Index, iy: Index) -> NDArray[np.void]:
+    """Return leaves (M,) of a level without information."""
+    leaves = np.zeros(len(ix), dtype=LEAF)
+    leaves["level"], leaves["ix"], leaves["iy"] = level, ix, iy
+    leaves["feature"] = np.nan
+    leaves["low"], leaves["high"] = np.inf, -np.inf
+    return leaves
 
 
 class LeafTable:
@@ -134,18 +130,14 @@ class LeafTable:
         self.hit_parts[:] = 0
         side = 1 << self.domain.min_level
         iy, ix = np.divmod(np.arange(side * side), side)
-        level = np.full(side * side, self.domain.min_level)
-        self.set_leaves({"level": level, "ix": ix, "iy": iy})
+        self.set_leaves(blank_leaves(self.domain.min_level, ix, iy))
 
-    def set_leaves(self, columns: dict[str, NDArray[np.generic]]) -> None:
-        """Set the leaves from columns by name; they must tile the domain (not checked here)."""
+    def set_leaves(self, leaves: NDArray[np.void]) -> None:
+        """Set the leaves, which must tile the domain (not checked here)."""
         row: cython.Py_ssize_t
-        self.count = self.capacity = count = len(columns["level"])
-        self.leaf = self.rows = np.zeros(count, dtype=LEAF).view(np.recarray)
-        self.rows[:] = blank_leaf()
-        for name, column in columns.items():
-            self.rows[name][:count] = column
-        for row in range(count):
+        self.count = self.capacity = len(leaves)
+        self.leaf = self.rows = leaves.copy().view(np.recarray)
+        for row in range(self.count):
             self._place(row, self.leaf[row].level, self.leaf[row].ix, self.leaf[row].iy)
 
     def set_domain(self, domain: Domain) -> None:
@@ -153,39 +145,24 @@ class LeafTable:
         self.domain = domain
         self.xmin, self.ymin = domain.xmin, domain.ymin
 
-    def follow(self, east: cython.int, north: cython.int) -> None:
+    def follow(self, east: int, north: int) -> None:
         """Move the square by ``east``, ``north`` coarsest cells.
 
         Leaves that are then outside are dropped; the others keep all values to the bit.
         """
-        cython.declare(row=cython.Py_ssize_t, kept=cython.Py_ssize_t, new=cython.Py_ssize_t)
-        cython.declare(ix=cython.int, iy=cython.int, parts=cython.int)
-        least: cython.int = self.domain.min_level
-        side: cython.int = 1 << least
+        least = self.domain.min_level
+        side = 1 << least
+        leaves, observed = np.array(self.rows[: self.count], dtype=LEAF), self.observed.copy()
+        parts = 1 << (leaves["level"] - least)
+        leaves["ix"] -= east * parts
+        leaves["iy"] -= north * parts
+        inside = _inside(leaves["ix"], leaves["iy"], side * parts)
+        iy, ix = np.indices((side, side))
+        new = ~_inside(ix + east, iy + north, side)
         self.set_domain(self.domain.moved(east, north))
-        observed = self.observed.copy()
-        kept = 0
-        for row in range(self.count):
-            leaf = self.at(row)
-            parts = 1 << (leaf.level - least)
-            ix = leaf.ix - east * parts
-            iy = leaf.iy - north * parts
-            if 0 <= ix < side * parts and 0 <= iy < side * parts:
-                if kept != row:
-                    self.leaf[kept] = self.leaf[row]
-                self._place(kept, self.at(kept).level, ix, iy)
-                kept += 1
-        # Each dropped coarsest cell had at least one leaf, so the rows suffice.
-        new = side * side - max(side - abs(east), 0) * max(side - abs(north), 0)
-        self.rows[kept : kept + new] = blank_leaf()
-        for iy in range(side):
-            for ix in range(side):
-                if not (0 <= ix + east < side and 0 <= iy + north < side):
-                    self._place(kept, least, ix, iy)
-                    kept += 1
-        self.count = kept
-        parts = 1 << (self.max_level - least)
-        n, east, north = side * parts, east * parts, north * parts
+        self.set_leaves(np.concatenate([leaves[inside], blank_leaves(least, ix[new], iy[new])]))
+        finest = 1 << (self.max_level - least)
+        n, east, north = side * finest, east * finest, north * finest
         self.observed[:] = moved_cells(observed, n, east, north)
         self.piled[:] = moved_cells(self.piled, n, east, north)
         self.hit_parts[:] = moved_cells(self.hit_parts, n, east, north)
@@ -218,7 +195,6 @@ class LeafTable:
         """Return the side of a cell of a level, m."""
         return self.sides[level]
 
-    @cython.boundscheck(False)
     def _place(
         self, row: cython.Py_ssize_t, level: cython.int, ix: cython.int, iy: cython.int
     ) -> None:
@@ -236,7 +212,6 @@ class LeafTable:
             if self.seen[code] == UNEXPLAINED:
                 self.seen[code] = OBSERVED
 
-    @cython.boundscheck(False)
     def _stands_out(self, level: cython.int, ix: cython.int, iy: cython.int) -> cython.bint:
         """Return whether a cell has an unexplained finest cell."""
         code: cython.Py_ssize_t
@@ -247,21 +222,17 @@ class LeafTable:
                 return True
         return False
 
-    @cython.boundscheck(False)
     def divide(
         self, row: cython.Py_ssize_t, square: float, tilt: float, spread: float, uneven: float
     ) -> cython.bint:
-        """Divide a leaf above the maximum level; its children inherit its plane.
+        """Divide a leaf above the maximum level, for which rows are reserved; return False, and do
+        nothing, beyond ``max_cells``.
 
-        An inherited plane is the parent's, moved to the child's centre and less certain: by
-        ``square``, m^2, in height and ``tilt``, rad^2, in either slope, up to `NO_SLOPE`; where a
-        return is unexplained, also by the square of the greatest distance. The children have a
-        misfit of ``parent_misfit``, m^2. Finest cells whose returns were within ``spread``, m, of
-        the plane stay explained. The first child in Morton order has the parent's row, the others
-        follow the last leaf. They keep the parent's bias.
-
-        Returns:
-            False, and nothing is done, beyond ``max_cells``. The caller has to `reserve` rows.
+        The children inherit the plane and its bias. The plane is moved to the child's centre and
+        less certain: by ``square``, m^2, in height and ``tilt``, rad^2, in either slope, up to
+        `NO_SLOPE`; where a return is unexplained, also by the square of the greatest distance.
+        ``uneven``: the children's ``parent_misfit``, m^2. ``spread``: greatest distance of
+        explained returns, m. The first child has the parent's row, the others follow the last leaf.
         """
         basis = cython.declare(cython.double[6])
         cython.declare(child=cython.Py_ssize_t, at=cython.Py_ssize_t)
@@ -308,21 +279,12 @@ class LeafTable:
         self.count += 3
         return True
 
-    @cython.boundscheck(False)
     def unmark_moved(
         self, leaf: Record, rise: float, slope_x: float, slope_y: float, limit: float
     ) -> cython.bint:
-        """Mark finest cells as observed only, where the leaf's plane moved too far.
-
-        Args:
-            leaf: The leaf.
-            rise: By how much its plane moved up at the leaf's centre, m.
-            slope_x, slope_y: By how much dz/dx and dz/dy changed.
-            limit: A finest cell keeps its state where no corner moved farther, m.
-
-        Returns:
-            Whether any finest cell is still marked as part of the map.
-        """
+        """Mark finest cells as observed only where a corner moved by more than ``limit``, m; return
+        whether any is still part of the map. The leaf's plane moved by ``rise``, m, at its centre,
+        and by ``slope_x``, ``slope_y`` in dz/dx and dz/dy."""
         cython.declare(i=cython.int, j=cython.int, code=cython.Py_ssize_t)
         down: cython.int = self.max_level - leaf.level
         first: cython.Py_ssize_t = encode(leaf.ix, leaf.iy) << 2 * down
@@ -354,38 +316,26 @@ class LeafTable:
         leaf.normal[2] = 1.0
 
     def rows_in_morton_order(self) -> Index:
-        """Return the rows of the leaves in Morton order, so that neighbours are close in memory.
-
-        Reads the finest cells to find where a leaf ends: they are contiguous, the leaves are not.
-        """
-        code: cython.Py_ssize_t = 0
-        at: cython.Py_ssize_t = 0
-        size: cython.Py_ssize_t
-        finest: cython.Py_ssize_t = self.over.shape[0]
-        row: cython.int
+        """Return the rows of the leaves in Morton order, so that neighbours are close in memory."""
+        cython.declare(code=cython.Py_ssize_t, i=cython.Py_ssize_t)
         out = np.empty(self.count, dtype=np.intp)
-        self.order = out
-        while code < finest:
-            row = self.over[code]
-            size = 1
-            while code % (4 * size) == 0 and 4 * size <= finest:
-                if self.over[code + 4 * size - 1] != row:
-                    break
-                size *= 4
-            self.order[at] = row
-            code += size
-            at += 1
+        order = cython.declare(cython.Py_ssize_t[::1], out)
+        code = 0
+        for i in range(self.count):
+            order[i] = self.over[code]
+            code += 1 << 2 * (self.max_level - self.leaf[order[i]].level)
         return out
 
 
-@cython.boundscheck(False)
-def to_grid(values: Bytes, out: Bytes) -> None:
-    """Write values (n^2,) of finest cells in Morton order to ``out`` (n, n), by row and column."""
-    cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t)
-    places = cython.declare(cython.longlong[::1], SPREAD)
-    for row in range(out.shape[0]):
-        for column in range(out.shape[1]):
-            out[row, column] = values[places[column] | places[row] << 1]
+def _inside(ix: Index, iy: Index, side: int | Index) -> Mask:
+    inside: Mask = (ix >= 0) & (ix < side) & (iy >= 0) & (iy < side)
+    return inside
+
+
+def to_grid(values: NDArray[Any]) -> NDArray[Any]:
+    """Return values (n^2,) of finest cells in Morton order as (n, n) [iy, ix]."""
+    places = SPREAD[: math.isqrt(len(values))]
+    return values[places | places[:, None] << 1]
 
 
 def moved_cells(values: NDArray[Any], n: int, east: int, north: int) -> NDArray[Any]:
@@ -399,7 +349,6 @@ def moved_cells(values: NDArray[Any], n: int, east: int, north: int) -> NDArray[
     return out
 
 
-@cython.boundscheck(False)
 def leaf_raster(level: Bytes, ix: Numbers, iy: Numbers, out: Ints) -> None:
     """Write to ``out`` (n, n) [iy, ix] which of the cells (level, ix, iy), each (M,), covers each
     finest cell."""
