@@ -29,7 +29,7 @@ HUBER = cython.declare(cython.double, 2.0)
 #: Iterations of the reweighting; weights then change by less than 1 %.
 ITERATIONS = cython.declare(cython.int, 5)
 #: Variance of a cell's height from terrain that planes smooth, m^2, for the test of a scan (with
-#: less, one sound scan in 1,000 over simulated cliffs is rejected) and for its offset.
+#: less, sound scans over simulated cliffs are rejected) and for its offset.
 SMOOTHED = cython.declare(cython.double, 0.01**2)
 OFFSET_SMOOTHED = cython.declare(cython.double, 0.02**2)
 #: Share of a scan's cells that may have the same error that no rigid motion explains: a quarter of
@@ -52,10 +52,9 @@ JUMP_SIGMAS = 3.0
 MIN_LIFT = 5e-4
 #: Greatest height of a plane at a cell's centre, m.
 HIGHEST = cython.declare(cython.double, MAX_MAP_HEIGHT)
-#: A scan is inconsistent if less than this share of its cells agrees with the map, ...
+#: A scan is inconsistent if less than this share of its cells agrees with the map, or if its motion
+#: exceeds so many standard deviations: of three degrees of freedom, one sound scan in 7,000 does.
 AGREEING_SHARE = 1.0 / 3.0
-#: ... or if its motion exceeds so many standard deviations: of three degrees of freedom, one sound
-#: scan in 7,000 does.
 MAX_SIGMAS = 4.5
 LIMIT = cython.declare(cython.double, MAX_SIGMAS)
 #: Least share of a scan's points in estimated leaves that lie in comparable ones, for a test: sound
@@ -157,7 +156,6 @@ def is_inconsistent_narrow(finest: Array, length_unit: float) -> bool:
 
 
 @cython.cfunc
-@cython.nogil
 @cython.exceptval(check=False)
 @cython.locals(cells=cython.double[:, :], out=cython.p_double)
 def _pose_jacobian(cells: Array, i: cython.Py_ssize_t, out: Array) -> cython.void:
@@ -172,7 +170,6 @@ def _pose_jacobian(cells: Array, i: cython.Py_ssize_t, out: Array) -> cython.voi
 
 
 @cython.cfunc
-@cython.nogil
 @cython.exceptval(check=False)
 @cython.locals(cells=cython.double[:, :], kept=cython.Py_ssize_t[::1])
 @cython.locals(work=cython.double[:, ::1], centre=cython.p_double)
@@ -202,7 +199,6 @@ def _agreeing_cells(
 
 
 @cython.cfunc
-@cython.nogil
 @cython.exceptval(check=False)
 @cython.locals(cells=cython.double[:, :], kept=cython.Py_ssize_t[::1])
 @cython.locals(work=cython.double[:, ::1], centre=cython.p_double, theta=cython.p_double)
@@ -253,7 +249,6 @@ def _fit_motion(
 
 
 @cython.cfunc
-@cython.nogil
 @cython.exceptval(check=False)
 @cython.locals(sigma=cython.double[:, ::1], gain=cython.p_double, inverse=cython.p_double)
 @cython.locals(theta=cython.p_double, out=cython.p_double)
@@ -279,11 +274,7 @@ def _explained_tilt(
 
 @cython.locals(cells=cython.double[:, :], sigma=cython.double[:, ::1])
 def rigid_motion(
-    cells: Array,
-    sigma: Array,
-    now: float,
-    correlation_time: float,
-    length_unit: float = 1.0,
+    cells: Array, sigma: Array, now: float, correlation_time: float, length_unit: float = 1.0
 ) -> Motion | None:
     """Estimate the rigid motion of a scan from M cells and test it; None with fewer than 3.
 
@@ -431,7 +422,6 @@ def height_offset(
     model: cython.double = OFFSET_SMOOTHED * length_unit * length_unit
     exact: cython.double = EXACT * length_unit * length_unit
     jump: cython.double = JUMP_SIGMAS
-    beyond: cython.double = POSE_EXCESS
     weights = np.empty(count)
     weight = cython.declare(cython.double[::1], weights)
     for i in range(count):
@@ -463,7 +453,7 @@ def height_offset(
     of_scan, of_map = news * of_scan, news * of_map
     if until > since:
         excess = max(height * height / (jump * jump * max(of_scan, of_map, noise)), 1.0)
-        of_scan *= min(excess * excess * excess, beyond * beyond)
+        of_scan *= min(excess * excess * excess, POSE_EXCESS * POSE_EXCESS)
     share = height / (of_scan + of_map + noise)
     return Offset(height, share * of_scan, share * of_map, since, noise)
 

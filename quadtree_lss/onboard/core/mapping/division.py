@@ -73,14 +73,8 @@ def mahalanobis_factor(
     s = (a^T Sigma_P a) / (n.u)^2. What is added along the ray adds to the variance there,
     1 / (u^T Sigma^-1 u) = 1 / (u^T Sigma_r^-1 u) + s, and so does range noise: only the pose's part
     of Eq. 17, J Sigma_pose J^T with J = (I, -[r - m]_x), is inverted, kept regular by a millionth
-    of its trace.
-
-    Args:
-        mean: (3) of the points about the lidar, m.
-        cosine: |n.u|.
-        sigma: (36) pose covariance.
-        along: Variance of the range, m^2.
-        plane: a^T Sigma_P a, m^2; zero for a fit's own points.
+    of its trace. ``mean`` (3): of the points about the lidar, m. ``cosine``: |n.u|. ``along``:
+    variance of the range. ``plane``: a^T Sigma_P a, m^2; zero for a fit's own points.
     """
     axis = cython.declare(cython.double[3])
     total = cython.declare(cython.double[9])
@@ -114,20 +108,14 @@ def mahalanobis_factor(
 
 
 def set_statistic(
-    rules: Rules,
-    leaf: Record,
-    run: Record,
-    points: Vector,
-    origin: Vector,
-    sigma: Vector,
+    rules: Rules, leaf: Record, run: Record, points: Vector, origin: Vector, sigma: Vector
 ) -> None:
     """Set the division statistic of a run with more than three points, before its fit is fused.
 
     By default the mean residual about the run's own fit over range noise, times sqrt(N / (N - 3)),
     of expectation E[chi_1] on planar ground. With the paper's rule the mean d_M of prefit
-    residuals: about the leaf's plane if it is estimated, else about the fit ("the fit quality
-    between measurements and the initial estimate"). ``points`` (3 N) are about the lidar,
-    ``origin`` (3) is that in the map, m.
+    residuals: about the leaf's plane if it is estimated, else about the fit. ``points`` (3 N) are
+    about the lidar, ``origin`` (3) is that in the map, m.
     """
     basis = cython.declare(cython.double[6])
     through = cython.declare(cython.double[3])
@@ -162,11 +150,9 @@ def set_statistic(
 
 
 def add_statistic(leaf: Record, run: Record) -> None:
-    """Add the division statistic of a run, unless it is a partial view, to the mean of its leaf.
-
-    The mean is over all measurements (Eq. 47), weighted by the N - 3 free residuals of each fit:
-    otherwise, many scans with four points would outweigh one full view.
-    """
+    """Add the division statistic of a run, unless it is a partial view, to the mean of its leaf
+    (Eq. 47), weighted by N - 3 free residuals: otherwise, many scans with four points would
+    outweigh one full view."""
     if is_partial(run):
         return
     weight = max(run.points - 3.0, 0.0)
@@ -176,11 +162,9 @@ def add_statistic(leaf: Record, run: Record) -> None:
 
 
 def misfit_divides(rules: Rules, leaf: Record, run: Record) -> cython.bint:
-    """Return whether the mean division statistic of a leaf exceeds the threshold.
-
-    It must exceed it by `CONFIDENCE` standard errors of n residuals, so that cells with few points
-    are not divided by chance. After a partial view the leaf is not tested.
-    """
+    """Return whether the mean division statistic of a leaf exceeds the threshold by `CONFIDENCE`
+    standard errors, so that cells with few points are not divided by chance. After a partial view
+    the leaf is not tested."""
     total = leaf.division_weight
     if is_partial(run) or total < rules.min_residuals:
         return False
@@ -191,11 +175,10 @@ def misfit_divides(rules: Rules, leaf: Record, run: Record) -> cython.bint:
 
 
 def shows_rock(rules: Rules, leaf: Record) -> cython.bint:
-    """Return whether a leaf holds a rock that the mean over the leaf does not show.
+    """Return whether a leaf holds a rock that the mean of Eq. 47 does not show.
 
-    A rock of twenty points among ten thousand does not change the mean of Eq. 47. It shows by its
-    exceptions (Eq. 48): `ROCK_EXCEPTIONS` measurements more than noise and stray returns explain;
-    or as a feature as high and narrow as a rock. Lower rocks show in `ScanUpdate._shows_mound`.
+    It shows by its exceptions (Eq. 48), `ROCK_EXCEPTIONS` measurements more than noise and stray
+    returns explain, or as a feature. Lower rocks show in `ScanUpdate._shows_mound`.
     """
     noise = leaf.exception_noise
     least = max(rules.divide_exceptions, STRAY_SHARE * leaf.residuals)
@@ -205,12 +188,9 @@ def shows_rock(rules: Rules, leaf: Record) -> cython.bint:
 
 
 def residuals_divide(rules: Rules, leaf: Record) -> cython.bint:
-    """Return whether the mean residual about a leaf's plane exceeds that of noise.
-
-    It must be more than ``rules.division_factor`` times that of noise, by `RESIDUAL_SIGMAS`
-    standard errors. Finds misfits where scans have three points or fewer in a leaf, and no fit of
-    their own.
-    """
+    """Return whether the mean residual about a leaf's plane exceeds ``rules.division_factor`` times
+    that of noise by `RESIDUAL_SIGMAS` standard errors. Finds misfits where scans have three points
+    or fewer in a leaf, and no fit of their own."""
     count = leaf.residuals
     if rules.mahalanobis or count < rules.min_residuals:
         return False
@@ -219,9 +199,8 @@ def residuals_divide(rules: Rules, leaf: Record) -> cython.bint:
 
 
 def misfit_square(leaf: Record, variance: float) -> cython.double:
-    """Return the mean square misfit of a leaf's plane beyond noise, m^2: the larger one of
-    residuals about the scans' own fits and about the plane, because a partial view fits its part
-    well."""
+    """Return the mean square misfit of a leaf's plane beyond noise, m^2: the larger one about the
+    scans' own fits and about the plane, because a partial view fits its part well."""
     mean = leaf.distance_sum / max(leaf.residuals, 1.0) / MEAN_CHI_1
     square = max(leaf.square_sum / max(leaf.division_weight, 1.0), mean * mean)
     return max(square - variance, 0.0)
@@ -237,11 +216,8 @@ def unexplained_distance(rules: Rules, leaf: Record, variance: float) -> cython.
 
 
 def raised_distance(rules: Rules, leaf: Record, variance: float) -> cython.double:
-    """Return the distance from the leaf's plane beyond which a return is raised, m.
-
-    On planar ground it is the height of a rock, at least three standard deviations of noise; on
-    other ground more, at most `unexplained_distance`.
-    """
+    """Return the distance from the leaf's plane beyond which a return is raised, m: the height of a
+    rock, on uneven ground more, at most `unexplained_distance`."""
     misfit = 0.0
     if leaf.division_weight > 0.0:
         misfit = max(leaf.square_sum / leaf.division_weight - variance, 0.0)
@@ -252,12 +228,8 @@ def raised_distance(rules: Rules, leaf: Record, variance: float) -> cython.doubl
 def view_shows_misfit(
     rules: Rules, leaf: Record, run: Record, points: Vector, origin: Vector, side: float
 ) -> cython.bint:
-    """Return whether a partial view of a leaf contradicts the leaf's plane.
-
-    The plane is the one before fusion, because a rock that fills the view would turn it. The offset
-    of the view is removed up to ``run.offset_limit``. ``points``, ``origin``: as in
-    `set_statistic`. ``side``: of the leaf, m.
-    """
+    """Return whether a partial view of a leaf contradicts its plane before fusion, apart from an
+    offset up to ``run.offset_limit``. Arguments as of `set_statistic`; ``side`` of the leaf, m."""
     i: cython.Py_ssize_t
     n_x, n_y, n_z = leaf.normal[0], leaf.normal[1], leaf.normal[2]
     d = n_x * (leaf.x - origin[0]) + n_y * (leaf.y - origin[1]) + n_z * (leaf.z - origin[2])
@@ -334,13 +306,10 @@ def exceptions(
     tolerance: float,
     deviation: float,
 ) -> cython.double:
-    """Return Eq. 48's sum of xi: probability mass beyond the roughness tolerance t.
-
-    xi = P(|e + s N(0, 1)| > t) with the residuals e (``count``), m, of which every ``every``-th is
-    used, and s the standard deviation from range noise, ``deviation``, m. The uncertainty of the
-    plane's slope is not included, because in a leaf that is partly observed it concerns the other
-    part.
-    """
+    """Return Eq. 48's sum of xi = P(|e + s N(0, 1)| > t), the probability mass beyond ``tolerance``
+    t, for residuals e, of which every ``every``-th is used, and their ``deviation`` s from range
+    noise. Without that of the plane's slope, which in a leaf that is partly observed concerns the
+    other part."""
     i: cython.Py_ssize_t = 0
     asked = mass = 0.0
     while i < count:

@@ -39,8 +39,7 @@ CONVERGED = cython.declare(cython.double, 5e-2)
 
 
 class Heights:
-    """Heights of one scan over one cell near a feature. ``near``: indices of the scan's points, at
-    most ``most``."""
+    """Heights of one scan of at most ``most`` points over one cell near a feature."""
 
     def __init__(self, most: int) -> None:
         self.near = np.empty(most + 1, dtype=np.intp)
@@ -63,12 +62,8 @@ class Heights:
 
 
 def bell(square: float) -> cython.double:
-    """Return exp(-square / 2) for a squared distance over sigma^2, to 1e-9 up to 20, almost 0 from
-    80 on.
-
-    Computed as 1 / (1 + r + r^2 / 2 + ...)^256, r = square / 512, without branches, so that loops
-    vectorise.
-    """
+    """Return exp(-square / 2), to 1e-9 up to 20, almost 0 from 80 on, as
+    1 / (1 + r + r^2 / 2 + ...)^256, r = square / 512: without branches, so that loops vectorise."""
     r = square * (1.0 / 512.0)
     e = 1.0 + r * (1.0 + r * (0.5 + r * (1.0 / 6.0 + r * (1.0 / 24.0 + r * (1.0 / 120.0)))))
     for _ in range(8):
@@ -88,19 +83,14 @@ def bells(heights: Heights, state: Vector) -> None:
 
 
 def feature_height(state: Vector) -> cython.double:
-    """Return the height of the rock that a fitted bell (5) represents, m.
-
-    A bell fitted to a hemisphere by least squares is a quarter higher than it.
-    """
+    """Return the height of the rock that a fitted bell (5) represents, m."""
     return state[1] * state[1] / (2.0 * PI * state[4] * state[4] * SHAPE)
 
 
 def max_gain(heights: Heights, state: Vector) -> cython.double:
-    """Return the greatest reduction of the flat cost by a feature of the state's place and width.
-
-    In closed form, because the model is linear in the height: w (sum g z)^2 / sum g^2 with the bell
-    g minus its mean; 0 if the best height is negative.
-    """
+    """Return the greatest reduction of the flat cost by a feature of the state's place and width:
+    w (sum g z)^2 / sum g^2 with the bell g minus its mean, as the model is linear in the height; 0
+    if the best height is negative."""
     i: cython.Py_ssize_t
     total = square = product = high = 0.0
     bells(heights, state)
@@ -207,12 +197,11 @@ def estimate(
     half: float,
     finest: float,
 ) -> cython.double:
-    """Update a state by a damped, iterated batch EKF (Levenberg-Marquardt on the MAP cost).
+    """Update a state (5) and its inverse covariance (25) by a damped, iterated batch EKF
+    (Levenberg-Marquardt on the MAP cost); return the measurements' part of the cost.
 
-    A state from earlier scans (``known``) takes one full step, if that lowers the cost. ``state``
-    (5) and its inverse covariance ``information`` (25) are prior and start, and are replaced. The
-    centre stays inside the cell (``half`` its side, m), sigma is at least ``finest``, m. Returns
-    the measurements' part of the cost.
+    A state from earlier scans (``known``) takes one full step, if that lowers the cost. The centre
+    stays inside the cell (``half`` its side, m), sigma is at least ``finest``, m.
     """
     mean = cython.declare(cython.double[5])
     trial = cython.declare(cython.double[5])
@@ -277,11 +266,10 @@ def first_state(
 ) -> None:
     """Compute the first state (5) from the data instead of Eq. 52's constants.
 
-    Each raised sample sums the heights of raised samples near it; the centre is that of the
-    greatest sum, which is not a single outlier. The samples near it give sigma by their share of
-    the cell's area, m^2, and the volume by their mean height. ``high``: (3 raised) x, y, z of each
-    raised sample, at least one; the ``count`` heights of the cell have the sum zero. ``least``:
-    height of the lowest feature, m.
+    The centre is the raised sample with the greatest sum of heights of raised samples near it,
+    which is not a single outlier. These give sigma by their share of the cell's area, m^2, and the
+    volume by their mean height. ``high``: (3 raised) x, y, z of each; the ``count`` heights of the
+    cell have the sum zero. ``least``: height of the lowest feature, m.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     best: cython.Py_ssize_t = 0
@@ -322,18 +310,11 @@ def update_feature(
     side: float,
     heights: Heights,
 ) -> None:
-    """Update the feature of a leaf, or start one.
+    """Update the feature of a leaf, or start one if clearly more points are raised than noise
+    explains on flat ground; it ends if later scans do not show it.
 
-    A feature starts if clearly more points are raised than noise explains on flat ground, and ends
-    if later scans do not show it.
-
-    Args:
-        rules: Parameters.
-        leaf, run: Records of type `LEAF` and `RUN`.
-        points, residual: Of the run, (3 N) about the lidar and (N) n.(r - mean), m.
-        origin: (3) of the lidar, map frame, m.
-        side: Of the cell, m.
-        heights: Work space for a scan's points.
+    ``points`` (3 N) are about the lidar, ``origin`` (3) is that in the map, ``residual`` (N) is
+    n.(r - mean), ``side`` that of the cell, m.
     """
     high = cython.declare(cython.double[72])
     state = cython.declare(cython.double[5])

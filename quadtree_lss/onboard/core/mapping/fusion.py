@@ -30,23 +30,14 @@ ELSEWHERE_SIGMAS = cython.declare(cython.double, 30.0)
 
 
 class Fusion:
-    """Fusion of one scan's fits with the leaves.
-
-    Attributes:
-        origin: (3) of the lidar, map frame, m; lowered by `lower`.
-        sigma: (36) covariance of the scan's pose.
-        aligned: Whether the scan was shifted to the height of the map.
-        now: Time of the scan, s.
-    """
+    """Fusion of one scan's fits with the leaves: ``origin`` (3) of the lidar, map frame, m;
+    ``sigma`` (36), covariance of its pose; ``aligned``: whether the scan was shifted to the height
+    of the map; ``now``, s."""
 
     def __init__(self, rules: Rules, scan: RegisteredScan, now: float) -> None:
         self.rules = rules
-        x, y, z = scan.origin.tolist()
-        self.origin = [x, y, z]
-        covariance = scan.pose.covariance.ravel().tolist()
-        self.sigma = [0.0] * 36
-        for i in range(36):
-            self.sigma[i] = covariance[i]
+        self.origin = scan.origin.tolist()
+        self.sigma = scan.pose.covariance.ravel().tolist()
         self.aligned = False
         self.now = self.correlation_at = now
         self.correlation_is = 1.0
@@ -66,12 +57,8 @@ class Fusion:
         return self.correlation_is
 
     def is_elsewhere(self, leaf: Record, run: Record) -> cython.bint:
-        """Return whether a run and a plane are so far apart that no covariance explains it.
-
-        A scan with a wrong pose over ground that no other scan had observed leaves such planes.
-        They are not fused; each run removes as many points from the plane as it has, until the
-        plane is replaced.
-        """
+        """Return whether a run and a plane are so far apart that no covariance explains it, as
+        after a scan with a wrong pose over ground that no other scan had observed."""
         if leaf.state < leaves.INHERITED:
             return False
         variance = leaf.range_part[8] + leaf.pose_part[8] + run.range_part[8] + run.pose_part[8]
@@ -91,13 +78,10 @@ class Fusion:
         out[2] = run.centroid[2] - z - (leaf.z - self.origin[2])
 
     def limit_offset(self, leaf: Record, run: Record) -> None:
-        """Set the greatest plausible offset of a run from a leaf's plane, m, and its common share.
-
-        The limit is twice the standard deviation of the plane at the run's place, the run, a
-        tolerated misfit and the part of pose error that is not common; without its height if the
-        scan is aligned. The share p / (p + v / N) compares the variance p of plane and pose with
-        that of noise, v.
-        """
+        """Set the greatest plausible offset of a run from a leaf's plane, m, and its common share:
+        two standard deviations of the plane at the run's place, the run, a tolerated misfit and the
+        part of pose error that is not common, without its height if the scan is aligned; and
+        p / (p + v / N) for the variance p of plane and pose and that of noise, v."""
         place = cython.declare(cython.double[3])
         self.offset_at(leaf, run, place)
         first, second = place[0], place[1]
@@ -115,12 +99,12 @@ class Fusion:
         run.common_share = plane / (plane + run.variance / run.points)
 
     def fuse(self, leaf: Record, run: Record, same_scan: cython.bint) -> None:
-        """Fuse a run's fit with the plane of a leaf (paper IV.C).
+        """Fuse a run's fit with the plane of a leaf (paper IV.C), at first level ground of great
+        variance.
 
-        The first estimate is level ground of great variance. An inherited plane is at the height of
-        the map, as an aligned scan is, or was made by this scan: then pose error is common to both
-        and stays as it is. But the sideways error of an aligned scan changes heights on slopes, by
-        the variance n_xy^T C n_xy for the position covariance C of its ground.
+        Pose error is common to both, and stays, if the plane was inherited in this scan, or the
+        scan is aligned to the map. But the sideways error of an aligned scan changes heights on
+        slopes, by n_xy^T C n_xy for the position covariance C of its ground.
         """
         rise = cython.declare(cython.double[1])
         sideways = cython.declare(cython.double[3])
@@ -151,19 +135,10 @@ class Fusion:
         ranges, poses = leaf.range_part, leaf.pose_part
         off = leaf.z - self.origin[2] - run.z
         if run.height_only:
-            place, pose = run.lever, run.pose_part
+            place, pose, variance = run.lever, run.pose_part, run.mean_variance
             sloped: cython.bint = run.has_slope > 0.0
             fuse_height(
-                leaf.normal,
-                off,
-                ranges,
-                poses,
-                place,
-                run.mean_variance,
-                pose,
-                common,
-                sloped,
-                rise,
+                leaf.normal, off, ranges, poses, place, variance, pose, common, sloped, rise
             )
         else:
             of_range, of_pose = run.range_part, run.pose_part
@@ -206,11 +181,9 @@ class Fusion:
         return known[8] - share * (x * known[2] + y * known[5])
 
     def _set_line_bias(self, leaf: Record, run: Record) -> None:
-        """Set the bias of a plane that only lines of points determine, from noise along the ray.
-
-        A^-1 q as for a fit (`measure._bias`), with the covariance A of the places of all scans. It
-        follows from the covariance V of the slope and the variance h of the height: A^-1 = V / h.
-        """
+        """Set the bias of a plane that only lines of points determine, as of a fit
+        (`measure._bias`): A^-1 = V / h, with the covariance V of its slope and the variance h of
+        its height."""
         ray = cython.declare(cython.double[2])
         self._ray_in_plane(leaf, run, ray)
         known = leaf.range_part
@@ -226,11 +199,11 @@ class Fusion:
 
     def _is_spread(self, leaf: Record, run: Record) -> cython.bint:
         """Return whether the points of a first plane are farther apart along the ray than noise
-        puts them.
+        puts them; otherwise the plane may be turned towards the ray.
 
-        Otherwise the plane may be turned towards the ray. A slope variance v with a height variance
-        h means a variance h (1 / v - 1 / v_0) of the places, v_0 that of the first estimate. Points
-        on one place seem to have the variance var(e) |B^T u|^2 / N from noise along the plane.
+        A slope variance v with a height variance h means a variance h (1 / v - 1 / v_0) of the
+        places, v_0 that of the first estimate. Points on one place seem to have the variance
+        var(e) |B^T u|^2 / N from noise along the plane.
         """
         ray = cython.declare(cython.double[2])
         self._ray_in_plane(leaf, run, ray)

@@ -12,35 +12,10 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.onboard.arrays import Array, Points
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config
-from quadtree_lss.onboard.core.mapping.alignment import (
-    AGREEING_SHARE,
-    COMPARABLE_SHARE,
-    FLOOR,
-    JUMP_SIGMAS,
-    MIN_LIFT,
-    NARROW_CELLS,
-    OVERRULING_SCANS,
-    Motion,
-    Offset,
-    RejectedScans,
-    Verdict,
-    height_offset,
-    is_inconsistent,
-    is_inconsistent_narrow,
-    lift_map,
-    remove_tilt,
-    rigid_motion,
-    weighted_median,
-)
+from quadtree_lss.onboard.core.mapping import alignment, update
+from quadtree_lss.onboard.core.mapping.alignment import Motion, RejectedScans, Verdict
 from quadtree_lss.onboard.core.mapping.measure import Rules, unobserved_parts
-from quadtree_lss.onboard.core.mapping.update import (
-    OF_MAP,
-    OF_SCAN,
-    OWN,
-    RISE,
-    ScanBuffers,
-    ScanUpdate,
-)
+from quadtree_lss.onboard.core.mapping.update import ScanUpdate
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.pose_buffer import SECOND_NS
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan, register
@@ -61,9 +36,8 @@ NOISE_CELLS = 3
 NOISE_SHARE = 0.1
 #: Number of scans in the median of `Mapper.pose_gap`.
 GAP_SCANS = 20
-#: Heights that exceed so many standard deviations contradict the covariances of the poses: 3 in
-#: 1,000 Gaussian errors do. Half of `GAP_SCANS` scans do only if the errors are 4.5 times the
-#: claim.
+#: Heights that exceed so many standard deviations contradict the covariances of the poses; half of
+#: `GAP_SCANS` scans do only if the errors are 4.5 times the claim.
 GAP_SIGMAS = 3.0
 
 
@@ -72,19 +46,19 @@ class ScanReport:
     """Result of mapping one scan.
 
     Attributes:
-        stamp_ns: The scan's stamp. points: Points in the message. points_used: Points of the scan
-        that entered the map. With ``dropped``, they are all points. dropped: Number of dropped
-        points by reason (``sensing.register``); ``contradiction`` for all points of a rejected
-        scan. ``isolated`` ones are held back and may enter later.
-        leaves: Leaves after the scan. divisions: Cells that the scan divided. refused_divisions:
-        Cells that ``mapping.max_cells`` left undivided. noise_ratio: Observed over configured range
-        noise (running mean of the medians of scans), NaN if unknown.
-        centre: If all returns are outside the domain: x and y of their mean, map frame, m. offset:
-        Height of the scan's ground over the map's, by its pose, m; 0 if not compared. overruled:
-        Whether this scan lifted or restarted the map, because the last scans contradicted it and
-        agreed with each other.
-        admitted: Isolated returns of earlier scans that entered with this one, because it is the
-            third to show their places; ``isolated`` in the reports of their own scans.
+        stamp_ns: Stamp of the scan.
+        points, points_used: Points in the message, and those that entered the map; the others are
+            in ``dropped``.
+        dropped: Number of dropped points by reason (``sensing.register``); ``contradiction`` for
+            all points of a rejected scan. ``isolated`` ones are held back and may enter later.
+        leaves: Leaves after the scan.
+        divisions, refused_divisions: Cells that the scan divided, and that ``mapping.max_cells``
+            left undivided.
+        noise_ratio: Observed over configured range noise, NaN if unknown.
+        centre: If all returns are outside the domain: x and y of their mean, map frame, m.
+        offset: Height of the scan over the map by its pose, m; 0 if not compared.
+        overruled: Whether this scan lifted or restarted the map.
+        admitted: Isolated returns of earlier scans that this scan confirmed.
     """
 
     stamp_ns: int
@@ -121,7 +95,7 @@ class Mapper:
         self.leaves = LeafTable(Domain.of(config.domain), config.mapping.max_cells)
         self._area: tuple[float, float] | None = None
         self._rules = Rules(config)
-        self._buffers = ScanBuffers()
+        self._buffers = update.ScanBuffers()
         # Arguments of the alignment: correlation time, s, and scale of its constants, m.
         self._scales = config.pose.correlation_time, config.vehicle.clearance_ratio
         self.reset()
@@ -152,10 +126,9 @@ class Mapper:
         self._rejected = RejectedScans()
         # Lift of the map that is known and too small to be applied yet, m.
         self._pending_offset = 0.0
-        # Consecutive scans without a mapped point.
-        self._unmapped_scans = 0
-        # For the last scans: squared height over the map, its variance from the claimed pose
-        # errors, and from other causes, m^2.
+        self._unmapped_scans = 0  # in a row
+        # Of the last scans: squared height over the map, its variance from the claimed pose errors,
+        # and from other causes, m^2.
         self._gaps: deque[tuple[float, float, float]] = deque(maxlen=GAP_SCANS)
 
     def update(self, points_lidar: Points, pose: Pose, sweep: Sweep | None = None) -> ScanReport:
@@ -188,7 +161,9 @@ class Mapper:
             if verdict is Verdict.REJECTED:
                 dropped["contradiction"], used, offset = used, 0, self._rejected.height
             else:
-                self._note_time(pose.stamp_ns)
+                if not self.stamp_ns - JUMP_NS <= pose.stamp_ns <= self.stamp_ns:
+                    self.stamp_ns = pose.stamp_ns
+                self._start_ns = self._start_ns or pose.stamp_ns
                 if not self.config.mapping.by_paper("covariance"):
                     offset = self._align(change, cells, now)
                 # Fuse the fits; divide leaves where the plane does not suffice.
@@ -198,7 +173,7 @@ class Mapper:
         if verdict is not Verdict.REJECTED and "above" not in dropped:
             self._held.keep(scan.isolated if verdict is Verdict.ACCEPTED else None)
         self._unmapped_scans = 0 if used else self._unmapped_scans + 1
-        if used or self._unmapped_scans >= OVERRULING_SCANS:
+        if used or self._unmapped_scans >= alignment.OVERRULING_SCANS:
             self._follow(pose)
         return ScanReport(
             stamp_ns=pose.stamp_ns,
@@ -214,12 +189,6 @@ class Mapper:
             overruled=verdict is Verdict.OVERRULES,
             admitted=scan.admitted if used else 0,
         )
-
-    def _note_time(self, stamp_ns: int) -> None:
-        """Advance the map's stamp, or set it back if time jumped back."""
-        if not self.stamp_ns - JUMP_NS <= stamp_ns <= self.stamp_ns:
-            self.stamp_ns = stamp_ns
-        self._start_ns = self._start_ns or stamp_ns
 
     def _follow(self, pose: Pose) -> None:
         """Move the square towards the followed point."""
@@ -239,27 +208,28 @@ class Mapper:
         """Fit a scan to the leaves and accept, reject or overrule; apply the decision to the map or
         to the tilt of the scan. Return also the compared cells (`ScanUpdate.fit`)."""
         change, cells, motion = self._compare(scan, now)
-        compared, inconsistent = cells, is_inconsistent(motion)
+        compared, inconsistent = cells, alignment.is_inconsistent(motion)
         if motion is not None:
             self._record_gap(cells, motion)
-        comparable = change.compared > COMPARABLE_SHARE * change.estimated
-        if not inconsistent and comparable and cells.shape[1] <= NARROW_CELLS:
+        comparable = change.compared > alignment.COMPARABLE_SHARE * change.estimated
+        if not inconsistent and comparable and cells.shape[1] <= alignment.NARROW_CELLS:
             compared = change.fit_finest()
-            inconsistent = is_inconsistent_narrow(compared, self._scales[1])
+            inconsistent = alignment.is_inconsistent_narrow(compared, self._scales[1])
         verdict = self._rejected.decide(compared, inconsistent)
         if verdict is Verdict.OVERRULES:
-            height = float(np.median(compared[RISE]))
+            height = float(np.median(compared[update.RISE]))
             self._pending_offset = 0.0
-            cells[RISE] -= height
-            if is_inconsistent(rigid_motion(cells, scan.pose.covariance, now, *self._scales)):
+            cells[update.RISE] -= height
+            motion = alignment.rigid_motion(cells, scan.pose.covariance, now, *self._scales)
+            if alignment.is_inconsistent(motion):
                 self.leaves.reset()
             else:
-                lift_map(self.leaves, height, -np.inf)
+                alignment.lift_map(self.leaves, height, -np.inf)
             self._held = HeldReturns(self.domain)
             change, cells, _ = self._compare(scan, now)
             self._gaps.clear()
-        elif verdict is Verdict.ACCEPTED and motion is not None and motion.sigmas > JUMP_SIGMAS:
-            remove_tilt(scan.points, motion)
+        elif verdict is Verdict.ACCEPTED and motion and motion.sigmas > alignment.JUMP_SIGMAS:
+            alignment.remove_tilt(scan.points, motion)
             change, cells, _ = self._compare(scan, now)
         return change, cells, verdict
 
@@ -267,31 +237,32 @@ class Mapper:
         """Fit a scan to the leaves; return the update, the compared cells and their motion."""
         change = ScanUpdate(self.leaves, self._rules, scan, now, self._buffers)
         cells = change.fit()
-        if change.compared < COMPARABLE_SHARE * change.estimated:
-            return change, cells, None
-        return change, cells, rigid_motion(cells, scan.pose.covariance, now, *self._scales)
+        motion = None
+        if change.compared >= alignment.COMPARABLE_SHARE * change.estimated:
+            motion = alignment.rigid_motion(cells, scan.pose.covariance, now, *self._scales)
+        return change, cells, motion
 
     def _record_gap(self, cells: Array, motion: Motion) -> None:
         """Record the height of a scan over the map, accepted or not, for `pose_gap`."""
         values = [motion.height, motion.claimed, motion.mapped, motion.noise]
-        if motion.share < AGREEING_SHARE:  # too few cells for a common height
-            values = np.median(cells[[RISE, OF_SCAN, OF_MAP, OWN]], axis=1).tolist()
+        if motion.share < alignment.AGREEING_SHARE:  # too few cells for a common height
+            rows = [update.RISE, update.OF_SCAN, update.OF_MAP, update.OWN]
+            values = np.median(cells[rows], axis=1).tolist()
         height, claimed, mapped, noise = values
-        floor = FLOOR * self._scales[1] ** 2
+        floor = alignment.FLOOR * self._scales[1] ** 2
         self._gaps.append((height**2, claimed + mapped, noise + floor))
 
     def _align(self, change: ScanUpdate, cells: Array, now: float) -> float:
         """Remove the height offset between scan and map; return it, m."""
-        cells[RISE] -= self._pending_offset
-        offset: Offset | None = height_offset(cells, now, *self._scales)
+        cells[update.RISE] -= self._pending_offset
+        offset: alignment.Offset | None = alignment.height_offset(cells, now, *self._scales)
         if offset is None:
             return 0.0
-        # Rounded, because the order of the cells depends on where the square is, and results must
-        # not.
+        # Rounded: the order of the cells depends on where the square is, and results must not.
         of_scan, of_map = round(offset.scan, 9), round(offset.map, 9)
         self._pending_offset += of_map
-        if abs(self._pending_offset) >= MIN_LIFT * self._scales[1]:
-            lift_map(self.leaves, self._pending_offset, round(offset.since, 9))
+        if abs(self._pending_offset) >= alignment.MIN_LIFT * self._scales[1]:
+            alignment.lift_map(self.leaves, self._pending_offset, round(offset.since, 9))
             self._held.lifted += self._pending_offset
             self._pending_offset = 0.0
         self._offset = (offset.height - of_map + self._pending_offset, offset.variance)
@@ -313,7 +284,7 @@ class Mapper:
         its points on level ground, which a smaller part of rough ground does not raise."""
         if ratio.shape[1] < NOISE_CELLS:
             return
-        median = weighted_median(ratio[0], ratio[1])
+        median = alignment.weighted_median(ratio[0], ratio[1])
         if math.isnan(self._noise_ratio):
             self._noise_ratio = median
         else:
@@ -388,5 +359,4 @@ def _check_arguments(points: Points, pose: Pose) -> None:
         kind = type(pose).__name__
         raise TypeError(f"pose is of type {kind}; Pose.from_matrix(matrix, stamp_ns) makes one")
     if np.ndim(points) not in (2, 3) or np.shape(points)[-1] != 3:
-        shape = np.shape(points)
-        raise ValueError(f"points_lidar has shape {shape}; it needs (N, 3) or (H, W, 3)")
+        raise ValueError(f"points_lidar has shape {np.shape(points)}, not (N, 3) or (H, W, 3)")

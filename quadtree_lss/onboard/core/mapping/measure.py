@@ -163,11 +163,8 @@ def range_noise(rules: Rules, centroid: Vector, distance: float) -> cython.doubl
 
 
 def _unobserved_width(square: float, correlation: float, side: float) -> cython.double:
-    """Return the width of a cell, along one of its axes, without points, m.
-
-    Points of variance ``square`` fill sqrt(3 square) on both sides of their mean. If they are
-    correlated with the other axis, they fill a diagonal band only.
-    """
+    """Return the width of a cell, along one of its axes, without points, m: those of variance
+    ``square`` fill sqrt(3 square) on both sides of their mean, a diagonal band if correlated."""
     return side - 2.0 * sqrt(max(3.0 * square * (1.0 - correlation), 0.0))
 
 
@@ -187,14 +184,7 @@ def _bias(
     An edge on one side lifts the mean by r = sqrt(var(e)) |(u_x, u_y)| / w standard deviations of
     height, w the width of the observed area along the ray. A strip of less than four standard
     deviations may consist of noise only: `TAIL` r^2, at most four standard deviations, accounts for
-    that.
-
-    Args:
-        run: Record of type `RUN`: reads points, scatter and unobserved, writes the bias.
-        ray_x, ray_y: Components of u.
-        deviation: sqrt(var(e)), m.
-        lean: |n.u| / n_z.
-        sloped: Whether the slope was fitted.
+    that. ``deviation``: sqrt(var(e)), m. ``lean``: |n.u| / n_z. ``sloped``: a slope was fitted.
     """
     share = 0.5 + min(run.unobserved, 0.5)
     per = 1.0 / run.points
@@ -246,13 +236,8 @@ def measure(
       With too few points for an estimate, the leaf's ``parent_misfit`` is used.
     - The unobserved part may differ in slope by `UNOBSERVED_TILT`.
 
-    Args:
-        leaf: Record of type `LEAF`, read.
-        run: Record of type `RUN`, written.
-        points, number: Points (3 N) of the run in map axes about the lidar, m, and N.
-        origin: (3) of the lidar, map frame, m.
-        sigma: (36) pose covariance.
-        side: Of the cell, m.
+    ``points`` (3 ``number``) are about the lidar, ``origin`` (3) is that in the map, ``sigma`` (36)
+    the pose covariance, ``side`` that of the cell, m.
     """
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])
@@ -396,13 +381,11 @@ def measure(
 
 @cython.boundscheck(False)
 def unobserved_parts(table: LeafTable, rows: Index, out: Array) -> None:
-    """Add to the covariance (M, 9) of (dphi, dd) of leaves (M,) what their unobserved parts
-    contribute.
+    """Set what the unobserved parts of leaves (M,) add to their covariance (M, 9) of (dphi, dd).
 
-    Repeated views of one part contain no information about the rest. The slope there may differ by
-    `UNOBSERVED_TILT` and by the parent's misfit: a tilt about the mean of the observed finest
-    cells, in proportion to the unobserved share of the width. The bias from noise along the rays
-    acts about the same point.
+    The slope there may differ by `UNOBSERVED_TILT` and by the parent's misfit: a tilt about the
+    mean of the observed finest cells, in proportion to the unobserved share of the width. The bias
+    from noise along the rays acts about the same point.
     """
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])

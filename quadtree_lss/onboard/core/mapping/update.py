@@ -12,11 +12,6 @@ from cython.cimports.libc.math import INFINITY, fabs, sqrt
 from cython.cimports.quadtree_lss.onboard.core.geometry.plane import offset_variance
 from cython.cimports.quadtree_lss.onboard.core.mapping import division, measure
 from cython.cimports.quadtree_lss.onboard.core.mapping import update as row
-from cython.cimports.quadtree_lss.onboard.core.mapping.division import (
-    set_statistic,
-    shows_rock,
-    view_shows_misfit,
-)
 from cython.cimports.quadtree_lss.onboard.core.mapping.features import update_feature
 from cython.cimports.quadtree_lss.onboard.core.mapping.update import OF_MAP as OF_MAP
 from cython.cimports.quadtree_lss.onboard.core.mapping.update import OF_SCAN as OF_SCAN
@@ -60,21 +55,15 @@ def set_states(
 
 
 class ScanBuffers:
-    """Memory of a scan's points and cells, reused by the next scan (allocation took 5 % of a scan).
-
-    Attributes:
-        begins, rows: First point of each cell, and its row in the table.
-        residual: Of each point, m.
-        ratio: (2, N), see `ScanUpdate`.
-        heights: Work space of `features.update_feature`.
-        runs: Records of type `RUN`, one for each cell.
-    """
+    """Memory of a scan's points and cells, reused by the next scan (allocation took 5 % of a scan):
+    first point and row of each cell, residual of each point, m, ``ratio`` of `ScanUpdate`, work
+    space of `features.update_feature`, and a `RUN` for each cell."""
 
     def __init__(self) -> None:
         self.points = self.cells = -1
 
     def reserve_points(self, points: cython.Py_ssize_t) -> None:
-        """Grow to this number of points; the contents are lost."""
+        """Grow; the contents are lost."""
         if points > self.points:
             self.points = points
             self.begins, self.rows = np.empty((2, points + 1), dtype=np.intp)
@@ -84,7 +73,7 @@ class ScanBuffers:
             self.heights = Heights(points)
 
     def reserve_runs(self, cells: cython.Py_ssize_t) -> None:
-        """Grow to this number of cells; the contents are lost."""
+        """Grow; the contents are lost."""
         if cells > self.cells:
             self.cells = 2 * cells
             self.runs = np.empty(self.cells, dtype=RUN)
@@ -93,11 +82,7 @@ class ScanBuffers:
 class ScanUpdate:
     """Update of a leaf table by one scan: `fit`, `lower` if it is aligned, then `update_leaves`.
 
-    Points are in map axes about the lidar, in Morton order, so that each cell of any level has one
-    run of them.
-
     Attributes:
-        cells: Number of leaves with points of the scan.
         estimated, compared: Points in estimated leaves, and in those of them that `fit` compares.
         divisions, refused: Number of divisions, and of divisions beyond ``max_cells``.
         ratio: (2, R) for the cells with an estimate of the range noise: observed over configured
@@ -105,12 +90,7 @@ class ScanUpdate:
     """
 
     def __init__(
-        self,
-        table: LeafTable,
-        rules: Rules,
-        scan: RegisteredScan,
-        now: float,
-        buffers: ScanBuffers | None = None,
+        self, table: LeafTable, rules: Rules, scan: RegisteredScan, now: float, buffers: ScanBuffers
     ) -> None:
         count = len(scan.key)
         self.table = table
@@ -119,7 +99,7 @@ class ScanUpdate:
         rules.set_boresight(scan.pose.rotation_map_lidar[:, 2])
         self.points = scan.points
         self.key = scan.key
-        self.buffers = ScanBuffers() if buffers is None or count > KEPT_POINTS else buffers
+        self.buffers = ScanBuffers() if count > KEPT_POINTS else buffers
         self.buffers.reserve_points(count)
         self.residual = self.buffers.residual
         self.divisions = self.refused = self.noise_count = self.estimated = self.compared = 0
@@ -169,18 +149,13 @@ class ScanUpdate:
         return cython.address(self.residual[begin])
 
     def fit(self) -> Array:
-        """Fit the scan in each touched leaf, and compare it with the M estimated ones.
+        """Fit the scan in each touched leaf with a plane, and compare the M estimated ones.
 
-        Leaves without a plane are fitted in `update_leaves`. Leaves divided from rough ground (tree
-        crowns) are not compared, because their planes depend on the returns of a scan more than on
-        its pose.
-
-        Returns:
-            (ROWS, M) with the rows `RISE`: height of the scan over the map, m; `OWN`: its variance
-            without pose errors, m^2; `OF_SCAN`, `OF_MAP`: variance of either height from pose
-            errors, m^2; `FIRST_TIME`, `LAST_TIME`: of the scans in the map's plane, s; `PLACE_X`,
-            `PLACE_Y`, `PLACE_Z`: of the cell about the lidar, m; `SLOPE_X`, `SLOPE_Y`: of the map's
-            plane; `OF_SLOPE`: variance of either from pose errors.
+        Return (ROWS, M) with the rows `RISE`: height of the scan over the map, m; `OWN`: its
+        variance without pose errors, m^2; `OF_SCAN`, `OF_MAP`: variance of either height from pose
+        errors, m^2; `FIRST_TIME`, `LAST_TIME`: of the scans in the map's plane, s; `PLACE_X`,
+        `PLACE_Y`, `PLACE_Z`: of the cell about the lidar, m; `SLOPE_X`, `SLOPE_Y`: of the map's
+        plane; `OF_SLOPE`: variance of either from pose errors.
         """
         i: cython.Py_ssize_t
         found: cython.Py_ssize_t = 0
@@ -216,12 +191,10 @@ class ScanUpdate:
                 continue
             run = self._run(i)
             up = leaf.normal[2]
-            x = leaf.x - self.fusion.origin[0]
-            y = leaf.y - self.fusion.origin[1]
+            x, y = leaf.x - self.fusion.origin[0], leaf.y - self.fusion.origin[1]
             z = leaf.z - self.fusion.origin[2]
             misfit = leaf.square_sum / max(leaf.division_weight, 1.0) - run.variance
-            along_x = leaf.normal[0] / up
-            along_y = leaf.normal[1] / up
+            along_x, along_y = leaf.normal[0] / up, leaf.normal[1] / up
             total = count = 0.0
             for k in range(self.begins[i], self.begins[i + 1]):
                 total += self.points[k, 2] - z
@@ -239,7 +212,8 @@ class ScanUpdate:
         return out[:, :found]
 
     def _comparable(self, leaf: Record) -> cython.bint:
-        """Return whether the leaf is estimated, and smooth enough for a comparison."""
+        """Return whether the leaf is estimated, and not divided from rough ground (tree crowns),
+        where planes depend on the returns of a scan more than on its pose."""
         return leaf.state == leaves.ESTIMATED and leaf.parent_misfit <= self.rules.slack
 
     def _write_comparison(self, leaf: Record, run: Record, at: cython.Py_ssize_t) -> None:
@@ -315,10 +289,9 @@ class ScanUpdate:
     def _divide(self, row: cython.Py_ssize_t, run: Record) -> cython.bint:
         """Divide a leaf, unless it is a finest cell or ``max_cells`` is reached.
 
-        The parent's mean square residual makes the children's heights less certain. The parent's
-        slope counts as much as `slope_points` measurements that fill a child (horizontal variance
-        side^2 / 12); its misfit counts twice, because neighbouring residuals are correlated. The
-        children keep the misfit, because their own points may be too few to show it.
+        The parent's slope counts as much as `slope_points` measurements that fill a child
+        (horizontal variance side^2 / 12); its misfit counts twice, because neighbouring residuals
+        are correlated. The children keep the misfit, because their points may not show it.
         """
         leaf = self._leaf(row)
         if leaf.level >= self.table.max_level:
@@ -352,8 +325,8 @@ class ScanUpdate:
         is compared with the plane before fusion, because a rock that fills the view would turn it.
         All other runs are fused; then the leaf is divided or its residual statistics are updated.
         """
-        leaf = self._leaf(row)
-        side = self.table.sides[leaf.level]
+        leaf, points = self._leaf(row), self._points_from(begin)
+        origin, sigma, side = self.fusion.origin, self.fusion.sigma, self.table.sides[leaf.level]
         if self.fusion.is_elsewhere(leaf, run):
             leaf.points -= run.points
             if leaf.points > 0.0:
@@ -377,26 +350,14 @@ class ScanUpdate:
             return
         if leaf.state >= leaves.INHERITED:
             self.fusion.limit_offset(leaf, run)
-            if (
-                measure.is_partial(run)
-                and leaf.level < self.table.max_level
-                and view_shows_misfit(
-                    self.rules, leaf, run, self._points_from(begin), self.fusion.origin, side
-                )
-            ):
+            partial: cython.bint = measure.is_partial(run) and leaf.level < self.table.max_level
+            if partial and division.view_shows_misfit(self.rules, leaf, run, points, origin, side):
                 self._update_residuals(leaf, begin, end, run)
                 if self._divide(row, run):
                     self._update_children(row, begin, end, False)
                     return
         if not measure.has_few_points(run):
-            set_statistic(
-                self.rules,
-                leaf,
-                run,
-                self._points_from(begin),
-                self.fusion.origin,
-                self.fusion.sigma,
-            )
+            division.set_statistic(self.rules, leaf, run, points, origin, sigma)
         x, y, z, up = leaf.normal[0], leaf.normal[1], leaf.z, leaf.normal[2]
         self.fusion.fuse(leaf, run, same_scan)
         if not fabs(leaf.z) < HIGHEST:
@@ -424,9 +385,8 @@ class ScanUpdate:
             if asked or leaf.level == self.table.max_level:
                 return
             mound: cython.bint = self._shows_mound(begin, end, run.variance, 1.0)
-            if not (
-                mound or shows_rock(self.rules, leaf) or division.residuals_divide(self.rules, leaf)
-            ):
+            misfit: cython.bint = division.residuals_divide(self.rules, leaf)
+            if not (mound or misfit or division.shows_rock(self.rules, leaf)):
                 return
             if not self._divide(row, run):
                 return
@@ -479,11 +439,9 @@ class ScanUpdate:
     def _update_residuals(
         self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record
     ) -> None:
-        """Compute the residuals of a run, and the states of its finest cells.
-
-        A finest cell becomes unexplained if more than `UNEXPLAINED_SHARE` of its returns in this
-        scan, and at least two, stand out from the plane. With a single one it keeps its state.
-        """
+        """Compute the residuals of a run, and the states of its finest cells: unexplained if more
+        than `UNEXPLAINED_SHARE` of the returns in this scan, and at least two, stand out from the
+        plane. With a single one a cell keeps its state."""
         cython.declare(i=cython.Py_ssize_t)
         out = count = 0.0
         self._record_hits(begin, end)
@@ -508,11 +466,11 @@ class ScanUpdate:
     def _shows_mound(
         self, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, variance: float, sign: float
     ) -> cython.bint:
-        """Return whether a finest cell rises over its leaf's plane by `measure.MOUND`.
+        """Add a run to the piles of its finest cells (``sign`` -1: remove it again), and return
+        whether one rises over its leaf's plane by `measure.MOUND`.
 
         The mean of all n returns shows rocks that noise of variance v hides in each scan. It must
-        also exceed `MOUND_SIGMAS` sqrt(v / n). Adds the returns of this run; a ``sign`` of -1
-        removes them again.
+        also exceed `MOUND_SIGMAS` sqrt(v / n).
         """
         i: cython.Py_ssize_t
         found: cython.bint = False

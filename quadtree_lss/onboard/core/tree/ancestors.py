@@ -40,10 +40,8 @@ def fuse_to_level(cells: CellMap, level: int) -> Ancestors:
 
     Each leaf's plane is moved to the ancestor's centre (exactly, value and covariance) and
     observes it. Range noise is independent between leaves, so the range parts weigh and average:
-    E = (sum R_i^-1)^-1 sum R_i^-1 E_i. Pose error is shared and decides nothing between them.
-    Inherited planes are no information.
-
-    Fusing children of children at once is the same as level by level, information being additive.
+    E = (sum R_i^-1)^-1 sum R_i^-1 E_i. Pose error is common and has no weight. Inherited planes
+    are no information. Information is additive, so this is the same as level by level.
     """
     n, below = 1 << level, cells.level >= level
     down = np.where(below, cells.level, level) - level
@@ -86,7 +84,7 @@ def fuse_leaves(
 ) -> None:
     """Fuse planes (6, M) of covariances (M, 3, 3) into those of their ancestors, rows (M,) of
     ``planes`` (A, 6), which have the place and direction to linearise about. ``range_part``
-    (A, 3, 3) is 0 before."""
+    (A, 3, 3) is 0 before; ``ranges`` is overwritten."""
     cython.declare(k=cython.Py_ssize_t, a=cython.Py_ssize_t, i=cython.Py_ssize_t)
     cython.declare(j=cython.Py_ssize_t)
     pulled = cython.declare(cython.double[:, ::1], np.zeros((len(planes), 3)))
@@ -96,7 +94,7 @@ def fuse_leaves(
     error = cython.declare(cython.double[3])
     basis = cython.declare(cython.double[6])
     turn = cython.declare(cython.double[4])
-    covariance = cython.declare(cython.double[9])
+    covariance = cython.declare(cython.p_double)
     information = cython.declare(cython.double[9])
     with cython.nogil:
         # Each leaf seen from its ancestor's centre, its error in the tangent at the mean normal.
@@ -105,8 +103,7 @@ def fuse_leaves(
             for i in range(3):
                 arm[i] = planes[a, i] - leaves[i, k]
                 own[i], mean[i] = leaves[3 + i, k], planes[a, 3 + i]
-                for j in range(3):
-                    covariance[3 * i + j] = ranges[k, i, j]
+            covariance = cython.address(ranges[k, 0, 0])
             basis_at(own, basis)
             minus_at(own, mean, error, turn)
             first = basis[0] * arm[0] + basis[1] * arm[1] + basis[2] * arm[2]
@@ -120,22 +117,20 @@ def fuse_leaves(
                     range_part[a, i, j] += information[3 * i + j]
                     pulled[a, i] += information[3 * i + j] * error[j]
         for a in range(planes.shape[0]):
-            for i in range(3):
-                for j in range(3):
-                    information[3 * i + j] = range_part[a, i, j]
-            plane.inverse_symmetric(information, covariance)
+            covariance = cython.address(range_part[a, 0, 0])
+            plane.inverse_symmetric(covariance, information)
             for i in range(3):
                 mean[i], error[i] = planes[a, 3 + i], 0.0
                 for j in range(3):
-                    error[i] += covariance[3 * i + j] * pulled[a, j]
+                    error[i] += information[3 * i + j] * pulled[a, j]
             basis_at(mean, basis)
             plus_at(mean, basis, error, own)
             plane.orient_up(own)
             # d / n_z is how far the plane passes above the origin; the origin moves up to it.
             rise = error[2] / own[2]
             planes[a, 2] += rise
-            plane.shift_origin(covariance, -rise * own[0], -rise * own[1], 1)
+            plane.shift_origin(information, -rise * own[0], -rise * own[1], 1)
             for i in range(3):
                 planes[a, 3 + i] = own[i]
-                for j in range(3):
-                    range_part[a, i, j] = covariance[3 * i + j]
+            for i in range(9):
+                covariance[i] = information[i]

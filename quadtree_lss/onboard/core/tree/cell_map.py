@@ -36,20 +36,18 @@ def height_by_error(normal: Array, x: Array, y: Array) -> Array:
 
 
 class Ground(NamedTuple):
-    """The ground at places, arrays of their shape; NaN where there is no estimate."""
+    """The ground at places, arrays of their shape: height, m, and its standard deviation by the
+    plane's covariance, m; NaN where there is no estimate."""
 
     height: Array
-    """m."""
     slope_deg: Array
     deviation: Array
-    """Standard deviation of the height by the plane's covariance, m."""
 
 
 class Profile(NamedTuple):
-    """The ground along a line: arrays (K,)."""
+    """The ground along a line, arrays (K,); distance from the start, m."""
 
     distance: Array
-    """From the start, m."""
     x: Array
     y: Array
     height: Array
@@ -59,7 +57,7 @@ class Profile(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class CellMap:
-    """What the mapping publishes: one row per leaf in Morton order, map frame, m and rad.
+    """The published map: one row per leaf in Morton order, map frame, m and rad.
 
     Attributes:
         stamp_ns: Stamp of the newest scan in the map, 0 if there is none; see `Mapper`.
@@ -77,18 +75,15 @@ class CellMap:
         roughness: (M,) roughness density of Eq. 55 without its noise floor, m^3.
         exception_fraction: (M,) Eq. 48, less what noise alone makes of it.
         feature: (M, 5) A, k, mu_x, mu_y (about the centre), sigma of Eq. 51; NaN for none. k^2 is
-            the volume, k^2 / (2 pi sigma^2) the height (``columns.WIDER``).
-        low, high: (M,) lowest and highest height that a return has in the leaf, give or take its
-            noise, m; NaN where there is none, or no bound. The plane's heights keep to them (see
-            ``geometry.bounds``).
+            the volume, `peak` the height.
+        low, high: (M,) lowest and highest height of a return in the leaf, m, which bound the
+            plane's heights (``geometry.bounds``); NaN where there is no bound.
         coverage: (M,) mean share of the 4 x 4 parts of a known finest cell that returns fell on.
         observed: (n, n) [iy, ix], True for finest cells in which a point fell.
-        known: (n, n) of these, the cells whose returns are part of what their leaf says: they were
-            compared with its plane, or with that of the leaf it was divided from and did not stand
-            out. The others are seen, not yet mapped: as bad as unseen.
-        offset_z: By how much the ground of the newest scan that could be compared with the map lay
-            over it by its pose: the map's height plus this is the height by navigation, m. NaN if
-            none could be compared.
+        known: (n, n) of these, the cells whose returns were compared with the plane of their leaf,
+            or of the leaf it was divided from, and did not stand out. The others are not mapped.
+        offset_z: Height of the newest compared scan over the map by its pose, m: the map's height
+            plus this is the height by navigation. NaN if none could be compared.
         offset_variance: Of ``offset_z``, m^2.
     """
 
@@ -140,22 +135,21 @@ class CellMap:
         return np.isfinite(self.z)
 
     def at(self, x: ArrayLike, y: ArrayLike) -> Ground:
-        """Height, slope and deviation of the plane over each place; heights are within bounds.
+        """Return the ground at places ``x``, ``y``, map frame, m, of any shapes that broadcast.
 
-        Rocks that stand out of a plane are not in its height (``feature``); a place on a border
-        belongs to the cell north and east of it, as measurements do. ``x``, ``y``: places in the
-        map frame, m, of any shape; they broadcast.
+        Rocks that stand out of a plane are not in its height (``feature``). A place on a border
+        belongs to the cell north and east of it.
         """
         at_x, at_y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         place_x, place_y = at_x.ravel(), at_y.ravel()
         domain = self.domain
         with np.errstate(invalid="ignore"):
-            column = np.floor((place_x - domain.xmin) / domain.finest_size)
-            row = np.floor((place_y - domain.ymin) / domain.finest_size)
-            ends = (column >= 0) & (column < domain.finest_count)
-            inside = ends & (row >= 0) & (row < domain.finest_count)
+            off = np.stack([place_y - domain.ymin, place_x - domain.xmin])
+            cell = np.floor(off / domain.finest_size)
+            inside = ((cell >= 0) & (cell < domain.finest_count)).all(axis=0)
         out = np.full((3, len(place_x)), np.nan)
-        leaf = self.leaf_raster()[row[inside].astype(np.intp), column[inside].astype(np.intp)]
+        row, column = cell[:, inside].astype(np.intp)
+        leaf = self.leaf_raster()[row, column]
         normal = self.normal[leaf]
         east, north = place_x[inside] - self.x[leaf], place_y[inside] - self.y[leaf]
         out[0, inside] = self.heights(leaf, place_x[inside], place_y[inside])
@@ -189,14 +183,6 @@ class CellMap:
         distance = np.linspace(0.0, length, int(np.ceil(length / step)) + 1)
         x, y = (first + (distance / (length or 1.0))[:, None] * (last - first)).T
         return Profile(distance, x, y, *self.at(x, y))
-
-    def __repr__(self) -> str:
-        d = self.domain
-        return (
-            f"<CellMap: {len(self.level)} leaves, {np.count_nonzero(self.measured)} measured;"
-            f" x {d.xmin:g} ... {d.xmin + d.size:g}, y {d.ymin:g} ... {d.ymin + d.size:g} m;"
-            f" cells of {float(d.cell_size(d.min_level)):g} ... {d.finest_size:g} m>"
-        )
 
     def leaf_raster(self) -> Ints:
         """(n, n) [iy, ix] row of the leaf that covers each finest cell."""

@@ -65,9 +65,9 @@ def check(
 ) -> Domain:
     """Check that a mapper of this domain can continue from a state; return the state's domain.
 
-    ``like``: an `identified` state of such a mapper, for the names, types and shapes of the arrays.
-    ``follows``: the domain may be moved by whole coarsest cells. Raises `CheckpointError`: another
-    format or domain, too many leaves, missing or inconsistent arrays, implausible planes.
+    ``like``: an `identified` state of such a mapper. ``follows``: the domain may be moved by whole
+    coarsest cells. Raises `CheckpointError`: another format or domain, too many leaves, missing or
+    inconsistent arrays, implausible planes.
     """
     wanted, found = like["domain"], state.get("domain", np.empty(0))
     alike = found.dtype == wanted.dtype and found.shape == wanted.shape

@@ -10,12 +10,8 @@ import cython
 import numpy as np
 from cython.cimports.libc.math import NAN, fabs, sqrt
 from cython.cimports.quadtree_lss.onboard.core.geometry.morton import encode
-from cython.cimports.quadtree_lss.onboard.core.tree.leaves import (
-    ESTIMATED,
-    INHERITED,
-    OBSERVED,
-    LeafTable,
-)
+from cython.cimports.quadtree_lss.onboard.core.tree import leaves
+from cython.cimports.quadtree_lss.onboard.core.tree.leaves import LeafTable
 
 from quadtree_lss.onboard.arrays import Array, Index, Mask
 from quadtree_lss.onboard.core.geometry import bounds
@@ -56,9 +52,9 @@ def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, 
         for i in range(rows.shape[0]):
             table.prefetch_leaf(rows[min(i + 4, m - 1)])
             leaf = table.at(rows[i])
-            own = leaf.state == ESTIMATED
+            own = leaf.state == leaves.ESTIMATED
             # Adding NaN marks missing values without a branch.
-            unknown = 0.0 if leaf.state >= INHERITED else NAN
+            unknown = 0.0 if leaf.state >= leaves.INHERITED else NAN
             unmeasured = 0.0 if own else NAN
             mark[0, i], mark[1, i], number[0, i], number[1, i] = leaf.level, own, leaf.ix, leaf.iy
             number[2, i] = cython.cast(cython.uint, leaf.points) if own else 0
@@ -76,7 +72,7 @@ def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, 
             code = encode(leaf.ix, leaf.iy) << down
             mapped = covered = 0.0
             for j in range(code, code + (1 << down)):
-                if table.seen[j] > OBSERVED:
+                if table.seen[j] > leaves.OBSERVED:
                     mapped += 1.0
                     hits = table.hits[j]
                     while hits:

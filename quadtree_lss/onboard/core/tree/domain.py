@@ -84,12 +84,9 @@ class Domain:
 def carried(values: NDArray[Kind], east: int, north: int, fill: Any) -> NDArray[Kind]:
     """Values (..., ny, nx) at the places of a square, for the square that lies so many of them
     farther along x and along y; ``fill`` where that is new."""
-    out = np.full_like(values, fill)
     ny, nx = values.shape[-2:]
-    if abs(east) < nx and abs(north) < ny:
-        rows, columns = (
-            (slice(max(-by, 0), n - max(by, 0)), slice(max(by, 0), n + min(by, 0)))
-            for by, n in ((north, ny), (east, nx))
-        )
-        out[..., rows[0], columns[0]] = values[..., rows[1], columns[1]]
+    out = np.roll(values, (-north, -east), axis=(-2, -1))
+    y, x = np.arange(ny) + north, np.arange(nx) + east
+    out[..., (y < 0) | (y >= ny), :] = fill
+    out[..., (x < 0) | (x >= nx)] = fill
     return out

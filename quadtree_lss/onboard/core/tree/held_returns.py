@@ -2,15 +2,14 @@
 """Isolated returns that wait until other scans show the same place.
 
 Noise does not recur, objects do. Bushes and branches that few pixels hit give isolated returns
-(`sensing.isolated`) in every scan, at the same places; strays are at a random range. Each finest
-cell keeps the height of its last isolated return. Two isolated returns of different scans show the
-same place if they differ by no more than the gate in height and lie in the same finest cell or in
-neighbouring ones. When `SHOWN` scans have shown a place, the return of the last one enters the map
-with the scan, and so do the held-back returns that it confirms. The place is then confirmed: later
-isolated returns there enter at once.
+(`sensing.isolated`) in every scan, at the same places; strays are at a random range. Two isolated
+returns of different scans show the same place if they differ by no more than the gate in height and
+lie in the same finest cell or in neighbouring ones. When `SHOWN` scans have shown a place, the
+return of the last one enters the map with the scan, and so do the held-back returns that it
+confirms. Later isolated returns there enter at once.
 
-Returns of the same scan never confirm each other. Multipath that gives the same wrong range in
-every scan (a hovering lidar) is confirmed and enters as an obstacle.
+Returns of the same scan never confirm each other. Multipath that recurs in every scan (a hovering
+lidar) is confirmed.
 """
 
 from __future__ import annotations
@@ -26,20 +25,14 @@ from quadtree_lss.onboard.core.tree.domain import Domain, carried
 #: Scans that show a place before its returns enter. With two, 130 of 65,695 strays (1 % of the
 #: pixels, 400 scans of 20 Hz) entered a simulated Morpheus map, which cost half of its safe ground.
 SHOWN = 3
-#: Held-back returns are compared with so many following scans: meetings of strays by chance grow in
-#: proportion, and objects recur within a few scans.
+#: Held-back returns are compared with so many following scans; objects recur within a few scans.
 LASTING = 20
 
 
 class IsolatedReturns(NamedTuple):
-    """The isolated returns of one scan, compared with those held back.
-
-    Attributes:
-        cell: (K,) finest cell of each, iy * n + ix; -1 outside the domain.
-        height: (K,) as in `HeldReturns`, m.
-        shown: (K,) how many scans have shown its place, this one included, at most `SHOWN`.
-        admitted: (A,) cells whose held-back return this scan confirms, ascending.
-    """
+    """The isolated returns (K,) of one scan, compared with those held back: finest cell
+    iy * n + ix, -1 outside the domain; height as in `HeldReturns`; how many scans have shown the
+    place, at most `SHOWN`. ``admitted``: (A,) cells whose held-back return this scan confirms."""
 
     cell: Index
     height: Array
@@ -49,19 +42,16 @@ class IsolatedReturns(NamedTuple):
     @property
     def confirmed(self) -> Mask:
         """(K,) which enter the map."""
-        confirmed: Mask = self.shown == SHOWN
-        return confirmed
+        return np.equal(self.shown, SHOWN)
 
 
 class HeldReturns:
-    """Heights of isolated returns that are held back, one for each finest cell.
+    """The last isolated return in each finest cell, (n, n) [iy, ix].
 
     Attributes:
-        height: (n, n) [iy, ix] of the last isolated return, m; ``lifted`` lower than in the map.
-        lifted: By how much the map was lifted since the heights began, m.
-        scan: (n, n) number of the scan that it is of, from 1 on.
-        shown: (n, n) how many scans have shown its place, 0 for no return, `SHOWN` if confirmed.
-        scans: How many scans were kept.
+        height: m, ``lifted`` lower than in the map, which was lifted by that since.
+        scan: Number of its scan, from 1 on, of ``scans``.
+        shown: How many scans have shown its place, 0 for no return, `SHOWN` if confirmed.
     """
 
     def __init__(self, domain: Domain) -> None:
@@ -120,11 +110,9 @@ class HeldReturns:
 def find_shown(
     held: HeldReturns, gate: float, cell: Index, height: Array, shown: Bytes, admitted: Index
 ) -> cython.Py_ssize_t:
-    """Count in ``shown`` (K,) the scans that showed the places of isolated returns (K,).
-
-    Writes the cells of the held-back returns that are thereby confirmed to ``admitted`` (9 K,),
-    some repeatedly; returns their number. ``cell``, ``height``: as in `IsolatedReturns`.
-    """
+    """Count in ``shown`` (K,) the scans that showed the places of isolated returns, and write the
+    cells of held-back returns that are thereby confirmed to ``admitted`` (9 K,), some repeatedly;
+    return their number."""
     cython.declare(i=cython.Py_ssize_t, ix=cython.Py_ssize_t, iy=cython.Py_ssize_t)
     heights = cython.declare(cython.float[:, ::1], held.height)
     scan = cython.declare(cython.int[:, ::1], held.scan)

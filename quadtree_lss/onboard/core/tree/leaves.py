@@ -335,7 +335,7 @@ def _inside(ix: Index, iy: Index, side: int | Index) -> Mask:
 def to_grid(values: NDArray[Any]) -> NDArray[Any]:
     """Return values (n^2,) of finest cells in Morton order as (n, n) [iy, ix]."""
     places = SPREAD[: math.isqrt(len(values))]
-    return values[places | places[:, None] << 1]
+    return np.take(values, places | places[:, None] << 1)
 
 
 def moved_cells(values: NDArray[Any], n: int, east: int, north: int) -> NDArray[Any]:
