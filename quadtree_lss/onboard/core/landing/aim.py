@@ -51,12 +51,8 @@ Kind = TypeVar("Kind", bound=np.generic)
 
 @dataclass(frozen=True)
 class Dispersion:
-    """Distribution of the touchdown about the aim point.
-
-    Attributes:
-        x, y: Standard deviations along the axes of the map, m.
-        heading: Heading of the vehicle, about z from x, rad; None for any.
-    """
+    """Distribution of the touchdown about the aim point: standard deviations along the axes of the
+    map, m, and heading of the vehicle, about z from x, rad, None for any."""
 
     x: float
     y: float
@@ -96,20 +92,23 @@ class GridSampler:
         self._column = np.clip((x - domain.xmin) / side, 0.0, n)
         self._row = np.clip((y - domain.ymin) / side, 0.0, n)
         indices = self._row, self._column
-        self._low = low = [np.floor(index + 1e-6).astype(np.intp) for index in indices]
-        self._high = high = [np.ceil(index - 1e-6).astype(np.intp) for index in indices]
+        low = [np.floor(index + 1e-6).astype(np.intp) for index in indices]
+        high = [np.ceil(index - 1e-6).astype(np.intp) for index in indices]
         self._u = np.clip(self._column - low[1], 0.0, 1.0)
         self._v = np.clip(self._row - low[0], 0.0, 1.0)[:, None]
         self._on_lattice = all((a == b).all() for a, b in zip(low, high, strict=True))
         self.nearest_row = np.where(self._v[:, 0] < 0.5, low[0], high[0])
         self.nearest_column = np.where(self._u < 0.5, low[1], high[1])
+        self._nearest = _as_slice(self.nearest_row), _as_slice(self.nearest_column)
+        self._low, self._high = [_as_slice(k) for k in low], [_as_slice(k) for k in high]
+        self._cell = [_as_slice(np.minimum(index, n - 1)) for index in low]
 
     def _corners(self, values: NDArray[Kind]) -> list[NDArray[Kind]]:
         """Return values of the four surrounding lattice points, or of the one that coincides."""
         if self._on_lattice:
-            return [_take(values, *self._low)]
+            return [values[self._low[0]][:, self._low[1]]]
         sides = self._low, self._high
-        return [_take(values, rows[0], columns[1]) for rows in sides for columns in sides]
+        return [values[south[0]][:, west[1]] for south in sides for west in sides]
 
     def all(self, values: Mask) -> Mask:
         """Return where all surrounding lattice points are True."""
@@ -121,7 +120,7 @@ class GridSampler:
 
     def nearest(self, values: Array) -> Array:
         """Return the values of the nearest lattice points."""
-        return _take(values, self.nearest_row, self.nearest_column)
+        return values[self._nearest[0]][:, self._nearest[1]]
 
     def linear(self, values: Array) -> Array:
         """Interpolate bilinearly."""
@@ -138,11 +137,9 @@ class GridSampler:
 
         A point on a border belongs to the cell to the north-east, as measurements do.
         """
-        domain = raster.domain
-        rows, columns = (np.minimum(index, domain.finest_count - 1) for index in self._low)
+        (rows, columns), domain = self._cell, raster.domain
         leaf, bridged, elevation = (
-            _take(values, rows, columns)
-            for values in (raster.leaf, raster.bridged, raster.elevation)
+            values[rows][:, columns] for values in (raster.leaf, raster.bridged, raster.elevation)
         )
         x = domain.xmin + self._column * domain.finest_size
         y = domain.ymin + self._row * domain.finest_size
@@ -158,11 +155,6 @@ def make_grid(domain: Domain, spacing: float) -> GridSampler:
     x, y = domain.xmin + spacing * steps, domain.ymin + spacing * steps
     x.flags.writeable = y.flags.writeable = False
     return GridSampler(domain, x, y)
-
-
-def _take(values: NDArray[Kind], rows: Index, columns: Index) -> NDArray[Kind]:
-    """Return the values at rows and columns, without a copy if both have even steps."""
-    return values[_as_slice(rows)][:, _as_slice(columns)]
 
 
 def _as_slice(index: Index) -> Index | slice:
@@ -251,17 +243,13 @@ def aim(
 def unsafe_aims(risk: Array, side: float, dispersion: Dispersion) -> Array:
     """Compute P(unsafe | aim) for each grid point as aim point.
 
-    Args:
-        risk: (ny, nx) predicted risk at the grid points; beyond them it is 1.
-        side: Distance of grid points, m.
-        dispersion: Distribution of the touchdown.
+    ``risk``: (ny, nx) at the grid points; beyond them it is 1. ``side``: their distance, m.
     """
-    out = np.ones(risk.shape)
-    weights = touchdown_weights(risk, side, dispersion)
-    window = []
+    out, possible = np.ones(risk.shape), risk < 1.0
+    weights, window = touchdown_weights(risk, side, dispersion), []
     for axis in (0, 1):
         reach = len(weights[axis]) // 2
-        found = np.flatnonzero((risk < 1.0).any(axis=1 - axis))
+        found = np.flatnonzero(possible.any(axis=1 - axis))
         if not len(found):
             return out
         window.append(slice(max(int(found[0]) - reach, 0), int(found[-1]) + reach + 1))
@@ -274,8 +262,7 @@ def unsafe_aims(risk: Array, side: float, dispersion: Dispersion) -> Array:
 
 
 def touchdown_weights(risk: Array, side: float, dispersion: Dispersion) -> list[Array]:
-    """Return the probabilities of a touchdown at the grid points about the aim point, along y and
-    along x; arguments as of `unsafe_aims`."""
+    """Return the weights of the grid points along y and along x; arguments of `unsafe_aims`."""
     sigmas = (dispersion.y, dispersion.x)
     return [
         normal_weights(sigma / side, count) for sigma, count in zip(sigmas, risk.shape, strict=True)

@@ -177,15 +177,15 @@ def _describe_zones(
         np.minimum(np.minimum(x, domain.size - x), np.minimum(y, domain.size - y)) - zone
     )
     marks = (
-        (points.excluded, points.distance),
-        (~raster.interior, zone),
-        (raster.unestimated, zone + lss.vehicle.pad_radius),
+        (points.excluded.view(np.uint8), points.distance),
+        ((~raster.interior).view(np.uint8), zone),
+        (raster.unestimated.view(np.uint8), zone + lss.vehicle.pad_radius),
     )
     for k, free in enumerate(free_distance):
         for marked, reach in marks:
             # Cells have an extent, lattice points have none.
             half, limit = 0.5 * (domain.finest_count + 1 - len(marked)), (free + reach) / side
-            steps = steps_to_marked(marked, half, x[k] / side, y[k] / side, limit)
+            steps = steps_to_marked(marked, half, x[k] / side, y[k] / side, limit + 1.0)
             free = min(free, steps * side - reach)
         free_distance[k] = free
     return rough.max(axis=1), raised.max(axis=1), np.maximum(free_distance, 0.0)

@@ -114,11 +114,6 @@ class ContactCheck:
             self._contacts = carried(self._contacts, *moved, np.nan)
         self._computed_for = domain, heading
 
-    def exceeds_limits(self, contacts: Contacts) -> Mask:
-        """Return where a contact exceeds the touchdown limits."""
-        high = contacts.rise > np.float32(self.max_rise)
-        return np.asarray(high | (contacts.tilt > np.float32(self.max_tilt)))
-
 
 @cython.boundscheck(False)
 class ContactKernel:

@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeVar
 
 import cython
 import numpy as np
-from cython.cimports.libc.math import sqrt
+from cython.cimports.libc.math import fabs, sqrt
 from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask, Single
@@ -139,28 +139,26 @@ def dilate(marked: Mask, distance: float, side: float) -> Mask:
     return np.asarray(distance_from(marked, side, distance) <= distance)
 
 
-def steps_to_marked(marked: Mask, half: float, x: float, y: float, limit: float) -> float:
-    """Compute the distance of a point to the nearest marked cell or lattice point, steps.
+@cython.boundscheck(False)
+@cython.locals(marked=cython.uchar[:, ::1], half=cython.double, x=cython.double, y=cython.double)
+def steps_to_marked(marked: Bytes, half: float, x: float, y: float, limit: cython.double) -> float:
+    """Return the distance of a point to the nearest of the marks (ny, nx), steps, up to ``limit``.
 
-    Distances beyond ``limit``, steps, may be greater or infinite.
-
-    Args:
-        marked: (ny, nx) cells (``half`` = 0.5) or points (``half`` = 0) of a lattice.
-        half: Half the width of a marked cell or point, steps.
-        x, y: The point, from the first point of the lattice, steps.
-        limit: Steps.
+    A mark is a cell with a width of two times ``half`` = 0.5, or a point with ``half`` = 0. ``x``,
+    ``y``: from the first point of the lattice, steps.
     """
-    reach = 16
-    while True:
-        south, west = max(int(y) - reach, 0), max(int(x) - reach, 0)
-        part = marked[south : int(y) + reach + 1, west : int(x) + reach + 1]
-        rows, columns = south + np.arange(part.shape[0]), west + np.arange(part.shape[1])
-        dx = np.maximum(np.abs(x - columns - half) - half, 0.0)
-        dy = np.maximum(np.abs(y - rows - half) - half, 0.0)
-        square = np.min(dx * dx + (dy * dy)[:, None], where=part, initial=inf)
-        if square <= reach**2 or reach >= min(limit, max(marked.shape)):
-            return float(np.sqrt(square))
-        reach *= 2
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, east=cython.Py_ssize_t)
+    with cython.nogil:
+        for i in range(marked.shape[0]):
+            dy = max(fabs(y - i - half) - half, 0.0)
+            if dy >= limit:
+                continue
+            east = min(cython.cast(cython.Py_ssize_t, x + limit) + 1, marked.shape[1])
+            for j in range(max(cython.cast(cython.Py_ssize_t, x - limit) - 1, 0), east):
+                if marked[i, j]:
+                    dx = max(fabs(x - j - half) - half, 0.0)
+                    limit = min(limit, sqrt(dx * dx + dy * dy))
+    return limit
 
 
 @cython.boundscheck(False)

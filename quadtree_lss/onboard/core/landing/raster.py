@@ -117,8 +117,15 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
         observed[bridged] &= ~(returns[leaf.ravel()[nearest]] > MAX_RETURNS_IN_GAP)
     interior = known | ~dilate(~observed, gap, side)
     radius = min(lss.vehicle.ground_radius, 0.5 * domain.size)
+    # Distance of rows and columns of grid points to the domain's border, m.
     border = np.minimum(np.arange(n + 1), np.arange(n, -1, -1)) * side
-    free_distance, to_unestimated = _distances(interior, unestimated, border, side, lss)
+    limit = max(lss.zone, DISTANCE_CAP * lss.vehicle.diameter_ratio)
+    free_distance = distance_from(corner_bits((~interior).view(np.uint8)) > 0, side, limit)
+    farthest = max(lss.zone, 0.5 * lss.vehicle.diameter) + lss.vehicle.pad_radius + side
+    to_unestimated = distance_from(corner_bits(unestimated.view(np.uint8)) > 0, side, farthest)
+    np.minimum(free_distance, to_unestimated - lss.vehicle.pad_radius, out=free_distance)
+    np.minimum(free_distance, border, out=free_distance)
+    np.minimum(free_distance, border[:, None], out=free_distance)
     needed = (0.5 - RELATIVE_ROUNDING) * lss.vehicle.diameter
     assessable, inside = free_distance >= needed, border >= needed
     return TerrainRaster(
@@ -141,21 +148,6 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
         assessable=assessable,
         needs_contact=with_neighbours(assessable) & inside & inside[:, None],
     )
-
-
-def _distances(
-    interior: Mask, unestimated: Mask, border: Array, side: float, lss: LssConfig
-) -> tuple[Array, Array]:
-    """Compute ``free_distance`` and ``to_unestimated``; ``border``: (n + 1,) distance of rows and
-    columns of grid points to the domain's border, m."""
-    limit = max(lss.zone, DISTANCE_CAP * lss.vehicle.diameter_ratio)
-    free_distance = distance_from(corner_bits((~interior).view(np.uint8)) > 0, side, limit)
-    farthest = max(lss.zone, 0.5 * lss.vehicle.diameter) + lss.vehicle.pad_radius + side
-    to_unestimated = distance_from(corner_bits(unestimated.view(np.uint8)) > 0, side, farthest)
-    np.minimum(free_distance, to_unestimated - lss.vehicle.pad_radius, out=free_distance)
-    np.minimum(free_distance, border, out=free_distance)
-    np.minimum(free_distance, border[:, None], out=free_distance)
-    return free_distance, to_unestimated
 
 
 def independent_returns(coverage: Array) -> Array:

@@ -100,7 +100,9 @@ def assess_points(
     else:
         excepted = dilate(hazard & hazards.EXCEPTION > 0, radius, side)
         if lss.assessment == "touchdown":
-            excluded = raster.assessable & (check.exceeds_limits(contacts) | excepted)
+            excluded = contacts.rise > np.float32(check.max_rise)
+            excluded |= contacts.tilt > np.float32(check.max_tilt)
+            excluded = raster.assessable & (excluded | excepted)
             # Any displacement of the map is at least one grid point.
             steps = np.ceil(vehicle.lengths.hazard_growth / side - RELATIVE_ROUNDING)
             excluded |= raster.assessable & dilate(excluded, steps * side, side)
