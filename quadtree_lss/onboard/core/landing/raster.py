@@ -111,10 +111,12 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
         elevation[:] = np.nan
     elif bridged.any():
         # Fill gaps with level ground at the height of the nearest known cell.
-        nearest = nearest_marked(known.view(np.uint8))[bridged]
-        elevation[bridged] = elevation.ravel()[nearest]
-        slope_x[bridged] = slope_y[bridged] = 0.0
-        observed[bridged] &= ~(returns[leaf.ravel()[nearest]] > MAX_RETURNS_IN_GAP)
+        gap_cells, flat = np.flatnonzero(bridged), layers.reshape(5, -1)
+        nearest = nearest_marked(known.view(np.uint8)).ravel()[gap_cells]
+        flat[0, gap_cells] = flat[0, nearest]
+        flat[1:3, gap_cells] = 0.0
+        in_shadow = returns[leaf.ravel()[nearest]] > MAX_RETURNS_IN_GAP
+        observed.ravel()[gap_cells[in_shadow]] = False
     interior = known | ~dilate(~observed, gap, side)
     radius = min(lss.vehicle.ground_radius, 0.5 * domain.size)
     # Distance of rows and columns of grid points to the domain's border, m.

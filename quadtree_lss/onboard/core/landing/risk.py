@@ -129,17 +129,18 @@ class RiskTable:
             "lean": log10(self._vehicle.tilt_height / clearance),
         }
 
+    def _information_loss(self, side: float) -> float:
+        """Return log10 of the number of returns that have the information of one at a noise of
+        0.2 h on cells of 0.85 h; h is the least hazard. The number of returns whose mean shows h is
+        proportional to the square of the noise."""
+        least = self._vehicle.least_hazard
+        wide = max(log10(side / (0.85 * least)), 0.0)
+        return 2.0 * log10(self._noise / (0.2 * least)) + 3.0 * wide
+
     def features(self, raster: TerrainRaster, contacts: Contacts) -> Single:
         """Compute the features of each grid point, (F, n + 1, n + 1) in the order of `LOCAL`."""
         vehicle, side, planes = self._vehicle, raster.domain.finest_size, raster.planes
         clearance, steep = vehicle.clearance, tan(radians(vehicle.max_slope_deg))
-        # log10 of the number of returns that have the information of one at a noise of 0.2 h on
-        # cells of 0.85 h; h is the least hazard. The number of returns whose mean shows h is
-        # proportional to the square of the noise.
-        least = vehicle.least_hazard
-        needed = 2.0 * log10(self._noise / (0.2 * least)) + 3.0 * max(
-            log10(side / (0.85 * least)), 0.0
-        )
         found = np.empty((len(LOCAL), *contacts.rise.shape), dtype=np.float32)
         for k, contact, limit in ((0, contacts.rise, clearance), (2, contacts.tilt, steep)):
             # Contacts that were not needed are NaN.
@@ -159,7 +160,7 @@ class RiskTable:
         means = square_means(
             cell_values[:3], max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1)
         )
-        np.subtract(means[0], np.float32(needed), out=found[4])
+        np.subtract(means[0], np.float32(self._information_loss(side)), out=found[4])
         np.divide(planes.gradient, steep, out=found[5], casting="same_kind")
         # Rounding can make the mean of zeros negative.
         np.sqrt(np.maximum(means[1:], np.float32(0.0)), out=found[6:8])
