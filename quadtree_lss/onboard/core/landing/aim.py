@@ -138,12 +138,12 @@ class GridSampler:
         A point on a border belongs to the cell to the north-east, as measurements do.
         """
         (rows, columns), domain = self._cell, raster.domain
-        leaf, bridged, elevation = (
-            values[rows][:, columns] for values in (raster.leaf, raster.bridged, raster.elevation)
+        bridged, elevation = (
+            values[rows][:, columns] for values in (raster.bridged, raster.elevation)
         )
         x = domain.xmin + self._column * domain.finest_size
         y = domain.ymin + self._row * domain.finest_size
-        heights = raster.cells.heights(leaf, x, y[:, None])
+        heights = raster.cells.heights(raster.leaf[rows][:, columns], x, y[:, None])
         return np.where(bridged, elevation, heights)
 
 

@@ -141,7 +141,8 @@ def dilate(marked: Mask, distance: float, side: float) -> Mask:
 
 @cython.boundscheck(False)
 @cython.locals(marked=cython.uchar[:, ::1], half=cython.double, x=cython.double, y=cython.double)
-def steps_to_marked(marked: Bytes, half: float, x: float, y: float, limit: cython.double) -> float:
+@cython.locals(limit=cython.double)
+def steps_to_marked(marked: Bytes, half: float, x: float, y: float, limit: float) -> float:
     """Return the distance of a point to the nearest of the marks (ny, nx), steps, up to ``limit``.
 
     A mark is a cell with a width of two times ``half`` = 0.5, or a point with ``half`` = 0. ``x``,
