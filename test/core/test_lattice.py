@@ -15,8 +15,8 @@ from quadtree_lss.onboard.core.landing.lattice import (
     disc_means,
     distance_from,
     ground_planes,
-    lower_free_distance,
     nearest_marked,
+    steps_to_marked,
 )
 from quadtree_lss.onboard.core.landing.raster import rasterise
 
@@ -109,33 +109,26 @@ def test_the_place_is_that_which_scipy_finds(share):
     marked = some(share)
     found = distance_transform_edt(~marked, return_distances=False, return_indices=True)
     expected = np.ravel_multi_index(tuple(found), marked.shape)
-    np.testing.assert_array_equal(nearest_marked(marked), expected)
+    np.testing.assert_array_equal(nearest_marked(marked.view(np.uint8)), expected)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.004, 0.05, 1.0])
 @pytest.mark.parametrize("distance", [0.0, 0.29, 0.3, 0.6, 1.0, 3.7, 4.8, 5.1, 6.3, 50.0, 1e300])
-@pytest.mark.parametrize("short", [0.0, 0.5])
-def test_growth_takes_what_is_within_the_distance(share, distance, short):
+def test_growth_takes_what_is_within_the_distance(share, distance):
     marked, side = some(share), 0.3
-    expected = marked | ((brute(marked) - short) * side <= distance)
-    np.testing.assert_array_equal(dilate(marked, distance, side, short), expected)
-
-
-SIDE, N = 0.5, 24
+    expected = brute(marked) * side <= distance
+    np.testing.assert_array_equal(dilate(marked, distance, side), expected)
 
 
 @pytest.mark.parametrize("half", [0.0, 0.5])
-@pytest.mark.parametrize("share", [0.0, 0.002, 0.05, 1.0])
-def test_room_ends_at_the_nearest_mark(half, share):
-    rng = np.random.default_rng(5)
-    marked = rng.random((N + (half == 0.0),) * 2) < share
-    x, y = rng.uniform(0.0, N * SIDE, (2, 50))
-    x[:3], y[:3] = (0.0, N * SIDE, 4 * SIDE), (0.0, N * SIDE, 3 * SIDE)
-    room = np.full(50, 3.0)
-    lower_free_distance(marked.view(np.uint8), half, x, y, SIDE, 0.7, room)
+@pytest.mark.parametrize("share", [0.0, 0.0005, 0.05, 1.0])
+@pytest.mark.parametrize("limit", [0.5, 7.0, 60.0])
+def test_distance_of_a_point_is_exact_up_to_the_limit(half, share, limit):
+    marked, rng = some(share, (70, 90)), np.random.default_rng(5)
     row, column = np.nonzero(marked)
-    for k in range(50):
-        dx = np.maximum(np.abs(x[k] / SIDE - column - half) - half, 0.0)
-        dy = np.maximum(np.abs(y[k] / SIDE - row - half) - half, 0.0)
-        nearest = SIDE * np.min(np.hypot(dx, dy), initial=np.inf)
-        assert room[k] == pytest.approx(min(3.0, nearest - 0.7), abs=1e-12)
+    for x, y in [(0.0, 0.0), (90.0, 70.0), (4.0, 3.0), *rng.uniform(0.0, 70.0, (40, 2))]:
+        dx = np.maximum(np.abs(x - column - half) - half, 0.0)
+        dy = np.maximum(np.abs(y - row - half) - half, 0.0)
+        expected = np.min(np.hypot(dx, dy), initial=np.inf)
+        found = steps_to_marked(marked.view(np.uint8), half, x, y, limit)
+        assert found == pytest.approx(min(expected, limit), abs=1e-12)

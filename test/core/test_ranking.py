@@ -56,10 +56,10 @@ def test_each_rank_is_the_best_among_equals_of_what_the_ranks_before_leave():
     unsafe = 10.0 ** rng.uniform(-5.0, -2.0, (20, 30))
     unsafe[rng.random(unsafe.shape) < 0.3] = np.nan
     clearance = rng.uniform(0.0, 5.0, unsafe.shape)
-    rows, columns = ranked_points(unsafe, unsafe, clearance, 4.0, 8)
-    assert len(rows) == 8
+    ranked = ranked_points(unsafe, unsafe, clearance, 4.0, 8)
+    assert len(ranked) == 8
     left = unsafe.copy()
-    for place in zip(rows.tolist(), columns.tolist(), strict=True):
+    for place in ranked:
         assert place == best_among_equals(left, unsafe, clearance)
         row, column = np.ogrid[:20, :30]
         near = (row - place[0]) ** 2 + (column - place[1]) ** 2 < 16.0

@@ -10,9 +10,9 @@ from core.builders import BY_RISK, configured, mapped
 from core.scenes import flat
 
 from quadtree_lss.onboard.config.risk import model_warning
-from quadtree_lss.onboard.config.settings import config_from_values
+from quadtree_lss.onboard.config.settings import Config, config_from_values
 from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
-from quadtree_lss.onboard.core.landing.risk import MAX_BRIDGED, bridging_warning
+from quadtree_lss.onboard.core.landing.risk import MAX_BRIDGED, risk_warnings
 
 
 def test_stereo_noise_that_grows_with_range_is_outside_the_fit():
@@ -28,8 +28,8 @@ def test_more_bridged_ground_than_in_the_fit_gives_a_warning(more):
     judged = np.zeros((101, 101), dtype=np.bool_)
     judged[1:, 1:] = place < 8000
     bridged = (place >= 8000) | (place < 8000 * (MAX_BRIDGED + more))
-    line = bridging_warning(SimpleNamespace(bridged=bridged, assessable=judged))
-    assert line.startswith("7 % of the judged ground") if more > 0.0 else line == ""
+    lines = risk_warnings(Config(), SimpleNamespace(bridged=bridged, assessable=judged))
+    assert [line[:24] for line in lines] == ["7 % of the judged ground"] * (more > 0.0)
 
 
 def test_an_assessment_warns_only_outside_the_fit_of_the_risk_it_uses():

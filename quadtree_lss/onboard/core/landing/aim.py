@@ -20,13 +20,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask
-from quadtree_lss.onboard.config.risk import CAUSES
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 from quadtree_lss.onboard.core.landing.lattice import blur
-from quadtree_lss.onboard.core.landing.raster import RELATIVE_ROUNDING, TerrainRaster
+from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.landing.restrictions import Restrictions
-from quadtree_lss.onboard.core.landing.result import MainRisk
 from quadtree_lss.onboard.core.landing.score import PointAssessment
 from quadtree_lss.onboard.core.landing.target import (
     DISTANCE_COST,
@@ -46,11 +44,6 @@ MAX_SEARCH_POINTS = 128
 NAVIGATION_DRIFT = 1.0
 #: Standard deviations at which the normal distribution of the touchdown is truncated.
 TRUNCATION = 4.0
-CAUSE_TEXTS = {
-    "obstacle": "an obstacle",
-    "slope": "too steep a slope",
-    "hidden": "an undetected hazard",
-}
 #: Greatest accepted standard deviation of the touchdown, m.
 MAX_DISPERSION = 100.0
 Kind = TypeVar("Kind", bound=np.generic)
@@ -58,12 +51,8 @@ Kind = TypeVar("Kind", bound=np.generic)
 
 @dataclass(frozen=True)
 class Dispersion:
-    """Distribution of the touchdown about the aim point.
-
-    Attributes:
-        x, y: Standard deviations along the axes of the map, m.
-        heading: Heading of the vehicle, about z from x, rad; None for any.
-    """
+    """Distribution of the touchdown about the aim point: standard deviations along the axes of the
+    map, m, and heading of the vehicle, about z from x, rad, None for any."""
 
     x: float
     y: float
@@ -90,7 +79,11 @@ class GridSampler:
     """Samples values of the finest lattice at the points of the user's grid.
 
     A grid point that coincides with a lattice point has its value; others depend on the two or four
-    surrounding lattice points. ``x``, ``y``: (nx,), (ny,) of the grid points, m.
+    surrounding lattice points.
+
+    Attributes:
+        x, y: (nx,), (ny,) of the grid points, m.
+        nearest_row, nearest_column: (ny,), (nx,) of the lattice point nearest to each.
     """
 
     def __init__(self, domain: Domain, x: Array, y: Array) -> None:
@@ -98,26 +91,24 @@ class GridSampler:
         self.x, self.y = x, y
         self._column = np.clip((x - domain.xmin) / side, 0.0, n)
         self._row = np.clip((y - domain.ymin) / side, 0.0, n)
-        low = [np.floor(index + 1e-6).astype(np.intp) for index in (self._row, self._column)]
-        high = [np.ceil(index - 1e-6).astype(np.intp) for index in (self._row, self._column)]
+        indices = self._row, self._column
+        low = [np.floor(index + 1e-6).astype(np.intp) for index in indices]
+        high = [np.ceil(index - 1e-6).astype(np.intp) for index in indices]
         self._u = np.clip(self._column - low[1], 0.0, 1.0)
         self._v = np.clip(self._row - low[0], 0.0, 1.0)[:, None]
         self._on_lattice = all((a == b).all() for a, b in zip(low, high, strict=True))
-        self._low = tuple(_as_slice(index) for index in low)
-        self._high = tuple(_as_slice(index) for index in high)
-        #: Row and column of the lattice point nearest to each row and column of the grid.
         self.nearest_row = np.where(self._v[:, 0] < 0.5, low[0], high[0])
         self.nearest_column = np.where(self._u < 0.5, low[1], high[1])
         self._nearest = _as_slice(self.nearest_row), _as_slice(self.nearest_column)
-        self._cell = tuple(_as_slice(np.minimum(index, n - 1)) for index in low)
+        self._low, self._high = [_as_slice(k) for k in low], [_as_slice(k) for k in high]
+        self._cell = [_as_slice(np.minimum(index, n - 1)) for index in low]
 
-    def _corners(self, values: NDArray[Kind]) -> tuple[NDArray[Kind], ...]:
+    def _corners(self, values: NDArray[Kind]) -> list[NDArray[Kind]]:
         """Return values of the four surrounding lattice points, or of the one that coincides."""
-        low, high = self._low, self._high
         if self._on_lattice:
-            return (values[low[0]][:, low[1]],)
-        south, north = values[low[0]], values[high[0]]
-        return south[:, low[1]], south[:, high[1]], north[:, low[1]], north[:, high[1]]
+            return [values[self._low[0]][:, self._low[1]]]
+        sides = self._low, self._high
+        return [values[south[0]][:, west[1]] for south in sides for west in sides]
 
     def all(self, values: Mask) -> Mask:
         """Return where all surrounding lattice points are True."""
@@ -190,7 +181,6 @@ class Aims:
         descent: Of the vehicle to the target, or to the mean of all ground; None if unknown.
         candidates: Grid points from which sites are chosen.
         now: Candidates within reach at this moment (see `within_reach`).
-        withheld: Why all grid points are excluded; empty if they are not.
     """
 
     grid: GridSampler
@@ -205,7 +195,6 @@ class Aims:
     descent: Descent | None
     candidates: Candidates
     now: Candidates
-    withheld: str
 
 
 def aim(
@@ -228,9 +217,11 @@ def aim(
         unsafe = unsafe_aims(points.risk, raster.domain.finest_size, dispersion)
     unsafe, safe = grid.linear(unsafe), grid.all(points.safe)
     score = np.where(safe, grid.nearest(points.score), np.nan)
-    cost = combine_cost(unsafe, score) if by_probability else score
+    cost = score
+    if by_probability:  # the score orders equal probabilities
+        cost = unsafe + 0.5 * SCORE_RANGE * score / (1.0 + np.abs(score))
     hazard, risk = grid.any(points.hazard), grid.linear(points.risk)
-    withheld = restrictions.apply_to(cost, grid.x, grid.y, lss)
+    restrictions.apply_to(cost, grid.x, grid.y, lss)
     probability = 1.0 - unsafe
     elevation, above = grid.linear(raster.planes.elevation), np.zeros_like(safe)
     if motion is not None:
@@ -245,29 +236,20 @@ def aim(
     now = within_reach(candidates, points, grid, hazard, restrictions, motion, lss)
     return Aims(
         grid, dispersion, restrictions, elevation, score, probability, risk, hazard, above, descent,
-        candidates, now, withheld,
+        candidates, now,
     )  # fmt: skip
-
-
-def combine_cost(unsafe: Array, score: Array) -> Array:
-    """Return costs that order by P(unsafe | aim), and equal ones by the score."""
-    return unsafe + 0.5 * SCORE_RANGE * score / (1.0 + np.abs(score))
 
 
 def unsafe_aims(risk: Array, side: float, dispersion: Dispersion) -> Array:
     """Compute P(unsafe | aim) for each grid point as aim point.
 
-    Args:
-        risk: (ny, nx) predicted risk at the grid points; beyond them it is 1.
-        side: Distance of grid points, m.
-        dispersion: Distribution of the touchdown.
+    ``risk``: (ny, nx) at the grid points; beyond them it is 1. ``side``: their distance, m.
     """
-    out = np.ones(risk.shape)
-    weights = touchdown_weights(risk, side, dispersion)
-    window = []
+    out, possible = np.ones(risk.shape), risk < 1.0
+    weights, window = touchdown_weights(risk, side, dispersion), []
     for axis in (0, 1):
         reach = len(weights[axis]) // 2
-        found = np.flatnonzero((risk < 1.0).any(axis=1 - axis))
+        found = np.flatnonzero(possible.any(axis=1 - axis))
         if not len(found):
             return out
         window.append(slice(max(int(found[0]) - reach, 0), int(found[-1]) + reach + 1))
@@ -280,8 +262,7 @@ def unsafe_aims(risk: Array, side: float, dispersion: Dispersion) -> Array:
 
 
 def touchdown_weights(risk: Array, side: float, dispersion: Dispersion) -> list[Array]:
-    """Return the probabilities of a touchdown at the grid points about the aim point, along y and
-    along x; arguments as of `unsafe_aims`."""
+    """Return the weights of the grid points along y and along x; arguments of `unsafe_aims`."""
     sigmas = (dispersion.y, dispersion.x)
     return [
         normal_weights(sigma / side, count) for sigma, count in zip(sigmas, risk.shape, strict=True)
@@ -355,32 +336,3 @@ def remaining_descent(
     if isnan(ground):
         ground = float(np.mean(raster.elevation[raster.observed]))
     return Descent(motion.z - ground, motion.down)
-
-
-def main_risks(
-    points: PointAssessment, dispersion: Dispersion, rows: Index, columns: Index, lss: LssConfig
-) -> list[MainRisk]:
-    """Find the main cause of the risk at aim points; ``rows``, ``columns``: (K,) of the lattice."""
-    risk, raster = points.risk, points.raster
-    side = raster.domain.finest_size
-    across, along = touchdown_weights(risk, side, dispersion)
-    up, right, total = len(across) // 2, len(along) // 2, float(across.sum() * along.sum())
-    weights, found = across[:, None] * along, []
-    reach = (1.0 - RELATIVE_ROUNDING) * (0.5 * lss.vehicle.diameter + lss.vehicle.pad_radius)
-    for aim_row, aim_column in zip(rows.tolist(), columns.tolist(), strict=True):
-        south, west = max(aim_row - up, 0), max(aim_column - right, 0)
-        known = risk[south : aim_row + up + 1, west : aim_column + right + 1]
-        share = weights.copy()
-        south, west = south - aim_row + up, west - aim_column + right
-        share[south : south + known.shape[0], west : west + known.shape[1]] *= known
-        row, column = divmod(int(np.argmax(share)), len(along))
-        north, east = (row - up) * side, (column - right) * side
-        point = row + aim_row - up, column + aim_column - right
-        cause = "unobserved ground"
-        if 0 <= point[0] < risk.shape[0] and 0 <= point[1] < risk.shape[1]:
-            if raster.assessable[point]:
-                cause = CAUSE_TEXTS[CAUSES[points.cause[point]]]
-            elif raster.to_unestimated[point] < reach:
-                cause = "ground observed but not estimated"
-        found.append(MainRisk(total - float(share.sum()), cause, north, east))
-    return found

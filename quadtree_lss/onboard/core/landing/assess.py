@@ -97,7 +97,7 @@ class LandingSiteSelector:
         """
         lss, keeper = self.config.lss, self._keeper
         spread = Dispersion.from_values(dispersion, lss)
-        restrictions = Restrictions(area, keep_outs, target, withheld)
+        restrictions = Restrictions(area, keep_outs, target, withheld).checked()
         keeper.apply_restrictions(restrictions, lss)
 
         raster = rasterise(cells, lss)

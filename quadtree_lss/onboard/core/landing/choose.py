@@ -9,10 +9,11 @@ from functools import partial
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Index
+from quadtree_lss.onboard.config.risk import CAUSES
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.landing import hazards
-from quadtree_lss.onboard.core.landing.aim import Aims, main_risks
-from quadtree_lss.onboard.core.landing.lattice import disc, lower_free_distance
+from quadtree_lss.onboard.core.landing.aim import Aims, Dispersion, touchdown_weights
+from quadtree_lss.onboard.core.landing.lattice import disc, steps_to_marked
 from quadtree_lss.onboard.core.landing.ranking import ranked_points
 from quadtree_lss.onboard.core.landing.raster import RELATIVE_ROUNDING, TerrainRaster
 from quadtree_lss.onboard.core.landing.result import (
@@ -20,7 +21,7 @@ from quadtree_lss.onboard.core.landing.result import (
     Selected,
     Sites,
     no_target,
-    risk_texts,
+    shown,
 )
 from quadtree_lss.onboard.core.landing.risk import risk_warnings
 from quadtree_lss.onboard.core.landing.score import PointAssessment
@@ -37,27 +38,25 @@ from quadtree_lss.onboard.core.tree.cell_map import height_by_error
 NOT_PENDING = (Reason.SETTLING, Reason.UNLIKELY)
 #: Variance of an unknown heading (uniform distribution), rad^2.
 UNKNOWN_HEADING_VARIANCE = np.pi**2 / 3.0
+CAUSE_TEXTS = {
+    "obstacle": "an obstacle",
+    "slope": "too steep a slope",
+    "hidden": "an undetected hazard",
+}
+BEARINGS = "east north-east north north-west west south-west south south-east".split()
 
 
 def choose(
     points: PointAssessment, aims: Aims, keeper: TargetKeeper, waited: float, config: Config
 ) -> LandingAssessment:
-    """Rank sites and choose the target.
-
-    Args:
-        points: Risk and score on the finest lattice.
-        aims: The points of the user's grid as aim points.
-        keeper: The target of earlier assessments; updated.
-        waited: Time since the first map, s.
-        config: Limits.
-    """
+    """Rank sites and choose the target; updates ``keeper``. ``waited``: since the first map, s."""
     lss, cells, grid, candidates = config.lss, points.raster.cells, aims.grid, aims.candidates
     seen = aims.restrictions.observed_share(aims.hazard & hazards.UNSEEN == 0, grid.x, grid.y)
     choice = keeper.choose(
         candidates,
         lss,
         reason_at=partial(_reason_at, points, aims, lss),
-        no_site_reason=Reason.WITHHELD if aims.withheld else Reason.NO_SITE,
+        no_site_reason=Reason.WITHHELD if aims.restrictions.withheld else Reason.NO_SITE,
         descent=aims.descent,
         settled=seen >= SETTLE_SHARE or waited >= lss.settle_time,
         now=aims.now,
@@ -65,7 +64,7 @@ def choose(
     apart = lss.vehicle.lengths.min_separation
     steps = apart / (grid.x[1] - grid.x[0]) if len(grid.x) > 1 else 0.0
     cost, unsafe, clearance = candidates.cost, candidates.unsafe, candidates.clearance
-    ranked = [*zip(*ranked_points(cost, unsafe, clearance, steps, lss.sites), strict=True)]
+    ranked = ranked_points(cost, unsafe, clearance, steps, lss.sites)
     described = ranked if choice.point is None else [*ranked, choice.point]
     sites = _describe(points, aims, described, keeper, lss)
     now = np.full(4, np.nan)
@@ -127,7 +126,7 @@ def _describe(
     slope_deg = np.degrees(np.arctan(planes.gradient[nearest]))
     risks = [""] * len(grid_points)
     if lss.ranking == "probability":
-        risks = risk_texts(main_risks(points, aims.dispersion, *nearest, lss))
+        risks = _risk_texts(points, aims.dispersion, *nearest, lss)
     limit = vehicle.max_slope_deg
     if lss.assessment == "touchdown":
         limit = vehicle.lengths.touchdown_slope_deg
@@ -160,12 +159,11 @@ def _describe(
 def _describe_zones(
     points: PointAssessment, nearest: tuple[Index, Index], position: Array, lss: LssConfig
 ) -> tuple[Array, Array, Array]:
-    """Describe the landing zones about positions (K, 2), m.
+    """Describe the landing zones about positions (K, 2), m, near points of the lattice.
 
-    ``nearest``: rows and columns (K,) of the nearest points of the lattice. Returns (K,) each, m:
-    greatest roughness; greatest height of a subscale feature; how far the zone can move in any
-    direction until it touches a hazard (with the touchdown check: until a touchdown within the
-    margin fails), unobserved ground or the domain's border.
+    Returns (K,) each, m: greatest roughness; greatest height of a subscale feature; how far the
+    zone can move in any direction until it touches a hazard (with the touchdown check: until a
+    touchdown within the margin fails), unobserved ground or the domain's border.
     """
     raster, domain, zone = points.raster, points.raster.domain, lss.zone
     side, last = domain.finest_size, domain.finest_count - 1
@@ -178,15 +176,55 @@ def _describe_zones(
     free_distance = (
         np.minimum(np.minimum(x, domain.size - x), np.minimum(y, domain.size - y)) - zone
     )
-    for marked, reach in (
-        (points.excluded, points.distance),
-        (~raster.interior, zone),
-        (raster.unestimated, zone + lss.vehicle.pad_radius),
-    ):
-        # Cells have an extent, lattice points have none.
-        half = 0.5 * (domain.finest_count + 1 - len(marked))
-        lower_free_distance(marked.view(np.uint8), half, x, y, side, reach, free_distance)
+    marks = (
+        (points.excluded.view(np.uint8), points.distance),
+        ((~raster.interior).view(np.uint8), zone),
+        (raster.unestimated.view(np.uint8), zone + lss.vehicle.pad_radius),
+    )
+    for k, free in enumerate(free_distance):
+        for marked, reach in marks:
+            # Cells have an extent, lattice points have none.
+            half, limit = 0.5 * (domain.finest_count + 1 - len(marked)), (free + reach) / side
+            steps = steps_to_marked(marked, half, x[k] / side, y[k] / side, limit + 1.0)
+            free = min(free, steps * side - reach)
+        free_distance[k] = free
     return rough.max(axis=1), raised.max(axis=1), np.maximum(free_distance, 0.0)
+
+
+def _risk_texts(
+    points: PointAssessment, dispersion: Dispersion, rows: Index, columns: Index, lss: LssConfig
+) -> list[str]:
+    """Describe the main cause of the risk at aim points, as in "probability 99.2 %: the remaining
+    risk is an obstacle 3.1 m east; "; ``rows``, ``columns``: (K,) of the lattice."""
+    risk, raster = points.risk, points.raster
+    side = raster.domain.finest_size
+    across, along = touchdown_weights(risk, side, dispersion)
+    up, right, total = len(across) // 2, len(along) // 2, float(across.sum() * along.sum())
+    weights, texts = across[:, None] * along, []
+    reach = (1.0 - RELATIVE_ROUNDING) * (0.5 * lss.vehicle.diameter + lss.vehicle.pad_radius)
+    for aim_row, aim_column in zip(rows.tolist(), columns.tolist(), strict=True):
+        south, west = max(aim_row - up, 0), max(aim_column - right, 0)
+        known = risk[south : aim_row + up + 1, west : aim_column + right + 1]
+        share = weights.copy()
+        south, west = south - aim_row + up, west - aim_column + right
+        share[south : south + known.shape[0], west : west + known.shape[1]] *= known
+        row, column = divmod(int(np.argmax(share)), len(along))
+        north, east = (row - up) * side, (column - right) * side
+        point = row + aim_row - up, column + aim_column - right
+        cause = "unobserved ground"
+        if 0 <= point[0] < risk.shape[0] and 0 <= point[1] < risk.shape[1]:
+            if raster.assessable[point]:
+                cause = CAUSE_TEXTS[CAUSES[points.cause[point]]]
+            elif raster.to_unestimated[point] < reach:
+                cause = "ground observed but not estimated"
+        probability, away = total - float(share.sum()), float(np.hypot(east, north))
+        text = f"probability {shown(probability)}"
+        if probability < 0.9999:
+            bearing = BEARINGS[round(float(np.arctan2(north, east)) / (0.25 * np.pi)) % 8]
+            where = "here" if away < 0.1 else f"{away:.1f} m {bearing}"
+            text += f": the remaining risk is {cause} {where}"
+        texts.append(f"{text}; ")
+    return texts
 
 
 def _reason_at(
@@ -194,7 +232,7 @@ def _reason_at(
 ) -> Reason:
     """Return why landing is not permitted at a grid point."""
     grid, raster = aims.grid, points.raster
-    if aims.withheld or aims.above[row, column]:
+    if aims.restrictions.withheld or aims.above[row, column]:
         return Reason.WITHHELD
     if reason := aims.restrictions.reason_against(grid.x[column], grid.y[row], lss):
         return reason
@@ -208,8 +246,8 @@ def _reason_at(
 def _explanation(points: PointAssessment, aims: Aims, lss: LssConfig) -> str:
     """Return how many grid points are safe, or why there are no sites."""
     safe, raster = aims.candidates.safe, points.raster
-    if aims.withheld:
-        return f"no site is given out: {aims.withheld}"
+    if aims.restrictions.withheld:
+        return f"no site is given out: {aims.restrictions.withheld}"
     if aims.candidates.permitted.any():
         return f"{np.count_nonzero(safe)} of {safe.size} grid points are safe"
     if outside := aims.restrictions.outside_domain(aims.grid.x, aims.grid.y):
@@ -237,9 +275,7 @@ def ground_covariance(raster: TerrainRaster, x: float, y: float, radius: float) 
     fixed axes in rad. The position in x and y is exact: its rows are 0. Height and tilt are those
     of the least-squares plane over the leaves' planes in a disc (see `lattice.ground_planes`).
     Range noise is independent between leaves; the pose error is common to all of them and enters
-    as that of the nearest plane. Slopes are small.
-
-    ``raster``: the terrain. ``x``, ``y``: map frame, m. ``radius``: of the disc, m.
+    as that of the nearest plane. Slopes are small. ``x``, ``y``, ``radius``: m.
     """
     cells, domain = raster.cells, raster.domain
     side, last = domain.finest_size, domain.finest_count - 1

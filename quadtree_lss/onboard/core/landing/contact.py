@@ -20,8 +20,8 @@ columns of cells by their highest ground, and most cells of the other columns.
 # (C arrays of `ContactKernel` are declared in the .pxd.)
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import radians, tan
+from typing import NamedTuple
 
 import cython
 import numpy as np
@@ -41,27 +41,19 @@ from quadtree_lss.onboard.core.tree.domain import Domain, carried
 FAR_ABOVE = cython.declare(cython.double, 1e9)
 
 
-@dataclass(frozen=True)
-class ContactLimits:
-    """Range of contacts whose exact values are needed.
-
-    Attributes:
-        min_rise: A smaller rise is reported as this, m.
-        max_tilt: At a greater tilt, the rise is not computed and reported as ``min_rise``; rise
-            over run.
-    """
+class ContactLimits(NamedTuple):
+    """A rise below ``min_rise``, m, is reported as this; so is the rise at a tilt above
+    ``max_tilt``, rise over run, without being computed."""
 
     min_rise: float
     max_tilt: float
 
 
-@dataclass(frozen=True)
-class Contacts:
+class Contacts(NamedTuple):
     """Contact at each grid point, maximum over all headings: (n + 1, n + 1), NaN where not needed.
 
-    Attributes:
-        rise: Greatest height of ground under the vehicle above a contact plane, m.
-        tilt: Slope of the steepest contact plane, rise over run.
+    ``rise``: greatest height of ground under the vehicle above a contact plane, m. ``tilt``: slope
+    of the steepest contact plane, rise over run.
     """
 
     rise: Single
@@ -84,13 +76,10 @@ class ContactCheck:
     def contacts(
         self, raster: TerrainRaster, needed: Mask, heading: float | None = None
     ) -> Contacts:
-        """Compute contacts at grid points.
+        """Compute contacts at ``needed`` grid points (n + 1, n + 1).
 
-        Args:
-            raster: The map on its finest cells.
-            needed: (n + 1, n + 1) grid points to evaluate. Their circle of pads lies inside the
-                domain.
-            heading: Heading of the vehicle, about z from x, rad; None for all `YAWS`.
+        Their circle of pads lies inside the domain. ``heading``: of the vehicle, about z from x,
+        rad; None for all `YAWS`.
         """
         if not needed.any():  # The vehicle may be larger than the domain.
             return Contacts(*np.full((2, *needed.shape), np.nan, dtype=np.float32))
@@ -124,11 +113,6 @@ class ContactCheck:
             inside[:, [0, -1]] = inside[:, :, [0, -1]] = np.nan
             self._contacts = carried(self._contacts, *moved, np.nan)
         self._computed_for = domain, heading
-
-    def exceeds_limits(self, contacts: Contacts) -> Mask:
-        """Return where a contact exceeds the touchdown limits."""
-        high = contacts.rise > np.float32(self.max_rise)
-        return np.asarray(high | (contacts.tilt > np.float32(self.max_tilt)))
 
 
 @cython.boundscheck(False)
@@ -243,10 +227,8 @@ class ContactKernel:
             PyErr_CheckSignals()  # The user can interrupt a large map.
 
     def find_planes(self, cell: cython.Py_ssize_t) -> None:
-        """Find the contact planes and the pyramids below them at the grid points of a span.
-
-        ``cell``: column of ``ground`` of the cell north-east of the first grid point.
-        """
+        """Find the contact planes and the pyramids below them at the grid points of a span;
+        ``cell``: north-east of the first one, column of ``ground``."""
         cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, p=cython.Py_ssize_t)
         cython.declare(x=cython.double, y=cython.double, u=cython.double, v=cython.double)
         corner: cython.double = self.corner
@@ -279,10 +261,8 @@ class ContactKernel:
                 self.steep[p] = max(self.steep[p], max(x * x + y * y, u * u + v * v))
 
     def bound_rises(self, column: cython.Py_ssize_t) -> None:
-        """Bound the rise of each column of cells under the vehicle at the grid points of a span.
-
-        ``column``: of the cell north-east of the first grid point, in ``highest``.
-        """
+        """Bound the rise of each column of cells under the vehicle at the grid points of a span;
+        ``column``: of the cell north-east of the first one, in ``highest``."""
         cython.declare(j=cython.Py_ssize_t, p=cython.Py_ssize_t, first=cython.Py_ssize_t)
         cython.declare(half=cython.Py_ssize_t)
         for p in range(SPAN):
@@ -302,11 +282,8 @@ class ContactKernel:
                 self.max_excess[p] = max(self.max_excess[p], z)
 
     def find_rise(self, cell: cython.Py_ssize_t, p: cython.Py_ssize_t) -> cython.double:
-        """Return the greatest rise of the ground above the contact planes, m, at least
-        ``min_rise``.
-
-        ``cell``: as in `find_planes`; ``p``: index of the grid point in the span.
-        """
+        """Return the greatest rise above the contact planes at grid point ``p`` of the span, m, at
+        least ``min_rise``; ``cell``: as in `find_planes`."""
         cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
         cython.declare(first=cython.Py_ssize_t)
         rise = self.min_rise

@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TypeVar
+from math import inf
+from typing import NamedTuple, TypeVar
 
 import cython
 import numpy as np
@@ -28,11 +28,9 @@ class Disc:
 
     Attributes:
         reach: Cells from the grid point to the disc's edge.
-        row, column: (K,) index offset of each cell from the grid point's (the cell to its
-            north-east).
+        row, column: (K,) index offset of each cell from the one north-east of the grid point.
         x, y: (K,) offset of each cell's centre from the grid point, m.
-        to_plane: (3, K) maps the heights of the cells to height, dz/dx and dz/dy of their
-            least-squares plane (see `ground_planes`).
+        to_plane: (3, K) maps the cells' heights to height, dz/dx and dz/dy of `ground_planes`.
         half: (2 reach,) half width of the disc in each row, from the southernmost, cells.
     """
 
@@ -66,15 +64,9 @@ def disc_means(values: Array, over: Disc, needed: Mask) -> Array:
     return np.asarray(out[0])
 
 
-@dataclass(frozen=True)
-class GroundPlanes:
-    """Least-squares planes of the map over a disc about each grid point: arrays (n + 1, n + 1).
-
-    Attributes:
-        elevation: Height at the grid point, m.
-        slope_x, slope_y: dz/dx, dz/dy.
-        gradient: Rise over run.
-    """
+class GroundPlanes(NamedTuple):
+    """Least-squares planes of the map over a disc about each grid point, (n + 1, n + 1): height, m,
+    dz/dx, dz/dy, and their norm."""
 
     elevation: Array
     slope_x: Array
@@ -83,17 +75,11 @@ class GroundPlanes:
 
 
 def ground_planes(elevation: Array, needed: Mask, side: float, radius: float) -> GroundPlanes:
-    """Fit planes at the vehicle's scale.
+    """Fit planes to the elevation (n, n) in a disc about each grid point at a ``needed`` cell.
 
     A disc about a grid point is symmetric, so the normal equations are diagonal:
     slope_x = sum(x z) / sum(x^2), slope_y likewise, height = mean(z). Beyond the domain, the cells
-    at its border continue.
-
-    Args:
-        elevation: (n, n) height of the finest cells, m.
-        needed: (n, n) cells whose grid points need planes; elsewhere all values are 0.
-        side: Side of the finest cells, m.
-        radius: Of the disc, m.
+    at its border continue. ``side``: of the finest cells, m. ``radius``: of the disc, m.
     """
     over = disc(radius, side)
     square = side * float(np.mean((over.x / side) ** 2))
@@ -126,59 +112,54 @@ def with_neighbours(values: NDArray[Kind]) -> NDArray[Kind]:
     return out
 
 
-def distance_from(marked: Mask, side: float, limit: float = np.inf) -> Array:
-    """Compute the distance of each point to the nearest marked one, m, infinite if none is marked.
+def distance_from(marked: Mask, side: float, limit: float = inf) -> Array:
+    """Compute the distance of each point (ny, nx) of a lattice to the nearest marked one, m.
 
-    Args:
-        marked: (ny, nx).
-        side: Step of the lattice, m.
-        limit: Greater distances may be reported as infinite, m.
+    Infinite if none is marked; also beyond ``limit``, m, if that is short. ``side``: of a step, m.
     """
-    return _distances(marked, lambda steps: steps * side, limit / side)
-
-
-def dilate(marked: Mask, distance: float, side: float, short: float = 0.0) -> Mask:
-    """Return the points within a distance of a marked one, and the marked ones.
-
-    Args:
-        marked: (ny, nx).
-        distance: m.
-        side: Step of the lattice, m.
-        short: Subtracted from each distance, steps.
-    """
-    limit = distance / side + short
-    limit += 1e-9 * limit
-    if limit < 1.0 or not marked.any():
-        return marked.copy()
-    away = _distances(marked, lambda steps: (steps - short) * side, limit)
-    return marked | (away <= distance)
-
-
-def _distances(marked: Mask, length: Callable[[Array], Array], limit: float) -> Array:
-    """Return a function of the distances in steps; infinite beyond ``limit`` steps."""
+    steps = limit / side * (1.0 + 1e-9)
     if not marked.any():
-        return np.full(marked.shape, np.inf)
-    if limit >= MAX_STEPS:
+        return np.full(marked.shape, inf)
+    if steps >= MAX_STEPS:
         from scipy.ndimage import distance_transform_edt  # slow to import
 
-        return length(distance_transform_edt(~marked))
-    far = int(limit) + 1
-    lengths = length(np.sqrt(np.arange(far**2 + 1)))
-    lengths[far**2] = np.inf
+        return np.asarray(distance_transform_edt(~marked) * side)
+    far = int(steps) + 1
+    lengths = np.sqrt(np.arange(far**2 + 1)) * side
+    lengths[far**2] = inf
     out = np.empty(marked.shape)
     find_distances(np.ascontiguousarray(marked).view(np.uint8), lengths, far, out)
     return out
 
 
-def nearest_marked(marked: Mask) -> Ints:
-    """Return the flat index (ny, nx) of the nearest marked point, of two the southern one.
+def dilate(marked: Mask, distance: float, side: float) -> Mask:
+    """Return the points (ny, nx) within a distance of a marked one, m; arguments as above."""
+    if distance < side:
+        return marked.copy()
+    return np.asarray(distance_from(marked, side, distance) <= distance)
 
-    SciPy's distance transform finds the same points in six times the time. ``marked``: (ny, nx), at
-    least one True.
+
+@cython.boundscheck(False)
+@cython.locals(marked=cython.uchar[:, ::1], half=cython.double, x=cython.double, y=cython.double)
+@cython.locals(limit=cython.double)
+def steps_to_marked(marked: Bytes, half: float, x: float, y: float, limit: float) -> float:
+    """Return the distance of a point to the nearest of the marks (ny, nx), steps, up to ``limit``.
+
+    A mark is a cell with a width of two times ``half`` = 0.5, or a point with ``half`` = 0. ``x``,
+    ``y``: from the first point of the lattice, steps.
     """
-    nearest = np.empty(marked.shape, dtype=np.int32)
-    find_nearest(np.ascontiguousarray(marked).view(np.uint8), nearest)
-    return nearest
+    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, east=cython.Py_ssize_t)
+    with cython.nogil:
+        for i in range(marked.shape[0]):
+            dy = max(fabs(y - i - half) - half, 0.0)
+            if dy >= limit:
+                continue
+            east = min(cython.cast(cython.Py_ssize_t, x + limit) + 1, marked.shape[1])
+            for j in range(max(cython.cast(cython.Py_ssize_t, x - limit) - 1, 0), east):
+                if marked[i, j]:
+                    dx = max(fabs(x - j - half) - half, 0.0)
+                    limit = min(limit, sqrt(dx * dx + dy * dy))
+    return limit
 
 
 @cython.boundscheck(False)
@@ -189,20 +170,14 @@ def nearest_marked(marked: Mask) -> Ints:
 def disc_moments(
     cells: Array, level: float, half: Index, needed: Bytes, square: float, out: Array
 ) -> None:
-    """Compute means of z, and of x z and y z over ``square``, over the disc of each grid point.
+    """Set ``out`` (4, n + 1, n + 1) to means over the disc of each grid point: z, x z and y z over
+    ``square``, and the norm of the latter two. With (1, n + 1, n + 1), only to the mean of z.
 
-    x and y are counted from the grid point, in cells. A disc is a stack of centred runs of cells,
-    and the sum of a run is a difference of cumulative sums. Beyond the lattice, the cells at its
-    border continue.
-
-    Args:
-        cells: (n, n) z.
-        level: Subtracted from z, which keeps the sums small.
-        half: (2 reach,) half width of the disc in each row, cells.
-        needed: (n, n), in each row the points from the first to the last at such cells are set.
-        square: Divisor of the moments, besides the number of cells.
-        out: (4, n + 1, n + 1), set to the means of z, x z and y z, and the norm of the latter two,
-            0 where not needed; or (1, n + 1, n + 1) for the mean of z only.
+    x and y are counted from the grid point, in cells. A disc is a stack of centred runs of cells
+    with a ``half`` width (2 reach,), and the sum of a run is a difference of cumulative sums, which
+    ``level``, subtracted from z, keeps small. Beyond the lattice, the cells (n, n) at its border
+    continue. In each row, the points from the first to the last at ``needed`` cells (n, n) are set;
+    the others are 0.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
     cython.declare(row=cython.Py_ssize_t, east=cython.Py_ssize_t, west=cython.Py_ssize_t)
@@ -283,57 +258,12 @@ def disc_moments(
 
 
 @cython.boundscheck(False)
-@cython.locals(marked=cython.uchar[:, ::1], x=cython.double[::1], y=cython.double[::1])
-@cython.locals(free_distance=cython.double[::1])
-def lower_free_distance(
-    marked: Bytes, half: float, x: Array, y: Array, side: float, reach: float, free_distance: Array
-) -> None:
-    """Lower ``free_distance`` (K,) to the distance of each point to marked cells less ``reach``, m.
-
-    Args:
-        marked: (ny, nx) cells (``half`` = 0.5) or points (``half`` = 0) of a lattice.
-        half: Half the width of a marked cell or point, steps.
-        x, y: (K,) points, from the first point of the lattice, m.
-        side: Step of the lattice, m.
-        reach: m.
-        free_distance: (K,) m.
-    """
-    cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
-    cython.declare(ring=cython.Py_ssize_t, row=cython.Py_ssize_t, column=cython.Py_ssize_t)
-    farthest: cython.Py_ssize_t = max(marked.shape[0], marked.shape[1])
-    with cython.nogil:
-        for k in range(x.shape[0]):
-            u, v = x[k] / side, y[k] / side
-            column, row = cython.cast(cython.Py_ssize_t, u), cython.cast(cython.Py_ssize_t, v)
-            ring = 0
-            # Everything outside of a ring is at least as many steps away.
-            while (ring - 1) * side - reach < free_distance[k] and ring <= farthest:
-                for i in range(row - ring, row + ring + 1):
-                    if not 0 <= i < marked.shape[0]:
-                        continue
-                    j = column - ring
-                    while j <= column + ring:
-                        if 0 <= j < marked.shape[1] and marked[i, j]:
-                            dx = max(fabs(u - j - half) - half, 0.0)
-                            dy = max(fabs(v - i - half) - half, 0.0)
-                            free_distance[k] = min(
-                                free_distance[k], sqrt(dx * dx + dy * dy) * side - reach
-                            )
-                        j += 1 if i == row - ring or i == row + ring else 2 * ring
-                ring += 1
-
-
-@cython.boundscheck(False)
 @cython.locals(values=cython.float[:, ::1])
 def blur(values: Single, weights: Array) -> Single:
-    """Average padded values along each row in single precision, and transpose.
+    """Average padded values (ny, nx + K + 2) along each row in single precision, and transpose.
 
-    Args:
-        values: (ny, nx + K + 2); the last 3 columns are not used.
-        weights: (K,); values farther away are 1 and have the rest of the weight, 1 - sum.
-
-    Returns:
-        (nx, ny) means.
+    The last 3 columns are not used. Values farther away than the ``weights`` (K,) reach are 1, and
+    have the rest of the weight, 1 - sum.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
     cython.declare(a=cython.float, b=cython.float, c=cython.float, d=cython.float)
@@ -361,19 +291,20 @@ def blur(values: Single, weights: Array) -> Single:
 
 
 @cython.boundscheck(False)
-@cython.locals(marked=cython.uchar[:, ::1], nearest=cython.int[:, ::1])
-def find_nearest(marked: Bytes, nearest: Ints) -> None:
-    """Find nearest marked points in two sweeps (Meijster, Roerdink and Hesselink 2000).
+@cython.locals(marked=cython.uchar[:, ::1])
+def nearest_marked(marked: Bytes) -> Ints:
+    """Return the flat index of the nearest marked point (ny, nx), of two the southern one.
 
-    First the nearest marked point in each column; then along each row the lower envelope of the
-    parabolas (x - column)^2 + (distance in the column)^2. ``marked``: (ny, nx). ``nearest``: (ny,
-    nx), set to flat indices; one outside the lattice if none is marked.
+    Two sweeps (Meijster, Roerdink and Hesselink 2000), six times as fast as SciPy: first the
+    nearest marked point in each column; then along each row the lower envelope of the parabolas
+    (x - column)^2 + (distance in the column)^2.
     """
     cython.declare(i=cython.int, j=cython.int, k=cython.int, top=cython.int, last=cython.int)
     cython.declare(x=cython.int, first=cython.int)
     rows: cython.int = marked.shape[0]
     columns: cython.int = marked.shape[1]
     far: cython.int = 2 * (rows + columns)
+    nearest = cython.declare(cython.int[:, ::1], np.empty((rows, columns), dtype=np.int32))
     near = cython.declare(cython.int[:, ::1], np.empty((rows, columns), dtype=np.int32))
     height = cython.declare(cython.int[::1], np.empty(columns, dtype=np.int32))
     vertex = cython.declare(cython.int[::1], np.empty(columns, dtype=np.int32))
@@ -429,32 +360,27 @@ def find_nearest(marked: Bytes, nearest: Ints) -> None:
                     nearest[i, j] = near[i, k] * columns + k
                     if j == begin[top]:
                         top -= 1
+    return np.asarray(nearest)
 
 
 @cython.boundscheck(False)
 @cython.locals(marked=cython.uchar[:, ::1], lengths=cython.double[::1], out=cython.double[:, ::1])
 def find_distances(marked: Bytes, lengths: Array, far: cython.short, out: Array) -> None:
-    """Compute distances to near marked points in two vectorised sweeps.
+    """Set ``out`` (ny, nx) to distances to near marked points, in two vectorised sweeps.
 
-    Along a row, each `SPAN` is searched as far as any of its points needs.
-
-    Args:
-        marked: (ny, nx).
-        lengths: (far^2 + 1,) distance for each squared number of steps; the last is for ``far``
-            steps and more.
-        far: Steps, at most 127: the sum of two squares fits into 16 bits.
-        out: (ny, nx), set.
+    Along a row, each `SPAN` is searched as far as any of its points needs. ``lengths``: (far^2 +
+    1,) distance for each squared number of steps, the last for ``far`` and more. ``far``: at most
+    127, so that the sum of two squares fits into 16 bits.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t, z=cython.short)
-    cython.declare(east=cython.short, away=cython.short, beyond=cython.short)
-    cython.declare(widest=cython.short, other=cython.short)
-    cython.declare(nearest=cython.short, west=cython.Py_ssize_t, count=cython.Py_ssize_t)
+    cython.declare(east=cython.short, away=cython.short, widest=cython.short, nearest=cython.short)
+    cython.declare(west=cython.Py_ssize_t, count=cython.Py_ssize_t)
     most: cython.short = far
     rows: cython.Py_ssize_t = marked.shape[0]
     columns: cython.Py_ssize_t = marked.shape[1]
     near = cython.declare(cython.short[:, ::1], np.full((rows, columns), far, dtype=np.int16))
     height = cython.declare(cython.short[::1], np.full(columns + 2 * far, far**2, dtype=np.int16))
-    least = cython.declare(cython.short[::1], np.empty(SPAN + SPAN // 2, dtype=np.int16))
+    least = cython.declare(cython.short[::1], np.empty(SPAN, dtype=np.int16))
     with cython.nogil:
         for i in range(rows):
             for j in range(columns):
@@ -470,8 +396,7 @@ def find_distances(marked: Bytes, lengths: Array, far: cython.short, out: Array)
                 height[j + most] = near[i, j] * near[i, j]
             west = 0
             while west < columns:
-                count = columns - west
-                count = count if count < SPAN + SPAN // 2 else SPAN
+                count = columns - west if columns - west < SPAN else SPAN
                 nearest, widest = most * most, 0
                 for j in range(count + 2 * most):
                     z = height[west + j]
@@ -482,17 +407,13 @@ def find_distances(marked: Bytes, lengths: Array, far: cython.short, out: Array)
                 k = 1
                 # Stop when columns farther away cannot contain a nearer point.
                 while k * k + nearest < widest:
-                    away, beyond, widest = k * k, (k + 1) * (k + 1), 0
+                    away, widest = k * k, 0
                     for j in range(count):
                         z, east = height[west + most + j - k], height[west + most + j + k]
                         z = (z if z < east else east) + away
-                        z = z if z < least[j] else least[j]
-                        other = height[west + most + j - k - 1]
-                        east = height[west + most + j + k + 1]
-                        other = (other if other < east else east) + beyond
-                        z = least[j] = z if z < other else other
+                        z = least[j] = z if z < least[j] else least[j]
                         widest = z if z > widest else widest
-                    k += 2
+                    k += 1
                 for j in range(count):
                     out[i, west + j] = lengths[least[j]]
-                west += count
+                west += SPAN

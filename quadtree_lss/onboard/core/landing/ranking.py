@@ -11,7 +11,7 @@ from math import inf
 
 import numpy as np
 
-from quadtree_lss.onboard.arrays import Array, Index
+from quadtree_lss.onboard.arrays import Array
 
 #: Standard deviation of the error of a predicted probability p as a share of 1 - p, for the safest
 #: grid points on maps of simulated flights (benchmark/target.py --told).
@@ -29,12 +29,6 @@ def equal_up_to(risk: float) -> float:
     return min(max(EQUAL_RISKS * risk, MIN_RISK), risk + MAX_DIFFERENCE)
 
 
-def lowest(values: Array) -> tuple[int, int]:
-    """Return row and column of the first lowest value."""
-    row, column = divmod(int(np.argmin(values)), values.shape[1])
-    return row, column
-
-
 def best_among_equals(
     cost: Array, unsafe: Array | None, clearance: Array | None
 ) -> tuple[int, int] | None:
@@ -50,22 +44,17 @@ def best_among_equals(
         clearance: (ny, nx) how far the landing zone may move until it touches excluded ground, m;
             None if unknown.
     """
-    return _best(np.fmin(cost, inf), unsafe, clearance)
-
-
-def _best(cost: Array, unsafe: Array | None, clearance: Array | None) -> tuple[int, int] | None:
-    """As `best_among_equals`, without NaN in ``cost``."""
-    best = lowest(cost)
-    if not np.isfinite(cost[best]):
+    left = np.fmin(cost, inf).ravel()
+    first = int(np.argmin(left))
+    if not np.isfinite(left[first]):
         return None
-    if unsafe is None or clearance is None:
-        return best
-    risk = float(unsafe[best])
-    equals = np.flatnonzero(cost <= cost[best] + equal_up_to(risk) - risk)
-    room = clearance.ravel()[equals]
-    clearest = equals[room == room.max()]
-    first = clearest[np.argmin(cost.ravel()[clearest])]
-    row, column = divmod(int(first), cost.shape[1])
+    if unsafe is not None and clearance is not None:
+        risk = float(unsafe.flat[first])
+        equals = np.flatnonzero(left <= left[first] + equal_up_to(risk) - risk)
+        room = clearance.ravel()[equals]
+        clearest = equals[room == room.max()]
+        first = int(clearest[np.argmin(left[clearest])])
+    row, column = divmod(first, cost.shape[1])
     return row, column
 
 
@@ -75,17 +64,12 @@ def ranked_points(
     clearance: Array | None,
     steps: float,
     count: int,
-) -> tuple[Index, Index]:
-    """Return rows and columns of the best candidates (see `best_among_equals`), best first.
-
-    Args:
-        cost, unsafe, clearance: As of `best_among_equals`.
-        steps: Least distance between two of them, grid points.
-        count: Most candidates to return.
-    """
+) -> list[tuple[int, int]]:
+    """Return row and column of the best candidates (see `best_among_equals`), best first; at most
+    ``count``, and at least ``steps`` grid points apart."""
     left = np.fmin(cost, inf)
     best: list[tuple[int, int]] = []
-    while len(best) < count and (point := _best(left, unsafe, clearance)):
+    while len(best) < count and (point := best_among_equals(left, unsafe, clearance)):
         south, west = (max(index - int(steps), 0) for index in point)
         around = left[south : point[0] + int(steps) + 1, west : point[1] + int(steps) + 1]
         row, column = np.ogrid[: around.shape[0], : around.shape[1]]
@@ -93,5 +77,4 @@ def ranked_points(
         around[apart < steps**2] = inf
         left[point] = inf
         best.append(point)
-    found = np.array(best, dtype=np.intp).reshape(-1, 2)
-    return found[:, 0], found[:, 1]
+    return best

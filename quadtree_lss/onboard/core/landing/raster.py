@@ -9,7 +9,7 @@ import cython
 import numpy as np
 from cython.cimports.libc.math import erf, exp, fabs, sqrt
 
-from quadtree_lss.onboard.arrays import Array, Bytes, Index, Ints, Mask
+from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 from quadtree_lss.onboard.core.landing.lattice import (
@@ -27,7 +27,7 @@ from quadtree_lss.onboard.core.tree.domain import Domain
 TWO_PI = cython.declare(cython.double, 2.0 * np.pi)
 #: Mean number of independent returns per known finest cell of a leaf up to which a cell can lack
 #: returns by chance (e^-6 is 1 in 400); above, it is in the shadow of a rock or a drop.
-MAX_RETURNS_IN_GAP = cython.declare(cython.double, 6.0)
+MAX_RETURNS_IN_GAP = 6.0
 #: Parts of a finest cell in `CellMap.coverage`.
 COVERAGE_PARTS = 16.0
 #: Greatest distance to a hazard that improves a score, m for the default vehicle (in proportion for
@@ -43,8 +43,6 @@ class TerrainRaster:
     (n + 1, n + 1).
 
     Attributes:
-        domain: Extent and levels.
-        cells: The map.
         leaf: (n, n) row of the leaf over each cell.
         elevation: (n, n) height at the cell's centre, m: of the leaf's plane within its bounds, or,
             where ``bridged``, of the nearest known cell; NaN if there is none.
@@ -57,8 +55,7 @@ class TerrainRaster:
             on unobserved ground, which may be the drop that casts the shadow.
         unestimated: (n, n) observed, but not estimated.
         bridged: (n, n) the height is that of the nearest known cell.
-        returns: (M,) independent returns of each leaf per known finest cell, in the mean (see
-            `independent_returns`).
+        returns: (M,) mean `independent_returns` of each leaf per known finest cell.
         planes: The ground at the vehicle's scale at each grid point.
         free_distance: Distance of each grid point to ground that is not interior, outside the
             domain, or unestimated, m, up to a limit. Pads must not reach over unestimated ground,
@@ -105,20 +102,32 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
     layers[3:] = 0.0
     fill_layers(cells, side, lss.vehicle.lengths.negligible, leaf, layers)
     known = cells.observed & cells.known & ~np.isnan(elevation)
-    bridged = ~known
-    unestimated = cells.observed & ~known
-    observed = dilate(known, lss.gap, side, short=0.5) & ~unestimated
-    share = np.zeros(len(cells.level), dtype=np.int32)
-    count_known(leaf, known.view(np.uint8), share)
+    bridged, unestimated = ~known, cells.observed & ~known
+    gap = lss.gap + 0.5 * side  # from a cell's centre
+    observed = dilate(known, gap, side) & ~unestimated
+    share = np.bincount(leaf.ravel(), known.ravel(), len(cells.level))
     returns = np.minimum(cells.count / np.maximum(share, 1), independent_returns(cells.coverage))
     if not known.any():
         elevation[:] = np.nan
     elif bridged.any():
-        fill_gaps(nearest_marked(known), leaf, returns, layers, observed.view(np.uint8))
-    interior = known | ~dilate(~observed, lss.gap, side, short=0.5)
+        # Fill gaps with level ground at the height of the nearest known cell.
+        gap_cells, flat = np.flatnonzero(bridged), layers.reshape(5, -1)
+        nearest = nearest_marked(known.view(np.uint8)).ravel()[gap_cells]
+        flat[0, gap_cells] = flat[0, nearest]
+        flat[1:3, gap_cells] = 0.0
+        in_shadow = returns[leaf.ravel()[nearest]] > MAX_RETURNS_IN_GAP
+        observed.ravel()[gap_cells[in_shadow]] = False
+    interior = known | ~dilate(~observed, gap, side)
     radius = min(lss.vehicle.ground_radius, 0.5 * domain.size)
+    # Distance of rows and columns of grid points to the domain's border, m.
     border = np.minimum(np.arange(n + 1), np.arange(n, -1, -1)) * side
-    free_distance, to_unestimated = _distances(interior, unestimated, border, side, lss)
+    limit = max(lss.zone, DISTANCE_CAP * lss.vehicle.diameter_ratio)
+    free_distance = distance_from(corner_bits((~interior).view(np.uint8)) > 0, side, limit)
+    farthest = max(lss.zone, 0.5 * lss.vehicle.diameter) + lss.vehicle.pad_radius + side
+    to_unestimated = distance_from(corner_bits(unestimated.view(np.uint8)) > 0, side, farthest)
+    np.minimum(free_distance, to_unestimated - lss.vehicle.pad_radius, out=free_distance)
+    np.minimum(free_distance, border, out=free_distance)
+    np.minimum(free_distance, border[:, None], out=free_distance)
     needed = (0.5 - RELATIVE_ROUNDING) * lss.vehicle.diameter
     assessable, inside = free_distance >= needed, border >= needed
     return TerrainRaster(
@@ -143,21 +152,6 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
     )
 
 
-def _distances(
-    interior: Mask, unestimated: Mask, border: Array, side: float, lss: LssConfig
-) -> tuple[Array, Array]:
-    """Compute ``free_distance`` and ``to_unestimated`` of a `TerrainRaster`; ``border``: (n + 1,)
-    distance of rows and columns of grid points to the domain's border, m."""
-    limit = max(lss.zone, DISTANCE_CAP * lss.vehicle.diameter_ratio)
-    free_distance = distance_from(corner_bits((~interior).view(np.uint8)) > 0, side, limit)
-    farthest = max(lss.zone, 0.5 * lss.vehicle.diameter) + lss.vehicle.pad_radius + side
-    to_unestimated = distance_from(corner_bits(unestimated.view(np.uint8)) > 0, side, farthest)
-    np.minimum(free_distance, to_unestimated - lss.vehicle.pad_radius, out=free_distance)
-    np.minimum(free_distance, border, out=free_distance)
-    np.minimum(free_distance, border[:, None], out=free_distance)
-    return free_distance, to_unestimated
-
-
 def independent_returns(coverage: Array) -> Array:
     """Estimate the number of independent returns from the covered share (M,) of a finest cell.
 
@@ -171,16 +165,9 @@ def independent_returns(coverage: Array) -> Array:
 @cython.boundscheck(False)
 @cython.locals(leaf=cython.Py_ssize_t[:, ::1], layers=cython.double[:, :, ::1])
 def fill_layers(cells: CellMap, side: float, negligible: float, leaf: Index, layers: Array) -> None:
-    """Fill the finest cells of each leaf.
-
-    Args:
-        cells: The map.
-        side: Side of the finest cells, m.
-        negligible: Height below which parts of a feature are ignored, m.
-        leaf: (n, n), set to the row of the leaf.
-        layers: (5, n, n), set to elevation and slopes in x and y, and where there is a feature, to
-            its mean and its greatest height.
-    """
+    """Set the row of the ``leaf`` (n, n) over each finest cell of a ``side``, m, and its ``layers``
+    (5, n, n): elevation, slopes in x and y, and of a feature, where there is one, the mean and, if
+    not ``negligible``, the greatest height."""
     cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     cython.declare(row=cython.Py_ssize_t, column=cython.Py_ssize_t, width=cython.Py_ssize_t)
     cython.declare(beyond=cython.bint)
@@ -236,45 +223,6 @@ def fill_layers(cells: CellMap, side: float, negligible: float, leaf: Index, lay
                     raised = top * exp(-0.5 * (squares[j] + square) / (sigma * sigma))
                     if raised >= negligible:
                         layers[4, row + i, column + j] = raised
-
-
-@cython.boundscheck(False)
-@cython.locals(leaf=cython.Py_ssize_t[:, ::1])
-@cython.locals(known=cython.uchar[:, ::1], count=cython.int[::1])
-def count_known(leaf: Index, known: Bytes, count: Ints) -> None:
-    """Count the ``known`` finest cells (n, n) of each leaf (M,)."""
-    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
-    with cython.nogil:
-        for i in range(leaf.shape[0]):
-            for j in range(leaf.shape[1]):
-                count[leaf[i, j]] += known[i, j]
-
-
-@cython.boundscheck(False)
-@cython.locals(nearest=cython.int[:, ::1], leaf=cython.Py_ssize_t[:, ::1])
-@cython.locals(returns=cython.double[::1], layers=cython.double[:, :, ::1])
-@cython.locals(observed=cython.uchar[:, ::1])
-def fill_gaps(nearest: Ints, leaf: Index, returns: Array, layers: Array, observed: Bytes) -> None:
-    """Fill gaps with level ground at the height of the nearest known cell.
-
-    Args:
-        nearest: (n, n) flat index of the nearest known cell.
-        leaf, layers: As in `fill_layers`; heights and slopes are changed.
-        returns: As in `TerrainRaster`.
-        observed: As in `TerrainRaster`; set to False in shadows.
-    """
-    cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
-    n: cython.Py_ssize_t = nearest.shape[0]
-    height = cython.declare(cython.double[::1], np.asarray(layers[0]).ravel())
-    over = cython.declare(cython.Py_ssize_t[::1], np.asarray(leaf).ravel())
-    with cython.nogil:
-        for i in range(n):
-            for j in range(n):
-                if nearest[i, j] != i * n + j:
-                    height[i * n + j] = height[nearest[i, j]]
-                    layers[1, i, j], layers[2, i, j] = 0.0, 0.0
-                    if returns[over[nearest[i, j]]] > MAX_RETURNS_IN_GAP:
-                        observed[i, j] = 0
 
 
 @cython.cfunc

@@ -19,8 +19,7 @@ from quadtree_lss.onboard.core.landing.target import DISTANCE_COST, Reason
 class Restrictions:
     """Restrictions of landing, map frame, m; None for no such restriction.
 
-    A polygon with fewer than three vertices or one that is not finite, or a target that is not
-    finite, excludes all grid points. A polygon that crosses itself follows the even-odd rule.
+    A polygon that crosses itself follows the even-odd rule.
 
     Attributes:
         area: (V, 2) polygon that contains the landing zone.
@@ -34,19 +33,27 @@ class Restrictions:
     target: ArrayLike | None = None
     withheld: str = ""
 
-    def apply_to(self, cost: Array, x: Array, y: Array, lss: LssConfig) -> str:
-        """Set the cost (ny, nx) of excluded grid points to NaN, and add the cost of the distance to
-        the preferred point. Return why all of them are excluded; empty if they are not."""
-        why = self.withheld
+    def checked(self) -> Restrictions:
+        """Return these restrictions; if a polygon has fewer than three vertices, or a polygon or
+        the target is not finite, return that no site may be published."""
+        nowhere = np.zeros(0)
         try:
-            self._exclude(cost, x, y, lss)
+            for polygon in (*([] if self.area is None else [self.area]), *self.keep_outs):
+                signed_distance(polygon, nowhere, nowhere)
+            if self.target is not None:
+                goal = np.asarray(self.target, dtype=np.float64)
+                if goal.shape not in ((2,), (3,)) or not np.isfinite(goal[:2]).all():
+                    msg = "a landing target needs two or three finite coordinates"
+                    raise ValueError(f"{msg}, got {self.target!r}")
         except (TypeError, ValueError) as error:
-            why = why or str(error)
-        if why:
-            cost[...] = np.nan
-        return why
+            return Restrictions(withheld=self.withheld or str(error))
+        return self
 
-    def _exclude(self, cost: Array, x: Array, y: Array, lss: LssConfig) -> None:
+    def apply_to(self, cost: Array, x: Array, y: Array, lss: LssConfig) -> None:
+        """Set the cost (ny, nx) of excluded grid points to NaN, and add the cost of the distance to
+        the preferred point."""
+        if self.withheld:
+            cost[...] = np.nan
         if self.area is None and not self.keep_outs and self.target is None:
             return
         row, column = np.nonzero(np.isfinite(cost))
@@ -57,9 +64,6 @@ class Restrictions:
             left[signed_distance(polygon, x[column], y[row]) > -lss.zone] = np.nan
         if self.target is not None:
             goal = np.asarray(self.target, dtype=np.float64)
-            if goal.shape not in ((2,), (3,)) or not np.isfinite(goal[:2]).all():
-                msg = f"a landing target needs two or three finite coordinates, got {self.target!r}"
-                raise ValueError(msg)
             left += DISTANCE_COST[lss.ranking] * np.hypot(x[column] - goal[0], y[row] - goal[1])
         cost[row, column] = left
 
@@ -82,10 +86,7 @@ class Restrictions:
         if self.area is not None:
             step = max(len(x) // 64, 1)  # 64 x 64 points give the share to 1 %
             observed, (xs, ys) = observed[::step, ::step], np.meshgrid(x[::step], y[::step])
-            try:
-                observed = observed[signed_distance(self.area, xs, ys) >= 0.0]
-            except (TypeError, ValueError):
-                return 0.0
+            observed = observed[signed_distance(self.area, xs, ys) >= 0.0]
         return float(np.count_nonzero(observed) / observed.size) if observed.size else 0.0
 
     def reason_against(self, x: float, y: float, lss: LssConfig) -> Reason | None:
@@ -100,16 +101,11 @@ class Restrictions:
         """Return whether the landing area, if there is one, contains the zone around a point."""
         if self.area is None:
             return True
-        try:
-            inside = signed_distance(self.area, np.array([x]), np.array([y]))[0]
-        except (TypeError, ValueError):
-            return False
-        return bool(inside >= lss.zone)
+        return bool(signed_distance(self.area, np.array([x]), np.array([y]))[0] >= lss.zone)
 
     def is_near(self, x: float, y: float, reach: float) -> bool:
-        """Return whether the preferred point is within ``reach`` of this one, m."""
-        try:
-            goal = np.asarray(self.target, dtype=np.float64)
-            return bool(np.hypot(goal[0] - x, goal[1] - y) <= reach)
-        except (TypeError, ValueError, IndexError):
+        """Return whether there is a preferred point, and within ``reach`` of this one, m."""
+        if self.target is None:
             return False
+        goal = np.asarray(self.target, dtype=np.float64)
+        return bool(np.hypot(goal[0] - x, goal[1] - y) <= reach)

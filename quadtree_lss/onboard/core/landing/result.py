@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
 from math import isnan
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,31 +27,6 @@ def shown(probability: float) -> str:
         return "-"
     share = 100.0 * min(probability, 0.9999)
     return f"{share:.2f} %" if share >= 99.85 else f"{share:.1f} %"
-
-
-class MainRisk(NamedTuple):
-    """Main cause of the risk at an aim point: probability of success, cause, and its position north
-    and east of the aim point, m."""
-
-    probability: float
-    cause: str
-    north: float
-    east: float
-
-
-def risk_texts(risks: list[MainRisk]) -> list[str]:
-    """Describe main risks, as in "probability 99.2 %: the remaining risk is an obstacle 3.1 m
-    east; "; negligible ones are not described."""
-    texts = []
-    names = "east north-east north north-west west south-west south south-east".split()
-    for probability, cause, north, east in risks:
-        text, away = f"probability {shown(probability)}", float(np.hypot(east, north))
-        bearing = round(float(np.arctan2(north, east)) / (0.25 * np.pi)) % 8
-        where = "here" if away < 0.1 else f"{away:.1f} m {names[bearing]}"
-        if probability < 0.9999:
-            text += f": the remaining risk is {cause} {where}"
-        texts.append(f"{text}; ")
-    return texts
 
 
 @dataclass(frozen=True, repr=False)
@@ -100,18 +75,6 @@ class Sites:
         import pandas  # type: ignore[import-untyped]
 
         return pandas.DataFrame(self.columns())
-
-    def _repr_html_(self) -> str:
-        """Return a table for notebooks."""
-        formats = {"x": ".2f", "y": ".2f", "z": ".2f", "probability": ".4f", "slope_deg": ".1f"}
-        formats |= {"hazard_distance": ".1f", "reason": ""}
-        columns = self.columns()
-        lines = [("th", ["rank", *formats])]
-        for k in range(len(self)):
-            values = [format(columns[name][k], form) for name, form in formats.items()]
-            lines.append(("td", [str(k + 1), *values]))
-        rows = ("".join(f"<{tag}>{text}</{tag}>" for text in texts) for tag, texts in lines)
-        return f"<table>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
 
     def __len__(self) -> int:
         return len(self.score)
@@ -244,10 +207,6 @@ class LandingAssessment:
     def __repr__(self) -> str:
         ny, nx = self.score.shape
         return f"<LandingAssessment: {nx} x {ny} grid points; {self.explanation}; {self.sites}>"
-
-    def _repr_html_(self) -> str:
-        """Return the explanation and the table of sites for notebooks."""
-        return f"<p>{self.explanation}</p>{self.sites._repr_html_()}"
 
     def _layer(self, compute: Callable[[GridSampler, PointAssessment], Array]) -> Array:
         out = np.full(self.score.shape, np.nan)

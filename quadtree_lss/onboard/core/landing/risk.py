@@ -82,12 +82,7 @@ def contact_limits(model: RiskModel, lss: LssConfig) -> ContactLimits:
 
 
 class RiskTable:
-    """Tables of a model's log odds for one vehicle.
-
-    Args:
-        model: The fitted model.
-        lss: The vehicle and its limits.
-        noise: Configured range noise, one standard deviation, m.
+    """Tables of a model's log odds for one vehicle; ``noise``: configured range noise, m.
 
     Attributes:
         low, per, last: (F,) per feature in the order of `LOCAL`: its value at the first entry of
@@ -123,8 +118,6 @@ class RiskTable:
         self.tables = np.concatenate(tables, dtype=np.float32, casting="same_kind")
         self.terms = np.array(terms, dtype=np.int32)
         self.exp_table = np.exp(np.linspace(MIN_ODDS, MAX_ODDS, EXP_ENTRIES))
-        # Side of the finest cells of the last map, and the constant log odds for it.
-        self._constant_odds: tuple[float, Array] | None = None
 
     def overall(self, side: float) -> dict[str, float]:
         """Return the features `OVERALL` of a map with finest cells of ``side``, m."""
@@ -138,8 +131,8 @@ class RiskTable:
 
     def _information_loss(self, side: float) -> float:
         """Return log10 of the number of returns that have the information of one at a noise of
-        0.2 h on cells of 0.85 h, on finest cells of ``side``, m; h is the least hazard. The
-        number of returns whose mean shows h is proportional to the square of the noise."""
+        0.2 h on cells of 0.85 h; h is the least hazard. The number of returns whose mean shows h is
+        proportional to the square of the noise."""
         least = self._vehicle.least_hazard
         wide = max(log10(side / (0.85 * least)), 0.0)
         return 2.0 * log10(self._noise / (0.2 * least)) + 3.0 * wide
@@ -195,31 +188,27 @@ class RiskTable:
 
         Also return the main cause, as an index of `CAUSES`.
         """
-        features, side = self.features(raster, contacts), raster.domain.finest_size
-        if self._constant_odds is None or self._constant_odds[0] != side:
-            overall = self.overall(side)
-            odds = [self._model.causes[name].map_log_odds(overall) for name in CAUSES]
-            self._constant_odds = side, np.array(odds)
+        features = self.features(raster, contacts)
+        overall = self.overall(raster.domain.finest_size)
+        constant = np.array([self._model.causes[name].map_log_odds(overall) for name in CAUSES])
         assessable = raster.assessable
         out, cause = np.ones(assessable.shape), np.zeros(assessable.shape, dtype=np.uint8)
-        look_up(self, features, assessable.view(np.uint8), self._constant_odds[1], out, cause)
+        look_up(self, features, assessable.view(np.uint8), constant, out, cause)
         return out, cause
 
 
 def risk_warnings(config: Config, raster: TerrainRaster) -> tuple[str, ...]:
-    """List the reasons why the predicted risks may be wrong, one line each."""
-    return tuple(filter(None, (model_warning(config), bridging_warning(raster))))
-
-
-def bridging_warning(raster: TerrainRaster) -> str:
-    """Return a warning if more of the assessable ground is bridged than in the fit, or ""."""
-    assessable = raster.assessable[1:, 1:]
+    """List the reasons why the predicted risks may be wrong, one line each: the run is outside the
+    fit, or more of the assessable ground is bridged than in it."""
+    warning, assessable = model_warning(config), raster.assessable[1:, 1:]
+    warnings = (warning,) if warning else ()
     share = np.count_nonzero(raster.bridged & assessable) / (np.count_nonzero(assessable) or 1)
     if share <= MAX_BRIDGED:
-        return ""
+        return warnings
     return (
+        *warnings,
         f"{100.0 * share:.0f} % of the judged ground has no return and is bridged; the risk model"
-        f" was fitted to flights with at most {100.0 * MAX_BRIDGED:.0f} %"
+        f" was fitted to flights with at most {100.0 * MAX_BRIDGED:.0f} %",
     )
 
 
@@ -291,19 +280,6 @@ def interpolation_weights(values: Array, knots: Row) -> Array:
     return np.column_stack([np.interp(values, knots, one) for one in ones])
 
 
-def square_means(values: Single, reach: int) -> Single:
-    """Average values of finest cells (F, n, n) over the part inside the domain of the square of
-    2 ``reach`` x 2 ``reach`` cells about each grid point; returns (F, n + 1, n + 1)."""
-    count = values.shape[1]
-    out = np.empty((len(values), count + 1, count + 1), dtype=np.float32)
-    sum_squares(values, reach, 1.0 / (2 * reach), out)
-    point = np.arange(count + 1)
-    inside = np.minimum(point + reach, count) - np.maximum(point - reach, 0)
-    inside = inside / (2.0 * reach)
-    out /= np.outer(inside, inside)
-    return out
-
-
 @cython.boundscheck(False)
 @cython.locals(features=cython.float[:, :, ::1], assessable=cython.uchar[:, ::1])
 @cython.locals(constant=cython.double[::1])
@@ -311,14 +287,8 @@ def square_means(values: Single, reach: int) -> Single:
 def look_up(
     table: RiskTable, features: Single, assessable: Bytes, constant: Array, out: Array, cause: Bytes
 ) -> None:
-    """Set the risk at the ``assessable`` grid points (ny, nx), and its main cause.
-
-    Args:
-        table: Tables of the model.
-        features: (F, ny, nx) as of `RiskTable.features`.
-        constant: (C,) constant log odds of each cause.
-        out, cause: (ny, nx), set where ``assessable``.
-    """
+    """Set the risk ``out`` (ny, nx) at the ``assessable`` grid points, and its main ``cause``;
+    ``constant``: (C,) constant log odds of each cause."""
     low = cython.declare(cython.double[::1], table.low)
     per = cython.declare(cython.double[::1], table.per)
     last = cython.declare(cython.double[::1], table.last)
@@ -384,14 +354,15 @@ def look_up(
 
 
 @cython.boundscheck(False)
-@cython.locals(values=cython.float[:, :, ::1], out=cython.float[:, :, ::1])
-def sum_squares(
-    values: Single, reach: cython.Py_ssize_t, share: cython.double, out: Single
-) -> None:
-    """Set ``out`` (F, n + 1, n + 1) to sums over squares, times ``share`` along each axis; other
-    arguments as of `square_means`."""
+@cython.locals(values=cython.float[:, :, ::1])
+def square_means(values: Single, reach: cython.Py_ssize_t) -> Single:
+    """Average values of finest cells (F, n, n) over the part inside the domain of the square of
+    2 ``reach`` x 2 ``reach`` cells about each grid point; returns (F, n + 1, n + 1)."""
     cython.declare(f=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     n: cython.Py_ssize_t = values.shape[1]
+    share: cython.double = 1.0 / (2 * reach)
+    means = np.empty((values.shape[0], n + 1, n + 1), dtype=np.float32)
+    out = cython.declare(cython.float[:, :, ::1], means)
     columns = cython.declare(cython.double[::1], np.empty(n))
     # Zero outside the domain.
     line = cython.declare(cython.float[::1], np.zeros(n + 2 * reach + 2, dtype=np.float32))
@@ -416,3 +387,7 @@ def sum_squares(
                     out[f, i, j] = share * total
                     after: cython.double = line[j + 2 * reach + 1]
                     total += after - line[j + 1]
+    point = np.arange(n + 1)
+    inside = (np.minimum(point + reach, n) - np.maximum(point - reach, 0)) / (2.0 * reach)
+    means /= np.outer(inside, inside)
+    return means

@@ -75,12 +75,8 @@ def assess_points(
 ) -> PointAssessment:
     """Compute risk, safety and score of each grid point.
 
-    Args:
-        raster: The terrain.
-        contacts: Contacts, None with the paper's rules.
-        check: Touchdown limits, which decide with ``lss.assessment: touchdown``.
-        table: Risk model, None without.
-        lss: Limits.
+    ``contacts``: None with the paper's rules. ``check``: touchdown limits, which decide with
+    ``lss.assessment: touchdown``. ``table``: risk model, None without.
     """
     cells, side = raster.cells, raster.domain.finest_size
     vehicle, radius, zone = lss.vehicle, 0.5 * lss.vehicle.diameter, lss.zone
@@ -98,11 +94,15 @@ def assess_points(
         near_feature = hazard & hazards.FEATURE > 0
         safe = ~dilate(near_feature, zone, side)
         near = distance_from(near_feature, side, cap)
-        slope_weight, leaf_part = 0.0, np.nan_to_num(WEIGHT_SLOPE * hazards.slope(cells.normal))
+        east, north, up = cells.normal.T
+        slope = np.arctan2(np.hypot(east, north), up)  # Eq. 54
+        slope_weight, leaf_part = 0.0, np.nan_to_num(WEIGHT_SLOPE * slope)
     else:
         excepted = dilate(hazard & hazards.EXCEPTION > 0, radius, side)
         if lss.assessment == "touchdown":
-            excluded = raster.assessable & (check.exceeds_limits(contacts) | excepted)
+            excluded = contacts.rise > np.float32(check.max_rise)
+            excluded |= contacts.tilt > np.float32(check.max_tilt)
+            excluded = raster.assessable & (excluded | excepted)
             # Any displacement of the map is at least one grid point.
             steps = np.ceil(vehicle.lengths.hazard_growth / side - RELATIVE_ROUNDING)
             excluded |= raster.assessable & dilate(excluded, steps * side, side)
@@ -128,11 +128,8 @@ def assess_points(
     rough = cells.roughness / cells.size**2
     rough[np.isnan(rough)] = 0.0
     leaf_part += WEIGHT_ROUGHNESS / vehicle.clearance_ratio * rough
-    weights = (
-        slope_weight,
-        WEIGHT_DISTANCE / vehicle.diameter_ratio,
-        WEIGHT_SUBSCALE / vehicle.clearance_ratio,
-    )
+    per_metre = WEIGHT_DISTANCE / vehicle.diameter_ratio
+    weights = slope_weight, per_metre, WEIGHT_SUBSCALE / vehicle.clearance_ratio
     density = np.empty(raster.leaf.shape)
     set_densities(raster, near, leaf_part, cap, weights, density)
     # Eq. 56's integral is Eq. 59's mean over the disc of each point. A zone larger than the domain
@@ -157,12 +154,8 @@ def set_densities(
 ) -> None:
     """Set ``out`` (n, n) to Eq. 58 of each finest cell: mean over its grid points, plus its leaf.
 
-    Args:
-        raster: The terrain.
-        near: (n + 1, n + 1) distances to hazards, m.
-        leaf_part: (M,) part of the density that is constant over a leaf.
-        cap: Greatest distance to a hazard that matters, m.
-        weights: Of slope, distance and subscale height.
+    ``near``: (n + 1, n + 1) distances to hazards, m, of which no more than ``cap`` matters.
+    ``leaf_part``: (M,) constant over a leaf. ``weights``: of slope, distance, subscale height.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     n: cython.Py_ssize_t = out.shape[0]
@@ -176,9 +169,8 @@ def set_densities(
     with cython.nogil:
         for i in range(n + 1):
             for j in range(n + 1):
-                free: cython.double = (
-                    near[i, j] if near[i, j] < free_distance[i, j] else free_distance[i, j]
-                )
+                free: cython.double = near[i, j]
+                free = free if free < free_distance[i, j] else free_distance[i, j]
                 # Arc tangent with an error of 1e-5 (Hastings 1955), which vectorises.
                 x = gradient[i, j] if gradient[i, j] < 1.0 else 1.0 / gradient[i, j]
                 z = x * x
