@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.exchange.archives import read_arrays
-from quadtree_lss.desk.exchange.libraries import ExchangeError, library
-from quadtree_lss.desk.exchange.reference import why_not_metric
+from quadtree_lss.desk.exchange.formats import ExchangeError, library, read_arrays, why_not_metric
 from quadtree_lss.onboard.arrays import Array
 
 #: GDAL driver by suffix; other drivers would open files and addresses named in the file.
