@@ -196,13 +196,10 @@ class MessageBag(Bag):
         topics: Iterable[Topic],
         span_ns: tuple[int, int],
         messages: Iterable[tuple[str, int, Any]],
-        losses: Iterable[str] = (),
-        notes: Iterable[str] = (),
     ) -> None:
         super().__init__(Path(name))
         self.topics, self._messages = list(topics), messages
         self.start_ns, self.end_ns = span_ns
-        self._losses, self.notes = list(losses), list(notes)
 
     def _open(self) -> None:
         return

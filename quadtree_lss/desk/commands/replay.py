@@ -84,14 +84,14 @@ def _run(options: argparse.Namespace) -> int:
     arguments = common.keywords(options, *common.TOPICS, "start", "duration", "record")
     arguments |= {"report": not options.no_report, "landing": common.landing_of(options)}
     with (
-        console.Interruption(then) as interruption,
+        console.interruption(then) as interrupted,
         console.ProgressBar("replay", "s", options.verbose, after) as bar,
         made(out, QuadtreeLssError),
     ):
-        arguments |= {"progress": bar.update, "stop": interruption.asked}
+        arguments |= {"progress": bar.update, "stop": interrupted}
         result = replay(options.bag, out, config, **arguments)
     _show_result(options, result, out, "warning")
-    if result.interrupted or interruption.asked():
+    if result.interrupted or interrupted():
         console.say(f"interrupted: results are of the first {result.summary['duration']:.1f} s")
         return common.INTERRUPTED
     bag = shlex.quote(str(options.bag))

@@ -53,12 +53,9 @@ def read_arrays(path: Path, names: Collection[str] = ()) -> dict[str, NDArray[An
 def reference(crs: str = "", origin: tuple[float, float] | None = None) -> str:
     """Return the coordinate reference system of the map frame as WKT, empty if none is given.
 
-    Args:
-        crs: The system as ``EPSG:32611``, PROJ or WKT.
-        origin: Instead of ``crs``, latitude and longitude of the origin, deg; x points east and y
-            north.
-
-    Raises `ExchangeError`: ``crs`` is invalid or not metric, or both are given.
+    ``crs``: as ``EPSG:32611``, PROJ or WKT; ``origin``: instead, latitude and longitude, deg, of a
+    map with x east and y north. Raises `ExchangeError`: ``crs`` is invalid or not metric, or both
+    are given.
     """
     if crs and origin is not None:
         msg = "a map has either a coordinate system (crs) or an origin, not both"
@@ -82,10 +79,8 @@ def reference(crs: str = "", origin: tuple[float, float] | None = None) -> str:
 
 
 def why_not_metric(system: Any) -> str:
-    """Reason why x and y of a rasterio CRS are not metres on a plane; empty if they are.
-
-    A local system without a place on a body, as of a building site, is accepted.
-    """
+    """Reason why x and y of a rasterio CRS are not metres on a plane; empty if they are, also in a
+    local system, as of a building site."""
     unit, length = system.units_factor
     if system.is_geographic or "GEOCCS[" in system.to_wkt():
         return "is in degrees" if system.is_geographic else "is not a plane"

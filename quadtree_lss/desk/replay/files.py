@@ -108,20 +108,20 @@ def made(folder: Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
 
 @contextmanager
 def locked(folder: Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
-    """Context that creates a folder and locks it against other writers. ``kind``: as of `writing`.
-    The folder itself is locked, because a lock file could be a link to another file."""
-    with writing(folder, kind):
-        folder.mkdir(parents=True, exist_ok=True)
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        with suppress(OSError):  # a file system without locks
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise kind(f"{folder}: another program is writing to it") from None
-        yield
-    finally:
-        os.close(handle)
+    """Context as `made` that also locks the folder against other writers. The folder itself is
+    locked, because a lock file could be a link to another file."""
+    with made(folder, kind):
+        with writing(folder, kind):
+            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            with suppress(OSError):  # a file system without locks
+                try:
+                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    raise kind(f"{folder}: another program is writing to it") from None
+            yield
+        finally:
+            os.close(handle)
 
 
 def link_latest(folder: Path) -> Path | None:

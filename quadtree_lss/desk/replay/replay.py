@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from quadtree_lss.desk.bags.bag import Bag, open_bag
 from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.replay.assessments import Assessments
-from quadtree_lss.desk.replay.files import ReplayError, locked, made
+from quadtree_lss.desk.replay.files import ReplayError, locked
 from quadtree_lss.desk.replay.history import History
 from quadtree_lss.desk.replay.results import (
     ReplayResult,
@@ -86,7 +86,6 @@ def replay(
         requests = LandingRequests(config.frames.map, landing)
         topics = LandingTopics(requests, opened, part.start_ns)
         if folder is not None:
-            stack.enter_context(made(folder, ReplayError))
             stack.enter_context(locked(folder, ReplayError))
         run = _Run(opened, part, config, topics, progress, stop)
         assessments = run.assessments

@@ -143,13 +143,11 @@ def ratings(content: Results, moment: Moment) -> list[tuple[str, str]]:
     reach, found = content.config.vehicle.diameter, []
     shares = allowed_around(content, moment)
     for probability, share in zip(moment.probability, shares, strict=True):
-        level, against = "good", []
-        if np.isnan(probability):
-            level = "care"
-        elif probability < lss.min_probability:
-            level, against = "none", [f"a target needs {shown(lss.min_probability)}"]
+        level, against = _level(probability, lss.min_probability), []
+        if level == "none":
+            against = [f"a target needs {shown(lss.min_probability)}"]
         elif probability < GOOD_PROBABILITY:
-            level, against = "care", [f"that is less than {shown(GOOD_PROBABILITY)}"]
+            against = [f"that is less than {shown(GOOD_PROBABILITY)}"]
         if share < MIN_ALLOWED_SHARE:
             level = "none" if level == "none" else "care"
             near = f"the ground within {reach:.3g} m is allowed"
@@ -159,6 +157,13 @@ def ratings(content: Results, moment: Moment) -> list[tuple[str, str]]:
             against += ["its risk may be wrong (see the warnings)"]
         found.append((level, "; ".join(against)))
     return found
+
+
+def _level(probability: float, least: float) -> str:
+    """Level of a site by its probability, NaN if unknown; a target needs the ``least``."""
+    if probability < least:
+        return "none"
+    return "good" if probability >= GOOD_PROBABILITY else "care"
 
 
 def verdict(content: Results, moment: Moment | None = None) -> Verdict:
@@ -202,15 +207,13 @@ def _facts(content: Results, moment: Moment) -> list[Fact]:
     facts, warnings = [], summary.get("doubts", ())
     if len(moment.position):
         best, share = float(moment.probability[0]), float(allowed_around(content, moment)[0])
-        level = (
-            "none" if best < lss.min_probability else "good" if best >= GOOD_PROBABILITY else "care"
-        )
-        aim = ("not computed", "care") if np.isnan(best) else (shown(best), level)
+        success = "not computed" if np.isnan(best) else shown(best)
         near = f"{rounded(100.0 * share)} % within {vehicle.diameter:.3g} m"
-        around = Fact(
-            "allowed around site 1", near, "good" if share >= MIN_ALLOWED_SHARE else "care"
-        )
-        facts = [Fact("success at site 1", *aim), around]
+        enough = "good" if share >= MIN_ALLOWED_SHARE else "care"
+        facts = [
+            Fact("success at site 1", success, _level(best, lss.min_probability)),
+            Fact("allowed around site 1", near, enough),
+        ]
     if "probability" in (lss.assessment, lss.ranking):
         bad = "may be wrong, see warnings", "care"
         facts.append(Fact("risk model", *(bad if warnings else ("fits", "good"))))
