@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from quadtree_lss.desk.exchange.dem import read_dem
-from quadtree_lss.desk.exchange.libraries import ExchangeError
+from quadtree_lss.desk.exchange.formats import ExchangeError
 
 X, Y = 500_000.0 + 2.0 * np.arange(7), 4_000_000.0 + 2.0 * np.arange(5)
 Z = np.round(np.random.default_rng(1).uniform(0.0, 9.0, (5, 7)), 2)

@@ -31,7 +31,7 @@ desk.report: onboard.config onboard.core onboard.messages desk.exchange
 plot: onboard.core desk.report
 desk.bags: onboard.config onboard.messages
 desk.replay: build onboard.config onboard.core onboard.messages desk.report desk.exchange
-desk.replay: plot desk.bags
+desk.replay: desk.bags
 desk.player: onboard.messages onboard.nodes desk.bags desk.replay
 desk.commands: onboard.config onboard.core desk.exchange desk.replay desk.report desk.player
 lab.simulation: build desk.exchange onboard.messages

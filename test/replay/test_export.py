@@ -9,7 +9,7 @@ import yaml
 from replay.recordings import GROUND, write_ros2
 from replay.test_cli import run
 
-from quadtree_lss.desk.exchange.libraries import ExchangeError
+from quadtree_lss.desk.exchange.formats import ExchangeError
 from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.replay.export import LAYERS, export_results
 from quadtree_lss.desk.replay.replay import replay

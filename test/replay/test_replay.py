@@ -2,14 +2,12 @@
 """A bag to a results folder: contract of the files, determinism, counts, damage."""
 
 import csv
-import json
 
 import numpy as np
 import pytest
 from replay.recordings import CLOUD, GROUND, POSE, SECOND, START, flight, recording, write_ros2
 
 from quadtree_lss.desk.bags.topics import POSE_TOPIC, SCAN_TOPIC
-from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.files import ReplayError
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
@@ -19,8 +17,6 @@ pytestmark = pytest.mark.xdist_group("replay")  # its flight is made once
 CONFIG = config_from_values(GROUND)
 FILES = set("history.npz sites.csv selected.csv cells.npz".split())
 FILES |= set("grid.npz timing.csv summary.json config.yaml".split())
-SUMMARY = set("scans scans_dropped points points_dropped leaves map_ms_median".split())
-SUMMARY |= set("map_ms_p99 lss_ms real_time_factor peak_memory_mb versions config".split())
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +31,7 @@ def result(bag, tmp_path_factory):
 
 def columns(path):
     with open(path, newline="") as file:
-        rows = list(csv.reader(file))
-    return rows[0], rows[1:]
+        return list(csv.reader(file))[1:]
 
 
 def arrays(path):
@@ -84,45 +79,28 @@ def test_cells_hold_the_contract_and_the_slope_that_was_flown_over(result):
     assert (normal[:, 2] > 0.0).all()
 
 
-def test_grid_holds_the_contract(result):
+def test_unobserved_ground_is_not_safe_and_has_no_score(result):
     grid = arrays(result.out / "grid.npz")
-    shape = (len(grid["y"]), len(grid["x"]))
-    for name in ("elevation", "slope_deg", "hazard", "safe", "score"):
-        assert grid[name].shape == shape
-    assert grid["hazard"].dtype == np.uint8 and grid["safe"].dtype == np.bool_
     np.testing.assert_allclose(np.diff(grid["x"]), CONFIG.lss.spacing)
     assert grid["x"][0] == grid["y"][0] == -16.0
     assert not grid["safe"][(grid["hazard"] & 128) > 0].any()
     assert np.isnan(grid["score"][~grid["safe"]]).all()
 
 
-def test_tables_hold_the_contract(result):
-    header, rows = columns(result.out / "sites.csv")
-    names = "rank,x,y,z,nx,ny,nz,score,slope_deg,roughness,hazard_distance,subscale_height,id,"
-    assert ",".join(header) == f"{names}probability"
+def test_tables_hold_sites_targets_and_scans(result):
+    rows = columns(result.out / "sites.csv")
     assert [int(row[0]) for row in rows] == list(range(1, len(rows) + 1))
     safe = [float(row[13]) for row in rows]
     # Of sites that are equal within the error of the risk model clearance decides.
     assert max(b - a for a, b in zip(safe, safe[1:], strict=False)) < 0.01
     assert 0.5 < min(safe) and max(safe) <= 1.0
-    header, rows = columns(result.out / "selected.csv")
-    assert ",".join(header) == "stamp_ns,id,x,y,z,probability,reason"
+    rows = columns(result.out / "selected.csv")
     reasons = [row[-1] for row in rows]
     assert reasons[0] == "first" and set(reasons[1:]) <= {"better"} and rows[0][1] != "0"
-    header, rows = columns(result.out / "timing.csv")
-    assert ",".join(header) == "stamp_ns,points,points_used,leaves,divisions,map_ms"
+    rows = columns(result.out / "timing.csv")
     assert [int(row[0]) for row in rows] == [
         START + k * SECOND // 10 + SECOND // 50 for k in range(10)
     ]
-
-
-def test_summary_holds_the_contract(result):
-    summary = json.loads((result.out / "summary.json").read_text())
-    assert set(summary) >= SUMMARY
-    assert summary["scans"] == 10 and sum(summary["scans_dropped"].values()) == 0
-    assert summary["points"] == 10 * 24 * 24
-    assert summary["config"]["domain.size"] == 32.0
-    assert load_config([result.out / "config.yaml"]) == CONFIG
 
 
 def test_the_same_bag_gives_bit_identical_results(bag, result, tmp_path):

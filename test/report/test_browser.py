@@ -254,14 +254,14 @@ def test_print_fits_two_pages(text, in_browser):
     assert 1 <= sheets(in_browser, text) <= 2
 
 
-def test_without_javascript_there_are_table_and_picture(text, tmp_path, _browser):
+def test_without_javascript_there_is_the_table(text, tmp_path, _browser):
     host = f"""<html><body><iframe id="off" sandbox="allow-same-origin" width="1200" height="900"
     srcdoc="{html.escape(text)}"></iframe><script>const off = document.getElementById("off");
     off.onload = () => {{ const wide = what => off.contentDocument.querySelector(what).offsetWidth;
       document.documentElement.dataset.told = JSON.stringify(
-        ["#sites", ".picture", "#frame", ".choice"].map(wide)); }};
+        ["#sites", "#frame", ".choice"].map(wide)); }};
     </script></body></html>"""
     (tmp_path / "host.html").write_text(host)
     told = _browser.show((tmp_path / "host.html").as_uri(), (1400, 900))["told"]
-    table, picture, frame, choice = json.loads(told)
-    assert table > 300 and picture > 300 and frame == choice == 0
+    table, frame, choice = json.loads(told)
+    assert table > 300 and frame == choice == 0

@@ -43,7 +43,7 @@ def test_the_share_is_of_the_seen_ground(content):
     assert f" m: {why}. Landing is" in ground
 
 
-def test_no_site_names_the_largest_circle_and_what_ends_it(content):
+def test_without_a_site_the_nearest_miss_is_named(content):
     """Clear ground about one place only: a disc of 1.2 m in touchdown hazards."""
     x, y = np.meshgrid(content.grid["x"], content.grid["y"])
     row, column = (n // 2 for n in x.shape)
@@ -52,10 +52,8 @@ def test_no_site_names_the_largest_circle_and_what_ends_it(content):
     more = headline.areas(unmapped, headline.last_moment(unmapped)).unmapped
     said = headline.verdict(unmapped).ground
     assert f"; {more:,.0f} m² more are observed but not estimated" in said
-    found = without_sites(content, np.where(away < 1.2, 0, 8).astype(np.uint8))
-    _, words, text, _ = headline.verdict(found)
-    assert words == "No landing site." and text.startswith(headline.shortfall(found))
-    assert headline.shortfall(found) and "othing fits" not in text
+    found = headline.verdict(without_sites(content, np.where(away < 1.2, 0, 8).astype(np.uint8)))
+    assert found.answer == "No landing site." and "Nearest miss at x " in found.ground
     nothing = without_sites(content, np.full_like(content.grid["hazard"], 128))
     assert headline.verdict(nothing).ground == "Nothing fits."
 

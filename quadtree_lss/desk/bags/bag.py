@@ -17,11 +17,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from quadtree_lss.desk.bags.chunked_file import McapFile, Ros1File
 from quadtree_lss.desk.bags.compression import plain_message, unpack_file
-from quadtree_lss.desk.bags.mcap_file import McapFile
 from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.bags.recorded_file import LAST_NS, RawMessage, RecordedFile
-from quadtree_lss.desk.bags.ros1_file import Ros1File
 from quadtree_lss.desk.bags.sqlite_file import SqliteFile
 from quadtree_lss.onboard.config import yaml_text
 from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
@@ -197,13 +196,10 @@ class MessageBag(Bag):
         topics: Iterable[Topic],
         span_ns: tuple[int, int],
         messages: Iterable[tuple[str, int, Any]],
-        losses: Iterable[str] = (),
-        notes: Iterable[str] = (),
     ) -> None:
         super().__init__(Path(name))
         self.topics, self._messages = list(topics), messages
         self.start_ns, self.end_ns = span_ns
-        self._losses, self.notes = list(losses), list(notes)
 
     def _open(self) -> None:
         return

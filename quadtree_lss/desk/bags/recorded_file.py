@@ -10,15 +10,14 @@ import struct
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
-from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.rosbag1 import ReaderError
 
-from quadtree_lss.desk.bags.compression import MAX_BYTES, DamagedError
+from quadtree_lss.desk.bags.compression import DamagedError
 
 YEAR_S = 365 * 24 * 3600.0
 JITTER_NS = 10**8
@@ -130,119 +129,6 @@ class RecordedFile(ABC):
         except DAMAGE as error:
             self._damage.setdefault(position, str(error))
         return found
-
-
-class Record(NamedTuple):
-    """A record of a file or chunk: kind, header, position, content."""
-
-    kind: int
-    header: Any
-    position: int
-    content: bytes
-
-
-class ChunkedFile(RecordedFile):
-    """A file of records, some of which are chunks of messages: mcap and ROS 1 bags."""
-
-    MAGIC: bytes
-    CHUNK: int
-    MESSAGE: int
-    MESSAGE_INDEX: int
-    END = -1  # kind of the record that ends a complete file
-    NO_END: str  # fault of a file that is read without its index and lacks that record
-
-    @abstractmethod
-    def _head(self, source: BinaryIO) -> tuple[int, Any, int]:
-        """Read the start of a record: kind, header, length of the content."""
-
-    @abstractmethod
-    def _indexed_chunks(self) -> list[int]:
-        """Return the positions of the chunks from the file's index. Raises one of `DAMAGE`."""
-
-    @abstractmethod
-    def _parse(self, record: Record) -> Any:
-        """Parse a record. Return time of reception, channel and bytes of a message; offset, channel
-        and time of each message in a `MESSAGE_INDEX`; decompressed content and declared size of a
-        chunk; None for others, such as topics, which are stored."""
-
-    def _rows(self) -> Iterable[Row]:
-        if self._file.read(len(self.MAGIC)) != self.MAGIC:
-            self.fault = f"wrong first bytes of a {self.path.suffix} file"
-            return []
-        try:
-            positions = self._indexed_chunks()
-        except DAMAGE:
-            positions = self._scan_chunks()
-        rows: list[Row] = []
-        for position in positions:
-            listed = self._indexed_rows(position)
-            known = listed and {row[1] for row in listed} <= self.topics.keys()
-            rows += listed if known else [row for row, _ in self._messages(position)]
-        return rows
-
-    def _indexed_rows(self, position: int) -> list[Row]:
-        """Return the rows in the index after a chunk; empty if it is damaged."""
-        entries: list[tuple[int, int, int]] = []
-        try:
-            for record in self._records(self._file, position, self._size, skip=self.CHUNK):
-                if record.kind == self.MESSAGE_INDEX:
-                    entries += self._parse(record)
-                elif record.position != position:
-                    break
-        except DAMAGE:
-            return []
-        return [
-            (min(t, LAST_NS), channel, position, offset) for offset, channel, t in sorted(entries)
-        ]
-
-    def _records(
-        self, source: BinaryIO, position: int, end: int, skip: int = -1
-    ) -> Iterator[Record]:
-        """Yield records from a position on, those of kind ``skip`` without content; a chunk may be
-        truncated. Raises one of `DAMAGE`."""
-        while position < end:
-            source.seek(position)
-            kind, header, length = self._head(source)
-            after = source.tell() + length
-            if after <= end or kind == self.CHUNK:
-                size = 0 if kind == skip else min(length, MAX_BYTES)
-                yield Record(kind, header, position, source.read(size))
-            position = after
-        if position > end:
-            raise DamagedError("a record is truncated")
-
-    def _scan_chunks(self) -> list[int]:
-        """Find the positions of chunks, and of messages outside chunks, up to the first damage."""
-        self.fault, self.expected = self.NO_END, None
-        positions: list[int] = []
-        try:
-            begin = len(self.MAGIC)
-            for record in self._records(self._file, begin, self._size, skip=self.CHUNK):
-                if record.kind in (self.CHUNK, self.MESSAGE):
-                    positions.append(record.position)
-                elif record.kind == self.END:
-                    self.fault = ""
-                    break
-                else:
-                    self._parse(record)
-        except DAMAGE:
-            self.fault = f"damaged or truncated after byte {max(positions, default=0)}"
-        return positions
-
-    def _load(self, position: int) -> Iterator[tuple[Row, bytes]]:
-        chunk = next(self._records(self._file, position, self._size), None)
-        if chunk is None or chunk.kind not in (self.CHUNK, self.MESSAGE):
-            raise DamagedError("no chunk")
-        records, data, size = iter([chunk]), b"", 0
-        if chunk.kind == self.CHUNK:
-            data, size = self._parse(chunk)
-            records = self._records(BytesIO(data), 0, len(data))
-        for record in records:
-            parsed = self._parse(record)
-            if record.kind == self.MESSAGE:
-                yield (min(parsed[0], LAST_NS), parsed[1], position, record.position), parsed[2]
-        if len(data) != size:
-            raise DamagedError(f"chunk of {len(data)} bytes instead of {size}")
 
 
 def replace_impossible(times: NDArray[np.int64]) -> int:

@@ -8,7 +8,8 @@ import io
 import os
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from quadtree_lss.onboard.errors import one_line
@@ -81,35 +82,29 @@ class ProgressBar:
             self._bar.refresh()
 
 
-class Interruption:
-    """Context manager for Ctrl-C: the first one sets a flag, a second one stops at once. ``then``:
-    work that follows the first one, for the message."""
+@contextlib.contextmanager
+def interruption(then: str) -> Iterator[Callable[[], bool]]:
+    """Context that yields whether Ctrl-C was pressed; a second one stops at once. ``then``: work
+    that follows the first one, for the message."""
+    asked, before = threading.Event(), signal.getsignal(signal.SIGINT)
 
-    def __init__(self, then: str) -> None:
-        self._then = then
-        self._asked = False
-        self._before: Any = None
-
-    def __enter__(self) -> Interruption:
-        with contextlib.suppress(ValueError):  # not in the main thread
-            self._before = signal.signal(signal.SIGINT, self._note)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
-
-    def asked(self) -> bool:
-        return self._asked
-
-    def _note(self, number: int, frame: object) -> None:
-        self._asked = True
-        signal.signal(signal.SIGINT, self._before)
+    def on_interrupt(number: int, frame: object) -> None:
+        asked.set()
+        signal.signal(signal.SIGINT, before)
         # print is not reentrant.
-        text = f"quadtree-lss: stopping: {one_line(self._then)} (Ctrl-C again stops at once)\n"
+        text = f"quadtree-lss: stopping: {one_line(then)} (Ctrl-C again stops at once)\n"
         end = "\n" if sys.stderr.isatty() else ""
         with contextlib.suppress(OSError):
             os.write(2, f"{end}{text}".encode(errors="replace"))
+
+    in_main = threading.current_thread() is threading.main_thread()
+    if in_main:
+        signal.signal(signal.SIGINT, on_interrupt)
+    try:
+        yield asked.is_set
+    finally:
+        if in_main:
+            signal.signal(signal.SIGINT, before)
 
 
 def result_text(result: ReplayResult) -> str:

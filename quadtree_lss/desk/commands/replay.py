@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -76,7 +75,7 @@ def _run(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.files import made
     from quadtree_lss.desk.replay.replay import replay
 
-    if is_elevation_model(options.bag):
+    if options.bag.suffix.lower() in (".tif", ".tiff", ".npz"):
         options.parser.error(f"{options.bag} is an elevation model: quadtree-lss sites ranks on it")
     config, out = common.chosen_config(options), _folder(options)
     report = "" if options.no_report else ", draws the report"
@@ -85,14 +84,14 @@ def _run(options: argparse.Namespace) -> int:
     arguments = common.keywords(options, *common.TOPICS, "start", "duration", "record")
     arguments |= {"report": not options.no_report, "landing": common.landing_of(options)}
     with (
-        console.Interruption(then) as interruption,
+        console.interruption(then) as interrupted,
         console.ProgressBar("replay", "s", options.verbose, after) as bar,
         made(out, QuadtreeLssError),
     ):
-        arguments |= {"progress": bar.update, "stop": interruption.asked}
+        arguments |= {"progress": bar.update, "stop": interrupted}
         result = replay(options.bag, out, config, **arguments)
     _show_result(options, result, out, "warning")
-    if result.interrupted or interruption.asked():
+    if result.interrupted or interrupted():
         console.say(f"interrupted: results are of the first {result.summary['duration']:.1f} s")
         return common.INTERRUPTED
     bag = shlex.quote(str(options.bag))
@@ -103,18 +102,6 @@ def _run(options: argparse.Namespace) -> int:
         console.warn("the bag is damaged: everything readable was processed")
         return common.IN_PART
     return common.DONE
-
-
-def is_elevation_model(path: Path) -> bool:
-    """Return whether a file is an elevation model, not a bag."""
-    if path.suffix.lower() != ".npz" or not path.is_file():
-        return path.suffix.lower() in (".tif", ".tiff")
-    from quadtree_lss.desk.exchange.archives import read_arrays
-
-    names = {"x", "y", "elevation"}
-    with suppress(QuadtreeLssError):
-        return names <= read_arrays(path, names).keys()
-    return False
 
 
 def _folder(options: argparse.Namespace) -> Path:
@@ -141,9 +128,8 @@ def _sites(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.files import made
 
     if options.dem.is_dir() or options.dem.suffix in (".mcap", ".db3", ".bag"):
-        options.parser.error(
-            f"{options.dem} is not an elevation model: quadtree-lss replay reads bags"
-        )
+        what = "is not an elevation model: quadtree-lss replay reads bags"
+        options.parser.error(f"{options.dem} {what}")
     config, out = common.chosen_config(options), _folder(options)
     arguments = {"report": not options.no_report, "landing": common.landing_of(options)}
     bar = console.ProgressBar("sites", "s", options.verbose, "ranking sites, writing the results")

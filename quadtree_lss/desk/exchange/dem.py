@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from quadtree_lss.desk.exchange.archives import read_arrays
-from quadtree_lss.desk.exchange.libraries import ExchangeError, library
-from quadtree_lss.desk.exchange.reference import why_not_metric
+from quadtree_lss.desk.exchange.formats import ExchangeError, library, read_arrays, why_not_metric
 from quadtree_lss.onboard.arrays import Array
 
 #: GDAL driver by suffix; other drivers would open files and addresses named in the file.
@@ -97,22 +95,14 @@ def read_dem(path: Path) -> ElevationModel:
     return model
 
 
-def _check_size(path: Path, across: int, along: int) -> None:
-    if across * along > MAX_POSTS:
-        msg = f"{path}: {across} x {along} posts; {MAX_POSTS} is the most (gdal_translate -srcwin)"
-        raise ExchangeError(msg)
-
-
 def _read_npz(path: Path) -> ElevationModel:
     arrays = read_arrays(path, ("x", "y", "elevation"))
     if len(arrays) < 3 or any(array.dtype.kind not in "fiu" for array in arrays.values()):
         msg = f"{path}: an elevation model has the arrays x, y and elevation, of real numbers"
         raise ExchangeError(msg)
     x, y, z = (np.asarray(arrays[name], np.float64) for name in ("x", "y", "elevation"))
-    _check_size(path, x.size, y.size)
-    z = _without_no_data(z)
     try:
-        return ElevationModel(x, y, z)
+        return ElevationModel(x, y, _without_no_data(z))
     except ExchangeError as error:
         raise ExchangeError(f"{path}: {error}") from None
 
@@ -127,7 +117,9 @@ def _read_raster(path: Path) -> ElevationModel:
     try:
         with rasterio.open(path, driver=DRIVERS[path.suffix.lower()]) as file:
             transform, crs = file.transform, file.crs
-            _check_size(path, file.width, file.height)
+            if file.width * file.height > MAX_POSTS:
+                msg = f"{path}: {file.width} x {file.height} posts; {MAX_POSTS} is the most"
+                raise ExchangeError(f"{msg} (gdal_translate -srcwin)")
             unit = (file.units[0] or "").strip()
             colours = [colour.name for colour in file.colorinterp if colour.name != "alpha"]
             kind = file.dtypes[0]

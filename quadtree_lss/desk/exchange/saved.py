@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.desk.exchange.archives import read_arrays
-from quadtree_lss.desk.exchange.libraries import ExchangeError
+from quadtree_lss.desk.exchange.formats import ExchangeError, read_arrays
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.loading import read_values
 from quadtree_lss.onboard.config.settings import Config, config_from_values, without_removed

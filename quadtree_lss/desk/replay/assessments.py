@@ -56,10 +56,8 @@ class Assessments:
         self.on_map: list[Callable[[int, Callable[[], CellMap]], None]] = []
         self.on_assessment: list[Callable[[int, LandingAssessment], None]] = []
         self._selector = LandingSiteSelector(config)
-        self._map, self._landing = (
-            _RateLimit(config.publish.rate),
-            _RateLimit(config.publish.lss_rate),
-        )
+        self._map = _RateLimit(config.publish.rate)
+        self._landing = _RateLimit(config.publish.lss_rate)
         self._snapshot: Callable[[], CellMap] | None = None
         self.cells: CellMap | None = None
         self.last: LandingAssessment | None = None
@@ -128,18 +126,15 @@ class Assessments:
         waited = self._waited(now_ns) if waited is None else waited
         found = self._selector.assess(self.cells, waited=waited, **self._restrictions())
         self.lss_ms = 1e3 * (time.perf_counter() - began)
-        self._record_target(found)
-        self.last, self._landing.changed = found, found.pending
-        for callback in self.on_assessment:
-            callback(now_ns, found)
-
-    def _record_target(self, found: LandingAssessment) -> None:
         target, (x, y, z) = found.selected, found.selected.position.tolist()
         row = TargetChange(
             found.stamp_ns, target.id, x, y, z, target.probability, target.reason.key
         )
         if row.differs_from(self.changes[-1] if self.changes else None):
             self.changes.append(row)
+        self.last, self._landing.changed = found, found.pending
+        for callback in self.on_assessment:
+            callback(now_ns, found)
 
 
 class _RateLimit:

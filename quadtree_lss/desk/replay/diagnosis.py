@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import zlib
+from collections import Counter, defaultdict
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,12 +15,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from quadtree_lss.desk.bags.bag import Bag, open_bag
+from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.replay.faults import Finding, find_faults, find_pose_faults, make_setting
-from quadtree_lss.desk.replay.reading import UNREADABLE_TIMES, Reading
-from quadtree_lss.desk.replay.stream import Progress, Stream
+from quadtree_lss.desk.replay.flight import Recording
+from quadtree_lss.desk.replay.stream import SECOND_NS, Part, Progress, Stream, rate
 from quadtree_lss.desk.replay.suggest import MIN_NOISES, Suggestion, suggest_config
 from quadtree_lss.onboard.config.settings import Config, DomainConfig, config_from_values
-from quadtree_lss.onboard.errors import QuadtreeLssError
+from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
+from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.errors import QuadtreeLssError, one_line
+from quadtree_lss.onboard.messages.clouds import MessageError, bytes_of, stamp_ns
 from quadtree_lss.onboard.messages.intake import noise_notice
 
 if TYPE_CHECKING:
@@ -35,24 +42,75 @@ DISAGREEING = {
 """Fixes, by key, of findings that are faults only if scans disagree."""
 FITTED = ("domain.", "lidar.range_noise", "lss.grid_spacing")
 """Suggested values for a trial if the domain is the default one."""
+TYPE_NAMES = dict(
+    enumerate("int8 uint8 int16 uint16 int32 uint32 float32 float64".split(), start=1)
+)
+"""Names of `sensor_msgs/PointField` datatypes."""
+UNREADABLE_TIMES = {"times_unreasonable", "times_unknown"}
+"""Keys of notices about point times that are not used."""
 
 
-class Trial(Reading):
-    """A bag mapped with ``config``. ``suggestion``: for this bag and configuration, or None because
-    of ``failure``."""
+class Header(NamedTuple):
+    """Stamp, delay of reception and frame of a message; size and layout of a cloud."""
 
-    suggestion: Suggestion | None = None
-    failure = ""
+    stamp_ns: int
+    delay_s: float
+    frame: str
+    points: int = 0
+    layout: str = ""
 
-    @property
-    def points_used(self) -> int:
-        return sum(report.points_used for report in self.reports)
 
-    @property
-    def contradicting(self) -> float:
-        """Share of the usable points that contradict the map."""
+class Reading:
+    """Reads an open bag and maps its scans, with ``lag_s`` added to the clouds' stamps.
+
+    ``headers``: of clouds and poses, by topic; ``repeats``, ``copies``: clouds with the points of
+    an earlier one, with its stamp or another one; ``notices``: texts of the intake by key;
+    ``contents``: number of different clouds; ``reports``: of the mapper, by scan; ``dropped``:
+    points by reason; ``contradicting``: share of the usable points that contradict the map;
+    ``missed_at``: centre of the first scan outside the domain; ``roughness``: mean of the map, m;
+    ``gap``: `Mapper.pose_gap`, m; ``suggestion``: None because of ``failure``.
+    """
+
+    def __init__(
+        self, bag: Bag, stream: Stream, lag_s: float = 0.0, progress: Progress | None = None
+    ) -> None:
+        self.stream, self.config, self.lag_s = stream, stream.config, lag_s
+        self.suggestion: Suggestion | None = None
+        self.failure = ""
+        self.headers: dict[str, list[Header]] = defaultdict(list)
+        self.copies = self.repeats = 0
+        self._stamps: dict[int, int] = {}  # by checksum of the points
+        self.notices: dict[str, str] = {}
+        self.reports: list[ScanReport] = []
+        self.dropped: Counter[str] = Counter()
+        self.missed_at: tuple[float, float] | None = None
+        self.recording = Recording(next(t.count for t in bag.topics if t.name == stream.scans))
+        mapper, intake = Mapper(self.config), stream.intake
+        stream.on_message = self._on_message
+        for message in Part.of(bag).messages(bag, stream.topics, progress):
+            stream.process(message)
+            for scan in intake.ready(message.received_ns):
+                self.recording.add_scan(scan)
+                report = mapper.update(scan.points_lidar, scan.pose, scan.sweep)
+                self.reports.append(report)
+                self.dropped.update(scan.lost(report.dropped))
+                if not report.points_used and report.dropped["outside"]:
+                    self.missed_at = self.missed_at or report.centre
+            self._add_notices()
+        intake.finish()
+        self._add_notices()
+        self.points = sum(report.points for report in self.reports)
+        self.points_used = sum(report.points_used for report in self.reports)
         lost = self.dropped["contradiction"]
-        return lost / max(self.points_used + lost, 1)
+        self.contradicting = lost / max(self.points_used + lost, 1)
+        self.contents = len(self._stamps)
+        self.scan_rate = rate([header.stamp_ns for header in self.headers[stream.scans]])
+        cells = mapper.snapshot()
+        roughness = cells.roughness[cells.measured]
+        self.domain = Domain.of(self.config.domain) if not self.reports else cells.domain
+        self.roughness = float(np.nanmean(roughness)) if roughness.size else 0.0
+        self.gap = (mapper.pose_gap() or (None,))[0]
+        self.losses = [*bag.losses, *stream.losses]
 
     @property
     def text(self) -> str:
@@ -66,7 +124,7 @@ class Trial(Reading):
         median = float(np.median(heights)) if self.contradicting > MAX_CONTRADICTING else 0.0
         return max(median, self.gap or 0.0) or None
 
-    def improves_on(self, other: Trial) -> bool:
+    def improves_on(self, other: Reading) -> bool:
         """Return whether scans agree clearly better, or the map is clearly simpler or smoother."""
         if not self.points_used or self.contradicting > other.contradicting + 0.01:
             return False
@@ -75,6 +133,55 @@ class Trial(Reading):
         fewer = self.reports[-1].leaves < MAX_LEFT * other.reports[-1].leaves
         return fewer or self.roughness < MAX_LEFT * other.roughness
 
+    def why_same_stamp(self) -> str:
+        """Explain why most dropped scans have the stamp of another one; empty if they do not."""
+        dropped = self.stream.intake.dropped
+        if 2 * dropped.get("duplicate", 0) < sum(dropped.values()):
+            return ""
+        stamps = {header.stamp_ns for header in self.headers[self.stream.scans]}
+        why = f"all carry the stamp {min(stamps) / SECOND_NS:.3f} s"
+        why = why if len(stamps) == 1 else "earlier scans have their stamps"
+        return f"{why}: check the driver's timestamp mode, and for a second publisher"
+
+    def why_dropped(self) -> str:
+        """Return the text of the most frequent reason why scans were dropped."""
+        dropped = self.stream.intake.dropped
+        reason = max(dropped, key=dropped.__getitem__, default="")
+        return self.notices.get(reason, reason)
+
+    def _add_notices(self) -> None:
+        for notice in self.stream.intake.notices():
+            self.notices.setdefault(notice.reason, notice.text)
+
+    def _on_message(self, kind: str, msg: Any, message: RawMessage) -> None:
+        with contextlib.suppress(MessageError):  # the intake counts and reports it
+            if kind in ("cloud", "pose"):
+                self.headers[message.topic].append(_header(msg, message.received_ns))
+            if self.lag_s and kind in ("pose", "gimbal"):
+                time, ns = msg.header.stamp, stamp_ns(msg.header) - round(self.lag_s * SECOND_NS)
+                time.sec, time.nanosec = divmod(ns, SECOND_NS)
+            if kind == "cloud":
+                stamp, checksum = stamp_ns(msg.header), zlib.crc32(memoryview(bytes_of(msg.data)))
+                if checksum in self._stamps:
+                    self.copies += self._stamps[checksum] != stamp
+                    self.repeats += self._stamps[checksum] == stamp
+                self._stamps.setdefault(checksum, stamp)
+            if kind == "pose":
+                self.recording.add_pose(msg)
+
+
+def _header(msg: Any, received_ns: int) -> Header:
+    stamp, frame = stamp_ns(msg.header), one_line(msg.header.frame_id, 80)
+    header = Header(stamp, (received_ns - stamp) / SECOND_NS, frame)
+    if not hasattr(msg, "fields"):
+        return header
+    shape = f"{msg.height} x {msg.width} organised" if msg.height > 1 else "unorganised"
+    order = "big" if msg.is_bigendian else "little"
+    items = (f"{f.name} {TYPE_NAMES.get(f.datatype, '?')} @{f.offset}" for f in msg.fields)
+    fields = one_line(", ".join(items), 400)
+    layout = f"{fields}; {msg.point_step} bytes a point, {order} endian, {shape}"
+    return header._replace(points=msg.width * msg.height, layout=layout)
+
 
 def try_config(
     bag: str | Path | Bag,
@@ -82,7 +189,7 @@ def try_config(
     topics: Mapping[str, Any],
     lag_s: float = 0.0,
     progress: Progress | None = None,
-) -> Trial:
+) -> Reading:
     """Map a bag with a configuration; replace the default domain by the suggested one.
 
     ``topics``: as of `replay.replay`. ``lag_s``: time to add to the clouds' stamps.
@@ -99,7 +206,7 @@ def try_config(
         failure = str(error)
     with open_bag(bag) as opened:
         stream = Stream(opened, config, **topics, adapt=True)
-        trial = Trial(opened, stream, lag_s, progress)
+        trial = Reading(opened, stream, lag_s, progress)
     trial.suggestion, trial.failure = suggestion, failure
     return trial
 
@@ -128,7 +235,7 @@ def diagnose(
 class _State(NamedTuple):
     """A trial, the requested configuration, and the remaining faults."""
 
-    trial: Trial
+    trial: Reading
     requested: Config
     found: list[Finding]
 
@@ -147,8 +254,8 @@ def _fix(
 
 
 def _match_noise(
-    bag: str | Path | Bag, best: Trial, requested: Config, topics: Mapping[str, Any]
-) -> Trial:
+    bag: str | Path | Bag, best: Reading, requested: Config, topics: Mapping[str, Any]
+) -> Reading:
     """Try the range noise observed in the map, which exceeds the suggested one on ground that is
     rough within a cell. Return that trial if a replay would not warn about the noise, else
     ``best``."""
@@ -163,7 +270,7 @@ def _match_noise(
     return trial if matched else best
 
 
-def _find(trial: Trial, requested: Config) -> list[Finding]:
+def _find(trial: Reading, requested: Config) -> list[Finding]:
     """Find faults in a bag that was mapped."""
     found, lidar, recording = [], trial.config.lidar, trial.recording
     longest = trial.suggestion.values.get("lidar.max_range") if trial.suggestion else None
@@ -183,7 +290,7 @@ def _find(trial: Trial, requested: Config) -> list[Finding]:
     return found
 
 
-def _conclude(info: BagInfo, first: Trial, best: Trial, domain: DomainConfig) -> None:
+def _conclude(info: BagInfo, first: Reading, best: Reading, domain: DomainConfig) -> None:
     """Set the verdict on the bag unchanged and with the fixes. ``domain``: the requested one."""
     mapped, disagreement = len(first.reports), first.disagreement
     total = mapped + sum(info.scans_dropped.values()) - first.repeats

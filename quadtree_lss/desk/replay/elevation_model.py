@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from quadtree_lss.desk.exchange.dem import MAX_POSTS, ElevationModel, read_dem
-from quadtree_lss.desk.exchange.libraries import ExchangeError
+from quadtree_lss.desk.exchange.formats import ExchangeError
 from quadtree_lss.desk.replay.results import ReplayResult, run_summary, write_results
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config, config_from_values
 from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector

@@ -11,10 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.desk.exchange.libraries import ExchangeError, library
-from quadtree_lss.desk.exchange.reference import EXPORTS_NEEDING_CRS, reference
+from quadtree_lss.desk.exchange.formats import (
+    EXPORTS_NEEDING_CRS,
+    ExchangeError,
+    library,
+    reference,
+)
 from quadtree_lss.desk.exchange.saved import Results, load_results
 from quadtree_lss.desk.replay.files import write_bytes, write_json, writing
+from quadtree_lss.desk.report.palette import SAFE_COLOUR, shaded
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask
 from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED
 from quadtree_lss.onboard.core.landing.raster import rasterise
@@ -163,14 +168,10 @@ def ground_mesh(x: Array, y: Array, heights: Array) -> tuple[Array, NDArray[np.i
 
 def _colours(results: Results) -> Bytes:
     """Return shaded colours (ny, nx, 3): green where landing is allowed, else grey."""
-    from quadtree_lss.desk.report.palette import SAFE_COLOUR
-    from quadtree_lss.plot import relief
-
     grid = results.grid
     green = np.array(list(bytes.fromhex(SAFE_COLOUR[1:])), np.float64)
     base = np.where(grid["safe"][..., None], 0.45 * green + 120.0, 175.0)
-    shade = np.nan_to_num(relief(grid["elevation"], grid.spacing), nan=0.5)
-    return np.clip(base * (0.5 + shade[..., None]), 0.0, 255.0).astype(np.uint8)
+    return (255.0 * shaded(base / 255.0, grid["elevation"], grid.spacing)).astype(np.uint8)
 
 
 def _geojson(results: Results, folder: Path, crs: str) -> list[Path]:

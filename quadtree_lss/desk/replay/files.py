@@ -21,9 +21,6 @@ from numpy.typing import NDArray
 
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-FORMULA = tuple("=+-@\t\r")
-"""First characters of formulas in spreadsheets."""
-
 
 class ReplayError(QuadtreeLssError):
     """The bag yields no map, or the results cannot be written."""
@@ -75,19 +72,8 @@ def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) 
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
-    writer.writerows([_cell(value) for value in row] for row in rows)
+    writer.writerows(rows)
     write_bytes(path, text.getvalue().encode())
-
-
-def _cell(value: Any) -> Any:
-    """Prefix a text that a spreadsheet would read as a formula with an apostrophe."""
-    if not isinstance(value, str) or not value.startswith(FORMULA):
-        return value
-    try:
-        float(value)
-    except ValueError:
-        return f"'{value}"
-    return value
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -122,20 +108,20 @@ def made(folder: Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
 
 @contextmanager
 def locked(folder: Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
-    """Context that creates a folder and locks it against other writers. ``kind``: as of `writing`.
-    The folder itself is locked, because a lock file could be a link to another file."""
-    with writing(folder, kind):
-        folder.mkdir(parents=True, exist_ok=True)
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        with suppress(OSError):  # a file system without locks
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise kind(f"{folder}: another program is writing to it") from None
-        yield
-    finally:
-        os.close(handle)
+    """Context as `made` that also locks the folder against other writers. The folder itself is
+    locked, because a lock file could be a link to another file."""
+    with made(folder, kind):
+        with writing(folder, kind):
+            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            with suppress(OSError):  # a file system without locks
+                try:
+                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    raise kind(f"{folder}: another program is writing to it") from None
+            yield
+        finally:
+            os.close(handle)
 
 
 def link_latest(folder: Path) -> Path | None:

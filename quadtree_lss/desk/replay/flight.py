@@ -80,24 +80,7 @@ class Recording:
     def flight(self, lidar: LidarConfig) -> Flight | None:
         """Return the flight; None if fewer than three scans have a pose."""
         scans = self._scans if len({stamp for stamp, *_ in self.poses}) > 1 else []
-        return Flight(scans, _Path(self.poses), lidar) if len(scans) > 2 else None
-
-
-class _Path:
-    """Positions and rotations by time, s after ``start_ns``; the first pose of a stamp is used."""
-
-    def __init__(self, poses: list[tuple[int, Array, Array]]) -> None:
-        stamps, first = np.unique([stamp for stamp, *_ in poses], return_index=True)
-        self.start_ns = int(stamps[0])
-        self.times = 1e-9 * (stamps - stamps[0])
-        self._positions = np.array([poses[k][1] for k in first])
-        self._turns = Slerp(self.times, Rotation.from_quat([poses[k][2] for k in first]))
-
-    def interpolate(self, times: Array) -> tuple[Array, Array]:
-        """Return positions (K, 3), rotations (K, 3, 3) at times (K,), s, clipped to the path."""
-        times = np.clip(times, self.times[0], self.times[-1])
-        positions = [np.interp(times, self.times, along) for along in self._positions.T]
-        return np.column_stack(positions), self._turns(times).as_matrix()
+        return Flight(scans, self.poses, lidar) if len(scans) > 2 else None
 
 
 class Flight:
@@ -108,19 +91,32 @@ class Flight:
     ``mounts`` of the lidar on the body, ``origins`` and ``turns`` of the lidar in the map.
     """
 
-    def __init__(self, scans: list[_Scan], path: _Path, lidar: LidarConfig) -> None:
+    def __init__(
+        self, scans: list[_Scan], poses: list[tuple[int, Array, Array]], lidar: LidarConfig
+    ) -> None:
+        path_ns, first = np.unique([stamp for stamp, *_ in poses], return_index=True)
+        self._path_times = 1e-9 * (path_ns - path_ns[0])
+        self._path = np.array([poses[k][1] for k in first])
+        self._path_turns = Slerp(self._path_times, Rotation.from_quat([poses[k][2] for k in first]))
         self.points = np.concatenate([scan.points for scan in scans])
         self.scan = np.repeat(np.arange(len(scans)), [len(scan.points) for scan in scans])
-        stamps, middles = np.array([scan[:2] for scan in scans]).T - path.start_ns
-        at, turn = path.interpolate(1e-9 * stamps)
+        stamps, middles = np.array([scan[:2] for scan in scans]).T - path_ns[0]
+        at, turn = self._interpolate(1e-9 * stamps)
         back = turn.transpose(0, 2, 1)
         self.arms = np.einsum("kij,kj->ki", back, [scan.pose.position for scan in scans] - at)
         self.mounts = back @ np.array([scan.pose.rotation_map_lidar for scan in scans])
-        self._path, self.times, self.last = path, 1e-9 * middles, float(path.times[-1])
-        self.positions, self.body = path.interpolate(self.times)
+        self.times, self.last = 1e-9 * middles, float(self._path_times[-1])
+        self.positions, self.body = self._interpolate(self.times)
         self.origins, self.turns = place_lidar(self.positions, self.body, self.arms, self.mounts)
         self.ranges = np.linalg.norm(self.points, axis=1)
         self._limits, self._own = (lidar.min_range, lidar.max_range), np.zeros(len(self.scan), bool)
+
+    def _interpolate(self, times: Array) -> tuple[Array, Array]:
+        """Return positions (K, 3), rotations (K, 3, 3) of the body at times (K,), s, clipped to the
+        poses."""
+        times = np.clip(times, self._path_times[0], self._path_times[-1])
+        positions = [np.interp(times, self._path_times, along) for along in self._path.T]
+        return np.column_stack(positions), self._path_turns(times).as_matrix()
 
     def used(self, scale: float = 1.0) -> NDArray[np.bool_]:
         """Return which points, in metres after ``scale``, the map uses."""
@@ -176,7 +172,7 @@ class Flight:
 
     def disagreement_with_lag(self, lag: float, chosen: NDArray[np.bool_]) -> float:
         """Return the disagreement of the chosen scans with the poses ``lag`` s later, m."""
-        body = self._path.interpolate(self.times + lag)
+        body = self._interpolate(self.times + lag)
         return self.disagreement(*place_lidar(*body, self.arms, self.mounts), chosen=chosen)[0]
 
     def disagreement(

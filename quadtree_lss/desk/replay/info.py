@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.desk.bags.bag import Bag, BagError, open_bag
+from quadtree_lss.desk.replay.diagnosis import Header, Reading
 from quadtree_lss.desk.replay.diagnosis import diagnose as diagnose_bag
 from quadtree_lss.desk.replay.faults import Finding, make_setting
 from quadtree_lss.desk.replay.files import plain
-from quadtree_lss.desk.replay.reading import Header, Reading
 from quadtree_lss.desk.replay.results import points_line, points_warning, share_text
 from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Progress, Stream, rate
 from quadtree_lss.desk.replay.suggest import Suggestion

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace as changed
 from pathlib import Path
@@ -13,16 +14,28 @@ from typing import Any, NamedTuple
 from numpy.typing import ArrayLike
 
 from quadtree_lss.desk.bags.bag import Bag, open_bag
+from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.desk.replay.assessments import Assessments
-from quadtree_lss.desk.replay.files import ReplayError, locked, made
+from quadtree_lss.desk.replay.files import ReplayError, locked
 from quadtree_lss.desk.replay.history import History
-from quadtree_lss.desk.replay.results import ReplayResult, points_line, run_summary, write_results
-from quadtree_lss.desk.replay.run import Run
+from quadtree_lss.desk.replay.results import (
+    ReplayResult,
+    ScanTiming,
+    points_line,
+    points_warning,
+    run_summary,
+    write_results,
+)
 from quadtree_lss.desk.replay.stream import LandingTopics, MapPairs, Part, Progress, Stream
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config
-from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
-from quadtree_lss.onboard.messages.intake import ReadyScan
-from quadtree_lss.onboard.messages.landing_inputs import LandingRequests
+from quadtree_lss.onboard.core.mapping.mapper import GAP_SCANS, Mapper, ScanReport
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
+from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.errors import one_line
+from quadtree_lss.onboard.messages import lost_points
+from quadtree_lss.onboard.messages.clouds import MessageError
+from quadtree_lss.onboard.messages.intake import Notice, ReadyScan, noise_notice, pose_notice
+from quadtree_lss.onboard.messages.landing_inputs import AREA, LandingRequests
 
 
 def replay(
@@ -68,17 +81,14 @@ def replay(
     with ExitStack() as stack:
         opened = stack.enter_context(open_bag(bag))
         part = Part.of(opened, start, duration)
-        requests = LandingRequests(config.frames.map, landing)
         maps = MapPairs.of_maps_only(opened, scan_topic)
         source = maps or Stream(opened, config, scan_topic, pose_topic)
+        requests = LandingRequests(config.frames.map, landing)
         topics = LandingTopics(requests, opened, part.start_ns)
         if folder is not None:
-            stack.enter_context(made(folder, ReplayError))
             stack.enter_context(locked(folder, ReplayError))
-        history = History()
-        assessments = Assessments(config, requests.arguments)
-        assessments.on_assessment.append(history.landing)
-        run = Run(opened, part, config, assessments, topics, history, progress, stop)
+        run = _Run(opened, part, config, topics, progress, stop)
+        assessments = run.assessments
         if record is not None:
             from quadtree_lss.desk.replay.record import Recorder  # slow import
 
@@ -87,14 +97,11 @@ def replay(
             assessments.on_map.append(recorder.map)
             assessments.on_assessment.append(recorder.landing)
         if isinstance(source, MapPairs):
-            cells = run.read_maps(source)
+            cells, losses, counts, notes = run.read_maps(source), [], {}, []
         else:
             cells = run.map_scans(source)
+            losses, counts, notes = source.losses, source.counts(), source.notes
         assessments.finish(run.done_ns, lambda: cells)
-        losses, counts, notes = [*opened.losses, *run.losses], run.counts(), [*opened.notes]
-        if isinstance(source, Stream):
-            losses, counts = [*losses, *source.losses], counts | source.counts()
-            notes += source.notes
     if progress is not None and not run.interrupted:
         progress(part.seconds, part.seconds)
     decoded, assessment = assessments.cells, assessments.last
@@ -112,6 +119,7 @@ def replay(
         config,
         assessments.lss_ms,
         run.timings,
+        **run.counts(),
         **counts,
         bag=str(opened.path.resolve()),
         duration=seconds,
@@ -119,13 +127,13 @@ def replay(
         landing=requests.as_lists(),
         target=assessments.changes[-1].id if assessments.changes else 0,
         target_changes=len(assessments.changes),
-        losses=losses,
-        warnings=[*assessment.warnings, *notes, *run.warnings()],
+        losses=[*opened.losses, *run.losses, *losses],
+        warnings=[*assessment.warnings, *opened.notes, *notes, *run.warnings()],
     )
     timings, targets = tuple(run.timings), tuple(assessments.changes)
     result = ReplayResult(folder, decoded, assessment, timings, summary, targets)
     if folder is not None:
-        write_results(folder, result, config, report, history)
+        write_results(folder, result, config, report, run.history)
     return result
 
 
@@ -162,3 +170,170 @@ def steps(bag: str | Path | Bag, config: Config = DEFAULTS, **options: Any) -> I
     mapper = Mapper(config)
     for scan in scans(bag, config, **options):
         yield Step(scan, mapper.update(scan.points_lidar, scan.pose, scan.sweep), mapper)
+
+
+class _Run:
+    """Processes a part of an open bag.
+
+    If ``stop`` returns True after a message, the run is ``interrupted``. ``done_ns``: time of
+    reception of the last message; ``points_dropped``: points of mapped scans that are not in the
+    map, by reason; ``maps``: number of maps read.
+    """
+
+    def __init__(
+        self,
+        bag: Bag,
+        part: Part,
+        config: Config,
+        landing: LandingTopics,
+        progress: Progress | None,
+        stop: Callable[[], bool] | None,
+    ) -> None:
+        self._bag, self._part, self._config, self._landing = bag, part, config, landing
+        self._progress, self._stop = progress, stop
+        self.history = History()
+        self.assessments = Assessments(config, landing.requests.arguments)
+        self.assessments.on_assessment.append(self.history.landing)
+        self.interrupted, self.done_ns, self.maps = False, 0, 0
+        self.timings: list[ScanTiming] = []
+        self.points_dropped: Counter[str] = Counter()
+        self._refused_divisions, self._noise_ratio = 0, float("nan")
+        self._notices: Counter[str] = Counter()
+        self._texts: dict[str, str] = {}
+        self._pose_text = ""
+        self._decode_ms: dict[int, float] = {}
+        self._missed_at: tuple[float, float] | None = None
+
+    def map_scans(self, stream: Stream) -> CellMap:
+        """Map the scans of a stream; return the last map. Raises `ReplayError`: no scan could be
+        mapped; KeyboardInterrupt: stopped before the first one."""
+        mapper = Mapper(self._config)
+        intake = stream.intake
+        stream.on_message = self._navigate
+        for message in self._messages(stream.topics):
+            began = time.perf_counter()
+            stamp_ns = stream.process(message)
+            if stamp_ns is not None:
+                self._decode_ms[stamp_ns] = 1e3 * (time.perf_counter() - began)
+            for scan in intake.ready(message.received_ns):
+                self._map(mapper, scan)
+                self.assessments.changed()
+            self._add_notices(intake.notices())
+            self.assessments.tick(message.received_ns, mapper.snapshot)
+        intake.finish()
+        self._add_notices(intake.notices())
+        self._check_poses(mapper)
+        if not self.timings:
+            raise self._failure("no scan could be mapped", "there is no scan")
+        return mapper.snapshot()
+
+    def read_maps(self, pairs: MapPairs) -> CellMap:
+        """Read a bag of maps; return the last one. Raises as `map_scans`."""
+        last: CellMap | None = None
+        for message in self._messages(pairs.topics):
+            try:
+                found = pairs.add(self._bag, message, self._config.lss)
+            except MessageError as error:
+                self._add_notice(f"map_{error.reason}", str(error))
+                found = None
+            if found is not None:
+                last, self.maps = found, self.maps + 1
+                self.assessments.changed()
+            self._add_notices()
+            if last is not None:
+                self.assessments.tick(message.received_ns, lambda newest=last: newest)
+        if last is None:
+            raise self._failure("no map can be read", "no map/cells with map/observed")
+        return last
+
+    def _messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+        """Yield messages of the topics until the run stops; landing topics are handled here."""
+        wanted = [*topics, *self._landing.names]
+        for message in self._part.messages(self._bag, wanted, self._progress):
+            if self._landing.process(self._bag, message):
+                self.assessments.landing_changed()
+                continue
+            yield message
+            self.done_ns = message.received_ns
+            self.interrupted = self._stop is not None and self._stop()
+            if self.interrupted:
+                return
+
+    @property
+    def points(self) -> int:
+        return sum(row.points for row in self.timings)
+
+    def counts(self) -> dict[str, Any]:
+        """Entries of ``summary.json``."""
+        return {
+            "points_used": self.points - self.points_dropped.total(),
+            "points_dropped": dict(self.points_dropped),
+            "maps": self.maps,
+            "range_noise_ratio": self._noise_ratio,
+            "refused_divisions": self._refused_divisions,
+            "interrupted": self.interrupted,
+        }
+
+    def warnings(self) -> list[str]:
+        """One line for each kind of problem, most frequent first."""
+        lost, domain = self.points_dropped, Domain.of(self._config.domain)
+        refused = self._refused_divisions
+        noise = noise_notice(self._noise_ratio, self._config)
+        lines = [
+            points_warning(self.points, lost, domain, self._missed_at),
+            *(f"{n} x {key}: {self._texts[key]}" for key, n in self._notices.most_common()),
+            f"{refused} divisions refused (mapping.max_cells)" if refused else "",
+            self._pose_text,
+            "" if noise is None else noise.text,
+        ]
+        return list(filter(None, lines))
+
+    def _failure(self, failure: str, default: str) -> BaseException:
+        causes = "; ".join(self.warnings()) or f"{default} in this part of the bag"
+        text = f"{self._bag.path}: {failure}: {causes}"
+        return KeyboardInterrupt() if self.interrupted else ReplayError(text)
+
+    def _map(self, mapper: Mapper, scan: ReadyScan) -> None:
+        mapper.look_at(self._landing.requests.values[AREA])
+        began = time.perf_counter()
+        report = mapper.update(scan.points_lidar, scan.pose, scan.sweep)
+        map_ms = 1e3 * (time.perf_counter() - began) + self._decode_ms.pop(scan.stamp_ns, 0.0)
+        if len(self._decode_ms) > 2 * self._config.pose.queue:
+            self._decode_ms.clear()  # those of dropped scans
+        self.history.scan(scan)
+        self.points_dropped.update(scan.lost(report.dropped))
+        if lost_points.misplaced(report):
+            self._missed_at = self._missed_at or report.centre
+        overruled = lost_points.overruled_text(report)
+        if overruled is not None:
+            self._add_notice(lost_points.MAP_OVERRULED, overruled)
+        self._refused_divisions += report.refused_divisions
+        self._noise_ratio = report.noise_ratio
+        if len(self.timings) % GAP_SCANS == 0:
+            self._check_poses(mapper)
+        counts = report.points, report.points_used, report.leaves, report.divisions
+        self.timings.append(ScanTiming(report.stamp_ns, *counts, map_ms))
+
+    def _navigate(self, what: str, msg: Any, _: RawMessage) -> None:
+        if what == "pose":
+            self._landing.requests.navigation.use_pose(msg)
+
+    def _check_poses(self, mapper: Mapper) -> None:
+        notice = pose_notice(mapper.pose_gap())
+        self._pose_text = self._pose_text if notice is None else notice.text
+
+    @property
+    def losses(self) -> list[str]:
+        """One line for each kind of message that could not be decoded, except those of `Stream`."""
+        keys = [key for key in self._notices if key.endswith("_encoding")]
+        own = [key for key in keys if not key.startswith(("cloud", "pose", "gimbal"))]
+        return [one_line(f"{self._notices[key]} messages lost: {self._texts[key]}") for key in own]
+
+    def _add_notices(self, notices: Iterable[Notice] = ()) -> None:
+        for notice in (*notices, *self._landing.notices):
+            self._add_notice(notice.reason, notice.text)
+        self._landing.notices.clear()
+
+    def _add_notice(self, reason: str, text: str) -> None:
+        self._notices[reason] += 1
+        self._texts.setdefault(reason, text)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import platform
 import resource
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -115,7 +114,7 @@ def run_summary(
         "map_ms_p99": float(np.percentile(map_ms, 99)),
         "lss_ms": lss_ms,
         "real_time_factor": 0.0,
-        "peak_memory_mb": peak_memory_mb(),
+        "peak_memory_mb": 1.024e-3 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
         "versions": versions(),
         "config": values_from_config(config),
         **dict.fromkeys(("scans_dropped", "points_dropped", "messages_rejected", "landing"), {}),
@@ -136,12 +135,6 @@ def run_summary(
         "warnings": found.warnings,
         **known,
     }
-
-
-def peak_memory_mb() -> float:
-    """Return the peak resident memory of this process, MB."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1e6 if sys.platform == "darwin" else 1e6 / 1024.0)
 
 
 def versions() -> dict[str, str]:

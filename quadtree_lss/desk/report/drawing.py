@@ -119,12 +119,3 @@ def png(figure: Figure, dpi: int = 130) -> bytes:
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=dpi)
     return content.getvalue()
-
-
-def small(content: bytes) -> bytes:
-    """Reduce a PNG to 40 colours and a fifth of its size."""
-    from PIL import Image  # with matplotlib
-
-    out = io.BytesIO()
-    Image.open(io.BytesIO(content)).convert("RGB").quantize(40).save(out, "png", optimize=True)
-    return out.getvalue()

@@ -47,9 +47,7 @@ def hazard_figure(content: Results) -> Figure:
     grid = content.grid
     bits = palette.excluding(content.config.lss.assessment)
     filled = [row for row in palette.HAZARDS if row[0] & (bits | palette.UNKNOWN)]
-    kind = np.zeros(grid["hazard"].shape, dtype=np.int64)
-    for place, (bit, _, _) in reversed(list(enumerate(filled, start=1))):
-        kind[(grid["hazard"] & bit) > 0] = place
+    kind = palette.hazard_classes(grid["hazard"], filled)
     names = [("none", palette.CLEAR_COLOUR), *((name, colour) for _, name, colour in filled)]
     kinds = _classes(left, content, kind, names)
     for bit, name, colour in palette.HAZARDS:

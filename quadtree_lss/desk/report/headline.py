@@ -12,9 +12,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from quadtree_lss.desk.exchange.saved import Results
-from quadtree_lss.desk.report.palette import excluding, slope_limit
 from quadtree_lss.onboard.arrays import Array, Mask
-from quadtree_lss.onboard.core.landing.hazards import PARTLY_UNOBSERVED
 from quadtree_lss.onboard.core.landing.ranking import equal_up_to
 from quadtree_lss.onboard.core.landing.result import shown
 from quadtree_lss.onboard.messages.intake import noise_notice
@@ -143,13 +141,11 @@ def ratings(content: Results, moment: Moment) -> list[tuple[str, str]]:
     reach, found = content.config.vehicle.diameter, []
     shares = allowed_around(content, moment)
     for probability, share in zip(moment.probability, shares, strict=True):
-        level, against = "good", []
-        if np.isnan(probability):
-            level = "care"
-        elif probability < lss.min_probability:
-            level, against = "none", [f"a target needs {shown(lss.min_probability)}"]
+        level, against = _level(probability, lss.min_probability), []
+        if level == "none":
+            against = [f"a target needs {shown(lss.min_probability)}"]
         elif probability < GOOD_PROBABILITY:
-            level, against = "care", [f"that is less than {shown(GOOD_PROBABILITY)}"]
+            against = [f"that is less than {shown(GOOD_PROBABILITY)}"]
         if share < MIN_ALLOWED_SHARE:
             level = "none" if level == "none" else "care"
             near = f"the ground within {reach:.3g} m is allowed"
@@ -159,6 +155,13 @@ def ratings(content: Results, moment: Moment) -> list[tuple[str, str]]:
             against += ["its risk may be wrong (see the warnings)"]
         found.append((level, "; ".join(against)))
     return found
+
+
+def _level(probability: float, least: float) -> str:
+    """Level of a site by its probability, NaN if unknown; a target needs the ``least``."""
+    if probability < least:
+        return "none"
+    return "good" if probability >= GOOD_PROBABILITY else "care"
 
 
 def verdict(content: Results, moment: Moment | None = None) -> Verdict:
@@ -202,15 +205,13 @@ def _facts(content: Results, moment: Moment) -> list[Fact]:
     facts, warnings = [], summary.get("doubts", ())
     if len(moment.position):
         best, share = float(moment.probability[0]), float(allowed_around(content, moment)[0])
-        level = (
-            "none" if best < lss.min_probability else "good" if best >= GOOD_PROBABILITY else "care"
-        )
-        aim = ("not computed", "care") if np.isnan(best) else (shown(best), level)
+        success = "not computed" if np.isnan(best) else shown(best)
         near = f"{rounded(100.0 * share)} % within {vehicle.diameter:.3g} m"
-        around = Fact(
-            "allowed around site 1", near, "good" if share >= MIN_ALLOWED_SHARE else "care"
-        )
-        facts = [Fact("success at site 1", *aim), around]
+        enough = "good" if share >= MIN_ALLOWED_SHARE else "care"
+        facts = [
+            Fact("success at site 1", success, _level(best, lss.min_probability)),
+            Fact("allowed around site 1", near, enough),
+        ]
     if "probability" in (lss.assessment, lss.ranking):
         bad = "may be wrong, see warnings", "care"
         facts.append(Fact("risk model", *(bad if warnings else ("fits", "good"))))
@@ -255,40 +256,10 @@ def rounded(value: float) -> str:
     return f"{value:,.0f}" if value >= 9.95 or not value else f"{value:.2g}"
 
 
-def shortfall(content: Results) -> str:
-    """Describe the limit that no grid point meets and by how much; empty if there are sites."""
-    lss, need = content.config.lss, content.zone
-    if content.grid["safe"].any() or not content.grid.seen.any():
-        return ""
-    room = _room(content.grid.seen, content.grid.spacing)
-    if room.max() < need:
-        short = need - float(room.max())
-        return f"The widest seen ground is {short:.2f} m short of the {need:.2f} m radius of a zone"
-    fits = room >= need
-    risk = content.grid.get("risk")
-    if lss.assessment == "probability" and risk is not None:
-        least = float(np.nanmin(risk[fits], initial=1.0))
-        if least > lss.max_risk:
-            ratio = f"{least / lss.max_risk:.3g} times the allowed" if lss.max_risk else "not the"
-            limit = f"{100.0 * lss.max_risk:.3g} % (lss.max_risk)"
-            return f"The lowest risk of a place is {100.0 * least:.2g} %, {ratio} {limit}"
-    slope = float(np.nanmin(content.grid["slope_deg"][fits], initial=90.0))
-    limit_deg = slope_limit(lss)
-    if slope > limit_deg:
-        over = f"{slope - limit_deg:.1f}° over the limit of {limit_deg:.1f}°"
-        return f"The most level place has {slope:.1f}°, {over}"
-    hazards = excluding(lss.assessment) & ~PARTLY_UNOBSERVED
-    clear = content.grid.seen & (content.grid["hazard"] & hazards == 0)
-    widest = float(_room(clear, content.grid.spacing).max())
-    if widest >= need:
-        return ""
-    return f"Clear ground is {need - widest:.2f} m short of the {need:.2f} m radius of a zone"
-
-
 def _details_without_site(content: Results, ground: str) -> str:
-    """Describe the missed limit and the nearest miss."""
+    """Explain why there is no site, and describe the nearest miss."""
     text = f"{content.summary['explanation']}".removeprefix("no safe site: ").rstrip(".")
-    lines = [shortfall(content) or f"{text[:1].upper()}{text[1:]}"]
+    lines = [f"{text[:1].upper()}{text[1:]}"]
     lines += [ground] if content.grid.seen.any() else []
     if (miss := nearest_miss(content)) is not None:
         lines.append(f"Nearest miss at x {miss.x:.2f}, y {miss.y:.2f} m: {miss.why}")

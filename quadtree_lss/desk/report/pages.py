@@ -58,7 +58,6 @@ def _environment() -> Environment:
     found.policies["json.dumps_kwargs"] = {"allow_nan": False}
     found.globals["source"] = lambda name: source(f"desk/report/{name}")
     found.filters["compressed"] = lambda text: compressed(text.encode())
-    found.filters["base64"] = lambda content: base64.b64encode(content).decode()
     found.tests["words"] = is_words
     return found
 

@@ -6,8 +6,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.arrays import Array, Bytes
 from quadtree_lss.onboard.config.sections import LssConfig
 from quadtree_lss.onboard.core.landing.hazards import PARTLY_UNOBSERVED, UNMAPPED, UNSEEN
 
@@ -54,6 +55,14 @@ def excluding(assessment: str) -> int:
     return PARTLY_UNOBSERVED | (4 | 2 | 1 if assessment == "paper" else 8)
 
 
+def hazard_classes(bits: Bytes, hazards: Sequence[tuple[int, str, str]]) -> NDArray[np.int64]:
+    """Number of the first of ``hazards`` that applies to each grid point, from 1; 0 if none."""
+    kind = np.zeros(bits.shape, dtype=np.int64)
+    for number, (bit, _, _) in reversed(list(enumerate(hazards, start=1))):
+        kind[(bits & bit) > 0] = number
+    return kind
+
+
 def slope_limit(lss: LssConfig) -> float:
     """Slope limit shown on the page, deg."""
     vehicle, touchdown = lss.vehicle, lss.assessment == "touchdown"
@@ -80,15 +89,11 @@ def even_limits(values: Array) -> tuple[float, float]:
     return -top, top
 
 
-def gradients(heights: Array, spacing: float) -> Sequence[Array]:
-    """dz/dy and dz/dx of heights (ny, nx); zero for a single row or column."""
-    return np.gradient(heights, spacing) if min(heights.shape) > 1 else [0.0 * heights] * 2
-
-
 def shaded(image: Array, elevation: Array, spacing: float, strength: float = 0.75) -> Array:
     """Shade colours (ny, nx, 3) in 0 … 1 by a light from the north-west, with slopes exaggerated as
     on the page; level and unknown ground keeps its colours."""
-    along_y, along_x = gradients(elevation, spacing)
+    single = min(elevation.shape) < 2
+    along_y, along_x = [0.0 * elevation] * 2 if single else np.gradient(elevation, spacing)
     slopes = np.hypot(along_x, along_y)
     steep = np.nanpercentile(slopes, 90) if np.isfinite(slopes).any() else 0.0
     factor = np.clip(0.6 / max(steep, 1e-9), 0.5, 6.0)

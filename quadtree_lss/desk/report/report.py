@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.desk.exchange.saved import Results, load_results
-from quadtree_lss.desk.report.drawing import png, small
-from quadtree_lss.desk.report.figures import figures, hazard_figure
+from quadtree_lss.desk.report.drawing import png
+from quadtree_lss.desk.report.figures import figures
 from quadtree_lss.desk.report.headline import (
     LEVELS,
     last_moment,
@@ -81,7 +81,6 @@ def page(
         "answer": answer,
         "level": level,
         "facts": facts,
-        "picture_of_map": small(png(hazard_figure(content), dpi=60)),
         "ground": ground,
         "warnings": [*summary.get("losses", ()), *summary.get("warnings", ())],
         "head": [

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 from quadtree_lss.desk.commands import common
-from quadtree_lss.desk.commands.console import Interruption, ProgressBar, say, warn
+from quadtree_lss.desk.commands.console import ProgressBar, interruption, say, warn
 
 TEXT = "Fly a study of many flights on this computer's cores or on a Dask cluster, with resume."
 EXAMPLES = """examples:
@@ -61,7 +61,7 @@ def _run(options: argparse.Namespace) -> int:
     rerun = options.rerun or ()
     consequence, verbose = f"sums up in {options.out} what is done", options.verbose
     with (
-        Interruption(consequence) as interruption,
+        interruption(consequence) as interrupted,
         ProgressBar("campaign", "flights", verbose) as bar,
     ):
         result = campaign(
@@ -71,7 +71,7 @@ def _run(options: argparse.Namespace) -> int:
             scheduler_address=options.scheduler_address,
             rerun=parse_seeds(rerun) if rerun and rerun != "failed" else rerun,
             progress=bar.update,
-            stop=interruption.asked,
+            stop=interrupted,
             tell=warn,
         )
     common.show_result(options, result, f"page and tables in {result.out}")

@@ -151,10 +151,10 @@ def _simulate(options: argparse.Namespace) -> int:
     consequence = f"closes {options.out} and writes truth.npz for what was flown so far"
     verbose, how = options.verbose, common.keywords(options, *SIMULATE_OPTIONS)
     with (
-        console.Interruption(consequence) as interruption,
+        console.interruption(consequence) as interrupted,
         console.ProgressBar("simulate", "scans", verbose) as bar,
     ):
-        how |= {"progress": bar.update, "stop": interruption.asked}
+        how |= {"progress": bar.update, "stop": interrupted}
         result = simulate(options.scenario, options.out, **how)
     common.show_result(options, result)
     if result.interrupted:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import maximum_filter
 
 from quadtree_lss.desk.exchange.dem import read_dem
-from quadtree_lss.desk.exchange.libraries import ExchangeError
+from quadtree_lss.desk.exchange.formats import ExchangeError
 from quadtree_lss.lab.simulation.march import march
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.errors import QuadtreeLssError
