@@ -22,6 +22,10 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 
+FORMULA = tuple("=+-@\t\r")
+"""First characters of formulas in spreadsheets."""
+
+
 class ReplayError(QuadtreeLssError):
     """The bag yields no map, or the results cannot be written."""
 
@@ -72,8 +76,19 @@ def write_csv(path: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) 
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
-    writer.writerows(rows)
+    writer.writerows([_cell(value) for value in row] for row in rows)
     write_bytes(path, text.getvalue().encode())
+
+
+def _cell(value: Any) -> Any:
+    """Prefix a text that a spreadsheet would read as a formula with an apostrophe."""
+    if not isinstance(value, str) or not value.startswith(FORMULA):
+        return value
+    try:
+        float(value)
+    except ValueError:
+        return f"'{value}"
+    return value
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -79,6 +79,9 @@ class ReplayResult:
         folder = "" if self.out is None else f", in {self.out}"
         return f"<ReplayResult: {len(self.timings)} scans{state}{folder}; {self.assessment}>"
 
+    def _repr_html_(self) -> str:
+        return self.assessment._repr_html_()
+
     def as_dict(self) -> dict[str, Any]:
         sites = self.assessment.sites
         names = ("position", "normal", "score", "probability", *SITE_FIGURES[1:], "id")
