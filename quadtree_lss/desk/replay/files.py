@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
-
 FORMULA = tuple("=+-@\t\r")
 """First characters of formulas in spreadsheets."""
 
