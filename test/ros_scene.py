@@ -13,6 +13,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from numpy.typing import NDArray
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.lab.live.listener import Listener
@@ -20,8 +21,9 @@ from quadtree_lss.lab.simulation.recording import POSE_TOPIC, SCAN_TOPIC, Messag
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.nodes.qos import stream
-from quadtree_lss.onboard.nodes.ros_messages import TYPES, header_message, packed
+from quadtree_lss.onboard.nodes.ros_messages import TYPES, header_message, message_maker, packed
 
 OK, WARN, ERROR = (DiagnosticStatus.OK,), (DiagnosticStatus.WARN,), (DiagnosticStatus.ERROR,)
 MAKE = Messages(TYPES, packed)  # of rclpy's classes
@@ -76,6 +78,11 @@ def mapped(config: Config, scans: int) -> Mapper:
         if event.points_lidar is not None:
             mapper.update(event.points_lidar, Pose(event.stamp_ns, POSITION, ROTATION, COVARIANCE))
     return mapper
+
+
+def map_messages(cells: CellMap, frame: str) -> list[bytes]:
+    """Serialise ``map/cells`` and ``map/observed``."""
+    return [serialize_message(message) for _, message in message_maker(frame).of_map(cells)]
 
 
 def write_bag(path: Path, scans: int) -> None:

@@ -6,12 +6,11 @@ import dataclasses
 import numpy as np
 from geometry_msgs.msg import PolygonInstanceStamped, PolygonStamped, PoseArray
 from nav_msgs.msg import OccupancyGrid
-from ros_scene import MAKE, START_NS
+from ros_scene import MAKE, START_NS, map_messages
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.nodes.qos import latched
-from quadtree_lss.onboard.nodes.ros_messages import map_messages
 
 
 def polygon(corners, frame="map", number=None):

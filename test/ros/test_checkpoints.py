@@ -9,8 +9,7 @@ import pytest
 from ros.test_map_files import small
 from ros_scene import ERROR
 
-from quadtree_lss.onboard.nodes.files import MapFileError
-from quadtree_lss.onboard.nodes.map_files import load
+from quadtree_lss.onboard.nodes.map_files import MapFileError, load
 
 pytestmark = pytest.mark.xdist_group("ros_checkpoints")
 

@@ -6,8 +6,7 @@ import time
 import pytest
 from std_msgs.msg import Int32
 
-from quadtree_lss.onboard.nodes.executor import OnDemandGroup
-from quadtree_lss.onboard.nodes.qos import stream, subscribe
+from quadtree_lss.onboard.nodes.qos import OnDemandGroup, stream, subscribe
 
 pytestmark = pytest.mark.xdist_group("ros_executor")
 

@@ -7,10 +7,10 @@ import signal
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from ros_scene import map_messages
 from ros_vehicle import Vehicle, polygon
 
 from quadtree_lss.onboard.nodes.landing_topics import JOIN_S, UNHEARD_S
-from quadtree_lss.onboard.nodes.ros_messages import map_messages
 
 pytestmark = pytest.mark.xdist_group("ros_landing")
 

@@ -16,8 +16,13 @@ from ros_scene import COVARIANCE, POSITION, ROTATION, events
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
-from quadtree_lss.onboard.nodes.files import MapFileError, write_atomically
-from quadtree_lss.onboard.nodes.map_files import Checkpoints, load, save
+from quadtree_lss.onboard.nodes.map_files import (
+    Checkpoints,
+    MapFileError,
+    load,
+    save,
+    write_atomically,
+)
 
 
 def small(max_level=6):
@@ -30,7 +35,7 @@ def test_killed_writer_leaves_a_complete_file(tmp_path):
     path, part = tmp_path / "map", tmp_path / "map.part"
     program = (
         "from pathlib import Path; import sys\n"
-        "from quadtree_lss.onboard.nodes.files import write_atomically\n"
+        "from quadtree_lss.onboard.nodes.map_files import write_atomically\n"
         "while True:\n"
         "    for letter in (b'a', b'b'):\n"
         "        write_atomically(Path(sys.argv[1]), letter * 30_000_000)\n"

@@ -3,13 +3,14 @@
 
 import numpy as np
 import pytest
+from rclpy.serialization import deserialize_message
 from ros_scene import mapped
 from visualization_msgs.msg import Marker, MarkerArray
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.messages.maps import round_trip
-from quadtree_lss.onboard.nodes.markers import site_markers
+from quadtree_lss.onboard.nodes.markers import cell_markers, patch_vertices, site_markers
 
 pytestmark = pytest.mark.xdist_group("ros_markers")
 
@@ -20,6 +21,17 @@ MARKERS = {"map/markers": MarkerArray, "landing/markers": MarkerArray}
 def mapper():
     """A mapper after two scans."""
     return mapped(load_config(["morpheus"]), 2)
+
+
+@pytest.mark.parametrize("frame", ["", "map", "local_map"])
+def test_cells_have_two_triangles_per_plane(mapper, frame):
+    cells = mapper.snapshot()
+    (marker,) = deserialize_message(cell_markers(cells, frame), MarkerArray).markers
+    leaves = np.flatnonzero(cells.estimated)
+    points = [(point.x, point.y, point.z) for point in marker.points]
+    np.testing.assert_array_equal(points, patch_vertices(cells, leaves).reshape(-1, 3))
+    assert len(marker.colors) == len(points) and {colour.a for colour in marker.colors} == {1.0}
+    assert (marker.header.frame_id, marker.ns) == (frame, "cells") and not marker.mesh_resource
 
 
 def test_sites_have_circle_normal_and_rank(mapper):

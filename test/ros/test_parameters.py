@@ -27,7 +27,7 @@ def make_node(context: Context, **overrides: object) -> Node:
 
 def test_every_row_is_declared_with_type_range_and_access(context):
     node = make_node(context)
-    config = NodeParameters(node).config
+    config = NodeParameters(node, print, "lss_node").config
     values = values_from_config(config)
     for row in parameters():
         assert node.get_parameter(row.name).value == values[row.name] == row.default
@@ -40,7 +40,7 @@ def test_every_row_is_declared_with_type_range_and_access(context):
 
 def test_overrides_reach_the_configuration_and_integers_serve_as_floats(context):
     node = make_node(context, domain__size=64, lss__sites=2, use_sim_time=True)
-    config = NodeParameters(node).config
+    config = NodeParameters(node, print, "lss_node").config
     assert config.domain.size == 64.0 and config.lss.sites == 2
     assert node.get_parameter("domain.size").value == 64.0
     assert node.get_parameter("use_sim_time").value is True
@@ -92,7 +92,7 @@ def test_unused_qos_overrides_are_logged(ros):
 def test_wrong_overrides_are_one_line_errors(context, overrides, words):
     node = make_node(context, **overrides)
     with pytest.raises(ConfigError) as caught:
-        NodeParameters(node)
+        NodeParameters(node, print, "lss_node")
     text = str(caught.value)
     assert "\n" not in text
     assert all(word in text for word in words)
@@ -101,7 +101,7 @@ def test_wrong_overrides_are_one_line_errors(context, overrides, words):
 def test_only_live_parameters_change(context):
     node = make_node(context)
     seen = []
-    held = NodeParameters(node, seen.append)
+    held = NodeParameters(node, seen.append, "lss_node")
     (done,) = node.set_parameters([Parameter("lss.margin", value=1.5)])
     assert done.successful
     assert held.config.lss.margin == 1.5 and seen == [held.config]
@@ -118,7 +118,7 @@ def test_only_live_parameters_change(context):
 
 def test_live_change_without_effect_is_rejected(context):
     node = make_node(context)
-    held = NodeParameters(node, kind="mapping_node")
+    held = NodeParameters(node, print, "mapping_node")
     for name, value, owner in (
         ("lss.margin", 2.0, "lss_node"),
         ("autopilot.reach", 9.0, "autopilot"),

@@ -7,13 +7,13 @@ from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from ros_scene import map_messages
 from ros_vehicle import Vehicle
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.nodes import received_map
 from quadtree_lss.onboard.nodes.diagnostics import Problems
 from quadtree_lss.onboard.nodes.received_map import ReceivedMap
-from quadtree_lss.onboard.nodes.ros_messages import map_messages
 
 pytestmark = pytest.mark.xdist_group("ros_landing")
 

@@ -26,7 +26,6 @@ from quadtree_lss.onboard.core.geometry.rotations import (
 )
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.mount import AXES, cloud_rotation
-from quadtree_lss.onboard.messages.lost_points import LOOKING_DOWN, NED_FROM_ENU
 
 MAX_LEFT, MIN_NOISES = 0.4, 3.0
 """Share of the disagreement that a correction may leave; least disagreement, range noises."""
@@ -49,6 +48,8 @@ MIN_ALTERNATION, MIN_ALTERNATION_M = 5.0, 0.05
 """Least alternation of poses of two publishers, as a multiple of their steps and in m."""
 MIN_JUMP, MIN_JUMP_M = 5.0, 0.1
 """Least speed of a jump of the poses, as a multiple of the speeds around it; least step, m."""
+NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
 PITCHED_DOWN = exp([0.0, 0.5 * np.pi, 0.0])
 """Rotation of a lidar with its boresight along x of a level body that is pitched down."""
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 from quadtree_lss.onboard.autopilot.frames import JumpDetector, Nav
@@ -14,17 +13,10 @@ from quadtree_lss.onboard.config.sections import AutopilotConfig
 
 
 class Controller:
-    """Connect `Link` and `Landing`.
-
-    Attributes:
-        nav: The newest pose; None before the first.
-    """
+    """Connect `Link` and `Landing`; arguments as of `Link`. ``nav``: the newest pose."""
 
     def __init__(
-        self,
-        config: AutopilotConfig,
-        clock: Callable[[], int],
-        now: Callable[[], float] = time.monotonic,
+        self, config: AutopilotConfig, clock: Callable[[], int], now: Callable[[], float]
     ) -> None:
         self.config = config
         self.link = Link(config.connection, clock, now)

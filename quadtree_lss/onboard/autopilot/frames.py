@@ -23,24 +23,14 @@ UPPER = np.triu_indices(6)
 
 
 class Nav(NamedTuple):
-    """Pose and velocity of the body in the map frame (ENU from the autopilot's local origin).
+    """Pose and velocity of the body in the map frame (ENU from the autopilot's local origin)."""
 
-    Attributes:
-        stamp_ns: Stamp by this computer's clock.
-        position: (3,) m.
-        quaternion: (4,) x, y, z, w; rotation from FLU body axes to the map.
-        velocity: (3,) in the map, m/s.
-        covariance: (6, 6) of position and of rotation about the map axes, m and rad; None if the
-            autopilot does not send it.
-        own_ns: Stamp by the autopilot's clock.
-    """
-
-    stamp_ns: int
-    position: Array
-    quaternion: Array
-    velocity: Array
-    covariance: Array | None
-    own_ns: int
+    stamp_ns: int  # by this computer's clock
+    position: Array  # (3,) m
+    quaternion: Array  # (4,) x, y, z, w; rotation from FLU body axes to the map
+    velocity: Array  # (3,) in the map, m/s
+    covariance: Array | None  # (6, 6) of position and of rotation about the map axes, m and rad
+    own_ns: int  # stamp by the autopilot's clock
 
 
 def enu(north_east_down: Array) -> Array:

@@ -33,33 +33,20 @@ REASONS = {int(reason): reason.key for reason in Reason}
 
 
 class Target(NamedTuple):
-    """Location at which to land.
-
-    Attributes:
-        place: (3,) in the map, with the height of navigation, m.
-        age: Time since the target was last received, s.
-        map_age: Time since the newest scan of its map, s; NaN if unknown.
-        offset: Height of navigation minus that of the map, included in ``place``, m; NaN if
-            unknown.
-    """
+    """Location at which to land: ``place`` (3,) in the map, with the height of navigation, m."""
 
     place: Array
-    age: float
-    map_age: float
-    offset: float
+    age: float  # time since the target was last received, s
+    map_age: float  # time since the newest scan of its map, s; NaN if unknown
+    offset: float  # height of navigation minus that of the map, in `place`, m; NaN if unknown
 
 
 def target_from_status(
     place: Array, status: np.void, age: float, status_age: float
 ) -> tuple[Target | None, str]:
-    """Return the target of lss_node and "", or None and the reason why there is none.
-
-    Args:
-        place: (3,) position of ``landing/selected``, m.
-        status: The record of ``landing/status``.
-        age: Time since the older of the two messages was received, s.
-        status_age: Time since ``landing/status`` was received, s.
-    """
+    """Return the target of lss_node and "", or None and the reason why there is none. ``place``,
+    ``status``: position of ``landing/selected``, and record of ``landing/status``; ``age``: time
+    since the older of the two messages was received, s; ``status_age``: since ``status`` was."""
     offset = float(status["offset_z"])
     place = place + (0.0, 0.0, offset if math.isfinite(offset) else 0.0)
     if not (np.abs(place) <= MAX_POSITION).all():
@@ -70,41 +57,28 @@ def target_from_status(
 
 
 class Inputs(NamedTuple):
-    """Inputs of one step.
+    """Inputs of one step, as reported by the autopilot; times in s."""
 
-    Attributes:
-        now: Time of a steady clock, s.
-        accepts_set_points: The autopilot is in the mode that follows set-points.
-        armed: The autopilot reports that it is armed.
-        landed: The autopilot reports that it is on the ground; None without a recent report.
-        landed_for: Time since ``landed`` changed, s.
-        heartbeat_age, pose_age: Time since the last heartbeat and the last pose's stamp, s.
-        position, velocity: (3,) in the map, m and m/s.
-        jump: Jump of the position since the last step, m.
-        target: None while there is none.
-        why: The reason why there is none.
-    """
-
-    now: float
+    now: float  # of a steady clock
     accepts_set_points: bool
     armed: bool
-    landed: bool | None
-    landed_for: float
+    landed: bool | None  # None without a recent report
+    landed_for: float  # time since `landed` changed
     heartbeat_age: float
-    pose_age: float
-    position: Array
-    velocity: Array
-    jump: float
+    pose_age: float  # by its stamp
+    position: Array  # (3,) in the map, m
+    velocity: Array  # (3,) in the map, m/s
+    jump: float  # of the position since the last step, m
     target: Target | None
-    why: str
+    why: str  # the reason why there is no target
 
 
 class GroundContact:
     """Check the autopilot's "on the ground" against the vehicle's motion.
 
     Attributes:
-        made: Contact is confirmed: near the expected ground, or the vehicle has not moved for
-            ``STILL_S`` although a set-point commanded it to.
+        made: Contact is confirmed: near the expected ground, or no motion for ``STILL_S`` although
+            a set-point commanded it.
         rests: The vehicle stands still at ``place``; without a commanded motion it may hover.
         refuted: The vehicle is armed and moves.
 

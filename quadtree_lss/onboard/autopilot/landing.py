@@ -58,32 +58,19 @@ after 20 s (``docs/autopilot.md``)."""
 
 @dataclass(frozen=True)
 class Order:
-    """Result of one step.
+    """Result of one step."""
 
-    Attributes:
-        state: One of `STATES`.
-        text: The reason for it.
-        point: (3,) set-point in the map, m; None to command nothing.
-        target: The target of the landing; None if no landing is possible.
-        sink: Speed at which the vehicle descends to the ground and presses on it, m/s; else 0.
-        may_stop_motors: The vehicle rests at the target.
-    """
-
-    state: str
-    text: str
-    point: Array | None
-    target: Target | None
-    sink: float = 0.0
-    may_stop_motors: bool = False
+    state: str  # one of `STATES`
+    text: str  # the reason for it
+    point: Array | None  # (3,) set-point in the map, m; None to command nothing
+    target: Target | None  # None if no landing is possible
+    sink: float = 0.0  # speed of the descent to the ground, and of pressing on it, m/s
+    may_stop_motors: bool = False  # the vehicle rests at the target
 
 
 class Landing:
     """Fly to the gate over the target, descend, and wave off if the descent may not continue.
-
-    Attributes:
-        state: Current state.
-        wave_offs: Number of wave-offs since the pilot handed over.
-    """
+    ``wave_offs``: number of wave-offs since the pilot handed over."""
 
     def __init__(self, config: AutopilotConfig) -> None:
         self._config = config

@@ -32,8 +32,8 @@ ARDUPILOT, PX4 = 3, 12
 """Values of MAV_AUTOPILOT."""
 GUIDED_MODES = {ARDUPILOT: 4, PX4: 6 << 16}
 """Custom modes that follow set-points: guided, offboard."""
-LAND_MODES = {ARDUPILOT: 9}
-"""Custom modes in which an autopilot on the ground stops its motors; PX4 needs none."""
+ARDUPILOT_LAND = 9
+"""Custom mode in which ArduPilot on the ground stops its motors; PX4 needs none."""
 COPTERS = (2, 3, 4, 13, 14, 15, 29, 35)
 """Values of MAV_TYPE of multicopters and helicopters; other types number their modes differently.
 """
@@ -87,10 +87,10 @@ class Link:
     """Connection to one autopilot: the first whose heartbeat arrives. With UDP only its address is
     received from and sent to, until it has been silent for `PEER_S`.
 
-    Args:
-        connection: ``autopilot.connection``.
-        clock: Time of this computer, ns, for the stamps of poses.
-        now: Steady time, s, for periods and ages.
+    ``connection`` is ``autopilot.connection``; ``clock`` gives the time of this computer for the
+    stamps of poses, ns, and ``now`` a steady time for periods and ages, s. Raises `ConfigError` if
+    pymavlink is not installed or ``connection`` is invalid, `QuadtreeLssError` if it cannot be
+    opened at present.
 
     Attributes:
         kind: ``ARDUPILOT``, ``PX4`` or None before the first heartbeat.
@@ -98,10 +98,6 @@ class Link:
         message_counts: Messages by content: ``pose``, ``half`` of one, ``state``, or
             ``passed_over`` (of other senders or types).
         rejected: Messages that could not be used, by reason, and reads of a dropped ``backlog``.
-
-    Raises:
-        ConfigError: pymavlink is not installed, or ``connection`` is invalid.
-        QuadtreeLssError: The connection cannot be opened at present.
     """
 
     def __init__(
@@ -136,9 +132,8 @@ class Link:
     def accepts_set_points(self) -> bool:
         """Whether it flies to set-points by its mode, and is not taking off in that: ArduCopter
         would break off."""
-        return (
-            self.kind is not None and self.mode == GUIDED_MODES[self.kind] and not self._takes_off
-        )
+        follows = self.kind is not None and self.mode == GUIDED_MODES[self.kind]
+        return follows and not self._takes_off
 
     @property
     def landed(self) -> bool | None:
@@ -235,8 +230,8 @@ class Link:
             return
         if disarm:
             self._command(ARM_DISARM, 0.0)
-        elif self.kind in LAND_MODES:
-            self._set_mode(LAND_MODES[self.kind])
+        elif self.kind == ARDUPILOT:
+            self._set_mode(ARDUPILOT_LAND)
 
     def send_text(self, text: str, *, warn: bool) -> None:
         """Send a line to the ground station, as one or more STATUSTEXT."""
@@ -342,11 +337,8 @@ class Link:
             return "damaged"
         if message.get_srcSystem() != self._system or message.get_srcComponent() != 1:
             return IGNORED
-        if (
-            message.get_type() == "TIMESYNC"
-            and message.tc1 > 0
-            and message.ts1 in self._timesync_sent
-        ):
+        is_answer = message.get_type() == "TIMESYNC" and message.tc1 > 0
+        if is_answer and message.ts1 in self._timesync_sent:
             self.remote.add(message.ts1, message.tc1, self._clock())
             self.last_answer = self._now()
             return "state"
@@ -418,16 +410,16 @@ class Link:
         if offset is None:
             return "clock"
         stamp = own_ns + offset
-        if not (np.abs(place) <= MAX_HEIGHT).all():
-            return "position"
-        if not (np.abs(velocity) <= MAX_HEIGHT).all():
-            return "velocity"
-        if not abs(length - 1.0) < 0.05:
-            return "attitude"
-        if not 0 <= stamp < STAMP_LIMIT_NS:
-            return "stamp"
-        if 0 <= self._last_stamp - stamp < 1_000_000_000:  # the estimate of the offset changed
-            return "order"
+        checks = {
+            "position": (np.abs(place) <= MAX_HEIGHT).all(),
+            "velocity": (np.abs(velocity) <= MAX_HEIGHT).all(),
+            "attitude": abs(length - 1.0) < 0.05,
+            "stamp": 0 <= stamp < STAMP_LIMIT_NS,
+            "order": not 0 <= self._last_stamp - stamp < 1_000_000_000,  # after a change of offset
+        }
+        for reason, is_valid in checks.items():
+            if not is_valid:
+                return reason
         self._last_stamp = stamp
         quaternion = attitude(q / length)
         if in_body:

@@ -8,6 +8,7 @@ and replay (``rosbags``) therefore share this code and get the same points.
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from itertools import pairwise
 from typing import Any
 
@@ -54,7 +55,7 @@ def points_from_cloud(msg: Any) -> Points:
     view of the message if its layout allows. Raises `MessageError` with reason ``size``,
     ``fields``, ``field_type``, ``layout``, ``too_large``, ``units`` or ``absurd``.
     """
-    height, width = _count(msg, "height"), _count(msg, "width")
+    height, width = int(msg.height), int(msg.width)
     data = bytes_of(msg.data)
     if height * width == 0:
         if data.size:
@@ -149,34 +150,15 @@ def stamp_ns(header: Any) -> int:
     return seconds * 1_000_000_000 + nanoseconds
 
 
-def _count(msg: Any, name: str) -> int:
-    value = int(getattr(msg, name))
-    if value < 0:
-        text = f"cloud has {name} {value}"
-        raise MessageError("size", text)
-    return value
-
-
 def bytes_of(data: Any) -> Bytes:
     """View data as bytes; copy them only if the type has no buffer."""
-    try:
+    with suppress(TypeError, ValueError, BufferError):
         return np.frombuffer(data, dtype=np.uint8)
-    except (TypeError, ValueError, BufferError):
-        return _copied_bytes(data)
-
-
-def _copied_bytes(data: Any) -> Bytes:
-    """Copy the bytes of a list, a strided array or an empty buffer."""
     try:
-        values = np.asarray(data).reshape(-1)
-    except (TypeError, ValueError, OverflowError):
-        values = np.array([None])
-    if values.size == 0:
-        return np.empty(0, dtype=np.uint8)
-    if values.dtype.kind not in "iu" or values.min() < 0 or values.max() > 255:
+        return np.frombuffer(bytes(data), dtype=np.uint8)
+    except (TypeError, ValueError):
         text = f"cloud data of type {type(data).__name__} are not bytes"
-        raise MessageError("size", text)
-    return values.astype(np.uint8)
+        raise MessageError("size", text) from None
 
 
 def _view(msg: Any, fields: list[Any], kinds: list[str], data: Bytes) -> Points | None:
@@ -195,9 +177,7 @@ def _view(msg: Any, fields: list[Any], kinds: list[str], data: Bytes) -> Points 
 
 def _check_layout(msg: Any, fields: list[Any], size: int) -> None:
     """Check the coordinate fields against ``size`` bytes of data. Raises `MessageError`."""
-    point_step = _count(msg, "point_step")
-    _count(msg, "row_step")
-    row_step = _row_step(msg, size)
+    point_step, row_step = int(msg.point_step), _row_step(msg, size)
     height, width = int(msg.height), int(msg.width)
     spans = []
     for field in fields:

@@ -30,17 +30,13 @@ MIN_FOCAL_LENGTH, MAX_INTRINSIC = 1.0, 1e7
 
 
 class DepthCamera:
-    """Converts depth images to points with the noise model of ``lidar``.
-
-    Attributes:
-        edges: Number of pixels dropped from the last image because they lie between a near and a
-            far surface.
-    """
+    """Converts depth images to points with the noise model of ``lidar``. ``edges``: pixels
+    dropped from the last image because they lie between a near and a far surface."""
 
     def __init__(self, lidar: LidarConfig) -> None:
         self._lidar, self.edges = lidar, 0
         self._info: Any = None
-        self._rays: Array | None = None
+        self._rays: Array | None = None  # (H, W, 2) float32: x / z and y / z of the used pixels
         self._key: tuple[object, ...] = ()
 
     def on_info(self, info: Any) -> None:
@@ -78,7 +74,9 @@ class DepthCamera:
         whole = np.ndarray((height, width), order + kind, data, 0, (image.step, size))
         step, f = max(round(width / COLUMNS), 1), self._info
         if self._rays is None:
-            self._rays = self._pixel_rays(height, width, step)
+            u, v = np.arange(step // 2, width, step), np.arange(step // 2, height, step)
+            rays = np.meshgrid((u - f[2]) / f[0], (v - f[3]) / f[1])
+            self._rays = np.stack(rays, axis=-1).astype(np.float32)
         z = np.asarray(whole[step // 2 :: step, step // 2 :: step], dtype=np.float32)
         with np.errstate(invalid="ignore", over="ignore"):  # depths are not checked yet
             z = z * np.float32(unit)
@@ -97,15 +95,6 @@ class DepthCamera:
         points[..., 2] = z
         return points
 
-    def _pixel_rays(self, height: int, width: int, step: int) -> Array:
-        """Return (H, W, 2) float32 x / z and y / z of the used pixels."""
-        u, v = np.meshgrid(
-            np.arange(step // 2, width, step, dtype=np.float64),
-            np.arange(step // 2, height, step, dtype=np.float64),
-        )
-        f = self._info
-        return np.stack([(u - f[2]) / f[0], (v - f[3]) / f[1]], axis=-1).astype(np.float32)
-
 
 def _mark_edges(
     lines: Points, z: Points, limit: Points, edges: Mask, step: int, unit: np.float32
@@ -116,10 +105,8 @@ def _mark_edges(
     first, count = step // 2, len(lines)
     inner = slice(int(first == 0), (count - 2 - first) // step + 1)
     begin, end = first + step * inner.start, first + step * (inner.stop - 1) + 1
-    before, after = (
-        lines[begin - 1 : end - 1 : step] * unit,
-        lines[begin + 1 : end + 1 : step] * unit,
-    )
+    before = lines[begin - 1 : end - 1 : step] * unit
+    after = lines[begin + 1 : end + 1 : step] * unit
     down, up, most = z[inner] - before, after - z[inner], limit[inner]
     between = ((down > most) & (up > most)) | ((down < -most) & (up < -most))
     edges[inner] |= (before > 0.0) & (after > 0.0) & between

@@ -14,8 +14,8 @@ from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.poses import mount_from_message
 
-MAX_LISTED_FRAMES, MAX_NAME_LENGTH = 50, 1000
-"""Limits of the frames listed in a warning, and of the characters of a frame's name."""
+MAX_LISTED_FRAMES = 50
+"""Limit of the frames listed in a warning."""
 
 
 class Extrinsics:
@@ -42,7 +42,7 @@ class Extrinsics:
     def check_body(self, frame: str) -> None:
         """Compare an odometry's child frame with ``frames.body``, or with the first one received.
         Raises `MessageError` with reason ``child_frame`` if they differ."""
-        frame = _frame_name(frame, "child_frame")
+        frame = str(frame).lstrip("/")
         if not self._body and frame:
             self._body = frame
             self._find_mount()
@@ -56,13 +56,12 @@ class Extrinsics:
         Raises `MessageError` with reason ``frame`` if they differ."""
         if not self.tf:
             return
-        frame = _frame_name(frame, "frame")
+        frame = str(frame).lstrip("/")
         if frame == self._lidar:
             return
         if self._lidar:
-            text = (
-                f"cloud is in frame '{_shown(frame)}', the earlier ones in '{_shown(self._lidar)}'"
-            )
+            earlier = _shown(self._lidar)
+            text = f"cloud is in frame '{_shown(frame)}', the earlier ones in '{earlier}'"
             raise MessageError("frame", text)
         self._lidar = frame
         self._find_mount()
@@ -85,40 +84,25 @@ class Extrinsics:
         )
 
     def _find_mount(self) -> None:
-        found = (
-            self._tree.relative_pose(self._body, self._lidar)
-            if self._body and self._lidar
-            else None
-        )
-        if found is not None:
-            self._found = self.turned(found)
+        if self._body and self._lidar:
+            found = self._tree.relative_pose(self._body, self._lidar)
+            if found is not None:
+                self._found = self.turned(found)
 
 
 def add_transforms(tree: FixedTransforms, msg: Any) -> None:
     """Add the transforms of a ``tf2_msgs/TFMessage`` to a tree. Raises `MessageError` for the first
-    unusable one, with reason ``stamp``, ``position``, ``quaternion`` or ``frame``; the others are
-    added."""
+    unusable one, with reason ``stamp``, ``position`` or ``quaternion``; the others are added."""
     first_error: MessageError | None = None
     for item in msg.transforms:
         try:
             transform = mount_from_message(item, "transform")
-            names = (item.header.frame_id, item.child_frame_id)
-            frames = [_frame_name(name, "frame") for name in names]
         except MessageError as error:
             first_error = first_error or error
         else:
-            tree.add(*frames, transform)
+            tree.add(item.header.frame_id, item.child_frame_id, transform)
     if first_error is not None:
         raise first_error
-
-
-def _frame_name(frame: object, reason: str) -> str:
-    """Return a frame's name without its leading slash. Raises `MessageError` if it is too long."""
-    name = str(frame).lstrip("/")
-    if len(name) > MAX_NAME_LENGTH:
-        text = f"frame '{_shown(name)}' has a name of more than {MAX_NAME_LENGTH} characters"
-        raise MessageError(reason, text)
-    return name
 
 
 def _shown(frame: str) -> str:

@@ -55,11 +55,9 @@ class Notice(NamedTuple):
 
 
 class ReadyScan(NamedTuple):
-    """A scan and the pose of the lidar at its stamp; points as of `points_from_cloud`.
-
-    ``sweep``: motion of the lidar during the scan, None if it was instantaneous. ``edges``: pixels
-    of a depth image that were dropped at the edge of an object.
-    """
+    """A scan and the pose of the lidar at its stamp; points as of `points_from_cloud`. ``sweep``:
+    motion of the lidar during the scan, None if it was instantaneous. ``edges``: dropped pixels of
+    a depth image, at the edge of an object."""
 
     stamp_ns: int
     points_lidar: Points
@@ -72,10 +70,6 @@ class ReadyScan(NamedTuple):
         if not self.edges:
             return dict(dropped)
         return {**dropped, "no_return": dropped["no_return"] - self.edges, "edge": self.edges}
-
-    def __repr__(self) -> str:
-        shape = " x ".join(map(str, self.points_lidar.shape[:-1]))
-        return f"<ReadyScan: {shape} points at {self.stamp_ns} ns>"
 
 
 class _Cloud(NamedTuple):
@@ -92,9 +86,7 @@ class Intake:
     Call `on_pose`, `on_cloud`, `on_gimbal`, `on_transforms` with each message in order of arrival,
     then `ready`. No call raises on bad input: it is counted in ``rejected`` (``cloud_<reason>``,
     ``pose_<reason>``, …; ``times_<reason>`` for clouds whose point times are ignored) or
-    ``queue.dropped`` and reported by `notices`. ``config``: the sections ``pose``, ``frames``,
-    ``mount`` and ``lidar`` are used. With a mount, poses are those of the body; `on_gimbal` sets
-    the mount with ``mount.source: gimbal``, `on_transforms` with ``mount.source: tf``.
+    ``queue.dropped`` and reported by `notices`. With a mount, poses are those of the body.
     """
 
     def __init__(
@@ -108,11 +100,13 @@ class Intake:
         self._pose_config = config.pose
         self._map_frame = config.frames.map
         self.camera = DepthCamera(config.lidar)
-        self._body = self._buffer()
+        self._body = PoseBuffer(BUFFER_NS, GAP_NS)
         self._gate = PoseGate(GAP_NS)
-        self._gimbal = self._buffer("gimbal angle") if config.mount.source == "gimbal" else None
         self._extrinsics = Extrinsics(config)
-        mount = self._gimbal if self._gimbal is not None else self._extrinsics.mount
+        self._gimbal: PoseBuffer | None = None
+        mount: PoseBuffer | Pose | None = self._extrinsics.mount
+        if config.mount.source == "gimbal":
+            self._gimbal = mount = PoseBuffer(BUFFER_NS, GAP_NS, what="gimbal angle")
         self._mounted: MountedPoses | None = None
         if mount is not None or self._extrinsics.tf:
             lack = self._extrinsics.lack
@@ -130,11 +124,6 @@ class Intake:
         self._notices: list[Notice] = []
         self._stamp_ns = 0
         self._gaps_ns: deque[int] = deque(maxlen=PERIOD_GAPS)
-
-    @property
-    def mount(self) -> Pose | None:
-        """Pose of the lidar on the body; None if it is not fixed or not known."""
-        return self._extrinsics.mount
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -160,12 +149,10 @@ class Intake:
             return
         flaw = covariance_flaw(msg)
         if flaw == "unknown":
-            text = (
-                "pose covariance is zero, negative, not a number or huge where it is unknown: using"
-                f" {limits.unknown_position_sigma:g} m and"
-                f" {limits.unknown_attitude_sigma_deg:g} deg (pose.unknown_position_sigma,"
-                " pose.unknown_attitude_sigma_deg)"
-            )
+            text = "pose covariance is zero, negative, not a number or huge where it is unknown:"
+            text += f" using {limits.unknown_position_sigma:g} m and"
+            text += f" {limits.unknown_attitude_sigma_deg:g} deg"
+            text += " (pose.unknown_position_sigma, pose.unknown_attitude_sigma_deg)"
             self._notices.append(Notice("pose_covariance_unknown", text))
         elif flaw:
             text = "pose covariance is not symmetric or has a negative eigenvalue: only its"
@@ -229,8 +216,6 @@ class Intake:
                 self._notices.append(Notice("cloud_sizes", note))
             try:
                 times = offsets_from_cloud(msg, stamp, points, self._period_ns(stamp))
-                if times is not None and times.note:
-                    self._notices.append(Notice("times_unit", times.note))
             except MessageError as error:
                 self.reject("times", error)
         self.scans += 1
@@ -264,7 +249,7 @@ class Intake:
     def _with_sweep(self, stamp: int, cloud: _Cloud, pose: Pose) -> ReadyScan:
         if cloud.times is None:
             return ReadyScan(stamp, cloud.points, pose, edges=cloud.edges)
-        offsets, (first, last), _ = cloud.times
+        offsets, (first, last) = cloud.times
         poses = poses_during(self.queue.poses, stamp + first, stamp + last)
         return ReadyScan(stamp, cloud.points, pose, interpolate_sweep(offsets, pose, poses))
 
@@ -281,9 +266,6 @@ class Intake:
         """Count an unusable message and add a warning; ``what``: cloud, pose or gimbal."""
         self.rejected[f"{what}_{error.reason}"] += 1
         self._notices.append(Notice(f"{what}_{error.reason}", str(error)))
-
-    def _buffer(self, what: str = "pose") -> PoseBuffer:
-        return PoseBuffer(BUFFER_NS, GAP_NS, what=what)
 
     def _add(self, buffer: PoseBuffer, pose: Pose, what: str) -> bool:
         """Add a pose, or count it as rejected; return whether it is used."""
@@ -309,11 +291,9 @@ def noise_notice(ratio: float, config: Config) -> Notice | None:
     if math.isnan(ratio) or agrees:
         return None
     configured = config.lidar.range_noise
-    cause = (
-        "rough ground, or too many cells for a wrong setting"
-        if ratio > 1.0
-        else "a setting too large makes too few cells"
-    )
+    cause = "a setting too large makes too few cells"
+    if ratio > 1.0:
+        cause = "rough ground, or too many cells for a wrong setting"
     text = (
         f"points scatter about flat cells by {ratio * configured:.3g} m, but lidar.range_noise is"
         f" {configured:g} m{' and what stereo adds' * bool(config.lidar.stereo_noise)}: {cause}"

@@ -20,13 +20,12 @@ KEEP_OUTS = "keep_outs"
 
 POLYGON_TYPE, POINT_TYPE = "geometry_msgs/msg/PolygonStamped", "geometry_msgs/msg/PointStamped"
 INSTANCE_TYPE = "geometry_msgs/msg/PolygonInstanceStamped"
-DISPERSION_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TYPES = {
     AREA: POLYGON_TYPE,
     KEEP_OUT: POLYGON_TYPE,
     KEEP_OUTS: INSTANCE_TYPE,
     TARGET: POINT_TYPE,
-    DISPERSION: DISPERSION_TYPE,
+    DISPERSION: "geometry_msgs/msg/PoseWithCovarianceStamped",
 }
 
 BINDING = (AREA, KEEP_OUT, KEEP_OUTS)
@@ -48,27 +47,23 @@ MAX_KEEP_OUTS = 200
 """Limit of the keep-outs of the set; more are rejected."""
 
 
-def polygon_from_message(msg: Any, map_frame: str) -> Array | None:
-    """Return vertices (V, 2), map frame, m; None for a message without any: no restriction. Raises
-    `MessageError` with reason ``frame`` or ``polygon``."""
-    check_frame(msg.header.frame_id, map_frame, "polygon")
+def polygon_from_message(msg: Any) -> Array | None:
+    """Return vertices (V, 2), m; None for a message without any: no restriction. Raises
+    `MessageError` with reason ``polygon``."""
     polygon = getattr(msg.polygon, "polygon", msg.polygon)  # PolygonInstanceStamped nests it
     corners = np.array([(p.x, p.y) for p in polygon.points], dtype=np.float64)
     if not len(corners):
         return None
     if not 3 <= len(corners) <= MAX_VERTICES or not (np.abs(corners) <= MAX_COORDINATE).all():
-        text = (
-            f"polygon of {len(corners)} vertices is not usable: 3 to {MAX_VERTICES} finite ones"
-            f" within {MAX_COORDINATE:g} m, or none to lift the restriction"
-        )
+        text = f"polygon of {len(corners)} vertices is not usable: 3 to {MAX_VERTICES} finite ones"
+        text += f" within {MAX_COORDINATE:g} m, or none to lift the restriction"
         raise MessageError("polygon", text)
     return corners
 
 
-def target_from_message(msg: Any, map_frame: str) -> Array | None:
-    """Return a position (2,), map frame, m; None if x and y are both NaN: no target. Raises
-    `MessageError` with reason ``frame`` or ``point``."""
-    check_frame(msg.header.frame_id, map_frame, "target")
+def target_from_message(msg: Any) -> Array | None:
+    """Return a position (2,), m; None if x and y are both NaN: no target. Raises `MessageError`
+    with reason ``point``."""
     position = np.array([msg.point.x, msg.point.y], dtype=np.float64)
     if np.isnan(position).all():
         return None
@@ -78,23 +73,16 @@ def target_from_message(msg: Any, map_frame: str) -> Array | None:
     return position
 
 
-def dispersion_from_message(msg: Any, map_frame: str) -> Array | None:
-    """Return the standard deviations along x and y, m, and the heading, rad, if it is known; None
-    if the variances are NaN.
-
-    Only the variances of x, y and the rotation about z are used: a heading with a standard
-    deviation above 15 degrees counts as unknown. Raises `MessageError` with reason ``frame`` or
-    ``dispersion``.
-    """
-    check_frame(msg.header.frame_id, map_frame, "dispersion")
+def dispersion_from_message(msg: Any) -> Array | None:
+    """Return the standard deviations along x and y, m, and the heading, rad, if that is known;
+    None if the variances are NaN. Raises `MessageError` with reason ``dispersion``."""
     covariance = np.asarray(msg.pose.covariance, dtype=np.float64)
     variance = covariance[[0, 7]] if covariance.size == 36 else np.full(2, -1.0)
     if np.isnan(variance).all():
         return None
     if not ((variance >= 0.0) & (variance <= MAX_TOUCHDOWN_SIGMA**2)).all():
-        text = (
-            f"variances {variance.tolist()} m^2 are not within 0 and ({MAX_TOUCHDOWN_SIGMA:g} m)^2"
-        )
+        limit = f"({MAX_TOUCHDOWN_SIGMA:g} m)^2"
+        text = f"variances {variance.tolist()} m^2 are not within 0 and {limit}"
         raise MessageError("dispersion", text)
     q, known = msg.pose.pose.orientation, 0.0 <= covariance[35] <= MAX_HEADING_SIGMA**2
     x, y, z, w = map(float, (q.x, q.y, q.z, q.w))
@@ -104,32 +92,23 @@ def dispersion_from_message(msg: Any, map_frame: str) -> Array | None:
 
 
 DECODE = {
-    AREA: polygon_from_message,
-    KEEP_OUT: polygon_from_message,
-    KEEP_OUTS: polygon_from_message,
+    **dict.fromkeys(BINDING, polygon_from_message),
     TARGET: target_from_message,
     DISPERSION: dispersion_from_message,
 }
-WHAT = {topic: topic for topic in TYPES} | dict.fromkeys((AREA, KEEP_OUT, KEEP_OUTS), "polygon")
-"""Noun for a message of each topic, in error texts."""
 
 
 class LandingRequests:
     """The current restrictions and targets, as arguments of `assess`.
 
     While an area or keep-out is unusable, no site is published, because it could be anywhere. An
-    unusable target or dispersion leaves the previous value. A keep-out of the set has the name
-    ``keep_outs/<id>``.
-
-    Args:
-        frame: Frame of the map; None while unknown: any frame is accepted.
-        fixed: Values (V, 2), (2,) or None by name that no message changes; ``keep_outs`` is a list.
+    unusable target or dispersion leaves the previous value. ``frame`` of the map is None while
+    unknown: any is accepted. No message changes the values ``fixed``; ``keep_outs`` is a list.
 
     Attributes:
-        values: Current value by name, None without one.
+        values: Current value by name, None without one; ``keep_outs/<id>`` is one of the set.
         unusable: Why the last message of a name is unusable.
         last_messages: Frame, and content or error, of the last message by name.
-        navigation: Motion of the vehicle.
     """
 
     def __init__(self, frame: str | None, fixed: Mapping[str, Any] | None = None) -> None:
@@ -153,7 +132,7 @@ class LandingRequests:
         frame = str(msg.header.frame_id)[:MAX_FRAME_LENGTH]
         content: Array | MessageError | None
         try:
-            content = DECODE[topic](msg, msg.header.frame_id)
+            content = DECODE[topic](msg)
         except MessageError as error:  # its traceback would keep the message alive
             content = MessageError(error.reason, str(error))
         if full and content is not None:
@@ -165,7 +144,8 @@ class LandingRequests:
     def _use(self, name: str, frame: str, content: Array | MessageError | None) -> None:
         topic = topic_of(name)
         try:
-            check_frame(frame, frame if self._frame is None else self._frame, WHAT[topic])
+            what = "polygon" if topic in BINDING else topic
+            check_frame(frame, frame if self._frame is None else self._frame, what)
             if isinstance(content, MessageError):
                 raise MessageError(content.reason, str(content))
         except MessageError as error:
@@ -217,9 +197,10 @@ class LandingRequests:
 
 
 class Navigation:
-    """Position and speed of the vehicle from its poses."""
+    """Position and speed of the vehicle from its poses; ``known`` after the first usable one."""
 
     def __init__(self) -> None:
+        self.known = False
         self._frame: str | None = None
         self._vehicle: Motion | None = None
         self._start = (0, np.full(3, np.nan))  # of the speed: stamp, ns, and position
@@ -243,12 +224,8 @@ class Navigation:
             self._start = now, position
         elif self._vehicle is not None:
             self._vehicle = self._vehicle._replace(z=z, x=x, y=y)
+        self.known = True
         return True
-
-    @property
-    def known(self) -> bool:
-        """True after the first usable pose."""
-        return self._vehicle is not None
 
     def vehicle(self, frame: str) -> Motion | None:
         """Return the motion in a frame, None if unknown."""

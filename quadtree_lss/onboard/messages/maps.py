@@ -18,6 +18,7 @@ from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.limits import MAX_LEAVES, MAX_LEVEL, exceeded_limit
 from quadtree_lss.onboard.config.settings import ConfigError, LssConfig, checked_values
 from quadtree_lss.onboard.core.geometry.bounds import MAX_HEIGHT, MAX_VALUE, clamp_heights
+from quadtree_lss.onboard.core.geometry.rotations import quaternion_from_rotation
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.columns import sound_planes
 from quadtree_lss.onboard.core.tree.domain import Domain
@@ -111,18 +112,11 @@ def decode_cells(
 ) -> CellMap:
     """Build the map from the content of its two messages.
 
-    Args:
-        records: (M,) of `CELL_FIELDS`.
-        observed: (n, n) [iy, ix], True where a point fell.
-        xmin, ymin: South-western corner of the domain, m.
-        stamp_ns: Stamp of both messages.
-        lss: Settings for landing-site selection on the map; None if there is none.
-        known: (n, n), False where ``map/observed`` says that the ground is not yet mapped; None
-            if it is mapped everywhere.
-
-    Raises:
-        MessageError: the sizes are inconsistent, the leaves do not tile the domain, a value is
-            impossible, or the map is too large for landing-site selection (``too_large``).
+    ``records``: (M,) of `CELL_FIELDS`. ``observed``: (n, n) [iy, ix], True where a point fell.
+    ``known``: (n, n), False where the ground is not yet mapped; None if it is mapped everywhere.
+    ``lss``: settings for landing-site selection on the map, None if there is none. Raises
+    `MessageError` if the sizes are inconsistent, the leaves do not tile the domain, a value is
+    impossible, or the map is too large for landing-site selection (``too_large``).
     """
     n = observed.shape[0]
     if observed.shape != (n, n) or n < 1 or n & (n - 1):
@@ -132,10 +126,8 @@ def decode_cells(
         msg = "map/cells has no leaves"
         raise MessageError("no_cells", msg)
     if n > 1 << MAX_LEVEL or len(records) > MAX_LEAVES:
-        msg = (
-            f"map of {len(records)} leaves on {n} x {n} finest cells: {MAX_LEAVES} leaves and"
-            f" {1 << MAX_LEVEL} cells a side are the most"
-        )
+        msg = f"map of {len(records)} leaves on {n} x {n} finest cells:"
+        msg += f" {MAX_LEAVES} leaves and {1 << MAX_LEVEL} cells a side are the most"
         raise MessageError("too_large", msg)
     level = records["level"].copy()  # kernels need writable arrays
     ix, iy = records["ix"].astype(np.uint32), records["iy"].astype(np.uint32)
@@ -173,8 +165,7 @@ def decode_cells(
 def _tiled(
     records: NDArray[np.void], n: int, xmin: float, ymin: float, lss: LssConfig | None
 ) -> Domain:
-    """Return the domain of n x n finest cells that the leaves tile, by the sum of their areas.
-    Arguments and errors as of `decode_cells`."""
+    """Return the domain of n x n finest cells that the leaves tile, by the sum of their areas."""
     level, max_level = records["level"], n.bit_length() - 1
     far = np.maximum(records["ix"], records["iy"]).astype(np.uint32)
     beyond = (level > max_level) | (far >> np.minimum(level, 31) > 0)
@@ -209,16 +200,15 @@ def _check(cells: CellMap) -> None:
     if not (possible or np.isnan((offset, variance)).all()):
         msg = f"map/cells has an impossible offset: {offset} m of variance {variance}"
         raise MessageError("values", msg)
-    if not sound[known].all() or cells.measured[~known].any():
-        msg = "map/cells has a leaf with an impossible plane (normal, elevation, covariance)"
-        raise MessageError("values", msg)
-    if not ((cells.coverage >= 0.0) & (cells.coverage <= 1.0)).all():
-        msg = "map/cells has a leaf with an impossible coverage"
-        raise MessageError("values", msg)
-    bounds = np.stack([cells.low, cells.high])
-    if (np.abs(bounds) >= MAX_HEIGHT).any() or (cells.low > cells.high).any():
-        msg = "map/cells has a leaf with impossible bounds (low, high)"
-        raise MessageError("values", msg)
+    bounds = np.abs([cells.low, cells.high])
+    impossible = {
+        "plane (normal, elevation, covariance)": ~np.where(known, sound, ~cells.measured),
+        "coverage": ~((cells.coverage >= 0.0) & (cells.coverage <= 1.0)),
+        "bounds (low, high)": (bounds >= MAX_HEIGHT).any(axis=0) | (cells.low > cells.high),
+    }
+    for what, leaves in impossible.items():
+        if leaves.any():
+            raise MessageError("values", f"map/cells has a leaf with an impossible {what}")
 
 
 def _block(records: NDArray[np.void], names: Sequence[str]) -> NDArray[Any]:
@@ -320,8 +310,6 @@ def site_orientations(normals: Array) -> Array:
 
     The x axis is the direction (n_z, 0, -n_x), perpendicular to the normal and without a y part.
     """
-    from quadtree_lss.onboard.core.geometry.rotations import quaternion_from_rotation
-
     z = np.asarray(normals, dtype=np.float64).reshape(-1, 3)
     x = np.stack([z[:, 2], np.zeros(len(z)), -z[:, 0]], axis=-1)
     x /= np.linalg.norm(x, axis=-1, keepdims=True)

@@ -15,39 +15,26 @@ from numpy.typing import NDArray
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.errors import one_line
+from quadtree_lss.onboard.messages import maps
 from quadtree_lss.onboard.messages.clouds import MessageError, stamp_ns
-from quadtree_lss.onboard.messages.maps import (
-    CELL_FIELDS,
-    POINT_FIELD_TYPES,
-    STATUS_FIELDS,
-    decode_cells,
-    decode_observed,
-    encode_cells,
-    encode_hazards,
-    encode_observed,
-    encode_probability,
-    encode_score,
-    encode_sites,
-    encode_status,
-    known_probability,
-    site_orientations,
-)
 
 if TYPE_CHECKING:  # the sites' modules are slow to load, and mapping_node needs none
     from quadtree_lss.onboard.core.landing.result import LandingAssessment
 
 CELLS, OBSERVED = "map/cells", "map/observed"
 SITES, SITE_TABLE = "landing/sites", "landing/site_table"
-HAZARDS, SCORE = "landing/hazards", "landing/score"
-PROBABILITY = "landing/probability"
+HAZARDS, SCORE, PROBABILITY = "landing/hazards", "landing/score", "landing/probability"
 GROUND = SITES, SITE_TABLE, HAZARDS, SCORE, PROBABILITY
 SELECTED, STATUS = "landing/selected", "landing/status"
 STATUS_TEXT = "landing/status_text"  # live only
 
-CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
-GRID_TYPE = "nav_msgs/msg/OccupancyGrid"
+GRIDS = {
+    HAZARDS: maps.encode_hazards,
+    SCORE: maps.encode_score,
+    PROBABILITY: maps.encode_probability,
+}
+CLOUD_TYPE, GRID_TYPE = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/OccupancyGrid"
 POSES_TYPE = "geometry_msgs/msg/PoseArray"
 SELECTED_TYPE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TOPIC_TYPES = {
@@ -76,8 +63,8 @@ TopicMessage = tuple[str, Any]
 
 def point_layout(fields: Fields) -> list[tuple[str, int, int]]:
     """Return name, offset and PointField datatype of each field."""
-    by_name = (fields.fields or {}).items()
-    return [(name, start, POINT_FIELD_TYPES[kind.str[1:]]) for name, (kind, start, *_) in by_name]
+    types, by_name = maps.POINT_FIELD_TYPES, (fields.fields or {}).items()
+    return [(name, start, types[kind.str[1:]]) for name, (kind, start, *_) in by_name]
 
 
 def cloud_records(cloud: Any, fields: Fields) -> NDArray[np.void]:
@@ -86,25 +73,18 @@ def cloud_records(cloud: Any, fields: Fields) -> NDArray[np.void]:
     layout = point_layout(fields)
     found = [(item.name, item.offset, item.datatype) for item in cloud.fields]
     count = cloud.width * cloud.height
-    if (
-        found != layout
-        or cloud.is_bigendian
-        or cloud.point_step != fields.itemsize
-        or len(cloud.data) != count * fields.itemsize
-    ):
-        msg = (
-            f"cloud of {count} points, {len(found)} fields and {cloud.point_step} bytes"
-            f" each is not of the layout documented in msg_docs ({len(layout)} fields,"
-            f" {fields.itemsize} bytes)"
-        )
-        raise MessageError("layout", msg)
+    sizes = cloud.point_step, len(cloud.data)
+    if cloud.is_bigendian or found != layout or sizes != (fields.itemsize, count * fields.itemsize):
+        msg = f"cloud of {count} points, {len(found)} fields and {cloud.point_step} bytes each"
+        msg += " is not of the layout documented in msg_docs"
+        raise MessageError("layout", f"{msg} ({len(layout)} fields, {fields.itemsize} bytes)")
     return np.frombuffer(cloud.data, dtype=fields)
 
 
 def status_from_message(cloud: Any) -> np.void:
     """Return the record of ``landing/status``. Raises `MessageError` with reason ``layout`` if it
     has another layout or number of points."""
-    records = cloud_records(cloud, STATUS_FIELDS)
+    records = cloud_records(cloud, maps.STATUS_FIELDS)
     if len(records) != 1:
         raise MessageError("layout", f"{STATUS} has {len(records)} points; 1 is needed")
     record: np.void = records[0]
@@ -113,27 +93,23 @@ def status_from_message(cloud: Any) -> np.void:
 
 def map_from_messages(cloud: Any, grid: Any, lss: LssConfig | None = None) -> CellMap:
     """Build the map from ``map/cells`` (``cloud``) and ``map/observed`` (``grid``) of one stamp.
-
-    ``lss``: as in `decode_cells`. Raises `MessageError`: a message is not one of ``mapping_node``,
-    or their frames differ (``frame``).
-    """
+    ``lss``: as in `maps.decode_cells`. Raises `MessageError`: a message is not one of
+    ``mapping_node``, or their frames differ (``frame``)."""
     frames = (str(cloud.header.frame_id), str(grid.header.frame_id))
     if frames[0].lstrip("/") != frames[1].lstrip("/"):
         shown = [one_line(frame, 80) for frame in frames]
         msg = f"map/cells is in frame '{shown[0]}', map/observed in '{shown[1]}'"
         raise MessageError("frame", msg)
-    records = cloud_records(cloud, CELL_FIELDS)
+    records = cloud_records(cloud, maps.CELL_FIELDS)
     values = np.frombuffer(grid.data, dtype=np.int8)
     if values.size != grid.info.height * grid.info.width:
-        msg = (
-            f"map/observed of {grid.info.width} x {grid.info.height} cells carries"
-            f" {values.size} values"
-        )
+        cells = f"{grid.info.width} x {grid.info.height} cells"
+        msg = f"map/observed of {cells} carries {values.size} values"
         raise MessageError("observed_size", msg)
     shape = grid.info.height, grid.info.width
-    observed, known = (mask.reshape(shape) for mask in decode_observed(values))
+    observed, known = (mask.reshape(shape) for mask in maps.decode_observed(values))
     origin, stamp = grid.info.origin.position, stamp_ns(cloud.header)
-    return decode_cells(records, observed, origin.x, origin.y, stamp, lss, known)
+    return maps.decode_cells(records, observed, origin.x, origin.y, stamp, lss, known)
 
 
 class MessageMaker:
@@ -153,12 +129,11 @@ class MessageMaker:
         self._layouts: dict[Fields, list[Any]] = {}
 
     def of_map(self, cells: CellMap) -> Iterator[TopicMessage]:
-        yield CELLS, self.cloud(encode_cells(cells), cells.stamp_ns)
-        values = encode_observed(cells.observed, cells.known)
-        yield OBSERVED, self.observed(values, cells.domain, cells.stamp_ns)
-
-    def observed(self, values: NDArray[np.int8], domain: Domain, stamp: int) -> Any:
-        return self.grid(values, (domain.xmin, domain.ymin), domain.finest_size, stamp)
+        yield CELLS, self.cloud(maps.encode_cells(cells), cells.stamp_ns)
+        values = maps.encode_observed(cells.observed, cells.known)
+        domain = cells.domain
+        corner = domain.xmin, domain.ymin
+        yield OBSERVED, self.grid(values, corner, domain.finest_size, cells.stamp_ns)
 
     def of_ground(
         self, assessment: LandingAssessment, topics: Collection[str] = GROUND
@@ -167,21 +142,23 @@ class MessageMaker:
         stamp, x, y = assessment.stamp_ns, assessment.x, assessment.y
         spacing = float(x[1] - x[0]) if len(x) > 1 else 1.0
         corner = (float(x[0]) - 0.5 * spacing, float(y[0]) - 0.5 * spacing)
-        grids = {HAZARDS: encode_hazards, SCORE: encode_score, PROBABILITY: encode_probability}
-        for topic, encode in grids.items():
+        for topic, encode in GRIDS.items():
             if topic in topics:
                 yield topic, self.grid(encode(assessment), corner, spacing, stamp)
         if SITE_TABLE in topics:
-            yield SITE_TABLE, self.cloud(encode_sites(assessment), stamp)
+            yield SITE_TABLE, self.cloud(maps.encode_sites(assessment), stamp)
         if SITES in topics:
-            yield SITES, self.sites(assessment)
+            sites = assessment.sites
+            turns = maps.site_orientations(sites.normal)
+            poses = [self._pose(p, q) for p, q in zip(sites.position, turns, strict=True)]
+            yield SITES, self._make(POSES_TYPE, header=self._header(stamp), poses=poses)
 
     def grid_map(self, assessment: LandingAssessment) -> Any:
         """Build ``landing/grid_map``: the layers of the landing grid, NaN where unknown."""
         x, y = assessment.x, assessment.y
         spacing = float(x[1] - x[0]) if len(x) > 1 else 1.0
         layers = {name: getattr(assessment, name) for name in GRID_MAP_LAYERS}
-        layers["probability"] = known_probability(assessment)
+        layers["probability"] = maps.known_probability(assessment)
         middle = (0.5 * float(x[0] + x[-1]), 0.5 * float(y[0] + y[-1]), 0.0)
         info = self._make(
             "grid_map_msgs/msg/GridMapInfo",
@@ -202,8 +179,7 @@ class MessageMaker:
         )
 
     def grid_map_layer(self, values: NDArray[Any]) -> Any:
-        """Build a grid_map layer from (ny, nx): column by column, row 0 at the greatest x, column 0
-        at the greatest y."""
+        """Build a layer column by column, row 0 at the greatest x, column 0 at the greatest y."""
         ny, nx = values.shape
         dimensions = [
             self._make("std_msgs/msg/MultiArrayDimension", label=label, size=size, stride=stride)
@@ -215,8 +191,10 @@ class MessageMaker:
 
     def of_target(self, assessment: LandingAssessment, age: float) -> Iterator[TopicMessage]:
         """Yield ``landing/selected`` and ``landing/status``. ``age``: of the map, s, or NaN."""
-        yield SELECTED, self.selected(assessment)
-        yield STATUS, self.cloud(encode_status(assessment, age), assessment.stamp_ns)
+        target, stamp = assessment.selected, assessment.stamp_ns
+        turn = maps.site_orientations(target.site.normal)[0] if target.id else (0.0, 0.0, 0.0, 1.0)
+        yield SELECTED, self.pose(stamp, target.position, turn, target.covariance.ravel())
+        yield STATUS, self.cloud(maps.encode_status(assessment, age), stamp)
 
     def cloud(self, records: NDArray[np.void], stamp: int) -> Any:
         """Build a PointCloud2 from packed records (M,) or (H, W)."""
@@ -250,19 +228,6 @@ class MessageMaker:
         )
         data = self._pack(np.ascontiguousarray(values, dtype=np.int8).ravel())
         return self._make(GRID_TYPE, header=self._header(stamp), info=info, data=data)
-
-    def sites(self, assessment: LandingAssessment) -> Any:
-        sites = assessment.sites
-        turns = site_orientations(sites.normal)
-        poses = [self._pose(p, q) for p, q in zip(sites.position, turns, strict=True)]
-        header = self._header(assessment.stamp_ns)
-        return self._make(POSES_TYPE, header=header, poses=poses)
-
-    def selected(self, assessment: LandingAssessment) -> Any:
-        """Build the message of the target; its position is NaN if there is none."""
-        target = assessment.selected
-        turn = site_orientations(target.site.normal)[0] if target.id else (0.0, 0.0, 0.0, 1.0)
-        return self.pose(assessment.stamp_ns, target.position, turn, target.covariance.ravel())
 
     def pose(self, stamp: int, position: Any, xyzw: Any, covariance: Array) -> Any:
         """Build a PoseWithCovarianceStamped from position (3,), quaternion and covariance (36,)."""

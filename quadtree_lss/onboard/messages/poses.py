@@ -59,23 +59,17 @@ def pose_from_message(
 
 
 def covariance_flaw(msg: Any) -> str:
-    """Classify the covariance of a pose.
-
-    ``unknown``: a variance is not a number, negative or above `UNKNOWN_VARIANCES`, or all other
-    variances of the position, or of the attitude, are zero. ``invalid``: the matrix is not a
-    covariance, so that only its variances are used. Else empty. Raises as `pose_from_message`.
-    """
+    """Return ``unknown`` if a variance of a pose is not a number, negative or above
+    `UNKNOWN_VARIANCES`, or all others of the position, or of the attitude, are zero; ``invalid`` if
+    the matrix is not a covariance, so that only its variances are used; else an empty string."""
     _, unknown, valid = _covariance(_content(msg.pose.covariance))
     return "unknown" if unknown.any() else "" if valid else "invalid"
 
 
 def mount_from_message(msg: Any, what: str = "gimbal") -> Pose:
-    """Return the pose of the lidar in body axes from a ``geometry_msgs/TransformStamped``.
-
-    The header's frame is the body, the child frame the lidar; the covariance is zero. ``what``:
-    name in error messages. Raises `MessageError` with reason ``stamp``, ``position`` or
-    ``quaternion``.
-    """
+    """Return the pose of the lidar in body axes from a ``geometry_msgs/TransformStamped`` from body
+    to lidar; the covariance is zero. ``what``: name in error messages. Raises `MessageError` with
+    reason ``stamp``, ``position`` or ``quaternion``."""
     position = _position(msg.transform.translation, f"{what} translation")
     rotation = _rotation(msg.transform.rotation, f"{what} rotation")
     return Pose(stamp_ns(msg.header), position, rotation, np.zeros((6, 6)))
@@ -98,11 +92,9 @@ def _covariance(content: bytes) -> tuple[Array, Mask, bool]:
     """Parse a covariance of 36 float64, row by row.
 
     Returns the covariance (6, 6), read-only and zero along unknown axes; which axes are unknown,
-    (6,); and whether the matrix is a covariance. Rounding is corrected. If one triangle is empty,
-    the other one is mirrored; if the matrix is not symmetric or has a negative eigenvalue, only its
-    diagonal is used. This is tested after scaling to unit diagonal, because metres and radians
-    differ by orders of magnitude. Raises `MessageError` with reason ``covariance`` for another
-    number of entries, ``attitude`` if that is too uncertain.
+    (6,); and whether the matrix is a covariance, else only its diagonal is used. This is tested
+    after scaling to unit diagonal, because metres and radians differ by orders of magnitude.
+    Rounding is corrected, and an empty triangle is mirrored. Raises as `pose_from_message`.
     """
     entries = np.frombuffer(content)
     if entries.size != 36:

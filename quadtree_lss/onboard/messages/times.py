@@ -1,16 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decoding of point times in the formats of common lidar drivers.
+"""Decoding of point times in the formats of common lidar drivers (``msg_docs/inputs.md``).
 
-| driver | field | type | meaning |
-| --- | --- | --- | --- |
-| Ouster | `t` | uint32 | ns after the stamp |
-| Velodyne | `time` | float32 | s from the stamp, negative if that is of the last packet |
-| Hesai | `timestamp` | float64 | s since the epoch |
-| Nebula | `time_stamp` | uint32 | ns after the stamp |
-| Livox | `timestamp` | float64 | ns since the epoch |
-| Livox | `offset_time` | uint32 | ns after the stamp |
-
-Other drivers use these names with other units. A unit is accepted only if the times span a scan.
+Drivers use the same names with several units. A unit is accepted only if the times span a scan.
 """
 
 from __future__ import annotations
@@ -47,11 +38,10 @@ DEFAULT_SPAN_NS = (2.5e6, 0.25e9)
 
 class PointTimes(NamedTuple):
     """Point times. ``offsets``: (N,) ns from the stamp. ``span``: least and greatest offset, 0
-    included. ``note``: how the field was read if its drivers document it otherwise, else empty."""
+    included."""
 
     offsets: NDArray[np.int32]
     span: tuple[int, int]
-    note: str = ""
 
 
 def offsets_from_cloud(
@@ -110,7 +100,7 @@ def _offsets(
                 exact = values.astype("=i4" if wrapped else "=f8") * scale - zero
                 offsets = np.rint(exact).astype(np.int32)
             first, last = (round(end) for end in ends)
-            return PointTimes(offsets, (min(first, 0), max(last, 0)), _note(field, kind, scale))
+            return PointTimes(offsets, (min(first, 0), max(last, 0)))
     period = "" if period_ns is None else f" of {period_ns * 1e-9:.3g} s"
     text = (
         f"cloud field '{field.name}' holds times from {low:.9g} to {high:.9g}, which in no known"
@@ -136,11 +126,3 @@ def _spans_a_scan(ends: list[float], period_ns: float | None) -> bool:
         shortest, longest = MIN_PERIODS * period_ns, MAX_PERIODS * period_ns
     near = max(map(abs, ends)) <= min(longest, MAX_OFFSET_NS)
     return near and ends[1] - ends[0] >= shortest
-
-
-def _note(field: Any, kind: str, scale: float) -> str:
-    documented = scale == 1.0 if kind in ("i4", "u4") else scale in (1.0, 1e9)
-    if documented or field.name.endswith("_us"):
-        return ""
-    unit = {1e3: "microseconds", 1e6: "milliseconds"}[scale]
-    return f"cloud field '{field.name}' is read in {unit}: in these it spans a scan period"

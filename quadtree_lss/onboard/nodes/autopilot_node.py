@@ -17,17 +17,10 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.autopilot import landing
 from quadtree_lss.onboard.autopilot.controller import Controller
 from quadtree_lss.onboard.autopilot.frames import Nav
 from quadtree_lss.onboard.autopilot.inputs import Target, target_from_status
-from quadtree_lss.onboard.autopilot.landing import (
-    GIVE_UP,
-    HEARTBEAT_S,
-    HOLD,
-    PILOT,
-    WAVE_OFF,
-    Order,
-)
 from quadtree_lss.onboard.autopilot.link import PX4
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.geometry.rotations import rotation_from_quaternion
@@ -37,10 +30,16 @@ from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, status_from_
 from quadtree_lss.onboard.messages.poses import check_frame
 from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Status
 from quadtree_lss.onboard.nodes.entry import set_waiting_for
-from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.node_runner import BaseNode, run
-from quadtree_lss.onboard.nodes.qos import advertise, latched, serve, stream, subscribe
+from quadtree_lss.onboard.nodes.qos import (
+    advertise,
+    latched,
+    serve,
+    steady_timer,
+    stream,
+    subscribe,
+)
 from quadtree_lss.onboard.nodes.ros_messages import header_message, message_maker
 
 ODOMETRY, AREA, DISPERSION = "nav/odometry", "landing/area", "landing/dispersion"
@@ -53,7 +52,7 @@ CORNERS = 24
 CONTROL_M = 0.1
 """Standard deviation of the autopilot's control: 251 landings with ArduCopter were at most 0.13 m
 from the target (``docs/evidence.md``)."""
-LEVELS = {GIVE_UP: ERROR, WAVE_OFF: WARN, HOLD: WARN}
+LEVELS = {landing.GIVE_UP: ERROR, landing.WAVE_OFF: WARN, landing.HOLD: WARN}
 
 
 class AutopilotNode(BaseNode):
@@ -68,7 +67,7 @@ class AutopilotNode(BaseNode):
             self._now = lambda: 1e-9 * self._clock_ns()
         self._controller = Controller(link, self._clock_ns, self._now)
         self._link = self._controller.link
-        self._order = Order(PILOT, "no heartbeat yet", None, None)
+        self._order = landing.Order(landing.PILOT, "no heartbeat yet", None, None)
         self._selected: tuple[float, Array] | None = None
         self._status: tuple[float, Any] | None = None
         effect = "the vehicle flies to no target while there is more than one"
@@ -160,7 +159,7 @@ class AutopilotNode(BaseNode):
         previous_state = self._controller.landing.state
         order = self._controller.step(*self._target(self._now()))
         if order is None or self._controller.nav is None:
-            self._publish_state(Order(PILOT, f"waiting for {missing}", None, None))
+            self._publish_state(landing.Order(landing.PILOT, f"waiting for {missing}", None, None))
             return
         if order.state != previous_state:
             self._on_change(order, self._controller.nav)
@@ -175,18 +174,16 @@ class AutopilotNode(BaseNode):
             return f"{SELECTED} and {STATUS} (publishers known: {known})"
         return ""
 
-    def _on_change(self, order: Order, nav: Nav) -> None:
+    def _on_change(self, order: landing.Order, nav: Nav) -> None:
         """Report a new state to the log, the pilot and lss_node."""
         warn, text = order.state in LEVELS, f"{order.state}: {order.text}"
-        if warn:
-            self.get_logger().warning(text)
-        else:
-            self.get_logger().info(text)
+        log = self.get_logger().warning if warn else self.get_logger().info
+        log(text)
         self._link.send_text(f"lss {text}", warn=warn)
         if order.point is not None:
             if self._is_only_publisher(self._dispersion):
                 self._send_dispersion(nav)
-            if self._order.state == PILOT and self._is_only_publisher(self._area):
+            if self._order.state == landing.PILOT and self._is_only_publisher(self._area):
                 self._send_reach(nav)
 
     def _is_only_publisher(self, publisher: Publisher) -> bool:
@@ -214,15 +211,15 @@ class AutopilotNode(BaseNode):
     def _frame(self) -> str:
         return self._config.frames.map
 
-    def _publish_state(self, order: Order) -> None:
+    def _publish_state(self, order: landing.Order) -> None:
         self._order = order
         status = DiagnosticStatus(level=LEVELS.get(order.state, OK), name="landing")
         status.message = f"{order.state}: {order.text}"
         values: dict[str, object] = {"state": order.state, "text": order.text}
         values["wave_offs"] = self._controller.landing.wave_offs
         if (nav := self._controller.nav) is not None:
-            for axis, value in zip("xyz", nav.position, strict=True):
-                values[axis] = f"{value:.3f}"
+            x, y, z = nav.position
+            values |= {"x": f"{x:.3f}", "y": f"{y:.3f}", "z": f"{z:.3f}"}
             if order.target is not None:
                 height = nav.position[2] - order.target.place[2]
                 offset = np.hypot(*(nav.position - order.target.place)[:2])
@@ -231,7 +228,9 @@ class AutopilotNode(BaseNode):
         self._state.publish(status)
 
     def _on_land(self) -> str:
-        fault = "" if self._now() - self._link.last_heartbeat <= HEARTBEAT_S else "no heartbeat"
+        fault = ""
+        if self._now() - self._link.last_heartbeat > landing.HEARTBEAT_S:
+            fault = "no heartbeat"
         if self._config.autopilot.may_command == "nothing":
             fault = "autopilot.may_command is nothing"
         if fault:
@@ -250,10 +249,10 @@ class AutopilotNode(BaseNode):
         status.add({"target.publishers": self._sources[SELECTED].number})
         status.add({f"autopilot.heard.{what}": n for what, n in self._link.message_counts.items()})
         status.add({f"autopilot.refused.{why}": n for why, n in self._link.rejected.items()})
-        if heartbeat_age > HEARTBEAT_S:
+        if heartbeat_age > landing.HEARTBEAT_S:
             connection = self._config.autopilot.connection
             status.note(ERROR, f"no heartbeat of an autopilot on {connection}")
-        elif self._now() - self._link.last_answer > HEARTBEAT_S:
+        elif self._now() - self._link.last_answer > landing.HEARTBEAT_S:
             text = "the autopilot sends but does not answer: check that it receives this computer"
             status.note(WARN, text)
         if (uncertainty := self._link.remote.uncertainty_ns) is not None:

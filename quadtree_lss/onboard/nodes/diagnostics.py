@@ -3,37 +3,28 @@
 
 from __future__ import annotations
 
+import math
 import time
 import traceback
 from collections import Counter
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from quadtree_lss.onboard.config.settings import DiagnosticsConfig
 from quadtree_lss.onboard.errors import one_line
 
 
-class Logger(Protocol):
-    """The part of a ROS logger that is used here."""
-
-    def warning(self, message: str) -> object: ...
-
-
 class Problems:
-    """Count problems by reason, and log at most one per reason and ``interval``, s.
+    """Count problems by reason (``counts``), and log at most one per reason and ``interval``, s.
+    ``latest``: text of the last one."""
 
-    Attributes:
-        counts: Number of problems by reason.
-        latest: Text of the last one.
-    """
-
-    def __init__(self, logger: Logger, interval: float = 5.0) -> None:
+    def __init__(self, logger: RcutilsLogger, interval: float = 5.0) -> None:
         self.counts: Counter[str] = Counter()
         self.latest = ""
-        self._logger = logger
-        self._interval = interval
+        self._logger, self._interval = logger, interval
         self._logged: dict[str, tuple[float, int]] = {}
 
     def report(self, reason: str, text: str, number: int = 1) -> None:
@@ -50,7 +41,7 @@ class Problems:
         self._logged[reason] = (now, self.counts[reason])
 
 
-def failure(what: str, error: Exception, logger: Logger) -> str:
+def failure(what: str, error: Exception, logger: RcutilsLogger) -> str:
     """Log the traceback of an unexpected error, and return one line that describes it."""
     logger.warning("".join(traceback.format_exception(error)))
     return f"{what} failed: {one_line(repr(error), 200)}"
@@ -87,9 +78,6 @@ class Span(NamedTuple):
     mean: float
     worst: float
 
-    def __str__(self) -> str:
-        return f"{self.mean:.1f} (worst {self.worst:.1f})"
-
 
 class Durations:
     """Durations since the last `pop_span`; ``last``: the last one, ms."""
@@ -99,9 +87,10 @@ class Durations:
         self._values: list[float] = []
 
     def add(self, milliseconds: float) -> None:
-        """Add a duration."""
-        self.last = milliseconds
-        self._values.append(milliseconds)
+        """Add a duration, unless it is unknown (NaN)."""
+        if not math.isnan(milliseconds):
+            self.last = milliseconds
+            self._values.append(milliseconds)
 
     def pop_span(self) -> Span | None:
         """Return mean and worst since the last call, or None without a duration."""

@@ -23,11 +23,8 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class StopOnSignal:
-    """Record SIGINT, SIGTERM and SIGHUP, so that a callback in progress completes before the exit.
-
-    ROS's own handlers invalidate the context immediately, and publishing in progress fails. SIGHUP
-    stays ignored if it was ignored, as under ``nohup``.
-    """
+    """Record signals, so that a callback in progress completes before the exit; ROS's own handlers
+    let publishing in progress fail. SIGHUP stays ignored if it was, as under ``nohup``."""
 
     def __init__(self) -> None:
         self.requested = False
@@ -55,12 +52,8 @@ class StopOnSignal:
 
 
 class Waiting:
-    """Log what a node waits for after five seconds, then after twice as long each time.
-
-    Attributes:
-        what: The input or step that the node waits for; empty for none.
-        log: Function that logs a line; standard error until the node has a logger.
-    """
+    """Log what a node waits for (``what``, empty for nothing) after five seconds, then after twice
+    as long each time; to standard error until ``log`` is set."""
 
     def __init__(self, name: str) -> None:
         self.what, self._name = "its modules", name
@@ -71,14 +64,10 @@ class Waiting:
         """Log until the process ends, in a thread of its own."""
         while True:
             time.sleep(0.5)
-            self.report_if_due()
-
-    def report_if_due(self) -> None:
-        """Log a line if it is due."""
-        now = time.monotonic()
-        if self.what and now - self._reported >= self._period:
-            self.log(f"waiting for {self.what}")
-            self._reported, self._period = now, 2.0 * self._period
+            now = time.monotonic()
+            if self.what and now - self._reported >= self._period:
+                self.log(f"waiting for {self.what}")
+                self._reported, self._period = now, 2.0 * self._period
 
     def _print(self, line: str) -> None:
         head = f"[WARN] [{time.time():.9f}] [{self._name}]"

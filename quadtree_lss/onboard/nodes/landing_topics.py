@@ -13,27 +13,15 @@ import numpy as np
 from rclpy.node import Node
 from rclpy.timer import Timer
 
+from quadtree_lss.onboard.messages import landing_inputs as inputs
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.landing_inputs import (
-    AREA,
-    BINDING,
-    KEEP_OUT,
-    KEEP_OUTS,
-    MAX_KEEP_OUTS,
-    TYPES,
-    LandingRequests,
-    name_of,
-    topic_of,
-)
 from quadtree_lss.onboard.nodes.diagnostics import Problems
-from quadtree_lss.onboard.nodes.executor import steady_timer
-from quadtree_lss.onboard.nodes.qos import subscribe_any_durability
-from quadtree_lss.onboard.nodes.ros_messages import TYPES as ROS_TYPES
+from quadtree_lss.onboard.nodes.qos import steady_timer, subscribe_any_durability
+from quadtree_lss.onboard.nodes.ros_messages import TYPES
 
 JOIN_S = 3.0
-"""Time in which the node discovers publishers of latched messages: nodes announce themselves when
-they start and every three seconds. Announcements can be lost; a vehicle that needs a keep-out sets
-``lss.required_input``."""
+"""Time in which the node discovers publishers of latched messages: nodes announce themselves every
+three seconds. A vehicle that needs a keep-out sets ``lss.required_input``."""
 
 SETTLE_S = 1.0
 """Time after the first map in which latched messages from the same computer arrive."""
@@ -50,18 +38,15 @@ CHECK_S = 0.05
 
 
 class LandingTopics:
-    """Subscriptions to the landing inputs, with their last messages as `LandingRequests`.
-
-    Args:
-        changed: Called after each change, and when `settled` becomes true.
-        required: ``lss.required_input``; the inputs are not settled without it.
-    """
+    """Subscriptions to the landing inputs, with their last messages as `LandingRequests`. Calls
+    ``changed`` after each change, and when `settled` becomes true, which requires the inputs
+    ``required`` (``lss.required_input``)."""
 
     def __init__(
         self, node: Node, problems: Problems, changed: Callable[[], None], required: str
     ) -> None:
-        self.requests = LandingRequests(None)
-        self._required = (AREA, KEEP_OUT) if required == "both" else (required,)
+        self.requests = inputs.LandingRequests(None)
+        self._required = (inputs.AREA, inputs.KEEP_OUT) if required == "both" else (required,)
         self._node, self._problems, self._changed = node, problems, changed
         self._joined = self._heard = time.monotonic()
         self._began: float | None = None
@@ -69,18 +54,19 @@ class LandingTopics:
         self._settled = False
         self._samples: dict[str, deque[tuple[int, int]]] = {}
         self._latched: dict[str, Any] = {}
-        for name, kind in TYPES.items():
+        for name, kind in inputs.TYPES.items():
             take = functools.partial(self._take, name)
-            kind, topic = ROS_TYPES[kind], f"landing/{name}"
-            kept = MAX_KEEP_OUTS if name == KEEP_OUTS else 1
+            kind, topic = TYPES[kind], f"landing/{name}"
+            kept = inputs.MAX_KEEP_OUTS if name == inputs.KEEP_OUTS else 1
             self._samples[name] = deque(maxlen=2 * kept)
             self._latched[name] = subscribe_any_durability(node, kind, topic, take, kept)
 
     def states(self) -> dict[str, object]:
         """Return for each topic True if it is set, False, or "unusable", for the diagnostics."""
-        values, unusable = self.requests.values, {topic_of(k) for k in self.requests.unusable}
-        held = {topic_of(name) for name, value in values.items() if value is not None}
-        return {name: "unusable" if name in unusable else name in held for name in TYPES}
+        values = self.requests.values
+        unusable = {inputs.topic_of(name) for name in self.requests.unusable}
+        held = {inputs.topic_of(name) for name, value in values.items() if value is not None}
+        return {name: "unusable" if name in unusable else name in held for name in inputs.TYPES}
 
     def use_frame(self, frame: str) -> None:
         """Check all messages against the frame of the map."""
@@ -101,8 +87,8 @@ class LandingTopics:
         unheard = self.unheard()
         if any(name in self._required for name in unheard):
             return False
-        heard = {topic_of(name) for name in self.requests.last_messages}
-        published = {name for name in BINDING if self._latched[name].get_publisher_count()}
+        heard = {inputs.topic_of(name) for name in self.requests.last_messages}
+        published = {name for name in inputs.BINDING if self._latched[name].get_publisher_count()}
         expected = bool(published - heard)
         time_out = self._began + (UNHEARD_S if expected else SETTLE_S)
         timed_out = now >= max(self._joined + JOIN_S, time_out)
@@ -112,9 +98,9 @@ class LandingTopics:
 
     def unheard(self) -> list[str]:
         """Return which of area and keep-out (single or as a set) have not come."""
-        heard = {topic_of(name) for name in self.requests.last_messages}
-        heard |= {KEEP_OUT} if KEEP_OUTS in heard else set()
-        return [name for name in (AREA, KEEP_OUT) if name not in heard]
+        heard = {inputs.topic_of(name) for name in self.requests.last_messages}
+        heard |= {inputs.KEEP_OUT} if inputs.KEEP_OUTS in heard else set()
+        return [name for name in (inputs.AREA, inputs.KEEP_OUT) if name not in heard]
 
     def _check(self) -> None:
         """Call ``changed`` once the inputs are settled."""
@@ -128,7 +114,7 @@ class LandingTopics:
             return  # already received by the other subscription
         self._samples[topic].append(sample)
         self._heard = time.monotonic()
-        requests, name = self.requests, name_of(topic, message)
+        requests, name = self.requests, inputs.name_of(topic, message)
         value, unusable = requests.values.get(name), requests.unusable.get(name)
         try:
             requests.use_message(topic, message)
@@ -140,7 +126,7 @@ class LandingTopics:
 
     def _report(self, name: str, error: MessageError) -> None:
         effect = "the previous one stays in effect"
-        if topic_of(name) in BINDING:
+        if inputs.topic_of(name) in inputs.BINDING:
             effect = "no site is published until a usable one comes"
         text = f"{self.requests.unusable.get(name, error)}; {effect}"
-        self._problems.report(f"{topic_of(name)}_{error.reason}", text)
+        self._problems.report(f"{inputs.topic_of(name)}_{error.reason}", text)

@@ -11,12 +11,8 @@ from quadtree_lss.onboard.nodes.diagnostics import WARN, Durations, Problems, St
 
 
 class Publishers:
-    """Number of publishers of a topic, with a warning while there is more than one.
-
-    Args:
-        reason: Key of the problem.
-        effect: Consequence, for the text.
-    """
+    """Number of publishers of a topic, with a warning while there is more than one. ``reason`` is
+    the key of the problem, ``effect`` the consequence for the text."""
 
     def __init__(self, topic: str, reason: str, effect: str, problems: Problems) -> None:
         self.number = 0
@@ -35,40 +31,31 @@ class Publishers:
             status.note(WARN, self._text())
 
     def _text(self) -> str:
-        return (
-            f"{self.number} publishers on '{self._topic}': {self._effect} (one that was killed"
-            " counts until its lease ends)"
-        )
+        text = f"{self.number} publishers on '{self._topic}': {self._effect}"
+        return f"{text} (one that was killed counts until its lease ends)"
 
 
 class ScanGaps:
-    """Detection of gaps in the sequence numbers of scans, reported as ``scan_lost``.
-
-    It is inactive with two publishers, because each numbers its own messages.
-    """
+    """Detection of gaps in the sequence numbers of scans, reported as ``scan_lost``; not with two
+    publishers, because each numbers its own messages."""
 
     def __init__(self, topic: str, problems: Problems) -> None:
-        self._topic = topic
-        self._problems = problems
+        self._topic, self._problems = topic, problems
         effect = "their scans are mapped as if of one lidar"
         self.publishers = Publishers(topic, "scan_publishers", effect, problems)
         self._last = 0
 
     def on_publishers(self, number: int) -> None:
-        """Set the number of publishers."""
         self.publishers.changed(number)
         self._last = 0
 
     def on_scan(self, number: int | None) -> None:
         """Check the sequence number of a scan; None if the middleware has none (Cyclone DDS)."""
-        number = number or 0
-        last, self._last = self._last, number
-        missing = number - last - 1
+        last, self._last = self._last, number or 0
+        missing = self._last - last - 1
         if last > 0 and missing > 0 and self.publishers.number <= 1:
-            text = (
-                f"{missing} scans on '{self._topic}' were lost before number {number}: best"
-                " effort, or more than the middleware queues (50) were waiting"
-            )
+            text = f"{missing} scans on '{self._topic}' were lost before number {number}: best"
+            text += " effort, or more than the middleware queues (50) were waiting"
             self._problems.report("scan_lost", text, missing)
 
 
@@ -78,10 +65,8 @@ def best_effort_hint(topic: str) -> str:
         limit = int(Path("/proc/sys/net/core/rmem_max").read_text(encoding="ascii"))
     except (OSError, ValueError):
         return ""
-    return (
-        f"; best effort loses scans of more than {limit} bytes (net.core.rmem_max): set"
-        f" qos_overrides.{topic}.subscription.reliability to reliable"
-    )
+    text = f"; best effort loses scans of more than {limit} bytes (net.core.rmem_max)"
+    return f"{text}: set qos_overrides.{topic}.subscription.reliability to reliable"
 
 
 OVERLOADED_SHARE = 0.25
@@ -102,11 +87,9 @@ def allowance(config: Config, work_ms: float) -> float:
 
 
 class Overload:
-    """Drop scans that waited in the middleware for too long, by this computer's clock.
-
-    The limit is `allowance`. After the first dropped scan it is a quarter of that, so that drops
-    are spread evenly. ``dropped``: number of dropped scans; ``waits``: waiting times of the others.
-    """
+    """Drop scans that waited in the middleware for longer than `allowance`; after the first dropped
+    scan than a quarter of it, so that drops are spread evenly. ``dropped``: number of dropped
+    scans; ``waits``: waiting times of the others."""
 
     def __init__(self, topic: str, problems: Problems) -> None:
         self.dropped = 0
@@ -115,8 +98,8 @@ class Overload:
         self._overloaded_until = 0.0
 
     def admits(self, received_ns: int, config: Config, work_ms: float) -> bool:
-        """Return whether to map a scan. ``received_ns``: time of reception by the middleware, by
-        the system clock; 0 if unknown. ``config``, ``work_ms``: as for `allowance`."""
+        """Return whether to map a scan that the middleware received at ``received_ns`` by the
+        system clock, 0 if unknown. ``config``, ``work_ms``: as for `allowance`."""
         waited = max(1e-9 * (time.time_ns() - received_ns), 0.0) if received_ns > 0 else 0.0
         now = time.monotonic()
         limit = allowance(config, work_ms)
@@ -127,9 +110,7 @@ class Overload:
             return True
         self._overloaded_until = now + CALM_S
         self.dropped += 1
-        text = (
-            f"a scan on '{self._topic}' waited {waited:.2f} s and is dropped: scans come faster"
-            " than they can be mapped (diagnostics.warn_age)"
-        )
+        text = f"a scan on '{self._topic}' waited {waited:.2f} s and is dropped: scans come faster"
+        text += " than they can be mapped (diagnostics.warn_age)"
         self._problems.report("overload", text)
         return False

@@ -8,8 +8,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from nav_msgs.msg import OccupancyGrid, Odometry
+from nav_msgs.msg import OccupancyGrid
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
@@ -20,15 +19,28 @@ from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.outputs import CELLS, GRID_MAP, GROUND, OBSERVED, TOPIC_TYPES
 from quadtree_lss.onboard.nodes.diagnostics import ERROR, OK, WARN, Durations, Status, failure
 from quadtree_lss.onboard.nodes.entry import set_waiting_for
-from quadtree_lss.onboard.nodes.executor import OnDemandGroup, steady_timer, take_waiting
 from quadtree_lss.onboard.nodes.landing_topics import LandingTopics
 from quadtree_lss.onboard.nodes.losses import Publishers
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, site_markers
 from quadtree_lss.onboard.nodes.node_runner import BaseNode, run
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher
-from quadtree_lss.onboard.nodes.qos import advertise, latched, stream, subscribe
+from quadtree_lss.onboard.nodes.qos import (
+    OnDemandGroup,
+    advertise,
+    latched,
+    steady_timer,
+    stream,
+    subscribe,
+    take_waiting,
+)
 from quadtree_lss.onboard.nodes.received_map import ReceivedMap
-from quadtree_lss.onboard.nodes.ros_messages import TYPES, GridMap, message_maker, pose_message
+from quadtree_lss.onboard.nodes.ros_messages import (
+    POSE_KINDS,
+    TYPES,
+    GridMap,
+    deserialised,
+    message_maker,
+)
 from quadtree_lss.onboard.nodes.target_output import TargetOutput
 
 if TYPE_CHECKING:
@@ -68,13 +80,11 @@ class LssNode(BaseNode):
             for topic in GROUND
         }
         self._target = TargetOutput(self, self._age, self._release, self._land_now)
-        self._markers = MarkerPublisher(
-            self, advertise(self, MarkerArray, "landing/markers", latched()), self._site_markers
-        )
-        self._grid_map = None
+        publisher = advertise(self, MarkerArray, "landing/markers", latched())
+        self._viewers = [MarkerPublisher(self, publisher, self._site_markers)]
         if GridMap is not None:
             publisher = advertise(self, GridMap, GRID_MAP, latched())
-            self._grid_map = MarkerPublisher(self, publisher, self._grid_map_message)
+            self._viewers.append(MarkerPublisher(self, publisher, self._grid_map_message))
         self._subscribe()
         # Imported late: the middleware discovers mapping_node while the core loads.
         set_waiting_for("the landing modules")
@@ -89,21 +99,14 @@ class LssNode(BaseNode):
     def _subscribe(self) -> None:
         """Subscribe to map and poses. Messages of topics in an `OnDemandGroup` do not wake the node
         while they are not needed; they are read together with the map."""
-        subscribe(
-            self,
-            PointCloud2,
-            CELLS,
-            self._on_cells,
-            latched(),
-            self._map_publishers.changed,
-            raw=True,
-        )
+        matched = self._map_publishers.changed
+        subscribe(self, PointCloud2, CELLS, self._on_cells, latched(), matched, raw=True)
         wanted = OnDemandGroup(lambda: self._map.lacks_observed)
         self._observed = subscribe(
             self, OccupancyGrid, OBSERVED, self._on_observed, latched(), group=wanted, raw=True
         )
         source = self._config.pose.source
-        self._pose_kind: Any = {"pose": PoseWithCovarianceStamped, "odometry": Odometry}[source]
+        self._pose_kind = POSE_KINDS[source]
         profile = stream(1, reliable=False)  # matches any publisher
         wanted = OnDemandGroup(lambda: not self._navigation.known)
         self._poses = subscribe(
@@ -130,11 +133,6 @@ class LssNode(BaseNode):
         self._inputs_changed = True
         self._output.now()
 
-    def _age(self, stamp_ns: int) -> float:
-        """Return the age of a stamp, s; NaN if stamp and clock are unrelated."""
-        latency = self._latency_ms(stamp_ns)
-        return math.nan if latency is None else 1e-3 * latency
-
     def _on_cells(self, raw: bytes) -> None:
         for observed in take_waiting(self._observed):
             self._on_observed(observed)
@@ -147,7 +145,7 @@ class LssNode(BaseNode):
 
     def _on_pose(self, raw: bytes) -> None:
         try:
-            self._navigation.use_pose(pose_message(raw, self._pose_kind))
+            self._navigation.use_pose(deserialised(raw, self._pose_kind))
         except MessageError as error:
             self._problems.report(f"pose_{error.reason}", f"pose not used: {error}")
 
@@ -209,11 +207,11 @@ class LssNode(BaseNode):
         self._assessed, self._withheld, self._inputs_changed = cells, withheld, False
         self._read_pose()
         start = time.perf_counter()
-        restrictions = {**self._inputs.requests.arguments(), "withheld": withheld}
+        requests = {**self._inputs.requests.arguments(), "withheld": withheld}
         try:
             self._failed = ""
             with self._target.repeated():
-                result = self._selector.assess(cells, waited=self._waited(), **restrictions)
+                result = self._selector.assess(cells, waited=self._waited(), **requests)
             self._send(result, new)
         except Exception as error:
             self._failed = failure("the assessment", error, self.get_logger())
@@ -228,13 +226,16 @@ class LssNode(BaseNode):
         self._send_ground(self._had_subscribers)
         if result.pending:
             self._on_input()
-        self._log_first(result)
-        self._markers.changed()
-        if self._grid_map is not None:
-            self._grid_map.changed()
-        latency = self._latency_ms(result.stamp_ns)
-        if new and latency is not None:
-            self._delays.add(latency)
+        sites = result.sites
+        if not self._logged_first and len(sites.score):
+            self._logged_first = True
+            x, y, z = sites.position[0]
+            text = f"first sites: {len(sites.score)}, the best at x {x:.2f}, y {y:.2f}, z {z:.2f} m"
+            self.get_logger().info(f"{text}; {result.explanation}")
+        for viewer in self._viewers:
+            viewer.changed = True
+        if new:
+            self._delays.add(1e3 * self._age(result.stamp_ns))
 
     def _on_subscriber(self, _: Any) -> None:
         """Publish topics with a first subscriber; topics without one are not computed."""
@@ -248,17 +249,6 @@ class LssNode(BaseNode):
         if self._result is not None:
             for topic, message in message_maker(self._map.frame).of_ground(self._result, topics):
                 self._landing[topic].publish(message)
-
-    def _log_first(self, result: LandingAssessment) -> None:
-        """Log the first assessment with sites."""
-        sites = result.sites
-        if not self._logged_first and len(sites.score):
-            self._logged_first = True
-            x, y, z = sites.position[0]
-            self.get_logger().info(
-                f"first sites: {len(sites.score)}, the best at x {x:.2f}, y {y:.2f}, z {z:.2f} m;"
-                f" {result.explanation}"
-            )
 
     def _site_markers(self) -> MarkerArray | None:
         if self._result is None:
@@ -289,11 +279,9 @@ class LssNode(BaseNode):
         )
         status.add({f"landing.{name}": state for name, state in self._inputs.states().items()})
         withheld = self._why_withheld()
-        if self._failed:
-            status.note(ERROR, f"no site is given out: {self._failed}")
-        if withheld:
-            status.note(ERROR, f"no site is given out: {withheld}")
-        elif self._map.refused:
+        for why in filter(None, (self._failed, withheld)):
+            status.note(ERROR, f"no site is given out: {why}")
+        if self._map.refused and not withheld:
             status.note(ERROR, f"{self._map.refused}; the previous map stays in use")
         result = self._result
         if missing := self._missing_inputs():
@@ -324,8 +312,7 @@ class LssNode(BaseNode):
             if not (result.selected.id or result.pending or result.undecided):
                 status.note(WARN, result.why)
         else:
-            reason = result.explanation.removeprefix("no safe site: ")
-            status.note(WARN, f"no safe site: {reason}")
+            status.note(WARN, "no safe site: " + result.explanation.removeprefix("no safe site: "))
 
 
 def main(args: Sequence[str] | None = None) -> int:

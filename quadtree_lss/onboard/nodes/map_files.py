@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Map files of a mapper, and checkpoints of a running node."""
+"""Map files and checkpoints: atomic replacement, regular files only."""
 
 from __future__ import annotations
 
+import os
+import stat
 import threading
 import time
 from collections.abc import Callable
@@ -11,15 +13,61 @@ from pathlib import Path
 from quadtree_lss.onboard.config.sections import CHECKPOINT_S
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError, check, from_file, to_bytes
-from quadtree_lss.onboard.nodes.files import (
-    MapFileError,
-    error_text,
-    regular_file,
-    write_atomically,
-)
+from quadtree_lss.onboard.errors import QuadtreeLssError
 
 END_TIMEOUT_S = 5.0
 """Time for which a node that exits waits for a checkpoint that is being written."""
+
+
+class MapFileError(QuadtreeLssError):
+    """A map file cannot be written, read or used; the text is one line that names it."""
+
+
+def regular_file(path: Path) -> Path:
+    """Resolve links to a file, which need not exist. Raises `MapFileError` if it is another kind of
+    file or not accessible."""
+    try:
+        target = Path(os.path.realpath(path))
+        mode = target.stat().st_mode
+    except FileNotFoundError:
+        return target
+    except (OSError, ValueError) as error:
+        raise MapFileError(error_text(path, "used", error)) from None
+    if not stat.S_ISREG(mode):
+        msg = f"{path}: is a folder, device, pipe or socket, not a file"
+        raise MapFileError(msg)
+    return target
+
+
+def error_text(path: Path, done: str, error: Exception) -> str:
+    """Return ``PATH: cannot be DONE: reason``."""
+    reason = error.strerror if isinstance(error, OSError) else None
+    return f"{path}: cannot be {done}: {reason or str(error).removeprefix(f'{path}: ')}"
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Replace a file atomically after its new content is on the disk. Links are followed. Raises
+    `MapFileError` if it is not a regular file, not writable, or the disk is full; the old file is
+    then intact."""
+    target = regular_file(path)
+    part = target.with_name(f"{target.name}.part")
+    try:
+        try:
+            with part.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            part.replace(target)
+        except OSError:
+            part.unlink(missing_ok=True)  # a full disk needs the space
+            raise
+        folder = os.open(target.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except OSError as error:
+        raise MapFileError(error_text(path, "written", error)) from None
 
 
 def save(path: Path, mapper: Mapper) -> None:
@@ -58,14 +106,12 @@ def load(path: Path, mapper: Mapper) -> None:
 
 
 class Checkpoints:
-    """Write the map to a file periodically, in a thread.
-
-    A file that cannot be used at the start is renamed to ``<name>.refused``, so that it is not
-    overwritten. With an empty ``path`` nothing is written. ``written``: number of checkpoints.
-    """
+    """Write the map to a file periodically, in a thread; not if ``path`` is empty. A file that
+    cannot be used at the start is renamed to ``<name>.refused``, so that it is not overwritten.
+    ``written``: number of checkpoints."""
 
     def __init__(self, path: str | Path) -> None:
-        self._is_disabled = path == ""
+        self._is_enabled = path != ""
         self.path = Path(path)
         self.written = 0
         self._error: str | None = None
@@ -76,7 +122,7 @@ class Checkpoints:
     def restore(self, mapper: Mapper) -> str:
         """Load the file if there is one; return a line for the log. Raises `MapFileError` if the
         file cannot be used; the mapper is then unchanged."""
-        if self._is_disabled:
+        if not self._is_enabled:
             return ""
         try:
             if not regular_file(self.path).exists():
@@ -98,16 +144,13 @@ class Checkpoints:
 
     def changed(self) -> None:
         """Note that the map changed."""
-        self._changed = not self._is_disabled
+        self._changed = self._is_enabled
 
     def write_if_due(self, mapper: Mapper) -> str | None:
         """Start a checkpoint if one is due; return the error of the last one, if any."""
-        if self._thread is not None and not self._thread.is_alive():
-            self._thread = None
-        now = time.monotonic()
-        if self._thread is None and self._changed and now >= self._due:
-            self._due = now + CHECKPOINT_S
-            self._changed = False
+        now, is_writing = time.monotonic(), self._thread is not None and self._thread.is_alive()
+        if self._changed and now >= self._due and not is_writing:
+            self._due, self._changed = now + CHECKPOINT_S, False
             write = writer(self.path, mapper)
             self._thread = threading.Thread(target=self._write, args=(write,), daemon=True)
             self._thread.start()
@@ -116,7 +159,7 @@ class Checkpoints:
 
     def remove(self) -> None:
         """Remove the file after a reset of the map. Raises `MapFileError` if that fails."""
-        if self._is_disabled:
+        if not self._is_enabled:
             return
         if not self._join():
             self._changed = True  # so that the empty map replaces the checkpoint in progress
@@ -131,10 +174,8 @@ class Checkpoints:
     def close(self, mapper: Mapper) -> str | None:
         """Write the last changes; return the error, if any."""
         if not self._join():
-            return (
-                f"checkpoint {self.path}: not written within {END_TIMEOUT_S:g} s; the one before is"
-                " intact"
-            )
+            limit = f"{END_TIMEOUT_S:g} s"
+            return f"checkpoint {self.path}: not written within {limit}; the one before is intact"
         if self._changed:
             self._changed, self._error = False, None
             self._write(writer(self.path, mapper))
@@ -142,12 +183,10 @@ class Checkpoints:
 
     def _join(self) -> bool:
         """Wait for the checkpoint in progress; return False if it is still being written."""
-        if self._thread is not None:
-            self._thread.join(END_TIMEOUT_S)
-            if self._thread.is_alive():
-                return False
-            self._thread = None
-        return True
+        if self._thread is None:
+            return True
+        self._thread.join(END_TIMEOUT_S)
+        return not self._thread.is_alive()
 
     def _write(self, write: Callable[[], None]) -> None:
         try:

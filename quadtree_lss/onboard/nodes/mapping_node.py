@@ -7,11 +7,12 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from geometry_msgs.msg import PolygonStamped, PoseWithCovarianceStamped, TransformStamped
-from nav_msgs.msg import OccupancyGrid, Odometry
+from geometry_msgs.msg import PolygonStamped, TransformStamped
+from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import ReliabilityPolicy
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
@@ -20,17 +21,11 @@ from visualization_msgs.msg import MarkerArray
 from quadtree_lss.onboard.core.mapping.mapper import Mapper, ScanReport
 from quadtree_lss.onboard.core.sensing.pose_buffer import seconds
 from quadtree_lss.onboard.core.tree.checkpoint import CheckpointError
+from quadtree_lss.onboard.messages import lost_points
 from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.intake import Intake, ReadyScan, noise_notice, pose_notice
 from quadtree_lss.onboard.messages.landing_inputs import AREA, polygon_from_message
-from quadtree_lss.onboard.messages.lost_points import (
-    MAP_OVERRULED,
-    NO_POINTS_USED,
-    likely_reason,
-    misplaced,
-    overruled_text,
-    unused_points_text,
-)
+from quadtree_lss.onboard.messages.poses import check_frame
 from quadtree_lss.onboard.nodes.diagnostics import (
     ERROR,
     OK,
@@ -41,33 +36,31 @@ from quadtree_lss.onboard.nodes.diagnostics import (
     failure,
 )
 from quadtree_lss.onboard.nodes.entry import set_waiting_for
-from quadtree_lss.onboard.nodes.executor import OnDemandGroup, steady_timer, take_waiting
-from quadtree_lss.onboard.nodes.files import MapFileError
 from quadtree_lss.onboard.nodes.losses import Overload, Publishers, ScanGaps, best_effort_hint
-from quadtree_lss.onboard.nodes.map_files import Checkpoints, load, save
+from quadtree_lss.onboard.nodes.map_files import Checkpoints, MapFileError, load, save
 from quadtree_lss.onboard.nodes.markers import MarkerPublisher, cell_markers
 from quadtree_lss.onboard.nodes.node_runner import BaseNode, run
 from quadtree_lss.onboard.nodes.publishing import ChangePublisher, MapStamps
 from quadtree_lss.onboard.nodes.qos import (
+    OnDemandGroup,
     advertise,
     latched,
     serve,
+    steady_timer,
     stream,
     subscribe,
     subscribe_any_durability,
+    take_waiting,
 )
 from quadtree_lss.onboard.nodes.ros_messages import (
-    cloud_message,
+    POSE_KINDS,
+    deserialised,
     header_message,
-    map_messages,
-    pose_message,
+    message_maker,
     transforms_type,
 )
 
-SCANS, POSES, GIMBAL = "lidar/points", "nav/pose", "lidar/gimbal"
-DEPTH, CAMERA = "depth/image", "depth/camera_info"
-ODOMETRY, TRANSFORMS = "nav/odometry", "/tf_static"
-MAP_LATE = "delay of maps, by the scans' stamps and this node's clock:"
+GIMBAL, CAMERA, TRANSFORMS = "lidar/gimbal", "depth/camera_info", "/tf_static"
 SCAN_DEPTH, POSE_DEPTH = 50, 200
 """Queue depths of the middleware: 2.5 s of scans at 20 Hz, 1 s of poses at 200 Hz."""
 CHECK_PERIOD_S = 0.1
@@ -88,12 +81,12 @@ class MappingNode(BaseNode):
         self._report: ScanReport | None = None
         self._map_ms, self._publish_ms, self._delays = Durations(), Durations(), Durations()
         self._mapper, self._stamps = Mapper(config), MapStamps()
-        depth, odometry = config.lidar.source == "depth", config.pose.source == "odometry"
+        depth = config.lidar.source == "depth"
         self._scan_kind = Image if depth else PointCloud2
-        self._pose_kind = Odometry if odometry else PoseWithCovarianceStamped
+        self._pose_kind = POSE_KINDS[config.pose.source]
         names = {
-            "scan": DEPTH if depth else SCANS,
-            "pose": ODOMETRY if odometry else POSES,
+            "scan": "depth/image" if depth else "lidar/points",
+            "pose": f"nav/{config.pose.source}",
             "gimbal": GIMBAL,
         }
         self._topics = {key: self.resolve_topic_name(name) for key, name in names.items()}
@@ -122,7 +115,6 @@ class MappingNode(BaseNode):
         serve(self, "reset", self._reset)
         serve(self, "save_map", self._save_map)
         serve(self, "load_map", self._load_map)
-        self._waiting_for_poses = OnDemandGroup(lambda: len(self._intake.queue) > 0)
         self._best_effort = self._subscribe_scans()
         self._pose_sources = self._subscribe_poses()
         steady_timer(self, CHECK_PERIOD_S, self._check)
@@ -130,8 +122,7 @@ class MappingNode(BaseNode):
 
     def finish(self) -> None:
         """Write the last changes to the checkpoint."""
-        error = self._checkpoints.close(self._mapper)
-        if error is not None:
+        if error := self._checkpoints.close(self._mapper):
             self.get_logger().error(f"{error}; the last changes of the map are lost")
 
     def _subscribe_scans(self) -> bool:
@@ -154,24 +145,23 @@ class MappingNode(BaseNode):
         return scans.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT
 
     def _subscribe_poses(self) -> list[tuple[Subscription, Callable[[Any], None]]]:
-        """Subscribe to poses and to the mount of the lidar.
-
-        Return the subscriptions in the group that wakes the node only while a scan waits for a
-        pose, each with the function that handles its messages.
+        """Subscribe to poses and to the mount of the lidar. Return the subscriptions that wake the
+        node only while a scan waits for a pose, each with the function that handles its messages.
         """
-        profile, group = stream(POSE_DEPTH, reliable=True), self._waiting_for_poses
-        callback = self._then_map(self._on_pose)
+        profile = stream(POSE_DEPTH, reliable=True)
+        group = OnDemandGroup(lambda: len(self._intake.queue) > 0)
+        callback = partial(self._handle_and_map, self._on_pose)
         poses = subscribe(
             self, self._pose_kind, self._topics["pose"], callback, profile, group=group, raw=True
         )
         sources = [(poses, self._on_pose)]
         if self._config.mount.source == "gimbal":
-            callback = self._then_map(self._on_gimbal)
+            callback = partial(self._handle_and_map, self._on_gimbal)
             gimbal = subscribe(self, TransformStamped, GIMBAL, callback, profile, group=group)
             sources.append((gimbal, self._on_gimbal))
         if self._config.mount.source == "tf":
             # The profile of tf2's listeners: broadcasters keep transforms for late subscribers.
-            callback = self._then_map(self._intake.on_transforms)
+            callback = partial(self._handle_and_map, self._intake.on_transforms)
             subscribe(self, transforms_type(), TRANSFORMS, callback, latched(100))
         return sources
 
@@ -191,31 +181,24 @@ class MappingNode(BaseNode):
         self._read_poses()
         work_ms = self._map_ms.last + self._publish_ms.last
         if self._overload.admits(info["received_timestamp"], self._config, work_ms):
-            self._queue_scan(message, arrival_ns)
+            try:
+                raw = isinstance(message, bytes)  # clouds, not depth images
+                scan = deserialised(message, PointCloud2) if raw else message
+                self._intake.on_cloud(scan, arrival_ns)
+            except MessageError as error:
+                self._intake.reject("cloud", error)
         self._check()
 
-    def _queue_scan(self, message: Any, arrival_ns: int) -> None:
-        """Queue a scan: a depth image, or the bytes of a cloud."""
-        try:
-            scan = cloud_message(message) if isinstance(message, bytes) else message
-        except MessageError as error:
-            self._intake.reject("cloud", error)
-        else:
-            self._intake.on_cloud(scan, arrival_ns)
-
-    def _then_map(self, handle: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Return a callback that handles a message and maps the scans that waited for it."""
-
-        def on_message(message: Any) -> None:
-            handle(message)
-            self._read_poses()
-            self._map_ready_scans()
-
-        return on_message
+    def _handle_and_map(self, handle: Callable[[Any], None], message: Any) -> None:
+        """Handle a message and map the scans that waited for it."""
+        handle(message)
+        self._read_poses()
+        self._map_ready_scans()
 
     def _on_area(self, message: Any) -> None:
         try:
-            self._mapper.look_at(polygon_from_message(message, self._frame))
+            check_frame(message.header.frame_id, self._frame, "polygon")
+            self._mapper.look_at(polygon_from_message(message))
         except MessageError as error:
             text = f"landing/{AREA}: {error}; the domain follows the previous area"
             self._problems.report(f"{AREA}_{error.reason}", text)
@@ -223,7 +206,7 @@ class MappingNode(BaseNode):
     def _on_pose(self, raw: bytes) -> None:
         self._arrived["pose"].add()
         try:
-            self._intake.on_pose(pose_message(raw, self._pose_kind))
+            self._intake.on_pose(deserialised(raw, self._pose_kind))
         except MessageError as error:
             self._intake.reject("pose", error)
 
@@ -232,11 +215,8 @@ class MappingNode(BaseNode):
         self._intake.on_gimbal(message)
 
     def _read_poses(self) -> None:
-        """Read all poses and gimbal angles that have arrived.
-
-        The executor serves one message per topic in turn. There are several poses per scan, so
-        after a pause scans would overtake them and fill the queue.
-        """
+        """Read all poses and gimbal angles that have arrived. The executor serves one message per
+        topic in turn, so that after a pause scans would overtake the more frequent poses."""
         for source, handle in self._pose_sources:
             for message in take_waiting(source):
                 handle(message)
@@ -248,8 +228,7 @@ class MappingNode(BaseNode):
         self._read_poses()
         self._map_ready_scans()
         set_waiting_for(self._missing_inputs())
-        error = self._checkpoints.write_if_due(self._mapper)
-        if error is not None:
+        if error := self._checkpoints.write_if_due(self._mapper):
             self._problems.report("checkpoint", error)
 
     def _missing_inputs(self) -> str:
@@ -258,10 +237,8 @@ class MappingNode(BaseNode):
             return ""
         silent = [self._topics[key] for key, seen in self._arrived.items() if not seen.count]
         if silent:
-            text = " and ".join(
-                f"'{name}' (publishers known: {self.count_publishers(name)})" for name in silent
-            )
-            topic = self._topics["scan"]
+            numbers = [f"'{n}' (publishers known: {self.count_publishers(n)})" for n in silent]
+            text, topic = " and ".join(numbers), self._topics["scan"]
             sent = self._best_effort and topic in silent and self._gaps.publishers.number
             return text + (best_effort_hint(topic) if sent else "")
         dropped = [f"{n} dropped: {why}" for why, n in self._intake.dropped.items() if n]
@@ -311,20 +288,16 @@ class MappingNode(BaseNode):
             )
         self._divisions_refused += report.refused_divisions
         self._points_dropped.update(scan.lost(report.dropped))
-        config = self._config
-        why = likely_reason(scan.points_lidar, scan.pose, config) if misplaced(report) else ""
-        unused = unused_points_text(report, self._mapper.domain, why)
-        if unused is not None:
-            self._problems.report(NO_POINTS_USED, unused)
-        overruled = overruled_text(report)
-        if overruled is not None:
-            self._problems.report(MAP_OVERRULED, overruled)
+        if unused := lost_points.unused_points_text(report, self._mapper.domain):
+            self._problems.report(lost_points.NO_POINTS_USED, unused)
+        if overruled := lost_points.overruled_text(report):
+            self._problems.report(lost_points.MAP_OVERRULED, overruled)
         self._map_changed(report.points_used > 0)
 
     def _map_changed(self, content: bool = True) -> None:
         self._stamps.content_changed |= content
         self._output.changed()
-        self._markers.changed()
+        self._markers.changed = True
         self._checkpoints.changed()
 
     def _map_file(self) -> Path:
@@ -362,13 +335,12 @@ class MappingNode(BaseNode):
         start = time.perf_counter()
         snapshot = self._mapper.snapshot()
         snapshot = replace(snapshot, stamp_ns=self._stamps.next(snapshot.stamp_ns))
-        cells, observed = map_messages(snapshot, self._frame)
+        (_, cells), (_, observed) = message_maker(self._frame).of_map(snapshot)
         self._observed.publish(observed)
         self._cells.publish(cells)
         self._publish_ms.add(1e3 * (time.perf_counter() - start))
-        latency = self._latency_ms(self._mapper.stamp_ns)
-        if self._report is not None and latency is not None:  # not a map from a file
-            self._delays.add(latency)
+        if self._report is not None:  # not a map from a file
+            self._delays.add(1e3 * self._age(self._mapper.stamp_ns))
 
     def _collect(self, status: Status) -> None:
         config, report = self._config, self._report
@@ -384,7 +356,8 @@ class MappingNode(BaseNode):
             status.note(WARN, f"'{unused}' is published: set pose.source to {other} to use it")
         wait, latency = self._overload.waits.pop_span(), self._delays.pop_span()
         status.check_delay("scans wait to be mapped for", wait, config.diagnostics)
-        status.check_delay(MAP_LATE, latency, config.diagnostics)
+        text = "delay of maps, by the scans' stamps and this node's clock:"
+        status.check_delay(text, latency, config.diagnostics)
         dropped = Counter(self._intake.dropped, overload=self._overload.dropped)
         status.add(
             {
@@ -424,11 +397,9 @@ class MappingNode(BaseNode):
             status.note(WARN, "no point of the last scan could be used")
         if self._mapper.leaves.count + 3 > config.mapping.max_cells:
             status.note(WARN, "the map is full (mapping.max_cells)")
-        noise = noise_notice(report.noise_ratio, config)
-        if noise is not None:
+        if noise := noise_notice(report.noise_ratio, config):
             status.note(WARN, noise.text)
-        gap = pose_notice(self._mapper.pose_gap())
-        if gap is not None:
+        if gap := pose_notice(self._mapper.pose_gap()):
             status.note(WARN, gap.text)
             if gap.reason not in self._problems.counts:
                 self._problems.report(gap.reason, gap.text)

@@ -6,62 +6,24 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from geometry_msgs.msg import Point, Vector3
-from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.serialization import serialize_message
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.messages.maps import site_orientations
-from quadtree_lss.onboard.nodes.executor import steady_timer
+from quadtree_lss.onboard.nodes.qos import steady_timer
 from quadtree_lss.onboard.nodes.ros_messages import header_message
 
 if TYPE_CHECKING:  # slow to import, and not needed by mapping_node
     from quadtree_lss.onboard.core.landing.result import LandingAssessment
-
-
-class CdrWriter:
-    """Writer of little-endian CDR (version 1), which aligns each number to its size."""
-
-    def __init__(self) -> None:
-        self._parts: list[bytes] = [b"\x00\x01\x00\x00"]
-        self._size = 0
-
-    def numbers(self, code: str, *values: float) -> CdrWriter:
-        """Append numbers of one ``struct`` code, such as ``I`` or ``d``."""
-        self._align(struct.calcsize(f"<{code}"))
-        return self._append(struct.pack(f"<{len(values)}{code}", *values))
-
-    def string(self, text: str) -> CdrWriter:
-        """Append a string with its length and final zero."""
-        content = text.encode() + b"\x00"
-        return self.numbers("I", len(content))._append(content)
-
-    def rows(self, values: NDArray[Any], code: str) -> CdrWriter:
-        """Append a sequence of N messages of k equal numbers (N, k)."""
-        self.numbers("I", len(values))
-        if len(values):
-            self._align(struct.calcsize(f"<{code}"))
-            self._append(np.ascontiguousarray(values, dtype=f"<{code}").tobytes())
-        return self
-
-    def message(self) -> bytes:
-        """Return the serialised message."""
-        return b"".join(self._parts)
-
-    def _align(self, size: int) -> None:
-        self._append(b"\x00" * (-self._size % size))
-
-    def _append(self, content: bytes) -> CdrWriter:
-        self._parts.append(content)
-        self._size += len(content)
-        return self
 
 
 LOW_TO_HIGH = np.array(
@@ -78,6 +40,8 @@ LOW_TO_HIGH = np.array(
 CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 """Two triangles of a unit square, counter-clockwise."""
 
+SIZE_AFTER_POINTS = 73
+"""Bytes of a serialised marker after its points: no colours, texture, text and mesh."""
 VIEWER_PERIOD_S = 1.0
 CIRCLE_POINTS = 48
 FIRST_COLOUR = ColorRGBA(r=0.1, g=0.9, b=0.2, a=1.0)
@@ -91,61 +55,48 @@ class MarkerPublisher:
     def __init__(
         self, node: Node, publisher: Publisher, build: Callable[[], MarkerArray | bytes | None]
     ) -> None:
-        self._publisher = publisher
-        self._build = build
-        self._changed = False
+        self.changed = False
+        self._publisher, self._build = publisher, build
         self._subscribers = 0
         steady_timer(node, VIEWER_PERIOD_S, self._send)
-
-    def changed(self) -> None:
-        """Note a change."""
-        self._changed = True
 
     def delete_all(self, header: Header) -> None:
         """Delete all markers immediately, also for late subscribers."""
         deletion = Marker(header=header, action=Marker.DELETEALL)
         self._publisher.publish(MarkerArray(markers=[deletion]))
-        self._changed = False
+        self.changed = False
 
     def _send(self) -> None:
         subscribers = self._publisher.get_subscription_count()
         joined, self._subscribers = subscribers > self._subscribers, subscribers
-        if not subscribers or not (self._changed or joined):
-            return
-        self._changed = False
-        message = self._build()
-        if message is not None:
-            self._publisher.publish(message)
+        if subscribers and (self.changed or joined):
+            self.changed = False
+            message = self._build()
+            if message is not None:
+                self._publisher.publish(message)
 
 
 def cell_markers(cells: CellMap, frame: str) -> bytes:
-    """Serialise ``map/markers``: one marker per level, with two triangles per plane."""
+    """Serialise ``map/markers``: two triangles per plane.
+
+    The arrays are inserted into a serialised message without points, because rclpy needs seconds to
+    convert as many points of a large map.
+    """
     leaves = np.flatnonzero(cells.estimated)
-    colour = elevation_colours(cells.heights(leaves, cells.x[leaves], cells.y[leaves]))
-    writer = CdrWriter()
-    levels = range(cells.domain.min_level, cells.domain.max_level + 1)
-    writer.numbers("I", len(levels))
-    seconds, nanoseconds = divmod(cells.stamp_ns, 1_000_000_000)
-    for level in levels:
-        chosen = np.flatnonzero(cells.level[leaves] == level)
-        vertices = patch_vertices(cells, leaves[chosen]).reshape(-1, 3)
-        colours = np.repeat(colour[chosen], len(CORNERS), axis=0)
-        action = Marker.ADD if len(chosen) else Marker.DELETE
-        writer.numbers("i", seconds).numbers("I", nanoseconds).string(frame)
-        writer.string("cells").numbers("i", level, Marker.TRIANGLE_LIST, action)
-        writer.numbers("d", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # pose
-        writer.numbers("d", 1.0, 1.0, 1.0)  # scale
-        writer.numbers("f", 1.0, 1.0, 1.0, 1.0)  # colour; unused with colours of vertices
-        writer.numbers("i", 0).numbers("I", 0)  # lifetime
-        writer.numbers("?", False)  # frame_locked
-        writer.rows(vertices, "d").rows(colours, "f")
-        writer.string("")  # texture_resource
-        writer.numbers("i", 0).numbers("I", 0).string("").string("").numbers("I", 0)  # texture
-        writer.numbers("I", 0)  # uv_coordinates
-        writer.string("").string("")  # text, mesh_resource
-        writer.string("").numbers("I", 0)  # mesh_file
-        writer.numbers("?", False)  # mesh_use_embedded_materials
-    return writer.message()
+    header = header_message(cells.stamp_ns, frame)
+    marker = _marker(header, "cells", 0, Marker.TRIANGLE_LIST, 1.0, FIRST_COLOUR)
+    if not len(leaves):
+        marker.action = Marker.DELETE
+    raw: bytes = serialize_message(MarkerArray(markers=[marker]))
+    if not len(leaves):
+        return raw
+    colours = elevation_colours(cells.heights(leaves, cells.x[leaves], cells.y[leaves]))
+    colours = np.repeat(colours, len(CORNERS), axis=0)
+    count, head = struct.pack("<I", len(colours)), raw[: -SIZE_AFTER_POINTS - 4]
+    alignment = bytes(-len(head) % 8)  # of the first double
+    points = patch_vertices(cells, leaves).astype("<f8").tobytes()
+    tail = raw[len(head) + 8 :]
+    return b"".join((head, count, alignment, points, count, colours.astype("<f4").tobytes(), tail))
 
 
 def patch_vertices(cells: CellMap, rows: Index) -> Array:
@@ -161,14 +112,10 @@ def patch_vertices(cells: CellMap, rows: Index) -> Array:
 
 def elevation_colours(z: Array) -> Array:
     """Return opaque colours (K, 4) of elevations (K,), scaled from their 2nd to 98th percentile."""
-    out = np.ones((len(z), 4))
-    if len(z):
-        low, high = np.percentile(z, [2.0, 98.0])
-        fraction = np.clip((z - low) / max(high - low, 1e-6), 0.0, 1.0)
-        steps = np.linspace(0.0, 1.0, len(LOW_TO_HIGH))
-        for channel in range(3):
-            out[:, channel] = np.interp(fraction, steps, LOW_TO_HIGH[:, channel])
-    return out
+    low, high = np.percentile(z, [2.0, 98.0])
+    steps = np.linspace(low, max(high, low + 1e-6), len(LOW_TO_HIGH))
+    channels = [np.interp(z, steps, channel) for channel in LOW_TO_HIGH.T]
+    return np.stack([*channels, np.ones(len(z))], axis=-1)
 
 
 def site_markers(assessment: LandingAssessment, frame: str, zone_radius: float) -> MarkerArray:

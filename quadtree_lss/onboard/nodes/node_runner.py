@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import sys
 import tempfile
@@ -27,14 +28,16 @@ from quadtree_lss.onboard.config.settings import Config, ConfigError, parameters
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.nodes.diagnostics import WARN, Problems, Status
 from quadtree_lss.onboard.nodes.entry import set_waiting_for, stop_on_signal
-from quadtree_lss.onboard.nodes.executor import steady_timer
 from quadtree_lss.onboard.nodes.parameters import NodeParameters
+from quadtree_lss.onboard.nodes.qos import steady_timer
 
 ARGUMENT_ERRORS = (
     rclpy_implementation.RCLInvalidROSArgsError,
     rclpy_implementation.UnknownROSArgsError,
     rclpy_implementation.RCLError,
 )
+
+CONFIGURATION_ERRORS = (ConfigError, NameValidationException, ParameterException)
 
 WRONG_CONFIGURATION = 78
 """Exit code for which a restart cannot help (EX_CONFIG of sysexits.h), like 2."""
@@ -45,14 +48,13 @@ STOP_PERIOD_S = 0.2
 TRANSPORTS = "UDPv4?sockets_size=16MB"
 """Default transports of Fast DDS: no shared memory, and large buffers for scans.
 
-After a killed process, segments left in shared memory can prevent its successor on the same port
-from receiving for ten seconds or forever (studies/RESULTS.md). The kernel limits the buffers to
-net.core.rmem_max.
+Segments that a killed process leaves in shared memory can prevent its successor from receiving
+(studies/RESULTS.md). The kernel limits the buffers to net.core.rmem_max.
 """
 
 STATUS_S = 1.0
 """Period of ``/diagnostics`` that ROS's aggregators expect."""
-MEANINGFUL_LATENCY_S = 600.0
+MAX_AGE_S = 600.0
 """Difference of stamps and clock above which they are unrelated, as for a bag without ``/clock``.
 """
 
@@ -86,18 +88,18 @@ class BaseNode(Node):
     def finish(self) -> None:
         """Complete pending work before a regular exit."""
 
-    def _latency_ms(self, stamp_ns: int) -> float | None:
-        """Return the time since a stamp by the node's clock; None if the two are unrelated."""
-        latency = 1e-9 * (self.get_clock().now().nanoseconds - stamp_ns)
-        return 1e3 * latency if abs(latency) < MEANINGFUL_LATENCY_S else None
+    def _age(self, stamp_ns: int) -> float:
+        """Return the time since a stamp by the node's clock, s; NaN if the two are unrelated."""
+        age = 1e-9 * (self.get_clock().now().nanoseconds - stamp_ns)
+        return age if abs(age) < MAX_AGE_S else math.nan
 
     def _announce(self) -> None:
         """Log version, build, configuration, domain and vehicle, and unused QoS overrides."""
         self._settings.warn_unused(self)
         parts = (
             f"quadtree_lss {quadtree_lss.__version__} ({self._build})",
-            configuration_text(self._config, sys.argv),
-            *ground_text(self._config),
+            configuration_text(self._config),
+            ground_text(self._config),
         )
         set_waiting_for("", self.get_logger().warning)
         self.get_logger().info("; ".join(parts))
@@ -129,14 +131,9 @@ def run(
 ) -> int:
     """Run one node until SIGINT, SIGTERM, SIGHUP or shutdown.
 
-    Args:
-        make_node: Creates the node; called after ROS is initialised.
-        description: First line of ``--help``.
-        args: Command line with the program's name; ``sys.argv`` by default.
-
-    Returns:
-        Exit code: 0 after a signal, 1 if the node could not start, 2 for wrong arguments,
-        `WRONG_CONFIGURATION` for wrong parameters or names.
+    ``description``: first line of ``--help``; ``args``: command line, ``sys.argv`` by default.
+    Returns the exit code: 0 after a signal, 1 if the node could not start, 2 for wrong arguments,
+    `WRONG_CONFIGURATION` for wrong parameters or names.
     """
     argv = list(sys.argv if args is None else args)
     try:
@@ -170,7 +167,7 @@ def _spin(make_node: Callable[[], BaseNode], argv: list[str]) -> int:
         return _wrong_arguments(error)
     set_waiting_for("its parameters and topics")
     try:
-        node = _create_node(make_node)
+        node = make_node()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         with contextlib.suppress(ExternalShutdownException), stop.interrupting():
@@ -179,9 +176,9 @@ def _spin(make_node: Callable[[], BaseNode], argv: list[str]) -> int:
         node.finish()  # not after an exception, when the map may be inconsistent
     except KeyboardInterrupt:  # the same holds for an interrupted callback
         print("second signal: interrupted", file=sys.stderr)
-    except QuadtreeLssError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return WRONG_CONFIGURATION if isinstance(error, ConfigError) else 1
+    except (*CONFIGURATION_ERRORS, QuadtreeLssError, rclpy_implementation.RCLError) as error:
+        print(f"error: {_rcl_message(error)}", file=sys.stderr)
+        return WRONG_CONFIGURATION if isinstance(error, CONFIGURATION_ERRORS) else 1
     finally:
         if executor is not None:
             executor.shutdown()
@@ -191,63 +188,43 @@ def _spin(make_node: Callable[[], BaseNode], argv: list[str]) -> int:
     return 0
 
 
-def _create_node(make_node: Callable[[], BaseNode]) -> BaseNode:
-    """Create the node. Raises `ConfigError` for wrong parameters, names or overrides, and
-    `QuadtreeLssError` if the middleware fails."""
-    try:
-        return make_node()
-    except (NameValidationException, ParameterException) as error:
-        raise ConfigError(_rcl_message(error)) from None
-    except rclpy_implementation.RCLError as error:
-        raise QuadtreeLssError(_rcl_message(error)) from None
-
-
 def _rcl_message(error: Exception) -> str:
-    """Return the message of rcl without its source location."""
+    """Return a message in one line, without the source location that rcl adds."""
     return " ".join(str(error).split(", at /")[0].split())
 
 
 def _wrong_arguments(error: Exception) -> int:
     """Print rcl's error for arguments or ROS_… variables on one line; return the exit code."""
-    if isinstance(error, rclpy_implementation.UnknownROSArgsError):
-        text = f"unknown ROS arguments {error}"
-    else:
-        text = _rcl_message(error)
-    print(f"error: {text}", file=sys.stderr)
+    unknown = isinstance(error, rclpy_implementation.UnknownROSArgsError)
+    print(f"error: {'unknown ROS arguments ' * unknown}{_rcl_message(error)}", file=sys.stderr)
     return 2
 
 
-def configuration_text(config: Config, arguments: Sequence[str]) -> str:
-    """Describe the values that differ from the defaults, with the files that set them;
-    ``arguments``: command line."""
+def configuration_text(config: Config) -> str:
+    """Describe the values that differ from the defaults, with the files that set them."""
     origin: dict[str, str] = {}
-    for option, value in pairwise(arguments):
+    for option, value in pairwise(sys.argv):
         if option == "--params-file":
             with contextlib.suppress(ConfigError):  # ROS accepts more forms than `read_values`
                 origin |= dict.fromkeys(read_values(value), value)
         elif option in ("-p", "--param"):
             origin.pop(value.partition(":=")[0], None)
     values = values_from_config(config)
-    changed = [row.name for row in parameters() if values[row.name] != row.default]
-    files = [path for option, path in pairwise(arguments) if option == "--params-file"]
-    if not changed:
-        return f"configuration: the defaults{' (as in ' + ', '.join(files) + ')' if files else ''}"
-    parts, command_line = [], "command line"
-    for source in dict.fromkeys([*files, command_line]):
-        set_by = [f"{n}={values[n]}" for n in changed if origin.get(n, command_line) == source]
-        if set_by:
-            parts.append(f"{', '.join(set_by)} (from {source})")
-        elif source != command_line:
-            parts.append(f"{source} (only defaults)")
-    return f"configuration other than the defaults: {', '.join(parts)}"
+    changed: dict[str, list[str]] = {}
+    for row in parameters():
+        if values[row.name] != row.default:
+            source = origin.get(row.name, "command line")
+            changed.setdefault(source, []).append(f"{row.name}={values[row.name]}")
+    parts = [f"{', '.join(items)} (from {source})" for source, items in changed.items()]
+    return f"configuration other than the defaults: {', '.join(parts) or 'none'}"
 
 
-def ground_text(config: Config) -> list[str]:
+def ground_text(config: Config) -> str:
     """Describe domain, cells and vehicle."""
     d, lss = config.domain, config.lss
     sizes = [d.size / 2**level for level in (d.min_level, d.max_level)]
-    return [
+    return (
         f"domain x {d.xmin:g} ... {d.xmin + d.size:g}, y {d.ymin:g} ... {d.ymin + d.size:g} m"
-        f" in frame '{config.frames.map}', cells {sizes[0]:g} ... {sizes[1]:g} m",
-        f"vehicle of {lss.vehicle.diameter:g} m diameter, margin {lss.margin:g} m",
-    ]
+        f" in frame '{config.frames.map}', cells {sizes[0]:g} ... {sizes[1]:g} m;"
+        f" vehicle of {lss.vehicle.diameter:g} m diameter, margin {lss.margin:g} m"
+    )

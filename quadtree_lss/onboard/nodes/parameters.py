@@ -45,11 +45,6 @@ QOS_POLICIES: dict[str, list[str]] = {
 }
 
 
-def is_ros_own(name: str) -> bool:
-    """Return whether a parameter belongs to ROS itself."""
-    return ROS_OWN.fullmatch(name) is not None
-
-
 def descriptor(row: Parameter) -> ParameterDescriptor:
     """Describe a row of the table for ``ros2 param describe``."""
     result = ParameterDescriptor(name=row.name, read_only=not row.live)
@@ -71,11 +66,11 @@ def checked_qos_overrides(values: Mapping[str, object]) -> list[tuple[str, str]]
     Raises `ConfigError` for a name not of the form ``qos_overrides.TOPIC.subscription.POLICY``, an
     unknown policy (names the nearest one) or an invalid value."""
     found = []
+    endings = [f"{end}.{p}" for end in ("subscription", "publisher") for p in QOS_POLICIES]
     for name, value in values.items():
         topic, _, ending = name.removeprefix(QOS).partition(".")
         if not name.startswith(QOS) or topic in ROS_TOPICS:
             continue
-        endings = [f"{end}.{p}" for end in ("subscription", "publisher") for p in QOS_POLICIES]
         if ending not in endings:
             near = difflib.get_close_matches(ending, endings, n=1, cutoff=0.0)[0]
             msg = f"unknown parameter {name!r}; did you mean '{QOS}{topic}.{near}'?"
@@ -97,38 +92,26 @@ class NodeParameters:
     """Configuration of a node from its ROS parameters.
 
     The node needs ``automatically_declare_parameters_from_overrides=True``; otherwise overrides of
-    unknown names are not visible.
-
-    Args:
-        node: Its overrides are checked, then every row of the table is declared on it.
-        changed: Called with the new configuration after live parameters were set.
-        kind: Executable, such as ``lss_node``: live parameters of others cannot be changed.
-
-    Attributes:
-        config: Current configuration.
-        given: Names that the command line or a file set at the start.
-
-    Raises:
-        ConfigError: Unknown key (names the nearest one), wrong type or range, contradicting values,
-            or a parameter file without a section for this node.
+    unknown names are not visible. ``changed`` is called with the new configuration after live
+    parameters were set; those of other executables than ``kind`` cannot be changed. Raises
+    `ConfigError` for wrong parameters, or a parameter file without a section for this node.
+    ``given``: names that the command line or a file set at the start.
     """
 
-    def __init__(
-        self, node: Node, changed: Callable[[Config], None] | None = None, kind: str = ""
-    ) -> None:
+    def __init__(self, node: Node, changed: Callable[[Config], None], kind: str) -> None:
         for option, path in itertools.pairwise(sys.argv):
             if option == "--params-file":
                 check_reaches(path, node.get_fully_qualified_name())
         given = node.get_parameters_by_prefix("")
         # Parameters are declared again below, with descriptors; QoS overrides by rclpy.
         for name in given:
-            if not is_ros_own(name) or name.startswith(QOS):
+            if not ROS_OWN.fullmatch(name) or name.startswith(QOS):
                 node.undeclare_parameter(name)
-        own = {name: item.value for name, item in given.items() if not is_ros_own(name)}
+        own = {name: item.value for name, item in given.items() if not ROS_OWN.fullmatch(name)}
         self.given = frozenset(own)
         self.config = _checked(config_from_values(own))
-        overridden = checked_qos_overrides({name: item.value for name, item in given.items()})
-        self._overridden = sorted(set(overridden))
+        overrides = {name: item.value for name, item in given.items()}
+        self._overridden = sorted(set(checked_qos_overrides(overrides)))
         values = values_from_config(self.config)
         for row in parameters():
             node.declare_parameter(
@@ -160,7 +143,7 @@ class NodeParameters:
         current = values_from_config(self.config)
         for name in [item.name for item in changes if item.name in current]:
             owner = LIVE_NODES.get(name.partition(".")[0], self._kind)
-            if self._kind and owner != self._kind and values[name] != current[name]:
+            if owner != self._kind and values[name] != current[name]:
                 reason = f"{name} has an effect in {owner}, not in {self._kind}: set it there"
                 return SetParametersResult(successful=False, reason=reason)
         return SetParametersResult(successful=True)
@@ -169,29 +152,23 @@ class NodeParameters:
         config = self._with(changes)
         if config != self.config:
             self.config = config
-            if self._changed is not None:
-                self._changed(config)
+            self._changed(config)
 
     def _with(self, changes: Iterable[RosParameter]) -> Config:
-        own = {item.name: item.value for item in changes if not is_ros_own(item.name)}
+        own = {item.name: item.value for item in changes if not ROS_OWN.fullmatch(item.name)}
         return _checked(config_from_values(own, self.config))
 
 
-class _UnknownParameterError(ParameterNotDeclaredException):
-    """rclpy's exception, whose text its services return, with the nearest name in the text."""
-
-    def __init__(self, name: str) -> None:
-        Exception.__init__(self, unknown_parameter(name))
-
-
 def _converted(changes: list[RosParameter]) -> list[RosParameter]:
-    """Convert integers of float parameters, before rclpy checks types. Raises
-    `_UnknownParameterError` for a name that is neither in the table nor ROS's own."""
+    """Convert integers of float parameters, before rclpy checks types. Raises rclpy's exception,
+    with the nearest name in its text, for a name that is neither in the table nor ROS's own."""
     types = {row.name: row.type for row in parameters()}
     result = []
     for item in changes:
-        if item.name not in types and not is_ros_own(item.name):
-            raise _UnknownParameterError(item.name)
+        if item.name not in types and not ROS_OWN.fullmatch(item.name):
+            error = ParameterNotDeclaredException([item.name])
+            error.args = (unknown_parameter(item.name),)
+            raise error
         if types.get(item.name) is float and item.type_ is RosParameter.Type.INTEGER:
             item = RosParameter(item.name, value=float(item.value))
         result.append(item)
@@ -200,9 +177,8 @@ def _converted(changes: list[RosParameter]) -> list[RosParameter]:
 
 def _checked(config: Config) -> Config:
     """Return the configuration. Raises `ConfigError` if a path cannot be that of a file."""
-    paths = {"map_file.path": config.map_file.path, "checkpoint.path": config.checkpoint.path}
-    for name, path in paths.items():
+    for name, path in (("map_file", config.map_file.path), ("checkpoint", config.checkpoint.path)):
         if path and (path.rpartition("/")[2] in ("", ".", "..") or "\0" in path):
-            msg = f"{name} = {path!r} is not the name of a file"
+            msg = f"{name}.path = {path!r} is not the name of a file"
             raise ConfigError(msg)
     return config

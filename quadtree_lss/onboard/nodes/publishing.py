@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from rclpy.node import Node
 
-from quadtree_lss.onboard.nodes.executor import steady_timer
+from quadtree_lss.onboard.nodes.qos import steady_timer
 
 WAIT_FRACTION = 0.6
 """Wait for the next change beyond the due time, as a fraction of the interval between changes."""

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Publishers, subscriptions and services with their quality of service (QoS)."""
+"""Publishers, subscriptions and services with their quality of service (QoS), and timers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
@@ -22,6 +23,7 @@ from rclpy.qos import (
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -77,13 +79,8 @@ def subscribe(
     *,
     raw: bool = False,
 ) -> Subscription:
-    """Create a subscription that logs a warning if a publisher's QoS is incompatible.
-
-    Args:
-        matched: Called with the number of publishers whenever it changes.
-        group: Callback group; None for the node's default.
-        raw: Pass messages as bytes, not deserialised.
-    """
+    """Create a subscription that logs a warning if a publisher's QoS is incompatible. ``matched``
+    is called with the number of publishers whenever it changes; ``raw`` messages are bytes."""
     name = node.resolve_topic_name(topic)
 
     def incompatible(event: Any) -> None:
@@ -142,3 +139,37 @@ def advertise(
     ``matched``: called with an event when the number of subscribers changes."""
     events = {"event_callbacks": PublisherEventCallbacks(matched=matched)}
     return node.create_publisher(kind, topic, profile, qos_overriding_options=OVERRIDABLE, **events)
+
+
+class OnDemandGroup(CallbackGroup):
+    """Subscriptions that wake the node only while ``wanted()`` is true, because a wake-up costs as
+    much as reading several messages. At other times their messages stay in the middleware's queue
+    until `take_waiting` reads them."""
+
+    def __init__(self, wanted: Callable[[], bool]) -> None:
+        super().__init__()
+        self.wanted = wanted
+
+    def can_execute(self, entity: Any) -> bool:
+        """Return whether the executor serves the group; called before and after it waits."""
+        return self.wanted()
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """Allow every callback: there is only one thread."""
+        return True
+
+    def ending_execution(self, entity: Any) -> None:
+        """Do nothing: there is only one thread."""
+
+
+def take_waiting(subscription: Subscription) -> Iterator[Any]:
+    """Read the messages that wait at a subscription, oldest first."""
+    handle = subscription.handle
+    with handle:
+        while (taken := handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+            yield taken[0]
+
+
+def steady_timer(node: Node, period_s: float, callback: Callable[[], None]) -> Timer:
+    """Create a timer on a steady clock: it continues when ``/clock`` stops or jumps."""
+    return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 
 from nav_msgs.msg import OccupancyGrid
+from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -14,7 +15,7 @@ from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.outputs import map_from_messages
 from quadtree_lss.onboard.messages.poses import check_frame
 from quadtree_lss.onboard.nodes.diagnostics import Arrivals, Problems
-from quadtree_lss.onboard.nodes.ros_messages import cloud_message, deserialised
+from quadtree_lss.onboard.nodes.ros_messages import deserialised
 
 STAMP = slice(4, 12)
 """Bytes of the stamp in a serialised message that begins with a header."""
@@ -27,16 +28,12 @@ faster."""
 class ReceivedMap:
     """Join the two serialised messages of a map, and decode the newest complete map on demand.
 
-    An unusable map is rejected: the last usable one is kept, and its age increases.
-
-    Args:
-        frame: ``frames.map``.
-        lss: Returns the current parameters; maps too large for an assessment are rejected.
-        binding: Reject maps whose frame is not ``frame``.
+    An unusable map is rejected: the last usable one is kept, and its age increases. With
+    ``binding``, maps whose frame is not ``frame`` are rejected, and always maps that are too large
+    for an assessment with the parameters that ``lss`` returns.
 
     Attributes:
-        cells: The newest usable map; None before the first.
-        frame: Its frame.
+        cells: The newest usable map; None before the first. ``frame`` is its frame.
         refused: Reason why the newest map was rejected; empty if it was used.
         refusals: Number of rejected maps.
     """
@@ -95,7 +92,8 @@ class ReceivedMap:
         newest, self._complete, self._rejected = self._complete, None, None
         raw_cells, raw_observed, arrival = newest
         try:
-            cells, observed = cloud_message(raw_cells), deserialised(raw_observed, OccupancyGrid)
+            cells = deserialised(raw_cells, PointCloud2)
+            observed = deserialised(raw_observed, OccupancyGrid)
             frame = cells.header.frame_id
             if self._binding:
                 check_frame(frame, self._configured, "map/cells")

@@ -1,28 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion between arrays, rclpy messages and serialised messages."""
+"""Conversion of arrays and serialised messages to rclpy messages."""
 
 from __future__ import annotations
 
-import struct
 from array import array
 from functools import lru_cache
 from importlib import import_module
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
-from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import PointCloud2
+from rclpy.serialization import deserialize_message
 from std_msgs.msg import Header
 
 from quadtree_lss.onboard.config.settings import ConfigError
-from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.messages.clouds import MessageError
-from quadtree_lss.onboard.messages.maps import CELL_FIELDS, encode_cells, encode_observed
 from quadtree_lss.onboard.messages.outputs import MessageMaker
 
 
@@ -36,6 +31,8 @@ class _Types(dict[str, Any]):
 
 
 TYPES = _Types()
+POSE_KINDS: dict[str, Any] = {"pose": PoseWithCovarianceStamped, "odometry": Odometry}
+"""Message classes by ``pose.source``."""
 try:  # not part of a minimal ROS installation
     GridMap = TYPES["grid_map_msgs/msg/GridMap"]
 except ImportError:
@@ -57,38 +54,6 @@ def message_maker(frame: str) -> MessageMaker:
     return MessageMaker(TYPES, packed, frame)
 
 
-@lru_cache(4)
-def _without_content(frame: str, domain: Domain) -> tuple[bytes, bytes]:
-    """Serialise ``map/cells`` and ``map/observed`` without stamps and content."""
-    maker = MessageMaker(TYPES, lambda values: array(values.dtype.char), frame)
-    cloud = maker.cloud(np.empty(0, CELL_FIELDS), 0)
-    grid = maker.observed(np.empty((domain.finest_count,) * 2, np.int8), domain, 0)
-    return serialize_message(cloud), serialize_message(grid)
-
-
-def map_messages(cells: CellMap, frame: str) -> tuple[bytes, bytes]:
-    """Serialise ``map/cells`` and ``map/observed``: insert the arrays into cached messages without
-    content, so that they are copied only once."""
-    records, values = encode_cells(cells), encode_observed(cells.observed, cells.known)
-    cloud, grid = map(bytearray, _without_content(frame, cells.domain))
-    stamp = divmod(cells.stamp_ns, 1_000_000_000)
-    for raw in (cloud, grid):
-        struct.pack_into("<iI", raw, 4, *stamp)
-    _, offset = _read_string(cloud, 12)
-    offset += -offset % 4
-    struct.pack_into("<iI", grid, offset, *stamp)  # info.map_load_time
-    struct.pack_into("<I", cloud, offset + 4, len(records))  # width
-    # A cloud ends with row_step, the length of data, data and the byte is_dense.
-    struct.pack_into("<I", cloud, len(cloud) - 9, records.nbytes)
-    return _insert_data(cloud, len(cloud) - 1, records), _insert_data(grid, len(grid), values)
-
-
-def _insert_data(raw: bytearray, end: int, content: NDArray[Any]) -> bytes:
-    """Insert content into a message whose empty array of bytes ends at ``end``."""
-    length = struct.pack("<I", content.nbytes)
-    return b"".join((raw[: end - len(length)], length, content.view(np.uint8).data, raw[end:]))
-
-
 def time_message(stamp: int) -> Time:
     """Convert integer nanoseconds to a ROS time."""
     seconds, nanoseconds = divmod(stamp, 1_000_000_000)
@@ -107,78 +72,6 @@ def deserialised(raw: bytes, kind: Any) -> Any:
     except RuntimeError:  # of the middleware
         msg = f"a message of {len(raw)} bytes is not a {kind.__name__}"
         raise MessageError("damaged", msg) from None
-
-
-LITTLE_ENDIAN = b"\x00\x01"
-"""First bytes of serialised messages that the functions below decode; `deserialised` reads others.
-"""
-
-
-def _read_string(raw: bytes, offset: int) -> tuple[str, int]:
-    """Return the string at ``offset``, aligned to four bytes, and the offset of its end."""
-    offset += -offset % 4
-    (length,) = struct.unpack_from("<I", raw, offset)
-    return raw[offset + 4 : offset + 3 + length].decode(), offset + 4 + length
-
-
-def pose_message(raw: bytes, kind: Any) -> Any:
-    """Deserialise ``PoseWithCovarianceStamped`` or ``Odometry`` without the twist, five times as
-    fast as `deserialised`, because hundreds of poses come per second. Raises `MessageError`."""
-    offset, names = 12, []
-    try:
-        seconds, nanoseconds = struct.unpack_from("<iI", raw, 4)
-        for _ in range(2 if kind is Odometry else 1):
-            name, offset = _read_string(raw, offset)
-            names.append(name)
-        numbers = np.frombuffer(raw, "<f8", 7 + 36, offset + (4 - offset) % 8)
-    except (struct.error, ValueError):
-        return deserialised(raw, kind)
-    if raw[:2] != LITTLE_ENDIAN:
-        return deserialised(raw, kind)
-    x, y, z, *q = numbers[:7].tolist()
-    pose = SimpleNamespace(position=SimpleNamespace(x=x, y=y, z=z))
-    pose.orientation = SimpleNamespace(x=q[0], y=q[1], z=q[2], w=q[3])
-    stamp = SimpleNamespace(sec=seconds, nanosec=nanoseconds)
-    message = SimpleNamespace(header=SimpleNamespace(stamp=stamp, frame_id=names[0]))
-    message.pose = SimpleNamespace(pose=pose, covariance=numbers[7:])
-    if len(names) > 1:
-        message.child_frame_id = names[1]
-    return message
-
-
-def cloud_message(raw: bytes) -> Any:
-    """Deserialise ``PointCloud2``, four times as fast as `deserialised`: ``data`` is a view of
-    ``raw``. Raises `MessageError`."""
-    fields = []
-    try:
-        seconds, nanoseconds = struct.unpack_from("<iI", raw, 4)
-        frame, end = _read_string(raw, 12)
-        height, width, count = struct.unpack_from("<3I", raw, end + -end % 4)
-        end += -end % 4 + 12
-        for _ in range(count):
-            name, end = _read_string(raw, end)
-            offset, kind, number = struct.unpack_from("<IB3xI", raw, end + -end % 4)
-            end += -end % 4 + 12
-            field = {"name": name, "offset": offset, "datatype": kind, "count": number}
-            fields.append(SimpleNamespace(**field))
-        big, point_step, row_step, size = struct.unpack_from("<B3x3I", raw, end)
-        data, dense = memoryview(raw)[end + 16 : end + 16 + size], raw[end + 16 + size]
-    except (struct.error, ValueError, IndexError):
-        return deserialised(raw, PointCloud2)
-    if raw[:2] != LITTLE_ENDIAN:
-        return deserialised(raw, PointCloud2)
-    stamp = SimpleNamespace(sec=seconds, nanosec=nanoseconds)
-    return SimpleNamespace(
-        header=SimpleNamespace(stamp=stamp, frame_id=frame),
-        height=height,
-        width=width,
-        fields=fields,
-        is_bigendian=big > 0,
-        point_step=point_step,
-        row_step=row_step,
-        data=data,
-        is_dense=dense > 0,
-    )
 
 
 def packed(values: NDArray[Any]) -> array[int]:

@@ -17,8 +17,14 @@ from quadtree_lss.onboard.config.limits import MAX_ASSESSMENT_S
 from quadtree_lss.onboard.errors import QuadtreeLssError
 from quadtree_lss.onboard.messages.outputs import SELECTED, STATUS, STATUS_TEXT
 from quadtree_lss.onboard.nodes.diagnostics import OK, WARN
-from quadtree_lss.onboard.nodes.executor import steady_timer
-from quadtree_lss.onboard.nodes.qos import TARGET_DEADLINE_S, advertise, latched, serve, target
+from quadtree_lss.onboard.nodes.qos import (
+    TARGET_DEADLINE_S,
+    advertise,
+    latched,
+    serve,
+    steady_timer,
+    target,
+)
 from quadtree_lss.onboard.nodes.ros_messages import message_maker
 
 if TYPE_CHECKING:
@@ -29,14 +35,9 @@ REPEAT_S = 0.4 * TARGET_DEADLINE_S
 
 
 class TargetOutput:
-    """Publish the target with every assessment, and repeat it until the next one.
-
-    Args:
-        node: Owner; changes of the target go to its log.
-        age: Returns the age of a map by its stamp, s; NaN if unknown.
-        release, land_now: Select another target, or the best one within reach; they assess and
-            publish before they return.
-    """
+    """Publish the target with every assessment, and repeat it until the next one. ``age`` returns
+    the age of a map by its stamp, s, or NaN. ``release`` and ``land_now`` select another target, or
+    the best one within reach, and assess and publish before they return."""
 
     def __init__(
         self,
@@ -58,11 +59,8 @@ class TargetOutput:
         serve(node, "land_now", self._on_land_now)
 
     def send(self, result: LandingAssessment, frame: str) -> None:
-        """Publish the target of an assessment.
-
-        A restarted node does not publish "no target" before its first decision, because that would
-        withdraw the target of the killed node.
-        """
+        """Publish the target of an assessment; "no target" only after the first decision, because
+        a restarted node would withdraw the target of the killed one."""
         self._log_change(result)
         self._result, self._frame = result, frame
         self._decided = self._decided or not result.undecided
@@ -71,9 +69,8 @@ class TargetOutput:
 
     @contextmanager
     def repeated(self) -> Iterator[None]:
-        """Repeat the target in a thread, because an assessment can take longer than the deadline.
-
-        The repetition ends after the longest time of an assessment that parameters allow."""
+        """Repeat the target in a thread, because an assessment can take longer than the deadline;
+        at most for the longest time of an assessment that parameters allow."""
         done = threading.Event()
 
         def repeat() -> None:
@@ -114,7 +111,7 @@ class TargetOutput:
 
     def _on_release(self) -> str:
         before = self._result
-        held = 0 if before is None else before.selected.id
+        held = before.selected.id if before else 0
         if not (held or self._landing_now):
             msg = "there is no target"
             raise QuadtreeLssError(msg)
@@ -152,9 +149,8 @@ def status_text(result: LandingAssessment, age: float) -> DiagnosticStatus:
         "answer": result.number,
     }
     if selected.id:
-        values |= {
-            axis: f"{value:.3f}" for axis, value in zip("xyz", selected.position, strict=True)
-        }
+        x, y, z = selected.position
+        values |= {"x": f"{x:.3f}", "y": f"{y:.3f}", "z": f"{z:.3f}"}
         values["hazard_distance"] = f"{selected.site.hazard_distance[0]:.2f}"
     status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
     return status
