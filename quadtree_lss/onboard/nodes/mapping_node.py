@@ -54,9 +54,10 @@ from quadtree_lss.onboard.nodes.qos import (
 )
 from quadtree_lss.onboard.nodes.ros_messages import (
     POSE_KINDS,
-    deserialised,
+    cloud_message,
     header_message,
     message_maker,
+    pose_message,
     transforms_type,
 )
 
@@ -183,7 +184,7 @@ class MappingNode(BaseNode):
         if self._overload.admits(info["received_timestamp"], self._config, work_ms):
             try:
                 raw = isinstance(message, bytes)  # clouds, not depth images
-                scan = deserialised(message, PointCloud2) if raw else message
+                scan = cloud_message(message) if raw else message
                 self._intake.on_cloud(scan, arrival_ns)
             except MessageError as error:
                 self._intake.reject("cloud", error)
@@ -206,7 +207,7 @@ class MappingNode(BaseNode):
     def _on_pose(self, raw: bytes) -> None:
         self._arrived["pose"].add()
         try:
-            self._intake.on_pose(deserialised(raw, self._pose_kind))
+            self._intake.on_pose(pose_message(raw, self._pose_kind))
         except MessageError as error:
             self._intake.reject("pose", error)
 

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 
 from nav_msgs.msg import OccupancyGrid
-from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -15,7 +14,7 @@ from quadtree_lss.onboard.messages.clouds import MessageError
 from quadtree_lss.onboard.messages.outputs import map_from_messages
 from quadtree_lss.onboard.messages.poses import check_frame
 from quadtree_lss.onboard.nodes.diagnostics import Arrivals, Problems
-from quadtree_lss.onboard.nodes.ros_messages import deserialised
+from quadtree_lss.onboard.nodes.ros_messages import cloud_message, deserialised
 
 STAMP = slice(4, 12)
 """Bytes of the stamp in a serialised message that begins with a header."""
@@ -92,8 +91,7 @@ class ReceivedMap:
         newest, self._complete, self._rejected = self._complete, None, None
         raw_cells, raw_observed, arrival = newest
         try:
-            cells = deserialised(raw_cells, PointCloud2)
-            observed = deserialised(raw_observed, OccupancyGrid)
+            cells, observed = cloud_message(raw_cells), deserialised(raw_observed, OccupancyGrid)
             frame = cells.header.frame_id
             if self._binding:
                 check_frame(frame, self._configured, "map/cells")
