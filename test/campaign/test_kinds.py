@@ -13,9 +13,8 @@ from quadtree_lss.lab.campaign import landings
 from quadtree_lss.lab.campaign.landings import FLY
 from quadtree_lss.lab.campaign.mapped import figures, fly_in_memory, lander_of
 from quadtree_lss.lab.campaign.study import read_study
-from quadtree_lss.lab.evaluation.evaluate import evaluate
+from quadtree_lss.lab.evaluation.evaluate import evaluate, score
 from quadtree_lss.lab.evaluation.results import TIMING_COLUMNS, load_results, load_truth
-from quadtree_lss.lab.evaluation.score import score
 from quadtree_lss.lab.flight.fly import fly_lockstep
 from quadtree_lss.lab.flight.settings import flight_settings
 from quadtree_lss.lab.simulation.simulate import simulate

@@ -12,15 +12,13 @@ from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.campaign.kinds import Case, Figures, Kind, Quantity
-from quadtree_lss.lab.evaluation.evaluate import evaluate
+from quadtree_lss.lab.evaluation.evaluate import EvaluationResult, evaluate, score
 from quadtree_lss.lab.evaluation.results import Results, Truth, results_of, truth_of
 from quadtree_lss.lab.evaluation.risk_flights import lander_of
-from quadtree_lss.lab.evaluation.score import EvaluationResult, score
 from quadtree_lss.lab.simulation.lidar import StereoCamera
-from quadtree_lss.lab.simulation.recording import DEPTH_TYPES, POSE, POSE_TOPIC, TYPES
+from quadtree_lss.lab.simulation.recording import CLOUD, DEPTH_TYPES, POSE, POSE_TOPIC, SCAN_TOPIC
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions
-from quadtree_lss.lab.simulation.simulate import simulate
-from quadtree_lss.lab.simulation.simulation import Simulation
+from quadtree_lss.lab.simulation.simulate import Simulation, simulate
 from quadtree_lss.onboard.config.settings import Config
 
 CONDITIONS = ("flights", *(item.name for item in fields(Conditions)))
@@ -34,10 +32,14 @@ def fly(case: Case) -> Figures:
 
 def in_memory(simulation: Simulation) -> MessageBag:
     """A simulated flight as a bag in memory that can be read once."""
-    depth, counts = {**DEPTH_TYPES, POSE_TOPIC: POSE}, {POSE_TOPIC: simulation.poses}
-    kinds = depth if isinstance(simulation.legs[0].plan.lidar, StereoCamera) else TYPES
-    topics = [Topic(name, kind, counts.get(name, simulation.scans)) for name, kind in kinds.items()]
-    return MessageBag("bag", topics, simulation.span_ns, simulation.messages())
+    legs = simulation.legs
+    scans, poses = sum(len(leg.scan_ns) for leg in legs), sum(len(leg.pose_ns) for leg in legs)
+    depth = isinstance(legs[0].plan.lidar, StereoCamera)
+    kinds = DEPTH_TYPES if depth else {SCAN_TOPIC: CLOUD}
+    topics = [Topic(name, kind, scans) for name, kind in kinds.items()]
+    topics.append(Topic(POSE_TOPIC, POSE, poses))
+    span_ns = legs[0].arrivals[0][0], legs[-1].arrivals[-1][0]
+    return MessageBag("bag", topics, span_ns, simulation.messages())
 
 
 def fly_in_memory(

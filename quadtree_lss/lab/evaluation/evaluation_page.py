@@ -11,9 +11,9 @@ from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.report.page_data import Layer
 from quadtree_lss.desk.report.palette import colour_limits, even_limits
 from quadtree_lss.desk.report.report import page, short_name
+from quadtree_lss.lab.evaluation.evaluate import EvaluationResult, percent
 from quadtree_lss.lab.evaluation.metrics import SafetyField
 from quadtree_lss.lab.evaluation.results import Truth
-from quadtree_lss.lab.evaluation.score import EvaluationResult, percent
 
 #: Verdicts on grid points with colours from the palette of Okabe and Ito.
 VERDICTS = (

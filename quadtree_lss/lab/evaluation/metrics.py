@@ -31,10 +31,7 @@ SiteVerdict = Literal["safe", "unsafe", "unknown"]
 
 @dataclass(frozen=True)
 class ElevationError:
-    """Estimate minus truth (m) over observed terrain, sampled evenly in area.
-
-    ``without_estimate``: fraction of the observed finest cells that have no estimate.
-    """
+    """Estimate minus truth (m) over observed terrain, sampled evenly in area."""
 
     mean_absolute: float
     rms: float
@@ -43,33 +40,25 @@ class ElevationError:
     mean_absolute_mean_removed: float
     rms_mean_removed: float
     samples: int
-    without_estimate: float
+    without_estimate: float  # fraction of the observed finest cells
 
 
 @dataclass(frozen=True)
 class Detection:
     """Detection of hazardous and safe ground (Table 3), over observed ground with small holes
-    filled. The holes and ground without an estimate are unknown.
+    filled: fractions of the grid points, NaN without any. The holes and ground without an estimate
+    are unknown."""
 
-    Attributes:
-        hazardous_found: Fraction of the truly hazardous grid points not called safe.
-        safe_found: Fraction of the truly safe grid points called safe.
-        hazardous_unknown, safe_unknown: Fractions of these that are unknown.
-        missed_depth: Distance of the deepest missed grid point from safe ground, m.
-        unseen_box: Fraction of the scanned box that is not scored.
-        precision: Fraction of the grid points called safe that are safe; NaN without any.
-    """
-
-    hazardous_found: float
-    safe_found: float
-    hazardous_unknown: float
+    hazardous_found: float  # not called safe, of the truly hazardous
+    safe_found: float  # called safe, of the truly safe
+    hazardous_unknown: float  # of the truly hazardous
     safe_unknown: float
     hazardous_grid_points: int
     safe_grid_points: int
     missed_grid_points: int
-    missed_depth: float
-    unseen_box: float
-    precision: float
+    missed_depth: float  # distance of the deepest missed grid point from safe ground, m
+    unseen_box: float  # of the scanned box: not scored
+    precision: float  # truly safe, of those called safe
 
 
 @dataclass(frozen=True)
@@ -84,16 +73,6 @@ class SafetyField:
     scored: Mask
     risk: Array | None = None
 
-    @property
-    def missed(self) -> Mask:
-        return self.scored & ~self.truly_safe & self.called_safe & self.seen
-
-
-def observed_at(grid: Grid, x: Array, y: Array) -> Mask:
-    """Whether all grid points around each of the points x (n,), y (m,) are estimated: (m, n)."""
-    unseen = (~grid.seen).astype(np.float64)
-    return np.asarray(bilinear(grid.x, grid.y, unseen, x[None, :], y[:, None]) < 1e-8)
-
 
 def elevation_error(cells: CellMap, grid: Grid, truth: Truth) -> ElevationError:
     """Compare leaf planes with the truth at points spread evenly over the finest cells; NaN if
@@ -107,7 +86,8 @@ def elevation_error(cells: CellMap, grid: Grid, truth: Truth) -> ElevationError:
     with np.errstate(invalid="ignore"):
         fine = leaf.repeat(parts, axis=0).repeat(parts, axis=1)
         error = cells.heights(fine, x[None, :], y[:, None]) - truth.elevation_at(*np.meshgrid(x, y))
-    error = error[observed_at(grid, x, y) & np.isfinite(error)]
+    unseen = bilinear(grid.x, grid.y, ~grid.seen, x[None, :], y[:, None])
+    error = error[(unseen < 1e-8) & np.isfinite(error)]  # all grid points around are estimated
     estimated = cells.estimated[leaf[cells.observed]]
     without = float(1.0 - estimated.mean()) if estimated.size else float("nan")
     if not error.size:
@@ -174,18 +154,14 @@ def _common(axis: Array, lattice: Array, some: NDArray[np.int64]) -> tuple[Index
     return near[same], some[same]
 
 
-def _hazard_depth(field: SafetyField) -> Array:
-    """Depth (ny, nx) of each grid point inside hazardous ground, m."""
-    spacing = float(field.x[1] - field.x[0]) if field.x.size > 1 else 0.0
-    inside = np.pad(~field.truly_safe, 1, mode="edge")
-    return np.asarray(spacing * distance_transform_edt(inside)[1:-1, 1:-1])
-
-
 def detection(field: SafetyField) -> Detection:
     """Detection rates of Table 3; NaN over no grid points."""
     hazardous = field.scored & ~field.truly_safe
     safe = field.scored & field.truly_safe
     called = field.called_safe & field.seen
+    missed = hazardous & called
+    spacing = float(field.x[1] - field.x[0]) if field.x.size > 1 else 0.0
+    depth = distance_transform_edt(np.pad(~field.truly_safe, 1, mode="edge"))[1:-1, 1:-1]
 
     def share(part: Mask, whole: Mask) -> float:
         return float(part[whole].mean()) if whole.any() else np.nan
@@ -197,8 +173,8 @@ def detection(field: SafetyField) -> Detection:
         safe_unknown=share(~field.seen, safe),
         hazardous_grid_points=int(hazardous.sum()),
         safe_grid_points=int(safe.sum()),
-        missed_grid_points=int(field.missed.sum()),
-        missed_depth=float(_hazard_depth(field)[field.missed].max(initial=0.0)),
+        missed_grid_points=int(missed.sum()),
+        missed_depth=spacing * float(depth[missed].max(initial=0.0)),
         unseen_box=float(1.0 - field.scored.mean()) if field.scored.size else float("nan"),
         precision=share(field.truly_safe, called & field.scored),
     )

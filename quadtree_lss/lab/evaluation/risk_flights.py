@@ -34,8 +34,8 @@ from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.arrays import Array, Mask, Single
 from quadtree_lss.onboard.config.risk import OVERALL, RiskModel
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.landing.contact import ContactCheck, Contacts
-from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
+from quadtree_lss.onboard.core.landing.contact import ContactCheck
+from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.risk import RiskTable, contact_limits
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
@@ -84,7 +84,7 @@ def fly(family: Family, seed: int, config: Config, terrain: Terrain | None = Non
     error, turn = scale * log_uniform(rng, 0.3, 1.5), 1.0 if name in ("morpheus", "sweep") else 3.0
     navigation = DriftingNavigation(0.03 * error, 0.01 * error, 0.01 * turn, 0.0015 * turn)
     positions = scale * view.positions
-    noise_factors = navigation.estimate(rng, view.times, positions, view.rotations)
+    estimate = navigation.estimate(rng, view.times, positions, view.rotations)
     parts = [log_uniform(rng, *part) for part in PARTS]
     marks = {max(2, round(part * len(view.times))): part for part in parts}
     cover = Cover.draw(rng, family, own.vehicle.clearance, scale)
@@ -98,16 +98,8 @@ def fly(family: Family, seed: int, config: Config, terrain: Terrain | None = Non
         ranges[wrong] += 10.0 * scale * rng.uniform(-1.0, 1.0, int(wrong.sum()))
         ranges[~(ranges > 0.0)] = np.nan
         points = (ranges[:, None] * beams).astype(np.float32).reshape(view.beams.shape)
-        stamp = round(1e9 * (1000.0 + time))
-        mapper.update(
-            points,
-            Pose(
-                stamp,
-                noise_factors.positions[k],
-                noise_factors.rotations[k],
-                noise_factors.covariance,
-            ),
-        )
+        found_pose = estimate.positions[k], estimate.rotations[k], estimate.covariance
+        mapper.update(points, Pose(round(1e9 * (1000.0 + time)), *found_pose))
         if k + 1 in marks:
             found.append((marks[k + 1], round_trip(mapper.snapshot())))
     slope, rise = _truth(found[-1][1], surface, own)
@@ -138,8 +130,8 @@ def _draw_case(
     above = int(rng.integers(3, 5)) if family.cells else domain.max_level - domain.min_level
     levels = {"min_level": max(level - above, 0), "max_level": level}
     own = replace(domain, xmin=-0.5 * size, ymin=-0.5 * size, size=size, **levels)
-    noise_factors = max(noise * float(rng.choice(family.noise_factors)), 1e-4)
-    lidar = replace(config.lidar, range_noise=noise_factors)
+    configured_noise = max(noise * float(rng.choice(family.noise_factors)), 1e-4)
+    lidar = replace(config.lidar, range_noise=configured_noise)
     lss = replace(config.lss, grid_spacing=side)
     made = replace(config, vehicle=vehicle, domain=own, lidar=lidar, lss=lss)
     return made, noise, float(rng.choice(family.outliers))
@@ -163,41 +155,29 @@ def lander_of(config: Config) -> LandingGear:
 
 @dataclass(frozen=True)
 class Landings:
-    """Contacts at the grid points of a map.
+    """Landings at the ``usable`` (n + 1, n + 1) grid points of a map, where all ground under the
+    lander is observed and the truth is known: features (K, len(FEATURES)), predicted risk (K,), and
+    whether they fail (K,)."""
 
-    Attributes:
-        usable: (n + 1, n + 1) grid points where all ground under the lander is observed and the
-            truth is known.
-        failed: (K,) whether a landing fails, at each usable grid point.
-    """
-
-    raster: TerrainRaster
-    contacts: Contacts
     usable: Mask
+    features: Single
+    risk: Array
     failed: Mask
-
-    def risk(self, table: RiskTable) -> Array:
-        return table.risk(self.raster, self.contacts)[0][self.usable]
-
-    def features(self, table: RiskTable) -> Single:
-        """Features (K, len(FEATURES)) at the usable grid points."""
-        of = table.features(self.raster, self.contacts)[:, self.usable].T
-        overall = table.overall(self.raster.domain.finest_size)
-        all_over = np.tile([overall[name] for name in OVERALL], (len(of), 1))
-        return np.hstack([of, all_over]).astype(np.float32)
 
 
 def land(mapped: Mapped, model: RiskModel) -> Landings:
-    """Compute the contact at each grid point with the limits of a model."""
+    """Compute contact and risk at each grid point with a model."""
     lss = mapped.config.lss
     raster = rasterise(mapped.cells, lss)
     contacts = ContactCheck(lss, contact_limits(model, lss)).contacts(raster, raster.needs_contact)
     usable = raster.assessable & mapped.known
-    return Landings(raster, contacts, usable, ~mapped.safe[usable])
-
-
-def risk_table(model: RiskModel, config: Config) -> RiskTable:
-    return RiskTable(model, config.lss, config.lidar.range_noise)
+    table = RiskTable(model, lss, mapped.config.lidar.range_noise)
+    local = table.features(raster, contacts)[:, usable].T
+    overall = table.overall(raster.domain.finest_size)
+    all_over = np.tile([overall[name] for name in OVERALL], (len(local), 1))
+    features = np.hstack([local, all_over]).astype(np.float32)
+    risk = table.risk(raster, contacts)[0][usable]
+    return Landings(usable, features, risk, ~mapped.safe[usable])
 
 
 class Sample(NamedTuple):
@@ -210,9 +190,8 @@ class Sample(NamedTuple):
 
 def sampled(rng: np.random.Generator, mapped: Mapped) -> Sample:
     """Sample landings of a map, with few certain and many unexpected failures."""
-    model = unfitted()
-    landings = land(mapped, model)
-    features, failed = landings.features(risk_table(model, mapped.config)), landings.failed
+    landings = land(mapped, unfitted())
+    features, failed = landings.features, landings.failed
     share = np.full(failed.size, min(1.0, MAX_LANDINGS / max(failed.size, 1)))
     rise, rise_beside, tilt, tilt_beside = features[:, :4].T
     share[(rise > 1.45) | (tilt > 1.14)] *= 0.25

@@ -8,7 +8,7 @@ The same flight runs in lock-step and over DDS.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -80,15 +80,7 @@ class Sample(NamedTuple):
 
 class Flight:
     """One flight. The seed determines the start, the errors of navigation and lidar, and the ground
-    unless ``ground`` is given.
-
-    Attributes:
-        outcome: Empty during the flight, then ``touchdown``, ``aborted`` or ``time``.
-        samples: True states, ten per second.
-        active: End of each active fault, s.
-        failed: Kind, begin and end of all faults so far, s.
-        areas: Published landing areas (V, 2) with their times, s.
-    """
+    unless ``ground`` is given. ``outcome`` is empty during the flight."""
 
     def __init__(self, seed: int, settings: FlightSettings, ground: Ground | None = None) -> None:
         seeds = np.random.SeedSequence(seed).spawn(4)
@@ -112,10 +104,10 @@ class Flight:
         self._lidar = FlashLidar(FIELD_OF_VIEW_DEG, 128, *wrong)
         self._lidar_generator = lidar
         self._pending_faults = list(settings.faults)
-        self.active: dict[str, float] = {}
-        self.failed: list[tuple[str, float, float]] = []
-        self.areas: list[tuple[float, Array]] = []
-        self.outcome = ""
+        self.active: dict[str, float] = {}  # end of each active fault, s
+        self.failed: list[tuple[str, float, float]] = []  # kind, begin and end of all faults, s
+        self.areas: list[tuple[float, Array]] = []  # time, s, and published landing area (V, 2)
+        self.outcome: Literal["", "touchdown", "aborted", "time"] = ""
         self.samples: list[Sample] = []
         self._last_sent: dict[str, bytes] = {}
         self._last_view = (np.zeros(3), np.eye(3))

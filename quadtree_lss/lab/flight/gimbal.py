@@ -17,20 +17,13 @@ from quadtree_lss.onboard.arrays import Array
 
 @dataclass(frozen=True)
 class ScanPlan:
-    """Parameters of the surveys.
+    """Parameters of the surveys; s, m."""
 
-    Attributes:
-        survey, target_survey: Durations of a survey of the area and around the target, s.
-        half: Largest and smallest half side of the surveyed square around the target, m.
-        overlap: Overlap of neighbouring strips as a fraction of their width.
-        rate_deg, scan_rate: Turn rate of the boresight, deg/s; scans per second.
-    """
-
-    survey: float = 8.0
-    target_survey: float = 1.5
-    half: tuple[float, float] = (9.0, 3.0)
-    overlap: float = 0.2
-    rate_deg: float = 60.0
+    survey: float = 8.0  # duration of a survey of the area
+    target_survey: float = 1.5  # and around the target
+    half: tuple[float, float] = (9.0, 3.0)  # largest and smallest half side around the target
+    overlap: float = 0.2  # of neighbouring strips, of their width
+    rate_deg: float = 60.0  # turn rate of the boresight
     scan_rate: float = 20.0
 
 

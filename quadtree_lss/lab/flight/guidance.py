@@ -27,18 +27,12 @@ _FRACTIONS = np.linspace(0.0, 1.0, 13)
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a path.
+    """Limits of a path."""
 
-    Attributes:
-        thrust_share: Factor on the largest thrust; the smallest is divided by it.
-        glide_slope_deg, floor: The path stays ``floor``, m, above the cone of this elevation over
-            its end.
-    """
-
-    thrust_share: float = 0.95
+    thrust_share: float = 0.95  # factor on the largest thrust; the smallest is divided by it
     tilt_deg: float = 40.0
-    glide_slope_deg: float = 15.0
-    floor: float = -0.5
+    glide_slope_deg: float = 15.0  # elevation of a cone over the end of the path
+    floor: float = -0.5  # least height above that cone, m
 
 
 @dataclass(frozen=True)

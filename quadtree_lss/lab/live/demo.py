@@ -69,14 +69,14 @@ def run_live(
     args = ["--params-file", str(params), *(word for one in lossless for word in ("-p", one))]
     with ExitStack() as stack:
         domain = stack.enter_context(local_domain(folder, given))
-        listener = stack.enter_context(Listener(domain.number))
+        listener = stack.enter_context(Listener(domain))
         published = (*TOPICS, "lidar/points", "nav/pose", "/clock")
         check_publishers(listener.node, dict.fromkeys(published, 0))
         nodes = [
-            stack.enter_context(NodeProcess(name, args, domain.env, folder / f"{name}.txt"))
+            stack.enter_context(NodeProcess(name, args, folder / f"{name}.txt"))
             for name in ("mapping_node", "lss_node")
         ]
-        play(bag, rate=rate, domain_id=domain.number, wait=30.0)
+        play(bag, rate=rate, domain_id=domain, wait=30.0)
 
         def complete() -> bool:
             for node in nodes:

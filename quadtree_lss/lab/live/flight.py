@@ -92,10 +92,9 @@ class LiveNodes:
         self._args += ["-p", "qos_overrides./lidar/points.subscription.reliability:=reliable"]
         self._args += ["-p", f"checkpoint.path:={self._checkpoint}"]
         self._stack, self._folder = stack, folder
-        local = stack.enter_context(local_domain(folder, domain))
-        self._env = local.env
+        domain = stack.enter_context(local_domain(folder, domain))
         topics = {topic: TOPICS[topic] for topic in (CELLS, OBSERVED, SITES)}
-        self._listener = stack.enter_context(Listener(local.number, topics, "flight"))
+        self._listener = stack.enter_context(Listener(domain, topics, "flight"))
         node = self._node = self._listener.node
         self._make = Messages(TYPES, packed, config.frames.map)
         self._clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
@@ -173,7 +172,7 @@ class LiveNodes:
 
     def _start(self, name: str) -> NodeProcess:
         log = self._folder / f"{name}_{time.monotonic_ns()}.txt"
-        return self._stack.enter_context(NodeProcess(f"{name}_node", self._args, self._env, log))
+        return self._stack.enter_context(NodeProcess(f"{name}_node", self._args, log))
 
     def _on_status(self, message: Any) -> None:
         said = status_from_message(message)

@@ -65,29 +65,18 @@ LIMITS = {
 
 @dataclass(frozen=True)
 class Conditions:
-    """Conditions of a flight; None takes the value of the scenario.
+    """Conditions of a flight; None takes the value of the scenario. Raises `SimulationError`: a
+    value is out of its limits."""
 
-    Raises `SimulationError`: a value is out of its limits.
-
-    Attributes:
-        duration, range_noise: Duration of the flight, s; 1 sigma of a range, m.
-        terrain: A DEM or its path.
-        outliers, dropouts: Fractions of false and of missing returns.
-        glide_slope_deg: Glide slope of the morpheus scenario.
-        navigation_error: Factor on the default errors of all scenarios except parabola.
-        rocks: Fraction of the ground under rocks (k of Golombek and Rapp); added to a terrain.
-        slope_deg: RMS slope of a simulated field.
-    """
-
-    duration: float | None = None
-    terrain: Terrain | str | Path | None = None
-    range_noise: float | None = None
-    outliers: float = 0.0
-    dropouts: float = 0.0
-    glide_slope_deg: float = 30.0
-    navigation_error: float = 1.0
-    rocks: float | None = None
-    slope_deg: float | None = None
+    duration: float | None = None  # s
+    terrain: Terrain | str | Path | None = None  # a DEM or its path
+    range_noise: float | None = None  # 1 sigma, m
+    outliers: float = 0.0  # fraction of false returns
+    dropouts: float = 0.0  # fraction of missing returns
+    glide_slope_deg: float = 30.0  # of the morpheus scenario
+    navigation_error: float = 1.0  # factor on the errors of all scenarios except parabola
+    rocks: float | None = None  # fraction of the ground under rocks; added to a terrain
+    slope_deg: float | None = None  # RMS slope of a simulated field
 
     def __post_init__(self) -> None:
         check(self, LIMITS, SimulationError)
