@@ -22,7 +22,7 @@ import numpy as np
 from common import configuration, machine, table
 
 from quadtree_lss.desk.replay.replay import steps
-from quadtree_lss.lab.campaign.mapped import in_memory, lander_of
+from quadtree_lss.lab.campaign.flights import in_memory, lander_of
 from quadtree_lss.lab.campaign.study import parse_seeds
 from quadtree_lss.lab.simulation.hazard_field import FIELDS, hazard_field
 from quadtree_lss.lab.simulation.safety import safety_map

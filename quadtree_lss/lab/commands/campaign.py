@@ -21,8 +21,6 @@ Exit code 3 if some flights failed. Ctrl-C ends it there; what was flown is kept
 second one stops at once.
 """
 
-CAMPAIGN_OPTIONS = ("rerun", "workers", "scheduler_address")
-
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = common.add_command(commands, "campaign", _run, TEXT, EXAMPLES)
@@ -42,28 +40,26 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 def _run(options: argparse.Namespace) -> int:
     options.out = options.out or Path("campaigns", Path(options.study).stem)
     if options.keep is not None:
-        common.reject_options(
-            options, "--keep, which flies one after the other here", *CAMPAIGN_OPTIONS
-        )
-    from quadtree_lss.lab.campaign.engine import campaign, keep
+        why = "--keep, which flies one after the other here"
+        common.reject_options(options, why, "rerun", "workers", "scheduler_address")
+    from quadtree_lss.lab.campaign.engine import campaign
     from quadtree_lss.lab.campaign.study import parse_seeds, read_study
 
     study = read_study(options.study)
     if options.keep is not None:
         kept: dict[str, str] = {}
         for index in parse_seeds(options.keep):
-            kept[f"{index}"] = str(keep(study, options.out, index))
+            folder = options.out / "kept" / f"{index:06d}"
+            study.kind.keep(study.case(index), folder)
+            kept[f"{index}"] = str(folder)
             if not options.json:
-                print(f"flight {index} is in {kept[f'{index}']}", flush=True)
+                print(f"flight {index} is in {folder}", flush=True)
         if options.json:
             common.print_json({"kept": kept})
         return common.DONE
     rerun = options.rerun or ()
-    consequence, verbose = f"sums up in {options.out} what is done", options.verbose
-    with (
-        Interruption(consequence) as interruption,
-        ProgressBar("campaign", "flights", verbose) as bar,
-    ):
+    bar = ProgressBar("campaign", "flights", options.verbose)
+    with Interruption(f"sums up in {options.out} what is done") as interruption, bar:
         result = campaign(
             study,
             options.out,

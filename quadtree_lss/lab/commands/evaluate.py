@@ -39,12 +39,8 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add = parser.add_argument
     text = "file to write (default risk_model.yaml)"
     add("--out", type=common.path, default=Path("risk_model.yaml"), metavar="YAML", help=text)
-    add(
-        "--seeds",
-        default=DEFAULT_SEEDS,
-        metavar="LIST",
-        help=f"of the flights (default {DEFAULT_SEEDS})",
-    )
+    text = f"of the flights (default {DEFAULT_SEEDS})"
+    add("--seeds", default=DEFAULT_SEEDS, metavar="LIST", help=text)
     add("--families", metavar="LIST", help="of flights, of those that the docs list (all)")
     common.add_config_options(parser)
     add("--overwrite", action="store_true", help="replace an existing file")

@@ -113,8 +113,9 @@ def evaluate(
     """Score results of ``replay`` against ``truth.npz``.
 
     Writes ``evaluation.json`` and, with ``page``, ``report.html`` into ``out`` (default:
-    ``results_dir/evaluation``). Raises `EvaluationError`: a file is missing or malformed, results
-    and truth are from different flights, or map and truth do not overlap.
+    ``results_dir/evaluation``). Raises `ResultsError`, `ExchangeError`: a file cannot be read;
+    `EvaluationError`: it is malformed, results and truth are from different flights, or map and
+    truth do not overlap.
     """
     results, truth = load_results(results_dir), load_truth(truth_path)
     check_truth(results, truth, Path(truth_path))
@@ -122,7 +123,7 @@ def evaluate(
     folder = Path(out) if out is not None else results.folder / "evaluation"
     with writing(folder, EvaluationError):
         folder.mkdir(parents=True, exist_ok=True)
-    result = replace(result, out=folder, notes=tuple(notes))
+    result = replace(result, out=folder, notes=notes)
     if page:
         from quadtree_lss.lab.evaluation.evaluation_page import evaluation_page  # matplotlib
 
@@ -135,13 +136,11 @@ def evaluate(
     return result
 
 
-def _lander_notes(results: Results, truth: Truth) -> list[str]:
+def _lander_notes(results: Results, truth: Truth) -> tuple[str, ...]:
     try:
-        own = lander_of(results.config).limits
+        landers = truth.lander.limits, lander_of(results.config).limits
     except QuadtreeLssError:  # no readable configuration
-        return []
-    if own == truth.lander.limits:
-        return []
+        return ()
     form = "{:g} m wide, pads of {:g} m, up to {:g} deg and {:g} m of rise"
-    both = form.format(*truth.lander.limits), form.format(*own)
-    return ["the truth is of a lander {}, the results of one {}".format(*both)]
+    true, own = (form.format(*limits) for limits in landers)
+    return () if true == own else (f"the truth is of a lander {true}, the results of one {own}",)

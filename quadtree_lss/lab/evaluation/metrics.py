@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, distance_transform_edt
 
 from quadtree_lss.desk.exchange.saved import Grid
@@ -118,19 +117,18 @@ def fill_holes(seen: Mask, spacing: float) -> Mask:
 
 
 def safety_field(grid: Grid, truth: Truth) -> SafetyField:
-    """Compare map and truth at common grid points of the scanned box. If these are less than half
-    of the points of the map, simulate the contact at all of its points."""
+    """Compare map and truth at the map's grid points in the scanned box. If the truth has other
+    grid points, the contact is simulated."""
     xmin, xmax, ymin, ymax = truth.box
-    own_x, own_y = (
+    in_x, in_y = (
         np.flatnonzero((axis >= low - _COINCIDE) & (axis <= high + _COINCIDE))
         for axis, low, high in ((grid.x, xmin, xmax), (grid.y, ymin, ymax))
     )
-    i, in_x = _common(grid.x, truth.safe_x, own_x)
-    j, in_y = _common(grid.y, truth.safe_y, own_y)
-    if 2 * in_x.size >= own_x.size and 2 * in_y.size >= own_y.size:
+    i, same_x = _nearest(truth.safe_x, grid.x[in_x])
+    j, same_y = _nearest(truth.safe_y, grid.y[in_y])
+    if same_x.all() and same_y.all():
         truly_safe = truth.safe[np.ix_(j, i)]
     else:
-        in_x, in_y = own_x, own_y
         truly_safe = safety_map(truth, grid.x[in_x], grid.y[in_y], truth.lander)
     window = np.ix_(in_y, in_x)
     observed = grid.seen | ((grid["hazard"] & UNMAPPED) > 0)
@@ -146,12 +144,10 @@ def safety_field(grid: Grid, truth: Truth) -> SafetyField:
     )
 
 
-def _common(axis: Array, lattice: Array, some: NDArray[np.int64]) -> tuple[Index, Index]:
-    """Indices of common coordinates: into an even ``lattice`` and into ``axis``, among ``some``."""
-    step = (lattice[-1] - lattice[0]) / (lattice.size - 1)
-    near = np.rint((axis[some] - lattice[0]) / step).astype(np.intp).clip(0, lattice.size - 1)
-    same = np.abs(lattice[near] - axis[some]) < _COINCIDE
-    return near[same], some[same]
+def _nearest(axis: Array, values: Array) -> tuple[Index, Mask]:
+    """Indices of the coordinates on ``axis`` nearest to values (K,), and whether they coincide."""
+    near = np.abs(axis[:, None] - values).argmin(axis=0)
+    return near, np.abs(axis[near] - values) < _COINCIDE
 
 
 def detection(field: SafetyField) -> Detection:
@@ -185,12 +181,11 @@ def site_verdicts(sites: Array, truth: Truth) -> tuple[SiteVerdict, ...]:
     from the contact on the DEM."""
     places = sites[:, :2]
     known, safe = on_dem(truth, places, truth.lander), contact_safe(truth, places, truth.lander)
-    for k, (x, y) in enumerate(places):
-        i, j = int(np.abs(truth.safe_x - x).argmin()), int(np.abs(truth.safe_y - y).argmin())
-        if max(abs(truth.safe_x[i] - x), abs(truth.safe_y[j] - y)) < _COINCIDE:
-            known[k], safe[k] = True, truth.safe[j, i]
+    (i, same_x), (j, same_y) = map(_nearest, (truth.safe_x, truth.safe_y), places.T)
+    same = same_x & same_y
+    safe = np.where(same, truth.safe[j, i], safe)
     words: tuple[SiteVerdict, ...] = ("unknown", "unsafe", "safe")
-    return tuple(words[k] for k in known * (1 + safe))
+    return tuple(words[k] for k in (known | same) * (1 + safe))
 
 
 @dataclass(frozen=True)

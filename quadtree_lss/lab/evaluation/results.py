@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from quadtree_lss.desk.exchange import saved
 from quadtree_lss.desk.exchange.archives import read_arrays
-from quadtree_lss.desk.exchange.libraries import ExchangeError
 from quadtree_lss.desk.exchange.saved import Results
 from quadtree_lss.desk.replay.results import ReplayResult, grid_of
 from quadtree_lss.lab.simulation.safety import LandingGear
@@ -26,8 +25,6 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 TOP = 5
 #: Layers of the landing grid that are scored.
 LAYERS = ("elevation", "hazard", "safe", "score")
-#: Columns of ``timing.csv`` that are compared.
-TIMING_COLUMNS = ("stamp_ns", "points", "points_used", "leaves")
 #: Required arrays of ``truth.npz`` with the lengths of their first axes: a number, or the name of
 #: another array of that length.
 SHAPES: dict[str, tuple[int | str, ...]] = {
@@ -59,12 +56,10 @@ class Truth(Terrain):
 
 
 def load_truth(path: str | Path) -> Truth:
-    """Read ``truth.npz``. Raises `EvaluationError`: it is missing or malformed."""
+    """Read ``truth.npz``. Raises `ExchangeError`: it cannot be read; `EvaluationError`: it is no
+    truth."""
     file = Path(path)
-    try:
-        found = read_arrays(file, (*SHAPES, *OPTIONAL_ARRAYS))
-    except ExchangeError as error:
-        raise EvaluationError(str(error)) from error
+    found = read_arrays(file, (*SHAPES, *OPTIONAL_ARRAYS))
     if missing := [name for name in SHAPES if name not in found]:
         raise EvaluationError(f"{file} lacks {', '.join(missing)}")
     return truth_of(found, file)
@@ -92,32 +87,30 @@ def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
 
 def results_of(replayed: ReplayResult) -> Results:
     """Results of a replay that has no folder."""
-    rows, found = replayed.timings, Results(Path())
+    found = Results(Path())
     places = replayed.assessment.sites.position.reshape(-1, 3)
     vars(found).update(
         map=replayed.cells,
         grid=grid_of(replayed.assessment),
         sites=dict(zip("xyz", places.T, strict=True)),
-        timing={name: np.array([getattr(row, name) for row in rows]) for name in TIMING_COLUMNS},
+        timing={"stamp_ns": np.array([row.stamp_ns for row in replayed.timings])},
         summary=replayed.summary,
     )
     return found
 
 
 def load_results(directory: str | Path) -> Results:
-    """Read a results folder of ``replay``. Raises `EvaluationError`: a file cannot be read."""
+    """Read a results folder of ``replay``. Raises `ResultsError`: a file cannot be read;
+    `EvaluationError`: it lacks what is scored."""
     folder = Path(directory)
+    read = saved.load_results(folder)
+    if missing := [name for name in LAYERS if name not in read.grid.layers]:
+        raise EvaluationError(f"{folder / 'grid.npz'} lacks {', '.join(missing)}")
     try:
-        read = saved.load_results(folder)
-        if missing := [name for name in LAYERS if name not in read.grid.layers]:
-            raise EvaluationError(f"{folder / 'grid.npz'} lacks {', '.join(missing)}")
         for part in ("map", "positions", "summary"):  # reads the files
             getattr(read, part)
-        for name in TIMING_COLUMNS:
-            read.timing[name] = read.timing[name].astype(np.int64)
+        read.timing["stamp_ns"] = read.timing["stamp_ns"].astype(np.int64)
         return read
-    except saved.ResultsError as error:
-        raise EvaluationError(str(error)) from error
     except (KeyError, ValueError) as error:
         msg = "sites.csv or timing.csv lack a column of numbers"
         raise EvaluationError(f"{folder}: {msg}: {error}") from error

@@ -15,22 +15,14 @@ import numpy as np
 
 import quadtree_lss
 from quadtree_lss import build
+from quadtree_lss.lab.evaluation import risk_families
 from quadtree_lss.lab.evaluation.metrics import scores
 from quadtree_lss.lab.evaluation.results import EvaluationError
-from quadtree_lss.lab.evaluation.risk_families import (
-    FAMILIES,
-    REFERENCE_DIAMETER,
-    VIEWS,
-    Cover,
-    Family,
-    Range,
-    ground,
-    log_uniform,
-)
+from quadtree_lss.lab.evaluation.risk_families import FAMILIES, Family, Range, log_uniform
 from quadtree_lss.lab.evaluation.risk_fit import fit, risks, unfitted
-from quadtree_lss.lab.simulation.navigation import DriftingNavigation
 from quadtree_lss.lab.simulation.safety import LandingGear, on_dem, worst_contact
 from quadtree_lss.lab.simulation.terrain import Terrain
+from quadtree_lss.lab.simulation.trajectory import DriftingNavigation
 from quadtree_lss.onboard.arrays import Array, Mask, Single
 from quadtree_lss.onboard.config.risk import OVERALL, RiskModel
 from quadtree_lss.onboard.config.settings import Config
@@ -75,11 +67,12 @@ def fly(family: Family, seed: int, config: Config, terrain: Terrain | None = Non
     that the family does not vary; ``terrain`` is for a lander of 3.7 m, None to draw one."""
     rng = np.random.default_rng([seed, 77])
     own, noise, outliers = _draw_case(rng, family, config)
-    scale = own.vehicle.diameter / REFERENCE_DIAMETER
-    made = ground(rng, str(rng.choice(family.grounds))) if terrain is None else terrain
-    surface = made.scaled(scale)
+    scale = own.vehicle.diameter / risk_families.REFERENCE_DIAMETER
+    if terrain is None:
+        terrain = risk_families.ground(rng, str(rng.choice(family.grounds)))
+    surface = terrain.scaled(scale)
     name = str(rng.choice(family.views))
-    view = VIEWS[name](rng)
+    view = risk_families.VIEWS[name](rng)
     # Wide lidars are combined with a less accurate attitude.
     error, turn = scale * log_uniform(rng, 0.3, 1.5), 1.0 if name in ("morpheus", "sweep") else 3.0
     navigation = DriftingNavigation(0.03 * error, 0.01 * error, 0.01 * turn, 0.0015 * turn)
@@ -87,7 +80,7 @@ def fly(family: Family, seed: int, config: Config, terrain: Terrain | None = Non
     estimate = navigation.estimate(rng, view.times, positions, view.rotations)
     parts = [log_uniform(rng, *part) for part in PARTS]
     marks = {max(2, round(part * len(view.times))): part for part in parts}
-    cover = Cover.draw(rng, family, own.vehicle.clearance, scale)
+    cover = risk_families.Cover.draw(rng, family, own.vehicle.clearance, scale)
     mapper, found, beams = Mapper(own), [], view.beams.reshape(-1, 3)
     for k, time in enumerate(view.times):
         directions = beams @ view.rotations[k].T
@@ -102,8 +95,13 @@ def fly(family: Family, seed: int, config: Config, terrain: Terrain | None = Non
         mapper.update(points, Pose(round(1e9 * (1000.0 + time)), *found_pose))
         if k + 1 in marks:
             found.append((marks[k + 1], round_trip(mapper.snapshot())))
-    slope, rise = _truth(found[-1][1], surface, own)
-    return [Mapped(own, part, cells, slope, rise) for part, cells in found]
+    domain, lander = mapper.domain, lander_of(own)
+    along = domain.finest_size * np.arange(domain.finest_count + 1)
+    corners = np.stack(np.meshgrid(domain.xmin + along, domain.ymin + along), axis=-1)
+    known = on_dem(surface, corners, lander)
+    contact = np.full((2, *known.shape), np.nan, dtype=np.float32)
+    contact[:, known] = worst_contact(surface, corners[known], lander)
+    return [Mapped(own, part, cells, *contact) for part, cells in found]
 
 
 def _draw_case(
@@ -125,7 +123,7 @@ def _draw_case(
     domain = config.domain
     cells = default.diameter / (domain.size / 2**domain.max_level)
     side = diameter / between(family.cells, cells)
-    level = int(np.log2(64.1 / REFERENCE_DIAMETER * diameter / side))
+    level = int(np.log2(64.1 / risk_families.REFERENCE_DIAMETER * diameter / side))
     size = side * 2**level
     above = int(rng.integers(3, 5)) if family.cells else domain.max_level - domain.min_level
     levels = {"min_level": max(level - above, 0), "max_level": level}
@@ -135,16 +133,6 @@ def _draw_case(
     lss = replace(config.lss, grid_spacing=side)
     made = replace(config, vehicle=vehicle, domain=own, lidar=lidar, lss=lss)
     return made, noise, float(rng.choice(family.outliers))
-
-
-def _truth(cells: CellMap, surface: Terrain, config: Config) -> tuple[Single, Single]:
-    domain, lander = cells.domain, lander_of(config)
-    along = domain.finest_size * np.arange(domain.finest_count + 1)
-    points = np.stack(np.meshgrid(domain.xmin + along, domain.ymin + along), axis=-1)
-    known = on_dem(surface, points, lander)
-    out = np.full((2, *known.shape), np.nan, dtype=np.float32)
-    out[:, known] = worst_contact(surface, points[known], lander)
-    return out[0], out[1]
 
 
 def lander_of(config: Config) -> LandingGear:

@@ -20,9 +20,9 @@ from quadtree_lss.lab.flight.pilot import Pilot
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.flight.vehicle import VehicleState
 from quadtree_lss.lab.simulation.lidar import FlashLidar
-from quadtree_lss.lab.simulation.navigation import DriftingNavigation
 from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.lab.simulation.safety import contact_safe
+from quadtree_lss.lab.simulation.trajectory import DriftingNavigation
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config, config_from_values
 

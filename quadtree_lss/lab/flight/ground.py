@@ -31,7 +31,7 @@ class Ground:
     def of(cls, settings: FlightSettings, generator: np.random.Generator) -> Ground:
         """Make the ground of the settings. On a DEM the planned point is drawn within 100 m of its
         centre. Raises `SimulationError`: the terrain cannot be read or is too small."""
-        given = Conditions(terrain=settings.terrain or None, rocks=settings.rock_abundance)
+        given = Conditions(terrain=settings.terrain or None, rocks=settings.rocks)
         terrain = given.ground("morpheus", generator)
         xmin, xmax, ymin, ymax = terrain.bounds
         x, y = (

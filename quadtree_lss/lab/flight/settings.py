@@ -67,7 +67,7 @@ class FlightSettings:
 
     avoidance: str = "package"
     terrain: str = ""  # file as in ``simulate --terrain``; empty: a field of rocks and craters
-    rock_abundance: float | None = None  # None: 0.05 on that field, 0 on a terrain
+    rocks: float | None = None  # None: 0.05 on that field, 0 on a terrain
     range_noise: float = 0.06
     outliers: float = 0.0
     dropouts: float = 0.0

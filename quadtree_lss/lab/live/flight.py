@@ -28,18 +28,10 @@ from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.messages import landing_inputs
+from quadtree_lss.onboard.messages import landing_inputs, outputs
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.messages.landing_inputs import LandingRequests
-from quadtree_lss.onboard.messages.outputs import (
-    CELLS,
-    OBSERVED,
-    SELECTED,
-    SITES,
-    STATUS,
-    map_from_messages,
-    status_from_message,
-)
+from quadtree_lss.onboard.messages.outputs import CELLS, OBSERVED, SELECTED, SITES, STATUS
 from quadtree_lss.onboard.nodes.qos import latched, stream
 from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
 
@@ -111,9 +103,8 @@ class LiveNodes:
         self.requests, self.targets = LandingRequests(config.frames.map), list[TargetChange]()
         node.create_subscription(TOPICS[SELECTED], SELECTED, self._on_selected, latched())
         node.create_subscription(TOPICS[STATUS], STATUS, self._on_status, latched())
-        check_publishers(
-            node, dict.fromkeys(("/clock", *TOPIC_KINDS), 1) | dict.fromkeys(TOPICS, 0)
-        )
+        ours = dict.fromkeys(("/clock", *TOPIC_KINDS), 1)
+        check_publishers(node, ours | dict.fromkeys(TOPICS, 0))
         self._killed: set[str] = set()
         self._nodes = {name: self._start(name) for name in ("mapping", "lss")}
         try:
@@ -127,7 +118,6 @@ class LiveNodes:
         self._began = time.monotonic()
 
     def publish(self, sent: FlightMessage, now_ns: int) -> None:
-        """Publish a message."""
         message = sent.message(self._make)
         if sent.topic.startswith("landing/"):
             self.requests.use_message(sent.topic.removeprefix("landing/"), message)
@@ -168,14 +158,14 @@ class LiveNodes:
         heard.wait_for(lambda: len({heard.stamp(topic) for topic in topics}) == 1, 2.0)
         if heard.stamp(CELLS) != heard.stamp(OBSERVED) or CELLS not in heard.newest:
             return None
-        return map_from_messages(heard.newest[CELLS], heard.newest[OBSERVED])
+        return outputs.map_from_messages(heard.newest[CELLS], heard.newest[OBSERVED])
 
     def _start(self, name: str) -> NodeProcess:
         log = self._folder / f"{name}_{time.monotonic_ns()}.txt"
         return self._stack.enter_context(NodeProcess(f"{name}_node", self._args, log))
 
     def _on_status(self, message: Any) -> None:
-        said = status_from_message(message)
+        said = outputs.status_from_message(message)
         x, y, z, share = (float(said[name]) for name in ("x", "y", "z", "probability"))
         stamp, reason = stamp_ns(message.header), Reason(said["reason"]).key
         row = TargetChange(stamp, int(said["id"]), x, y, z, share, reason)

@@ -12,7 +12,6 @@ import numpy as np
 
 from quadtree_lss.lab.simulation.hazard_field import HazardField, add_rocks_to, hazard_field
 from quadtree_lss.lab.simulation.lidar import FlashLidar, StereoCamera
-from quadtree_lss.lab.simulation.navigation import DriftingNavigation, Navigation, WhiteNavigation
 from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.lab.simulation.terrain import (
     SimulationError,
@@ -22,8 +21,11 @@ from quadtree_lss.lab.simulation.terrain import (
     parabola,
 )
 from quadtree_lss.lab.simulation.trajectory import (
+    DriftingNavigation,
+    Navigation,
     Sweep,
     Trajectory,
+    WhiteNavigation,
     descent_trajectory,
     section_vi_trajectory,
 )

@@ -13,15 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from quadtree_lss.lab.simulation import recording
 from quadtree_lss.lab.simulation.lidar import StereoCamera
-from quadtree_lss.lab.simulation.recording import (
-    CAMERA_TOPIC,
-    DEPTH_TOPIC,
-    POSE_TOPIC,
-    SCAN_TOPIC,
-    Messages,
-    recorded,
-)
 from quadtree_lss.lab.simulation.safety import LandingGear, safety_map
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions, FlightPlan
 from quadtree_lss.lab.simulation.terrain import SimulationError
@@ -67,7 +60,7 @@ class Simulation:
         self.seed, self.stopped = seed, False
         seeds = np.random.SeedSequence(seed).spawn(3)
         terrain, self._navigation, self._noise = map(np.random.default_rng, seeds)
-        self.make = Messages()
+        self.make = recording.Messages()
         flight, given = SCENARIOS[scenario], Conditions(**conditions)
         self._lander = flight.lander
         seconds = flight.duration if given.duration is None else float(given.duration)
@@ -94,7 +87,7 @@ class Simulation:
                     leg.poses += 1
                     place, stamp = estimate.positions[k], int(leg.pose_ns[k])
                     pose = self.make.pose(stamp, place, rotations[k], estimate.covariance)
-                    yield POSE_TOPIC, received_ns, pose
+                    yield recording.POSE_TOPIC, received_ns, pose
                     continue
                 view = leg.positions[k], leg.rotations[k]
                 scan = plan.lidar.scan(plan.terrain, *view, self._noise)
@@ -102,11 +95,11 @@ class Simulation:
                 leg.points += int(np.isfinite(scan[..., 0]).sum())
                 stamp, camera = int(leg.scan_ns[k]), plan.lidar
                 if not isinstance(camera, StereoCamera):
-                    yield SCAN_TOPIC, received_ns, self.make.scan(stamp, scan)
+                    yield recording.SCAN_TOPIC, received_ns, self.make.scan(stamp, scan)
                     continue
                 info = self.make.camera(stamp, camera.rows, camera.columns, camera.focal_length)
-                yield CAMERA_TOPIC, received_ns, info
-                yield DEPTH_TOPIC, received_ns, self.make.depth(stamp, scan[..., 2])
+                yield recording.CAMERA_TOPIC, received_ns, info
+                yield recording.DEPTH_TOPIC, received_ns, self.make.depth(stamp, scan[..., 2])
 
     def truth(self, lander: LandingGear | None = None) -> dict[str, NDArray[Any]]:
         """Content of ``truth.npz`` for the part of the flights that has been simulated."""
@@ -201,17 +194,22 @@ def simulate(
     path = Path(bag_path)
     simulation = Simulation(scenario, seed, flights=flights, **conditions)
     truth_path = path.parent / TRUTH_NAME
-    if truth_path.exists() and not overwrite:
-        msg = f"{truth_path} exists; choose another folder, or --overwrite to replace it"
+    existing = [str(there) for there in (path, truth_path) if there.exists()]
+    if existing and not overwrite:
+        msg = f"{existing[0]} exists; choose another folder, or --overwrite to replace it"
         raise SimulationError(msg)
-    _prepare_path(path, overwrite)
+    if path.exists() and not (path / "metadata.yaml").is_file():
+        raise SimulationError(f"{path} is not a bag; it is not overwritten")
     legs = simulation.legs
     total = sum(len(leg.scan_ns) for leg in legs)
     try:
-        with recorded(path) as write:
+        if path.exists():
+            shutil.rmtree(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with recording.recorded(path) as write:
             for topic, received_ns, message in simulation.messages(stop):
                 write(topic, received_ns, message)
-                if progress is not None and topic in (SCAN_TOPIC, DEPTH_TOPIC):
+                if progress is not None and topic in (recording.SCAN_TOPIC, recording.DEPTH_TOPIC):
                     progress(sum(leg.scans for leg in legs), total)
         if not legs[0].scans:
             raise KeyboardInterrupt
@@ -236,19 +234,3 @@ def simulate(
         safe_fraction=float(arrays["safe"].mean()),
         interrupted=simulation.stopped,
     )
-
-
-def _prepare_path(path: Path, overwrite: bool) -> None:
-    """Make the parent directory; remove an existing bag if ``overwrite``."""
-    if path.exists():
-        if not overwrite:
-            raise SimulationError(
-                f"{path} exists; choose another path, or --overwrite to replace it"
-            )
-        if not (path / "metadata.yaml").is_file():
-            raise SimulationError(f"{path} is not a bag; it is not overwritten")
-        shutil.rmtree(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise SimulationError(f"cannot create {path.parent}: {error.strerror}") from error
