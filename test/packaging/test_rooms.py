@@ -38,7 +38,7 @@ lab.simulation: build desk.exchange onboard.messages
 lab.flight: onboard.config onboard.core onboard.messages desk.report desk.bags desk.replay
 lab.flight: desk.exchange lab.simulation
 lab.live: onboard.config onboard.core onboard.messages onboard.nodes desk.replay desk.player
-lab.live: desk.exchange lab.flight lab.simulation
+lab.live: desk.bags desk.exchange lab.flight lab.simulation
 lab.evaluation: build onboard.config onboard.core onboard.messages desk.bags desk.replay
 lab.evaluation: desk.exchange desk.report lab.simulation
 lab.campaign: build onboard.config desk.bags desk.replay desk.report lab.evaluation lab.flight

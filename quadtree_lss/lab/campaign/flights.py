@@ -96,7 +96,7 @@ MAP = Kind(
     fly=fly_map,
     keep=keep_map,
     scenarios=tuple(SCENARIOS),
-    conditions=("flights", *(item.name for item in fields(Conditions))),
+    conditions=tuple(item.name for item in fields(Conditions)),
     quantities=(
         Quantity("hazardous_found", "Hazardous terrain found", "%", 2, "smallest"),
         Quantity("safe_found", "Safe terrain found", "%", 1, "smallest"),

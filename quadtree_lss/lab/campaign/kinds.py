@@ -33,9 +33,8 @@ class CampaignError(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class Case:
-    """One flight of a study: number from 0, seed, ``conditions`` that differ from those of the
-    scenario, all ``parameters`` by dotted key, ``labels`` that vary over the study, version and
-    build of the package."""
+    """One flight of a study, with ``conditions`` that differ from those of the scenario, all
+    ``parameters`` by dotted key, ``labels`` that vary over the study, and the package's build."""
 
     index: int
     kind: str

@@ -24,8 +24,6 @@ LISTED, LISTED_FAILED = 5, 10
 
 #: Colours of combinations, from the palette of Okabe and Ito.
 COLOURS = ("#e69f00", "#0072b2", "#cc79a7", "#009e73", "#d55e00", "#56b4e9")
-#: Headings of the worst flights.
-RANKS = ("worst", "second", "third", "fourth", "fifth")
 
 
 class Line(NamedTuple):
@@ -192,6 +190,7 @@ def page(result: CampaignResult) -> str:
     means = [q.name for q in kind.quantities if q.of is None]
     first, worst = kind.quantities[0], [(q, pairs) for q, pairs in result.worst() if pairs]
     keep = f"quadtree-lss campaign STUDY.yaml --out {shlex.quote(str(result.out))} --keep"
+    ranks = "worst", "second", "third", "fourth", "fifth"
     return render(
         "lab/campaign/campaign.html",
         title=f"Campaign {study.name}",
@@ -200,7 +199,7 @@ def page(result: CampaignResult) -> str:
         legend=[(name, COLOURS[k % len(COLOURS)]) for k, (name, _) in enumerate(result.lines)],
         lines=[(name, [line.cells() for line in lines]) for name, lines in result.lines],
         keep=keep,
-        ranks=RANKS[: max((len(pairs) for _, pairs in worst), default=0)],
+        ranks=ranks[: max((len(pairs) for _, pairs in worst), default=0)],
         worst=[
             (q.title, [(f"{v:.{q.digits if q.of is None else 0}f}", k) for k, v in pairs])
             for q, pairs in worst

@@ -34,8 +34,6 @@ SHAPES: dict[str, tuple[int | str, ...]] = {
     "box": (4,),
     "scan_stamp_ns": ("scan_stamp_ns",),
 }
-#: Optional arrays of ``truth.npz``.
-OPTIONAL_ARRAYS = ("seed", "lander")
 
 
 class EvaluationError(QuadtreeLssError):
@@ -44,14 +42,13 @@ class EvaluationError(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class Truth(Terrain):
-    """Content of ``truth.npz``, m, map frame. ``seed`` is None if unknown."""
+    """Content of ``truth.npz``, m, map frame."""
 
     safe_x: Array
     safe_y: Array
     safe: Mask
     box: tuple[float, float, float, float]
     scan_stamp_ns: NDArray[np.int64]
-    seed: int | None = None
     lander: LandingGear = LandingGear()
 
 
@@ -59,7 +56,7 @@ def load_truth(path: str | Path) -> Truth:
     """Read ``truth.npz``. Raises `ExchangeError`: it cannot be read; `EvaluationError`: it is no
     truth."""
     file = Path(path)
-    found = read_arrays(file, (*SHAPES, *OPTIONAL_ARRAYS))
+    found = read_arrays(file, (*SHAPES, "lander"))
     if missing := [name for name in SHAPES if name not in found]:
         raise EvaluationError(f"{file} lacks {', '.join(missing)}")
     return truth_of(found, file)
@@ -67,7 +64,7 @@ def load_truth(path: str | Path) -> Truth:
 
 def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
     """Make the truth from arrays. Raises `EvaluationError`: their shapes or values are invalid."""
-    a = {name: arrays[name] for name in (*SHAPES, *OPTIONAL_ARRAYS) if name in arrays}
+    a = {name: arrays[name] for name in (*SHAPES, "lander") if name in arrays}
     for name, of in SHAPES.items():
         shape, expected = a[name].shape, tuple(a[n].size if isinstance(n, str) else n for n in of)
         too_short = name in ("x", "y", "safe_x", "safe_y") and shape < (2,)
@@ -76,8 +73,6 @@ def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
     a["box"] = tuple(a["box"].tolist())
     a["safe"] = a["safe"].astype(bool)
     try:
-        if "seed" in a:
-            a["seed"] = int(a["seed"].item())
         if "lander" in a:
             a["lander"] = LandingGear(*map(float, a["lander"].tolist()))
         return Truth(**a)
@@ -117,8 +112,7 @@ def load_results(directory: str | Path) -> Results:
 
 
 def check_truth(results: Results, truth: Truth, truth_path: Path) -> None:
-    """Raise `EvaluationError` unless results and truth belong to one flight: the truth must have
-    the stamp of each mapped scan, and the seeds must agree if both are known."""
+    """Raise `EvaluationError` unless the truth has the stamp of each mapped scan."""
     stamps = results.timing["stamp_ns"], truth.scan_stamp_ns
     mapped, flown = (np.unique(of[of > 0]) for of in stamps)  # zero means no stamp
     unknown = mapped[~np.isin(mapped, flown)]
@@ -126,7 +120,3 @@ def check_truth(results: Results, truth: Truth, truth_path: Path) -> None:
         msg = f"{truth_path} is of another flight than {results.folder}: {unknown.size} of"
         msg += f" {mapped.size} mapped scans are not among its {flown.size}, the first at"
         raise EvaluationError(f"{msg} {unknown[0]} ns")
-    seed = results.summary.get("seed")
-    if seed is not None and truth.seed is not None and seed != truth.seed:
-        msg = f"{truth_path} is of seed {truth.seed}, but {results.folder} of seed {seed}"
-        raise EvaluationError(msg)

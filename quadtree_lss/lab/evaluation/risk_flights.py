@@ -206,9 +206,8 @@ def fit_risk(
     samples_by_family: dict[str, list[Sample]] = {name: [] for name in names}
     for done, seed in enumerate(seeds):
         name, rng = names[done % len(names)], np.random.default_rng([seed, 78])
-        samples_by_family[name] += [
-            sampled(rng, mapped) for mapped in fly(FAMILIES[name], seed, config)
-        ]
+        maps = fly(FAMILIES[name], seed, config)
+        samples_by_family[name] += [sampled(rng, mapped) for mapped in maps]
         if progress is not None:
             progress(done + 1, len(seeds))
     seeds_by_family = {name: list(seeds[k :: len(names)]) for k, name in enumerate(names)}

@@ -41,7 +41,6 @@ MAX_SPEED_ACROSS, MAX_TILT_DEG, MAX_SPEED_DOWN = 0.5, 6.0, 2.0
 #: Offset of the poses during the fault ``pose_jump``, m.
 POSE_JUMP = np.array([2.0, 0.0, 1.0])
 UNIT_SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-PAPER_RULES = {"lss.assessment": "paper"}
 
 
 class FlightMessage(NamedTuple):
@@ -252,5 +251,5 @@ def flight_config(settings: FlightSettings, ground: Ground) -> Config:
     config = load_config(["flight"], dict(settings.config), origin="settings")
     half = 0.5 * config.domain.size
     x, y = (float(middle) - half for middle in ground.planned[:2])
-    over: dict[str, Any] = dict(PAPER_RULES) if settings.avoidance == "paper" else {}
+    over: dict[str, Any] = {"lss.assessment": "paper"} if settings.avoidance == "paper" else {}
     return config_from_values(over | {"domain.xmin": x, "domain.ymin": y}, config)

@@ -106,10 +106,8 @@ def limited_thrust(vehicle: Vehicle, mass: float, acceleration: Array) -> Array:
     up = min(up * mass, 0.97 * vehicle.thrust_max)
     side = mass * acceleration[:2]
     size = float(np.hypot(*side))
-    side_limit = min(
-        np.tan(np.radians(vehicle.tilt_max_deg)) * up,
-        np.sqrt(max(vehicle.thrust_max**2 - up**2, 0.0)),
-    )
+    by_tilt = np.tan(np.radians(vehicle.tilt_max_deg)) * up
+    side_limit = min(by_tilt, np.sqrt(max(vehicle.thrust_max**2 - up**2, 0.0)))
     if size > side_limit:
         side = side * (side_limit / size)
     return np.array([side[0], side[1], up])

@@ -204,11 +204,9 @@ class Pilot:
         if np.isfinite(self.time_to_go):
             times = self.time_to_go + np.linspace(-2.0, 4.0, 25)
             times = times[times > 3.0]
-        limits, limit_factor, found = self.rules.limits, self.rules.limit_factor, None
-        factors = {
-            name: limit_factor * getattr(limits, name) for name in ("thrust_share", "tilt_deg")
-        }
-        reduced = replace(limits, **factors)
+        limits, factor, found = self.rules.limits, self.rules.limit_factor, None
+        share, tilt = factor * limits.thrust_share, factor * limits.tilt_deg
+        reduced = replace(limits, thrust_share=share, tilt_deg=tilt)
         for kept in (reduced, limits):
             if found is None and len(times):
                 found = self._paths(self.gate()[None], times, kept).best()

@@ -86,8 +86,7 @@ class VehicleState:
         wanted = self._command / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
         limit = radians(v.tilt_max_deg)
         if wanted[2] < cos(limit):
-            across = hypot(wanted[0], wanted[1])
-            side = sin(limit) / max(across, 1e-12)
+            side = sin(limit) / max(hypot(wanted[0], wanted[1]), 1e-12)
             wanted = np.array([side * wanted[0], side * wanted[1], cos(limit)])
         self.direction = rotate_toward(self.direction, wanted, radians(v.tilt_rate_deg) * dt)
         change = min(max(size - self.thrust, -v.thrust_rate * dt), v.thrust_rate * dt)

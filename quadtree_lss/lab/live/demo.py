@@ -14,9 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.exchange.saved import cells_arrays, load_results
-from quadtree_lss.desk.player.player import play
+from quadtree_lss.desk.player.player import play, played_topics
 from quadtree_lss.desk.replay.configuration import find_config
+from quadtree_lss.desk.replay.stream import Part
 from quadtree_lss.lab.flight.flight_page import headline, write_flight
 from quadtree_lss.lab.flight.settings import flight_settings
 from quadtree_lss.lab.live import processes
@@ -63,7 +65,8 @@ def run_live(
             stack.enter_context(processes.NodeProcess(name, args, folder / f"{name}.txt"))
             for name in ("mapping_node", "lss_node")
         ]
-        play(bag, rate=rate, domain_id=domain, wait=30.0)
+        with Bag(bag) as source:
+            play(source, played_topics(source), Part.of(source), rate=rate, wait=30.0)
 
         def complete() -> bool:
             for node in nodes:
@@ -99,7 +102,7 @@ def _program(name: str, *args: str) -> None:
 
 
 def demonstrate(out: Path, seed: int) -> bool:
-    """Run all steps; return whether live and offline agree."""
+    """Run all steps; return whether live and offline results agree."""
     bag, offline, live = out / "flight" / "bag", out / "offline", out / "live"
     for folder in (bag.parent, offline, live, out / "lander"):
         shutil.rmtree(folder, ignore_errors=True)
@@ -143,17 +146,15 @@ def demonstrate(out: Path, seed: int) -> bool:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Command line; exit code 1 if live and offline results differ."""
     parser = argparse.ArgumentParser(prog="demo", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("demo_output"), help="results folder")
     parser.add_argument("--seed", type=int, default=1, help="of the simulated field and flight")
     options = parser.parse_args(args)
     try:
-        agree = demonstrate(options.out, options.seed)
+        return 0 if demonstrate(options.out, options.seed) else 1
     except QuadtreeLssError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    return 0 if agree else 1
 
 
 if __name__ == "__main__":

@@ -52,9 +52,9 @@ def fly_live(
 ) -> FlightResult:
     """Fly with both nodes as processes; their parameters, checkpoint and output go to ``folder``.
 
-    The avoidance must be ``package`` or ``paper``. A slow computer slows ``/clock`` down.
-    ``domain``: by default a free one. Raises `PlayError`: the nodes did not start in time;
-    `ProcessError`: a node is not installed or has ended, or others publish the same topics.
+    The avoidance must be ``package`` or ``paper``. ``domain``: by default a free one. Raises
+    `PlayError`: the nodes did not start in time; `ProcessError`: a node is not installed or has
+    ended, or others publish the same topics.
     """
     flight = Flight(seed, settings)
     config = flight_config(settings, flight.ground)
@@ -90,14 +90,10 @@ class LiveNodes:
         node = self._node = self._listener.node
         self._make = Messages(TYPES, packed, config.frames.map)
         self._clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
-        self._publishers = {
-            topic: node.create_publisher(
-                TYPES[kind],
-                topic,
-                latched() if topic.startswith("landing/") else stream(200, reliable=True),
-            )
-            for topic, kind in TOPIC_KINDS.items()
-        }
+        self._publishers = {}
+        for topic, kind in TOPIC_KINDS.items():
+            profile = latched() if topic.startswith("landing/") else stream(200, reliable=True)
+            self._publishers[topic] = node.create_publisher(TYPES[kind], topic, profile)
         self._service = node.create_client(Trigger, "lss_node/land_now")
         self._received: list[Array | None] = []
         self.requests, self.targets = LandingRequests(config.frames.map), list[TargetChange]()

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start and end the installed programs as processes in a ROS domain of their own.
-
-launch_testing and domain_coordinator of ROS do the same but are not available as wheels.
-"""
+"""Start and end the installed programs as processes in a ROS domain of their own, as do
+launch_testing and domain_coordinator, which are not available as wheels."""
 
 from __future__ import annotations
 
@@ -62,14 +60,8 @@ def environment_domain() -> int | None:
 def check_publishers(node: Any, ours: Mapping[str, int]) -> None:
     """Raise `ProcessError` if a topic has more publishers than its number in ``ours``."""
     time.sleep(DISCOVERY_S)
-    others = []
-    for topic, count in ours.items():
-        there = node.get_publishers_info_by_topic(topic)
-        if len(there) > count:
-            names = sorted({f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in there})
-            others.append(f"{topic} ({', '.join(names)})")
-    if others:
-        msg = f"others in this ROS domain publish {'; '.join(others)}: set another ROS_DOMAIN_ID"
+    if others := [topic for topic, count in ours.items() if node.count_publishers(topic) > count]:
+        msg = f"others in this ROS domain publish {', '.join(others)}: set another ROS_DOMAIN_ID"
         raise ProcessError(msg)
 
 

@@ -152,10 +152,7 @@ def _add_rocks(
     axis: Array, rocks: Array, stones: tuple[Array, ...], *, heaped: bool = False
 ) -> None:
     """Raise the posts to half-buried ellipsoids: x, y, diameter, height, ratio of axes, yaw (K,).
-
-    ``heaped``: each rock lies on the rocks below its centre, at 0.6 of their height but at most
-    0.6 m up.
-    """
+    ``heaped``: each lies at 0.6 of the height of the rocks below its centre, at most 0.6 m up."""
     x, y, diameter, height, axes, yaw = stones
     long, short = 0.5 * diameter / np.sqrt(axes), 0.5 * diameter * np.sqrt(axes)
     posts = np.searchsorted(axis, np.column_stack([y - long, y + long, x - long, x + long]))

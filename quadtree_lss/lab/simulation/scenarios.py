@@ -62,6 +62,7 @@ LIMITS = {
     "navigation_error": (0.0, 100.0),
     "rocks": (0.0, 0.3),
     "slope_deg": (0.0, 20.0),
+    "flights": (1, 1000),
 }
 
 
@@ -79,6 +80,7 @@ class Conditions:
     navigation_error: float = 1.0  # factor on the errors of all scenarios except parabola
     rocks: float | None = None  # fraction of the ground under rocks; added to a terrain
     slope_deg: float | None = None  # RMS slope of a simulated field
+    flights: int = 1  # over the same ground, each with new navigation errors
 
     def __post_init__(self) -> None:
         check(self, LIMITS, SimulationError)
@@ -178,11 +180,8 @@ class LookingDown:
         count = max(int(np.floor(duration * self.rate + 1e-9)), 1)
         scans = (np.arange(count, dtype=np.float64) + 0.137) / self.rate
         poses = _times(duration + 2.0 * LEAD, 50.0, -LEAD)
-        sensor = (
-            conditions.lidar(*self.lidar)
-            if self.lidar
-            else StereoCamera(dropouts=conditions.dropouts)
-        )
+        camera = StereoCamera(dropouts=conditions.dropouts)
+        sensor = conditions.lidar(*self.lidar) if self.lidar else camera
         navigation = conditions.drifting(0.02, 0.005)
         return FlightPlan(terrain, sensor, trajectory, navigation, scans, poses, box, self.spacing)
 

@@ -49,9 +49,7 @@ class Simulation:
     """A scenario as a reproducible stream of messages; arguments as in `simulate`. ``stopped`` is
     True if `messages` ended early. Raises `SimulationError`: invalid options."""
 
-    def __init__(self, scenario: str, seed: int, *, flights: int = 1, **conditions: Any) -> None:
-        if flights < 1:
-            raise SimulationError(f"flights must be at least 1, not {flights}")
+    def __init__(self, scenario: str, seed: int, **conditions: Any) -> None:
         if seed < 0:
             raise SimulationError(f"seed must not be negative, not {seed}")
         if scenario not in SCENARIOS:
@@ -67,7 +65,7 @@ class Simulation:
         ground = given.ground(scenario, terrain)
         self.legs: list[Leg] = []
         start_ns = _START_NS
-        for number in range(flights):
+        for number in range(given.flights):
             plan = flight.plan(given, ground, seconds, number)
             self.legs.append(Leg(plan, start_ns))
             start_ns += round((plan.pose_times[-1] + _GAP_S) * 1e9)
@@ -166,7 +164,6 @@ def simulate(
     bag_path: str | Path,
     *,
     seed: int,
-    flights: int = 1,
     overwrite: bool = False,
     lander: LandingGear | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -181,7 +178,6 @@ def simulate(
 
     Args:
         scenario: A key of `SCENARIOS`.
-        flights: Number of flights over the same ground, each with new navigation errors.
         lander: Vehicle of the true safety, by default that of the scenario.
         progress: Called with the numbers of done and of all scans after each scan.
         stop: Called after each message; True ends the flight there.
@@ -192,7 +188,7 @@ def simulate(
         KeyboardInterrupt: stopped before the first scan.
     """
     path = Path(bag_path)
-    simulation = Simulation(scenario, seed, flights=flights, **conditions)
+    simulation = Simulation(scenario, seed, **conditions)
     truth_path = path.parent / TRUTH_NAME
     existing = [str(there) for there in (path, truth_path) if there.exists()]
     if existing and not overwrite:

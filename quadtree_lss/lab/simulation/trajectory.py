@@ -157,10 +157,6 @@ class Estimate:
     covariance: Array
 
 
-def _isotropic(position_sigma: float, attitude_sigma: float) -> Array:
-    return np.diag([position_sigma**2] * 3 + [attitude_sigma**2] * 3)
-
-
 @dataclass(frozen=True)
 class WhiteNavigation:
     """Independent isotropic errors of each pose (right perturbation of Eq. 16) with their true
@@ -176,7 +172,7 @@ class WhiteNavigation:
         sigma = np.radians(self.attitude_sigma_deg)
         offset = generator.normal(0.0, self.position_sigma, positions.shape)
         tilt = Rotation.from_rotvec(generator.normal(0.0, sigma, positions.shape)).as_matrix()
-        covariance = _isotropic(self.position_sigma, sigma)
+        covariance = np.diag([self.position_sigma**2] * 3 + [sigma**2] * 3)
         return Estimate(positions + offset, rotations @ tilt, covariance)
 
 
@@ -200,7 +196,8 @@ class DriftingNavigation:
         bias, drift = np.radians([self.attitude_bias_deg, self.attitude_drift_deg])
         tilt = Rotation.from_rotvec(self._error(generator, times, bias, drift)).as_matrix()
         sigma = float(np.hypot(self.position_bias, self.position_drift))
-        covariance = self.conservatism**2 * _isotropic(sigma, float(np.hypot(bias, drift)))
+        variances = [sigma**2] * 3 + [float(np.hypot(bias, drift)) ** 2] * 3
+        covariance = self.conservatism**2 * np.diag(variances)
         return Estimate(positions + offset, tilt @ rotations, covariance)
 
     def _error(
