@@ -33,7 +33,8 @@ desk.bags: onboard.config onboard.messages
 desk.replay: build onboard.config onboard.core onboard.messages desk.report desk.exchange
 desk.replay: plot desk.bags
 desk.player: onboard.messages onboard.nodes desk.bags desk.replay
-desk.commands: onboard.config onboard.core desk.exchange desk.replay desk.report desk.player
+desk.commands: onboard.config onboard.core desk.bags desk.exchange desk.replay desk.report
+desk.commands: desk.player
 lab.simulation: build desk.exchange onboard.messages
 lab.flight: onboard.config onboard.core onboard.messages desk.report desk.bags desk.replay
 lab.flight: desk.exchange lab.simulation
