@@ -209,7 +209,7 @@ figures: setup
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy quadtree_lss/onboard/core quadtree_lss/lab/simulation/march.py quadtree_lss/lab/simulation/contact.py quadtree_lss/lab/simulation/rocks.py
+	$(BIN)/mypy quadtree_lss/onboard/core quadtree_lss/lab/simulation/march.py quadtree_lss/lab/simulation/contact.py
 	$(BIN)/codespell README.md CONTRIBUTING.md QUALITY_DECLARATION.md CHANGELOG.rst docs msg_docs quadtree_lss config studies
 	$(BIN)/python docs/language.py
 

@@ -356,12 +356,12 @@ class Flight:
     def fly(self) -> Landing:
         """Fly from the take-off to the end of the landing."""
         with ExitStack() as stack:
-            local = stack.enter_context(local_domain(self._folder))
+            domain = stack.enter_context(local_domain(self._folder))
             topics = {
                 "landing/selected": PoseWithCovarianceStamped,
                 "landing/autopilot": DiagnosticStatus,
             }
-            self._listener = stack.enter_context(Listener(local.number, topics))
+            self._listener = stack.enter_context(Listener(domain, topics))
             node = self._listener.node
             self._scans = node.create_publisher(
                 PointCloud2, "lidar/points", stream(5, reliable=False)
@@ -386,7 +386,6 @@ class Flight:
                 dump_config(load_config([CONFIG / "drone.yaml"], over)), encoding="utf-8"
             )
             self._args = ["--params-file", str(params), "-p", "use_sim_time:=true"]
-            self._env = local.env
             self._stack = stack
             self.nodes: dict[str, NodeProcess] = {}
             if self._take_off():
@@ -397,7 +396,7 @@ class Flight:
 
     def _start(self, name: str) -> NodeProcess:
         log = self._folder / f"{name}_{time.monotonic_ns()}.txt"
-        return self._stack.enter_context(NodeProcess(name, self._args, self._env, log))
+        return self._stack.enter_context(NodeProcess(name, self._args, log))
 
     def _publish_keep_out(self, corners: np.ndarray) -> None:
         self._keep_out_publisher.publish(self._make.polygon(_stamp(self.copter.now), corners))

@@ -21,7 +21,7 @@ from scipy.ndimage import distance_transform_edt
 from quadtree_lss.lab.campaign.study import parse_seeds
 from quadtree_lss.lab.evaluation.risk_families import Family
 from quadtree_lss.lab.evaluation.risk_fit import FEATURES
-from quadtree_lss.lab.evaluation.risk_flights import fly, land, risk_table
+from quadtree_lss.lab.evaluation.risk_flights import fly, land
 from quadtree_lss.lab.simulation.hazard_field import FIELDS
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.risk import risk_model
@@ -67,12 +67,10 @@ def evaluated(ground: str, seed: int, config: Config) -> Array:
     """Risk (NaN if not evaluated), depth in unsafe ground, m (0 if safe), and observation quality
     of grid points: (3, K)."""
     mapped = fly(Family(grounds=(ground,), views=("scanning",)), seed, config)[-1]
-    model = risk_model("")
-    landings = land(mapped, model)
-    risks = risk_table(model, mapped.config)
+    landings = land(mapped, risk_model(""))
     risk, seen = np.full((2, *mapped.known.shape), np.nan)
-    risk[landings.usable] = landings.risk(risks)
-    seen[landings.usable] = landings.features(risks)[:, FEATURES.index("seen")]
+    risk[landings.usable] = landings.risk
+    seen[landings.usable] = landings.features[:, FEATURES.index("seen")]
     depth = distance_transform_edt(~mapped.safe) * mapped.cells.domain.finest_size
     return np.stack([risk, depth, seen])[:, mapped.known]
 

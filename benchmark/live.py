@@ -42,7 +42,7 @@ from quadtree_lss.desk.player.player import wait_for_subscribers
 from quadtree_lss.desk.replay.configuration import find_config
 from quadtree_lss.lab.live.processes import NodeProcess, local_domain
 from quadtree_lss.lab.simulation.recording import SCAN_TOPIC, Messages
-from quadtree_lss.lab.simulation.simulation import Simulation
+from quadtree_lss.lab.simulation.simulate import Simulation
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.nodes.qos import latched, stream
 from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed
@@ -187,11 +187,11 @@ def fly(
     with ExitStack() as stack:
         domain = stack.enter_context(local_domain(folder / "log"))
         observer = spawn.Process(
-            target=observe, args=(domain.number, ready, stop, out, topics), daemon=True
+            target=observe, args=(domain, ready, stop, out, topics), daemon=True
         )
         observer.start()
         nodes = [
-            stack.enter_context(NodeProcess(name, args, domain.env, folder / f"{name}.txt"))
+            stack.enter_context(NodeProcess(name, args, folder / f"{name}.txt"))
             for name in ("mapping_node", "lss_node")
         ]
         if not ready.wait(30.0):
@@ -206,11 +206,11 @@ def fly(
             nodes[turn].process.wait()
             name = nodes[turn].name
             log = folder / f"{name}_{len(killed)}.txt"
-            nodes[turn] = stack.enter_context(NodeProcess(name, args, domain.env, log))
+            nodes[turn] = stack.enter_context(NodeProcess(name, args, log))
             usage[name].follow(psutil.Process(nodes[turn].process.pid))
             killed.append((name, time.time_ns()))
 
-        sent, delay = play(script, seconds, domain.number, usage, kill_every, restart_next_node)
+        sent, delay = play(script, seconds, domain, usage, kill_every, restart_next_node)
         time.sleep(3.0)
         for node in nodes:
             node.check()

@@ -28,7 +28,6 @@ from quadtree_lss.lab.evaluation.risk_flights import (
     fitted,
     fly,
     land,
-    risk_table,
     sampled,
 )
 from quadtree_lss.lab.simulation.hazard_field import add_rocks_to
@@ -161,14 +160,12 @@ def evaluated_flight(
 
 def evaluate_map(mapped: Mapped, seed: int) -> EvaluatedMap:
     """Compute all landings of a map."""
-    model = unfitted()
-    landings = land(mapped, model)
-    asked = landings.features(risk_table(model, mapped.config))
-    finest = landings.raster.domain.finest_size
+    landings = land(mapped, unfitted())
+    finest = mapped.cells.domain.finest_size
     side = max(1, round(TILE * mapped.config.vehicle.diameter / finest))
     row, column = np.argwhere(landings.usable).T // side
     tiles = 10**8 * seed + 10_000 * row + column
-    return EvaluatedMap(asked, landings.failed, tiles, mapped.part)
+    return EvaluatedMap(landings.features, landings.failed, tiles, mapped.part)
 
 
 def terrain_sample(rng: np.random.Generator, terrain: Terrain) -> Terrain:

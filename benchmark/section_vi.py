@@ -15,8 +15,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from common import MapScore, configuration, machine, recording, score, table
-
-from quadtree_lss.lab.evaluation.consistency import Counts
+from common.consistency import Counts
 
 
 def main() -> None:

@@ -22,12 +22,12 @@ import numpy as np
 from common import configuration, machine, table
 
 from quadtree_lss.desk.replay.replay import steps
-from quadtree_lss.lab.campaign.mapped import in_memory, lander_of
+from quadtree_lss.lab.campaign.flights import in_memory, lander_of
 from quadtree_lss.lab.campaign.study import parse_seeds
 from quadtree_lss.lab.simulation.hazard_field import FIELDS, hazard_field
 from quadtree_lss.lab.simulation.safety import safety_map
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS
-from quadtree_lss.lab.simulation.simulation import Leg, Simulation
+from quadtree_lss.lab.simulation.simulate import Leg, Simulation
 from quadtree_lss.lab.simulation.trajectory import descent_trajectory
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.settings import Config
@@ -151,7 +151,7 @@ class Truth:
         self.probability = 1.0 - unsafe_aims(
             1.0 - self.safe.astype(float), config.lss.spacing, spread
         )
-        xmin, xmax, ymin, ymax = simulation.box
+        xmin, xmax, ymin, ymax = simulation.legs[0].plan.box
         rows, columns = (self.y >= ymin) & (self.y <= ymax), (self.x >= xmin) & (self.x <= xmax)
         self.best = float(self.probability[np.ix_(rows, columns)].max())
 

@@ -27,13 +27,13 @@ from quadtree_lss.desk.commands.common import (
     print_json,
 )
 from quadtree_lss.desk.commands.console import first_line, quiet, say
-from quadtree_lss.lab.commands import campaign, evaluate, fly
+from quadtree_lss.lab.commands import evaluate, fly
 from quadtree_lss.onboard.errors import OutsideInput, QuadtreeLssError
 
 # Modules that only bags need: they are not part of ROS, and not every Ubuntu has them.
 BAG_MODULES = ("rosbags", "backports", "lz4", "apsw", "ruamel")
 DESK = (replay, results, info, config)
-LAB = (fly, evaluate, campaign)
+LAB = (fly, evaluate)
 FIX = "pip install --user --break-system-packages 'rosbags>=0.11.9'"
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from numpy.typing import NDArray
 from rclpy.serialization import serialize_message
@@ -126,6 +126,13 @@ class Ears(Listener):
     def __init__(self, ros: Any, topics: Mapping[str, Any]) -> None:
         super().__init__(ros.domain, topics)
         self._ros = ros
+        self.diagnostics: dict[str, DiagnosticStatus] = {}
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._keep_status, 10)
+
+    def _keep_status(self, message: DiagnosticArray) -> None:
+        with self._changed:
+            self.diagnostics |= {status.name: status for status in message.status}
+            self._changed.notify_all()
 
     def until(self, condition: Callable[..., object], *args: Any, timeout: float = 60.0) -> None:
         """Wait until ``condition(*args)`` is true."""

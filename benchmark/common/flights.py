@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import scans
-from quadtree_lss.lab.campaign.mapped import in_memory
+from quadtree_lss.lab.campaign.flights import in_memory
 from quadtree_lss.lab.evaluation.results import Truth, truth_of
-from quadtree_lss.lab.simulation.simulation import Simulation
+from quadtree_lss.lab.simulation.simulate import Simulation
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.messages.intake import ReadyScan
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from common.consistency import Counts, prefit_statistics
 from common.flights import Recording
 from quadtree_lss.desk.replay.results import grid_of
-from quadtree_lss.lab.evaluation.consistency import Counts, prefit_statistics
 from quadtree_lss.lab.evaluation.metrics import (
     Detection,
     ElevationError,

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from report.pages import Page, accessible, in_a_browser, sheets
 
-from quadtree_lss.lab.campaign.campaign_page import page
-from quadtree_lss.lab.campaign.store import Record
+from quadtree_lss.lab.campaign.kinds import Record
 from quadtree_lss.lab.campaign.study import read_study
-from quadtree_lss.lab.campaign.summary import CampaignResult
+from quadtree_lss.lab.campaign.summary import CampaignResult, page
 
 COUNT, BAD = 40, 7
 

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from quadtree_lss.lab.campaign.engine import campaign, fly
-from quadtree_lss.lab.campaign.kinds import CampaignError
-from quadtree_lss.lab.campaign.landings import FLY, settings_of
-from quadtree_lss.lab.campaign.store import FILES, key_of
+from quadtree_lss.lab.campaign.engine import campaign, fly, key_of
+from quadtree_lss.lab.campaign.flights import FLY, settings_of
+from quadtree_lss.lab.campaign.kinds import FILES, CampaignError
 from quadtree_lss.lab.campaign.study import parse_seeds, read_study
 
 VARIED = """

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from quadtree_lss.lab.campaign.kinds import Quantity
-from quadtree_lss.lab.campaign.store import Record
+from quadtree_lss.lab.campaign.kinds import Quantity, Record
 from quadtree_lss.lab.campaign.summary import line_of, rate_interval
 
 

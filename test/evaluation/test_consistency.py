@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prefit residuals: their distribution by Monte Carlo, their formula by its definition."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from core.builders import (
@@ -19,15 +22,13 @@ from core.builders import (
 from core.kernels import tangent_basis
 from scipy.special import gammainc
 
-from quadtree_lss.lab.evaluation.consistency import (
-    HIGH,
-    LOW,
-    Counts,
-    prefit_statistics,
-)
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing import lidar
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan, register
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmark"))
+
+from common.consistency import HIGH, LOW, Counts, prefit_statistics
 
 GROUND = slope(0.12, -0.07, 30.0)
 NOISE = 0.05

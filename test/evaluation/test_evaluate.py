@@ -11,6 +11,7 @@ from evaluation.scores import ground, write_results, write_truth
 from quadtree_lss.lab.evaluation.evaluate import evaluate
 from quadtree_lss.lab.evaluation.metrics import fill_holes
 from quadtree_lss.lab.evaluation.results import EvaluationError
+from quadtree_lss.onboard.errors import QuadtreeLssError
 
 
 def _evaluate(tmp_path, truth=None, page=False, **results):
@@ -220,7 +221,7 @@ def test_a_file_that_cannot_be_read_is_one_clear_line(tmp_path, name, content):
             np.save(file, np.zeros(3))
     elif content is not None:
         path.write_bytes(whole[: len(whole) // 2] if content == "cut" else content)
-    with pytest.raises(EvaluationError, match=name) as caught:
+    with pytest.raises(QuadtreeLssError, match=name) as caught:
         evaluate(folder, truth)
     assert "\n" not in str(caught.value)
 

@@ -20,7 +20,7 @@ from quadtree_lss.lab.evaluation.risk_fit import (
     risks,
     unfitted,
 )
-from quadtree_lss.lab.evaluation.risk_flights import fly, land, risk_table
+from quadtree_lss.lab.evaluation.risk_flights import fly, land
 from quadtree_lss.onboard.config.parameter import ConfigError
 from quadtree_lss.onboard.config.risk import LOCAL, Cause, model_warning, risk_model
 from quadtree_lss.onboard.core.landing.risk import DENSITY_ENTRIES
@@ -137,15 +137,15 @@ def test_what_a_fit_asks_is_what_is_looked_up():
     """On a flight: the table of a model tells what its equations tell of what a fit is given."""
     config, model = load_config(["morpheus"]), risk_model("")
     mapped = fly(FAMILIES["drone"], 3, config)[-1]
-    landings, table = land(mapped, model), risk_table(model, mapped.config)
-    asked = landings.features(table)
+    landings = land(mapped, model)
+    asked = landings.features
     assert len(asked) > 1000 and 0.01 < landings.failed.mean() < 0.99
 
     def odds(found):
         found = np.clip(found, 1e-6, 1.0 - 1e-6)
         return np.log(found / (1.0 - found))
 
-    off = odds(landings.risk(table)) - odds(risks(model, asked))
+    off = odds(landings.risk) - odds(risks(model, asked))
     # The table has an entry for each step of what is seen, which is right in its middle.
     low, high = model.span("seen")
     half = np.zeros(asked.shape[1])

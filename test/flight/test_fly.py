@@ -51,7 +51,7 @@ def test_without_avoidance_it_lands_on_the_planned_point_and_by_perfect_knowledg
     figures = fly(avoidance="none")
     assert figures["outcome"] == "touchdown" and figures["soft"]
     assert figures["from_planned"] < 0.5 and figures["map_said"] == "nothing"
-    assert fly(avoidance="perfect", rock_abundance=0.1)["safe"]
+    assert fly(avoidance="perfect", rocks=0.1)["safe"]
 
 
 def test_a_target_outlives_the_node_that_chose_it():
@@ -88,7 +88,7 @@ def test_rocks_are_strewn_on_a_terrain_if_asked_for(tmp_path):
     given = {"terrain": str(tmp_path / "flat.npz"), "avoidance": "none"}
     bare, rocky = (
         Ground.of(flight_settings({**given, **more}), np.random.default_rng(1))
-        for more in ({}, {"rock_abundance": 0.2})
+        for more in ({}, {"rocks": 0.2})
     )
     assert not bare.terrain.elevation.any() and bare.safe[2].min() > 0.0
     assert rocky.terrain.elevation.max() > 0.3 and (rocky.safe[2] == 0.0).any()

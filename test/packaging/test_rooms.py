@@ -33,12 +33,13 @@ desk.bags: onboard.config onboard.messages
 desk.replay: build onboard.config onboard.core onboard.messages desk.report desk.exchange
 desk.replay: desk.bags
 desk.player: onboard.messages onboard.nodes desk.bags desk.replay
-desk.commands: onboard.config onboard.core desk.exchange desk.replay desk.report desk.player
+desk.commands: onboard.config onboard.core desk.bags desk.exchange desk.replay desk.report
+desk.commands: desk.player
 lab.simulation: build desk.exchange onboard.messages
 lab.flight: onboard.config onboard.core onboard.messages desk.report desk.bags desk.replay
 lab.flight: desk.exchange lab.simulation
 lab.live: onboard.config onboard.core onboard.messages onboard.nodes desk.replay desk.player
-lab.live: desk.exchange lab.flight lab.simulation
+lab.live: desk.bags desk.exchange lab.flight lab.simulation
 lab.evaluation: build onboard.config onboard.core onboard.messages desk.bags desk.replay
 lab.evaluation: desk.exchange desk.report lab.simulation
 lab.campaign: build onboard.config desk.bags desk.replay desk.report lab.evaluation lab.flight

@@ -47,8 +47,8 @@ class Ros:
     """ROS domain with the processes and listeners of one test."""
 
     def __init__(self, folder: Path, stack: ExitStack) -> None:
-        domain = stack.enter_context(local_domain(folder / "log"))
-        self.domain, self.env = domain.number, domain.env
+        self.domain = stack.enter_context(local_domain(folder / "log"))
+        self.env = dict(os.environ)
         self.folder = folder
         self.params = folder / "params.yaml"
         self.params.write_text(PARAMETERS)
@@ -64,7 +64,7 @@ class Ros:
             before = filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))
             self.env["PYTHONPATH"] = os.pathsep.join([str(self.folder), *before])
         ros_args = ["--params-file", str(self.params), *args]
-        self._nodes.append(NodeProcess(name, ros_args, self.env, log))
+        self._nodes.append(NodeProcess(name, ros_args, log, self.env))
         return self._stack.enter_context(self._nodes[-1])
 
     def output(self) -> str:

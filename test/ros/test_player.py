@@ -9,7 +9,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.desk.bags.bag import Bag
-from quadtree_lss.desk.player.player import PlayError, play
+from quadtree_lss.desk.player.player import PlayError, play, played_topics
+from quadtree_lss.desk.replay.stream import Part
 from quadtree_lss.lab.live.processes import program
 
 pytestmark = pytest.mark.xdist_group("ros_faults")
@@ -17,11 +18,16 @@ pytestmark = pytest.mark.xdist_group("ros_faults")
 SCANS = 12
 
 
+def play_bag(path, start=0.0, **how):
+    with Bag(path) as bag:
+        return play(bag, played_topics(bag), Part.of(bag, start), **how)
+
+
 def test_player_names_missing_subscribers(ros):
     bag = ros.folder / "flight.bag"  # a folder of ROS 2, whatever it is called
     write_bag(bag, 1)
     with pytest.raises(PlayError, match="/lidar/points"):
-        play(bag, wait=0.2, domain_id=ros.domain)
+        play_bag(bag, wait=0.2)
 
 
 @pytest.mark.slow
@@ -32,7 +38,7 @@ def test_player_names_what_is_subscribed_and_reaches_it_by_namespace_and_name(ro
     with ros.listen({"/lander/map/cells": PointCloud2}) as listener:
         listener.until(lambda: "lander/mapping_node" in listener.diagnostics)
         with pytest.raises(PlayError, match=r"/lidar/points, /nav/pose .*/ekf/pose, /lander/lidar"):
-            play(bag, wait=4.0, domain_id=ros.domain)
+            play_bag(bag, wait=4.0)
         options = ["--namespace", "lander", "--remap", "nav/pose:=/ekf/pose", "--rate", "5"]
         done = ros.run(program("replay_bag"), bag, "--publish", *options)
         assert done.returncode == 0 and "3 scans" in done.stdout, done.stderr
@@ -50,7 +56,7 @@ def test_landing_inputs_are_played_latched(ros):
     ros.start("mapping_node", "-p", "mapping.max_cells:=4096")
     ros.start("lss_node")
     with ros.listen() as listener:
-        told = play(bag, start=0.1, rate=2.0, domain_id=ros.domain)
+        told = play_bag(bag, start=0.1, rate=2.0)
         assert told.scans == 9
         listener.until(listener.has, "landing.keep_out", True, "lss_node")
 
@@ -63,7 +69,7 @@ def test_the_clock_runs_at_the_rate_from_the_first_message_to_the_last(ros):
     with ros.listen() as listener:
         hear = lambda told: times.append(told.clock.sec * 10**9 + told.clock.nanosec)  # noqa: E731
         listener.node.create_subscription(Clock, "/clock", hear, 1000)
-        report = play(bag, rate=0.5, domain_id=ros.domain)
+        report = play_bag(bag, rate=0.5)
         listener.until(listener.has, "scans", SCANS)
         with Bag(bag) as source:
             listener.until(lambda: times and times[-1] == source.end_ns)

@@ -21,7 +21,7 @@ from pathlib import Path
 from quadtree_lss.lab.live import processes
 processes.DOMAINS = {SPARE}
 with processes.local_domain(Path(sys.argv[1])) as domain:
-    print(domain.number, flush=True)
+    print(domain, flush=True)
     sys.stdin.read()
 """
 
@@ -39,6 +39,6 @@ def test_concurrent_processes_get_different_domains(tmp_path, monkeypatch):
             pass
         assert others[0].communicate()[0] == b"" and others[0].returncode == 0
         with local_domain(tmp_path) as domain:
-            assert domain.number == numbers[0]
+            assert domain == numbers[0]
         for other in others[1:]:
             other.communicate()

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadtree_lss.lab.simulation.navigation import WhiteNavigation
 from quadtree_lss.lab.simulation.trajectory import (
     Sweep,
+    WhiteNavigation,
     look_at,
     section_vi_trajectory,
 )

@@ -144,11 +144,15 @@ def _publish(options: argparse.Namespace) -> int:
     offline = "out config set vehicle no_report record area keep_out target".split()
     common.reject_options(options, "--publish: the nodes map and rank the sites", *offline)
     with common.importing_ros("--publish"):
-        from quadtree_lss.desk.player.player import play
-    arguments = common.keywords(options, *common.TOPICS, "start", "duration", "remap")
-    arguments |= {"rate": options.rate or 1.0, "namespace": options.namespace or ""}
-    with console.ProgressBar("play", "s", options.verbose) as bar:
-        report = play(options.bag, **arguments, progress=bar.update)
+        from quadtree_lss.desk.player.player import play, played_topics
+    from quadtree_lss.desk.bags.bag import Bag
+    from quadtree_lss.desk.replay.stream import Part
+
+    how = {"rate": options.rate or 1.0, "namespace": options.namespace or ""}
+    with Bag(options.bag) as bag, console.ProgressBar("play", "s", options.verbose) as bar:
+        names = played_topics(bag, options.scan_topic, options.pose_topic)
+        part = Part.of(bag, options.start, options.duration)
+        report = play(bag, names, part, **how, remap=options.remap, progress=bar.update)
     scans = f"{report.scans} scans and {report.poses} poses"
     sent = f"{report.maps} maps" if report.maps else scans
     common.show(options, asdict(report), f"{sent} sent in {report.duration:.1f} s")

@@ -14,7 +14,6 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import rclpy
 from rclpy.context import Context
@@ -64,66 +63,55 @@ class PlayReport:
 
 
 def play(
-    bag: str | Path,
+    bag: Bag,
+    names: Mapping[str, str],
+    part: Part,
     *,
     rate: float = 1.0,
-    scan_topic: str | None = None,
-    pose_topic: str | None = None,
-    start: float = 0.0,
-    duration: float | None = None,
     wait: float = 15.0,
     namespace: str = "",
     remap: Sequence[str] = (),
-    domain_id: int | None = None,
     progress: Progress | None = None,
 ) -> PlayReport:
-    """Play scans and poses of a ROS 2 bag into running nodes, with the bag's time on ``/clock``.
+    """Play a part of an open bag into running nodes, with the bag's time on ``/clock``.
 
-    ``lidar/gimbal``, areas, keep-outs and targets are played if recorded; a bag of maps is played
-    on ``map/cells`` and ``map/observed``. ``rate``: bag seconds per second; ``wait``: for
-    subscribers, s; ``namespace``, ``remap`` (``FROM:=TO``): of the topics; ``domain_id``: by
-    default that of the environment; the others as in `replay.replay`. Raises `BagError`,
-    `ReplayError`: as that does; `PlayError`: ROS 1 bag, no valid rate, no subscriber in time.
+    ``names``: topics as of `played_topics`; ``rate``: bag seconds per second; ``wait``: for
+    subscribers, s; ``namespace``, ``remap`` (``FROM:=TO``): of the topics. Raises `PlayError`: no
+    valid rate, no subscriber in time.
     """
     if not 0.0 < rate < math.inf:
         raise PlayError(f"rate {rate:g} is not positive and finite")
     context = Context()
-    with Bag(bag) as source:
-        if source.ros1:
-            msg = f"{bag} is a ROS 1 bag: replay it offline, or convert it to play it to ROS 2"
-            raise PlayError(msg)
-        names = _names(source, scan_topic, pose_topic)
-        part = Part.of(source, start, duration)
-        # Pass only ROS arguments on; --remap of this program resembles an old one of ROS.
-        ours = sys.argv.index("--ros-args") if "--ros-args" in sys.argv else len(sys.argv)
-        rclpy.init(args=sys.argv[ours:], context=context, domain_id=domain_id)
-        try:
-            node = player_node(context, namespace, remap, names.values())
-            publishers = _publishers(node, names)
-            needed = [p for recorded, p in publishers.items() if names[recorded] not in OPTIONAL]
-            wait_for_subscribers(node, needed, wait)
-            requests = [recorded for recorded, name in names.items() if name in LANDING]
-            for message in source.messages(requests, 0, part.start_ns):
-                publishers[message.topic].publish(_serialised(message.raw))
-            clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
-            began_ns, began, sent = None, time.monotonic(), Counter[str]()
-            for topic, received_ns, raw in part.messages(source, list(names), progress):
-                began_ns = received_ns if began_ns is None else began_ns
-                _wait_until(received_ns, clock, began_ns, began, rate)
-                publishers[topic].publish(_serialised(raw))
-                sent[names[topic]] += 1
-            seconds = time.monotonic() - began
-            for publisher in publishers.values():
-                publisher.wait_for_all_acked(Duration(seconds=5))
-            return PlayReport(
-                scans=sent[topics.SCAN_TOPIC] + sent[topics.DEPTH_TOPIC],
-                poses=sent[topics.POSE_TOPIC] + sent[topics.ODOMETRY_TOPIC],
-                duration=seconds,
-                losses=tuple(source.losses),
-                maps=sent[f"/{CELLS}"],
-            )
-        finally:
-            context.try_shutdown()
+    # Pass only ROS arguments on; --remap of this program resembles an old one of ROS.
+    ours = sys.argv.index("--ros-args") if "--ros-args" in sys.argv else len(sys.argv)
+    rclpy.init(args=sys.argv[ours:], context=context)
+    try:
+        node = player_node(context, namespace, remap, names.values())
+        publishers = _publishers(node, names)
+        needed = [p for recorded, p in publishers.items() if names[recorded] not in OPTIONAL]
+        wait_for_subscribers(node, needed, wait)
+        requests = [recorded for recorded, name in names.items() if name in LANDING]
+        for message in bag.messages(requests, 0, part.start_ns):
+            publishers[message.topic].publish(_serialised(message.raw))
+        clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
+        began_ns, began, sent = None, time.monotonic(), Counter[str]()
+        for topic, received_ns, raw in part.messages(bag, list(names), progress):
+            began_ns = received_ns if began_ns is None else began_ns
+            _wait_until(received_ns, clock, began_ns, began, rate)
+            publishers[topic].publish(_serialised(raw))
+            sent[names[topic]] += 1
+        seconds = time.monotonic() - began
+        for publisher in publishers.values():
+            publisher.wait_for_all_acked(Duration(seconds=5))
+        return PlayReport(
+            scans=sent[topics.SCAN_TOPIC] + sent[topics.DEPTH_TOPIC],
+            poses=sent[topics.POSE_TOPIC] + sent[topics.ODOMETRY_TOPIC],
+            duration=seconds,
+            losses=tuple(bag.losses),
+            maps=sent[f"/{CELLS}"],
+        )
+    finally:
+        context.try_shutdown()
 
 
 def _wait_until(bag_ns: int, clock: Publisher, began_ns: int, began_s: float, rate: float) -> None:
@@ -136,8 +124,17 @@ def _wait_until(bag_ns: int, clock: Publisher, began_ns: int, began_s: float, ra
         time.sleep(min((bag_ns - now_ns) / (rate * SECOND_NS), CLOCK_S))
 
 
-def _names(bag: Bag, scan_topic: str | None, pose_topic: str | None) -> dict[str, str]:
-    """Map the topics of the bag to the names under which they are published."""
+def played_topics(
+    bag: Bag, scan_topic: str | None = None, pose_topic: str | None = None
+) -> dict[str, str]:
+    """Map the topics of an open bag to the names under which they are published.
+
+    ``lidar/gimbal``, areas, keep-outs and targets are played if recorded, of a bag of maps only
+    ``map/cells`` and ``map/observed``. Raises `PlayError`: a ROS 1 bag; `BagError`: as `replay`.
+    """
+    if bag.ros1:
+        msg = f"{bag.path} is a ROS 1 bag: replay it offline, or convert it to play it to ROS 2"
+        raise PlayError(msg)
     pairs = MapPairs.of_maps_only(bag, scan_topic)
     if pairs is not None:
         return dict(zip(pairs.topics, MAPS, strict=True))

@@ -1,27 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run a study with Dask: each flight is a task that writes one file."""
+"""Run a study with Dask: each flight is a task, and one file that is written atomically.
+
+Name and content of the file have the number of the flight and a hash of what determines it.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import gc
+import hashlib
 import itertools
+import json
 import logging
 import signal
 import time
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import CancelledError
+from dataclasses import asdict
+from functools import cache
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, Literal
 
-from quadtree_lss.desk.replay.files import write_bytes, write_json
-from quadtree_lss.lab.campaign.campaign_page import page
-from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Figures, kind_of
-from quadtree_lss.lab.campaign.store import Record, Store
+from quadtree_lss.desk.replay.files import locked, plain, write_bytes, write_json
+from quadtree_lss.lab.campaign.kinds import FILES, CampaignError, Case, Figures, Record, kind_of
 from quadtree_lss.lab.campaign.study import Study, this_build
-from quadtree_lss.lab.campaign.summary import CampaignResult, write_flights
+from quadtree_lss.lab.campaign.summary import CampaignResult, page, write_flights
 from quadtree_lss.onboard.errors import one_line
 
 Progress = Callable[[int, int], None]
@@ -36,8 +41,6 @@ LOCAL_CLUSTER = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
 LOCAL_CLUSTER |= {"processes": True, "silence_logs": logging.CRITICAL}
 #: Period at which the workers are counted, s.
 POLL_S = 0.5
-#: The same class from Python 3.11 on.
-TIMEOUT_ERRORS = (TimeoutError, asyncio.TimeoutError)
 #: Time without a worker after which a campaign fails, s.
 MAX_S_WITHOUT_WORKER = 60.0
 
@@ -67,12 +70,12 @@ def campaign(
         CampaignError: Dask is missing, or the study cannot be flown.
         KeyboardInterrupt: stopped before a flight was done.
     """
-    store, stopped = Store(out), stop or (lambda: False)
-    with store.opened():
+    folder, stopped = Path(out), stop or (lambda: False)
+    with locked(folder, CampaignError):
         again = set() if rerun == "failed" else {study.case(index).index for index in rerun}
         records: dict[int, Record] = {}
         for case in map(study.case, range(study.count)):
-            record = None if case.index in again else store.read(case)
+            record = None if case.index in again else read_record(folder, case)
             if record is not None and not (record.error and rerun == "failed"):
                 records[case.index] = record
         missing = iter(i for i in range(study.count) if i not in records)
@@ -82,25 +85,17 @@ def campaign(
             with _client(workers, scheduler_address) as client:
                 if tell is not None:
                     tell(f"dashboard: {client.dashboard_link}")
-                for record in _fly_all(client, study, store, missing, stopped):
+                for record in _fly_all(client, study, folder, missing, stopped):
                     records[record.index] = record
                     report_progress(len(records), study.count)
         interrupted = len(records) < study.count
         if interrupted and not records:
             raise KeyboardInterrupt
-        result = CampaignResult(store.out, study, dict(sorted(records.items())), interrupted)
-        write_json(store.out / "campaign.json", result.as_dict())
-        write_flights(store.out / "flights.csv", result.records.values())
-        write_bytes(store.out / "campaign.html", page(result).encode())
+        result = CampaignResult(folder, study, dict(sorted(records.items())), interrupted)
+        write_json(folder / "campaign.json", result.as_dict())
+        write_flights(folder / "flights.csv", result.records.values())
+        write_bytes(folder / "campaign.html", page(result).encode())
         return result
-
-
-def keep(study: Study, out: str | Path, index: int) -> Path:
-    """Fly flight ``index`` again and return the folder with all its results. Raises
-    `CampaignError`: there is no such flight."""
-    folder = Path(out) / "kept" / f"{index:06d}"
-    study.kind.keep(study.case(index), folder)
-    return folder
 
 
 def fly(case: Case) -> Figures | str:
@@ -116,7 +111,7 @@ def fly(case: Case) -> Figures | str:
 
 
 def _fly_all(
-    client: Any, study: Study, store: Store, missing: Iterator[int], stop: Callable[[], bool]
+    client: Any, study: Study, out: Path, missing: Iterator[int], stop: Callable[[], bool]
 ) -> Iterator[Record]:
     """Submit one flight per worker at a time, which bounds memory; Dask also fails tasks that are
     queued at a worker that dies."""
@@ -125,7 +120,7 @@ def _fly_all(
     running: dict[Any, Case] = {}
     last_worker_time = time.monotonic()
     while not stop():
-        with _scheduler_errors():
+        try:
             threads = sum(client.nthreads().values())
             if threads:
                 last_worker_time = time.monotonic()
@@ -134,28 +129,70 @@ def _fly_all(
                     f"the scheduler has had no worker for {MAX_S_WITHOUT_WORKER:.0f} s"
                 )
             for index in itertools.islice(missing, max(threads - len(running), not running)):
-                case, key = study.case(index), f"flight-{index}-{id(store)}"
+                case, key = study.case(index), f"flight-{index}-{id(running)}"
                 running[client.submit(fly, case, key=key, pure=False)] = case
             if not running:
                 break
-            with contextlib.suppress(*TIMEOUT_ERRORS):
+            with contextlib.suppress(asyncio.TimeoutError):
                 wait(list(running), timeout=POLL_S, return_when="FIRST_COMPLETED")
             ended = {f: _result_of(f) for f in running if f.done()}
+        except (OSError, CancelledError) as error:
+            raise CampaignError("the scheduler is lost; finished flights are kept") from error
         for future, found in ended.items():
             case = running.pop(future)
-            yield store.write(case, *(({}, found) if isinstance(found, str) else (found,)))
+            figures, error = ({}, found) if isinstance(found, str) else (found, "")
+            yield write_record(out, case, figures, error)
             future.release()
     for future in running:
         future.cancel()
 
 
-@contextlib.contextmanager
-def _scheduler_errors() -> Iterator[None]:
-    """Raise `CampaignError` if the connection to the scheduler is lost."""
+def key_of(case: Case) -> str:
+    """Hash of everything that determines a flight."""
+    content = asdict(case)
+    del content["labels"]
+    for part in (content["conditions"], content["parameters"]):
+        part |= {name: _hash_of(str(part[name])) for name in FILES if part.get(name)}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
+@cache
+def _hash_of(path: str) -> str:
     try:
-        yield
-    except (OSError, CancelledError) as error:
-        raise CampaignError("the scheduler is lost; finished flights are kept") from error
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        raise CampaignError(f"{path}: {error.strerror}") from error
+
+
+def record_path(out: Path, index: int, key: str) -> Path:
+    return out / "flights" / f"{index:06d}-{key}.json"
+
+
+def read_record(out: Path, case: Case) -> Record | None:
+    """Read the file of a flight; None without one. Raises `CampaignError`: it is malformed or
+    renamed."""
+    path = record_path(out, case.index, key_of(case))
+    if not path.exists():
+        return None
+    try:
+        if not path.is_file():  # reading a named pipe would block
+            raise ValueError
+        record = Record(**json.loads(path.read_text(encoding="utf-8")))
+        if record_path(out, record.index, record.key) != path:
+            raise ValueError
+        return record
+    except (OSError, ValueError, TypeError, RecursionError):
+        fix = "use --rerun or delete the file"
+        raise CampaignError(f"{path} is not the record of this flight: {fix}") from None
+
+
+def write_record(out: Path, case: Case, figures: Figures, error: str = "") -> Record:
+    """Write the file of a flight; return its content."""
+    identity = case.index, case.seed, case.scenario, dict(case.labels)
+    record = Record(*identity, plain(figures), error, key_of(case), case.version, case.build)
+    text = json.dumps(plain(asdict(record)), indent=1, allow_nan=False)
+    write_bytes(record_path(out, record.index, record.key), (text + "\n").encode())
+    return record
 
 
 def _result_of(future: Any) -> Figures | str:
@@ -174,8 +211,6 @@ def _client(workers: int | None, scheduler_address: str | None) -> Iterator[Any]
         from dask.distributed import Client
     except ImportError as error:
         raise CampaignError("campaigns need Dask: pip install distributed bokeh") from error
-    if workers and scheduler_address:
-        raise CampaignError("workers and scheduler_address exclude one another")
     for name in ("distributed", "distributed.client", "asyncio", "tornado"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with contextlib.ExitStack() as stack:
@@ -185,7 +220,7 @@ def _client(workers: int | None, scheduler_address: str | None) -> Iterator[Any]
             else:
                 with _sigint_blocked(), dask.config.set(DASK_SETTINGS):
                     client = stack.enter_context(Client(n_workers=workers, **LOCAL_CLUSTER))
-        except (OSError, ValueError, RuntimeError, *TIMEOUT_ERRORS) as error:
+        except (OSError, ValueError, RuntimeError, asyncio.TimeoutError) as error:
             which = "no scheduler" if scheduler_address else "the workers could not be started"
             msg = f"{which}: {one_line(str(error) or type(error).__name__)}"
             raise CampaignError(msg) from error

@@ -15,12 +15,16 @@ from typing import Any, Literal
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 REGISTERED = {
-    "map": "quadtree_lss.lab.campaign.mapped:MAP",
-    "fly": "quadtree_lss.lab.campaign.landings:FLY",
+    "map": "quadtree_lss.lab.campaign.flights:MAP",
+    "fly": "quadtree_lss.lab.campaign.flights:FLY",
 }
 
 Value = float | int | str | bool | None
 Figures = dict[str, Value]
+
+
+#: Conditions and parameters that name a file, whose content determines the flight.
+FILES = ("terrain", "lss.risk_model")
 
 
 class CampaignError(QuadtreeLssError):
@@ -29,9 +33,8 @@ class CampaignError(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class Case:
-    """One flight of a study: number from 0, seed, ``conditions`` that differ from those of the
-    scenario, all ``parameters`` by dotted key, ``labels`` that vary over the study, version and
-    build of the package."""
+    """One flight of a study, with ``conditions`` that differ from those of the scenario, all
+    ``parameters`` by dotted key, ``labels`` that vary over the study, and the package's build."""
 
     index: int
     kind: str
@@ -40,6 +43,21 @@ class Case:
     conditions: Mapping[str, Value] = field(default_factory=dict)
     parameters: Mapping[str, Any] = field(default_factory=dict)
     labels: Mapping[str, Value] = field(default_factory=dict)
+    version: str = ""
+    build: str = ""
+
+
+@dataclass(frozen=True)
+class Record:
+    """Figures or error of a flight, and its case; ``key`` is a hash of what determines it."""
+
+    index: int
+    seed: int
+    scenario: str
+    labels: dict[str, Value]
+    figures: Figures
+    error: str = ""
+    key: str = ""
     version: str = ""
     build: str = ""
 

@@ -19,13 +19,13 @@ import numpy as np
 from quadtree_lss import build
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.results import versions
-from quadtree_lss.lab.campaign.kinds import CampaignError, Case, Kind, kind_of
-from quadtree_lss.lab.campaign.store import FILES, MAX_FLIGHTS
+from quadtree_lss.lab.campaign.kinds import FILES, CampaignError, Case, Kind, kind_of
 from quadtree_lss.lab.evaluation.risk_families import log_uniform
 from quadtree_lss.onboard.config.settings import values_from_config
 from quadtree_lss.onboard.config.yaml_text import YamlError, read_yaml
 
 KEYS = tuple("name kind scenario config seed flights seeds conditions parameters cases".split())
+MAX_FLIGHTS = 1_000_000
 CASE_KEYS = ("name", "scenario", "config", "conditions", "parameters")
 
 DISTRIBUTIONS: dict[str, Callable[..., float]] = {
@@ -162,7 +162,12 @@ def _study(content: Mapping[Any, Any], file: Path) -> Study:
         named = case.get("config", content.get("config", []))
         listed = named or [] if isinstance(named or [], list) else [named]
         files[name] = tuple(str(_resolve(entry, file)) for entry in listed)
-        combinations += _combinations(content, case, name, kind, file)
+        axes = _axes(content, {**case, "name": name}, kind, file)
+        count = repeats * math.prod(map(len, axes.values()))
+        if count > MAX_FLIGHTS:
+            raise CampaignError(f"{count} flights; at most {MAX_FLIGHTS} are allowed")
+        product = itertools.product(*axes.values())
+        combinations += [dict(zip(axes, values, strict=True)) for values in product]
     keys = {key for c in combinations for key in c}
     values = {key: [c.get(key) for c in combinations] for key in keys}
     varied = {
@@ -170,17 +175,16 @@ def _study(content: Mapping[Any, Any], file: Path) -> Study:
         for (_, name), of in values.items()
         if len({*map(repr, of)}) > 1 or any(isinstance(value, Drawn) for value in of)
     }
-    _check_count(repeats * len(combinations))
     flights = seed, repeats, seeds, tuple(combinations)
     return Study(*name_and_kind, *flights, files, tuple(sorted(varied)))
 
 
-def _combinations(
-    content: Mapping[Any, Any], case: Mapping[Any, Any], name: str, kind: Kind, file: Path
-) -> list[Combination]:
-    """Combine all lists of a case, which takes precedence over the rest of the study."""
+def _axes(
+    content: Mapping[Any, Any], case: Mapping[Any, Any], kind: Kind, file: Path
+) -> dict[tuple[str, str], list[Any]]:
+    """Values of each entry of a case, which takes precedence over the rest of the study."""
     scenario = case.get("scenario", content.get("scenario", "morpheus"))
-    parts: dict[Any, Any] = {("case", "case"): name, ("scenario", "scenario"): scenario}
+    parts: dict[Any, Any] = {("case", "case"): case["name"], ("scenario", "scenario"): scenario}
     for part in ("conditions", "parameters"):
         for given in (content.get(part) or {}, case.get(part) or {}):
             if not isinstance(given, Mapping):
@@ -196,13 +200,7 @@ def _combinations(
             raise CampaignError(f"unknown {what} {wrong[0]!r}; there are {', '.join(known)}")
         if key in FILES:
             axes[(part, key)] = [_resolve(value, file) for value in values]
-    _check_count(math.prod(map(len, axes.values())))
-    return [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
-
-
-def _check_count(flights: int) -> None:
-    if flights > MAX_FLIGHTS:
-        raise CampaignError(f"{flights} flights; at most {MAX_FLIGHTS} are allowed")
+    return axes
 
 
 def _resolve(name: Any, file: Path) -> Any:

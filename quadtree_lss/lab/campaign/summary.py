@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Summary of a campaign: rates and means with confidence intervals, and the worst flights."""
+"""Summary of a campaign: rates and means with confidence intervals, the worst flights, the page."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,17 +11,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from quadtree_lss.desk.replay.files import plain, write_csv
 from quadtree_lss.desk.replay.results import aligned
-from quadtree_lss.lab.campaign.kinds import Quantity
-from quadtree_lss.lab.campaign.store import Record
+from quadtree_lss.desk.report.pages import Columns, render, source
+from quadtree_lss.lab.campaign.kinds import Quantity, Record
 from quadtree_lss.lab.campaign.study import Study
 
 #: Number of listed flights: the worst by one quantity, and failed ones in the printed table.
 LISTED, LISTED_FAILED = 5, 10
+
+#: Colours of combinations, from the palette of Okabe and Ito.
+COLOURS = ("#e69f00", "#0072b2", "#cc79a7", "#009e73", "#d55e00", "#56b4e9")
 
 
 class Line(NamedTuple):
@@ -64,21 +67,16 @@ def line_of(quantity: Quantity, records: Sequence[Record]) -> Line:
         value = values[kept]
         extreme = int(value.argmin() if quantity.worst == "smallest" else value.argmax())
         worst = float(value[extreme]), records[int(kept[extreme])].index
-        return Line(quantity, float(value.mean()), *mean_interval(value), *worst, int(kept.size))
+        mean, reach = float(value.mean()), float("nan")
+        if kept.size > 1:  # Student's t
+            reach = float(stats.t.ppf(0.975, kept.size - 1) * stats.sem(value))
+        return Line(quantity, mean, mean - reach, mean + reach, *worst, int(kept.size))
     events = int(np.nansum(values))
     trials = int(np.nansum([number(record, quantity.of) for record in records]))
     rate = events / trials if trials else float("nan")
     bad = max(records, key=lambda record: badness(quantity, record), default=None)
     worst = float("nan"), bad.index if bad and badness(quantity, bad) > 0.0 else None
     return Line(quantity, rate, *rate_interval(events, trials), *worst, trials, events)
-
-
-def mean_interval(values: NDArray[np.float64]) -> tuple[float, float]:
-    """95 % interval of the mean of values (n,) by Student's t; NaN for fewer than two values."""
-    if values.size < 2:
-        return float("nan"), float("nan")
-    reach = float(stats.t.ppf(0.975, values.size - 1) * stats.sem(values))
-    return float(values.mean()) - reach, float(values.mean()) + reach
 
 
 def rate_interval(events: int, trials: int) -> tuple[float, float]:
@@ -148,8 +146,11 @@ class CampaignResult:
         return "\n".join(lines).rstrip()
 
     def as_dict(self) -> dict[str, Any]:
+        def numbers(line: Line) -> dict[str, Any]:
+            return {name: value for name, value in line._asdict().items() if name != "quantity"}
+
         parts = [
-            {"name": name, "quantities": {line.quantity.name: _numbers(line) for line in lines}}
+            {"name": name, "quantities": {line.quantity.name: numbers(line) for line in lines}}
             for name, lines in self.lines
         ]
         return plain(
@@ -166,10 +167,6 @@ class CampaignResult:
         )
 
 
-def _numbers(line: Line) -> dict[str, Any]:
-    return {name: value for name, value in line._asdict().items() if name != "quantity"}
-
-
 def write_flights(path: Path, records: Iterable[Record]) -> None:
     """Write a row for each flight into a CSV file."""
     rows = []
@@ -179,3 +176,59 @@ def write_flights(path: Path, records: Iterable[Record]) -> None:
         rows.append(of | r.labels | r.figures | {"failed": r.error})
     names = list(dict.fromkeys(name for row in rows for name in row))
     write_csv(path, names, ([row.get(name) for name in names] for row in rows))
+
+
+def page(result: CampaignResult) -> str:
+    """Render ``campaign.html``."""
+    study, kind, flights = result.study, result.study.kind, result.flown
+    note = f"{len(result.records)} of {study.count} flights"
+    note += f", {len(result.failed)} failed" if result.failed else ""
+    combination = [record.index % len(study.combinations) for record in flights]
+    present, columns = sorted(set(combination)), Columns()
+    titles = {name: name.replace("_", " ") for name in study.varied}
+    titles |= {q.name: q.title for q in kind.quantities}
+    means = [q.name for q in kind.quantities if q.of is None]
+    first, worst = kind.quantities[0], [(q, pairs) for q, pairs in result.worst() if pairs]
+    keep = f"quadtree-lss campaign STUDY.yaml --out {shlex.quote(str(result.out))} --keep"
+    ranks = "worst", "second", "third", "fourth", "fifth"
+    return render(
+        "lab/campaign/campaign.html",
+        title=f"Campaign {study.name}",
+        note=f"interrupted: {note}" if result.interrupted else note,
+        answers=[_verdict(name, lines[0]) for name, lines in result.lines],
+        legend=[(name, COLOURS[k % len(COLOURS)]) for k, (name, _) in enumerate(result.lines)],
+        lines=[(name, [line.cells() for line in lines]) for name, lines in result.lines],
+        keep=keep,
+        ranks=ranks[: max((len(pairs) for _, pairs in worst), default=0)],
+        worst=[
+            (q.title, [(f"{v:.{q.digits if q.of is None else 0}f}", k) for k, v in pairs])
+            for q, pairs in worst
+        ],
+        failed=result.failed,
+        data={
+            "indices": [record.index for record in flights],
+            "seeds": [str(record.seed) for record in flights],
+            "groups": [present.index(k) for k in combination],
+            "colours": list(COLOURS),
+            "titles": titles,
+            "columns": {
+                name: columns.floats(np.array([number(record, name) for record in flights]))
+                for name in titles
+            },
+            "bad": [first.of is not None and badness(first, r) > 0.0 for r in flights],
+            "first": [*means[-1:], *means[:1]],
+            "command": keep,
+        },
+        columns=columns.text(),
+        program=source("lab/campaign/campaign.js"),
+    )
+
+
+def _verdict(name: str, line: Line) -> tuple[str, str]:
+    """Sentence on the first quantity of a combination, and its level of trust."""
+    label, value, interval, _, _ = line.cells()
+    words = f"{name.rpartition(':')[0]}: {label} {value}, 95 %: {interval}."
+    if line.events is None:
+        return words, "even"
+    bad = line.count - line.events if line.quantity.worst == "smallest" else line.events
+    return words, "none" if bad else "good"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``quadtree-lss evaluate`` and ``fit-risk``."""
+"""``quadtree-lss evaluate``, ``fit-risk`` and ``campaign``."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import argparse
 from pathlib import Path
 
 from quadtree_lss.desk.commands import common
-from quadtree_lss.desk.commands.console import ProgressBar
+from quadtree_lss.desk.commands.console import ProgressBar, interruption, say, warn
 
-TEXT = "Score results of a replay against the truth of a simulation."
-EXAMPLES = """examples:
+EVALUATE = "Score results of a replay against the truth of a simulation."
+EVALUATE_EXAMPLES = """examples:
   quadtree-lss evaluate results/latest --truth flight/truth.npz
 
 Many flights at once: quadtree-lss campaign.
@@ -26,10 +26,22 @@ vehicle nor noise nor cells have those of the configuration (default: morpheus).
 the families in turn, a flight each, about 2 s.
 """
 DEFAULT_SEEDS = "90000-90219"
+CAMPAIGN = "Fly a study of many flights on this computer's cores or on a Dask cluster, with resume."
+CAMPAIGN_EXAMPLES = """examples:
+  quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus
+  quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus     (flies what is missing)
+  quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --rerun 17
+  quadtree-lss campaign studies/morpheus.yaml --out campaigns/morpheus --keep 17  (bag, page, …)
+  quadtree-lss campaign studies/morpheus.yaml --out many --scheduler-address tcp://host:8786
+
+Exit code 3 if some flights failed. Ctrl-C ends it there; what was flown is kept and summed up. A
+second one stops at once.
+"""
 
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    add = common.add_command(commands, "evaluate", _evaluate, TEXT, EXAMPLES).add_argument
+    parser = common.add_command(commands, "evaluate", _evaluate, EVALUATE, EVALUATE_EXAMPLES)
+    add = parser.add_argument
     add("results", type=common.path, metavar="DIR", help="folder that replay wrote")
     text = "truth.npz of the simulation"
     add("--truth", required=True, type=common.path, metavar="NPZ", help=text)
@@ -39,15 +51,23 @@ def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     add = parser.add_argument
     text = "file to write (default risk_model.yaml)"
     add("--out", type=common.path, default=Path("risk_model.yaml"), metavar="YAML", help=text)
-    add(
-        "--seeds",
-        default=DEFAULT_SEEDS,
-        metavar="LIST",
-        help=f"of the flights (default {DEFAULT_SEEDS})",
-    )
+    text = f"of the flights (default {DEFAULT_SEEDS})"
+    add("--seeds", default=DEFAULT_SEEDS, metavar="LIST", help=text)
     add("--families", metavar="LIST", help="of flights, of those that the docs list (all)")
     common.add_config_options(parser)
     add("--overwrite", action="store_true", help="replace an existing file")
+    parser = common.add_command(commands, "campaign", _campaign, CAMPAIGN, CAMPAIGN_EXAMPLES)
+    add = parser.add_argument
+    add("study", metavar="STUDY.yaml", help="a study")
+    text = "folder of the campaign (default campaigns/STUDY); resumed if it is there"
+    add("--out", type=common.path, metavar="DIR", help=text)
+    where = parser.add_mutually_exclusive_group()
+    text = "processes on this computer (default: one for each core)"
+    where.add_argument("--workers", type=common.whole(1), metavar="N", help=text)
+    where.add_argument("--scheduler-address", metavar="A", help="of a running Dask scheduler")
+    add("--rerun", metavar="LIST", help="fly these again, 17 or 3,8-12, or: failed")
+    text = "fly these again and keep all their results in DIR/kept: 17 or 3,8-12"
+    add("--keep", metavar="LIST", help=text)
 
 
 def _evaluate(options: argparse.Namespace) -> int:
@@ -87,4 +107,47 @@ def _fit(options: argparse.Namespace) -> int:
         rows.append((name, count, points, share, f"{case['brier']:.5f}", log))
     text = "\n".join([*aligned(rows), f"the fit is in {out}"])
     common.show(options, {"out": str(out), **origin}, text)
+    return common.DONE
+
+
+def _campaign(options: argparse.Namespace) -> int:
+    options.out = options.out or Path("campaigns", Path(options.study).stem)
+    if options.keep is not None:
+        why = "--keep, which flies one after the other here"
+        common.reject_options(options, why, "rerun", "workers", "scheduler_address")
+    from quadtree_lss.lab.campaign.engine import campaign
+    from quadtree_lss.lab.campaign.study import parse_seeds, read_study
+
+    study = read_study(options.study)
+    if options.keep is not None:
+        kept: dict[str, str] = {}
+        for index in parse_seeds(options.keep):
+            folder = options.out / "kept" / f"{index:06d}"
+            study.kind.keep(study.case(index), folder)
+            kept[f"{index}"] = str(folder)
+            if not options.json:
+                print(f"flight {index} is in {folder}", flush=True)
+        if options.json:
+            common.print_json({"kept": kept})
+        return common.DONE
+    rerun = options.rerun or ()
+    bar = ProgressBar("campaign", "flights", options.verbose)
+    with interruption(f"sums up in {options.out} what is done") as interrupted, bar:
+        result = campaign(
+            study,
+            options.out,
+            workers=options.workers,
+            scheduler_address=options.scheduler_address,
+            rerun=parse_seeds(rerun) if rerun and rerun != "failed" else rerun,
+            progress=bar.update,
+            stop=interrupted,
+            tell=warn,
+        )
+    common.show_result(options, result, f"page and tables in {result.out}")
+    if result.interrupted:
+        say(f"interrupted: {len(result.records)} of {result.study.count} flights are done")
+        return common.INTERRUPTED
+    if result.failed:
+        warn(f"{len(result.failed)} of {len(result.records)} flights failed")
+        return common.IN_PART
     return common.DONE

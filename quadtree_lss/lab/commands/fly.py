@@ -30,9 +30,7 @@ AVOIDANCE = ("package", "paper", "none", "perfect")
 MAX_TIME_S = 100.0
 TERRAIN = "elevation model: GeoTIFF, or .npz with x, y, elevation (ny, nx), m"
 SCENARIOS = ("morpheus", "parabola", "descent", "drone", "depth")
-SIMULATE_OPTIONS = (
-    "seed duration terrain range_noise outliers dropouts flights rocks overwrite".split()
-)
+SIMULATE_OPTIONS = "seed duration terrain range_noise outliers dropouts flights rocks".split()
 SIMULATE = "Simulate a flight: a bag, and truth.npz beside it."
 FLIGHTS = """flights:
   morpheus   Section VII of the paper: 20 s at 20 Hz on a 30 degree glide slope from 450 m, 1 degree
@@ -103,17 +101,15 @@ def _fly(options: argparse.Namespace) -> int:
     given = {
         "avoidance": options.avoidance,
         "terrain": str(options.terrain or ""),
-        "rock_abundance": options.rocks,
+        "rocks": options.rocks,
         "faults": tuple(options.fault),
         "config": common.overrides(options),
     }
     settings = flight_settings(given)
     lockstep = options.lockstep or options.avoidance in ("none", "perfect")
     figures = {"seed": options.seed, "avoidance": options.avoidance, "outcome": "none"}
-    with (
-        made(options.out, QuadtreeLssError),
-        console.ProgressBar("fly", "s", options.verbose) as bar,
-    ):
+    bar = console.ProgressBar("fly", "s", options.verbose)
+    with made(options.out, QuadtreeLssError), bar:
         progress = partial(bar.update, total=MAX_TIME_S)
         try:
             if lockstep:
@@ -149,11 +145,9 @@ def _simulate(options: argparse.Namespace) -> int:
 
     options.out = options.out or Path(f"{options.scenario}_{options.seed}", "bag")
     consequence = f"closes {options.out} and writes truth.npz for what was flown so far"
-    verbose, how = options.verbose, common.keywords(options, *SIMULATE_OPTIONS)
-    with (
-        console.interruption(consequence) as interrupted,
-        console.ProgressBar("simulate", "scans", verbose) as bar,
-    ):
+    how = common.keywords(options, *SIMULATE_OPTIONS, "overwrite")
+    bar = console.ProgressBar("simulate", "scans", options.verbose)
+    with console.interruption(consequence) as interrupted, bar:
         how |= {"progress": bar.update, "stop": interrupted}
         result = simulate(options.scenario, options.out, **how)
     common.show_result(options, result)

@@ -11,9 +11,8 @@ from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.report.page_data import Layer
 from quadtree_lss.desk.report.palette import colour_limits, even_limits
 from quadtree_lss.desk.report.report import page, short_name
-from quadtree_lss.lab.evaluation.metrics import SafetyField
+from quadtree_lss.lab.evaluation.evaluate import EvaluationResult, percent
 from quadtree_lss.lab.evaluation.results import Truth
-from quadtree_lss.lab.evaluation.score import EvaluationResult, percent
 
 #: Verdicts on grid points with colours from the palette of Okabe and Ito.
 VERDICTS = (
@@ -25,14 +24,6 @@ VERDICTS = (
 )
 
 
-def verdict_classes(safety: SafetyField) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
-    """Index into `VERDICTS` of each grid point (ny, nx)."""
-    called, safe = safety.called_safe & safety.seen, safety.truly_safe
-    return np.select(
-        [~safety.scored, safe & called, ~safe & ~called, safe & ~called], [4, 0, 1, 2], 3
-    )
-
-
 def evaluation_page(folder: Path, truth: Truth, result: EvaluationResult) -> str:
     """Render the page. Raises `KeyError`: the results lack an array that a page shows."""
     content, safety = load_results(folder), result.safety
@@ -40,9 +31,13 @@ def evaluation_page(folder: Path, truth: Truth, result: EvaluationResult) -> str
     true = truth.elevation_at(*np.meshgrid(grid["x"], grid["y"]))
     error = np.where(grid.seen, grid["elevation"] - true, np.nan)
     mean = float(np.nanmean(error)) if np.isfinite(error).any() else 0.0
+    called, safe = safety.called_safe & safety.seen, safety.truly_safe
+    cases = ~safety.scored, safe & called, ~safe & ~called, safe & ~called
     classes = np.full(grid["hazard"].shape, 4, dtype=np.uint8)
     rows = np.searchsorted(grid["y"], safety.y - 1e-6)
-    classes[np.ix_(rows, np.searchsorted(grid["x"], safety.x - 1e-6))] = verdict_classes(safety)
+    classes[np.ix_(rows, np.searchsorted(grid["x"], safety.x - 1e-6))] = np.select(
+        cases, [4, 0, 1, 2], 3
+    )
     note = f"Estimate minus truth, without the mean error of navigation, {mean:+.3f} m."
     where = "For the centre of the lander. "
     title, limits = "Error of the elevation, mean removed", even_limits(error - mean)

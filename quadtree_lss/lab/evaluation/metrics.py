@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, distance_transform_edt
 
 from quadtree_lss.desk.exchange.saved import Grid
@@ -31,10 +30,7 @@ SiteVerdict = Literal["safe", "unsafe", "unknown"]
 
 @dataclass(frozen=True)
 class ElevationError:
-    """Estimate minus truth (m) over observed terrain, sampled evenly in area.
-
-    ``without_estimate``: fraction of the observed finest cells that have no estimate.
-    """
+    """Estimate minus truth (m) over observed terrain, sampled evenly in area."""
 
     mean_absolute: float
     rms: float
@@ -43,33 +39,25 @@ class ElevationError:
     mean_absolute_mean_removed: float
     rms_mean_removed: float
     samples: int
-    without_estimate: float
+    without_estimate: float  # fraction of the observed finest cells
 
 
 @dataclass(frozen=True)
 class Detection:
     """Detection of hazardous and safe ground (Table 3), over observed ground with small holes
-    filled. The holes and ground without an estimate are unknown.
+    filled: fractions of the grid points, NaN without any. The holes and ground without an estimate
+    are unknown."""
 
-    Attributes:
-        hazardous_found: Fraction of the truly hazardous grid points not called safe.
-        safe_found: Fraction of the truly safe grid points called safe.
-        hazardous_unknown, safe_unknown: Fractions of these that are unknown.
-        missed_depth: Distance of the deepest missed grid point from safe ground, m.
-        unseen_box: Fraction of the scanned box that is not scored.
-        precision: Fraction of the grid points called safe that are safe; NaN without any.
-    """
-
-    hazardous_found: float
-    safe_found: float
-    hazardous_unknown: float
+    hazardous_found: float  # not called safe, of the truly hazardous
+    safe_found: float  # called safe, of the truly safe
+    hazardous_unknown: float  # of the truly hazardous
     safe_unknown: float
     hazardous_grid_points: int
     safe_grid_points: int
     missed_grid_points: int
-    missed_depth: float
-    unseen_box: float
-    precision: float
+    missed_depth: float  # distance of the deepest missed grid point from safe ground, m
+    unseen_box: float  # of the scanned box: not scored
+    precision: float  # truly safe, of those called safe
 
 
 @dataclass(frozen=True)
@@ -84,16 +72,6 @@ class SafetyField:
     scored: Mask
     risk: Array | None = None
 
-    @property
-    def missed(self) -> Mask:
-        return self.scored & ~self.truly_safe & self.called_safe & self.seen
-
-
-def observed_at(grid: Grid, x: Array, y: Array) -> Mask:
-    """Whether all grid points around each of the points x (n,), y (m,) are estimated: (m, n)."""
-    unseen = (~grid.seen).astype(np.float64)
-    return np.asarray(bilinear(grid.x, grid.y, unseen, x[None, :], y[:, None]) < 1e-8)
-
 
 def elevation_error(cells: CellMap, grid: Grid, truth: Truth) -> ElevationError:
     """Compare leaf planes with the truth at points spread evenly over the finest cells; NaN if
@@ -107,7 +85,8 @@ def elevation_error(cells: CellMap, grid: Grid, truth: Truth) -> ElevationError:
     with np.errstate(invalid="ignore"):
         fine = leaf.repeat(parts, axis=0).repeat(parts, axis=1)
         error = cells.heights(fine, x[None, :], y[:, None]) - truth.elevation_at(*np.meshgrid(x, y))
-    error = error[observed_at(grid, x, y) & np.isfinite(error)]
+    unseen = bilinear(grid.x, grid.y, ~grid.seen, x[None, :], y[:, None])
+    error = error[(unseen < 1e-8) & np.isfinite(error)]  # all grid points around are estimated
     estimated = cells.estimated[leaf[cells.observed]]
     without = float(1.0 - estimated.mean()) if estimated.size else float("nan")
     if not error.size:
@@ -138,19 +117,18 @@ def fill_holes(seen: Mask, spacing: float) -> Mask:
 
 
 def safety_field(grid: Grid, truth: Truth) -> SafetyField:
-    """Compare map and truth at common grid points of the scanned box. If these are less than half
-    of the points of the map, simulate the contact at all of its points."""
+    """Compare map and truth at the map's grid points in the scanned box. If the truth has other
+    grid points, the contact is simulated."""
     xmin, xmax, ymin, ymax = truth.box
-    own_x, own_y = (
+    in_x, in_y = (
         np.flatnonzero((axis >= low - _COINCIDE) & (axis <= high + _COINCIDE))
         for axis, low, high in ((grid.x, xmin, xmax), (grid.y, ymin, ymax))
     )
-    i, in_x = _common(grid.x, truth.safe_x, own_x)
-    j, in_y = _common(grid.y, truth.safe_y, own_y)
-    if 2 * in_x.size >= own_x.size and 2 * in_y.size >= own_y.size:
+    i, same_x = _nearest(truth.safe_x, grid.x[in_x])
+    j, same_y = _nearest(truth.safe_y, grid.y[in_y])
+    if same_x.all() and same_y.all():
         truly_safe = truth.safe[np.ix_(j, i)]
     else:
-        in_x, in_y = own_x, own_y
         truly_safe = safety_map(truth, grid.x[in_x], grid.y[in_y], truth.lander)
     window = np.ix_(in_y, in_x)
     observed = grid.seen | ((grid["hazard"] & UNMAPPED) > 0)
@@ -166,19 +144,10 @@ def safety_field(grid: Grid, truth: Truth) -> SafetyField:
     )
 
 
-def _common(axis: Array, lattice: Array, some: NDArray[np.int64]) -> tuple[Index, Index]:
-    """Indices of common coordinates: into an even ``lattice`` and into ``axis``, among ``some``."""
-    step = (lattice[-1] - lattice[0]) / (lattice.size - 1)
-    near = np.rint((axis[some] - lattice[0]) / step).astype(np.intp).clip(0, lattice.size - 1)
-    same = np.abs(lattice[near] - axis[some]) < _COINCIDE
-    return near[same], some[same]
-
-
-def _hazard_depth(field: SafetyField) -> Array:
-    """Depth (ny, nx) of each grid point inside hazardous ground, m."""
-    spacing = float(field.x[1] - field.x[0]) if field.x.size > 1 else 0.0
-    inside = np.pad(~field.truly_safe, 1, mode="edge")
-    return np.asarray(spacing * distance_transform_edt(inside)[1:-1, 1:-1])
+def _nearest(axis: Array, values: Array) -> tuple[Index, Mask]:
+    """Indices of the coordinates on ``axis`` nearest to values (K,), and whether they coincide."""
+    near = np.abs(axis[:, None] - values).argmin(axis=0)
+    return near, np.abs(axis[near] - values) < _COINCIDE
 
 
 def detection(field: SafetyField) -> Detection:
@@ -186,6 +155,9 @@ def detection(field: SafetyField) -> Detection:
     hazardous = field.scored & ~field.truly_safe
     safe = field.scored & field.truly_safe
     called = field.called_safe & field.seen
+    missed = hazardous & called
+    spacing = float(field.x[1] - field.x[0]) if field.x.size > 1 else 0.0
+    depth = distance_transform_edt(np.pad(~field.truly_safe, 1, mode="edge"))[1:-1, 1:-1]
 
     def share(part: Mask, whole: Mask) -> float:
         return float(part[whole].mean()) if whole.any() else np.nan
@@ -197,8 +169,8 @@ def detection(field: SafetyField) -> Detection:
         safe_unknown=share(~field.seen, safe),
         hazardous_grid_points=int(hazardous.sum()),
         safe_grid_points=int(safe.sum()),
-        missed_grid_points=int(field.missed.sum()),
-        missed_depth=float(_hazard_depth(field)[field.missed].max(initial=0.0)),
+        missed_grid_points=int(missed.sum()),
+        missed_depth=spacing * float(depth[missed].max(initial=0.0)),
         unseen_box=float(1.0 - field.scored.mean()) if field.scored.size else float("nan"),
         precision=share(field.truly_safe, called & field.scored),
     )
@@ -209,12 +181,11 @@ def site_verdicts(sites: Array, truth: Truth) -> tuple[SiteVerdict, ...]:
     from the contact on the DEM."""
     places = sites[:, :2]
     known, safe = on_dem(truth, places, truth.lander), contact_safe(truth, places, truth.lander)
-    for k, (x, y) in enumerate(places):
-        i, j = int(np.abs(truth.safe_x - x).argmin()), int(np.abs(truth.safe_y - y).argmin())
-        if max(abs(truth.safe_x[i] - x), abs(truth.safe_y[j] - y)) < _COINCIDE:
-            known[k], safe[k] = True, truth.safe[j, i]
+    (i, same_x), (j, same_y) = map(_nearest, (truth.safe_x, truth.safe_y), places.T)
+    same = same_x & same_y
+    safe = np.where(same, truth.safe[j, i], safe)
     words: tuple[SiteVerdict, ...] = ("unknown", "unsafe", "safe")
-    return tuple(words[k] for k in known * (1 + safe))
+    return tuple(words[k] for k in (known | same) * (1 + safe))
 
 
 @dataclass(frozen=True)

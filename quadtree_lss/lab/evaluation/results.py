@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.desk.exchange import saved
-from quadtree_lss.desk.exchange.formats import ExchangeError, read_arrays
+from quadtree_lss.desk.exchange.formats import read_arrays
 from quadtree_lss.desk.exchange.saved import Results
 from quadtree_lss.desk.replay.results import ReplayResult, grid_of
 from quadtree_lss.lab.simulation.safety import LandingGear
@@ -25,8 +25,6 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 TOP = 5
 #: Layers of the landing grid that are scored.
 LAYERS = ("elevation", "hazard", "safe", "score")
-#: Columns of ``timing.csv`` that are compared.
-TIMING_COLUMNS = ("stamp_ns", "points", "points_used", "leaves")
 #: Required arrays of ``truth.npz`` with the lengths of their first axes: a number, or the name of
 #: another array of that length.
 SHAPES: dict[str, tuple[int | str, ...]] = {
@@ -36,8 +34,6 @@ SHAPES: dict[str, tuple[int | str, ...]] = {
     "box": (4,),
     "scan_stamp_ns": ("scan_stamp_ns",),
 }
-#: Optional arrays of ``truth.npz``.
-OPTIONAL_ARRAYS = ("seed", "lander")
 
 
 class EvaluationError(QuadtreeLssError):
@@ -46,24 +42,21 @@ class EvaluationError(QuadtreeLssError):
 
 @dataclass(frozen=True)
 class Truth(Terrain):
-    """Content of ``truth.npz``, m, map frame. ``seed`` is None if unknown."""
+    """Content of ``truth.npz``, m, map frame."""
 
     safe_x: Array
     safe_y: Array
     safe: Mask
     box: tuple[float, float, float, float]
     scan_stamp_ns: NDArray[np.int64]
-    seed: int | None = None
     lander: LandingGear = LandingGear()
 
 
 def load_truth(path: str | Path) -> Truth:
-    """Read ``truth.npz``. Raises `EvaluationError`: it is missing or malformed."""
+    """Read ``truth.npz``. Raises `ExchangeError`: it cannot be read; `EvaluationError`: it is no
+    truth."""
     file = Path(path)
-    try:
-        found = read_arrays(file, (*SHAPES, *OPTIONAL_ARRAYS))
-    except ExchangeError as error:
-        raise EvaluationError(str(error)) from error
+    found = read_arrays(file, (*SHAPES, "lander"))
     if missing := [name for name in SHAPES if name not in found]:
         raise EvaluationError(f"{file} lacks {', '.join(missing)}")
     return truth_of(found, file)
@@ -71,7 +64,7 @@ def load_truth(path: str | Path) -> Truth:
 
 def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
     """Make the truth from arrays. Raises `EvaluationError`: their shapes or values are invalid."""
-    a = {name: arrays[name] for name in (*SHAPES, *OPTIONAL_ARRAYS) if name in arrays}
+    a = {name: arrays[name] for name in (*SHAPES, "lander") if name in arrays}
     for name, of in SHAPES.items():
         shape, expected = a[name].shape, tuple(a[n].size if isinstance(n, str) else n for n in of)
         too_short = name in ("x", "y", "safe_x", "safe_y") and shape < (2,)
@@ -80,8 +73,6 @@ def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
     a["box"] = tuple(a["box"].tolist())
     a["safe"] = a["safe"].astype(bool)
     try:
-        if "seed" in a:
-            a["seed"] = int(a["seed"].item())
         if "lander" in a:
             a["lander"] = LandingGear(*map(float, a["lander"].tolist()))
         return Truth(**a)
@@ -91,40 +82,37 @@ def truth_of(arrays: Mapping[str, Any], file: Path = Path(TRUTH_NAME)) -> Truth:
 
 def results_of(replayed: ReplayResult) -> Results:
     """Results of a replay that has no folder."""
-    rows, found = replayed.timings, Results(Path())
+    found = Results(Path())
     places = replayed.assessment.sites.position.reshape(-1, 3)
     vars(found).update(
         map=replayed.cells,
         grid=grid_of(replayed.assessment),
         sites=dict(zip("xyz", places.T, strict=True)),
-        timing={name: np.array([getattr(row, name) for row in rows]) for name in TIMING_COLUMNS},
+        timing={"stamp_ns": np.array([row.stamp_ns for row in replayed.timings])},
         summary=replayed.summary,
     )
     return found
 
 
 def load_results(directory: str | Path) -> Results:
-    """Read a results folder of ``replay``. Raises `EvaluationError`: a file cannot be read."""
+    """Read a results folder of ``replay``. Raises `ResultsError`: a file cannot be read;
+    `EvaluationError`: it lacks what is scored."""
     folder = Path(directory)
+    read = saved.load_results(folder)
+    if missing := [name for name in LAYERS if name not in read.grid.layers]:
+        raise EvaluationError(f"{folder / 'grid.npz'} lacks {', '.join(missing)}")
     try:
-        read = saved.load_results(folder)
-        if missing := [name for name in LAYERS if name not in read.grid.layers]:
-            raise EvaluationError(f"{folder / 'grid.npz'} lacks {', '.join(missing)}")
         for part in ("map", "positions", "summary"):  # reads the files
             getattr(read, part)
-        for name in TIMING_COLUMNS:
-            read.timing[name] = read.timing[name].astype(np.int64)
+        read.timing["stamp_ns"] = read.timing["stamp_ns"].astype(np.int64)
         return read
-    except saved.ResultsError as error:
-        raise EvaluationError(str(error)) from error
     except (KeyError, ValueError) as error:
         msg = "sites.csv or timing.csv lack a column of numbers"
         raise EvaluationError(f"{folder}: {msg}: {error}") from error
 
 
 def check_truth(results: Results, truth: Truth, truth_path: Path) -> None:
-    """Raise `EvaluationError` unless results and truth belong to one flight: the truth must have
-    the stamp of each mapped scan, and the seeds must agree if both are known."""
+    """Raise `EvaluationError` unless the truth has the stamp of each mapped scan."""
     stamps = results.timing["stamp_ns"], truth.scan_stamp_ns
     mapped, flown = (np.unique(of[of > 0]) for of in stamps)  # zero means no stamp
     unknown = mapped[~np.isin(mapped, flown)]
@@ -132,7 +120,3 @@ def check_truth(results: Results, truth: Truth, truth_path: Path) -> None:
         msg = f"{truth_path} is of another flight than {results.folder}: {unknown.size} of"
         msg += f" {mapped.size} mapped scans are not among its {flown.size}, the first at"
         raise EvaluationError(f"{msg} {unknown[0]} ns")
-    seed = results.summary.get("seed")
-    if seed is not None and truth.seed is not None and seed != truth.seed:
-        msg = f"{truth_path} is of seed {truth.seed}, but {results.folder} of seed {seed}"
-        raise EvaluationError(msg)

@@ -24,33 +24,20 @@ REFERENCE_DIAMETER, HALF_SIDE = 3.7, 30.0
 
 @dataclass(frozen=True)
 class Family:
-    """Ranges and choices of a family; None takes the configuration's value.
+    """Ranges and choices of a family; None takes the configuration's value."""
 
-    Attributes:
-        grounds: Names in `FIELDS`, ``any``, ``mixed`` or ``bare``.
-        views: Names in `VIEWS`.
-        diameter: Diameter of the vehicle, m.
-        clearance, noise, grass: Clearance over the diameter; range noise and height of grass over
-            the clearance.
-        slopes: Slope limits, deg.
-        cells: Number of finest cells along the diameter.
-        noise_factors: Configured over true range noise.
-        outliers, dark_loss: Fractions of outliers, and of the returns lost on dark ground.
-        weight: Weight in a fit.
-    """
-
-    grounds: tuple[str, ...] = tuple(FIELDS)
-    views: tuple[str, ...] = ("morpheus",)
-    diameter: Range | None = None
-    clearance: Range | None = None
-    slopes: tuple[float, ...] | None = None
-    cells: Range | None = None
-    noise: Range | None = None
-    noise_factors: tuple[float, ...] = (1.0,)
-    outliers: tuple[float, ...] = (0.0,)
-    grass: Range | None = None
-    dark_loss: Range | None = None
-    weight: float = 1.0
+    grounds: tuple[str, ...] = tuple(FIELDS)  # also any, mixed, bare
+    views: tuple[str, ...] = ("morpheus",)  # names in `VIEWS`
+    diameter: Range | None = None  # of the vehicle, m
+    clearance: Range | None = None  # over the diameter
+    slopes: tuple[float, ...] | None = None  # limits, deg
+    cells: Range | None = None  # number of finest cells along the diameter
+    noise: Range | None = None  # of the range, over the clearance
+    noise_factors: tuple[float, ...] = (1.0,)  # configured over true noise
+    outliers: tuple[float, ...] = (0.0,)  # fraction of the returns
+    grass: Range | None = None  # its height over the clearance
+    dark_loss: Range | None = None  # fraction of the returns lost on dark ground
+    weight: float = 1.0  # in a fit
 
 
 _ANY = (*FIELDS, "any")
@@ -315,17 +302,11 @@ VIEWS: dict[str, Callable[[np.random.Generator], View]] = {
 
 @dataclass(frozen=True)
 class Cover:
-    """Patches of grass and of dark ground.
+    """Patches of grass and of dark ground."""
 
-    Attributes:
-        height: Largest height of grass, m; returns come from anywhere up to it.
-        dark_loss: Fraction of the returns that is lost on dark ground.
-        waves: (4, 3) wave numbers along x and y, rad/m, and phases of the patches.
-    """
-
-    height: float
-    dark_loss: float
-    waves: Array
+    height: float  # of the grass, m; returns come from anywhere up to it
+    dark_loss: float  # fraction of the returns that is lost on dark ground
+    waves: Array  # (4, 3) wave numbers along x and y, rad/m, and phases of the patches
 
     @staticmethod
     def draw(rng: np.random.Generator, family: Family, clearance: float, scale: float) -> Cover:

@@ -15,27 +15,19 @@ import numpy as np
 
 import quadtree_lss
 from quadtree_lss import build
+from quadtree_lss.lab.evaluation import risk_families
 from quadtree_lss.lab.evaluation.metrics import scores
 from quadtree_lss.lab.evaluation.results import EvaluationError
-from quadtree_lss.lab.evaluation.risk_families import (
-    FAMILIES,
-    REFERENCE_DIAMETER,
-    VIEWS,
-    Cover,
-    Family,
-    Range,
-    ground,
-    log_uniform,
-)
+from quadtree_lss.lab.evaluation.risk_families import FAMILIES, Family, Range, log_uniform
 from quadtree_lss.lab.evaluation.risk_fit import fit, risks, unfitted
-from quadtree_lss.lab.simulation.navigation import DriftingNavigation
 from quadtree_lss.lab.simulation.safety import LandingGear, on_dem, worst_contact
 from quadtree_lss.lab.simulation.terrain import Terrain
+from quadtree_lss.lab.simulation.trajectory import DriftingNavigation
 from quadtree_lss.onboard.arrays import Array, Mask, Single
 from quadtree_lss.onboard.config.risk import OVERALL, RiskModel
 from quadtree_lss.onboard.config.settings import Config
-from quadtree_lss.onboard.core.landing.contact import ContactCheck, Contacts
-from quadtree_lss.onboard.core.landing.raster import TerrainRaster, rasterise
+from quadtree_lss.onboard.core.landing.contact import ContactCheck
+from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.risk import RiskTable, contact_limits
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
 from quadtree_lss.onboard.core.sensing.lidar import Pose
@@ -75,19 +67,20 @@ def fly(family: Family, seed: int, config: Config, terrain: Terrain | None = Non
     that the family does not vary; ``terrain`` is for a lander of 3.7 m, None to draw one."""
     rng = np.random.default_rng([seed, 77])
     own, noise, outliers = _draw_case(rng, family, config)
-    scale = own.vehicle.diameter / REFERENCE_DIAMETER
-    made = ground(rng, str(rng.choice(family.grounds))) if terrain is None else terrain
-    surface = made.scaled(scale)
+    scale = own.vehicle.diameter / risk_families.REFERENCE_DIAMETER
+    if terrain is None:
+        terrain = risk_families.ground(rng, str(rng.choice(family.grounds)))
+    surface = terrain.scaled(scale)
     name = str(rng.choice(family.views))
-    view = VIEWS[name](rng)
+    view = risk_families.VIEWS[name](rng)
     # Wide lidars are combined with a less accurate attitude.
     error, turn = scale * log_uniform(rng, 0.3, 1.5), 1.0 if name in ("morpheus", "sweep") else 3.0
     navigation = DriftingNavigation(0.03 * error, 0.01 * error, 0.01 * turn, 0.0015 * turn)
     positions = scale * view.positions
-    noise_factors = navigation.estimate(rng, view.times, positions, view.rotations)
+    estimate = navigation.estimate(rng, view.times, positions, view.rotations)
     parts = [log_uniform(rng, *part) for part in PARTS]
     marks = {max(2, round(part * len(view.times))): part for part in parts}
-    cover = Cover.draw(rng, family, own.vehicle.clearance, scale)
+    cover = risk_families.Cover.draw(rng, family, own.vehicle.clearance, scale)
     mapper, found, beams = Mapper(own), [], view.beams.reshape(-1, 3)
     for k, time in enumerate(view.times):
         directions = beams @ view.rotations[k].T
@@ -98,20 +91,17 @@ def fly(family: Family, seed: int, config: Config, terrain: Terrain | None = Non
         ranges[wrong] += 10.0 * scale * rng.uniform(-1.0, 1.0, int(wrong.sum()))
         ranges[~(ranges > 0.0)] = np.nan
         points = (ranges[:, None] * beams).astype(np.float32).reshape(view.beams.shape)
-        stamp = round(1e9 * (1000.0 + time))
-        mapper.update(
-            points,
-            Pose(
-                stamp,
-                noise_factors.positions[k],
-                noise_factors.rotations[k],
-                noise_factors.covariance,
-            ),
-        )
+        found_pose = estimate.positions[k], estimate.rotations[k], estimate.covariance
+        mapper.update(points, Pose(round(1e9 * (1000.0 + time)), *found_pose))
         if k + 1 in marks:
             found.append((marks[k + 1], round_trip(mapper.snapshot())))
-    slope, rise = _truth(found[-1][1], surface, own)
-    return [Mapped(own, part, cells, slope, rise) for part, cells in found]
+    domain, lander = mapper.domain, lander_of(own)
+    along = domain.finest_size * np.arange(domain.finest_count + 1)
+    corners = np.stack(np.meshgrid(domain.xmin + along, domain.ymin + along), axis=-1)
+    known = on_dem(surface, corners, lander)
+    contact = np.full((2, *known.shape), np.nan, dtype=np.float32)
+    contact[:, known] = worst_contact(surface, corners[known], lander)
+    return [Mapped(own, part, cells, *contact) for part, cells in found]
 
 
 def _draw_case(
@@ -133,26 +123,16 @@ def _draw_case(
     domain = config.domain
     cells = default.diameter / (domain.size / 2**domain.max_level)
     side = diameter / between(family.cells, cells)
-    level = int(np.log2(64.1 / REFERENCE_DIAMETER * diameter / side))
+    level = int(np.log2(64.1 / risk_families.REFERENCE_DIAMETER * diameter / side))
     size = side * 2**level
     above = int(rng.integers(3, 5)) if family.cells else domain.max_level - domain.min_level
     levels = {"min_level": max(level - above, 0), "max_level": level}
     own = replace(domain, xmin=-0.5 * size, ymin=-0.5 * size, size=size, **levels)
-    noise_factors = max(noise * float(rng.choice(family.noise_factors)), 1e-4)
-    lidar = replace(config.lidar, range_noise=noise_factors)
+    configured_noise = max(noise * float(rng.choice(family.noise_factors)), 1e-4)
+    lidar = replace(config.lidar, range_noise=configured_noise)
     lss = replace(config.lss, grid_spacing=side)
     made = replace(config, vehicle=vehicle, domain=own, lidar=lidar, lss=lss)
     return made, noise, float(rng.choice(family.outliers))
-
-
-def _truth(cells: CellMap, surface: Terrain, config: Config) -> tuple[Single, Single]:
-    domain, lander = cells.domain, lander_of(config)
-    along = domain.finest_size * np.arange(domain.finest_count + 1)
-    points = np.stack(np.meshgrid(domain.xmin + along, domain.ymin + along), axis=-1)
-    known = on_dem(surface, points, lander)
-    out = np.full((2, *known.shape), np.nan, dtype=np.float32)
-    out[:, known] = worst_contact(surface, points[known], lander)
-    return out[0], out[1]
 
 
 def lander_of(config: Config) -> LandingGear:
@@ -163,41 +143,29 @@ def lander_of(config: Config) -> LandingGear:
 
 @dataclass(frozen=True)
 class Landings:
-    """Contacts at the grid points of a map.
+    """Landings at the ``usable`` (n + 1, n + 1) grid points of a map, where all ground under the
+    lander is observed and the truth is known: features (K, len(FEATURES)), predicted risk (K,), and
+    whether they fail (K,)."""
 
-    Attributes:
-        usable: (n + 1, n + 1) grid points where all ground under the lander is observed and the
-            truth is known.
-        failed: (K,) whether a landing fails, at each usable grid point.
-    """
-
-    raster: TerrainRaster
-    contacts: Contacts
     usable: Mask
+    features: Single
+    risk: Array
     failed: Mask
-
-    def risk(self, table: RiskTable) -> Array:
-        return table.risk(self.raster, self.contacts)[0][self.usable]
-
-    def features(self, table: RiskTable) -> Single:
-        """Features (K, len(FEATURES)) at the usable grid points."""
-        of = table.features(self.raster, self.contacts)[:, self.usable].T
-        overall = table.overall(self.raster.domain.finest_size)
-        all_over = np.tile([overall[name] for name in OVERALL], (len(of), 1))
-        return np.hstack([of, all_over]).astype(np.float32)
 
 
 def land(mapped: Mapped, model: RiskModel) -> Landings:
-    """Compute the contact at each grid point with the limits of a model."""
+    """Compute contact and risk at each grid point with a model."""
     lss = mapped.config.lss
     raster = rasterise(mapped.cells, lss)
     contacts = ContactCheck(lss, contact_limits(model, lss)).contacts(raster, raster.needs_contact)
     usable = raster.assessable & mapped.known
-    return Landings(raster, contacts, usable, ~mapped.safe[usable])
-
-
-def risk_table(model: RiskModel, config: Config) -> RiskTable:
-    return RiskTable(model, config.lss, config.lidar.range_noise)
+    table = RiskTable(model, lss, mapped.config.lidar.range_noise)
+    local = table.features(raster, contacts)[:, usable].T
+    overall = table.overall(raster.domain.finest_size)
+    all_over = np.tile([overall[name] for name in OVERALL], (len(local), 1))
+    features = np.hstack([local, all_over]).astype(np.float32)
+    risk = table.risk(raster, contacts)[0][usable]
+    return Landings(usable, features, risk, ~mapped.safe[usable])
 
 
 class Sample(NamedTuple):
@@ -210,9 +178,8 @@ class Sample(NamedTuple):
 
 def sampled(rng: np.random.Generator, mapped: Mapped) -> Sample:
     """Sample landings of a map, with few certain and many unexpected failures."""
-    model = unfitted()
-    landings = land(mapped, model)
-    features, failed = landings.features(risk_table(model, mapped.config)), landings.failed
+    landings = land(mapped, unfitted())
+    features, failed = landings.features, landings.failed
     share = np.full(failed.size, min(1.0, MAX_LANDINGS / max(failed.size, 1)))
     rise, rise_beside, tilt, tilt_beside = features[:, :4].T
     share[(rise > 1.45) | (tilt > 1.14)] *= 0.25
@@ -239,9 +206,8 @@ def fit_risk(
     samples_by_family: dict[str, list[Sample]] = {name: [] for name in names}
     for done, seed in enumerate(seeds):
         name, rng = names[done % len(names)], np.random.default_rng([seed, 78])
-        samples_by_family[name] += [
-            sampled(rng, mapped) for mapped in fly(FAMILIES[name], seed, config)
-        ]
+        maps = fly(FAMILIES[name], seed, config)
+        samples_by_family[name] += [sampled(rng, mapped) for mapped in maps]
         if progress is not None:
             progress(done + 1, len(seeds))
     seeds_by_family = {name: list(seeds[k :: len(names)]) for k, name in enumerate(names)}

@@ -8,7 +8,7 @@ The same flight runs in lock-step and over DDS.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,9 +20,9 @@ from quadtree_lss.lab.flight.pilot import Pilot
 from quadtree_lss.lab.flight.settings import FlightSettings
 from quadtree_lss.lab.flight.vehicle import VehicleState
 from quadtree_lss.lab.simulation.lidar import FlashLidar
-from quadtree_lss.lab.simulation.navigation import DriftingNavigation
 from quadtree_lss.lab.simulation.recording import Messages
 from quadtree_lss.lab.simulation.safety import contact_safe
+from quadtree_lss.lab.simulation.trajectory import DriftingNavigation
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config, config_from_values
 
@@ -41,7 +41,6 @@ MAX_SPEED_ACROSS, MAX_TILT_DEG, MAX_SPEED_DOWN = 0.5, 6.0, 2.0
 #: Offset of the poses during the fault ``pose_jump``, m.
 POSE_JUMP = np.array([2.0, 0.0, 1.0])
 UNIT_SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-PAPER_RULES = {"lss.assessment": "paper"}
 
 
 class FlightMessage(NamedTuple):
@@ -80,15 +79,7 @@ class Sample(NamedTuple):
 
 class Flight:
     """One flight. The seed determines the start, the errors of navigation and lidar, and the ground
-    unless ``ground`` is given.
-
-    Attributes:
-        outcome: Empty during the flight, then ``touchdown``, ``aborted`` or ``time``.
-        samples: True states, ten per second.
-        active: End of each active fault, s.
-        failed: Kind, begin and end of all faults so far, s.
-        areas: Published landing areas (V, 2) with their times, s.
-    """
+    unless ``ground`` is given. ``outcome`` is empty during the flight."""
 
     def __init__(self, seed: int, settings: FlightSettings, ground: Ground | None = None) -> None:
         seeds = np.random.SeedSequence(seed).spawn(4)
@@ -112,10 +103,10 @@ class Flight:
         self._lidar = FlashLidar(FIELD_OF_VIEW_DEG, 128, *wrong)
         self._lidar_generator = lidar
         self._pending_faults = list(settings.faults)
-        self.active: dict[str, float] = {}
-        self.failed: list[tuple[str, float, float]] = []
-        self.areas: list[tuple[float, Array]] = []
-        self.outcome = ""
+        self.active: dict[str, float] = {}  # end of each active fault, s
+        self.failed: list[tuple[str, float, float]] = []  # kind, begin and end of all faults, s
+        self.areas: list[tuple[float, Array]] = []  # time, s, and published landing area (V, 2)
+        self.outcome: Literal["", "touchdown", "aborted", "time"] = ""
         self.samples: list[Sample] = []
         self._last_sent: dict[str, bytes] = {}
         self._last_view = (np.zeros(3), np.eye(3))
@@ -260,5 +251,5 @@ def flight_config(settings: FlightSettings, ground: Ground) -> Config:
     config = load_config(["flight"], dict(settings.config), origin="settings")
     half = 0.5 * config.domain.size
     x, y = (float(middle) - half for middle in ground.planned[:2])
-    over: dict[str, Any] = dict(PAPER_RULES) if settings.avoidance == "paper" else {}
+    over: dict[str, Any] = {"lss.assessment": "paper"} if settings.avoidance == "paper" else {}
     return config_from_values(over | {"domain.xmin": x, "domain.ymin": y}, config)

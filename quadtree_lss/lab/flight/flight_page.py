@@ -11,19 +11,15 @@ import numpy as np
 from quadtree_lss.desk.exchange.saved import Results, load_results
 from quadtree_lss.desk.replay.files import write_bytes, write_csv, write_json, write_npz
 from quadtree_lss.desk.replay.results import ReplayResult, run_summary, write_results
+from quadtree_lss.desk.report import palette
 from quadtree_lss.desk.report.page_data import Layer
 from quadtree_lss.desk.report.pages import Columns
-from quadtree_lss.desk.report.palette import (
-    EXCLUDED_COLOUR,
-    SAFE_COLOUR,
-    UNSEEN_COLOUR,
-    colour_limits,
-)
 from quadtree_lss.desk.report.report import page
 from quadtree_lss.lab.flight.flight import START_NS
 from quadtree_lss.lab.flight.fly import FlightResult, flight_config
-from quadtree_lss.lab.flight.ground import GRID, Ground
+from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.pilot import Decision
+from quadtree_lss.lab.simulation.safety import LANDER, on_dem, safety_map
 
 
 def write_flight(out: Path, flown: FlightResult) -> None:
@@ -96,19 +92,15 @@ def _truth_layers(content: Results, ground: Ground) -> tuple[Layer, Layer]:
     """Layers of the true elevation and of the true safety at the grid points."""
     x, y = content.grid["x"], content.grid["y"]
     true = ground.terrain.elevation_at(*np.meshgrid(x, y))
-    stands = np.full(true.shape, 2, dtype=np.uint8)
-    at_x, at_y, clearance = ground.safe
-    rows, columns = (
-        np.flatnonzero((at >= own[0] - 1e-6) & (at <= own[-1] + 1e-6))
-        for at, own in ((y, at_y), (x, at_x))
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    known, safe = on_dem(ground.terrain, points, LANDER), safety_map(ground.terrain, x, y)
+    stands = np.where(known, np.where(safe, 0, 1), 2).astype(np.uint8)
+    limits = palette.colour_limits(true[content.grid.seen] if content.grid.seen.any() else true)
+    words = (
+        ("stands", palette.SAFE_COLOUR),
+        ("falls", palette.EXCLUDED_COLOUR),
+        ("beyond", palette.UNSEEN_COLOUR),
     )
-    near = (
-        np.rint((y[rows] - at_y[0]) / GRID),
-        np.rint((x[columns] - at_x[0]) / GRID),
-    )
-    stands[np.ix_(rows, columns)] = clearance[np.ix_(*(index.astype(int) for index in near))] <= 0.0
-    limits = colour_limits(true[content.grid.seen] if content.grid.seen.any() else true)
-    words = ("stands", SAFE_COLOUR), ("falls", EXCLUDED_COLOUR), ("beyond", UNSEEN_COLOUR)
     return (
         Layer("truth", "True elevation", true, "m", limits=limits),
         Layer("stands", "Where a lander stands, in truth", stands, classes=words),

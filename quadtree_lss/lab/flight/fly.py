@@ -34,22 +34,15 @@ KILLED_NODES = {"kill_lss": "lss", "kill_mapping": "mapping", "forget_mapping": 
 
 @dataclass(frozen=True)
 class FlightResult:
-    """Result of a flight.
-
-    Attributes:
-        figures: Content of ``touchdown.json`` (``docs/topics_and_files.md``).
-        last: The last assessment; None without nodes.
-        cells, history, targets, summary: If recorded, the final map, its history, the changes of
-            the target, and values for ``summary.json``.
-    """
+    """Result of a flight; what follows ``last`` is empty unless it was recorded."""
 
     flight: Flight
-    figures: dict[str, Any]
-    last: LandingAssessment | None
+    figures: dict[str, Any]  # content of ``touchdown.json``
+    last: LandingAssessment | None  # None without nodes
     cells: CellMap | None = None
     history: History | None = None
     targets: tuple[TargetChange, ...] = ()
-    summary: dict[str, Any] = field(default_factory=dict)
+    summary: dict[str, Any] = field(default_factory=dict)  # values for ``summary.json``
 
 
 def fly_lockstep(
@@ -60,13 +53,8 @@ def fly_lockstep(
     progress: Callable[[float], None] | None = None,
     record: bool = False,
 ) -> FlightResult:
-    """Fly in lock-step.
-
-    Args:
-        ground: The ground of this seed if it exists already.
-        progress: Called with the simulated time, s.
-        record: Keep the map, its history and the targets for the page.
-    """
+    """Fly in lock-step, over ``ground`` if it exists already. ``progress`` is called with the
+    simulated time, s; ``record`` keeps map, history and targets for the page."""
     flight = Flight(seed, settings, ground)
     if not flight.scanning:
         run_flight(flight, None, progress)

@@ -17,20 +17,13 @@ from quadtree_lss.onboard.arrays import Array
 
 @dataclass(frozen=True)
 class ScanPlan:
-    """Parameters of the surveys.
+    """Parameters of the surveys; s, m."""
 
-    Attributes:
-        survey, target_survey: Durations of a survey of the area and around the target, s.
-        half: Largest and smallest half side of the surveyed square around the target, m.
-        overlap: Overlap of neighbouring strips as a fraction of their width.
-        rate_deg, scan_rate: Turn rate of the boresight, deg/s; scans per second.
-    """
-
-    survey: float = 8.0
-    target_survey: float = 1.5
-    half: tuple[float, float] = (9.0, 3.0)
-    overlap: float = 0.2
-    rate_deg: float = 60.0
+    survey: float = 8.0  # duration of a survey of the area
+    target_survey: float = 1.5  # and around the target
+    half: tuple[float, float] = (9.0, 3.0)  # largest and smallest half side around the target
+    overlap: float = 0.2  # of neighbouring strips, of their width
+    rate_deg: float = 60.0  # turn rate of the boresight
     scan_rate: float = 20.0
 
 
@@ -89,9 +82,8 @@ class Gimbal:
         half = self.half
         if target is None and aim is not None:
             across = self._angle * float(np.linalg.norm(aim - position - 0.9 * seconds * velocity))
-            covered = (
-                0.45 * (1.0 - self.plan.overlap) * across * sqrt(seconds * self.plan.scan_rate)
-            )
+            scans = seconds * self.plan.scan_rate
+            covered = 0.45 * (1.0 - self.plan.overlap) * across * sqrt(scans)
             if covered < half:
                 centre, half = aim, max(covered, self.plan.half[1])
                 seconds *= (half / covered) ** 2
@@ -103,8 +95,7 @@ class Gimbal:
         along = sight[:2] / level if level > 1.0 else np.array([1.0, 0.0])
         # A flat line of sight lengthens the footprint.
         deep = across_deep / max(-sight[2] / float(np.linalg.norm(sight)), 0.2)
-        edge = half * (abs(along[0]) + abs(along[1])) - 0.4 * deep
-        edge = max(edge, 0.0)
+        edge = max(half * (abs(along[0]) + abs(along[1])) - 0.4 * deep, 0.0)
         strips = 1 + int(np.ceil(2.0 * edge / (deep * (1.0 - self.plan.overlap))))
         rows = np.linspace(-edge, edge, strips)
         end = max(half - 0.3 * across_deep, 0.0)

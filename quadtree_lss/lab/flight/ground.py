@@ -15,8 +15,8 @@ from quadtree_lss.lab.simulation.scenarios import Conditions
 from quadtree_lss.lab.simulation.terrain import SimulationError, Terrain
 from quadtree_lss.onboard.arrays import Array
 
+#: Spacing of the points that ``perfect`` avoidance chooses from, m.
 GRID = 0.25
-"""Spacing of the points that ``perfect`` avoidance chooses from, m."""
 
 
 @dataclass(frozen=True)
@@ -31,13 +31,10 @@ class Ground:
     def of(cls, settings: FlightSettings, generator: np.random.Generator) -> Ground:
         """Make the ground of the settings. On a DEM the planned point is drawn within 100 m of its
         centre. Raises `SimulationError`: the terrain cannot be read or is too small."""
-        given = Conditions(terrain=settings.terrain or None, rocks=settings.rock_abundance)
+        given = Conditions(terrain=settings.terrain or None, rocks=settings.rocks)
         terrain = given.ground("morpheus", generator)
         xmin, xmax, ymin, ymax = terrain.bounds
-        x, y = (
-            GRID * round(0.5 * (xmin + xmax) / GRID),
-            GRID * round(0.5 * (ymin + ymax) / GRID),
-        )
+        x, y = (GRID * round(0.5 * (a + b) / GRID) for a, b in ((xmin, xmax), (ymin, ymax)))
         clearance = 0.5 * min(xmax - xmin, ymax - ymin) - 4.0
         if clearance < 2.0:
             raise SimulationError("terrain: too small; a flight needs 12 m by 12 m")

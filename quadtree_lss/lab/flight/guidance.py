@@ -27,18 +27,12 @@ _FRACTIONS = np.linspace(0.0, 1.0, 13)
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a path.
+    """Limits of a path."""
 
-    Attributes:
-        thrust_share: Factor on the largest thrust; the smallest is divided by it.
-        glide_slope_deg, floor: The path stays ``floor``, m, above the cone of this elevation over
-            its end.
-    """
-
-    thrust_share: float = 0.95
+    thrust_share: float = 0.95  # factor on the largest thrust; the smallest is divided by it
     tilt_deg: float = 40.0
-    glide_slope_deg: float = 15.0
-    floor: float = -0.5
+    glide_slope_deg: float = 15.0  # elevation of a cone over the end of the path
+    floor: float = -0.5  # least height above that cone, m
 
 
 @dataclass(frozen=True)
@@ -112,10 +106,8 @@ def limited_thrust(vehicle: Vehicle, mass: float, acceleration: Array) -> Array:
     up = min(up * mass, 0.97 * vehicle.thrust_max)
     side = mass * acceleration[:2]
     size = float(np.hypot(*side))
-    side_limit = min(
-        np.tan(np.radians(vehicle.tilt_max_deg)) * up,
-        np.sqrt(max(vehicle.thrust_max**2 - up**2, 0.0)),
-    )
+    by_tilt = np.tan(np.radians(vehicle.tilt_max_deg)) * up
+    side_limit = min(by_tilt, np.sqrt(max(vehicle.thrust_max**2 - up**2, 0.0)))
     if size > side_limit:
         side = side * (side_limit / size)
     return np.array([side[0], side[1], up])

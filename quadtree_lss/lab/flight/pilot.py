@@ -21,32 +21,22 @@ from quadtree_lss.onboard.arrays import Array
 
 @dataclass(frozen=True)
 class Rules:
-    """Parameters of guidance; m, m/s, s.
-
-    Attributes:
-        limit_factor: Factor on the limits of tilt and thrust, tried first when a path is planned.
-        gate, gate_speed: Height over the aim and speed at the start of the vertical descent.
-        hover, max_wait: Height over the aim and longest time of waiting for a target.
-        dispersion: 1 sigma of the touchdown along x and y, added to the position error on
-            ``landing/dispersion``. It exceeds the usual 0.1 m because targets at the edge of safe
-            ground are often withdrawn.
-        zone_radius: Radius of the landing zone, which ``landing/area`` contains.
-        headings, reach: Number of vertices of that area and their largest distance.
-        reserve: Propellant that a divert must leave, kg.
-    """
+    """Parameters of guidance; m, m/s, s."""
 
     limits: Limits = field(default_factory=Limits)
-    limit_factor: float = 0.9
-    gate: float = 8.0
+    limit_factor: float = 0.9  # on the limits of tilt and thrust, tried first for a path
+    gate: float = 8.0  # height over the aim at the start of the vertical descent
     gate_speed: float = 1.5
     touchdown_speed: float = 1.2
-    hover: float = 60.0
+    hover: float = 60.0  # height over the aim while waiting for a target
     max_wait: float = 60.0
+    # 1 sigma of the touchdown along x and y, added to the position error. It exceeds the usual
+    # 0.1 m because targets at the edge of safe ground are often withdrawn.
     dispersion: float = 0.5
-    zone_radius: float = 2.4
-    headings: int = 12
-    reach: float = 45.0
-    reserve: float = 15.0
+    zone_radius: float = 2.4  # of the landing zone, which ``landing/area`` contains
+    headings: int = 12  # number of vertices of that area
+    reach: float = 45.0  # their largest distance
+    reserve: float = 15.0  # propellant that a divert must leave, kg
 
 
 class Decision(NamedTuple):
@@ -214,11 +204,9 @@ class Pilot:
         if np.isfinite(self.time_to_go):
             times = self.time_to_go + np.linspace(-2.0, 4.0, 25)
             times = times[times > 3.0]
-        limits, limit_factor, found = self.rules.limits, self.rules.limit_factor, None
-        factors = {
-            name: limit_factor * getattr(limits, name) for name in ("thrust_share", "tilt_deg")
-        }
-        reduced = replace(limits, **factors)
+        limits, factor, found = self.rules.limits, self.rules.limit_factor, None
+        share, tilt = factor * limits.thrust_share, factor * limits.tilt_deg
+        reduced = replace(limits, thrust_share=share, tilt_deg=tilt)
         for kept in (reduced, limits):
             if found is None and len(times):
                 found = self._paths(self.gate()[None], times, kept).best()

@@ -20,13 +20,11 @@ FAULTS = tuple(
     "kill_lss kill_mapping forget_mapping pose_gap pose_jump lidar_gap keep_out land_now".split()
 )
 LIMITS = {
-    k: SIMULATION_LIMITS[k] for k in "range_noise outliers dropouts glide_slope_deg".split()
-} | {
-    "half": (2.0, 1e4),
-    "slant_range": (20.0, 1e5),
-    "speed": (0.0, 1e3),
-    "scatter": (0.0, 1e3),
+    name: SIMULATION_LIMITS[name]
+    for name in ("range_noise", "outliers", "dropouts", "glide_slope_deg")
 }
+LIMITS |= {"half": (2.0, 1e4), "slant_range": (20.0, 1e5)}
+LIMITS |= {"speed": (0.0, 1e3), "scatter": (0.0, 1e3)}
 #: Largest height, m, and duration, s, of a fault.
 MAX_FAULT_VALUE = 1e4
 
@@ -65,29 +63,20 @@ class Fault:
 
 @dataclass(frozen=True)
 class FlightSettings:
-    """Settings of a flight.
-
-    Attributes:
-        terrain: File as in ``simulate --terrain``; empty for a field of rocks and craters.
-        rock_abundance: Fraction of ground under rocks; None: 0.05 on that field, 0 on a terrain.
-        half: Half side of the candidate area around the planned point, m.
-        slant_range, speed, glide_slope_deg: Nominal start, m, m/s, deg.
-        scatter: 1 sigma of the initial position, m; a twentieth of it for the velocity, m/s.
-        config: Parameters by dotted key that override ``config/flight.yaml``.
-    """
+    """Settings of a flight; m, m/s."""
 
     avoidance: str = "package"
-    terrain: str = ""
-    rock_abundance: float | None = None
+    terrain: str = ""  # file as in ``simulate --terrain``; empty: a field of rocks and craters
+    rocks: float | None = None  # None: 0.05 on that field, 0 on a terrain
     range_noise: float = 0.06
     outliers: float = 0.0
     dropouts: float = 0.0
-    half: float = 25.0
+    half: float = 25.0  # half side of the candidate area around the planned point
     slant_range: float = 600.0
     speed: float = 40.0
     glide_slope_deg: float = 30.0
-    scatter: float = 10.0
-    config: Mapping[str, Any] = field(default_factory=dict)
+    scatter: float = 10.0  # 1 sigma of the initial position; a twentieth of it for the velocity
+    config: Mapping[str, Any] = field(default_factory=dict)  # overrides ``config/flight.yaml``
     vehicle: Vehicle = field(default_factory=Vehicle)
     rules: Rules = field(default_factory=Rules)
     plan: ScanPlan = field(default_factory=ScanPlan)

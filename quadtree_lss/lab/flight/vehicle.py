@@ -16,25 +16,17 @@ EARTH_G = 9.80665
 
 @dataclass(frozen=True)
 class Vehicle:
-    """Parameters of a small lunar lander; kg, N, m/s^2.
+    """Parameters of a small lunar lander; kg, N, m/s^2."""
 
-    Attributes:
-        mass, propellant: Initial mass; part of it that can be burnt.
-        isp: Specific impulse, s.
-        thrust_min, thrust_max, thrust_rate: Limits of the engine, which stays on in flight.
-        tilt_max_deg, tilt_rate_deg: Limits of the angle between thrust and vertical.
-        delay: Time from a command to its effect, s.
-    """
-
-    mass: float = 1800.0
-    propellant: float = 250.0
-    isp: float = 310.0
-    thrust_min: float = 1300.0
+    mass: float = 1800.0  # initial
+    propellant: float = 250.0  # part of the mass
+    isp: float = 310.0  # specific impulse, s
+    thrust_min: float = 1300.0  # the engine stays on in flight
     thrust_max: float = 6600.0
     thrust_rate: float = 6000.0
-    tilt_max_deg: float = 45.0
+    tilt_max_deg: float = 45.0  # between thrust and vertical
     tilt_rate_deg: float = 20.0
-    delay: float = 0.1
+    delay: float = 0.1  # from a command to its effect, s
     gravity: float = 1.62
 
     @property
@@ -92,7 +84,10 @@ class VehicleState:
         v = self.vehicle
         size = sqrt(float(self._command @ self._command))
         wanted = self._command / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
-        wanted = limit_tilt(wanted, v.tilt_max_deg)
+        limit = radians(v.tilt_max_deg)
+        if wanted[2] < cos(limit):
+            side = sin(limit) / max(hypot(wanted[0], wanted[1]), 1e-12)
+            wanted = np.array([side * wanted[0], side * wanted[1], cos(limit)])
         self.direction = rotate_toward(self.direction, wanted, radians(v.tilt_rate_deg) * dt)
         change = min(max(size - self.thrust, -v.thrust_rate * dt), v.thrust_rate * dt)
         self.thrust = min(max(self.thrust + change, v.thrust_min), v.thrust_max)
@@ -104,15 +99,3 @@ def rotate_toward(old: Array, new: Array, max_angle: float) -> Array:
     if angle > max_angle:
         new = sin(angle - max_angle) * old + sin(max_angle) * new
     return new / sqrt(float(new @ new))
-
-
-def limit_tilt(direction: Array, limit_deg: float) -> Array:
-    """Limit the angle of a unit vector (3,) from the vertical; its heading stays."""
-    limit = radians(limit_deg)
-    if direction[2] >= cos(limit):
-        return direction
-    across = hypot(direction[0], direction[1])
-    if across < 1e-12:
-        return np.array([0.0, 0.0, 1.0])
-    side = sin(limit) / across
-    return np.array([side * direction[0], side * direction[1], cos(limit)])

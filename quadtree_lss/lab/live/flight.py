@@ -28,18 +28,10 @@ from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.target import Reason
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
-from quadtree_lss.onboard.messages import landing_inputs
+from quadtree_lss.onboard.messages import landing_inputs, outputs
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.messages.landing_inputs import LandingRequests
-from quadtree_lss.onboard.messages.outputs import (
-    CELLS,
-    OBSERVED,
-    SELECTED,
-    SITES,
-    STATUS,
-    map_from_messages,
-    status_from_message,
-)
+from quadtree_lss.onboard.messages.outputs import CELLS, OBSERVED, SELECTED, SITES, STATUS
 from quadtree_lss.onboard.nodes.qos import latched, stream
 from quadtree_lss.onboard.nodes.ros_messages import TYPES, packed, time_message
 
@@ -60,9 +52,9 @@ def fly_live(
 ) -> FlightResult:
     """Fly with both nodes as processes; their parameters, checkpoint and output go to ``folder``.
 
-    The avoidance must be ``package`` or ``paper``. A slow computer slows ``/clock`` down.
-    ``domain``: by default a free one. Raises `PlayError`: the nodes did not start in time;
-    `ProcessError`: a node is not installed or has ended, or others publish the same topics.
+    The avoidance must be ``package`` or ``paper``. ``domain``: by default a free one. Raises
+    `PlayError`: the nodes did not start in time; `ProcessError`: a node is not installed or has
+    ended, or others publish the same topics.
     """
     flight = Flight(seed, settings)
     config = flight_config(settings, flight.ground)
@@ -92,29 +84,23 @@ class LiveNodes:
         self._args += ["-p", "qos_overrides./lidar/points.subscription.reliability:=reliable"]
         self._args += ["-p", f"checkpoint.path:={self._checkpoint}"]
         self._stack, self._folder = stack, folder
-        local = stack.enter_context(local_domain(folder, domain))
-        self._env = local.env
+        domain = stack.enter_context(local_domain(folder, domain))
         topics = {topic: TOPICS[topic] for topic in (CELLS, OBSERVED, SITES)}
-        self._listener = stack.enter_context(Listener(local.number, topics, "flight"))
+        self._listener = stack.enter_context(Listener(domain, topics, "flight"))
         node = self._node = self._listener.node
         self._make = Messages(TYPES, packed, config.frames.map)
         self._clock = node.create_publisher(Clock, "/clock", stream(10, reliable=True))
-        self._publishers = {
-            topic: node.create_publisher(
-                TYPES[kind],
-                topic,
-                latched() if topic.startswith("landing/") else stream(200, reliable=True),
-            )
-            for topic, kind in TOPIC_KINDS.items()
-        }
+        self._publishers = {}
+        for topic, kind in TOPIC_KINDS.items():
+            profile = latched() if topic.startswith("landing/") else stream(200, reliable=True)
+            self._publishers[topic] = node.create_publisher(TYPES[kind], topic, profile)
         self._service = node.create_client(Trigger, "lss_node/land_now")
         self._received: list[Array | None] = []
         self.requests, self.targets = LandingRequests(config.frames.map), list[TargetChange]()
         node.create_subscription(TOPICS[SELECTED], SELECTED, self._on_selected, latched())
         node.create_subscription(TOPICS[STATUS], STATUS, self._on_status, latched())
-        check_publishers(
-            node, dict.fromkeys(("/clock", *TOPIC_KINDS), 1) | dict.fromkeys(TOPICS, 0)
-        )
+        ours = dict.fromkeys(("/clock", *TOPIC_KINDS), 1)
+        check_publishers(node, ours | dict.fromkeys(TOPICS, 0))
         self._killed: set[str] = set()
         self._nodes = {name: self._start(name) for name in ("mapping", "lss")}
         try:
@@ -128,7 +114,6 @@ class LiveNodes:
         self._began = time.monotonic()
 
     def publish(self, sent: FlightMessage, now_ns: int) -> None:
-        """Publish a message."""
         message = sent.message(self._make)
         if sent.topic.startswith("landing/"):
             self.requests.use_message(sent.topic.removeprefix("landing/"), message)
@@ -169,14 +154,14 @@ class LiveNodes:
         heard.wait_for(lambda: len({heard.stamp(topic) for topic in topics}) == 1, 2.0)
         if heard.stamp(CELLS) != heard.stamp(OBSERVED) or CELLS not in heard.newest:
             return None
-        return map_from_messages(heard.newest[CELLS], heard.newest[OBSERVED])
+        return outputs.map_from_messages(heard.newest[CELLS], heard.newest[OBSERVED])
 
     def _start(self, name: str) -> NodeProcess:
         log = self._folder / f"{name}_{time.monotonic_ns()}.txt"
-        return self._stack.enter_context(NodeProcess(f"{name}_node", self._args, self._env, log))
+        return self._stack.enter_context(NodeProcess(f"{name}_node", self._args, log))
 
     def _on_status(self, message: Any) -> None:
-        said = status_from_message(message)
+        said = outputs.status_from_message(message)
         x, y, z, share = (float(said[name]) for name in ("x", "y", "z", "probability"))
         stamp, reason = stamp_ns(message.header), Reason(said["reason"]).key
         row = TargetChange(stamp, int(said["id"]), x, y, z, share, reason)

@@ -10,11 +10,9 @@ from functools import partial
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 
 from quadtree_lss.onboard.messages.clouds import stamp_ns
 from quadtree_lss.onboard.messages.outputs import TOPIC_TYPES
@@ -26,8 +24,7 @@ TOPICS: Mapping[str, Any] = {name: TYPES[kind] for name, kind in TOPIC_TYPES.ite
 
 class Listener:
     """Context manager that holds the ``newest`` message of each latched topic, by default of all
-    topics of the nodes, and the last status of ``diagnostics`` by name. The caller may add
-    publishers and clients to ``node``."""
+    topics of the nodes. The caller may add publishers and clients to ``node``."""
 
     def __init__(
         self, domain: int, topics: Mapping[str, Any] = TOPICS, name: str = "listener"
@@ -37,11 +34,8 @@ class Listener:
         self.node = Node(name, context=self._context)
         self._changed = threading.Condition()
         self.newest: dict[str, Any] = {}
-        self.diagnostics: dict[str, Any] = {}
         for topic, kind in topics.items():
             self.node.create_subscription(kind, topic, partial(self._keep, topic), latched())
-        profile = QoSProfile(depth=10)
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._keep_status, profile)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._stop = threading.Event()
@@ -76,12 +70,6 @@ class Listener:
     def _keep(self, topic: str, message: Any) -> None:
         with self._changed:
             self.newest[topic] = message
-            self._changed.notify_all()
-
-    def _keep_status(self, message: Any) -> None:
-        with self._changed:
-            for status in message.status:
-                self.diagnostics[status.name] = status
             self._changed.notify_all()
 
     def _spin(self) -> None:

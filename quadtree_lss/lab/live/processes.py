@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start and end the installed programs as processes in a ROS domain of their own.
-
-launch_testing and domain_coordinator of ROS do the same but are not available as wheels.
-"""
+"""Start and end the installed programs as processes in a ROS domain of their own, as do
+launch_testing and domain_coordinator, which are not available as wheels."""
 
 from __future__ import annotations
 
@@ -15,7 +13,6 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -49,14 +46,6 @@ def program(name: str) -> Path:
     raise ProcessError(msg)
 
 
-@dataclass(frozen=True)
-class LocalDomain:
-    """A ROS domain on this computer, and the environment of its processes."""
-
-    number: int
-    env: dict[str, str]
-
-
 def environment_domain() -> int | None:
     """Return ``ROS_DOMAIN_ID``, or None. Raises `ProcessError`: it is not a domain."""
     text = os.environ.get("ROS_DOMAIN_ID", "")
@@ -71,22 +60,16 @@ def environment_domain() -> int | None:
 def check_publishers(node: Any, ours: Mapping[str, int]) -> None:
     """Raise `ProcessError` if a topic has more publishers than its number in ``ours``."""
     time.sleep(DISCOVERY_S)
-    others = []
-    for topic, count in ours.items():
-        there = node.get_publishers_info_by_topic(topic)
-        if len(there) > count:
-            names = sorted({f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in there})
-            others.append(f"{topic} ({', '.join(names)})")
-    if others:
-        msg = f"others in this ROS domain publish {'; '.join(others)}: set another ROS_DOMAIN_ID"
+    if others := [topic for topic, count in ours.items() if node.count_publishers(topic) > count]:
+        msg = f"others in this ROS domain publish {', '.join(others)}: set another ROS_DOMAIN_ID"
         raise ProcessError(msg)
 
 
 @contextmanager
-def local_domain(log_dir: Path, given: int | None = None) -> Iterator[LocalDomain]:
-    """Reserve a ROS domain on this computer for this process and its children: the ``given`` one or
-    a free one. Within the context SIGTERM acts like Ctrl-C, so that the children end. Raises
-    `ProcessError`: other programs have reserved the domain, or all domains."""
+def local_domain(log_dir: Path, given: int | None = None) -> Iterator[int]:
+    """Reserve a ROS domain for this process and its children: the ``given`` one or a free one. The
+    environment limits it to this computer, and SIGTERM acts like Ctrl-C, so that the children end.
+    Raises `ProcessError`: other programs have reserved the domain, or all domains."""
     if given is None:
         found = ((n, _reserve(n)) for n in random.SystemRandom().sample(DOMAINS, len(DOMAINS)))
         number, reservation = next((one for one in found if one[1]), (-1, None))
@@ -95,9 +78,17 @@ def local_domain(log_dir: Path, given: int | None = None) -> Iterator[LocalDomai
     if reservation is None:
         which = f"between {min(DOMAINS)} and {max(DOMAINS)}" if given is None else f"{given}"
         raise ProcessError(f"no free ROS domain {which}: set another ROS_DOMAIN_ID")
-    env = _local_environment(number, log_dir)
+    env = {
+        "ROS_DOMAIN_ID": str(number),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOG_DIR": str(log_dir),
+        "PYTHONUNBUFFERED": "1",
+    }
+    if "fastrtps" in os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"):
+        env["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
+        env["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(LOCAL_PROFILE)
     with reservation, mock.patch.dict(os.environ, env), _interrupted_by_sigterm():
-        yield LocalDomain(number, env)
+        yield number
 
 
 @contextmanager
@@ -123,25 +114,12 @@ def _reserve(domain: int) -> socket.socket | None:
     return result
 
 
-def _local_environment(domain: int, log_dir: Path) -> dict[str, str]:
-    """Environment of this process with a ROS domain that is limited to this computer."""
-    env = {
-        **os.environ,
-        "ROS_DOMAIN_ID": str(domain),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "ROS_LOG_DIR": str(log_dir),
-        "PYTHONUNBUFFERED": "1",
-    }
-    if "fastrtps" in env.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"):
-        env["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
-        env["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(LOCAL_PROFILE)
-    return env
-
-
 class NodeProcess:
     """A node as a process with ROS arguments and an output file; it ends with the context."""
 
-    def __init__(self, name: str, ros_args: Sequence[str], env: dict[str, str], log: Path) -> None:
+    def __init__(
+        self, name: str, ros_args: Sequence[str], log: Path, env: Mapping[str, str] | None = None
+    ) -> None:
         self.name = name
         self.log = log
         command = [str(program(name)), "--ros-args", *ros_args]

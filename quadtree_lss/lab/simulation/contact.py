@@ -27,14 +27,10 @@ def worst_contacts(
     worst: Array,
 ) -> None:
     """Fill ``worst`` (K, 2) with the tangent of the steepest resting plane and the largest rise of
-    the ground above any of the planes, m.
+    the ground above any of the planes, m, for landers at ``points`` (K, 2), entirely over the DEM.
 
-    Args:
-        elevation: (ny, nx) posts, m.
-        frame: (4,) position of the first post and distances between posts: x, y, dx, dy, m.
-        points: (K, 2) centres of landers that are entirely over the posts, m.
-        heading: (4 yaws, 2) cosine and sine of the directions of the pads, once round the circle.
-        radius, pad_radius: Radii of the circle on which the pads stand and of a pad, m.
+    ``frame`` (4,): position of the first post and distances between posts, x, y, x, y; ``heading``
+    (4 yaws, 2): cosine and sine of the directions of the pads; ``radius``: of their circle.
     """
     cython.declare(k=cython.Py_ssize_t, p=cython.Py_ssize_t, q=cython.Py_ssize_t)
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, r=cython.Py_ssize_t)

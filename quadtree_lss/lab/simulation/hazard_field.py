@@ -9,7 +9,6 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import gaussian_filter
 
-from quadtree_lss.lab.simulation.rocks import add_rocks
 from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.arrays import Array
 
@@ -152,10 +151,20 @@ def _rock_heights(generator: np.random.Generator, axis: Array, field: HazardFiel
 def _add_rocks(
     axis: Array, rocks: Array, stones: tuple[Array, ...], *, heaped: bool = False
 ) -> None:
-    """Add ellipsoids given by x, y, diameter, height, ratio of axes and yaw (K,)."""
+    """Raise the posts to half-buried ellipsoids: x, y, diameter, height, ratio of axes, yaw (K,).
+    ``heaped``: each lies at 0.6 of the height of the rocks below its centre, at most 0.6 m up."""
     x, y, diameter, height, axes, yaw = stones
     long, short = 0.5 * diameter / np.sqrt(axes), 0.5 * diameter * np.sqrt(axes)
-    ends = np.column_stack([y - long, y + long, x - long, x + long])
-    posts = np.searchsorted(axis, ends).astype(np.intp)
+    posts = np.searchsorted(axis, np.column_stack([y - long, y + long, x - long, x + long]))
     shapes = np.column_stack([x, y, height, long, short, np.cos(yaw), np.sin(yaw)])
-    add_rocks(rocks, axis, posts, shapes, heaped)
+    for (south, north, west, east), (cx, cy, high, a, b, cos, sin) in zip(
+        posts.tolist(), shapes.tolist(), strict=True
+    ):
+        dx, dy = axis[None, west:east] - cx, axis[south:north, None] - cy
+        along, across = (cos * dx + sin * dy) / a, (cos * dy - sin * dx) / b
+        rise = high * np.sqrt(np.maximum(1.0 - along * along - across * across, 0.0))
+        part = rocks[south:north, west:east]
+        if heaped and part.size:
+            middle = part[(north - south) // 2, (east - west) // 2]
+            rise = np.where(rise > 0.0, rise + min(0.6 * middle, 0.6), 0.0)
+        np.maximum(part, rise, out=part)

@@ -20,10 +20,8 @@ MAX_OUTLIER = 10.0
 @cache
 def pixel_beams(width_deg: float, height_deg: float, columns: int, rows: int) -> Array:
     """Unit directions (rows, columns, 3) over a field of view, read-only."""
-    across, down = (
-        np.radians(angle) * ((np.arange(count) + 0.5) / count - 0.5)
-        for angle, count in ((width_deg, columns), (height_deg, rows))
-    )
+    across = np.radians(width_deg) * ((np.arange(columns) + 0.5) / columns - 0.5)
+    down = np.radians(height_deg) * ((np.arange(rows) + 0.5) / rows - 0.5)
     azimuth, elevation = np.meshgrid(across, -down)
     level = np.cos(elevation)
     # Eq. 14 with ρ = 1.
@@ -46,7 +44,7 @@ class FlashLidar:
     dropouts: float = 0.0
 
     def directions(self) -> Array:
-        """Unit beam directions (pixels, pixels, 3) in the lidar frame (Eq. 14 with ρ = 1)."""
+        """Unit beam directions (pixels, pixels, 3) in the lidar frame."""
         side, count = self.field_of_view_deg, self.pixels
         return pixel_beams(side, side, count, count)
 

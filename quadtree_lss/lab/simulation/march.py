@@ -31,15 +31,11 @@ def march(
     speed: Array,
     ranges: Array,
 ) -> None:
-    """Set the range of each ray to its first hit, NaN without one.
+    """Set ``ranges`` (N,) to the first hit on the ``elevation`` (ny, nx), NaN without one.
 
-    Args:
-        elevation: (ny, nx) posts, m.
-        far, middle, near: Highest post within one window of each block of 64, 16 and 4 posts.
-        box: (2,) heights of the lowest and of the highest post, m.
-        start: (3,) origin of the rays: posts, posts, m.
-        speed: (N, 3) change of position per unit of range: posts, posts, m.
-        ranges: (N,), set.
+    The rays start at ``start`` (3,) and move by ``speed`` (N, 3) per unit of range: posts, posts,
+    m. ``far``, ``middle``, ``near``: highest post within one window of each block of 64, 16 and 4
+    posts; ``box`` (2,): heights of the lowest and of the highest post.
     """
     cython.declare(k=cython.Py_ssize_t, i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     cython.declare(axis=cython.Py_ssize_t, entering=cython.bint)

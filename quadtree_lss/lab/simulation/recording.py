@@ -29,13 +29,8 @@ XYZ = record_dtype(("f4", "xyz"))
 
 
 class Messages(MessageMaker):
-    """Make messages from arrays.
-
-    Args:
-        types: Message classes by name, by default those of rosbags.
-        pack: Converts arrays of uint8 for these classes.
-        frame: The map frame.
-    """
+    """Make messages from arrays: of classes ``types`` by name, by default those of rosbags.
+    ``pack`` converts arrays of uint8 for them; ``frame`` is the map frame."""
 
     def __init__(
         self,

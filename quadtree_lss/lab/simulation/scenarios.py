@@ -12,7 +12,6 @@ import numpy as np
 
 from quadtree_lss.lab.simulation.hazard_field import HazardField, add_rocks_to, hazard_field
 from quadtree_lss.lab.simulation.lidar import FlashLidar, StereoCamera
-from quadtree_lss.lab.simulation.navigation import DriftingNavigation, Navigation, WhiteNavigation
 from quadtree_lss.lab.simulation.safety import LandingGear
 from quadtree_lss.lab.simulation.terrain import (
     SimulationError,
@@ -22,8 +21,11 @@ from quadtree_lss.lab.simulation.terrain import (
     parabola,
 )
 from quadtree_lss.lab.simulation.trajectory import (
+    DriftingNavigation,
+    Navigation,
     Sweep,
     Trajectory,
+    WhiteNavigation,
     descent_trajectory,
     section_vi_trajectory,
 )
@@ -60,34 +62,25 @@ LIMITS = {
     "navigation_error": (0.0, 100.0),
     "rocks": (0.0, 0.3),
     "slope_deg": (0.0, 20.0),
+    "flights": (1, 1000),
 }
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """Conditions of a flight; None takes the value of the scenario.
+    """Conditions of a flight; None takes the value of the scenario. Raises `SimulationError`: a
+    value is out of its limits."""
 
-    Raises `SimulationError`: a value is out of its limits.
-
-    Attributes:
-        duration, range_noise: Duration of the flight, s; 1 sigma of a range, m.
-        terrain: A DEM or its path.
-        outliers, dropouts: Fractions of false and of missing returns.
-        glide_slope_deg: Glide slope of the morpheus scenario.
-        navigation_error: Factor on the default errors of all scenarios except parabola.
-        rocks: Fraction of the ground under rocks (k of Golombek and Rapp); added to a terrain.
-        slope_deg: RMS slope of a simulated field.
-    """
-
-    duration: float | None = None
-    terrain: Terrain | str | Path | None = None
-    range_noise: float | None = None
-    outliers: float = 0.0
-    dropouts: float = 0.0
-    glide_slope_deg: float = 30.0
-    navigation_error: float = 1.0
-    rocks: float | None = None
-    slope_deg: float | None = None
+    duration: float | None = None  # s
+    terrain: Terrain | str | Path | None = None  # a DEM or its path
+    range_noise: float | None = None  # 1 sigma, m
+    outliers: float = 0.0  # fraction of false returns
+    dropouts: float = 0.0  # fraction of missing returns
+    glide_slope_deg: float = 30.0  # of the morpheus scenario
+    navigation_error: float = 1.0  # factor on the errors of all scenarios except parabola
+    rocks: float | None = None  # fraction of the ground under rocks; added to a terrain
+    slope_deg: float | None = None  # RMS slope of a simulated field
+    flights: int = 1  # over the same ground, each with new navigation errors
 
     def __post_init__(self) -> None:
         check(self, LIMITS, SimulationError)
@@ -187,11 +180,8 @@ class LookingDown:
         count = max(int(np.floor(duration * self.rate + 1e-9)), 1)
         scans = (np.arange(count, dtype=np.float64) + 0.137) / self.rate
         poses = _times(duration + 2.0 * LEAD, 50.0, -LEAD)
-        sensor = (
-            conditions.lidar(*self.lidar)
-            if self.lidar
-            else StereoCamera(dropouts=conditions.dropouts)
-        )
+        camera = StereoCamera(dropouts=conditions.dropouts)
+        sensor = conditions.lidar(*self.lidar) if self.lidar else camera
         navigation = conditions.drifting(0.02, 0.005)
         return FlightPlan(terrain, sensor, trajectory, navigation, scans, poses, box, self.spacing)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kind ``map``: simulate, map, rank sites and score in memory."""
+"""Kinds of flights: ``map`` simulates, maps and scores in memory; ``fly`` lands in lock-step."""
 
 from __future__ import annotations
 
@@ -12,21 +12,23 @@ from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.lab.campaign.kinds import Case, Figures, Kind, Quantity
-from quadtree_lss.lab.evaluation.evaluate import evaluate
+from quadtree_lss.lab.evaluation.evaluate import EvaluationResult, evaluate, score
 from quadtree_lss.lab.evaluation.results import Results, Truth, results_of, truth_of
 from quadtree_lss.lab.evaluation.risk_flights import lander_of
-from quadtree_lss.lab.evaluation.score import EvaluationResult, score
+from quadtree_lss.lab.flight import fly as lockstep
+from quadtree_lss.lab.flight.flight_page import write_flight
+from quadtree_lss.lab.flight.settings import AVOIDANCE, FlightSettings, flight_settings
 from quadtree_lss.lab.simulation.lidar import StereoCamera
-from quadtree_lss.lab.simulation.recording import DEPTH_TYPES, POSE, POSE_TOPIC, TYPES
+from quadtree_lss.lab.simulation.recording import CLOUD, DEPTH_TYPES, POSE, POSE_TOPIC, SCAN_TOPIC
 from quadtree_lss.lab.simulation.scenarios import SCENARIOS, Conditions
-from quadtree_lss.lab.simulation.simulate import simulate
-from quadtree_lss.lab.simulation.simulation import Simulation
+from quadtree_lss.lab.simulation.simulate import Simulation, simulate
 from quadtree_lss.onboard.config.settings import Config
 
-CONDITIONS = ("flights", *(item.name for item in fields(Conditions)))
+LANDING_CONDITIONS = "terrain rocks range_noise outliers dropouts half".split()
+LANDING_CONDITIONS += "slant_range speed glide_slope_deg scatter survey fault".split()
 
 
-def fly(case: Case) -> Figures:
+def fly_map(case: Case) -> Figures:
     config = load_config([], case.parameters)
     results, truth = fly_in_memory(case.scenario, case.seed, config, case.conditions)
     return figures(score(results, truth), results, truth)
@@ -34,10 +36,14 @@ def fly(case: Case) -> Figures:
 
 def in_memory(simulation: Simulation) -> MessageBag:
     """A simulated flight as a bag in memory that can be read once."""
-    depth, counts = {**DEPTH_TYPES, POSE_TOPIC: POSE}, {POSE_TOPIC: simulation.poses}
-    kinds = depth if isinstance(simulation.legs[0].plan.lidar, StereoCamera) else TYPES
-    topics = [Topic(name, kind, counts.get(name, simulation.scans)) for name, kind in kinds.items()]
-    return MessageBag("bag", topics, simulation.span_ns, simulation.messages())
+    legs = simulation.legs
+    scans, poses = sum(len(leg.scan_ns) for leg in legs), sum(len(leg.pose_ns) for leg in legs)
+    depth = isinstance(legs[0].plan.lidar, StereoCamera)
+    kinds = DEPTH_TYPES if depth else {SCAN_TOPIC: CLOUD}
+    topics = [Topic(name, kind, scans) for name, kind in kinds.items()]
+    topics.append(Topic(POSE_TOPIC, POSE, poses))
+    span_ns = legs[0].arrivals[0][0], legs[-1].arrivals[-1][0]
+    return MessageBag("bag", topics, span_ns, simulation.messages())
 
 
 def fly_in_memory(
@@ -52,7 +58,7 @@ def fly_in_memory(
 def figures(scores: EvaluationResult, results: Results, truth: Truth) -> Figures:
     detection, elevation = scores.detection, scores.elevation
     known = [verdict for verdict in scores.site_verdicts if verdict != "unknown"]
-    found: dict[str, float | int | None] = {
+    found = {
         "hazardous_found": 100.0 * detection.hazardous_found,
         "safe_found": 100.0 * detection.safe_found,
         "precision": 100.0 * detection.precision,
@@ -75,11 +81,10 @@ def figures(scores: EvaluationResult, results: Results, truth: Truth) -> Figures
         "truly_safe": 100.0 * float(truth.safe.mean()),
         "brier": None if scores.risk is None else scores.risk.brier,
     }
-    whole: Figures = plain(found)
-    return whole
+    return plain(found)
 
 
-def keep(case: Case, folder: Path) -> None:
+def keep_map(case: Case, folder: Path) -> None:
     config, given = load_config([], case.parameters), dict[str, Any](case.conditions)
     given |= {"seed": case.seed, "overwrite": True, "lander": lander_of(config)}
     simulate(case.scenario, folder / "bag", **given)
@@ -88,10 +93,10 @@ def keep(case: Case, folder: Path) -> None:
 
 
 MAP = Kind(
-    fly=fly,
-    keep=keep,
+    fly=fly_map,
+    keep=keep_map,
     scenarios=tuple(SCENARIOS),
-    conditions=CONDITIONS,
+    conditions=tuple(item.name for item in fields(Conditions)),
     quantities=(
         Quantity("hazardous_found", "Hazardous terrain found", "%", 2, "smallest"),
         Quantity("safe_found", "Safe terrain found", "%", 1, "smallest"),
@@ -108,5 +113,55 @@ MAP = Kind(
         Quantity("unseen_box", "Scanned box out of the score", "%", 2),
         Quantity("leaves", "Leaves with an estimate", "", 0),
         Quantity("truly_safe", "Truly safe ground", "%", 1, "smallest"),
+    ),
+)
+
+
+def settings_of(case: Case) -> FlightSettings:
+    """Settings of a case, whose scenario is the avoidance."""
+    given: dict[str, Any] = dict(case.conditions)
+    fault = given.pop("fault", None)
+    given |= {"avoidance": case.scenario, "config": dict(case.parameters)}
+    given["faults"] = (str(fault),) if fault else ()
+    given["terrain"] = given.get("terrain") or ""
+    return flight_settings(given)
+
+
+def fly_landing(case: Case) -> Figures:
+    found = lockstep.fly_lockstep(case.seed, settings_of(case)).figures
+    down = found["outcome"] == "touchdown"
+    return {
+        **{k: int(v) if isinstance(v, bool) else v for k, v in found.items() if k != "seed"},
+        "one": 1,
+        "doubted": int(bool(found["warnings"])),
+        "aborted": int(not down),
+        "unsafe": int(down and not found["safe"]),
+        "from_planned": found["from_planned"] if down else None,
+        "unsafe_known": int(down and not found["ground_safe"] and found["map_said"] == "unsafe"),
+    }
+
+
+def keep_landing(case: Case, folder: Path) -> None:
+    write_flight(folder, lockstep.fly_lockstep(case.seed, settings_of(case), record=True))
+
+
+FLY = Kind(
+    fly=fly_landing,
+    keep=keep_landing,
+    scenarios=AVOIDANCE,
+    conditions=LANDING_CONDITIONS,
+    quantities=(
+        Quantity("safe", "Safe touchdowns", worst="smallest", of="one"),
+        Quantity("unsafe", "Unsafe touchdowns", of="one"),
+        Quantity("aborted", "Flights without touchdown", of="one"),
+        Quantity("doubted", "Flights with warnings about their risks", of="one"),
+        Quantity("unsafe_known", "Unsafe where the map had said so", of="one"),
+        Quantity("error", "Touchdown from the aim", "m", 3),
+        Quantity("from_planned", "Touchdown from the planned point", "m", 1),
+        Quantity("propellant", "Propellant", "kg", 1),
+        Quantity("diverts", "Diverts after the first target", "", 1),
+        Quantity("last_divert_height", "Height of the last divert", "m", 1, "smallest"),
+        Quantity("last_divert_time", "Time of the last divert", "s", 1),
+        Quantity("time", "Time of flight", "s", 1),
     ),
 )
