@@ -10,7 +10,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.onboard.arrays import Array, Points
+from quadtree_lss.onboard.arrays import Array, Points, keep_memory
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config
 from quadtree_lss.onboard.core.mapping.alignment import (
     AGREEING_SHARE,
@@ -117,6 +117,7 @@ class Mapper:
     """
 
     def __init__(self, config: Config = DEFAULTS) -> None:
+        keep_memory()
         self.config = config
         self.leaves = LeafTable(Domain.of(config.domain), config.mapping.max_cells)
         self._area: tuple[float, float] | None = None

@@ -45,12 +45,9 @@ def isolated_in_image(ranges: Array, gate: float) -> Ints:
         return pixels[:0]
     steps = np.empty(len(SAMPLE))
     known = second_steps(ranges, (SAMPLE * ranges.size).astype(np.int32), steps)
-    limit = (
-        GATE_FACTOR * float(np.partition(steps[:known], known // 2)[known // 2]) if known else 0.0
-    )
-    if limit > gate:  # a wider gate isolates a subset
-        count = keep_isolated(ranges, limit, pixels[:count])
-    return pixels[:count]
+    if known:
+        gate = max(gate, GATE_FACTOR * float(np.partition(steps[:known], known // 2)[known // 2]))
+    return pixels[: find_isolated(ranges, gate, pixels)]
 
 
 @cython.boundscheck(False)
@@ -76,21 +73,6 @@ def find_isolated(ranges: Array, limit: float, pixels: Ints) -> cython.Py_ssize_
                     pixels[count] = row * width + column
                     count += 1
                 column += max(linked, 1) if linked == width - 1 else 1
-    return count
-
-
-@cython.boundscheck(False)
-@cython.locals(ranges=cython.double[:, ::1], pixels=cython.int[::1])
-def keep_isolated(ranges: Array, limit: float, pixels: Ints) -> cython.Py_ssize_t:
-    """Move isolated ``pixels`` (M,) to the front; return their number."""
-    i: cython.Py_ssize_t
-    count: cython.Py_ssize_t = 0
-    width: cython.Py_ssize_t = ranges.shape[1]
-    with cython.nogil:
-        for i in range(pixels.shape[0]):
-            if is_isolated(ranges, pixels[i] // width, pixels[i] % width, limit):
-                pixels[count] = pixels[i]
-                count += 1
     return count
 
 

@@ -100,5 +100,5 @@ def points_from_ranges(ranges: ArrayLike, azimuth: ArrayLike, elevation: ArrayLi
 def clip_covariance(covariance: Array) -> Array:
     """Clip the eigenvalues of a covariance (K, K) to 0 .. `MAX_VARIANCE`."""
     values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(values.clip(0.0, MAX_VARIANCE))
+    root = vectors * np.sqrt(np.minimum(np.maximum(values, 0.0), MAX_VARIANCE))
     return np.asarray(root @ root.T)

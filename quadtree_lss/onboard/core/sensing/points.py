@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import sys
+from typing import TYPE_CHECKING, NamedTuple
 
 import cython
 import numpy as np
@@ -11,50 +11,36 @@ from cython.cimports.libc.math import INFINITY, NAN, sqrt
 from cython.cimports.quadtree_lss.onboard.core.geometry.morton import PLACE_BITS, prefetch
 
 from quadtree_lss.onboard.arrays import Array, Ints, Keys, Points
+from quadtree_lss.onboard.config.settings import LidarConfig
 from quadtree_lss.onboard.core.geometry.morton import SPREAD, sort_packed
+
+if TYPE_CHECKING:
+    from quadtree_lss.onboard.core.tree.domain import Domain
 
 #: As a typed view.
 SPREAD_VIEW = cython.declare(cython.longlong[::1], SPREAD)
 
 
-class Workspace:
-    """Arrays of the kernels for a scan of N points, and three more (see `sort_points`).
+class MapPoints(NamedTuple):
+    """N points of a scan in map axes, in the order of the scan.
 
     Attributes:
-        points_map: (N + 3, 3) in map axes about the lidar, m; undefined where there is no return.
+        points: (N + 3, 3) about the lidar, m; undefined where there is no return.
         ranges: (N,) m, NaN where there is no return.
-        runs: (N,) runs of consecutive points in the same finest cell: its Morton code (``count``
+        runs: (R,) runs of consecutive points in the same finest cell: its Morton code (``count``
             squared outside the domain) and the number of the run, packed for `morton.sort_packed`.
-        begins: (N + 1,) the first point of each run, and the end of the last.
-        run_count: Number of runs.
-        still: (1, 12) motion of a lidar at rest: its rotation, and zeros.
+        begins: (R + 1,) the first point of each run, and the end of the last.
         missing, beyond: Number of points that are not finite, and of those out of range.
-        above: Whether a point in a cell lies above the origin.
+        above: Whether a point in a cell lies above the lidar.
     """
 
-    def __init__(self, size: cython.Py_ssize_t) -> None:
-        self.points_map, self.ranges = np.empty((size + 3, 3)), np.empty(size)
-        self.points, self.range = self.points_map, self.ranges
-        self.flat = self.points_map.reshape(-1)
-        self.runs, self.spare = np.empty((2, size), np.int64)
-        self.begins = np.empty(size + 1, np.int32)
-        self.still = np.zeros((1, 12))
-        self.missing = self.beyond = self.run_count = 0
-        self.above = False
-        self._fresh()
-
-    def _fresh(self) -> None:
-        size = len(self.points_map)
-        self._arranged, self._key = np.empty((size, 3)), np.empty(size, np.int64)
-        self.arranged, self.key = self._arranged.reshape(-1), self._key
-        self._references = sys.getrefcount(self._arranged), sys.getrefcount(self._key)
-
-    def output(self) -> tuple[Array, Keys]:
-        """Return arrays for points (N + 3, 3) and keys (N + 3,): those of the scan before, or new
-        ones if they are still referenced."""
-        if (sys.getrefcount(self._arranged), sys.getrefcount(self._key)) != self._references:
-            self._fresh()
-        return self._arranged, self._key
+    points: Array
+    ranges: Array
+    runs: Keys
+    begins: Ints
+    missing: int
+    beyond: int
+    above: bool
 
 
 @cython.boundscheck(False)
@@ -63,26 +49,22 @@ def transform_points(
     offsets: Ints,
     times: Array,
     motion: Array,
-    min_range: float,
-    max_range: float,
-    west: float,
-    south: float,
-    per_metre: float,
-    count: cython.longlong,
-    work: Workspace,
-) -> cython.void:
+    lidar: LidarConfig,
+    domain: Domain,
+    position: Array,
+) -> MapPoints:
     """Rotate points (N, 3) to map axes, about the lidar at the scan's stamp, m; find their cells.
 
     Args:
         points_lidar: (N, 3) lidar axes, m.
         offsets, times, motion: As in `sweep.Sweep`; without offsets, or if all times are equal, the
             first row of ``motion`` applies to all points.
-        min_range, max_range: Shorter or longer ranges are no returns, m.
-        west, south: Position of the lidar from the domain's south-western corner, m.
-        per_metre, count: Finest cells per metre, and along a side.
-        work: Receives the results.
+        lidar: Shorter or longer ranges than its limits are no returns.
+        domain: Of the map.
+        position: (3,) of the lidar at the scan's stamp, map frame, m.
     """
     i: cython.Py_ssize_t
+    number: cython.Py_ssize_t = points_lidar.shape[0]
     missing: cython.longlong = 0
     beyond: cython.longlong = 0
     highest: cython.double = -INFINITY
@@ -91,21 +73,28 @@ def transform_points(
     run: cython.Py_ssize_t = -1
     last: cython.longlong = -1
     cython.declare(code=cython.longlong)
+    count: cython.longlong = 1 << domain.max_level
     nowhere: cython.longlong = count * count
     side: cython.double = count
+    per_metre: cython.double = count / domain.size
+    west: cython.double = position[0] - domain.xmin
+    south: cython.double = position[1] - domain.ymin
+    max_range: cython.double = lidar.max_range
     moving: cython.bint = offsets.shape[0] > 0 and times[0] < times[times.shape[0] - 1]
-    nearest: cython.double = max(min_range, 5e-324)  # greater than 0
+    nearest: cython.double = max(lidar.min_range, 5e-324)  # greater than 0
     r = cython.declare(cython.double[12])
-    points = cython.declare(cython.double[:, ::1], work.points)
-    ranges = cython.declare(cython.double[::1], work.range)
-    runs = cython.declare(cython.longlong[::1], work.runs)
-    begins = cython.declare(cython.int[::1], work.begins)
+    all_points, all_ranges = np.empty((number + 3, 3)), np.empty(number)
+    all_runs, all_begins = np.empty(number, np.int64), np.empty(number + 1, np.int32)
+    points = cython.declare(cython.double[:, ::1], all_points)
+    ranges = cython.declare(cython.double[::1], all_ranges)
+    runs = cython.declare(cython.longlong[::1], all_runs)
+    begins = cython.declare(cython.int[::1], all_begins)
     spread = cython.declare(cython.longlong[::1], SPREAD_VIEW)
     begins[0] = 0
     with cython.nogil:
         for k in range(12):
             r[k] = motion[0, k]
-        for i in range(points_lidar.shape[0]):
+        for i in range(number):
             x = points_lidar[i, 0]
             y = points_lidar[i, 1]
             z = points_lidar[i, 2]
@@ -145,10 +134,15 @@ def transform_points(
             last = code
             runs[run] = (code << PLACE_BITS) | run
             begins[run + 1] = i + 1
-    work.missing = missing
-    work.beyond = beyond
-    work.run_count = run + 1
-    work.above = highest > 0.0
+    return MapPoints(
+        all_points,
+        all_ranges,
+        all_runs[: run + 1],
+        all_begins[: run + 2],
+        missing,
+        beyond,
+        highest > 0.0,
+    )
 
 
 @cython.boundscheck(False)
@@ -164,13 +158,13 @@ def any_beyond(points: Points, limit: float) -> cython.bint:
 
 @cython.boundscheck(False)
 def sort_points(
-    work: Workspace, isolated: cython.bint, nowhere: cython.longlong
-) -> cython.Py_ssize_t:
-    """Sort the runs, copy points and keys run by run to `Workspace.output`, return their number.
+    scan: MapPoints, isolated: cython.bint, nowhere: cython.longlong
+) -> tuple[Array, Keys]:
+    """Sort the runs; return points (M, 3) and their keys (M,), run by run.
 
     Of each run at least four points are copied, without a branch on its length; the next run
-    overwrites the excess, and the last three points of the output are undefined. Points outside
-    the domain (key ``nowhere``) are dropped, and with ``isolated`` those without a range.
+    overwrites the excess. Points outside the domain (key ``nowhere``) are dropped, and with
+    ``isolated`` those without a range.
     """
     four = cython.declare(cython.double[12])
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, run=cython.Py_ssize_t)
@@ -178,13 +172,14 @@ def sort_points(
     key: cython.longlong
     ahead: cython.longlong
     to: cython.Py_ssize_t = 0
-    runs = cython.declare(cython.longlong[::1], work.runs[: work.run_count])
-    spare = cython.declare(cython.longlong[::1], work.spare[: work.run_count])
-    points = cython.declare(cython.double[::1], work.flat)
-    ranges = cython.declare(cython.double[::1], work.range)
-    begins = cython.declare(cython.int[::1], work.begins)
-    arranged = cython.declare(cython.double[::1], work.arranged)
-    keys = cython.declare(cython.longlong[::1], work.key)
+    runs = cython.declare(cython.longlong[::1], scan.runs)
+    spare = cython.declare(cython.longlong[::1], np.empty_like(scan.runs))
+    points = cython.declare(cython.double[::1], scan.points.reshape(-1))
+    ranges = cython.declare(cython.double[::1], scan.ranges)
+    begins = cython.declare(cython.int[::1], scan.begins)
+    sorted_points, sorted_keys = np.empty_like(scan.points), np.empty(len(scan.points), np.int64)
+    arranged = cython.declare(cython.double[::1], sorted_points.reshape(-1))
+    keys = cython.declare(cython.longlong[::1], sorted_keys)
     if sort_packed(runs, spare):
         runs = spare
     with cython.nogil:
@@ -218,4 +213,4 @@ def sort_points(
                 for j in range(4, end - begin):
                     keys[to + j] = key
             to += end - begin
-    return to
+    return sorted_points[:to], sorted_keys[:to]

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -14,15 +13,13 @@ from quadtree_lss.onboard.core.geometry.bounds import MAX_HEIGHT
 from quadtree_lss.onboard.core.geometry.morton import SPREAD
 from quadtree_lss.onboard.core.sensing.isolated import isolated_in_image, isolated_in_space
 from quadtree_lss.onboard.core.sensing.lidar import Pose, clip_covariance
-from quadtree_lss.onboard.core.sensing.points import Workspace, sort_points, transform_points
+from quadtree_lss.onboard.core.sensing.points import sort_points, transform_points
 from quadtree_lss.onboard.core.sensing.sweep import NO_OFFSETS, STAMP_ONLY, Sweep
 
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.tree.domain import Domain
     from quadtree_lss.onboard.core.tree.held_returns import HeldReturns, IsolatedReturns
 
-#: Most points of a scan whose memory is kept for the next scan.
-KEPT_POINTS = 1 << 20
 #: Greatest height of a lidar, m: ranges are at most 1e6 m, and map heights less than `MAX_HEIGHT`.
 HIGHEST = MAX_HEIGHT - 2e6
 
@@ -87,51 +84,41 @@ def register(
     if sweep is not None and len(sweep.offsets) != len(flat):
         msg = f"sweep of {len(sweep.offsets)} points for a scan of {len(flat)}"
         raise ValueError(msg)
-    work = _workspace(len(flat))
-    points_map = work.points_map[: len(flat)]
     if sweep is None:
-        work.still[0, :9] = pose.rotation_map_lidar.ravel()
-        motion = NO_OFFSETS, STAMP_ONLY, work.still
+        at_rest = np.zeros((1, 12))
+        at_rest[0, :9] = pose.rotation_map_lidar.ravel()
+        motion = NO_OFFSETS, STAMP_ONLY, at_rest
     else:
         motion = sweep.offsets, sweep.times, sweep.motion
-    x, y, z = pose.position.tolist()
-    n = 1 << domain.max_level
-    transform_points(
-        flat,
-        *motion,
-        lidar.min_range,
-        lidar.max_range,
-        x - domain.xmin,
-        y - domain.ymin,
-        n / domain.size,
-        n,
-        work,
-    )
+    scan = transform_points(flat, *motion, lidar, domain, pose.position)
+    points_map, ranges = scan.points[: len(flat)], scan.ranges
     if points_lidar.ndim == 3:
-        image = work.ranges.reshape(points_lidar.shape[:2])
-        isolated = isolated_in_image(image, lidar.outlier_gate)
+        isolated = isolated_in_image(ranges.reshape(points_lidar.shape[:2]), lidar.outlier_gate)
     else:
-        isolated = isolated_in_space(points_map, work.ranges, lidar.outlier_gate)
+        isolated = isolated_in_space(points_map, ranges, lidar.outlier_gate)
     compared = None
     if held is not None and len(isolated):
         compared = held.compare(points_map[isolated] + pose.position, domain, lidar.outlier_gate)
         isolated = isolated[~compared.confirmed]
-    work.ranges[isolated] = np.nan
-    valid = len(flat) - work.missing - work.beyond - len(isolated)
-    points, key = work.output()
-    inside = sort_points(work, len(isolated) > 0, n * n) if abs(z) < HIGHEST else 0
+    ranges[isolated] = np.nan
+    valid = len(flat) - scan.missing - scan.beyond - len(isolated)
+    n = 1 << domain.max_level
+    points, key = sort_points(scan, len(isolated) > 0, n * n)
+    if abs(pose.position[2]) >= HIGHEST:
+        points, key = points[:0], key[:0]
+    inside = len(key)
     centre = None
     if valid and not inside:
-        mean = points_map[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]
+        mean = points_map[ranges > 0.0, :2].mean(axis=0) + pose.position[:2]
         centre = float(mean[0]), float(mean[1])
-    above = int(np.count_nonzero(points[:inside, 2] > 0.0)) if work.above else 0
+    above = np.count_nonzero(points[:, 2] > 0.0) if scan.above else 0
     above = inside if 2 * above > inside else 0
     points, key, admitted = points[: inside - above], key[: inside - above], 0
     if held is not None and compared is not None and len(compared.admitted) and len(key):
         positions = held.places(compared.admitted, domain)
         points, key = _insert_admitted(points, key, positions - pose.position, compared.admitted, n)
         admitted = len(positions)
-    scan = RegisteredScan(
+    registered = RegisteredScan(
         pose=Pose(
             pose.stamp_ns, pose.position, pose.rotation_map_lidar, clip_covariance(pose.covariance)
         ),
@@ -143,12 +130,12 @@ def register(
         admitted=admitted,
     )
     dropped = {
-        "no_return": work.missing,
-        "range": work.beyond,
+        "no_return": scan.missing,
+        "range": scan.beyond,
         "isolated": len(isolated),
         "outside": valid - inside,
     }
-    return scan, dropped | ({"above": above} if above else {})
+    return registered, dropped | ({"above": above} if above else {})
 
 
 def _insert_admitted(
@@ -161,16 +148,3 @@ def _insert_admitted(
     order = np.argsort(own)
     index = np.searchsorted(key, own[order], side="right")
     return np.insert(points, index, admitted[order], axis=0), np.insert(key, index, own[order])
-
-
-def _workspace(size: int) -> Workspace:
-    """Return a workspace, reused for scans of equal size: allocation is as slow as the kernels."""
-    if size > KEPT_POINTS:
-        return Workspace(size)
-    if getattr(_cache, "size", None) != size:
-        _cache.size, _cache.work = size, Workspace(size)
-    work: Workspace = _cache.work
-    return work
-
-
-_cache = threading.local()
