@@ -46,13 +46,11 @@ def read_values(path: str | os.PathLike[str], faults: list[str] | None = None) -
                 continue
             sections += 1
             if not isinstance(section or {}, Mapping):
-                msg = f"ros__parameters of '{name}' has no keys"
-                raise ConfigError(msg)
+                raise ConfigError(f"ros__parameters of '{name}' has no keys")
             values |= flatten(section or {})
         except ConfigError as error:
             if faults is None:
-                msg = f"{path}: {error}"
-                raise ConfigError(msg) from None
+                raise ConfigError(f"{path}: {error}") from None
             faults.append(str(error))
     if not sections and not faults:
         msg = f"{path}: no section '/**:' with 'ros__parameters:' (or one of {', '.join(NODES)})"
@@ -78,8 +76,7 @@ def _content(path: str | os.PathLike[str]) -> Mapping[Any, Any]:
     try:
         content = read_yaml(path)
     except YamlError as error:
-        msg = f"{path}: {error}"
-        raise ConfigError(msg) from None
+        raise ConfigError(f"{path}: {error}") from None
     return content if isinstance(content, Mapping) else {}
 
 
@@ -101,6 +98,5 @@ def _is_ours(name: str) -> bool:
         return True
     close = difflib.get_close_matches(node, NODES, n=1, cutoff=0.75)
     if close:
-        msg = f"unknown section '{node}'; did you mean '{close[0]}'?"
-        raise ConfigError(msg)
+        raise ConfigError(f"unknown section '{node}'; did you mean '{close[0]}'?")
     return False

@@ -11,7 +11,7 @@ from quadtree_lss.onboard.arrays import Array, Points
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.mapping.mapper import ScanReport
 from quadtree_lss.onboard.core.sensing.lidar import Pose
-from quadtree_lss.onboard.core.sensing.mount import AXES, cloud_rotation
+from quadtree_lss.onboard.core.sensing.mount import AXES
 from quadtree_lss.onboard.core.sensing.pose_buffer import seconds
 from quadtree_lss.onboard.core.tree.domain import Domain
 
@@ -98,7 +98,7 @@ def likely_reason(points_lidar: Points, pose: Pose, config: Config) -> str:
     if not len(points):
         return ""
     p, r = pose.position, pose.rotation_map_lidar
-    own = r @ cloud_rotation(config.mount).T
+    own = r @ AXES[config.mount.axes].T
     corrections = [
         (f"mount.axes: {name}", own @ turn, p)
         for name, turn in AXES.items()

@@ -41,7 +41,7 @@ class Fusion:
 
     def __init__(self, rules: Rules, scan: RegisteredScan, now: float) -> None:
         self.rules = rules
-        x, y, z = scan.origin.tolist()
+        x, y, z = scan.pose.position.tolist()
         self.origin = [x, y, z]
         covariance = scan.pose.covariance.ravel().tolist()
         self.sigma = [0.0] * 36

@@ -42,7 +42,7 @@ from quadtree_lss.onboard.core.mapping.update import (
     ScanUpdate,
 )
 from quadtree_lss.onboard.core.sensing.lidar import Pose
-from quadtree_lss.onboard.core.sensing.pose_buffer import SECOND_NS
+from quadtree_lss.onboard.core.sensing.pose_buffer import JUMP_NS
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan, register
 from quadtree_lss.onboard.core.sensing.sweep import Sweep
 from quadtree_lss.onboard.core.tree import checkpoint
@@ -53,8 +53,6 @@ from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.held_returns import HeldReturns
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, to_grid
 
-#: A scan that is older than the map by more than this is not late: time jumped back (`ScanQueue`).
-JUMP_NS = SECOND_NS
 #: Least number of cells of a scan for an estimate of the range noise.
 NOISE_CELLS = 3
 #: Share of a new scan in the running mean of the observed range noise.

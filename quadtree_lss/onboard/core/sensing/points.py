@@ -12,7 +12,7 @@ from cython.cimports.quadtree_lss.onboard.core.geometry.morton import PLACE_BITS
 
 from quadtree_lss.onboard.arrays import Array, Ints, Keys, Points
 from quadtree_lss.onboard.config.settings import LidarConfig
-from quadtree_lss.onboard.core.geometry.morton import SPREAD, sort_packed
+from quadtree_lss.onboard.core.geometry.morton import SPREAD
 
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.tree.domain import Domain
@@ -28,7 +28,7 @@ class MapPoints(NamedTuple):
         points: (N + 3, 3) about the lidar, m; undefined where there is no return.
         ranges: (N,) m, NaN where there is no return.
         runs: (R,) runs of consecutive points in the same finest cell: its Morton code (``count``
-            squared outside the domain) and the number of the run, packed for `morton.sort_packed`.
+            squared outside the domain) and the number of the run, in the bits below `PLACE_BITS`.
         begins: (R + 1,) the first point of each run, and the end of the last.
         missing, beyond: Number of points that are not finite, and of those out of range.
         above: Whether a point in a cell lies above the lidar.
@@ -172,16 +172,13 @@ def sort_points(
     key: cython.longlong
     ahead: cython.longlong
     to: cython.Py_ssize_t = 0
-    runs = cython.declare(cython.longlong[::1], scan.runs)
-    spare = cython.declare(cython.longlong[::1], np.empty_like(scan.runs))
+    runs = cython.declare(cython.longlong[::1], np.sort(scan.runs))
     points = cython.declare(cython.double[::1], scan.points.reshape(-1))
     ranges = cython.declare(cython.double[::1], scan.ranges)
     begins = cython.declare(cython.int[::1], scan.begins)
     sorted_points, sorted_keys = np.empty_like(scan.points), np.empty(len(scan.points), np.int64)
     arranged = cython.declare(cython.double[::1], sorted_points.reshape(-1))
     keys = cython.declare(cython.longlong[::1], sorted_keys)
-    if sort_packed(runs, spare):
-        runs = spare
     with cython.nogil:
         for i in range(runs.shape[0]):
             key = runs[i] >> PLACE_BITS

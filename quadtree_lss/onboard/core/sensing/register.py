@@ -29,9 +29,8 @@ class RegisteredScan(NamedTuple):
 
     Attributes:
         pose: Lidar pose at the scan's stamp, its covariance positive semidefinite and bounded.
-        origin: (3,) position of the lidar at the scan's stamp, map frame, m.
-        points: (N, 3) map axes about ``origin``, m. They are also the rays, because the motion of
-            the lidar during the scan is far shorter.
+        points: (N, 3) map axes about the pose's position, m. They are also the rays, because the
+            motion of the lidar during the scan is far shorter.
         key: (N,) Morton code of the finest cell of each point, ascending; points of a cell keep the
             order of the scan.
         centre: x and y of the mean valid return, map frame, m, if there are valid returns and all
@@ -42,7 +41,6 @@ class RegisteredScan(NamedTuple):
     """
 
     pose: Pose
-    origin: Array
     points: Array
     key: Keys
     centre: tuple[float, float] | None
@@ -82,8 +80,7 @@ def register(
     if flat.dtype not in (np.float32, np.float64):
         flat = flat.astype(np.float64)
     if sweep is not None and len(sweep.offsets) != len(flat):
-        msg = f"sweep of {len(sweep.offsets)} points for a scan of {len(flat)}"
-        raise ValueError(msg)
+        raise ValueError(f"sweep of {len(sweep.offsets)} points for a scan of {len(flat)}")
     if sweep is None:
         at_rest = np.zeros((1, 12))
         at_rest[0, :9] = pose.rotation_map_lidar.ravel()
@@ -122,7 +119,6 @@ def register(
         pose=Pose(
             pose.stamp_ns, pose.position, pose.rotation_map_lidar, clip_covariance(pose.covariance)
         ),
-        origin=pose.position,
         points=points,
         key=key,
         centre=centre,
