@@ -40,7 +40,7 @@ def read_values(path: str | os.PathLike[str], faults: list[str] | None = None) -
     """
     values: dict[str, object] = {}
     sections = 0
-    for name, section in _sections(_content(path)):
+    for name, section in _sections(path):
         try:
             if not _is_ours(name):
                 continue
@@ -61,7 +61,7 @@ def read_values(path: str | os.PathLike[str], faults: list[str] | None = None) -
 def check_reaches(path: str | os.PathLike[str], node: str) -> None:
     """Check that a parameter file has a section for a node, by its full name. Raises `ConfigError`
     if it has none or is not readable."""
-    names = [name for name, _ in _sections(_content(path))]
+    names = [name for name, _ in _sections(path)]
     # As in rcl: /** matches any namespaces, /* one namespace or a name.
     patterns = [
         re.escape(name).replace(r"/\*\*", r"(/\w+)*").replace(r"/\*", r"/\w+") for name in names
@@ -72,24 +72,21 @@ def check_reaches(path: str | os.PathLike[str], node: str) -> None:
         raise ConfigError(msg)
 
 
-def _content(path: str | os.PathLike[str]) -> Mapping[Any, Any]:
+def _sections(path: str | os.PathLike[str]) -> Iterator[tuple[str, Any]]:
+    """Yield the names of nodes, with namespaces, and the content of their ``ros__parameters``."""
     try:
-        content = read_yaml(path)
+        yield from _nested_sections(read_yaml(path), "")
     except YamlError as error:
         raise ConfigError(f"{path}: {error}") from None
-    return content if isinstance(content, Mapping) else {}
 
 
-def _sections(content: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the names of nodes, with namespaces, and the content of their ``ros__parameters``."""
-    for key, value in content.items():
-        name = f"{prefix}/{str(key).strip('/')}"
-        if not isinstance(value, Mapping):
-            continue
-        if "ros__parameters" in value:
-            yield name, value["ros__parameters"]
-        rest = {k: v for k, v in value.items() if k != "ros__parameters"}
-        yield from _sections(rest, name)
+def _nested_sections(content: object, name: str) -> Iterator[tuple[str, Any]]:
+    if isinstance(content, Mapping):
+        if name and "ros__parameters" in content:
+            yield name, content["ros__parameters"]
+        for key, value in content.items():
+            if key != "ros__parameters":
+                yield from _nested_sections(value, f"{name}/{str(key).strip('/')}")
 
 
 def _is_ours(name: str) -> bool:

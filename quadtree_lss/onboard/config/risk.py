@@ -24,17 +24,7 @@ FIT_TOLERANCE = 0.3
 #: the map.
 CAUSES = ("obstacle", "slope", "hidden")
 #: Features of a grid point, and of the map as a whole (see `RiskModel`).
-LOCAL = (
-    "rise",
-    "rise_beside",
-    "tilt",
-    "tilt_beside",
-    "seen",
-    "gradient",
-    "roughness",
-    "relief",
-    "abundance",
-)
+LOCAL = tuple("rise rise_beside tilt tilt_beside seen gradient roughness relief abundance".split())
 OVERALL = ("noise", "cell", "clearance", "lean")
 
 

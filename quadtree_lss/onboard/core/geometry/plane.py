@@ -20,20 +20,10 @@ from quadtree_lss.onboard.core.geometry.sphere import Vector
 MIN_UP = cython.declare(cython.double, 0.25)
 #: Least variance of a plane, rad^2 and m^2: below, round-off dominates.
 MIN_VARIANCE = cython.declare(cython.double, 1e-12)
-#: A squared correlation above this cannot be due to rounding only.
-ROUNDING_FACTOR = cython.declare(cython.double, 1.02)
 #: Squared distance of a shift of the origin beyond which rounding shows in a covariance, m^2.
 FAR_SQUARED = cython.declare(cython.double, 1e6)
 #: Least information of a fit on a slope, rad^-2.
 MIN_INFORMATION = cython.declare(cython.double, 1e-2)
-
-
-def multiply(a: Vector, b: Vector, out: Vector) -> None:
-    """Multiply two 3x3 matrices."""
-    cython.declare(i=cython.int, j=cython.int)
-    for i in range(3):
-        for j in range(3):
-            out[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j]
 
 
 def interleave(c: Vector, d: Vector, out: Vector) -> None:
@@ -122,26 +112,12 @@ def shift_origin(c: Vector, first: float, second: float, count: cython.int) -> N
         c[5 * count + k] = c[7 * count + k] = c[5 * count + k] - y
 
 
-def repair_covariance(c: Vector) -> None:
-    """Make a covariance (9) diagonal, in place, if rounding made it indefinite.
-
-    This happens to planes that are 1e5 m or more apart, and below a lidar whose position is exact.
-    """
-    cython.declare(i=cython.int)
-    xy, xz, yz = c[1] * c[1], c[2] * c[2], c[5] * c[5]
-    x, y, z = c[0], c[4], c[8]
-    determinant = x * y * z + 2.0 * c[1] * c[2] * c[5] - x * yz - y * xz - z * xy
-    if (
-        xy > ROUNDING_FACTOR * x * y
-        or xz > ROUNDING_FACTOR * x * z
-        or yz > ROUNDING_FACTOR * y * z
-        or determinant < (1.0 - ROUNDING_FACTOR) * x * y * z
-    ):
-        for i in range(1, 8):
-            if i != 4:
-                c[i] = 0.0
-        for i in range(3):
-            c[4 * i] = max(c[4 * i], 0.0)
+def uncorrelate(c: Vector, i: cython.int, variance: float) -> None:
+    """Set the variance of one of the three errors of a covariance (9), uncorrelated."""
+    k: cython.int
+    for k in range(3):
+        c[3 * i + k] = c[3 * k + i] = 0.0
+    c[4 * i] = variance
 
 
 def offset_variance(c: Vector, first: float, second: float) -> cython.double:
@@ -430,7 +406,7 @@ def fuse(
     rest = cython.declare(cython.double[9])
     kept = cython.declare(cython.double[18])
     taken = cython.declare(cython.double[18])
-    cython.declare(i=cython.int)
+    cython.declare(i=cython.int, k=cython.int)
     basis_at(prior_normal, basis)
     _pivot(prior_range, prior_rise, basis, error, pivot)
     interleave(prior_range, prior_pose, prior)
@@ -449,7 +425,13 @@ def fuse(
         one[i] = prior[2 * i] + (1.0 - common) * prior[2 * i + 1]
         spread[i] = one[i] + (measured[2 * i] + (1.0 - common) * measured[2 * i + 1])
     inverse_symmetric(spread, inverse)
-    multiply(one, inverse, gain)
+    for i in range(3):
+        for k in range(3):
+            gain[3 * i + k] = (
+                one[3 * i] * inverse[k]
+                + one[3 * i + 1] * inverse[3 + k]
+                + one[3 * i + 2] * inverse[6 + k]
+            )
     for i in range(9):
         rest[i] = (1.0 if i % 4 == 0 else 0.0) - gain[i]
     congruent(rest, prior, kept)
@@ -571,7 +553,7 @@ def _from_pivot(
     covariances of the ``pair`` about the new height over the origin, ``out_rise`` (1) this height,
     m. Pair and pivot are overwritten.
     """
-    cython.declare(i=cython.int, k=cython.int)
+    cython.declare(i=cython.int)
     plus_at(normal, basis, step, normal)
     orient_up(normal)
     basis_at(normal, basis)
@@ -584,15 +566,11 @@ def _from_pivot(
     for i in range(9):
         range_part[i] = pair[2 * i]
         pose_part[i] = pair[2 * i + 1]
-    for i in range(3):
-        if range_part[4 * i] < MIN_VARIANCE:
-            # Lost to round-off, and the covariances with it.
-            for k in range(3):
-                range_part[3 * i + k] = range_part[3 * k + i] = 0.0
-            range_part[4 * i] = MIN_VARIANCE
+    # Round-off shows in covariances far from the pivot, and below a lidar of exact position.
     remote: cython.bint = first * first + second * second > FAR_SQUARED
-    if remote:
-        repair_covariance(range_part)
-    if remote or min(pose_part[0], pose_part[4], pose_part[8]) < MIN_VARIANCE:
-        repair_covariance(pose_part)
+    for i in range(3):
+        if remote or range_part[4 * i] < MIN_VARIANCE:
+            uncorrelate(range_part, i, max(range_part[4 * i], MIN_VARIANCE))
+        if remote or pose_part[4 * i] < MIN_VARIANCE:
+            uncorrelate(pose_part, i, max(pose_part[4 * i], 0.0))
     out_rise[0] = rise

@@ -35,9 +35,7 @@ MIN_GATE = 1e-6
 def isolated_in_image(ranges: Array, gate: float) -> Ints:
     """Find the isolated returns of an organised scan: flat indices (K,), ascending.
 
-    Args:
-        ranges: (H, W), m; NaN where there is no return.
-        gate: m; 0 keeps every return.
+    ``ranges``: (H, W), m; NaN where there is no return. ``gate``: m; 0 keeps every return.
     """
     pixels = np.empty(ranges.size, dtype=np.int32)
     count = find_isolated(ranges, gate, pixels) if gate > 0.0 else 0
@@ -155,10 +153,7 @@ def second_steps(ranges: Array, pixels: Ints, steps: Array) -> cython.Py_ssize_t
 def isolated_in_space(points: Array, ranges: Array, gate: float) -> Ints:
     """Find the isolated returns of an unorganised scan: indices (K,), ascending.
 
-    Args:
-        points: (N, 3) in any axes, m; undefined where there is no return.
-        ranges: (N,), m; NaN where there is no return.
-        gate: m; 0 keeps every return.
+    ``points``: (N, 3) in any axes, m; ``ranges`` and ``gate`` as of `isolated_in_image`.
     """
     returns = np.flatnonzero(ranges > 0.0).astype(np.int32)
     if gate == 0.0 or len(returns) < 3:
@@ -182,11 +177,8 @@ def isolated_in_space(points: Array, ranges: Array, gate: float) -> Ints:
 
 
 def typical_distance(points: Array) -> float:
-    """Estimate the median distance of points (N, 3) to their second nearest neighbour, m.
-
-    It is computed for a sample. On a surface, a sample of one point in k has sqrt(k) times the
-    distance.
-    """
+    """Estimate the median distance of points (N, 3) to their second nearest neighbour, m, from a
+    sample: on a surface, one point in k has sqrt(k) times the distance."""
     from scipy.spatial import cKDTree
 
     sample = points[np.unique((SAMPLE[:256] * len(points)).astype(np.intp))]

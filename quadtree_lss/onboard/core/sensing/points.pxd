@@ -11,4 +11,3 @@ cpdef object transform_points(
     domain,
     position,
 )
-cpdef bint any_beyond(const Coordinate[:, :] points, double limit)

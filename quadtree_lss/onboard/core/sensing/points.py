@@ -17,9 +17,6 @@ from quadtree_lss.onboard.core.geometry.morton import SPREAD
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.tree.domain import Domain
 
-#: As a typed view.
-SPREAD_VIEW = cython.declare(cython.longlong[::1], SPREAD)
-
 
 class MapPoints(NamedTuple):
     """N points of a scan in map axes, in the order of the scan.
@@ -55,13 +52,9 @@ def transform_points(
 ) -> MapPoints:
     """Rotate points (N, 3) to map axes, about the lidar at the scan's stamp, m; find their cells.
 
-    Args:
-        points_lidar: (N, 3) lidar axes, m.
-        offsets, times, motion: As in `sweep.Sweep`; without offsets, or if all times are equal, the
-            first row of ``motion`` applies to all points.
-        lidar: Shorter or longer ranges than its limits are no returns.
-        domain: Of the map.
-        position: (3,) of the lidar at the scan's stamp, map frame, m.
+    ``offsets``, ``times`` and ``motion`` are those of a `sweep.Sweep`; without offsets, or if all
+    times are equal, the first row of ``motion`` applies to all points. ``position``: (3,) of the
+    lidar at the scan's stamp, map frame, m.
     """
     i: cython.Py_ssize_t
     number: cython.Py_ssize_t = points_lidar.shape[0]
@@ -89,7 +82,7 @@ def transform_points(
     ranges = cython.declare(cython.double[::1], all_ranges)
     runs = cython.declare(cython.longlong[::1], all_runs)
     begins = cython.declare(cython.int[::1], all_begins)
-    spread = cython.declare(cython.longlong[::1], SPREAD_VIEW)
+    spread = cython.declare(cython.longlong[::1], SPREAD)
     begins[0] = 0
     with cython.nogil:
         for k in range(12):
@@ -143,17 +136,6 @@ def transform_points(
         beyond,
         highest > 0.0,
     )
-
-
-@cython.boundscheck(False)
-def any_beyond(points: Points, limit: float) -> cython.bint:
-    """Return whether any coordinate of points (N, 3) exceeds ``limit`` in magnitude."""
-    i: cython.Py_ssize_t
-    with cython.nogil:
-        for i in range(points.shape[0]):
-            if abs(points[i, 0]) > limit or abs(points[i, 1]) > limit or abs(points[i, 2]) > limit:
-                return True
-    return False
 
 
 @cython.boundscheck(False)
