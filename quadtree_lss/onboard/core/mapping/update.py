@@ -28,7 +28,7 @@ from quadtree_lss.onboard.core.geometry.bounds import MAX_MAP_HEIGHT
 from quadtree_lss.onboard.core.mapping.features import Heights
 from quadtree_lss.onboard.core.mapping.fusion import Fusion
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
-from quadtree_lss.onboard.core.sensing.register import RegisteredScan
+from quadtree_lss.onboard.core.sensing.register import KEPT_POINTS, RegisteredScan
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
 
 #: A finest cell is explained if at most this share of its returns stands out: (6 cm / 25 cm)^2.
@@ -57,10 +57,6 @@ def set_states(
     i: cython.Py_ssize_t
     for i in range(begin, end):
         seen[key[i]] = state
-
-
-#: Most points of a scan whose memory is kept for the next scan.
-KEPT_POINTS = 1 << 20
 
 
 class ScanBuffers:

@@ -2,7 +2,17 @@ ctypedef fused Coordinate:
     float
     double
 
-cpdef object transform_points(
+cdef class Workspace:
+    cdef readonly object points_map, ranges, still
+    cdef object packed
+    cdef double[:, ::1] points
+    cdef double[::1] flat, range
+    cdef long long[::1] runs
+    cdef int[::1] begins
+    cdef readonly Py_ssize_t missing, beyond, run_count
+    cdef readonly bint above
+
+cpdef void transform_points(
     const Coordinate[:, :] points_lidar,
     int[::1] offsets,
     double[::1] times,
@@ -10,4 +20,5 @@ cpdef object transform_points(
     lidar,
     domain,
     position,
+    Workspace work,
 )

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import cython
 import numpy as np
@@ -17,27 +17,35 @@ from quadtree_lss.onboard.core.geometry.morton import SPREAD
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.tree.domain import Domain
 
+#: As a typed view.
+SPREAD_VIEW = cython.declare(cython.longlong[::1], SPREAD)
 
-class MapPoints(NamedTuple):
+
+class Workspace:
     """N points of a scan in map axes, in the order of the scan.
 
     Attributes:
-        points: (N + 3, 3) about the lidar, m; undefined where there is no return.
+        points_map: (N + 3, 3) about the lidar, m; undefined where there is no return.
         ranges: (N,) m, NaN where there is no return.
-        runs: (R,) runs of consecutive points in the same finest cell: its Morton code (``count``
-            squared outside the domain) and the number of the run, in the bits below `PLACE_BITS`.
-        begins: (R + 1,) the first point of each run, and the end of the last.
+        runs: (N,) runs of consecutive points in the same finest cell: its Morton code (``count``
+            squared outside the domain) and the number of the run in the bits below `PLACE_BITS`.
+        begins: (N + 1,) the first point of each run, and the end of the last.
+        run_count: Number of runs.
+        still: (1, 12) motion of a lidar at rest: its rotation, and zeros.
         missing, beyond: Number of points that are not finite, and of those out of range.
         above: Whether a point in a cell lies above the lidar.
     """
 
-    points: Array
-    ranges: Array
-    runs: Keys
-    begins: Ints
-    missing: int
-    beyond: int
-    above: bool
+    def __init__(self, size: cython.Py_ssize_t) -> None:
+        self.points_map, self.ranges = np.empty((size + 3, 3)), np.empty(size)
+        self.points, self.range = self.points_map, self.ranges
+        self.flat = self.points_map.reshape(-1)
+        self.packed = np.empty(size, np.int64)
+        self.runs = self.packed
+        self.begins = np.empty(size + 1, np.int32)
+        self.still = np.zeros((1, 12))
+        self.missing = self.beyond = self.run_count = 0
+        self.above = False
 
 
 @cython.boundscheck(False)
@@ -49,15 +57,15 @@ def transform_points(
     lidar: LidarConfig,
     domain: Domain,
     position: Array,
-) -> MapPoints:
+    work: Workspace,
+) -> cython.void:
     """Rotate points (N, 3) to map axes, about the lidar at the scan's stamp, m; find their cells.
 
     ``offsets``, ``times`` and ``motion`` are those of a `sweep.Sweep`; without offsets, or if all
     times are equal, the first row of ``motion`` applies to all points. ``position``: (3,) of the
-    lidar at the scan's stamp, map frame, m.
+    lidar at the scan's stamp, map frame, m. ``work``: receives the results.
     """
     i: cython.Py_ssize_t
-    number: cython.Py_ssize_t = points_lidar.shape[0]
     missing: cython.longlong = 0
     beyond: cython.longlong = 0
     highest: cython.double = -INFINITY
@@ -76,18 +84,16 @@ def transform_points(
     moving: cython.bint = offsets.shape[0] > 0 and times[0] < times[times.shape[0] - 1]
     nearest: cython.double = max(lidar.min_range, 5e-324)  # greater than 0
     r = cython.declare(cython.double[12])
-    all_points, all_ranges = np.empty((number + 3, 3)), np.empty(number)
-    all_runs, all_begins = np.empty(number, np.int64), np.empty(number + 1, np.int32)
-    points = cython.declare(cython.double[:, ::1], all_points)
-    ranges = cython.declare(cython.double[::1], all_ranges)
-    runs = cython.declare(cython.longlong[::1], all_runs)
-    begins = cython.declare(cython.int[::1], all_begins)
-    spread = cython.declare(cython.longlong[::1], SPREAD)
+    points = cython.declare(cython.double[:, ::1], work.points)
+    ranges = cython.declare(cython.double[::1], work.range)
+    runs = cython.declare(cython.longlong[::1], work.runs)
+    begins = cython.declare(cython.int[::1], work.begins)
+    spread = cython.declare(cython.longlong[::1], SPREAD_VIEW)
     begins[0] = 0
     with cython.nogil:
         for k in range(12):
             r[k] = motion[0, k]
-        for i in range(number):
+        for i in range(points_lidar.shape[0]):
             x = points_lidar[i, 0]
             y = points_lidar[i, 1]
             z = points_lidar[i, 2]
@@ -127,20 +133,15 @@ def transform_points(
             last = code
             runs[run] = (code << PLACE_BITS) | run
             begins[run + 1] = i + 1
-    return MapPoints(
-        all_points,
-        all_ranges,
-        all_runs[: run + 1],
-        all_begins[: run + 2],
-        missing,
-        beyond,
-        highest > 0.0,
-    )
+    work.missing = missing
+    work.beyond = beyond
+    work.run_count = run + 1
+    work.above = highest > 0.0
 
 
 @cython.boundscheck(False)
 def sort_points(
-    scan: MapPoints, isolated: cython.bint, nowhere: cython.longlong
+    work: Workspace, isolated: cython.bint, nowhere: cython.longlong
 ) -> tuple[Array, Keys]:
     """Sort the runs; return points (M, 3) and their keys (M,), run by run.
 
@@ -154,11 +155,13 @@ def sort_points(
     key: cython.longlong
     ahead: cython.longlong
     to: cython.Py_ssize_t = 0
-    runs = cython.declare(cython.longlong[::1], np.sort(scan.runs))
-    points = cython.declare(cython.double[::1], scan.points.reshape(-1))
-    ranges = cython.declare(cython.double[::1], scan.ranges)
-    begins = cython.declare(cython.int[::1], scan.begins)
-    sorted_points, sorted_keys = np.empty_like(scan.points), np.empty(len(scan.points), np.int64)
+    work.packed[: work.run_count].sort()
+    runs = cython.declare(cython.longlong[::1], work.runs[: work.run_count])
+    points = cython.declare(cython.double[::1], work.flat)
+    ranges = cython.declare(cython.double[::1], work.range)
+    begins = cython.declare(cython.int[::1], work.begins)
+    size: cython.Py_ssize_t = work.points.shape[0]
+    sorted_points, sorted_keys = np.empty((size, 3)), np.empty(size, np.int64)
     arranged = cython.declare(cython.double[::1], sorted_points.reshape(-1))
     keys = cython.declare(cython.longlong[::1], sorted_keys)
     with cython.nogil:

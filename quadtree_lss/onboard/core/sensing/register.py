@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -13,13 +14,15 @@ from quadtree_lss.onboard.core.geometry.bounds import MAX_HEIGHT
 from quadtree_lss.onboard.core.geometry.morton import SPREAD
 from quadtree_lss.onboard.core.sensing.isolated import isolated_in_image, isolated_in_space
 from quadtree_lss.onboard.core.sensing.lidar import Pose, clip_covariance
-from quadtree_lss.onboard.core.sensing.points import sort_points, transform_points
+from quadtree_lss.onboard.core.sensing.points import Workspace, sort_points, transform_points
 from quadtree_lss.onboard.core.sensing.sweep import NO_OFFSETS, STAMP_ONLY, Sweep
 
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.tree.domain import Domain
     from quadtree_lss.onboard.core.tree.held_returns import HeldReturns, IsolatedReturns
 
+#: Most points of a scan whose memory is kept for the next scan.
+KEPT_POINTS = 1 << 20
 #: Greatest height of a lidar, m: ranges are at most 1e6 m, and map heights less than `MAX_HEIGHT`.
 HIGHEST = MAX_HEIGHT - 2e6
 
@@ -81,14 +84,14 @@ def register(
         flat = flat.astype(np.float64)
     if sweep is not None and len(sweep.offsets) != len(flat):
         raise ValueError(f"sweep of {len(sweep.offsets)} points for a scan of {len(flat)}")
+    work = _workspace(len(flat))
     if sweep is None:
-        at_rest = np.zeros((1, 12))
-        at_rest[0, :9] = pose.rotation_map_lidar.ravel()
-        motion = NO_OFFSETS, STAMP_ONLY, at_rest
+        work.still[0, :9] = pose.rotation_map_lidar.ravel()
+        motion = NO_OFFSETS, STAMP_ONLY, work.still
     else:
         motion = sweep.offsets, sweep.times, sweep.motion
-    scan = transform_points(flat, *motion, lidar, domain, pose.position)
-    points_map, ranges = scan.points[: len(flat)], scan.ranges
+    transform_points(flat, *motion, lidar, domain, pose.position, work)
+    points_map, ranges = work.points_map[: len(flat)], work.ranges
     if points_lidar.ndim == 3:
         isolated = isolated_in_image(ranges.reshape(points_lidar.shape[:2]), lidar.outlier_gate)
     else:
@@ -98,9 +101,9 @@ def register(
         compared = held.compare(points_map[isolated] + pose.position, domain, lidar.outlier_gate)
         isolated = isolated[~compared.confirmed]
     ranges[isolated] = np.nan
-    valid = len(flat) - scan.missing - scan.beyond - len(isolated)
+    valid = len(flat) - work.missing - work.beyond - len(isolated)
     n = 1 << domain.max_level
-    points, key = sort_points(scan, len(isolated) > 0, n * n)
+    points, key = sort_points(work, len(isolated) > 0, n * n)
     if abs(pose.position[2]) >= HIGHEST:
         points, key = points[:0], key[:0]
     inside = len(key)
@@ -108,14 +111,14 @@ def register(
     if valid and not inside:
         mean = points_map[ranges > 0.0, :2].mean(axis=0) + pose.position[:2]
         centre = float(mean[0]), float(mean[1])
-    above = np.count_nonzero(points[:, 2] > 0.0) if scan.above else 0
+    above = np.count_nonzero(points[:, 2] > 0.0) if work.above else 0
     above = inside if 2 * above > inside else 0
     points, key, admitted = points[: inside - above], key[: inside - above], 0
     if held is not None and compared is not None and len(compared.admitted) and len(key):
         positions = held.places(compared.admitted, domain)
         points, key = _insert_admitted(points, key, positions - pose.position, compared.admitted, n)
         admitted = len(positions)
-    registered = RegisteredScan(
+    scan = RegisteredScan(
         pose=Pose(
             pose.stamp_ns, pose.position, pose.rotation_map_lidar, clip_covariance(pose.covariance)
         ),
@@ -126,12 +129,12 @@ def register(
         admitted=admitted,
     )
     dropped = {
-        "no_return": scan.missing,
-        "range": scan.beyond,
+        "no_return": work.missing,
+        "range": work.beyond,
         "isolated": len(isolated),
         "outside": valid - inside,
     }
-    return registered, dropped | ({"above": above} if above else {})
+    return scan, dropped | ({"above": above} if above else {})
 
 
 def _insert_admitted(
@@ -144,3 +147,16 @@ def _insert_admitted(
     order = np.argsort(own)
     index = np.searchsorted(key, own[order], side="right")
     return np.insert(points, index, admitted[order], axis=0), np.insert(key, index, own[order])
+
+
+def _workspace(size: int) -> Workspace:
+    """Return a workspace, reused for scans of equal size: allocation is as slow as the kernels."""
+    if size > KEPT_POINTS:
+        return Workspace(size)
+    if getattr(_cache, "size", None) != size:
+        _cache.size, _cache.work = size, Workspace(size)
+    work: Workspace = _cache.work
+    return work
+
+
+_cache = threading.local()
