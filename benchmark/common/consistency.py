@@ -69,7 +69,7 @@ def prefit_statistics(cells: CellMap, scan: RegisteredScan, lidar: LidarConfig) 
     point = np.flatnonzero(cells.measured[leaf_rows])
     leaf = leaf_rows[point].astype(np.intp)
     n, r = cells.normal[leaf], scan.points[point]
-    arm = r - (np.column_stack([cells.x, cells.y, cells.z]) - scan.origin)[leaf]
+    arm = r - (np.column_stack([cells.x, cells.y, cells.z]) - scan.pose.position)[leaf]
     residual = _dot(n, arm)
     share = _dot(n[:, :2], arm[:, :2]) / (1.0 + n[:, 2]) + arm[:, 2]
     a = np.column_stack([arm[:, :2] - share[:, None] * n[:, :2], np.full(len(n), -1.0)])

@@ -56,7 +56,7 @@ def test_each_point_is_turned_and_moved_by_the_pose_at_its_time(seed, count, shu
     turns = Slerp(knots, Rotation.from_matrix([pose.rotation_map_lidar for pose in poses]))
     ways = [np.interp(offsets / MS, knots, [pose.position[k] for pose in poses]) for k in range(3)]
     expected = turns(offsets / MS).apply(points) + np.stack(ways, axis=1)
-    distance, which = cKDTree(seen.points + seen.origin).query(expected)
+    distance, which = cKDTree(seen.points + seen.pose.position).query(expected)
     assert distance.max() < 1e-4
     assert len(np.unique(which)) == len(seen.points) == len(points)
 

@@ -113,9 +113,9 @@ def test_statistics_are_those_of_equations_17_and_61():
     found = prefit_statistics(cells, seen, LIDAR)
     for k, (i, row) in enumerate(zip(found.point, found.row, strict=True)):
         n = cells.normal[row]
-        arm = seen.origin + seen.points[i] - (cells.x[row], cells.y[row], cells.z[row])
+        arm = seen.pose.position + seen.points[i] - (cells.x[row], cells.y[row], cells.z[row])
         residual = n @ arm
-        (sigma,) = point_covariances(seen.points[i : i + 1] + seen.origin, pose, NOISE)
+        (sigma,) = point_covariances(seen.points[i : i + 1] + seen.pose.position, pose, NOISE)
         a = np.r_[tangent_basis(n).T @ arm, -1.0]
         plane = cells.covariance[row]
         assert found.residual[k] == pytest.approx(residual)
@@ -139,6 +139,6 @@ def test_only_points_of_measured_leaves_are_compared():
     before = cells.z.copy()
     found = prefit_statistics(cells, everywhere, LIDAR)
     assert cells.measured[found.row].all()
-    assert (everywhere.points[found.point, 0] + everywhere.origin[0] < 8.0).all()
+    assert (everywhere.points[found.point, 0] + everywhere.pose.position[0] < 8.0).all()
     assert len(found.residual) == np.count_nonzero(half)
     np.testing.assert_array_equal(cells.z, before)

@@ -79,11 +79,11 @@ def test_what_is_written_is_read_again(tmp_path):
     [
         ("seen", [2.0, 1.0, 0.0], "do not ascend"),
         ("slope", None, "risk model"),
-        ("slope tilt knots", [0.4, 0.5], "slope: tilt has 2 knots and other odds"),
-        ("slope tilt odds", [[0.0] * 6, [1.0] * 6], "slope: tilt has 2 rows of odds, not 1 or 3"),
-        ("hidden seen odds", [[k] * 9 for k in range(3)], "hidden: seen has 3 rows of odds, not 1"),
-        ("slope tilt odds", [[0.0] * 5 + [float("nan")]], "slope has numbers that are not finite"),
-        ("hidden constant", float("-inf"), "hidden has numbers that are not finite"),
+        ("slope tilt knots", [0.4, 0.5], "slope: tilt needs 1 or 3 rows of odds, one for each"),
+        ("slope tilt odds", [[0.0] * 6, [1.0] * 6], "slope: tilt needs 1 or 3 rows of odds"),
+        ("hidden seen odds", [[k] * 9 for k in range(3)], "hidden: seen needs 1 rows of odds"),
+        ("slope tilt odds", [[0.0] * 5 + [float("nan")]], "slope: tilt has numbers that"),
+        ("hidden constant", float("-inf"), "hidden: constant has numbers that are not finite"),
         ("hidden stones", {"knots": [0, 1], "odds": [[0, 1]]}, "hidden: stones is not known"),
     ],
 )

@@ -17,13 +17,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from quadtree_lss.desk.bags.chunked_file import McapFile, Ros1File
 from quadtree_lss.desk.bags.compression import plain_message, unpack_file
 from quadtree_lss.desk.bags.message_types import typestore
 from quadtree_lss.desk.bags.recorded_file import LAST_NS, RawMessage, RecordedFile
 from quadtree_lss.desk.bags.sqlite_file import SqliteFile
-from quadtree_lss.onboard.config import yaml_text
-from quadtree_lss.onboard.config.yaml_text import YamlError, parse_yaml
+from quadtree_lss.onboard.config.yaml_text import MAX_YAML_BYTES, YamlError, parse_yaml
 from quadtree_lss.onboard.errors import QuadtreeLssError, one_line
 from quadtree_lss.onboard.messages.clouds import MessageError
 
@@ -146,7 +147,7 @@ class Bag:
         files = list(available.values())
         try:
             with open(self.path / "metadata.yaml", encoding="utf-8") as file:
-                content: Any = parse_yaml(file.read(yaml_text.MAX_YAML_BYTES + 1), aliases=True)
+                content: Any = parse_yaml(file.read(MAX_YAML_BYTES + 1), yaml.SafeLoader)
             names = content["rosbag2_bagfile_information"]["relative_file_paths"]
             files = self._listed_files([Path(name).name for name in names], available)
         except FileNotFoundError:

@@ -140,6 +140,7 @@ def _errors_of(path: str | os.PathLike[str], node: str) -> list[str]:
         item.name: dataclasses.replace(getattr(Config(), item.name), **valid.get(item.name, {}))
         for item in dataclasses.fields(Config)
     }
+    sections["lss"] = dataclasses.replace(sections["lss"], vehicle=sections["vehicle"])
     return errors + list(settings.contradictions(SimpleNamespace(**sections)))
 
 

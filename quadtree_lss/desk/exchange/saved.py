@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from quadtree_lss.desk.exchange.formats import ExchangeError, read_arrays
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.loading import read_values
-from quadtree_lss.onboard.config.settings import Config, config_from_values, without_removed
+from quadtree_lss.onboard.config.settings import Config, config_from_values, removal_reason
 from quadtree_lss.onboard.core.landing.hazards import UNMAPPED, UNSEEN
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 from quadtree_lss.onboard.core.tree.domain import Domain, carried
@@ -164,7 +164,8 @@ class Results:
     @cached_property
     def config(self) -> Config:
         """The configuration of the run."""
-        return config_from_values(without_removed(read_values(self.folder / "config.yaml")))
+        values = read_values(self.folder / "config.yaml")
+        return config_from_values({k: v for k, v in values.items() if not removal_reason(k)})
 
     @cached_property
     def sites(self) -> Table:

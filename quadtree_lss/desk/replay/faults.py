@@ -25,7 +25,7 @@ from quadtree_lss.onboard.core.geometry.rotations import (
     rotation_from_quaternion,
 )
 from quadtree_lss.onboard.core.sensing.lidar import Pose
-from quadtree_lss.onboard.core.sensing.mount import AXES, cloud_rotation
+from quadtree_lss.onboard.core.sensing.mount import AXES
 
 MAX_LEFT, MIN_NOISES = 0.4, 3.0
 """Share of the disagreement that a correction may leave; least disagreement, range noises."""
@@ -188,7 +188,7 @@ def _list_corrections(flight: Flight, config: Config, tf_mounts: TfMounts) -> li
 def _list_mounts(flight: Flight, config: Config, tf_mounts: TfMounts) -> list[_Correction]:
     """List faults of the mount and the axes of the clouds."""
     p, b, origins = flight.positions, flight.body, flight.origins
-    own = flight.mounts @ cloud_rotation(config.mount).T
+    own = flight.mounts @ AXES[config.mount.axes].T
     found = []
     for frame, (mount, settings) in tf_mounts.items():
         fault = make_setting(
@@ -206,7 +206,7 @@ def _list_mounts(flight: Flight, config: Config, tf_mounts: TfMounts) -> list[_C
         fault = Finding("mount", f"{text}, and a mount is set", "remove mount.*", settings=axes)
         if config.mount.source == "tf":
             fault = Finding("mount", text, "correct their child frame")
-        found.append(_Correction(fault, p, b @ cloud_rotation(config.mount)))
+        found.append(_Correction(fault, p, b @ AXES[config.mount.axes]))
     text = "poses are those of a level body, and the lidar looks down from it"
     downward = (("mount.roll_deg", 180.0, LOOKING_DOWN), ("mount.pitch_deg", 90.0, PITCHED_DOWN))
     for name, angle, turn in downward if config.mount.source == "fixed" else ():
@@ -317,7 +317,7 @@ def _find_mount_angle(flight: Flight, config: Config) -> list[Finding]:
         text = "the lidar turns too little to find a short lag, or a mount that is off by"
         text += f" {CALM_DEG:g} deg: turn and sway the vehicle while you record"
         return [Finding("calm", text)]
-    mount = flight.mounts[0] @ turn @ cloud_rotation(config.mount).T
+    mount = flight.mounts[0] @ turn @ AXES[config.mount.axes].T
     values = mount_values(flight.arms[0], mount, digits=1)
     text = f"the mount is wrong by {angle:.1f} deg: scans disagree by {cost:.2g} m, and by"
     text += f" {fit.fun:.2g} m with the corrected mount"

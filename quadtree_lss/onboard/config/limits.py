@@ -34,13 +34,8 @@ find 99.82, 99.87 and 99.89 % of simulated hazards (Morpheus seeds 101-106, touc
 
 
 def exceeded_limit(size: float, finest: int, lss: LssConfig) -> str | None:
-    """Return the limit that an assessment exceeds, or None.
-
-    Args:
-        size: Side of the domain, m.
-        finest: Number of finest cells along a side.
-        lss: Parameters of the assessment, with the vehicle.
-    """
+    """Return the limit that an assessment exceeds, or None; ``size``: side of the domain, m;
+    ``finest``: number of finest cells along a side."""
     if size / finest < MIN_CELL_SIZE:
         return f"the finest cells are {size / finest:.3g} m wide; {MIN_CELL_SIZE:g} is the least"
     points = size / lss.spacing
@@ -66,11 +61,9 @@ def exceeded_limit(size: float, finest: int, lss: LssConfig) -> str | None:
 
 
 def assessment_seconds(size: float, finest: int, lss: LssConfig) -> float:
-    """Return the worst-case time of an assessment, s; arguments as for `exceeded_limit`.
-
-    A zone larger than the domain costs as much as one that fills it, and for a vehicle larger than
-    the domain no contact is computed.
-    """
+    """Return the worst-case time of an assessment, s; arguments as for `exceeded_limit`."""
+    # A zone larger than the domain costs as much as one that fills it; no contact is computed for
+    # a vehicle larger than the domain.
     side, radius = size / finest, 0.5 * lss.vehicle.diameter
     lander = min(radius / side, 0.5 * finest)
     zone = min((radius + lss.margin) / side, 0.5 * finest)

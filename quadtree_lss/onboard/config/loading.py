@@ -40,19 +40,17 @@ def read_values(path: str | os.PathLike[str], faults: list[str] | None = None) -
     """
     values: dict[str, object] = {}
     sections = 0
-    for name, section in _sections(_content(path)):
+    for name, section in _sections(path):
         try:
             if not _is_ours(name):
                 continue
             sections += 1
             if not isinstance(section or {}, Mapping):
-                msg = f"ros__parameters of '{name}' has no keys"
-                raise ConfigError(msg)
+                raise ConfigError(f"ros__parameters of '{name}' has no keys")
             values |= flatten(section or {})
         except ConfigError as error:
             if faults is None:
-                msg = f"{path}: {error}"
-                raise ConfigError(msg) from None
+                raise ConfigError(f"{path}: {error}") from None
             faults.append(str(error))
     if not sections and not faults:
         msg = f"{path}: no section '/**:' with 'ros__parameters:' (or one of {', '.join(NODES)})"
@@ -63,7 +61,7 @@ def read_values(path: str | os.PathLike[str], faults: list[str] | None = None) -
 def check_reaches(path: str | os.PathLike[str], node: str) -> None:
     """Check that a parameter file has a section for a node, by its full name. Raises `ConfigError`
     if it has none or is not readable."""
-    names = [name for name, _ in _sections(_content(path))]
+    names = [name for name, _ in _sections(path)]
     # As in rcl: /** matches any namespaces, /* one namespace or a name.
     patterns = [
         re.escape(name).replace(r"/\*\*", r"(/\w+)*").replace(r"/\*", r"/\w+") for name in names
@@ -74,25 +72,21 @@ def check_reaches(path: str | os.PathLike[str], node: str) -> None:
         raise ConfigError(msg)
 
 
-def _content(path: str | os.PathLike[str]) -> Mapping[Any, Any]:
-    try:
-        content = read_yaml(path)
-    except YamlError as error:
-        msg = f"{path}: {error}"
-        raise ConfigError(msg) from None
-    return content if isinstance(content, Mapping) else {}
-
-
-def _sections(content: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def _sections(path: str | os.PathLike[str]) -> Iterator[tuple[str, Any]]:
     """Yield the names of nodes, with namespaces, and the content of their ``ros__parameters``."""
-    for key, value in content.items():
-        name = f"{prefix}/{str(key).strip('/')}"
-        if not isinstance(value, Mapping):
-            continue
-        if "ros__parameters" in value:
-            yield name, value["ros__parameters"]
-        rest = {k: v for k, v in value.items() if k != "ros__parameters"}
-        yield from _sections(rest, name)
+    try:
+        yield from _nested_sections(read_yaml(path), "")
+    except YamlError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def _nested_sections(content: object, name: str) -> Iterator[tuple[str, Any]]:
+    if isinstance(content, Mapping):
+        if name and "ros__parameters" in content:
+            yield name, content["ros__parameters"]
+        for key, value in content.items():
+            if key != "ros__parameters":
+                yield from _nested_sections(value, f"{name}/{str(key).strip('/')}")
 
 
 def _is_ours(name: str) -> bool:
@@ -101,6 +95,5 @@ def _is_ours(name: str) -> bool:
         return True
     close = difflib.get_close_matches(node, NODES, n=1, cutoff=0.75)
     if close:
-        msg = f"unknown section '{node}'; did you mean '{close[0]}'?"
-        raise ConfigError(msg)
+        raise ConfigError(f"unknown section '{node}'; did you mean '{close[0]}'?")
     return False

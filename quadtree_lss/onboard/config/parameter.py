@@ -69,14 +69,11 @@ def checked_value(row: Parameter, value: object) -> Value:
         value = "none"
     kinds = {bool: bool, str: str, int: numbers.Integral, float: numbers.Real}
     if not isinstance(value, kinds[row.type]) or (row.type is not bool and isinstance(value, bool)):
-        msg = f"{row.name} must be {row.type.__name__}, got {value!r}"
-        raise ConfigError(msg)
+        raise ConfigError(f"{row.name} must be {row.type.__name__}, got {value!r}")
     if row.type in (int, float) and not row.low <= value <= row.high:  # type: ignore[operator]
         unit = f" {row.unit}" if row.unit else ""
-        msg = f"{row.name} = {value} is outside [{row.low:g}, {row.high:g}]{unit}"
-        raise ConfigError(msg)
+        raise ConfigError(f"{row.name} = {value} is outside [{row.low:g}, {row.high:g}]{unit}")
     checked = row.type(value)
     if row.choices and checked not in row.choices:
-        msg = f"{row.name} = {checked!r} is not one of {', '.join(row.choices)}"
-        raise ConfigError(msg)
+        raise ConfigError(f"{row.name} = {checked!r} is not one of {', '.join(row.choices)}")
     return checked  # type: ignore[no-any-return]

@@ -6,7 +6,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -25,17 +24,7 @@ FIT_TOLERANCE = 0.3
 #: the map.
 CAUSES = ("obstacle", "slope", "hidden")
 #: Features of a grid point, and of the map as a whole (see `RiskModel`).
-LOCAL = (
-    "rise",
-    "rise_beside",
-    "tilt",
-    "tilt_beside",
-    "seen",
-    "gradient",
-    "roughness",
-    "relief",
-    "abundance",
-)
+LOCAL = tuple("rise rise_beside tilt tilt_beside seen gradient roughness relief abundance".split())
 OVERALL = ("noise", "cell", "clearance", "lean")
 
 
@@ -77,25 +66,8 @@ class RiskModel:
 
         P(unsafe) = 1 - product over `CAUSES` of 1 / (1 + exp z),    z = constant + sum of curves.
 
-    All features are dimensionless. With c the clearance, d the diameter and h the least hazard of
-    the vehicle (`VehicleConfig.least_hazard`), in squares about the grid point:
-
-    - ``rise``: rise of the ground over the worst contact plane on the map, over c; ``tilt``:
-      tangent of the steepest contact plane's slope over that of the limit; ``rise_beside``,
-      ``tilt_beside``: maximum of the grid point and its four neighbours.
-    - ``seen``: k, density of observation under the lander (0.9 d): mean of log10 of the independent
-      returns on a square of side h (mean of 3 x 3 finest cells), minus 2 log10(noise / 0.2 h), and
-      minus 3 log10(cell / 0.85 h) for cells wider than 0.85 h. It is thus the number of returns
-      with the same information at a range noise of 0.2 h. Cells without a return count 0.001.
-    - ``gradient``: tangent of the ground's slope at the lander's scale over that of the limit.
-    - ``roughness``: square root of the mean misfit of the leaves' planes under the lander over c;
-      ``relief``: root mean square there of the rise of the map's cells over the ground at the
-      lander's scale, over c (cells below it count 0).
-    - ``abundance``: log10 of the fraction of well observed ground, in a square of 8 d, with objects
-      that rise by 0.5 to 1 c over the ground at the lander's scale. Where many are observed, more
-      are hidden.
-    - ``noise``, ``cell``, ``clearance``, ``lean``: log10 of noise / c, of finest cell / c, of
-      c / d, and of `VehicleConfig.tilt_height` / c.
+    ``docs/probability.md`` defines the features, which are dimensionless: ``seen`` is its k, and
+    ``rise_beside`` and ``tilt_beside`` are maxima of the grid point and its four neighbours.
 
     Attributes:
         seen: (S,) knots of k between which the rows of a curve's odds are interpolated.
@@ -114,33 +86,6 @@ class RiskModel:
         ends += self.seen if name == "seen" else ()
         return (min(ends), max(ends)) if ends else (0.0, 1.0)
 
-    def __post_init__(self) -> None:
-        if tuple(self.causes) != CAUSES:
-            msg = f"its causes are {', '.join(self.causes)}, not {', '.join(CAUSES)}"
-            raise ConfigError(msg)
-        for name, cause in self.causes.items():
-            numbers = chain(*(row for curve in cause.curves for row in (curve.knots, *curve.odds)))
-            if not np.isfinite([cause.constant, *numbers]).all():
-                msg = f"{name} has numbers that are not finite"
-                raise ConfigError(msg)
-            for curve in cause.curves:
-                what = f"{name}: {curve.feature}"
-                if curve.feature not in LOCAL + OVERALL:
-                    msg = f"{what} is not known"
-                    raise ConfigError(msg)
-                count = len(curve.knots)
-                if count < 2 or any(len(row) != count for row in curve.odds):
-                    msg = f"{what} has {count} knots and other odds"
-                    raise ConfigError(msg)
-                rows = {1} if curve.feature in ("seen", *OVERALL) else {1, len(self.seen)}
-                if len(curve.odds) not in rows:
-                    wanted = " or ".join(map(str, sorted(rows)))
-                    msg = f"{what} has {len(curve.odds)} rows of odds, not {wanted}"
-                    raise ConfigError(msg)
-                if not (np.diff(curve.knots) > 0.0).all() or not (np.diff(self.seen) > 0.0).all():
-                    msg = f"the knots of {what} do not ascend"
-                    raise ConfigError(msg)
-
 
 @functools.lru_cache(maxsize=8)
 def risk_model(name: str) -> RiskModel:
@@ -150,8 +95,7 @@ def risk_model(name: str) -> RiskModel:
     try:
         return _from_values(read_yaml(file))
     except YamlError as error:
-        msg = f"lss.risk_model: {name or DEFAULT_MODEL} {error}"
-        raise ConfigError(msg) from error
+        raise ConfigError(f"lss.risk_model: {name or DEFAULT_MODEL} {error}") from error
     except (ConfigError, KeyError, TypeError, ValueError, AttributeError) as error:
         why = f"{error} is missing" if isinstance(error, KeyError) else error
         msg = f"lss.risk_model: {name or DEFAULT_MODEL} is not a risk model: {why}"
@@ -159,12 +103,8 @@ def risk_model(name: str) -> RiskModel:
 
 
 def model_warning(config: Config) -> str:
-    """Return a warning if the risk model was fitted to another kind of vehicle or map, or "".
-
-    The provenance of a model gives the ranges that it was ``fitted`` to: ``diameter``, m;
-    ``clearance`` and ``cell``, diameters; ``noise``, clearances; ``max_slope_deg``. Raises as
-    `risk_model`.
-    """
+    """Return a warning if the risk model was fitted to another kind of vehicle or map, or "", by
+    the ranges ``fitted`` of its provenance. Raises as `risk_model`."""
     lss, model = config.lss, risk_model(config.lss.risk_model)
     if lss.ranking != "probability":
         return ""
@@ -192,19 +132,38 @@ def model_warning(config: Config) -> str:
 
 
 def _from_values(values: Any) -> RiskModel:
-    def row(given: Any) -> Row:
-        return tuple(float(value) for value in given)
-
-    if "rocks" in values["hidden"]:
-        msg = "it is of a version with other features: fit-risk makes a new one"
-        raise ConfigError(msg)
-    causes = {}
+    """Read a model. Raises `ConfigError`, `KeyError`, `TypeError`, `ValueError`,
+    `AttributeError`."""
+    seen, causes = _ascending("seen", values["seen"]), {}
     for name in CAUSES:
         given = dict(values[name])
-        constant = float(given.pop("constant"))
-        curves = (
-            Curve(of, row(curve["knots"]), tuple(row(line) for line in curve["odds"]))
-            for of, curve in given.items()
-        )
+        (constant,) = _row(f"{name}: constant", [given.pop("constant")])
+        curves = (_curve(f"{name}: {of}", of, curve, seen) for of, curve in given.items())
         causes[name] = Cause(constant, tuple(curves))
-    return RiskModel(row(values["seen"]), causes, dict(values.get("provenance") or {}))
+    return RiskModel(seen, causes, dict(values.get("provenance") or {}))
+
+
+def _curve(what: str, feature: str, given: Any, seen: Row) -> Curve:
+    if feature not in LOCAL + OVERALL:
+        raise ConfigError(f"{what} is not known: fit-risk makes a new model")
+    knots = _ascending(what, given["knots"])
+    odds = tuple(_row(what, row) for row in given["odds"])
+    rows = {1} if feature in ("seen", *OVERALL) else {1, len(seen)}
+    if len(odds) not in rows or any(len(row) != len(knots) for row in odds):
+        wanted = " or ".join(map(str, sorted(rows)))
+        raise ConfigError(f"{what} needs {wanted} rows of odds, one for each knot")
+    return Curve(feature, knots, odds)
+
+
+def _ascending(what: str, values: Any) -> Row:
+    row = _row(what, values)
+    if len(row) < 2 or not (np.diff(row) > 0.0).all():
+        raise ConfigError(f"the knots of {what} do not ascend")
+    return row
+
+
+def _row(what: str, values: Any) -> Row:
+    row = tuple(float(value) for value in values)
+    if not np.isfinite(row).all():
+        raise ConfigError(f"{what} has numbers that are not finite")
+    return row

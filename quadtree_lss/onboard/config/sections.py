@@ -164,9 +164,7 @@ class LssConfig:
         choices=("probability", "touchdown", "paper"),
     )
     max_risk: float = _live(
-        0.003,
-        "greatest predicted risk of safe ground, with assessment probability",
-        (0.0, 1.0),
+        0.003, "greatest predicted risk of safe ground, with assessment probability", (0.0, 1.0)
     )
     dispersion: float = _live(
         2.0,
@@ -175,8 +173,7 @@ class LssConfig:
         "m",
     )
     risk_model: str = _p(
-        "",
-        "file of the risk model, written by fit-risk; empty for the one of the package",
+        "", "file of the risk model, written by fit-risk; empty for the one of the package"
     )
     grid_spacing: float = _p(
         0.0, "spacing of grid points; 0 follows from the vehicle", (0.0, 1000.0), "m"
@@ -197,9 +194,7 @@ class LssConfig:
         choices=("none", "area", "keep_out", "both"),
     )
     min_probability: float = _live(
-        0.9,
-        "least probability of success of a target, with assessment probability",
-        (0.0, 1.0),
+        0.9, "least probability of success of a target, with assessment probability", (0.0, 1.0)
     )
     settle_time: float = _live(
         5.0,

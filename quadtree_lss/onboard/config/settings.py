@@ -125,11 +125,6 @@ def unknown_parameter(key: str) -> str:
     return f"unknown parameter '{key}'" + "".join(f"; did you mean '{name}'?" for name in near)
 
 
-def without_removed(values: Mapping[str, object]) -> dict[str, object]:
-    """Return the dotted values of a saved run without removed parameters."""
-    return {key: value for key, value in values.items() if not removal_reason(key)}
-
-
 def flatten(values: Mapping[str, object], prefix: str = "") -> dict[str, object]:
     """Convert nested or dotted keys to dotted ones."""
     flat: dict[str, object] = {}
@@ -180,7 +175,7 @@ def values_from_config(config: Config) -> dict[str, Value]:
 
 
 def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
-    """Yield a line for each contradiction between parameters."""
+    """Yield a line for each contradiction between parameters; ``lss.vehicle`` must be set."""
     domain, lidar, mapping = config.domain, config.lidar, config.mapping
     if not config.frames.map:
         yield "frames.map is empty: it is the name of the frame of poses and map"
@@ -202,8 +197,7 @@ def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
     mount = config.mount
     if mount.source != "fixed" and mount != MountConfig(source=mount.source, axes=mount.axes):
         yield f"mount.source is {mount.source}: leave mount.x ... mount.yaw_deg at 0"
-    lss = dataclasses.replace(config.lss, vehicle=config.vehicle)
-    reason = exceeded_limit(domain.size, 1 << domain.max_level, lss)
+    reason = exceeded_limit(domain.size, 1 << domain.max_level, config.lss)
     if reason is not None:
         yield f"domain.size = {domain.size:g} m, domain.max_level = {domain.max_level}: {reason}"
 
@@ -211,7 +205,7 @@ def contradictions(config: Config | SimpleNamespace) -> Iterator[str]:
 def _cannot_follow(config: Config | SimpleNamespace) -> Iterator[str]:
     """Yield the reason why the domain cannot follow, if there is one."""
     domain, step = config.domain, config.domain.step
-    spacing = dataclasses.replace(config.lss, vehicle=config.vehicle).spacing
+    spacing = config.lss.spacing
     parts = max(round(step / spacing), 1)
     if domain.min_level < MIN_FOLLOW_LEVEL:
         yield (

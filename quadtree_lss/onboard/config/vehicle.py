@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
 from math import radians, sqrt, tan
 from typing import Any
 
@@ -63,10 +63,14 @@ class VehicleConfig:
         the clearance, or tilts the vehicle too far."""
         return min(self.clearance, self.tilt_height)
 
-    @property
+    @cached_property
     def lengths(self) -> Lengths:
         """The lengths derived from the vehicle."""
-        return _lengths(self)
+        values = {}
+        for item in dataclasses.fields(Lengths):
+            ratio = self._ratio(item.metadata["of"])
+            values[item.name] = item.default * ratio ** item.metadata["power"]
+        return Lengths(**values)
 
     def _ratio(self, name: str) -> float:
         """Return an attribute over that of the default vehicle, exactly 1 for the defaults."""
@@ -152,23 +156,10 @@ class Lengths:
         2,
     )
     slack: float = _derived(
-        0.01,
-        "additional variance before a view contradicts its leaf",
-        "least_hazard",
-        "m^2",
-        2,
+        0.01, "additional variance before a view contradicts its leaf", "least_hazard", "m^2", 2
     )
     clip: float = _derived(1.0, "larger residuals are limited to this value", "least_hazard")
     feature_height: float = _derived(0.1, "lower features are noise", "least_hazard")
     feature_volume: float = _derived(
         0.002, "features with a smaller volume k^2 are noise", "least_hazard", "m^3", 3
     )
-
-
-@lru_cache(maxsize=8)
-def _lengths(vehicle: VehicleConfig) -> Lengths:
-    values = {}
-    for item in dataclasses.fields(Lengths):
-        ratio = vehicle._ratio(item.metadata["of"])
-        values[item.name] = item.default * ratio ** item.metadata["power"]
-    return Lengths(**values)

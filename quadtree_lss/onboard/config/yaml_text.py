@@ -25,11 +25,9 @@ class YamlError(QuadtreeLssError):
 class _Loader(yaml.SafeLoader):
     """Loader that reads 1e-3 as a number, as ROS does, and rejects repeated keys and merges."""
 
-    aliases = False
-
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Compose a node as in the base class; reject aliases."""
-        if not self.aliases and self.check_event(yaml.AliasEvent):
+        if self.check_event(yaml.AliasEvent):
             mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
             self._reject("aliases (*name) are not read", mark)
         return super().compose_node(parent, index)
@@ -48,16 +46,11 @@ class _Loader(yaml.SafeLoader):
         raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
 
 
-class _WithAliases(_Loader):
-    aliases = True
-
-
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
     list("-+.0123456789"),
 )
-_WithAliases.yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers
 
 
 def read_yaml(path: str | os.PathLike[str]) -> object:
@@ -66,26 +59,22 @@ def read_yaml(path: str | os.PathLike[str]) -> object:
         with open(path, encoding="utf-8") as file:
             return parse_yaml(file.read(MAX_YAML_BYTES + 1))
     except (OSError, UnicodeDecodeError) as error:
-        msg = f"cannot be read: {getattr(error, 'strerror', None) or error}"
-        raise YamlError(msg) from None
+        raise YamlError(f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
 
 
-def parse_yaml(text: str, *, aliases: bool = False) -> object:
-    """Parse a text of one document; ``aliases``: accept aliases, for a caller that follows few of
-    them. Raises `YamlError` if the text is not valid YAML, too long or nested too deeply."""
+def parse_yaml(text: str, loader: type[yaml.SafeLoader] = _Loader) -> object:
+    """Parse a text of one document. Raises `YamlError` if it is not valid YAML, too long or nested
+    too deeply."""
     if len(text) > MAX_YAML_BYTES:
-        msg = f"{len(text)} characters of YAML; {MAX_YAML_BYTES} is the most"
-        raise YamlError(msg)
+        raise YamlError(f"{len(text)} characters of YAML; {MAX_YAML_BYTES} is the most")
     try:
-        return yaml.load(text, Loader=_WithAliases if aliases else _Loader)
+        return yaml.load(text, Loader=loader)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f" in line {mark.line + 1}" if mark else ""
         msg = f"not valid YAML{line}: {getattr(error, 'problem', None) or error}"
         raise YamlError(msg) from None
     except RecursionError:
-        msg = "not valid YAML: nested too deeply"
-        raise YamlError(msg) from None
+        raise YamlError("not valid YAML: nested too deeply") from None
     except Exception as error:  # PyYAML raises various errors for dates, numbers and keys
-        msg = f"not valid YAML: {error}"
-        raise YamlError(msg) from None
+        raise YamlError(f"not valid YAML: {error}") from None

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Points
 from quadtree_lss.onboard.core.sensing.lidar import points_from_ranges
-from quadtree_lss.onboard.core.sensing.points import any_beyond
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
 CARTESIAN = ("x", "y", "z")
@@ -69,7 +68,7 @@ def points_from_cloud(msg: Any) -> Points:
     _check_layout(msg, fields, data.size)
     kinds = [FLOAT_TYPES[int(field.datatype)] for field in fields]
     view = _view(msg, fields, kinds, data) if names is CARTESIAN else None
-    if view is not None and not any_beyond(view.reshape(-1, 3), MAX_DISTANCE):
+    if view is not None and not (np.abs(view) > MAX_DISTANCE).any():
         return view if height > 1 else view[0]
     first, second, third = (column(msg, *pair) for pair in zip(fields, kinds, strict=True))
     with np.errstate(invalid="ignore", over="ignore"):

@@ -8,7 +8,7 @@ from typing import Any
 
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.core.sensing.lidar import Pose
-from quadtree_lss.onboard.core.sensing.mount import cloud_rotation, fixed_mount
+from quadtree_lss.onboard.core.sensing.mount import AXES, fixed_mount
 from quadtree_lss.onboard.core.sensing.transforms import FixedTransforms
 from quadtree_lss.onboard.errors import one_line
 from quadtree_lss.onboard.messages.clouds import MessageError
@@ -23,7 +23,7 @@ class Extrinsics:
 
     def __init__(self, config: Config) -> None:
         self.tf = config.mount.source == "tf"
-        self._turn = cloud_rotation(config.mount)
+        self._turn = AXES[config.mount.axes]
         self._fixed = None if self.tf else fixed_mount(config.mount)
         self._tree = FixedTransforms()
         self._body = config.frames.body.lstrip("/")

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
-cdef void multiply(double* a, double* b, double* out) noexcept nogil
 cdef void interleave(double* c, double* d, double* out) noexcept nogil
 cdef void congruent(double* a, double* pair, double* out) noexcept nogil
 cdef void inverse_symmetric(double* c, double* out) noexcept nogil
 cdef void turn_tangent(double* c, double* change, int count) noexcept nogil
 cdef double offset_variance(double* c, double first, double second) noexcept nogil
-cdef void repair_covariance(double* c) noexcept nogil
+cdef void uncorrelate(double* c, int i, double variance) noexcept nogil
 cdef void shift_origin(double* c, double first, double second, int count) noexcept nogil
 cdef void moments(double* points, Py_ssize_t count, double* mean, double* scatter) noexcept nogil
 cdef void height_normal(double* scatter, double slope_x, double slope_y, double spread, double* normal) noexcept nogil

@@ -20,27 +20,14 @@ from quadtree_lss.onboard.core.geometry.sphere import Vector
 MIN_UP = cython.declare(cython.double, 0.25)
 #: Least variance of a plane, rad^2 and m^2: below, round-off dominates.
 MIN_VARIANCE = cython.declare(cython.double, 1e-12)
-#: A squared correlation above this cannot be due to rounding only.
-ROUNDING_FACTOR = cython.declare(cython.double, 1.02)
 #: Squared distance of a shift of the origin beyond which rounding shows in a covariance, m^2.
 FAR_SQUARED = cython.declare(cython.double, 1e6)
 #: Least information of a fit on a slope, rad^-2.
 MIN_INFORMATION = cython.declare(cython.double, 1e-2)
 
 
-def multiply(a: Vector, b: Vector, out: Vector) -> None:
-    """Multiply two 3x3 matrices."""
-    cython.declare(i=cython.int, j=cython.int)
-    for i in range(3):
-        for j in range(3):
-            out[3 * i + j] = a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j]
-
-
 def interleave(c: Vector, d: Vector, out: Vector) -> None:
-    """Interleave two 3x3 matrices to a pair (18).
-
-    Operations on both covariances of a plane then vectorise.
-    """
+    """Interleave two 3x3 matrices to a pair (18), on which the operations on both vectorise."""
     k: cython.int
     for k in range(9):
         out[2 * k] = c[k]
@@ -68,10 +55,9 @@ def congruent(a: Vector, pair: Vector, out: Vector) -> None:
 
 
 def inverse_symmetric(c: Vector, out: Vector) -> None:
-    """Invert a symmetric positive definite matrix by the cofactors of the scaled matrix.
+    """Invert a symmetric positive definite matrix, scaled to a unit diagonal, by its cofactors.
 
-    The matrix is scaled to a unit diagonal, so that metres and radians of very different size do
-    not matter. The determinant is at least 1e-14, so a singular matrix has a large finite inverse.
+    The determinant is at least 1e-14, so a singular matrix has a large finite inverse.
     """
     x = 1.0 / sqrt(max(c[0], 1e-24))
     y = 1.0 / sqrt(max(c[4], 1e-24))
@@ -126,27 +112,12 @@ def shift_origin(c: Vector, first: float, second: float, count: cython.int) -> N
         c[5 * count + k] = c[7 * count + k] = c[5 * count + k] - y
 
 
-def repair_covariance(c: Vector) -> None:
-    """Make a covariance (9) diagonal, in place, if rounding made it indefinite.
-
-    This happens if planes that are 1e5 m or more apart are fused about a distant pivot, and below a
-    lidar whose position is exact.
-    """
-    cython.declare(i=cython.int)
-    xy, xz, yz = c[1] * c[1], c[2] * c[2], c[5] * c[5]
-    x, y, z = c[0], c[4], c[8]
-    determinant = x * y * z + 2.0 * c[1] * c[2] * c[5] - x * yz - y * xz - z * xy
-    if (
-        xy > ROUNDING_FACTOR * x * y
-        or xz > ROUNDING_FACTOR * x * z
-        or yz > ROUNDING_FACTOR * y * z
-        or determinant < (1.0 - ROUNDING_FACTOR) * x * y * z
-    ):
-        for i in range(1, 8):
-            if i != 4:
-                c[i] = 0.0
-        for i in range(3):
-            c[4 * i] = max(c[4 * i], 0.0)
+def uncorrelate(c: Vector, i: cython.int, variance: float) -> None:
+    """Set the variance of one of the three errors of a covariance (9), uncorrelated."""
+    k: cython.int
+    for k in range(3):
+        c[3 * i + k] = c[3 * k + i] = 0.0
+    c[4 * i] = variance
 
 
 def offset_variance(c: Vector, first: float, second: float) -> cython.double:
@@ -157,10 +128,7 @@ def offset_variance(c: Vector, first: float, second: float) -> cython.double:
 
 
 def moments(points: Vector, count: cython.Py_ssize_t, mean: Vector, scatter: Vector) -> None:
-    """Compute centroid (3), m, and scatter (6), m^2, of points (3 N), x, y and z of each in turn.
-
-    Sums are about the first point, so that squares stay small.
-    """
+    """Compute centroid (3), m, and scatter (6), m^2, of points (3 N), by sums about the first."""
     total = cython.declare(cython.double[18])
     cython.declare(i=cython.Py_ssize_t, k=cython.int)
     x0, y0, z0 = points[0], points[1], points[2]
@@ -215,8 +183,8 @@ def height_normal(
 ) -> None:
     """Compute the normal (3) by regression of height on (x, y) with a weak prior on the slope.
 
-    z = z0 + a x + b y minimises sum (z - z0 - a x - b y)^2 + s |(a, b) - (a, b)_prior|^2, which is
-    (S_xy + s I)(a, b) = S_xz + s (a, b)_prior with S the within-scan scatter.
+    (S_xy + s I)(a, b) = S_xz + s (a, b)_prior, with the within-scan scatter S and the ``spread``
+    s, m^2, minimises sum (z - z0 - a x - b y)^2 + s |(a, b) - (a, b)_prior|^2.
     """
     xx = scatter[0] + spread
     yy = scatter[3] + spread
@@ -233,19 +201,12 @@ def height_normal(
 def line_normal(
     scatter: Vector, prior: Vector, along: float, spread: float, normal: Vector, line: Vector
 ) -> None:
-    """Compute the normal (3) of a plane from points on a line: along it their slope, across it the
-    prior's.
+    """Compute the normal (3) of points on a line: along it their slope, across it the ``prior``'s.
 
-    With l the direction of the line in (x, y) and (a, b) the slope, height is regressed on the
-    position along l with a weak prior: l.(a, b) changes from the prior's by
-    (S_lz - S_ll l.(a, b)_prior) / (S_ll + s).
-
-    Args:
-        scatter: (6), m^2.
-        prior: (3) normal.
-        along: S_ll, the greater eigenvalue of the scatter's (x, y), m^2.
-        spread: s, m^2.
-        line: (6), set to the scatter without the part across l.
+    The line has the direction l in (x, y). A weak prior on the slope (a, b) changes l.(a, b) by
+    (S_lz - S_ll l.(a, b)_prior) / (S_ll + s). ``along``: S_ll, the greater eigenvalue of the
+    scatter's (x, y), m^2. ``spread``: s, m^2. ``line``: set to the scatter (6) without the part
+    across l.
     """
     # The longer of two forms of the eigenvector, which is not affected by cancellation.
     x = along - scatter[3] if scatter[0] >= scatter[3] else scatter[1]
@@ -266,10 +227,7 @@ def line_normal(
 
 
 def orient_up(normal: Vector) -> None:
-    """Orient a unit normal (3) upward, in place, with n_z of at least `MIN_UP`.
-
-    By Eq. 9 (n, d) and (-n, -d) are the same plane.
-    """
+    """Orient a unit normal (3) upward, in place, with n_z of at least `MIN_UP` (Eq. 9)."""
     if normal[2] < 0.0:
         normal[0], normal[1], normal[2] = -normal[0], -normal[1], -normal[2]
     if normal[2] < MIN_UP:
@@ -298,8 +256,7 @@ def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
     one free offset gamma_j per scan (Eq. 20, Eq. 21; of one scan, d is its gamma: Eq. 22) and
     weights constant in a (cell, scan), the cost of Eq. 25 is n^T S n / 2 with S the within-scan
     scatter times 1 / (n^T Sigma n). With B the tangent basis at n: gradient B^T S n, Hessian
-    B^T S B - (n^T S n) I. Where that is not positive definite the Gauss-Newton Hessian B^T S B of
-    Eq. 33 is used. Convergence is cubic.
+    B^T S B - (n^T S n) I, or the B^T S B of Eq. 33 where that is not positive definite.
     """
     basis = cython.declare(cython.double[6])
     first = cython.declare(cython.double[3])
@@ -336,9 +293,8 @@ def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
 def slope_covariance(scatter: Vector, normal: Vector, variance: float, out: Vector) -> None:
     """Compute the covariance (4) of dphi, the phi block of H^-1 (Eq. 35).
 
-    H = M S_xy M^T / variance + `MIN_INFORMATION` I with M = I + kappa kappa^T / (lambda (1 +
-    lambda)), which maps steps in x and y to steps along the plane in its tangent basis. The added
-    information is so small that many scans of one line do not determine the slope across it.
+    H = M S_xy M^T / variance + `MIN_INFORMATION` I, where M = I + kappa kappa^T / (lambda (1 +
+    lambda)) maps steps in x and y to steps along the plane in its tangent basis.
     """
     share = 1.0 / (normal[2] * (1.0 + normal[2]))
     m00 = 1.0 + share * normal[0] * normal[0]
@@ -363,9 +319,8 @@ def covariance_about(
 ) -> None:
     """Compute the covariance (9) of (dphi, dd) about an origin away from the points' centroid.
 
-    The plane passes through the centroid: d = n.(centroid - origin), so with dphi of covariance
-    ``slope`` (4) and the centroid's offset dd_0 independent, dd = dd_0 + lever.dphi, with the lever
-    B^T (centroid - origin) = (first, second), m.
+    With dphi of covariance ``slope`` (4) and the centroid's offset dd_0 independent, dd = dd_0 +
+    lever.dphi, with the lever B^T (centroid - origin) = (first, second), m.
     """
     x = slope[0] * first + slope[1] * second
     y = slope[2] * first + slope[3] * second
@@ -377,13 +332,9 @@ def covariance_about(
 def pose_part(normal: Vector, basis: Vector, arm: Vector, sigma: Vector, out: Vector) -> None:
     """Compute the covariance (9) of a plane due to the pose error of its scan, J Sigma_pose J^T.
 
-    A rigid motion (dm, dw), m and rad, about map axes changes n by dw x n and moves the plane's
-    point at the origin by dm + dw x arm, so dphi = B^T (dw x n) and dd = n.dm + (arm x n).dw.
-
-    Args:
-        normal, basis: (3), and (6) of the tangent there.
-        arm: (3) from the lidar to the plane's origin, m.
-        sigma: (36) covariance of (dm, dw).
+    A rigid motion (dm, dw), m and rad, of covariance ``sigma`` (36) about map axes changes n by
+    dw x n and moves the plane's point at the origin, ``arm`` (3) from the lidar, by dm + dw x arm:
+    dphi = B^T (dw x n) and dd = n.dm + (arm x n).dw.
     """
     turn = cython.declare(cython.double[3])
     moved = cython.declare(cython.double[6])
@@ -431,25 +382,16 @@ def fuse(
     covariances (Eq. 38) carried to the measured plane's tangent and origin. With A and R the
     covariances of prior and measurement (Eq. 40): K = A (A + R)^-1 (Eq. 41), fused = measured [+]
     (I - K) e (Eq. 43, Eq. 44), and each part of the covariance becomes
-    (I - K) P (I - K)^T + K R K^T (Eq. 42, Eq. 45).
-
-    The computation is about the prior's pivot, the point where the errors of its slope and its
-    height are independent. So a change of the slope does not change the well-known height there,
-    which a linearisation about another point would.
+    (I - K) P (I - K)^T + K R K^T (Eq. 42, Eq. 45). All of it is about the prior's pivot, so that a
+    change of the slope does not change the well-known height there.
 
     Common pose error neither weights the estimates nor averages out: only the share 1 - common of
     the pose parts P and Q counts in A and R, and the fused pose part is
     common ((1 - k) P + k Q) + (1 - common) ((I - K) P (I - K)^T + K Q K^T), k = K_dd.
 
-    Args:
-        prior_normal: (3).
-        prior_rise: Height of the prior's origin above the measured plane's, m.
-        prior_range, prior_pose: (9) parts of its covariance; replaced by the fused plane's, about
-            its own height.
-        normal: (3) measured; replaced by the fused one.
-        range_part, pose_part: (9) parts of its covariance; overwritten.
-        common: Correlation of the two pose errors, 0 .. 1.
-        out_rise: (1) height of the fused plane above the measured one, m.
+    ``prior_rise`` is the height of the prior's origin above the measured plane's, m. The fused
+    plane replaces ``normal`` and the covariances of the prior, about its own height, which is
+    ``out_rise`` (1) above the measured plane, m; the measured covariances are overwritten.
     """
     basis = cython.declare(cython.double[6])
     pivot = cython.declare(cython.double[3])
@@ -464,7 +406,7 @@ def fuse(
     rest = cython.declare(cython.double[9])
     kept = cython.declare(cython.double[18])
     taken = cython.declare(cython.double[18])
-    cython.declare(i=cython.int)
+    cython.declare(i=cython.int, k=cython.int)
     basis_at(prior_normal, basis)
     _pivot(prior_range, prior_rise, basis, error, pivot)
     interleave(prior_range, prior_pose, prior)
@@ -483,7 +425,13 @@ def fuse(
         one[i] = prior[2 * i] + (1.0 - common) * prior[2 * i + 1]
         spread[i] = one[i] + (measured[2 * i] + (1.0 - common) * measured[2 * i + 1])
     inverse_symmetric(spread, inverse)
-    multiply(one, inverse, gain)
+    for i in range(3):
+        for k in range(3):
+            gain[3 * i + k] = (
+                one[3 * i] * inverse[k]
+                + one[3 * i + 1] * inverse[3 + k]
+                + one[3 * i + 2] * inverse[6 + k]
+            )
     for i in range(9):
         rest[i] = (1.0 if i % 4 == 0 else 0.0) - gain[i]
     congruent(rest, prior, kept)
@@ -519,18 +467,11 @@ def fuse_height(
     K = k h^T, k = A h / (h.A h + v + (1 - common) q), and
     (I - K) P (I - K)^T = P - k (P h)^T - (P h) k^T + (h.P h) k k^T.
 
-    Args:
-        normal: (3) of the prior; replaced by the fused one.
-        rise: Height of its origin above that of the parallel plane through the point, m.
-        range_part, pose_part: (9) parts of its covariance; replaced by the fused plane's, about
-            its own height.
-        lever: (2) from the parallel plane's origin to the point, along its tangent axes, m.
-        variance: v, m^2.
-        other_pose: (9) pose part of the parallel plane; overwritten.
-        common: Correlation of the two pose errors, 0 .. 1.
-        sloped: Whether the slope may change; if not, the covariances still include its error: they
-            hold for any K.
-        out_rise: (1) height of the fused plane above the parallel one, m.
+    ``rise`` is the height of the plane's origin above that of the parallel plane through the point,
+    m; ``lever`` (2) leads from the latter to the point, along the tangent axes, m; ``variance`` is
+    v, m^2, and ``other_pose`` (9), overwritten, the pose part of the parallel plane. The slope
+    changes only if ``sloped``; the covariances hold for any K. The fused plane replaces ``normal``
+    and the covariances, about its own height, ``out_rise`` (1) above the parallel plane, m.
     """
     basis = cython.declare(cython.double[6])
     pivot = cython.declare(cython.double[3])
@@ -582,11 +523,8 @@ def fuse_height(
 def _pivot(c: Vector, rise: float, basis: Vector, arm: Vector, out: Vector) -> None:
     """Find the pivot (3), where the errors of a plane's slope and height are independent, m.
 
-    Args:
-        c: (9) covariance about the plane's origin.
-        rise: Height of the plane's origin above the origin of the pivot, m.
-        basis: (6) of the tangent.
-        arm: (2), set to the pivot from the plane's origin in the tangent, m.
+    ``c``: covariance (9) about the plane's origin, which is ``rise`` above that of the pivot, m.
+    ``arm``: set to the pivot from the plane's origin along the tangent axes (2), m.
     """
     square = c[0] * c[4]
     share = square - c[1] * c[1]
@@ -611,14 +549,11 @@ def _from_pivot(
 ) -> None:
     """Apply a step (3) of (dphi, dd) about the pivot (3) to a plane, and move its covariances.
 
-    Args:
-        pair: (18) covariances about the pivot; overwritten.
-        pivot, step: m, and rad and m; the pivot is overwritten.
-        basis, normal: (6) of the tangent and (3); replaced by those after the step.
-        range_part, pose_part: (9), set to the covariances about the new height over the origin.
-        out_rise: (1), set to this height over the origin, m.
+    ``basis`` and ``normal`` become those after the step, ``range_part`` and ``pose_part`` the
+    covariances of the ``pair`` about the new height over the origin, ``out_rise`` (1) this height,
+    m. Pair and pivot are overwritten.
     """
-    cython.declare(i=cython.int, k=cython.int)
+    cython.declare(i=cython.int)
     plus_at(normal, basis, step, normal)
     orient_up(normal)
     basis_at(normal, basis)
@@ -631,15 +566,11 @@ def _from_pivot(
     for i in range(9):
         range_part[i] = pair[2 * i]
         pose_part[i] = pair[2 * i + 1]
-    for i in range(3):
-        if range_part[4 * i] < MIN_VARIANCE:
-            # Lost to round-off, and the covariances with it.
-            for k in range(3):
-                range_part[3 * i + k] = range_part[3 * k + i] = 0.0
-            range_part[4 * i] = MIN_VARIANCE
+    # Round-off shows in covariances far from the pivot, and below a lidar of exact position.
     remote: cython.bint = first * first + second * second > FAR_SQUARED
-    if remote:
-        repair_covariance(range_part)
-    if remote or min(pose_part[0], pose_part[4], pose_part[8]) < MIN_VARIANCE:
-        repair_covariance(pose_part)
+    for i in range(3):
+        if remote or range_part[4 * i] < MIN_VARIANCE:
+            uncorrelate(range_part, i, max(range_part[4 * i], MIN_VARIANCE))
+        if remote or pose_part[4 * i] < MIN_VARIANCE:
+            uncorrelate(pose_part, i, max(pose_part[4 * i], 0.0))
     out_rise[0] = rise

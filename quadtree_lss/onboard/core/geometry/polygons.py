@@ -30,7 +30,7 @@ def signed_distance(polygon: ArrayLike, x: Array, y: Array) -> Array:
         raise ValueError(msg)
     corners = corners[:, :2]
     if not (np.abs(corners) <= MAX_COORDINATE).all():
-        msg = "a polygon has a vertex that is not finite or exceeds {MAX_COORDINATE:g} m"
+        msg = f"a polygon has a vertex that is not finite or exceeds {MAX_COORDINATE:g} m"
         raise ValueError(msg)
     edges = np.hstack([corners, np.roll(corners, -1, axis=0)])
     out = np.empty(x.shape)

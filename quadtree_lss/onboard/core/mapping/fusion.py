@@ -36,7 +36,7 @@ class Fusion:
 
     def __init__(self, rules: Rules, scan: RegisteredScan, now: float) -> None:
         self.rules = rules
-        self.origin = scan.origin.tolist()
+        self.origin = scan.pose.position.tolist()
         self.sigma = scan.pose.covariance.ravel().tolist()
         self.aligned = False
         self.now = self.correlation_at = now

@@ -10,14 +10,14 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from quadtree_lss.onboard.arrays import Array, Points
+from quadtree_lss.onboard.arrays import Array, Points, keep_memory
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config
 from quadtree_lss.onboard.core.mapping import alignment, update
 from quadtree_lss.onboard.core.mapping.alignment import Motion, RejectedScans, Verdict
 from quadtree_lss.onboard.core.mapping.measure import Rules, unobserved_parts
 from quadtree_lss.onboard.core.mapping.update import ScanUpdate
 from quadtree_lss.onboard.core.sensing.lidar import Pose
-from quadtree_lss.onboard.core.sensing.pose_buffer import SECOND_NS
+from quadtree_lss.onboard.core.sensing.pose_buffer import JUMP_NS
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan, register
 from quadtree_lss.onboard.core.sensing.sweep import Sweep
 from quadtree_lss.onboard.core.tree import checkpoint
@@ -28,8 +28,6 @@ from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.core.tree.held_returns import HeldReturns
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, to_grid
 
-#: A scan that is older than the map by more than this is not late: time jumped back (`ScanQueue`).
-JUMP_NS = SECOND_NS
 #: Least number of cells of a scan for an estimate of the range noise.
 NOISE_CELLS = 3
 #: Share of a new scan in the running mean of the observed range noise.
@@ -91,6 +89,7 @@ class Mapper:
     """
 
     def __init__(self, config: Config = DEFAULTS) -> None:
+        keep_memory()
         self.config = config
         self.leaves = LeafTable(Domain.of(config.domain), config.mapping.max_cells)
         self._area: tuple[float, float] | None = None

@@ -35,9 +35,7 @@ MIN_GATE = 1e-6
 def isolated_in_image(ranges: Array, gate: float) -> Ints:
     """Find the isolated returns of an organised scan: flat indices (K,), ascending.
 
-    Args:
-        ranges: (H, W), m; NaN where there is no return.
-        gate: m; 0 keeps every return.
+    ``ranges``: (H, W), m; NaN where there is no return. ``gate``: m; 0 keeps every return.
     """
     pixels = np.empty(ranges.size, dtype=np.int32)
     count = find_isolated(ranges, gate, pixels) if gate > 0.0 else 0
@@ -45,12 +43,9 @@ def isolated_in_image(ranges: Array, gate: float) -> Ints:
         return pixels[:0]
     steps = np.empty(len(SAMPLE))
     known = second_steps(ranges, (SAMPLE * ranges.size).astype(np.int32), steps)
-    limit = (
-        GATE_FACTOR * float(np.partition(steps[:known], known // 2)[known // 2]) if known else 0.0
-    )
-    if limit > gate:  # a wider gate isolates a subset
-        count = keep_isolated(ranges, limit, pixels[:count])
-    return pixels[:count]
+    if known:
+        gate = max(gate, GATE_FACTOR * float(np.partition(steps[:known], known // 2)[known // 2]))
+    return pixels[: find_isolated(ranges, gate, pixels)]
 
 
 @cython.boundscheck(False)
@@ -76,21 +71,6 @@ def find_isolated(ranges: Array, limit: float, pixels: Ints) -> cython.Py_ssize_
                     pixels[count] = row * width + column
                     count += 1
                 column += max(linked, 1) if linked == width - 1 else 1
-    return count
-
-
-@cython.boundscheck(False)
-@cython.locals(ranges=cython.double[:, ::1], pixels=cython.int[::1])
-def keep_isolated(ranges: Array, limit: float, pixels: Ints) -> cython.Py_ssize_t:
-    """Move isolated ``pixels`` (M,) to the front; return their number."""
-    i: cython.Py_ssize_t
-    count: cython.Py_ssize_t = 0
-    width: cython.Py_ssize_t = ranges.shape[1]
-    with cython.nogil:
-        for i in range(pixels.shape[0]):
-            if is_isolated(ranges, pixels[i] // width, pixels[i] % width, limit):
-                pixels[count] = pixels[i]
-                count += 1
     return count
 
 
@@ -173,10 +153,7 @@ def second_steps(ranges: Array, pixels: Ints, steps: Array) -> cython.Py_ssize_t
 def isolated_in_space(points: Array, ranges: Array, gate: float) -> Ints:
     """Find the isolated returns of an unorganised scan: indices (K,), ascending.
 
-    Args:
-        points: (N, 3) in any axes, m; undefined where there is no return.
-        ranges: (N,), m; NaN where there is no return.
-        gate: m; 0 keeps every return.
+    ``points``: (N, 3) in any axes, m; ``ranges`` and ``gate`` as of `isolated_in_image`.
     """
     returns = np.flatnonzero(ranges > 0.0).astype(np.int32)
     if gate == 0.0 or len(returns) < 3:
@@ -200,11 +177,8 @@ def isolated_in_space(points: Array, ranges: Array, gate: float) -> Ints:
 
 
 def typical_distance(points: Array) -> float:
-    """Estimate the median distance of points (N, 3) to their second nearest neighbour, m.
-
-    It is computed for a sample. On a surface, a sample of one point in k has sqrt(k) times the
-    distance.
-    """
+    """Estimate the median distance of points (N, 3) to their second nearest neighbour, m, from a
+    sample: on a surface, one point in k has sqrt(k) times the distance."""
     from scipy.spatial import cKDTree
 
     sample = points[np.unique((SAMPLE[:256] * len(points)).astype(np.intp))]

@@ -63,16 +63,14 @@ class Pose:
         rotation = t[:3, :3]
         unit = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
         if not unit or np.linalg.det(rotation) < 0.0:
-            msg = "the upper left (3, 3) of the matrix is not a rotation"
-            raise ValueError(msg)
+            raise ValueError("the upper left (3, 3) of the matrix is not a rotation")
         left, _, right = np.linalg.svd(rotation)
         if covariance is None:
             sigmas = np.repeat([position_sigma, np.radians(attitude_sigma_deg)], 3)
             covariance = np.diag(sigmas**2)
         known = np.array(covariance, dtype=np.float64)
         if known.shape != (6, 6) or not np.isfinite(known).all():
-            msg = "a pose's covariance is a (6, 6) matrix of finite numbers"
-            raise ValueError(msg)
+            raise ValueError("a pose's covariance is a (6, 6) matrix of finite numbers")
         return cls(int(stamp_ns), t[:3, 3].copy(), np.asarray(left @ right), known)
 
     @property
@@ -100,5 +98,5 @@ def points_from_ranges(ranges: ArrayLike, azimuth: ArrayLike, elevation: ArrayLi
 def clip_covariance(covariance: Array) -> Array:
     """Clip the eigenvalues of a covariance (K, K) to 0 .. `MAX_VARIANCE`."""
     values, vectors = np.linalg.eigh(covariance)
-    root = vectors * np.sqrt(values.clip(0.0, MAX_VARIANCE))
+    root = vectors * np.sqrt(np.minimum(np.maximum(values, 0.0), MAX_VARIANCE))
     return np.asarray(root @ root.T)

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from quadtree_lss.onboard.config.settings import MountConfig
 from quadtree_lss.onboard.core.geometry.rotations import exp, skew
@@ -44,24 +43,28 @@ class MountedPoses:
         self.explain_missing = explain_missing
 
     @property
+    def _buffers(self) -> list[PoseBuffer]:
+        """Poses of the body and, with a gimbal, of the lidar on it."""
+        return [self.body, self.mount] if isinstance(self.mount, PoseBuffer) else [self.body]
+
+    @property
     def jumps(self) -> int:
         """Backward jumps of body and gimbal."""
-        return self.body.jumps + (self.mount.jumps if isinstance(self.mount, PoseBuffer) else 0)
+        return sum(buffer.jumps for buffer in self._buffers)
 
     def clear(self) -> None:
         """Forget the poses of body and gimbal."""
-        self.body.clear()
-        if isinstance(self.mount, PoseBuffer):
-            self.mount.clear()
+        for buffer in self._buffers:
+            buffer.clear()
 
     @property
     def range_ns(self) -> tuple[int, int] | None:
-        """Oldest and newest stamp that both body and mount may cover."""
-        body = self.body.range_ns
-        if body is None or not isinstance(self.mount, PoseBuffer):
-            return body
-        mount = self.mount.range_ns
-        return None if mount is None else (max(body[0], mount[0]), min(body[1], mount[1]))
+        """Oldest and newest stamp that both body and gimbal may cover."""
+        ranges = [buffer.range_ns for buffer in self._buffers]
+        known = [held for held in ranges if held is not None]
+        if len(known) < len(ranges):
+            return None
+        return max(oldest for oldest, _ in known), min(newest for _, newest in known)
 
     def pose_at(self, stamp_ns: int) -> Pose | None:
         """Return the lidar's pose at a stamp, None unless body and mount are known there."""
@@ -71,40 +74,33 @@ class MountedPoses:
 
     def covers(self, stamp_ns: int) -> bool:
         """Return whether `pose_at` returns a pose."""
-        if self.mount is None or not self.body.covers(stamp_ns):
-            return False
-        return isinstance(self.mount, Pose) or self.mount.covers(stamp_ns)
+        return self.mount is not None and all(b.covers(stamp_ns) for b in self._buffers)
 
     def stamps_between(self, first_ns: int, last_ns: int) -> list[int]:
         """Return the stamps of body and gimbal poses between two stamps, both excluded."""
-        stamps = self.body.stamps_between(first_ns, last_ns)
-        if isinstance(self.mount, PoseBuffer):
-            stamps = sorted({*stamps, *self.mount.stamps_between(first_ns, last_ns)})
-        return stamps
+        return sorted({s for b in self._buffers for s in b.stamps_between(first_ns, last_ns)})
 
     def drop_reason(self, stamp_ns: int) -> str | None:
         """Return as `PoseBuffer.drop_reason`; of a gimbal with the prefix ``gimbal_``."""
         reason = self.body.drop_reason(stamp_ns)
         if reason is None and isinstance(self.mount, PoseBuffer):
-            if (mount_reason := self.mount.drop_reason(stamp_ns)) is not None:
-                reason = f"gimbal_{mount_reason}"
+            gimbal_reason = self.mount.drop_reason(stamp_ns)
+            reason = gimbal_reason and f"gimbal_{gimbal_reason}"
         return reason
 
     def timeout_reason(self, stamp_ns: int) -> str:
         """Return ``no_pose``, ``no_mount`` or ``gimbal_no_pose``."""
-        if self.body.covers(stamp_ns) and self.mount is None:
-            return "no_mount"
-        if self.body.covers(stamp_ns) and isinstance(self.mount, PoseBuffer):
-            return f"gimbal_{self.mount.timeout_reason(stamp_ns)}"
-        return self.body.timeout_reason(stamp_ns)
+        if isinstance(self.mount, Pose) or not self.body.covers(stamp_ns):
+            return "no_pose"
+        return "no_mount" if self.mount is None else "gimbal_no_pose"
 
     def explain(self, stamp_ns: int, topic: str) -> str:
         """Return as `PoseBuffer.explain` for what is missing: body, mount or gimbal."""
-        if self.body.covers(stamp_ns) and self.mount is None:
+        if isinstance(self.mount, Pose) or not self.body.covers(stamp_ns):
+            return self.body.explain(stamp_ns, topic)
+        if self.mount is None:
             return self.explain_missing()
-        if self.body.covers(stamp_ns) and isinstance(self.mount, PoseBuffer):
-            return self.mount.explain(stamp_ns, self.gimbal_topic)
-        return self.body.explain(stamp_ns, topic)
+        return self.mount.explain(stamp_ns, self.gimbal_topic)
 
 
 PoseSource: TypeAlias = PoseBuffer | MountedPoses
@@ -128,11 +124,6 @@ def mounted(body: Pose, mount: Pose) -> Pose:
     )
 
 
-def cloud_rotation(config: MountConfig) -> NDArray[np.float64]:
-    """Return the rotation (3, 3) of the cloud's axes to those of the lidar's pose."""
-    return AXES[config.axes]
-
-
 def fixed_mount(config: MountConfig) -> Pose | None:
     """Return the configured pose of the cloud's axes in body axes, None without a mount."""
     if config == MountConfig(source=config.source):
@@ -140,4 +131,4 @@ def fixed_mount(config: MountConfig) -> Pose | None:
     roll, pitch, yaw = np.radians([config.roll_deg, config.pitch_deg, config.yaw_deg])
     rotation = exp([0.0, 0.0, yaw]) @ exp([0.0, pitch, 0.0]) @ exp([roll, 0.0, 0.0])
     position = np.array([config.x, config.y, config.z])
-    return Pose(0, position, rotation @ cloud_rotation(config), np.zeros((6, 6)))
+    return Pose(0, position, rotation @ AXES[config.axes], np.zeros((6, 6)))

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import sys
+from typing import TYPE_CHECKING
 
 import cython
 import numpy as np
@@ -11,50 +11,41 @@ from cython.cimports.libc.math import INFINITY, NAN, sqrt
 from cython.cimports.quadtree_lss.onboard.core.geometry.morton import PLACE_BITS, prefetch
 
 from quadtree_lss.onboard.arrays import Array, Ints, Keys, Points
-from quadtree_lss.onboard.core.geometry.morton import SPREAD, sort_packed
+from quadtree_lss.onboard.config.settings import LidarConfig
+from quadtree_lss.onboard.core.geometry.morton import SPREAD
+
+if TYPE_CHECKING:
+    from quadtree_lss.onboard.core.tree.domain import Domain
 
 #: As a typed view.
 SPREAD_VIEW = cython.declare(cython.longlong[::1], SPREAD)
 
 
 class Workspace:
-    """Arrays of the kernels for a scan of N points, and three more (see `sort_points`).
+    """N points of a scan in map axes, in the order of the scan.
 
     Attributes:
-        points_map: (N + 3, 3) in map axes about the lidar, m; undefined where there is no return.
+        points_map: (N + 3, 3) about the lidar, m; undefined where there is no return.
         ranges: (N,) m, NaN where there is no return.
         runs: (N,) runs of consecutive points in the same finest cell: its Morton code (``count``
-            squared outside the domain) and the number of the run, packed for `morton.sort_packed`.
+            squared outside the domain) and the number of the run in the bits below `PLACE_BITS`.
         begins: (N + 1,) the first point of each run, and the end of the last.
         run_count: Number of runs.
         still: (1, 12) motion of a lidar at rest: its rotation, and zeros.
         missing, beyond: Number of points that are not finite, and of those out of range.
-        above: Whether a point in a cell lies above the origin.
+        above: Whether a point in a cell lies above the lidar.
     """
 
     def __init__(self, size: cython.Py_ssize_t) -> None:
         self.points_map, self.ranges = np.empty((size + 3, 3)), np.empty(size)
         self.points, self.range = self.points_map, self.ranges
         self.flat = self.points_map.reshape(-1)
-        self.runs, self.spare = np.empty((2, size), np.int64)
+        self.packed = np.empty(size, np.int64)
+        self.runs = self.packed
         self.begins = np.empty(size + 1, np.int32)
         self.still = np.zeros((1, 12))
         self.missing = self.beyond = self.run_count = 0
         self.above = False
-        self._fresh()
-
-    def _fresh(self) -> None:
-        size = len(self.points_map)
-        self._arranged, self._key = np.empty((size, 3)), np.empty(size, np.int64)
-        self.arranged, self.key = self._arranged.reshape(-1), self._key
-        self._references = sys.getrefcount(self._arranged), sys.getrefcount(self._key)
-
-    def output(self) -> tuple[Array, Keys]:
-        """Return arrays for points (N + 3, 3) and keys (N + 3,): those of the scan before, or new
-        ones if they are still referenced."""
-        if (sys.getrefcount(self._arranged), sys.getrefcount(self._key)) != self._references:
-            self._fresh()
-        return self._arranged, self._key
 
 
 @cython.boundscheck(False)
@@ -63,24 +54,16 @@ def transform_points(
     offsets: Ints,
     times: Array,
     motion: Array,
-    min_range: float,
-    max_range: float,
-    west: float,
-    south: float,
-    per_metre: float,
-    count: cython.longlong,
+    lidar: LidarConfig,
+    domain: Domain,
+    position: Array,
     work: Workspace,
 ) -> cython.void:
     """Rotate points (N, 3) to map axes, about the lidar at the scan's stamp, m; find their cells.
 
-    Args:
-        points_lidar: (N, 3) lidar axes, m.
-        offsets, times, motion: As in `sweep.Sweep`; without offsets, or if all times are equal, the
-            first row of ``motion`` applies to all points.
-        min_range, max_range: Shorter or longer ranges are no returns, m.
-        west, south: Position of the lidar from the domain's south-western corner, m.
-        per_metre, count: Finest cells per metre, and along a side.
-        work: Receives the results.
+    ``offsets``, ``times`` and ``motion`` are those of a `sweep.Sweep`; without offsets, or if all
+    times are equal, the first row of ``motion`` applies to all points. ``position``: (3,) of the
+    lidar at the scan's stamp, map frame, m. ``work``: receives the results.
     """
     i: cython.Py_ssize_t
     missing: cython.longlong = 0
@@ -91,10 +74,15 @@ def transform_points(
     run: cython.Py_ssize_t = -1
     last: cython.longlong = -1
     cython.declare(code=cython.longlong)
+    count: cython.longlong = 1 << domain.max_level
     nowhere: cython.longlong = count * count
     side: cython.double = count
+    per_metre: cython.double = count / domain.size
+    west: cython.double = position[0] - domain.xmin
+    south: cython.double = position[1] - domain.ymin
+    max_range: cython.double = lidar.max_range
     moving: cython.bint = offsets.shape[0] > 0 and times[0] < times[times.shape[0] - 1]
-    nearest: cython.double = max(min_range, 5e-324)  # greater than 0
+    nearest: cython.double = max(lidar.min_range, 5e-324)  # greater than 0
     r = cython.declare(cython.double[12])
     points = cython.declare(cython.double[:, ::1], work.points)
     ranges = cython.declare(cython.double[::1], work.range)
@@ -152,25 +140,14 @@ def transform_points(
 
 
 @cython.boundscheck(False)
-def any_beyond(points: Points, limit: float) -> cython.bint:
-    """Return whether any coordinate of points (N, 3) exceeds ``limit`` in magnitude."""
-    i: cython.Py_ssize_t
-    with cython.nogil:
-        for i in range(points.shape[0]):
-            if abs(points[i, 0]) > limit or abs(points[i, 1]) > limit or abs(points[i, 2]) > limit:
-                return True
-    return False
-
-
-@cython.boundscheck(False)
 def sort_points(
     work: Workspace, isolated: cython.bint, nowhere: cython.longlong
-) -> cython.Py_ssize_t:
-    """Sort the runs, copy points and keys run by run to `Workspace.output`, return their number.
+) -> tuple[Array, Keys]:
+    """Sort the runs; return points (M, 3) and their keys (M,), run by run.
 
     Of each run at least four points are copied, without a branch on its length; the next run
-    overwrites the excess, and the last three points of the output are undefined. Points outside
-    the domain (key ``nowhere``) are dropped, and with ``isolated`` those without a range.
+    overwrites the excess. Points outside the domain (key ``nowhere``) are dropped, and with
+    ``isolated`` those without a range.
     """
     four = cython.declare(cython.double[12])
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, run=cython.Py_ssize_t)
@@ -178,15 +155,15 @@ def sort_points(
     key: cython.longlong
     ahead: cython.longlong
     to: cython.Py_ssize_t = 0
+    work.packed[: work.run_count].sort()
     runs = cython.declare(cython.longlong[::1], work.runs[: work.run_count])
-    spare = cython.declare(cython.longlong[::1], work.spare[: work.run_count])
     points = cython.declare(cython.double[::1], work.flat)
     ranges = cython.declare(cython.double[::1], work.range)
     begins = cython.declare(cython.int[::1], work.begins)
-    arranged = cython.declare(cython.double[::1], work.arranged)
-    keys = cython.declare(cython.longlong[::1], work.key)
-    if sort_packed(runs, spare):
-        runs = spare
+    size: cython.Py_ssize_t = work.points.shape[0]
+    sorted_points, sorted_keys = np.empty((size, 3)), np.empty(size, np.int64)
+    arranged = cython.declare(cython.double[::1], sorted_points.reshape(-1))
+    keys = cython.declare(cython.longlong[::1], sorted_keys)
     with cython.nogil:
         for i in range(runs.shape[0]):
             key = runs[i] >> PLACE_BITS
@@ -218,4 +195,4 @@ def sort_points(
                 for j in range(4, end - begin):
                     keys[to + j] = key
             to += end - begin
-    return to
+    return sorted_points[:to], sorted_keys[:to]

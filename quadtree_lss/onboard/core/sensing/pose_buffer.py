@@ -10,6 +10,8 @@ from quadtree_lss.onboard.core.sensing.lidar import Pose
 
 SECOND_NS = 1_000_000_000
 MAX_POSES = 100_000
+#: Stamps that go back by more than this mean that time jumped back (a looping bag), ns.
+JUMP_NS = SECOND_NS
 
 
 def seconds(stamp_ns: int) -> str:
@@ -32,17 +34,14 @@ class PoseBuffer:
     """The poses of the last ``span_ns``, in the order of their stamps.
 
     Poses farther apart than ``max_gap_ns`` are not interpolated. A pose that is older than the
-    newest by at most ``jump_ns`` is a late message and is inserted. An older one means that time
-    jumped back (a looping bag): all other poses are deleted, and ``jumps`` is incremented.
+    newest by at most `JUMP_NS` is a late message and is inserted. An older one means that time
+    jumped back: all other poses are deleted, and ``jumps`` is incremented.
     ``what``: name of a pose in messages.
     """
 
-    def __init__(
-        self, span_ns: int, max_gap_ns: int, jump_ns: int = SECOND_NS, what: str = "pose"
-    ) -> None:
+    def __init__(self, span_ns: int, max_gap_ns: int, what: str = "pose") -> None:
         self.span_ns = span_ns
         self.max_gap_ns = max_gap_ns
-        self.jump_ns = jump_ns
         self.what = what
         self.jumps = 0
         self._stamps: list[int] = []
@@ -73,7 +72,7 @@ class PoseBuffer:
             self._poses.append(pose)
             self._trim()
             return None
-        if stamp < self._stamps[-1] - self.jump_ns:
+        if stamp < self._stamps[-1] - JUMP_NS:
             self.clear()
             self.jumps += 1
             self.add(pose)

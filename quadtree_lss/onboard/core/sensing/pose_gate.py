@@ -7,6 +7,7 @@ from math import acos, hypot, sqrt
 from operator import mul
 
 from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.sensing.pose_buffer import JUMP_NS
 
 #: Standard deviations between a pose and the extrapolation of the two poses before it ...
 SIGMAS = 6.0
@@ -14,8 +15,6 @@ SIGMAS = 6.0
 POSITION_TOLERANCE, ANGLE_TOLERANCE = 1.0, 0.3
 #: ... plus motion of the vehicle in between, m/s^2 and rad/s.
 MAX_ACCELERATION, MAX_TURN_RATE = 100.0, 6.0
-#: A pose that is older than the newest by at most this is late and passes unchecked, ns.
-JUMP_NS = 10**9
 #: The last of so many consecutive suspect poses is accepted.
 MAX_SUSPECT_POSES = 5
 
@@ -38,7 +37,7 @@ class PoseGate:
         """Take the next pose and return the poses that pass, at most two."""
         last = self._last
         gap_ns = pose.stamp_ns - last[-1].stamp_ns if last else 0
-        if -JUMP_NS <= gap_ns <= 0 and last:
+        if -JUMP_NS <= gap_ns <= 0 and last:  # late
             return [pose]
         if not 0 < gap_ns <= self.max_gap_ns:
             self._last = last = []

@@ -32,9 +32,8 @@ class RegisteredScan(NamedTuple):
 
     Attributes:
         pose: Lidar pose at the scan's stamp, its covariance positive semidefinite and bounded.
-        origin: (3,) position of the lidar at the scan's stamp, map frame, m.
-        points: (N, 3) map axes about ``origin``, m. They are also the rays, because the motion of
-            the lidar during the scan is far shorter.
+        points: (N, 3) map axes about the pose's position, m. They are also the rays, because the
+            motion of the lidar during the scan is far shorter.
         key: (N,) Morton code of the finest cell of each point, ascending; points of a cell keep the
             order of the scan.
         centre: x and y of the mean valid return, map frame, m, if there are valid returns and all
@@ -45,7 +44,6 @@ class RegisteredScan(NamedTuple):
     """
 
     pose: Pose
-    origin: Array
     points: Array
     key: Keys
     centre: tuple[float, float] | None
@@ -85,46 +83,35 @@ def register(
     if flat.dtype not in (np.float32, np.float64):
         flat = flat.astype(np.float64)
     if sweep is not None and len(sweep.offsets) != len(flat):
-        msg = f"sweep of {len(sweep.offsets)} points for a scan of {len(flat)}"
-        raise ValueError(msg)
+        raise ValueError(f"sweep of {len(sweep.offsets)} points for a scan of {len(flat)}")
     work = _workspace(len(flat))
-    points_map = work.points_map[: len(flat)]
     if sweep is None:
         work.still[0, :9] = pose.rotation_map_lidar.ravel()
         motion = NO_OFFSETS, STAMP_ONLY, work.still
     else:
         motion = sweep.offsets, sweep.times, sweep.motion
-    x, y, z = pose.position.tolist()
-    n = 1 << domain.max_level
-    transform_points(
-        flat,
-        *motion,
-        lidar.min_range,
-        lidar.max_range,
-        x - domain.xmin,
-        y - domain.ymin,
-        n / domain.size,
-        n,
-        work,
-    )
+    transform_points(flat, *motion, lidar, domain, pose.position, work)
+    points_map, ranges = work.points_map[: len(flat)], work.ranges
     if points_lidar.ndim == 3:
-        image = work.ranges.reshape(points_lidar.shape[:2])
-        isolated = isolated_in_image(image, lidar.outlier_gate)
+        isolated = isolated_in_image(ranges.reshape(points_lidar.shape[:2]), lidar.outlier_gate)
     else:
-        isolated = isolated_in_space(points_map, work.ranges, lidar.outlier_gate)
+        isolated = isolated_in_space(points_map, ranges, lidar.outlier_gate)
     compared = None
     if held is not None and len(isolated):
         compared = held.compare(points_map[isolated] + pose.position, domain, lidar.outlier_gate)
         isolated = isolated[~compared.confirmed]
-    work.ranges[isolated] = np.nan
+    ranges[isolated] = np.nan
     valid = len(flat) - work.missing - work.beyond - len(isolated)
-    points, key = work.output()
-    inside = sort_points(work, len(isolated) > 0, n * n) if abs(z) < HIGHEST else 0
+    n = 1 << domain.max_level
+    points, key = sort_points(work, len(isolated) > 0, n * n)
+    if abs(pose.position[2]) >= HIGHEST:
+        points, key = points[:0], key[:0]
+    inside = len(key)
     centre = None
     if valid and not inside:
-        mean = points_map[work.ranges > 0.0, :2].mean(axis=0) + pose.position[:2]
+        mean = points_map[ranges > 0.0, :2].mean(axis=0) + pose.position[:2]
         centre = float(mean[0]), float(mean[1])
-    above = int(np.count_nonzero(points[:inside, 2] > 0.0)) if work.above else 0
+    above = np.count_nonzero(points[:, 2] > 0.0) if work.above else 0
     above = inside if 2 * above > inside else 0
     points, key, admitted = points[: inside - above], key[: inside - above], 0
     if held is not None and compared is not None and len(compared.admitted) and len(key):
@@ -135,7 +122,6 @@ def register(
         pose=Pose(
             pose.stamp_ns, pose.position, pose.rotation_map_lidar, clip_covariance(pose.covariance)
         ),
-        origin=pose.position,
         points=points,
         key=key,
         centre=centre,

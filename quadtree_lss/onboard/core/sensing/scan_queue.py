@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.mount import PoseSource
-from quadtree_lss.onboard.core.sensing.pose_buffer import SECOND_NS, seconds
+from quadtree_lss.onboard.core.sensing.pose_buffer import JUMP_NS, SECOND_NS, seconds
 from quadtree_lss.onboard.core.sensing.sweep import find_uncovered_stamp
 
 
@@ -45,7 +45,7 @@ class ScanQueue:
     - the same with the prefix ``gimbal_``, and ``no_mount``, if the mount is missing
     - ``queue_full``: the oldest of more than ``max_scans``
     - ``duplicate``: has the stamp of the scan before
-    - ``time_jump``: waited when stamps jumped back by more than ``jump_ns`` (counted in ``jumps``)
+    - ``time_jump``: waited when stamps jumped back by more than `JUMP_NS` (counted in ``jumps``)
     """
 
     poses: PoseSource
@@ -53,7 +53,6 @@ class ScanQueue:
     max_wait_ns: int
     scan_topic: str = "lidar/points"
     pose_topic: str = "nav/pose"
-    jump_ns: int = SECOND_NS
 
     def __post_init__(self) -> None:
         self.dropped: Counter[str] = Counter()
@@ -76,7 +75,7 @@ class ScanQueue:
         if last is not None and stamp_ns == last:
             self._drop(stamp_ns, "duplicate", "the scan before has the same stamp")
             return
-        if last is not None and stamp_ns < last - self.jump_ns:
+        if last is not None and stamp_ns < last - JUMP_NS:
             self._jump(stamp_ns, last)
         self._last_ns = stamp_ns
         first, last = (stamp_ns + offset for offset in span_ns)
@@ -160,7 +159,7 @@ class ScanQueue:
             self._drop(waiting.stamp_ns, "time_jump", text)
         self._waiting.clear()
         held = self.poses.range_ns
-        if held is not None and held[1] > stamp_ns + self.jump_ns:
+        if held is not None and held[1] > stamp_ns + JUMP_NS:
             self.poses.clear()
 
     def _follow_pose_jump(self) -> None:
@@ -171,7 +170,7 @@ class ScanQueue:
         held = self.poses.range_ns
         if held is None:
             return
-        limit = held[1] + self.jump_ns
+        limit = held[1] + JUMP_NS
         old = [w for w in self._waiting if w.stamp_ns > limit]
         self._waiting = deque(w for w in self._waiting if w.stamp_ns <= limit)
         for waiting in old:

@@ -20,8 +20,8 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 #: Increases whenever the arrays of `Mapper.export_state` change their meaning.
 FORMAT = 10
 
-#: Tolerance of entries and eigenvalues of a correlation matrix. Fusion leaves this much when the
-#: pose variance is up to 10^18 times the range variance (`geometry.plane.repair_covariance`).
+#: Tolerance of a principal minor of a correlation matrix. Fusion leaves this much when the pose
+#: variance is up to 10^18 times the range variance.
 CORRELATION_ROUNDING = 0.05
 #: Variance that rounding leaves in `geometry.plane`, rad^2 and m^2.
 ROUNDING_VARIANCE = 1e-12
