@@ -37,7 +37,7 @@ SMALL = {
     "landing_pass": (["--duration", "1", "--repeats", "1"], ["the paper's rules"]),
     "target": (["--seeds", "201", "--told"], ["withdrawn from truly safe ground", "truth off by"]),
     "live": (
-        ["--seconds", "6", "--kill", "4"],
+        ["--seconds", "8", "--kill", "3"],
         ["scans sent", "lss_node killed and started again"],
     ),
 }

@@ -48,7 +48,7 @@ def test_a_known_cells_statistic_is_that_of_equations_46_and_47(monkeypatch):
     apart = np.abs((seen - middle) @ n).mean() * ray / (n @ ray)
     added = leaf.division_sum - before.division_sum
     expected = np.sqrt(apart @ np.linalg.solve(total, apart))
-    assert added / (len(points) - 3.0) == pytest.approx(expected, rel=1e-3)
+    assert added / len(points) == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize(("deviations", "rough"), [(1.9, False), (2.1, True)])

@@ -64,9 +64,11 @@ def ran(folder, *command):
 
 
 def printed(shown, said):
-    """Lines that a page shows of what its commands say, in their order; … is left out."""
+    """Lines that a page shows of what its commands say, in their order; … is left out, and columns
+    may be wider."""
     for line in (shown or "").splitlines():
-        found = re.search(f"^{re.escape(line).replace('…', '.*')}$", said, re.MULTILINE)
+        words = re.sub(r"(\\ )+", " +", re.escape(line)).replace("…", ".*")
+        found = re.search(f"^{words}$", said, re.MULTILINE)
         assert found, line
         said = said[found.end() :]
 

@@ -23,6 +23,13 @@ def fly(**more):
     return fly_lockstep(SEED, flight_settings({**SHORT, **more})).figures
 
 
+def predicted_risk(done):
+    """Of the touchdown, by the last map. Below the gate the target stays the same, also where later
+    returns put it within the margin of unsafe ground."""
+    last, x, y = done.last, done.figures["x"], done.figures["y"]
+    return last.risk[abs(last.y - y).argmin(), abs(last.x - x).argmin()]
+
+
 @pytest.fixture(scope="module")
 def short():
     faults = ("pose_gap@60+1",)
@@ -32,11 +39,8 @@ def short():
 def test_it_lands_safely_on_the_target(short):
     figures = short.figures
     assert figures["outcome"] == "touchdown" and figures["safe"], figures
-    last, x, y = short.last, figures["x"], figures["y"]
     assert figures["error"] < 0.5 and figures["map_said"] in ("safe", "partly_unobserved", "unsafe")
-    # Where it stands at last, at the limit of what is allowed, is no longer its choice.
-    assert last.risk[abs(last.y - y).argmin(), abs(last.x - x).argmin()] < 0.01
-    assert last.selected.id
+    assert predicted_risk(short) < 0.01 and short.last.selected.id
     chosen = [d for d in short.flight.pilot.decisions if d.what in ("target", "divert")]
     assert any(d.what == "target" for d in chosen)
     assert all(d.height >= short.flight.settings.rules.gate for d in chosen)
@@ -75,8 +79,8 @@ def test_no_fault_ends_on_ground_that_was_known_to_be_unsafe(fault):
     """And a target outlives a node that comes back with its checkpoint, but not a map that is
     forgotten."""
     done = fly_lockstep(SEED, flight_settings({**SHORT, "faults": (fault,)}))
-    assert done.figures["safe"] or done.figures["outcome"] == "aborted", done.figures
-    assert done.figures["map_said"] != "unsafe"
+    landed_safely = done.figures["safe"] and predicted_risk(done) < 0.01
+    assert landed_safely or done.figures["outcome"] == "aborted", done.figures
     if "mapping" in fault:
         lost = "lost" in [decision.what for decision in done.flight.pilot.decisions]
         assert lost == fault.startswith("forget")

@@ -264,7 +264,7 @@ class Maps(Landing):
         cloud.data = array("B", records.tobytes())
 
     def close(self, told: Counter[str]) -> None:
-        assert told[TAKEN] and len(told) > 3
+        assert told[TAKEN] and len(told) > 2, told  # 200 cases contain two reasons at least
 
 
 class Wishes(Landing):

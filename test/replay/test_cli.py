@@ -12,8 +12,6 @@ import pytest
 from installed import PREFIX, error_without
 from replay.recordings import write_ros2
 
-import quadtree_lss
-from quadtree_lss import start
 from quadtree_lss.cli import main, without_ros_arguments
 
 AREA = ["--set", "domain.xmin=-16.0", "--set", "domain.ymin=-16.0", "--set", "domain.size=32.0"]
@@ -174,17 +172,20 @@ def interrupted(bag, out):
     return process.returncode, shown, err
 
 
-def test_interrupting_the_start_is_one_line(monkeypatch, capsys):
-    class Interrupted:
-        def find_spec(self, name, path=None, target=None):
-            if name == "quadtree_lss.cli":
-                raise KeyboardInterrupt
+INTERRUPTED_START = """\
+import signal, sys
+from quadtree_lss import start
+signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+signal.setitimer(signal.ITIMER_REAL, float(sys.argv[1]))
+sys.exit(start.main(["config", "explain"]))
+"""
 
-    monkeypatch.delitem(sys.modules, "quadtree_lss.cli")
-    monkeypatch.delattr(quadtree_lss, "cli")
-    monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
-    assert start.main(["replay", "bag"]) == 130
-    assert capsys.readouterr().err == "quadtree-lss: interrupted\n"
+
+@pytest.mark.parametrize("delay", [0.001, 0.01, 0.03, 0.1, 0.2])
+def test_interrupting_the_start_is_one_line(delay):
+    command = [sys.executable, "-c", INTERRUPTED_START, str(delay)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130, "quadtree-lss: interrupted\n")
 
 
 def test_interrupting_keeps_what_was_computed(tmp_path):

@@ -4,6 +4,8 @@
 import argparse
 import csv
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from quadtree_lss.onboard.messages import landing_inputs
 
 pytestmark = pytest.mark.xdist_group("contracts")  # its flight is made once
 
+ROOT = Path(__file__).resolve().parents[2]
 CONFIGS = "default morpheus parabola parabola_fixed flight drone depth_camera"
 COMMANDS = "replay simulate evaluate fly campaign sites compare export view info doctor config"
 TABLES = {
@@ -44,24 +47,57 @@ BITS = {
     "UNMAPPED": 64,
     "UNSEEN": 128,
 }
-PUBLISHED = {
-    "map/cells": "sensor_msgs/msg/PointCloud2",
-    "map/observed": "nav_msgs/msg/OccupancyGrid",
+CLOUD, GRID = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/OccupancyGrid"
+POSE, ODOMETRY = "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry"
+POLYGON, MARKERS = "geometry_msgs/msg/PolygonStamped", "visualization_msgs/msg/MarkerArray"
+POSES = {"nav/pose": POSE, "nav/odometry": ODOMETRY}
+MAP = {"map/cells": CLOUD, "map/observed": GRID}
+LANDING = {
     "landing/sites": "geometry_msgs/msg/PoseArray",
-    "landing/selected": "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "landing/status": "sensor_msgs/msg/PointCloud2",
-    "landing/site_table": "sensor_msgs/msg/PointCloud2",
-    "landing/hazards": "nav_msgs/msg/OccupancyGrid",
-    "landing/score": "nav_msgs/msg/OccupancyGrid",
-    "landing/probability": "nav_msgs/msg/OccupancyGrid",
+    "landing/selected": POSE,
+    "landing/status": CLOUD,
+    "landing/site_table": CLOUD,
+    "landing/hazards": GRID,
+    "landing/score": GRID,
+    "landing/probability": GRID,
     "landing/grid_map": "grid_map_msgs/msg/GridMap",
 }
 HEARD = {
-    "area": "geometry_msgs/msg/PolygonStamped",
-    "keep_out": "geometry_msgs/msg/PolygonStamped",
-    "keep_outs": "geometry_msgs/msg/PolygonInstanceStamped",
-    "target": "geometry_msgs/msg/PointStamped",
+    "landing/area": POLYGON,
+    "landing/keep_out": POLYGON,
+    "landing/keep_outs": "geometry_msgs/msg/PolygonInstanceStamped",
+    "landing/target": "geometry_msgs/msg/PointStamped",
+    "landing/dispersion": POSE,
 }
+SENSORS = {
+    "lidar/points": CLOUD,
+    **POSES,
+    "lidar/gimbal": "geometry_msgs/msg/TransformStamped",
+    "/tf_static": "tf2_msgs/msg/TFMessage",
+    "depth/image": "sensor_msgs/msg/Image",
+    "depth/camera_info": "sensor_msgs/msg/CameraInfo",
+}
+DIAGNOSTICS = {"/diagnostics": "diagnostic_msgs/msg/DiagnosticArray"}
+AUTOPILOT = {"landing/autopilot": "diagnostic_msgs/msg/DiagnosticStatus", "nav/odometry": ODOMETRY}
+TRIGGER = "std_srvs/srv/Trigger"
+SERVICES = {
+    "mapping_node": ("~/reset", "~/save_map", "~/load_map"),
+    "lss_node": ("~/release", "~/land_now"),
+    "autopilot_node": ("~/land",),
+}
+SUBSCRIBED = {"mapping_node": SENSORS, "lss_node": MAP | POSES | HEARD, "autopilot_node": {}}
+PUBLISHED = {
+    "mapping_node": {**MAP, "map/markers": MARKERS, **DIAGNOSTICS},
+    "lss_node": {**LANDING, "landing/markers": MARKERS, **DIAGNOSTICS},
+    "autopilot_node": AUTOPILOT | DIAGNOSTICS,
+}
+
+
+def used_by(name):
+    """(what, name, type) of all topics and services of a node; ``what`` as in an SROS 2 policy."""
+    found = {("subscribe", *item) for item in SUBSCRIBED[name].items()}
+    found |= {("publish", *item) for item in PUBLISHED[name].items()}
+    return found | {("reply", service, TRIGGER) for service in SERVICES[name]}
 
 
 @pytest.fixture(scope="module")
@@ -107,8 +143,24 @@ def test_bits_of_hazard_mean_the_same():
 def test_messages_have_these_topics_and_types(folder):
     with AnyReader([folder / "products"]) as reader:
         found = {c.topic.removeprefix("/"): c.msgtype for c in reader.connections}
-    assert found == PUBLISHED
-    assert HEARD.items() <= landing_inputs.TYPES.items()
+    assert found == MAP | LANDING
+    heard = {f"landing/{name}": kind for name, kind in landing_inputs.TYPES.items()}
+    assert HEARD.items() <= heard.items()
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_topics_and_services_of_a_node_are_documented(name):
+    """In headings, as `topic`, `topic` – `type`, `type`; of services in a table. What the nodes use
+    is compared in test/ros/test_security_policy.py."""
+    text = "".join(page.read_text() for page in (ROOT / "msg_docs").glob("*.md"))
+    titles = re.findall(r"^#+ (.*) – (.*)$", text, re.MULTILINE)
+    documented = [[re.findall("`([^`]+)`", part) for part in title] for title in titles]
+    for what, topic, kind in used_by(name):
+        if what == "reply":
+            assert f"| `/{name}/{topic.removeprefix('~/')}` |" in text, topic
+        else:
+            short = kind.replace("/msg/", "/")
+            assert any(topic in topics and short in kinds for topics, kinds in documented), topic
 
 
 def test_the_truth_of_a_simulation_has_these_arrays(tmp_path):

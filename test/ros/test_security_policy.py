@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The SROS 2 policy allows exactly what the nodes use."""
+"""The SROS 2 policy allows exactly what the nodes use, and this has the types of the contracts."""
 
 import time
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from replay.test_contracts import used_by
 
 from quadtree_lss.lab.live.processes import program
 from quadtree_lss.onboard.nodes.ros_messages import GridMap
@@ -31,20 +32,27 @@ def allowed(name):
     for group in profile:
         (what,) = group.attrib
         assert group.get(what) == "ALLOW"
-        names = (item.text.replace("~", f"/{name}") for item in group)
-        found |= {(what, item if item.startswith("/") else f"/{item}") for item in names}
+        found |= {(what, full_name(item.text, name)) for item in group}
     return found
 
 
+def full_name(item, node):
+    """Full name of a topic or service of a node without namespace."""
+    item = item.replace("~", f"/{node}")
+    return item if item.startswith("/") else f"/{item}"
+
+
 def used(node, name):
-    """Return what the node uses according to the ROS graph."""
+    """Return what the node uses according to the ROS graph: type by (what, full name)."""
     ask = {
         "publish": node.get_publisher_names_and_types_by_node,
         "subscribe": node.get_subscriber_names_and_types_by_node,
         "reply": node.get_service_names_and_types_by_node,
         "request": node.get_client_names_and_types_by_node,
     }
-    return {(what, topic) for what, names in ask.items() for topic, _ in names(name, "/")}
+    return {
+        (what, topic): kind for what, names in ask.items() for topic, (kind,) in names(name, "/")
+    }
 
 
 def is_known(node, name):
@@ -62,7 +70,7 @@ def test_a_node_without_its_keys_does_not_start_unprotected(ros):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["mapping_node", "lss_node", "autopilot_node"])
 def test_node_uses_exactly_what_the_policy_allows(ros, name):
-    seen = set()
+    seen = {}
     for way in WAYS:
         args = [text for key, value in way.items() for text in ("-p", f"{key}:={value}")]
         process = ros.start(name, *args)
@@ -76,5 +84,8 @@ def test_node_uses_exactly_what_the_policy_allows(ros, name):
             seen |= found
         process.stop()
     wanted = allowed(name)
-    assert seen - wanted == set(), "missing in security/policy.xml"
-    assert wanted - seen - UNSEEN == set(), "more than needed in security/policy.xml"
+    assert seen.keys() - wanted == set(), "missing in security/policy.xml"
+    assert wanted - seen.keys() - UNSEEN == set(), "more than needed in security/policy.xml"
+    contract = {(what, full_name(item, name)): kind for what, item, kind in used_by(name)}
+    different = {key for key, kind in contract.items() if seen.get(key) != kind}
+    assert different <= UNSEEN, "missing, or of another type"

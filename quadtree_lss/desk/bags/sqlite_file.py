@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import sqlite3
 from collections.abc import Iterator
+from contextlib import suppress
 
 from quadtree_lss.desk.bags.compression import MAX_BYTES, DamagedError
 from quadtree_lss.desk.bags.recorded_file import RecordedFile, Row
@@ -44,20 +45,31 @@ class SqliteFile(RecordedFile):
             self.fault = str(error)
 
     def _sound_rows(self) -> Iterator[Row]:
-        """Yield all rows; after damage only those in the index of times."""
-        last = -(2**63)
+        """Yield the rows of the table up to the first damage, and then those that only the index of
+        times still lists. A listed row that is not found is lost."""
+        found: set[int] = set()
+        damage = ""
         try:
             for row in self._database.execute(f"{ROWS} ORDER BY id"):
-                last = row[2]
+                found.add(row[2])
                 yield row
         except sqlite3.Error as error:
-            query = "SELECT id FROM messages INDEXED BY timestamp_idx WHERE id > ? ORDER BY id"
-            for (number,) in self._database.execute(query, (last,)).fetchall():
-                try:
-                    yield from self._database.execute(f"{ROWS} WHERE id = ?", (number,))
-                except sqlite3.Error:
-                    self._damage[number] = str(error)
-                    self._unread.add((number, 0))
+            damage = str(error)
+        try:
+            listed = self._database.execute("SELECT id FROM messages INDEXED BY timestamp_idx")
+            missing = sorted({number for (number,) in listed} - found)
+        except sqlite3.Error:
+            if damage:
+                raise
+            return  # a sound table without that index
+        for number in missing:
+            with suppress(sqlite3.Error):
+                row = self._database.execute(f"{ROWS} WHERE id = ?", (number,)).fetchone()
+                if row is not None:
+                    yield row
+                    continue
+            self._damage[number] = damage or "not in the table of messages"
+            self._unread.add((number, 0))
 
     def _load(self, position: int) -> Iterator[tuple[Row, bytes]]:
         query = "SELECT topic_id, data FROM messages WHERE id = ? AND typeof(data) = 'blob'"

@@ -22,9 +22,10 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 PACKAGE = "quadtree_lss"
 #: Fast DDS profile: discovery as in the ROS range LOCALHOST, without shared memory.
 LOCAL_PROFILE = Path(__file__).with_name("fastdds.xml")
-#: Ports of a domain (RTPS specification, 9.6.1.1). Participants use the first ports; the last port
-#: serves here to reserve a domain.
+#: Ports of a domain (RTPS specification, 9.6.1.1). Participants use the first ports, here up to 32
+#: participants; the last port serves here to reserve a domain.
 FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
+PARTICIPANT_PORTS, RESERVATION_PORT = range(10, 74), PORTS_PER_DOMAIN - 1
 DOMAINS, LAST_DOMAIN = range(1, 98), 231
 #: Time to discover all other participants, s.
 DISCOVERY_S = 2.0
@@ -67,14 +68,17 @@ def check_publishers(node: Any, ours: Mapping[str, int]) -> None:
 
 @contextmanager
 def local_domain(log_dir: Path, given: int | None = None) -> Iterator[int]:
-    """Reserve a ROS domain for this process and its children: the ``given`` one or a free one. The
-    environment limits it to this computer, and SIGTERM acts like Ctrl-C, so that the children end.
+    """Reserve a ROS domain for this process and its children: the ``given`` one or one without
+    participants. The environment limits it to this computer, and SIGTERM acts like Ctrl-C, so that
+    the children end.
     Raises `ProcessError`: other programs have reserved the domain, or all domains."""
     if given is None:
-        found = ((n, _reserve(n)) for n in random.SystemRandom().sample(DOMAINS, len(DOMAINS)))
+        found = (
+            (n, _reserve_empty(n)) for n in random.SystemRandom().sample(DOMAINS, len(DOMAINS))
+        )
         number, reservation = next((one for one in found if one[1]), (-1, None))
     else:
-        number, reservation = given, _reserve(given)
+        number, reservation = given, _bind(given, RESERVATION_PORT)
     if reservation is None:
         which = f"between {min(DOMAINS)} and {max(DOMAINS)}" if given is None else f"{given}"
         raise ProcessError(f"no free ROS domain {which}: set another ROS_DOMAIN_ID")
@@ -103,11 +107,27 @@ def _interrupted_by_sigterm() -> Iterator[None]:
             signal.signal(signal.SIGTERM, before)
 
 
-def _reserve(domain: int) -> socket.socket | None:
-    """Bind the last port of a domain; return None if another program has bound it."""
+def _reserve_empty(domain: int) -> socket.socket | None:
+    """Reserve a domain without participants, such as nodes of a killed program; return None if it
+    is reserved or has participants. The reservation precedes the check, because a process joins its
+    domain a second after its start."""
+    reservation = _bind(domain, RESERVATION_PORT)
+    if reservation is None:
+        return None
+    for port in PARTICIPANT_PORTS:
+        free = _bind(domain, port)
+        if free is None:
+            reservation.close()
+            return None
+        free.close()
+    return reservation
+
+
+def _bind(domain: int, port: int) -> socket.socket | None:
+    """Bind a port of a domain; return None if another program has bound it."""
     result = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
-        result.bind(("", FIRST_PORT + PORTS_PER_DOMAIN * (domain + 1) - 1))
+        result.bind(("", FIRST_PORT + PORTS_PER_DOMAIN * domain + port))
     except OSError:
         result.close()
         return None

@@ -6,7 +6,7 @@ cdef double normal_tail(double x) noexcept nogil
 cdef double mean_distance(double* points, Py_ssize_t count, double* normal, double* through) noexcept nogil
 cdef double mahalanobis_factor(double* mean, double cosine, double* sigma, double along, double plane) noexcept nogil
 cdef void set_statistic(Rules rules, Leaf* leaf, Run* run, double* points, double* origin, double* sigma) noexcept nogil
-cdef void add_statistic(Leaf* leaf, Run* run) noexcept nogil
+cdef void add_statistic(Rules rules, Leaf* leaf, Run* run) noexcept nogil
 cdef bint misfit_divides(Rules rules, Leaf* leaf, Run* run) noexcept nogil
 cdef bint shows_rock(Rules rules, Leaf* leaf) noexcept nogil
 cdef bint residuals_divide(Rules rules, Leaf* leaf) noexcept nogil

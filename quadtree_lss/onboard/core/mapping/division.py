@@ -20,12 +20,11 @@ from quadtree_lss.onboard.core.geometry.sphere import Vector
 from quadtree_lss.onboard.core.mapping.measure import Rules
 from quadtree_lss.onboard.core.tree.leaves import Record
 
-#: Mean and standard deviation of chi_1, E = sqrt(2 / pi), and of chi_3, E = 2 sqrt(2 / pi)
+#: Mean and standard deviation of chi_1, E = sqrt(2 / pi), and mean of chi_3, E = 2 sqrt(2 / pi)
 #: = sqrt(2) Gamma(2) / Gamma(3/2) of Eq. 47.
 MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
 SPREAD_CHI_1 = cython.declare(cython.double, 0.6028102749890869)
 MEAN_CHI_3 = cython.declare(cython.double, 1.5957691216057308)
-SPREAD_CHI_3 = cython.declare(cython.double, 0.6734368740430634)
 #: Standard errors by which a mean residual must exceed that of noise; it is tested after each scan.
 RESIDUAL_SIGMAS = cython.declare(cython.double, 2.0)
 #: Share of measurements that are exceptions because stray returns pass the outlier gate.
@@ -149,29 +148,34 @@ def set_statistic(
     run.statistic = distance * mahalanobis_factor(run.centroid, run.cosine, sigma, along, plane)
 
 
-def add_statistic(leaf: Record, run: Record) -> None:
-    """Add the division statistic of a run, unless it is a partial view, to the mean of its leaf
-    (Eq. 47), weighted by N - 3 free residuals: otherwise, many scans with four points would
-    outweigh one full view."""
-    if is_partial(run):
+def add_statistic(rules: Rules, leaf: Record, run: Record) -> None:
+    """Add the division statistic of a run to the mean of its leaf (Eq. 47).
+
+    By the paper's rule it is the mean over all measurements of fits. By default the weight is the
+    N - 3 free residuals of each fit, because otherwise many scans with four points would outweigh
+    one full view; partial views do not count.
+    """
+    if has_few_points(run) or (is_partial(run) and not rules.mahalanobis):
         return
-    weight = max(run.points - 3.0, 0.0)
+    weight = run.points if rules.mahalanobis else run.points - 3.0
     leaf.division_sum += weight * run.statistic
     leaf.square_sum += weight * run.square
     leaf.division_weight += weight
 
 
 def misfit_divides(rules: Rules, leaf: Record, run: Record) -> cython.bint:
-    """Return whether the mean division statistic of a leaf exceeds the threshold by `CONFIDENCE`
-    standard errors, so that cells with few points are not divided by chance. After a partial view
-    the leaf is not tested."""
+    """Return whether the mean division statistic of a leaf exceeds the threshold.
+
+    By default it must exceed it by `CONFIDENCE` standard errors, so that cells with few points are
+    not divided by chance, and after a partial view the leaf is not tested.
+    """
     total = leaf.division_weight
+    if rules.mahalanobis:
+        return leaf.division_sum > total * rules.division_factor * MEAN_CHI_3
     if is_partial(run) or total < rules.min_residuals:
         return False
-    expected = MEAN_CHI_3 if rules.mahalanobis else MEAN_CHI_1
-    spread = SPREAD_CHI_3 if rules.mahalanobis else SPREAD_CHI_1
-    margin = rules.division_confidence * spread / sqrt(total)
-    return leaf.division_sum > total * (rules.division_factor * expected + margin)
+    margin = rules.division_confidence * SPREAD_CHI_1 / sqrt(total)
+    return leaf.division_sum > total * (rules.division_factor * MEAN_CHI_1 + margin)
 
 
 def shows_rock(rules: Rules, leaf: Record) -> cython.bint:
@@ -192,7 +196,7 @@ def residuals_divide(rules: Rules, leaf: Record) -> cython.bint:
     that of noise by `RESIDUAL_SIGMAS` standard errors. Finds misfits where scans have three points
     or fewer in a leaf, and no fit of their own."""
     count = leaf.residuals
-    if rules.mahalanobis or count < rules.min_residuals:
+    if count < rules.min_residuals:
         return False
     doubt = RESIDUAL_SIGMAS * SPREAD_CHI_1 / (MEAN_CHI_1 * sqrt(count))
     return leaf.distance_sum > leaf.noise_sum * (rules.division_factor + doubt)

@@ -343,6 +343,7 @@ class ScanUpdate:
             grows: cython.bint = seen > leaf.strip_width
             leaf.strip_width = max(leaf.strip_width, seen)
             enough: cython.bint = run.points >= self.rules.min_residuals
+            enough = enough and not self.rules.mahalanobis
             if enough and not grows and self._divide(row, run):
                 self._update_children(row, begin, end, False)
             else:
@@ -351,6 +352,7 @@ class ScanUpdate:
         if leaf.state >= leaves.INHERITED:
             self.fusion.limit_offset(leaf, run)
             partial: cython.bint = measure.is_partial(run) and leaf.level < self.table.max_level
+            partial = partial and not self.rules.mahalanobis
             if partial and division.view_shows_misfit(self.rules, leaf, run, points, origin, side):
                 self._update_residuals(leaf, begin, end, run)
                 if self._divide(row, run):
@@ -376,7 +378,7 @@ class ScanUpdate:
         if leaf.state != leaves.ESTIMATED:
             self._raise_states(begin, end, leaves.OBSERVED)
             return
-        division.add_statistic(leaf, run)
+        division.add_statistic(self.rules, leaf, run)
         asked: cython.bint = division.misfit_divides(self.rules, leaf, run)
         if asked and leaf.level < self.table.max_level:
             self._update_residuals(leaf, begin, end, run)
@@ -386,7 +388,8 @@ class ScanUpdate:
                 return
             mound: cython.bint = self._shows_mound(begin, end, run.variance, 1.0)
             misfit: cython.bint = division.residuals_divide(self.rules, leaf)
-            if not (mound or misfit or division.shows_rock(self.rules, leaf)):
+            rock: cython.bint = mound or misfit or division.shows_rock(self.rules, leaf)
+            if self.rules.mahalanobis or not rock:
                 return
             if not self._divide(row, run):
                 return
