@@ -56,7 +56,7 @@ def test_concurrent_processes_get_different_domains(tmp_path, monkeypatch):
 def test_a_domain_with_participants_is_not_free(tmp_path, monkeypatch):
     """Nodes of a killed program, or of another user, without a reservation."""
     with local_domain(tmp_path) as domain:
-        number = domain.number
+        number = domain
     monkeypatch.setattr(processes, "DOMAINS", [number])
     rclpy.init(context=(context := Context()), domain_id=number)
     other = Node("other", context=context)

@@ -4,10 +4,9 @@ ctypedef fused Coordinate:
 
 cdef class Workspace:
     cdef readonly object points_map, ranges, still
-    cdef object packed
     cdef double[:, ::1] points
     cdef double[::1] flat, range
-    cdef long long[::1] runs
+    cdef long long[::1] runs, spare
     cdef int[::1] begins
     cdef readonly Py_ssize_t missing, beyond, run_count
     cdef readonly bint above

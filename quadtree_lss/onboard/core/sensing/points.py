@@ -12,7 +12,7 @@ from cython.cimports.quadtree_lss.onboard.core.geometry.morton import PLACE_BITS
 
 from quadtree_lss.onboard.arrays import Array, Ints, Keys, Points
 from quadtree_lss.onboard.config.settings import LidarConfig
-from quadtree_lss.onboard.core.geometry.morton import SPREAD
+from quadtree_lss.onboard.core.geometry.morton import SPREAD, sort_packed
 
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.tree.domain import Domain
@@ -40,8 +40,7 @@ class Workspace:
         self.points_map, self.ranges = np.empty((size + 3, 3)), np.empty(size)
         self.points, self.range = self.points_map, self.ranges
         self.flat = self.points_map.reshape(-1)
-        self.packed = np.empty(size, np.int64)
-        self.runs = self.packed
+        self.runs, self.spare = np.empty((2, size), np.int64)
         self.begins = np.empty(size + 1, np.int32)
         self.still = np.zeros((1, 12))
         self.missing = self.beyond = self.run_count = 0
@@ -155,8 +154,10 @@ def sort_points(
     key: cython.longlong
     ahead: cython.longlong
     to: cython.Py_ssize_t = 0
-    work.packed[: work.run_count].sort()
     runs = cython.declare(cython.longlong[::1], work.runs[: work.run_count])
+    spare = cython.declare(cython.longlong[::1], work.spare[: work.run_count])
+    if sort_packed(runs, spare):
+        runs = spare
     points = cython.declare(cython.double[::1], work.flat)
     ranges = cython.declare(cython.double[::1], work.range)
     begins = cython.declare(cython.int[::1], work.begins)
