@@ -49,7 +49,7 @@ def test_bits_follow_the_tolerances(cells):
             n = cells.normal[k]
             z = cells.z[k] - (n[0] * dx + n[1] * dy) / n[2]
             points = np.column_stack([cells.x[k] + dx, cells.y[k] + dy, z])
-            off = np.abs((points - (fused.x[a], fused.y[a], fused.z[a])) @ fused.normal[a]).max()
+            off = np.abs((points - fused.planes[a, :3]) @ fused.planes[a, 3:]).max()
         assert bool(bits[k] & hazards.ELEVATION) == (own[k] and off > 0.15)
 
 
