@@ -16,14 +16,16 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from common import configuration, machine, table
-from common.rays import Scene, View, fan, rocks, view
+from common.rays import EXACT, Scene, View, fan, rocks, view
 
 from quadtree_lss.lab.simulation.safety import LandingGear, worst_contact
 from quadtree_lss.lab.simulation.terrain import Terrain
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config
+from quadtree_lss.onboard.core.geometry.rotations import exp
 from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
+from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 NOISE = 0.06
@@ -259,10 +261,11 @@ def posts(seeds: list[int] | None, quick: bool) -> None:
     domain = {"domain__xmin": -16.0, "domain__ymin": -16.0, "domain__size": 32.0}
     config = configuration("flight", **domain, domain__min_level=3, domain__max_level=7)
     rows, rays = [], fan(16.0, 64)
-    for sway in (0.0, 0.03, 0.1, 0.3):
+    for sway, attitude in ((0.0, 0.0), (0.03, 0.0), (0.1, 0.0), (0.3, 0.0), (0.0, 2.0), (0.1, 2.0)):
         verdicts = []
+        covariance = EXACT + np.diag([0.0] * 3 + [(1e-3 * attitude) ** 2] * 3)
         for seed in seeds or range(5301, 5303 if quick else 5313):
-            rng = np.random.default_rng([seed, round(1000 * sway)])
+            rng = np.random.default_rng([seed, round(1000 * sway), round(attitude)])
             at, high = rng.uniform(-14.0, 14.0, (60, 2)), rng.uniform(0.32, 0.5, 60)
             wide = np.full((60, 1), 0.15)
             corners = [at - wide, -np.ones((60, 1)), at + wide, high[:, None]]
@@ -271,12 +274,15 @@ def posts(seeds: list[int] | None, quick: bool) -> None:
                 place, aim = rng.normal(0.0, sway, (2, 2))
                 position, target = np.array([*place, 100.0]), np.array([*aim, 0.0])
                 one = view(scene, position, target, rays, NOISE, rng, 1.0 + 0.05 * k)
-                mapper.update(one.points, one.pose)
+                error = exp(1e-3 * rng.normal(0.0, attitude, 3))
+                turned = error @ one.pose.rotation_map_lidar
+                pose = Pose(one.pose.stamp_ns, position, turned, covariance)
+                mapper.update(one.points, pose)
             verdicts.append(verdict(mapper.snapshot(), config, scene))
-        rows.append([f"{sway:g}", *row(verdicts)])
+        rows.append([f"{sway:g}", f"{attitude:g}", *row(verdicts)])
     table(
         "posts of 0.32-0.5 m, 100 scans of a hover; grid points called safe",
-        ["sway, m", *HEADER],
+        ["sway, m", "attitude error, mrad", *HEADER],
         rows,
     )
 

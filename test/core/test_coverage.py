@@ -3,8 +3,8 @@
 
 import numpy as np
 import pytest
-from core.builders import configured, flat, look
-from core.scenes import scattered
+from core.builders import configured, disturbed, flat, look
+from core.scenes import make_pose, scan, scattered
 
 from quadtree_lss.onboard.core.landing.raster import independent_returns, rasterise
 from quadtree_lss.onboard.core.mapping.mapper import Mapper
@@ -60,3 +60,21 @@ def test_views_that_repeat_add_no_returns():
     once, again = counts
     assert again < 1.3 * once
     assert np.median(returns(other)) > 4.0 * once
+
+
+@pytest.mark.parametrize("attitude", [1e-6, 0.002])
+def test_pose_errors_of_a_hover_add_no_returns(attitude):
+    """A lidar that moves by more than its pose errors adds returns."""
+    x, y = scattered(np.random.default_rng(8), -8.0, -8.0, 32.0, 36000)
+    covariance = np.diag([1e-8] * 3 + [attitude**2] * 3)
+    counts = []
+    for views, step in ((1, 0.0), (12, 0.0), (12, 0.6)):
+        rng, mapper = np.random.default_rng(9), Mapper(CONFIG)
+        for k in range(views):
+            move = np.array([step * k, 0.5 * step * k, 0.0])
+            pose = make_pose(tuple(move + (8.0, 8.0, 60.0)), covariance)
+            beams = scan(GROUND, x + move[0], y + move[1], pose, 0.02, rng)
+            mapper.update(beams, disturbed(pose, rng))
+        counts.append(np.median(returns(mapper)))
+    once, still, moving = counts
+    assert 0.9 * once < still < 1.1 * once < 0.5 * moving

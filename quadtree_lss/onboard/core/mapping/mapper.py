@@ -125,6 +125,8 @@ class Mapper:
         self._rejected = RejectedScans()
         # Lift of the map that is known and too small to be applied yet, m.
         self._pending_offset = 0.0
+        # Pose and beams of the last scan that added coverage.
+        self._view: tuple[Pose, Array] | None = None
         self._unmapped_scans = 0  # in a row
         # Of the last scans: squared height over the map, its variance from the claimed pose errors,
         # and from other causes, m^2.
@@ -165,6 +167,7 @@ class Mapper:
                 self._start_ns = self._start_ns or pose.stamp_ns
                 if not self.config.mapping.by_paper("covariance"):
                     offset = self._align(change, cells, now)
+                change.is_new = self._is_new_view(pose, points_lidar)
                 # Fuse the fits; divide leaves where the plane does not suffice.
                 change.update_leaves()
                 self._update_noise_ratio(change.ratio)
@@ -188,6 +191,14 @@ class Mapper:
             overruled=verdict is Verdict.OVERRULES,
             admitted=scan.admitted if used else 0,
         )
+
+    def _is_new_view(self, pose: Pose, points_lidar: Points) -> bool:
+        """Return whether a scan adds coverage, and if so remember its pose and beams."""
+        beams = update.sampled_beams(points_lidar)
+        is_new = self._view is None or bool(update.is_new_view(pose, beams, *self._view))
+        if is_new:
+            self._view = pose, beams
+        return is_new
 
     def _follow(self, pose: Pose) -> None:
         """Move the square towards the followed point."""

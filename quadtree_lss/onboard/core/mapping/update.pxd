@@ -34,6 +34,7 @@ cdef class ScanUpdate:
     cdef Run[::1] runs
     cdef Py_ssize_t[::1] rows
     cdef Py_ssize_t[::1] begins
+    cdef public bint is_new
     cdef readonly object ratio
     cdef double[::1] ratios
     cdef double[::1] weights

@@ -19,11 +19,12 @@ from cython.cimports.quadtree_lss.onboard.core.mapping.update import OWN as OWN
 from cython.cimports.quadtree_lss.onboard.core.mapping.update import RISE as RISE
 from cython.cimports.quadtree_lss.onboard.core.tree import leaves
 
-from quadtree_lss.onboard.arrays import Array, Bytes, Keys
+from quadtree_lss.onboard.arrays import Array, Bytes, Keys, Points
 from quadtree_lss.onboard.core.geometry.bounds import MAX_MAP_HEIGHT
 from quadtree_lss.onboard.core.mapping.features import Heights
 from quadtree_lss.onboard.core.mapping.fusion import Fusion
 from quadtree_lss.onboard.core.mapping.measure import RUN, Rules
+from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.register import KEPT_POINTS, RegisteredScan
 from quadtree_lss.onboard.core.tree.leaves import LeafTable, Record
 
@@ -41,6 +42,11 @@ CHILD_MISFIT = cython.declare(cython.double, 0.25)
 #: slope of 30 degrees), which excludes facades and trees.
 NOISE_POINTS = cython.declare(cython.double, 8.0)
 MIN_NORMAL_Z = cython.declare(cython.double, 0.866)
+#: Standard deviations of pose errors by which the beams must move for a new view (`is_new_view`):
+#: errors of six degrees of freedom exceed it in 1 of 2,000 scans.
+NEW_VIEW_SIGMAS = cython.declare(cython.double, 2.0)
+#: Number of beams of a scan that are compared.
+BEAMS = 16
 #: Greatest height of a plane at a cell's centre, m.
 HIGHEST = cython.declare(cython.double, MAX_MAP_HEIGHT)
 
@@ -52,6 +58,49 @@ def set_states(
     i: cython.Py_ssize_t
     for i in range(begin, end):
         seen[key[i]] = state
+
+
+def sampled_beams(points_lidar: Points) -> Array:
+    """Return some points (K, 3) of a scan, m, at places that depend on its size only."""
+    flat = points_lidar.reshape(-1, 3)
+    return np.array(flat[:: max(len(flat) // BEAMS, 1)], dtype=np.float64)
+
+
+def is_new_view(pose: Pose, beams: Array, last: Pose, last_beams: Array) -> cython.bint:
+    """Return whether beams (K, 3), m, moved over the ground by more than pose errors explain, since
+    another pose with its beams. Otherwise the returns are those of the same places again."""
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    a = cython.declare(cython.double[:, ::1], beams)
+    b = cython.declare(cython.double[:, ::1], last_beams)
+    here = cython.declare(cython.double[:], pose.position)
+    there = cython.declare(cython.double[:], last.position)
+    rotation = cython.declare(cython.double[:, :], pose.rotation_map_lidar)
+    before = cython.declare(cython.double[:, :], last.rotation_map_lidar)
+    sigma = cython.declare(cython.double[:, :], pose.covariance)
+    error = cython.declare(cython.double[:, :], last.covariance)
+    if a.shape[0] != b.shape[0]:
+        return True
+    square = turned = number = moved = variance = 0.0
+    for i in range(a.shape[0]):
+        one = a[i, 0] * a[i, 0] + a[i, 1] * a[i, 1] + a[i, 2] * a[i, 2]
+        other = b[i, 0] * b[i, 0] + b[i, 1] * b[i, 1] + b[i, 2] * b[i, 2]
+        both = a[i, 0] * b[i, 0] + a[i, 1] * b[i, 1] + a[i, 2] * b[i, 2]
+        if 0.0 < one * other < INFINITY:  # two returns
+            square += one
+            turned += 2.0 - 2.0 * both / sqrt(one * other)
+            number += 1.0
+    if number == 0.0:
+        return True
+    square /= number
+    # The squared angle of a rotation R is 3 - trace(R), as is that of unit vectors above.
+    turned = turned / number + 3.0
+    for i in range(3):
+        moved += (here[i] - there[i]) ** 2
+        variance += sigma[i, i] + error[i, i] + square * (sigma[i + 3, i + 3] + error[i + 3, i + 3])
+        for j in range(3):
+            turned -= rotation[i, j] * before[i, j]
+    return moved + square * turned > NEW_VIEW_SIGMAS * NEW_VIEW_SIGMAS * variance
 
 
 class ScanBuffers:
@@ -83,6 +132,7 @@ class ScanUpdate:
     """Update of a leaf table by one scan: `fit`, `lower` if it is aligned, then `update_leaves`.
 
     Attributes:
+        is_new: Whether it is a new view, which adds coverage.
         estimated, compared: Points in estimated leaves, and in those of them that `fit` compares.
         divisions, refused: Number of divisions, and of divisions beyond ``max_cells``.
         ratio: (2, R) for the cells with an estimate of the range noise: observed over configured
@@ -102,6 +152,7 @@ class ScanUpdate:
         self.buffers = ScanBuffers() if count > KEPT_POINTS else buffers
         self.buffers.reserve_points(count)
         self.residual = self.buffers.residual
+        self.is_new = True
         self.divisions = self.refused = self.noise_count = self.estimated = self.compared = 0
         self._find_runs()
 
@@ -427,13 +478,16 @@ class ScanUpdate:
                 self.table.seen[self.key[i]] = state
 
     def _record_hits(self, begin: cython.Py_ssize_t, end: cython.Py_ssize_t) -> None:
-        """Record in which of the 4 x 4 parts of their finest cells the points of a run fell."""
+        """Record in which of the 4 x 4 parts of their finest cells the points of a run fell: all
+        points of a new view, otherwise only the first point of a cell."""
         cython.declare(i=cython.Py_ssize_t, column=cython.int, line=cython.int)
         per = 4.0 / self.table.sides[self.table.max_level]
         x = (self.fusion.origin[0] - self.table.xmin) * per
         y = (self.fusion.origin[1] - self.table.ymin) * per
         for i in range(begin, end):
-            if self.table.hits[self.key[i]] == 0xFFFF:
+            if self.table.hits[self.key[i]] == 0xFFFF or (
+                self.table.hits[self.key[i]] > 0 and not self.is_new
+            ):
                 continue
             column = cython.cast(cython.int, self.points[i, 0] * per + x)
             line = cython.cast(cython.int, self.points[i, 1] * per + y)
