@@ -177,6 +177,9 @@ class ScanStatistics:
             "domain.max_level": level,
             "lss.grid_spacing": grid,
         }
+        if config.lss.dispersion == DEFAULTS.lss.dispersion:
+            scaled = config.lss.dispersion * vehicle.diameter_ratio
+            values["lss.dispersion"] = float(f"{scaled:.2g}")
         coarse = size / 2**domain.min_level
         x, y = (f"{a:.1f} ... {b:.1f}" for a, b in zip(low, high, strict=True))
         sizes = f"cells of {coarse:g} ... {finest:g} m: returns of a scan are {spacing:.2g} m apart"
@@ -190,6 +193,7 @@ class ScanStatistics:
             "mount.source": "/tf_static connects the frames of poses and scans",
             "domain.xmin": f"99 % of the returns lie in x {x}, y {y} m",
             "domain.max_level": sizes,
+            "lss.dispersion": "half a diameter: set the touchdown error of your vehicle",
             "lidar.range_noise": "scatter of neighbouring returns on the smoothest level ground",
         }
         defaults = values_from_config(Config())

@@ -122,8 +122,7 @@ def assess_points(
     safe &= fits
     partly = ~fits & (hazard & hazards.UNSEEN == 0)
     hazard |= partly * np.uint8(hazards.PARTLY_UNOBSERVED)
-    clearance = np.minimum(near, raster.free_distance)
-    clearance -= zone
+    clearance = np.minimum(np.minimum(near, cap), raster.free_distance) - zone
     # Eq. 55 is a volume that grows with the leaf; divided by its area it is a height.
     rough = cells.roughness / cells.size**2
     rough[np.isnan(rough)] = 0.0
