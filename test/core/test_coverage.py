@@ -67,6 +67,7 @@ def test_pose_errors_of_a_hover_add_no_returns(attitude):
     """A lidar that moves by more than its pose errors adds returns."""
     x, y = scattered(np.random.default_rng(8), -8.0, -8.0, 32.0, 36000)
     covariance = np.diag([1e-8] * 3 + [attitude**2] * 3)
+    covariance.setflags(write=False)
     counts = []
     for views, step in ((1, 0.0), (12, 0.0), (12, 0.6)):
         rng, mapper = np.random.default_rng(9), Mapper(CONFIG)

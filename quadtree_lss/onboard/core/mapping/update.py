@@ -70,15 +70,12 @@ def is_new_view(pose: Pose, beams: Array, last: Pose, last_beams: Array) -> cyth
     """Return whether beams (K, 3), m, moved over the ground by more than pose errors explain, since
     another pose with its beams. Otherwise the returns are those of the same places again."""
     i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
     a = cython.declare(cython.double[:, ::1], beams)
     b = cython.declare(cython.double[:, ::1], last_beams)
-    here = cython.declare(cython.double[:], pose.position)
-    there = cython.declare(cython.double[:], last.position)
-    rotation = cython.declare(cython.double[:, :], pose.rotation_map_lidar)
-    before = cython.declare(cython.double[:, :], last.rotation_map_lidar)
-    sigma = cython.declare(cython.double[:, :], pose.covariance)
-    error = cython.declare(cython.double[:, :], last.covariance)
+    move = cython.declare(cython.double[3], (pose.position - last.position).tolist())
+    variances = cython.declare(cython.double[6])
+    variances = (pose.covariance.diagonal() + last.covariance.diagonal()).tolist()
+    cosines: cython.double = np.vdot(pose.rotation_map_lidar, last.rotation_map_lidar)
     if a.shape[0] != b.shape[0]:
         return True
     square = turned = number = moved = variance = 0.0
@@ -93,13 +90,11 @@ def is_new_view(pose: Pose, beams: Array, last: Pose, last_beams: Array) -> cyth
     if number == 0.0:
         return True
     square /= number
-    # The squared angle of a rotation R is 3 - trace(R), as is that of unit vectors above.
-    turned = turned / number + 3.0
+    # 2 (1 - cos) is nearly the squared angle; the trace of a rotation is 1 + 2 cos.
+    turned = turned / number + 3.0 - cosines
     for i in range(3):
-        moved += (here[i] - there[i]) ** 2
-        variance += sigma[i, i] + error[i, i] + square * (sigma[i + 3, i + 3] + error[i + 3, i + 3])
-        for j in range(3):
-            turned -= rotation[i, j] * before[i, j]
+        moved += move[i] * move[i]
+        variance += variances[i] + square * variances[i + 3]
     return moved + square * turned > NEW_VIEW_SIGMAS * NEW_VIEW_SIGMAS * variance
 
 
