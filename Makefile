@@ -25,7 +25,7 @@ SOURCES := $(shell find quadtree_lss launch rviz foxglove security config exampl
 export PYTHONSAFEPATH := 1
 unexport VIRTUAL_ENV
 
-.PHONY: help setup lock audit demo test test-slow test-all test-checked test-vehicle test-newest test-autopilot lint docs figures bench clean
+.PHONY: help setup lock audit demo test test-slow test-all test-checked test-vehicle test-newest test-autopilot lint docs figures evidence bench clean
 
 help:
 	@echo 'make demo      simulate a descent, run both nodes on it, rank landing sites (2 minutes)'
@@ -38,7 +38,8 @@ help:
 	@echo 'make test-autopilot  landings with ArduCopter and PX4, software in the loop: ARDUCOPTER, PX4 name them'
 	@echo 'make lint      ruff, mypy, and the language of the documents'
 	@echo 'make docs      the site, into build/site/html'
-	@echo 'make figures   make the quick tables of the documents anew, list the others'
+	@echo 'make figures   make the quick tables and pictures of the documents anew, list the others'
+	@echo 'make evidence  make all of them anew that this build has not made: hours on an idle computer'
 	@echo 'make bench     print benchmark figures'
 	@echo 'make setup     only install into .venv'
 	@echo 'make lock      write .ci/requirements.lock anew: every wheel of constraints.txt with its hashes'
@@ -202,9 +203,11 @@ docs: setup
 	$(BIN)/sphinx-build -q -W --keep-going $(SITE) $(SITE)/html
 	@echo 'open $(SITE)/html/index.html'
 
-# Tables and pictures of the documents: makes those that take minutes, lists those that take hours.
+# Tables and pictures of the documents. The second makes those that take hours as well; it resumes.
 figures: setup
 	@$(BIN)/python docs/figures.py --make
+evidence: setup
+	@$(BIN)/python docs/figures.py --all
 
 lint: setup
 	$(BIN)/ruff check .
@@ -214,7 +217,7 @@ lint: setup
 	$(BIN)/python docs/language.py
 
 bench: setup
-	@for script in $$(ls benchmark/*.py | grep -v -e arducopter.py -e px4.py); do \
+	@for script in $$(ls benchmark/*.py | grep -v -e arducopter.py -e px4.py -e study.py); do \
 	    echo "== $$script"; $(BIN)/python "$$script" || exit 1; \
 	done
 

@@ -40,6 +40,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 
 from quadtree_lss.desk.replay.configuration import dump_config, load_config
+from quadtree_lss.lab.campaign.study import this_build
 from quadtree_lss.lab.live.listener import Listener
 from quadtree_lss.lab.live.processes import NodeProcess, ProcessError, local_domain
 from quadtree_lss.lab.simulation.lidar import FlashLidar
@@ -82,6 +83,7 @@ class Copter:
         behind: The computer is too slow: the last true position is older than ``now``.
     """
 
+    NAME = "ArduCopter"
     #: The mode in which it follows set-points.
     GUIDED_MODE = GUIDED
 
@@ -306,6 +308,7 @@ class Landing:
         height: Height over the target at which the fault began, m; NaN if it did not.
         seconds: Simulated duration of the landing; ``pace``: simulated per real second.
         states: States of autopilot_node, in order.
+        build: Build of the package.
     """
 
     seed: int
@@ -318,6 +321,7 @@ class Landing:
     height: float = math.nan
     seconds: float = 0.0
     states: list[str] = field(default_factory=list)
+    build: str = field(default_factory=lambda: this_build()[1])
 
     def __str__(self) -> str:
         miss = "" if math.isnan(self.miss) else f", {self.miss:.2f} m from the target"
@@ -568,19 +572,18 @@ def fly(case: tuple[str, int, str, float, type[Copter]]) -> Landing:
             return flight.landing
 
 
-HEADER = ["fault", "flights", "it never came", "no target", "landed safe", "hovered"]
-HEADER += ["given to the pilot", "unsafe or withdrawn", "flew away", "no start or broken off"]
-HEADER += ["farthest from the target, m"]
+HEADER = ["", "flights", "safe landings", "unsafe", "hover or pilot", "no target"]
+HEADER += ["flew away", "no start or broken off", "greatest miss, m"]
 
 
-def row(fault: str, some: list[Landing]) -> list[object]:
-    """Numbers of flights with one fault, in the order of `HEADER`."""
+def row(name: str, some: list[Landing]) -> list[object]:
+    """Numbers of flights with the same outcome, in the order of `HEADER`."""
     ends, grounds = (Counter(getattr(one, of) for one in some) for of in ("outcome", "ground"))
     misses = [one.miss for one in some if one.outcome == "landed"]
-    failed, no_fault = ("no start", "broken off"), sum(math.isnan(one.height) for one in some)
+    failed = ("no start", "broken off")
     return [
-        fault or "none", len(some), no_fault if fault else 0, ends["no target"], grounds["safe"],
-        ends["hovered"], ends["given to the pilot"], grounds["unsafe"] + grounds["withdrawn"],
+        name, len(some), grounds["safe"], grounds["unsafe"] + grounds["withdrawn"],
+        ends["hovered"] + ends["given to the pilot"], ends["no target"],
         ends["flew away"] + ends["flew on"], sum(one.outcome.startswith(failed) for one in some),
         f"{max(misses):.2f}" if misses else "-",
     ]  # fmt: skip
@@ -592,7 +595,7 @@ def main(
     variable: str = "ARDUCOPTER",
     known: Sequence[str] = FAULTS,
 ) -> int:
-    """Fly and print the table; return 1 if a landing was unsafe or a vehicle flew away."""
+    """Fly and print the table; return 3 if a landing was unsafe or a vehicle flew away."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--landings", type=int, default=200, help="without a fault")
     parser.add_argument("--faults", type=int, default=60, help="landings with one")
@@ -600,7 +603,7 @@ def main(
     parser.add_argument("--jobs", type=int, default=1, help="flights at once")
     text = "seconds of the simulator for one: less than 1 where nodes cannot keep up"
     parser.add_argument("--pace", type=float, default=1.0, help=text)
-    text = "file of flights, a line each: those that are in it are not flown again"
+    text = "file of flights, a line each: those of this build are not flown again"
     parser.add_argument("--records", type=Path, help=text)
     given = parser.parse_args(args)
     binary = os.environ.get(variable, "")
@@ -616,24 +619,28 @@ def main(
         lines = given.records.read_text("utf-8").splitlines()
         found = [Landing(**json.loads(line)) for line in lines]
         found = [one for one in found if (one.seed, one.fault) in known_cases]
+        found = [one for one in found if one.build == this_build()[1]]
     flown = {one.seed for one in found}
+    if given.records:
+        given.records.parent.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(given.jobs) as pool:
         try:
             for landing in pool.map(fly, [one for one in cases if one[1] not in flown]):
-                print(landing, flush=True)
+                print(landing, file=sys.stderr)
                 found.append(landing)
                 if given.records:
                     with given.records.open("a", encoding="utf-8") as file:
                         file.write(json.dumps(asdict(landing)) + "\n")
         except KeyboardInterrupt:
             pool.shutdown(cancel_futures=True)
-    rows = [
-        row(name, some) for name in ("", *FAULTS) if (some := [o for o in found if o.fault == name])
-    ]
-    table(f"{len(found)} flights, seeds from {given.seed}", HEADER, rows)
+    parts = {"no fault": [one for one in found if not one.fault]}
+    parts["a fault"] = [one for one in found if one.fault]
+    rows = [row(name, some) for name, some in parts.items() if some]
+    table(f"{kind.NAME}, seeds from {given.seed}", HEADER, rows)
     print(machine())
     bad = [one for one in found if one.outcome in ("flew away", "flew on")]
-    return int(bool(bad) or any(one.ground in ("unsafe", "withdrawn") for one in found))
+    bad += [one for one in found if one.ground in ("unsafe", "withdrawn")]
+    return 3 if bad else 0
 
 
 if __name__ == "__main__":

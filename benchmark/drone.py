@@ -46,7 +46,7 @@ def main() -> None:
     for number, seed in enumerate(parse_seeds(options.seeds)):
         ground = GROUNDS[number % len(GROUNDS)]
         flights.append((ground, evaluated(ground, seed, config)))
-        print(f"seed {seed}, {ground}: {', '.join(row(flights[-1][1], config))}", flush=True)
+        print(f"seed {seed}, {ground}: {', '.join(row(flights[-1][1], config))}", file=sys.stderr)
     every = np.concatenate([of for _, of in flights], axis=1)
     well = [
         of for _, of in flights if np.mean(of[2] >= WELL_OBSERVED) > 0.5 * np.mean(of[2] > -np.inf)

@@ -36,12 +36,12 @@ def main() -> None:
             mapped, cells = config.domain, map_of(flight, config)
         rows.append([name, *measure(cells, config, options.repeats)])
     table(
-        "One assessment by a new selector, CPU ms (64 x 64 m at 0.25 m: at most 30)",
+        "One assessment by a new selector, CPU ms",
         ["map", "leaves", "grid points", "best", "median", "worst"],
         rows,
     )
     table(
-        f"Assessments that follow the flight, one every {EVERY} scans, CPU ms (median at most 15)",
+        f"Assessments that follow the flight, one every {EVERY} scans, CPU ms",
         ["selector", "maps", "best", "median", "95 %"],
         follow(flight, configuration("morpheus")),
     )

@@ -7,29 +7,24 @@ import argparse
 import hashlib
 import pickle
 import sys
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
-from common import configuration, machine, table
+from common import configuration, data_folder, machine, table
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 from scipy.interpolate import RectBivariateSpline
 
+from quadtree_lss.desk.replay.files import write_bytes
 from quadtree_lss.lab.campaign.study import parse_seeds, this_build
 from quadtree_lss.lab.evaluation.metrics import scores
-from quadtree_lss.lab.evaluation.risk_families import FAMILIES, Family
+from quadtree_lss.lab.evaluation.risk_families import FAMILIES
 from quadtree_lss.lab.evaluation.risk_fit import risks, unfitted
-from quadtree_lss.lab.evaluation.risk_flights import (
-    Mapped,
-    Sample,
-    fitted,
-    fly,
-    land,
-    sampled,
-)
+from quadtree_lss.lab.evaluation.risk_flights import Mapped, fly, land
 from quadtree_lss.lab.simulation.hazard_field import add_rocks_to
 from quadtree_lss.lab.simulation.terrain import Terrain, load_terrain
 from quadtree_lss.onboard.arrays import Array, Index, Mask, Single
@@ -44,6 +39,9 @@ TILE = 2.2
 HALF, POST = 40.0, 0.1
 #: Families of the flights over measured terrains, in turn, three times.
 TERRAIN_FAMILIES = ("whole", "thin", "few", "views")
+#: By family and range of the risk; by ``lss.max_risk``.
+TABLES = ("reliability", "limits")
+KEEP = Path("build", "evidence", "risk")
 
 
 @dataclass(frozen=True)
@@ -61,26 +59,13 @@ def main() -> None:
     """Print the tables and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__)
     add = parser.add_argument
-    add(
-        "--seeds",
-        default="93000-93054",
-        help="of flights for the evaluation, assigned to the families in turn",
-    )
-    add("--fit-seeds", default="90000-90219", help="of flights for the fits, likewise")
-    add(
-        "--terrain",
-        type=Path,
-        action="append",
-        default=[],
-        help=".npz of a terrain; flown with and without rocks",
-    )
+    add("--seeds", default="119208-119415", help="of flights, assigned to the families in turn")
+    text = ".npz of terrains, flown with and without rocks; also in QUADTREE_LSS_DATA"
+    add("--terrain", type=Path, nargs="+", default=[], help=text)
     add("--model", default="", help="file of fit-risk, by default the one of the package")
-    add("--keep", type=Path, default=Path("risk_flights"), help="folder of simulated flights")
-    add(
-        "--shipped",
-        action="store_true",
-        help="evaluate only the shipped model, without further fits",
-    )
+    add("--keep", type=Path, default=KEEP, help="folder of simulated flights")
+    add("--tables", nargs="+", choices=TABLES, default=TABLES, help="tables to print")
+    add("--jobs", type=int, help="flights at once, by default one for each core")
     add("--figure", type=Path, help="PNG to draw")
     options = parser.parse_args()
     print(machine())
@@ -88,73 +73,60 @@ def main() -> None:
     by = hashlib.sha256(repr((this_build(), config)).encode()).hexdigest()[:8]
     keep = options.keep / by  # separate for each build
     keep.mkdir(parents=True, exist_ok=True)
-    evaluated = fly_all(parse_seeds(options.seeds), config, keep, options.terrain)
+    terrains = [path if path.is_file() else data_folder() / path for path in options.terrain]
+    evaluated = fly_all(parse_seeds(options.seeds), config, keep, terrains, options.jobs)
     predicted = {
         name: [risks(model, of.features) for of in maps] for name, maps in evaluated.items()
     }
-    reliability("the shipped model", evaluated, predicted)
-    if not options.shipped:
-        samples, seeds = fit_samples(parse_seeds(options.fit_seeds), config, keep)
-        of = {}
-        for name in FAMILIES:
-            rest = {other: some for other, some in samples.items() if other != name}
-            model = fitted(rest, seeds, config)
-            of[name] = [risks(model, one.features) for one in evaluated[name]]
-        reliability("a fit without the family", {name: evaluated[name] for name in FAMILIES}, of)
-        curve("whole flights, left out of the fit", evaluated["whole"], of["whole"])
-    curve("whole flights, the shipped model", evaluated["whole"], predicted["whole"])
+    if "reliability" in options.tables:
+        reliability(evaluated, predicted)
+    if "limits" in options.tables:
+        curve(evaluated["whole"], predicted["whole"])
     if options.figure:
         draw(options.figure, evaluated, predicted)
 
 
-def fit_samples(
-    seeds: list[int], config: Config, keep: Path
-) -> tuple[dict[str, list[Sample]], dict[str, list[int]]]:
-    """Samples by family as in `fit_risk`, and the seeds of each family."""
-    names = list(FAMILIES)
-    out: dict[str, list[Sample]] = {name: [] for name in names}
-    for number, seed in enumerate(seeds):
-        name = names[number % len(names)]
-        file = keep / f"fit_{name}_{seed}.pkl"
-        if not file.exists():
-            rng = np.random.default_rng([seed, 78])
-            maps = fly(FAMILIES[name], seed, config)
-            file.write_bytes(pickle.dumps([sampled(rng, mapped) for mapped in maps]))
-        out[name] += pickle.loads(file.read_bytes())
-    return out, {name: seeds[k :: len(names)] for k, name in enumerate(names)}
-
-
 def fly_all(
-    seeds: list[int], config: Config, keep: Path, terrains: list[Path]
+    seeds: list[int], config: Config, keep: Path, terrains: list[Path], jobs: int | None
 ) -> dict[str, list[EvaluatedMap]]:
     """Flights by family, and over measured terrains with and without rocks, which no fit uses."""
     names = list(FAMILIES)
-    out: dict[str, list[EvaluatedMap]] = {name: [] for name in names}
-    for number, seed in enumerate(seeds):
-        name = names[number % len(names)]
-        out[name] += evaluated_flight(keep / f"{name}_{seed}.pkl", FAMILIES[name], seed, config)
+    flights: list[tuple[str, str, int, Path | None, float]] = [
+        (names[number % len(names)], names[number % len(names)], seed, None, 0.0)
+        for number, seed in enumerate(seeds)
+    ]
     for path in terrains:
-        for rocks in ("", " + rocks"):
-            of = out.setdefault(path.stem + rocks, [])
-            for k, seed in enumerate(seeds[: 3 * len(TERRAIN_FAMILIES)]):
-                rng = np.random.default_rng([seed, 2])
-                ground = terrain_sample(rng, load_terrain(path))
-                ground = add_rocks_to(rng, ground, 0.05) if rocks else ground
-                file = keep / f"{path.stem}{rocks.replace(' ', '')}_{seed}.pkl"
-                of += evaluated_flight(
-                    file, FAMILIES[TERRAIN_FAMILIES[k % 4]], seed, config, ground
-                )
+        for title, rocks in ((path.stem, 0.0), (f"{path.stem} + rocks", 0.05)):
+            flights += [
+                (title, TERRAIN_FAMILIES[k % len(TERRAIN_FAMILIES)], seed, path, rocks)
+                for k, seed in enumerate(seeds[: 3 * len(TERRAIN_FAMILIES)])
+            ]
+    out: dict[str, list[EvaluatedMap]] = {title: [] for title in [*names, *(f[0] for f in flights)]}
+    with ProcessPoolExecutor(jobs) as pool:
+        flown = [pool.submit(evaluated_flight, keep, config, *flight) for flight in flights]
+        for (title, *_), future in zip(flights, flown, strict=True):
+            out[title] += future.result()
     return out
 
 
 def evaluated_flight(
-    file: Path, family: Family, seed: int, config: Config, terrain: Terrain | None = None
+    keep: Path, config: Config, title: str, family: str, seed: int, path: Path | None, rocks: float
 ) -> list[EvaluatedMap]:
-    """Return the maps of a flight from a file, which is written if it does not exist."""
+    """Return the maps of a flight from a file in ``keep``, which is written if it does not exist.
+
+    ``path`` is a measured terrain, of which ``rocks`` is the share under added rocks.
+    """
+    file = keep / f"{title.replace(' ', '')}_{seed}.pkl"
     if not file.exists():
-        maps = [evaluate_map(mapped, seed) for mapped in fly(family, seed, config, terrain)]
-        file.write_bytes(pickle.dumps(maps))
-        print(f"flown: {file.stem}", flush=True)
+        ground = None
+        if path is not None:
+            rng = np.random.default_rng([seed, 2])
+            ground = terrain_sample(rng, load_terrain(path))
+            ground = add_rocks_to(rng, ground, rocks) if rocks else ground
+        maps = [
+            evaluate_map(mapped, seed) for mapped in fly(FAMILIES[family], seed, config, ground)
+        ]
+        write_bytes(file, pickle.dumps(maps))
     return list(pickle.loads(file.read_bytes()))
 
 
@@ -184,14 +156,14 @@ def terrain_sample(rng: np.random.Generator, terrain: Terrain) -> Terrain:
 
 
 def reliability(
-    title: str, evaluated: dict[str, list[EvaluatedMap]], predicted: dict[str, list[Array]]
+    evaluated: dict[str, list[EvaluatedMap]], predicted: dict[str, list[Array]]
 ) -> None:
     """Print a row for each family; another for ``whole`` after a third of the flight."""
     rows = []
     for name, maps in evaluated.items():
         picks = {name: [True] * len(maps)}
         if name == "whole":
-            picks |= {"whole, at upper a third flown": [one.part < 0.34 for one in maps]}
+            picks |= {"whole, at most a third flown": [one.part < 0.34 for one in maps]}
         for of, pick in picks.items():
             some = [
                 (one, p) for one, p, yes in zip(maps, predicted[name], pick, strict=True) if yes
@@ -200,7 +172,7 @@ def reliability(
                 rows.append([of, *reliability_row(some)])
     bins = [f"{100 * a:g}-{100 * b:g}" for a, b in zip(BINS, BINS[1:], strict=False)]
     header = ["family", *bins, "called safe", "unsafe of it, %", "safe kept, %", "Brier", "log"]
-    table(f"Truly unsafe over told, by told risk in %, of {title}", header, rows)
+    table("True unsafe share over the predicted risk, by predicted risk in %", header, rows)
 
 
 def reliability_row(some: list[tuple[EvaluatedMap, Array]]) -> list[str]:
@@ -242,7 +214,7 @@ def detection_rates(evaluated: list[EvaluatedMap], predicted: list[Array]) -> Ar
     )
 
 
-def curve(title: str, evaluated: list[EvaluatedMap], predicted: list[Array]) -> None:
+def curve(evaluated: list[EvaluatedMap], predicted: list[Array]) -> None:
     """Print the operating points."""
     rows = []
     for limit, of in zip(LIMITS, 100.0 * detection_rates(evaluated, predicted), strict=True):
@@ -250,8 +222,9 @@ def curve(title: str, evaluated: list[EvaluatedMap], predicted: list[Array]) -> 
         rows.append(
             [f"{limit:g}", f"{found.mean():.2f}", f"{found.min():.2f}", f"{kept.mean():.1f}"]
         )
-    header = ["max_risk", "hazards found, mean %", "worst flight", "safe kept, mean %"]
-    table(f"Operating points: {title}", header, rows)
+    header = ["`lss.max_risk`", "unsafe ground found, mean %", "worst flight, %"]
+    header += ["safe ground kept, mean %"]
+    table("Ends of the `whole` flights", header, rows)
 
 
 def draw(
@@ -272,7 +245,7 @@ def draw(
         left.plot(x, y, "-" if name in FAMILIES else "--", marker=".", label=name, linewidth=1.0)
     left.plot(edges, edges, "k", linewidth=0.8)
     left.fill_between(edges, edges / 2.0, edges * 2.0, color="0.9", label="within a factor of 2")
-    left.set(xscale="log", yscale="log", xlabel="risk given", ylabel="truly unsafe share")
+    left.set(xscale="log", yscale="log", xlabel="predicted risk", ylabel="truly unsafe share")
     left.set(ylim=(1e-4, 1.0))
     left.legend(fontsize=7)
     of = detection_rates(evaluated["whole"], predicted["whole"])

@@ -54,6 +54,7 @@ UNSUPPORTED_FAULTS = ("wind of 8 m/s", "GPS 11 m off for 4 s")
 class Px4(Copter):
     """PX4 with SIH in place of ArduCopter."""
 
+    NAME = "PX4"
     GUIDED_MODE = GUIDED_MODES[PX4]
 
     def _launch(

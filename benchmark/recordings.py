@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -20,18 +19,18 @@ from typing import NamedTuple
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from common import machine, table
+from common import data_folder, machine, table
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 PROGRAM = Path(sys.executable).with_name("quadtree-lss")
 VEHICLE = "3.7,0.3"
 
 
 class Recording(NamedTuple):
-    """Parameters of a recording: it is evaluated on cells of ``cell`` m without gaps over ``gap``
-    m. ``points``: the measured points, by default those of the bag; ``flown``: the bag is a virtual
-    flight over them."""
+    """Title in the table, and parameters: evaluated on cells of ``cell`` m without gaps over
+    ``gap`` m. ``points``: the measured points, by default those of the bag; ``flown``: the bag is a
+    virtual flight over them."""
 
+    title: str
     cell: float = 0.15
     gap: float = 0.6
     points: str = ""
@@ -39,23 +38,22 @@ class Recording(NamedTuple):
 
 
 RECORDINGS = {
-    "autzen_meadow": Recording(0.5, 1.0),
-    "ign": Recording(0.4, 1.0, "ign", flown=True),
-    "ign_asis": Recording(0.4, 1.0, "ign"),
-    "os1_2048": Recording(),
-    "vls128": Recording(),
-    "lone": Recording(0.1, 0.6, "lone", flown=True),
-    "ouster_os1": Recording(),
+    "autzen_meadow": Recording("airborne returns, meadow", 0.5, 1.0),
+    "ign": Recording("flash lidar over 160,000 airborne returns", 0.4, 1.0, "ign", flown=True),
+    "ign_asis": Recording("the same returns, once each, in 40 strips", 0.4, 1.0, "ign"),
+    "os1_2048": Recording("one turn, 64 lines, street"),
+    "vls128": Recording("one turn, 128 lines, crossing"),
+    "lone": Recording("flash lidar over a terrestrial scan, wood", 0.1, 0.6, "lone", flown=True),
+    "ouster_os1": Recording("three turns, street crossing"),
 }
-HEADER = ["recording", "good ground, %", "allowed of it, %", "allowed and bad"]
-HEADER += ["good but refused, %"]
+HEADER = ["recording", "safe in truth, %", "of it called safe, %"]
+HEADER += ["unsafe of the ground called safe"]
 
 
 def main() -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    folder = Path(os.environ.get("QUADTREE_LSS_DATA", DATA))
-    parser.add_argument("--data", type=Path, default=folder, help="folder of the recordings")
+    parser.add_argument("--data", type=Path, default=data_folder(), help="folder of the recordings")
     parser.add_argument("names", nargs="*", metavar="NAME", help="recordings (default: all)")
     options = parser.parse_args()
     script = options.data / "measured_points.py"
@@ -69,9 +67,10 @@ def main() -> int:
             found = evaluated(name, RECORDINGS[name], script.resolve(), Path(scratch))
         refused = found["good_and_refused_percent"]
         bad = f"{found['allowed_and_bad']} of {found['allowed']:,}"
-        rows.append([name, found["good_percent"], f"{100.0 - refused:.1f}", bad, refused])
-        print(f"{name}: {rows[-1][1:]}", flush=True)
-    table(f"vehicle {VEHICLE}, configurations as suggested", HEADER, rows)
+        title = RECORDINGS[name].title
+        rows.append([title, found["good_percent"], f"{100.0 - refused:.1f}", bad])
+        print(f"{name}: {rows[-1][1:]}", file=sys.stderr, flush=True)
+    table("", HEADER, rows)
     return 0
 
 

@@ -73,7 +73,7 @@ def main() -> None:
         name = list(FIELDS)[seed % len(FIELDS)]
         flown = drone(seed, name) if options.drone else morpheus(seed, name)
         flights.append(fly(flown, config, *(DRONE if options.drone else MORPHEUS)))
-        print(f"seed {seed}, {name}: {len(flights[-1].moves)} changes", flush=True)
+        print(f"seed {seed}, {name}: {len(flights[-1].moves)} changes", file=sys.stderr)
     n = len(flights)
     moves = [move for flight in flights for move in flight.moves]
     lost = [move for flight in flights for move in flight.lost]
@@ -87,10 +87,10 @@ def main() -> None:
             [f"- in the last {LATE_S:g} s before commitment or the end", f"{late / n:.2f}"],
             [
                 f"- for less than {MIN_GAIN:.1%} of true probability",
-                f"{sum(m.is_needless for m in moves)}",
+                f"{sum(m.is_needless for m in moves) / n:.2f}",
             ],
-            ["withdrawn from truly safe ground", f"{sum(m.safe for m in lost) / n:.2f}"],
-            ["withdrawn from truly unsafe ground", f"{sum(not m.safe for m in lost) / n:.2f}"],
+            ["withdrawals from truly safe ground", f"{sum(m.safe for m in lost) / n:.2f}"],
+            ["withdrawals from truly unsafe ground", f"{sum(not m.safe for m in lost) / n:.2f}"],
             ["first target after, s", f"{np.mean([f.first for f in flights]):.1f}"],
             ["last target's true probability", f"{np.mean([f.last for f in flights]):.4f}"],
             ["the first site's", f"{np.mean([f.first_site for f in flights]):.4f}"],

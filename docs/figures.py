@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lists the measured tables and pictures of the documents: `python docs/figures.py`.
+"""Makes the measured tables and pictures of the documents: `python docs/figures.py`.
 
 In a page a figure stands between two comments:
 
@@ -7,10 +7,16 @@ In a page a figure stands between two comments:
     quick; CONFIGURATION: NAMES = HASH; build BUILD, DATE -->
     <!-- end -->
 
-HASH is of the parameters of CONFIGURATION that match NAMES. A test fails if one of them has another
-default. `earlier` in place of the hash marks a figure of other defaults, and its text says so.
-`--make` makes the figures of `quick` commands again. Those of `hours`, and of `idle` (an otherwise
-idle computer), are made by hand.
+COMMAND prints the figure as Markdown, or draws its pictures. HASH is of the parameters of
+CONFIGURATION that match NAMES; a test fails if one of them has another default. BUILD is a hash of
+the sources of the package. `earlier` in place of hash and build marks a figure of other defaults,
+and its text says so.
+
+Without options the program lists the figures. `--make` makes those of `quick` commands: ten minutes
+in all. `--all` also makes those of `hours`, and of `idle`, which need an otherwise idle computer:
+about three hours on two cores, of them 80 minutes for landings with autopilots. Figures of this
+build are not made again, and campaigns resume in build/evidence. Recordings and measured terrains
+are in the folder QUADTREE_LSS_DATA.
 """
 
 import argparse
@@ -27,6 +33,8 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("*.md", "docs/**/*.md", "studies/*.md")
+#: In the order in which they are made; the README quotes tables of the others and is the last.
+EFFORTS = ("idle", "hours", "quick")
 FIGURE = re.compile(
     r"<!-- figure: (?P<command>[^\n]+)\n"
     r"(?P<effort>quick|hours|idle); (?P<config>\w+): (?P<names>[^=;]+)"
@@ -68,20 +76,41 @@ def parameters_hash(config, names):
     return hashlib.sha256(repr(sorted(used.items())).encode()).hexdigest()[:8]
 
 
-def make(figure):
-    """Run the command and write what it prints, the build and the date into the page.
+def this_build():
+    """Return the first eight digits of the hash of the sources of the package."""
+    from quadtree_lss.lab.campaign.study import this_build
 
-    A command that draws pictures prints nothing: then the text stays.
+    return this_build()[1][:8]
+
+
+def is_made(figure):
+    """Return whether a figure is of the defaults and of the build of the package."""
+    same = figure.hash == parameters_hash(figure.config, figure.names)
+    return same and figure.made.startswith(this_build())
+
+
+def output_of(command):
+    """Run a command of this environment; return what it prints, or None if it fails.
+
+    Exit code 3 is of a complete table with bad outcomes, such as failed flights.
     """
-    from quadtree_lss import build
-
-    command = [sys.executable, *shlex.split(figure.command)[1:]]
-    tables = {**os.environ, "TABLES": "markdown"}
+    program, *words = shlex.split(command)
+    first = [sys.executable] if program == "python" else [Path(sys.executable).with_name(program)]
+    environment = {**os.environ, "TABLES": "markdown"}
     done = subprocess.run(
-        command, cwd=ROOT, env=tables, stdout=subprocess.PIPE, text=True, check=True
+        [*first, *words], cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True
     )
-    body = done.stdout.strip() or figure.body.removeprefix("Earlier build.\n\n").strip()
-    made = f"{parameters_hash(figure.config, figure.names)}; build {build.name()[:8]}"
+    return done.stdout.strip() if done.returncode in (0, 3) else None
+
+
+def write(figure, body):
+    """Write the figure, the build and the date into the page.
+
+    Pictures stay.
+    """
+    pictures = re.findall(r"^!\[.*?\]\(.*?\)$", figure.body, re.DOTALL | re.MULTILINE)
+    body = "\n\n".join([*pictures, *([body] if body else [])])
+    made = f"{parameters_hash(figure.config, figure.names)}; build {this_build()}"
     head = f"<!-- figure: {figure.command}\n{figure.effort}; {figure.config}: {figure.names}"
     text = figure.page.read_text(encoding="utf-8")
     start = text.index(f"<!-- figure: {figure.command}\n")
@@ -90,15 +119,45 @@ def make(figure):
     figure.page.write_text(text[:start] + new + text[end:], encoding="utf-8")
 
 
-if __name__ == "__main__":
+def make(found):
+    """Make figures, each command once; return the commands that failed or printed no table."""
+    failed = []
+    for command in dict.fromkeys(figure.command for figure in found):
+        print(f"made: {command}", flush=True)
+        body, same = output_of(command), [figure for figure in found if figure.command == command]
+        shows_table = any("\n| --- |" in figure.body for figure in same)
+        if body is None or (shows_table and "| --- |" not in body):
+            print(body or "", flush=True)
+            failed.append(command)
+            continue
+        for figure in same:
+            write(figure, body)
+    return failed
+
+
+def main():
+    """List the figures, or make them."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--make", action="store_true", help="make the quick ones again")
+    parser.add_argument("--make", action="store_true", help="make the quick ones")
+    parser.add_argument("--all", action="store_true", help="make all that this build has not made")
     options = parser.parse_args()
-    for figure in list(figures()):
+    found = sorted(figures(), key=lambda f: (EFFORTS.index(f.effort), f.page.name == "README.md"))
+    for figure in found:
         state = "earlier build"
         if figure.hash is not None:
             same = figure.hash == parameters_hash(figure.config, figure.names)
             state = f"build {figure.made}" + ("" if same else ", of other defaults")
         print(f"{figure.page.name}: {figure.command} ({figure.effort}; {state})", flush=True)
-        if options.make and figure.effort == "quick":
-            make(figure)
+    chosen = [
+        figure
+        for figure in found
+        if figure.effort == "quick" or (options.all and not is_made(figure))
+    ]
+    failed = make(chosen) if options.make or options.all else []
+    for command in failed:
+        print(f"not made: {command}")
+    return int(bool(failed))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

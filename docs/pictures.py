@@ -1,7 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of one simulated flight: `python docs/pictures.py --figure docs/images`."""
+"""Pictures of simulated flights and of the elevation model of its tutorial.
+
+`python docs/pictures.py --figure docs/images` draws them; those of the page need Chromium.
+"""
 
 import argparse
+import re
+import shutil
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -19,6 +26,12 @@ PICTURES = {
     "quadtree.png": "quadtree.png",
     "hazards.png": "figures/hazards.png",
 }
+#: Views of a page, by the end of its address.
+VIEWS = {"report.png": "", "page_3d.png": "#mode=scene&site=1"}
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+FLAGS = ("--headless", "--no-sandbox", "--hide-scrollbars", "--window-size=1400,875")
+FLAGS += ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+FLAGS += ("--virtual-time-budget=20000",)
 SCANNED = {"domain.xmin": -16.0, "domain.ymin": -16.0, "domain.size": 32.0}
 SCANNED |= {"domain.min_level": 3, "domain.max_level": 7}  # the same cells: 4 ... 0.25 m
 
@@ -44,22 +57,55 @@ def _map(title, box):
     return figure, axes
 
 
+def save(source, file, scale=1.0):
+    """Save a picture with 64 colours."""
+    with Image.open(source) as image:
+        small = image.convert("RGB").resize([round(scale * side) for side in image.size])
+        small.quantize(64, kmeans=1).save(file, optimize=True)
+
+
+def flight_pictures(folder, figures, seed):
+    """Draw four seconds of a flight of Section VII."""
+    simulate("morpheus", folder / "bag", seed=seed, duration=4.0)
+    replay(folder / "bag", folder / "out", load_config(["morpheus"], SCANNED))
+    results, truth = load_results(folder / "out"), load_truth(folder / "truth.npz")
+    (folder / "out" / "quadtree.png").write_bytes(drawing.png(quadtree(results, truth)))
+    for picture, source in PICTURES.items():
+        save(folder / "out" / source, figures / picture, 0.75)
+
+
+def page_pictures(folder, figures):
+    """Show the page of a flight of Section VII in a browser."""
+    browser = next(filter(None, map(shutil.which, BROWSERS)))
+    simulate("morpheus", folder / "flight" / "bag", seed=2)
+    replay(folder / "flight" / "bag", folder / "page", load_config(["morpheus"]))
+    for picture, view in VIEWS.items():
+        shot, page = folder / picture, f"{(folder / 'page' / 'report.html').as_uri()}{view}"
+        subprocess.run([browser, *FLAGS, f"--screenshot={shot}", page], check=True)
+        save(shot, figures / picture)
+
+
+def model_picture(folder, figures):
+    """Rank sites on the elevation model of the tutorial."""
+    text = (Path(__file__).parent / "tutorials" / "elevation_model.md").read_text("utf-8")
+    model = re.search(r"<<'EOF'\n(.*?)\nEOF", text, re.DOTALL)[1]
+    command = re.search(r"^quadtree-lss (sites model.npz .*)$", text, re.MULTILINE)[1]
+    program = Path(sys.executable).with_name("quadtree-lss")
+    for words in ([sys.executable, "-c", model], [program, *command.split()]):
+        subprocess.run(words, cwd=folder, stdout=sys.stderr, check=True)
+    save(folder / "sites" / "figures" / "hazards.png", figures / "model.png", 0.75)
+
+
 def main() -> None:
-    """Draw the pictures from four seconds of a flight of Section VII."""
+    """Draw all pictures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--figure", type=Path, required=True, help="folder")
     parser.add_argument("--seed", type=int, default=121)
-    arguments = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        simulate("morpheus", folder / "bag", seed=arguments.seed, duration=4.0)
-        replay(folder / "bag", folder / "out", load_config(["morpheus"], SCANNED))
-        results, truth = load_results(folder / "out"), load_truth(folder / "truth.npz")
-        (folder / "out" / "quadtree.png").write_bytes(drawing.png(quadtree(results, truth)))
-        for picture, source in PICTURES.items():
-            with Image.open(folder / "out" / source) as image:
-                small = image.convert("RGB").resize([3 * side // 4 for side in image.size])
-                small.quantize(64, kmeans=1).save(arguments.figure / picture, optimize=True)
+        flight_pictures(Path(name), options.figure, options.seed)
+        model_picture(Path(name), options.figure)
+        page_pictures(Path(name), options.figure)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import functools
+import os
 from dataclasses import dataclass
+from pathlib import Path
 
 from quadtree_lss.desk.replay.configuration import load_config
 from quadtree_lss.desk.replay.replay import scans
@@ -13,6 +15,13 @@ from quadtree_lss.lab.evaluation.results import Truth, truth_of
 from quadtree_lss.lab.simulation.simulate import Simulation
 from quadtree_lss.onboard.config.settings import Config
 from quadtree_lss.onboard.messages.intake import ReadyScan
+
+
+def data_folder() -> Path:
+    """Folder of recordings and measured terrains: ``QUADTREE_LSS_DATA``, by default
+    ``../shared/data`` beside the repository."""
+    default = Path(__file__).resolve().parents[3] / "shared" / "data"
+    return Path(os.environ.get("QUADTREE_LSS_DATA", default))
 
 
 @dataclass(frozen=True)

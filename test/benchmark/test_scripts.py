@@ -10,18 +10,22 @@ import pytest
 FOLDER = Path(__file__).resolve().parents[2] / "benchmark"
 SMALL = {
     "scan_update": (
-        ["--duration", "1", "--largest", "64"],
+        ["--duration", "1", "--growth", "--largest", "64"],
         ["plain compiled loop", "numpy.bincount"],
     ),
     "arducopter": ([], ["nothing flown: ARDUCOPTER names no"]),
     "px4": ([], ["nothing flown: PX4 names no"]),
     "recordings": (["--data", "nowhere"], ["no recordings in nowhere"]),
+    "study": (
+        [str(FOLDER.parent / "studies" / "small.yaml"), "safe_found", "--out", "out"],
+        ["Safe terrain found", "touchdown", "paper"],
+    ),
     "hover": (["--flights", "1", "--scans", "20", "50"], ["white", "Gauss-Markov", "constant"]),
     "section_vi": (["--seeds", "201", "--duration", "3"], ["187", "220", "prefit below"]),
     "features": (["--seeds", "201"], ["0.15 - 0.4 m", "in 10 cm", "slope of 10 degrees"]),
     "probability": (
-        ["--shipped", "--seeds", "90000-90001", "--figure", "p.png"],
-        ["the shipped model", "Brier", "Operating points"],
+        ["--seeds", "90000-90001", "--jobs", "1", "--figure", "p.png"],
+        ["predicted risk in %", "Brier", "lss.max_risk"],
     ),
     "drone": (["--seeds", "201-202"], ["2 flights", "max_risk"]),
     "scarce": (["--seeds", "97000"], ["1 flights", "with 1 m of room"]),
@@ -35,10 +39,13 @@ SMALL = {
     ),
     "wrong_poses": (["--seeds", "1", "--before", "3"], ["wrong scans rejected", "hills"]),
     "landing_pass": (["--duration", "1", "--repeats", "1"], ["the paper's rules"]),
-    "target": (["--seeds", "201", "--told"], ["withdrawn from truly safe ground", "truth off by"]),
+    "target": (
+        ["--seeds", "201", "--told"],
+        ["withdrawals from truly safe ground", "truth off by"],
+    ),
     "live": (
         ["--seconds", "8", "--kill", "3"],
-        ["scans sent", "lss_node killed and started again"],
+        ["Restarts of a killed node"],
     ),
 }
 NEED_ROS = {"arducopter", "px4", "live"}

@@ -1,11 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables and pictures of measurements are of the present defaults, or say that they are not."""
 
+import argparse
 import re
 import runpy
+import shlex
+import sys
 from pathlib import Path
+from unittest import mock
 
 import pytest
+
+from quadtree_lss.lab.campaign.study import read_study
 
 ROOT = Path(__file__).resolve().parents[2]
 FIGURES = runpy.run_path(str(ROOT / "docs" / "figures.py"))
@@ -20,6 +26,33 @@ def test_a_figure_is_of_the_present_defaults_or_says_so(figure):
     else:
         remedy = "make it again, or mark it as of an earlier build"
         assert figure.hash == parameters_hash(figure.config, figure.names), remedy
+
+
+class Parsed(Exception):
+    """All options of a command are read."""
+
+
+@pytest.mark.parametrize("command", sorted({figure.command for figure in ALL}))
+def test_the_options_of_a_command_are_known_to_its_script(command, monkeypatch):
+    """The script runs until its options are read."""
+    program, script, *options = shlex.split(command)
+    assert program == "python"
+    if script == "benchmark/study.py":
+        quantities = {quantity.name for quantity in read_study(ROOT / options[0]).kind.quantities}
+        assert quantities.issuperset(options[1:])
+    if script in ("benchmark/live.py", "benchmark/arducopter.py", "benchmark/px4.py"):
+        pytest.importorskip("rclpy")
+    parse = argparse.ArgumentParser.parse_args
+
+    def parse_only(self, args=None, namespace=None):
+        parse(self, args, namespace)
+        raise Parsed
+
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parse_only)
+    monkeypatch.setattr(sys, "argv", [script, *options])
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    with mock.patch.dict(sys.modules), pytest.raises(Parsed):
+        runpy.run_path(str(ROOT / script), run_name="__main__")
 
 
 def test_a_changed_default_is_seen(tmp_path, monkeypatch):
