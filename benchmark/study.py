@@ -57,12 +57,9 @@ def main() -> None:
 
 def varying(labels: list[Mapping[str, Value]]) -> list[str]:
     """Names of the labels of combinations, without those that are the same in each case."""
-    names = [
-        name
-        for name in labels[0]
-        if len({(of.get("case"), of[name]) for of in labels})
-        > len({of.get("case") for of in labels})
-    ]
+    cases = {own.get("case") for own in labels}
+    values = {name: {(own.get("case"), own.get(name)) for own in labels} for name in labels[0]}
+    names = [name for name, of_cases in values.items() if len(of_cases) > len(cases)]
     return ["case", *names] if "case" in labels[0] else names
 
 

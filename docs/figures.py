@@ -14,7 +14,7 @@ and its text says so.
 
 Without options the program lists the figures. `--make` makes those of `quick` commands: ten minutes
 in all. `--all` also makes those of `hours`, and of `idle`, which need an otherwise idle computer:
-about three hours on two cores, of them 80 minutes for landings with autopilots. Figures of this
+three and a half hours on two cores, of them 80 minutes for landings with autopilots. Figures of this
 build are not made again, and campaigns resume in build/evidence. Recordings and measured terrains
 are in the folder QUADTREE_LSS_DATA.
 """
