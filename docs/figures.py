@@ -12,11 +12,11 @@ CONFIGURATION that match NAMES; a test fails if one of them has another default.
 the sources of the package. `earlier` in place of hash and build marks a figure of other defaults,
 and its text says so.
 
-Without options the program lists the figures. `--make` makes those of `quick` commands: ten minutes
-in all. `--all` also makes those of `hours`, and of `idle`, which need an otherwise idle computer:
-three and a half hours on two cores, of them 80 minutes for landings with autopilots. Figures of this
-build are not made again, and campaigns resume in build/evidence. Recordings and measured terrains
-are in the folder QUADTREE_LSS_DATA.
+Without options the program lists the figures. `--make` makes those of `quick` commands in five
+minutes. `--all` also makes those of `hours`, and of `idle`, which need an otherwise idle computer:
+three and a half hours on two cores, 80 minutes of them for landings with autopilots. Figures of
+this build are not made again, and campaigns resume in build/evidence. Recordings and measured
+terrains are in the folder QUADTREE_LSS_DATA.
 """
 
 import argparse
@@ -123,7 +123,7 @@ def make(found):
     """Make figures, each command once; return the commands that failed or printed no table."""
     failed = []
     for command in dict.fromkeys(figure.command for figure in found):
-        print(f"made: {command}", flush=True)
+        print(f"making: {command}", flush=True)
         body, same = output_of(command), [figure for figure in found if figure.command == command]
         shows_table = any("\n| --- |" in figure.body for figure in same)
         if body is None or (shows_table and "| --- |" not in body):

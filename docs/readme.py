@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of the README, from tables of docs/evidence.md: `python docs/readme.py`."""
 
+import argparse
 import re
 import runpy
 import sys
@@ -20,6 +21,7 @@ def table_of(words):
 
 def main():
     """Print the table."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     found, top = "Hazardous terrain found [%]", "Unsafe sites in the top five"
     flights, varied = table_of("studies/morpheus")["morpheus"], table_of("studies/varied")["varied"]
     landings = table_of("studies/flight.yaml")["rocks over 12 % of the ground, package"]
