@@ -636,7 +636,7 @@ def main(
     parts = {"no fault": [one for one in found if not one.fault]}
     parts["a fault"] = [one for one in found if one.fault]
     rows = [row(name, some) for name, some in parts.items() if some]
-    table(f"{kind.NAME}, seeds from {given.seed}", HEADER, rows)
+    table(kind.NAME, HEADER, rows)
     print(machine())
     bad = [one for one in found if one.outcome in ("flew away", "flew on")]
     bad += [one for one in found if one.ground in ("unsafe", "withdrawn")]
