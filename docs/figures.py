@@ -33,7 +33,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("*.md", "docs/**/*.md", "studies/*.md")
-#: In the order in which they are made; the README quotes tables of the others and is the last.
+#: In the order in which they are made.
 EFFORTS = ("idle", "hours", "quick")
 FIGURE = re.compile(
     r"<!-- figure: (?P<command>[^\n]+)\n"
@@ -141,7 +141,7 @@ def main():
     parser.add_argument("--make", action="store_true", help="make the quick ones")
     parser.add_argument("--all", action="store_true", help="make all that this build has not made")
     options = parser.parse_args()
-    found = sorted(figures(), key=lambda f: (EFFORTS.index(f.effort), f.page.name == "README.md"))
+    found = sorted(figures(), key=lambda figure: EFFORTS.index(figure.effort))
     for figure in found:
         state = "earlier build"
         if figure.hash is not None:
