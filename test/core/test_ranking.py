@@ -8,17 +8,18 @@ from math import hypot
 import numpy as np
 import pytest
 
-from quadtree_lss.onboard.core.landing.ranking import (
-    EQUAL_RISKS,
-    MODEL_ERROR,
-    best_among_equals,
-    ranked_points,
-)
+from quadtree_lss.onboard.core.landing.ranking import EQUAL_RISKS, MODEL_ERROR, Candidates
+
+
+def candidates(cost, unsafe, clearance):
+    """Return grid points 1 m apart."""
+    y, x = (np.arange(float(count)) for count in cost.shape)
+    return Candidates(x, y, np.isfinite(cost), cost, np.zeros(cost.shape), unsafe, clearance)
 
 
 def first(risks, clearances):
     unsafe = np.array([risks])
-    found = best_among_equals(unsafe, unsafe, np.array([clearances]))
+    found = candidates(unsafe, unsafe, np.array([clearances])).best
     return None if found is None else found[1]
 
 
@@ -48,7 +49,7 @@ def test_without_candidates_none_ranks_first():
 
 
 def test_without_probabilities_the_lowest_cost_ranks_first():
-    assert best_among_equals(np.array([[2.0, 1.0]]), None, np.array([[9.0, 0.0]])) == (0, 1)
+    assert candidates(np.array([[2.0, 1.0]]), None, np.array([[9.0, 0.0]])).best == (0, 1)
 
 
 def test_each_rank_is_the_best_among_equals_of_what_the_ranks_before_leave():
@@ -56,11 +57,12 @@ def test_each_rank_is_the_best_among_equals_of_what_the_ranks_before_leave():
     unsafe = 10.0 ** rng.uniform(-5.0, -2.0, (20, 30))
     unsafe[rng.random(unsafe.shape) < 0.3] = np.nan
     clearance = rng.uniform(0.0, 5.0, unsafe.shape)
-    ranked = ranked_points(unsafe, unsafe, clearance, 4.0, 8)
+    ground = candidates(unsafe, unsafe, clearance)
+    ranked = ground.ranked(4.0, 8)
     assert len(ranked) == 8
     left = unsafe.copy()
     for place in ranked:
-        assert place == best_among_equals(left, unsafe, clearance)
+        assert place == ground.rank_first(left)
         row, column = np.ogrid[:20, :30]
         near = (row - place[0]) ** 2 + (column - place[1]) ** 2 < 16.0
         assert not np.isnan(left[place])

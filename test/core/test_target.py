@@ -17,13 +17,13 @@ from quadtree_lss.onboard.core.landing import choose as choosing
 from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.choose import ground_covariance
 from quadtree_lss.onboard.core.landing.lattice import ground_planes
+from quadtree_lss.onboard.core.landing.ranking import Candidates
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.result import no_target, shown
 from quadtree_lss.onboard.core.landing.target import (
     DISTANCE_COST,
     GAIN_AND_COST,
     KEEP_RISK_FACTOR,
-    Candidates,
     Choice,
     Descent,
     Reason,
@@ -44,7 +44,7 @@ def candidates(unsafe, safe=(1, 1, 1, 1), risk=0.0, axis=AXIS):
     unsafe, safe = np.array([unsafe], dtype=np.float64), np.array([safe], dtype=bool)
     cost = np.where(safe, unsafe, NAN)
     safe = safe & np.isfinite(unsafe)
-    return Candidates(axis, np.zeros(1), safe, cost, unsafe, np.full(cost.shape, risk))
+    return Candidates(axis, np.zeros(1), safe, cost, np.full(cost.shape, risk), unsafe)
 
 
 def situation(unsafe=(0.02,) * 4, *, confirmed=(1, 1, 1, 1), fault=Reason.HAZARD, **given):

@@ -23,13 +23,13 @@ from quadtree_lss.onboard.arrays import Array, Bytes, Index, Mask
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 from quadtree_lss.onboard.core.landing.lattice import blur
+from quadtree_lss.onboard.core.landing.ranking import Candidates
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.landing.restrictions import Restrictions
 from quadtree_lss.onboard.core.landing.score import PointAssessment
 from quadtree_lss.onboard.core.landing.target import (
     DISTANCE_COST,
     LATERAL_ACCELERATION,
-    Candidates,
     Descent,
     Motion,
 )
@@ -79,11 +79,8 @@ class GridSampler:
     """Samples values of the finest lattice at the points of the user's grid.
 
     A grid point that coincides with a lattice point has its value; others depend on the two or four
-    surrounding lattice points.
-
-    Attributes:
-        x, y: (nx,), (ny,) of the grid points, m.
-        nearest_row, nearest_column: (ny,), (nx,) of the lattice point nearest to each.
+    surrounding lattice points. ``x``, ``y``: (nx,), (ny,), m. ``nearest_row``, ``nearest_column``:
+    (ny,), (nx,) of the lattice point nearest to each.
     """
 
     def __init__(self, domain: Domain, x: Array, y: Array) -> None:
@@ -175,7 +172,6 @@ class Aims:
         elevation: Height of the ground at the vehicle's scale, m.
         score: Eq. 59, NaN where excluded.
         probability: Probability of success; NaN without a risk model.
-        risk: Predicted risk; NaN without a risk model.
         hazard: Bits of ``hazards``.
         above: Observed ground that is excluded because it lies above the vehicle.
         descent: Of the vehicle to the target, or to the mean of all ground; None if unknown.
@@ -189,7 +185,6 @@ class Aims:
     elevation: Array
     score: Array
     probability: Array
-    risk: Array
     hazard: Bytes
     above: Mask
     descent: Descent | None
@@ -205,20 +200,15 @@ def aim(
     held: tuple[float, float] | None,
     lss: LssConfig,
 ) -> Aims:
-    """Evaluate the points of the user's grid as aim points.
-
-    ``motion``: of the vehicle by the map's height, None if unknown. ``held``: x and y of the
-    target, m, None without one.
-    """
+    """Evaluate the points of the user's grid as aim points; ``motion``: of the vehicle by the
+    map's height; ``held``: x and y of the target, m; each None if there is none."""
     grid = make_grid(points.raster.domain, lss.spacing)
     raster, by_probability = points.raster, lss.ranking == "probability"
-    unsafe = points.risk
-    if by_probability:
-        unsafe = unsafe_aims(points.risk, raster.domain.finest_size, dispersion)
-    unsafe, safe = grid.linear(unsafe), grid.all(points.safe)
+    safe = grid.all(points.safe)
     score = np.where(safe, grid.nearest(points.score), np.nan)
-    cost = score
+    unsafe, cost = np.full(score.shape, np.nan), score.copy()
     if by_probability:  # the score orders equal probabilities
+        unsafe = grid.linear(unsafe_aims(points.risk, raster.domain.finest_size, dispersion))
         cost = unsafe + 0.5 * SCORE_RANGE * score / (1.0 + np.abs(score))
     hazard, risk = grid.any(points.hazard), grid.linear(points.risk)
     restrictions.apply_to(cost, grid.x, grid.y, lss)
@@ -231,11 +221,11 @@ def aim(
         unsafe = np.where(above, 1.0, unsafe)
     score[np.isnan(cost)] = np.nan
     clearance, aim_risk = grid.nearest(points.clearance), unsafe if by_probability else None
-    candidates = Candidates(grid.x, grid.y, safe, cost, aim_risk, risk, clearance)
+    candidates = Candidates(grid.x, grid.y, safe, cost, risk, aim_risk, clearance)
     descent = None if motion is None else remaining_descent(points, grid, motion, held)
     now = within_reach(candidates, points, grid, hazard, restrictions, motion, lss)
     return Aims(
-        grid, dispersion, restrictions, elevation, score, probability, risk, hazard, above, descent,
+        grid, dispersion, restrictions, elevation, score, probability, hazard, above, descent,
         candidates, now,
     )  # fmt: skip
 

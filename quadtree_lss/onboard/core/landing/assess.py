@@ -22,15 +22,16 @@ from quadtree_lss.onboard.config.risk import risk_model
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config
 from quadtree_lss.onboard.core.landing.aim import Dispersion, aim, make_grid
 from quadtree_lss.onboard.core.landing.choose import choose
-from quadtree_lss.onboard.core.landing.contact import ContactCheck
+from quadtree_lss.onboard.core.landing.contact import ContactCheck, touchdown_limits
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN
 from quadtree_lss.onboard.core.landing.lattice import corner_bits
+from quadtree_lss.onboard.core.landing.ranking import Candidates
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.restrictions import Restrictions
 from quadtree_lss.onboard.core.landing.result import LandingAssessment, no_sites, no_target
 from quadtree_lss.onboard.core.landing.risk import RiskTable, contact_limits
 from quadtree_lss.onboard.core.landing.score import assess_points
-from quadtree_lss.onboard.core.landing.target import Candidates, Motion, Reason, TargetKeeper
+from quadtree_lss.onboard.core.landing.target import Motion, Reason, TargetKeeper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 
@@ -56,7 +57,7 @@ class LandingSiteSelector:
             self._risk_table = RiskTable(model, lss, config.lidar.range_noise)
             self._contact_check = ContactCheck(lss, contact_limits(model, lss))
         elif lss.assessment == "touchdown":
-            self._contact_check = ContactCheck(lss)
+            self._contact_check = ContactCheck(lss, touchdown_limits(lss))
 
     def release(self) -> None:
         """Drop the target: the next assessment chooses as if there were none."""
@@ -108,7 +109,7 @@ class LandingSiteSelector:
         if self._contact_check is not None:
             heading = None if self._risk_table is not None else spread.heading
             contacts = self._contact_check.contacts(raster, raster.needs_contact, heading)
-        points = assess_points(raster, contacts, self._contact_check, self._risk_table, lss)
+        points = assess_points(raster, contacts, self._risk_table, lss)
         motion = None
         if vehicle is not None:  # its height differs from the map's by ``offset_z``
             height, *others = vehicle
@@ -128,7 +129,7 @@ class LandingSiteSelector:
         lss, grid = self.config.lss, make_grid(cells.domain, self.config.lss.spacing)
         shape = (len(grid.y), len(grid.x))
         none, never = np.full(shape, np.nan), np.zeros(shape, dtype=np.bool_)
-        ground = Candidates(grid.x, grid.y, never, none)
+        ground = Candidates(grid.x, grid.y, never, none, np.ones(shape))
         self._keeper.choose(ground, lss, reason_at=lambda *_: reason, no_site_reason=reason)
         return LandingAssessment(
             stamp_ns=cells.stamp_ns,
@@ -144,7 +145,7 @@ class LandingSiteSelector:
             safe=never,
             score=none,
             probability=np.zeros(shape),
-            risk=np.ones(shape),
+            risk=ground.risk,
             explanation="nothing is mapped yet",
             offset_z=cells.offset_z,
             offset_variance=cells.offset_variance,

@@ -14,7 +14,7 @@ from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.landing import hazards
 from quadtree_lss.onboard.core.landing.aim import Aims, Dispersion, touchdown_weights
 from quadtree_lss.onboard.core.landing.lattice import disc, steps_to_marked
-from quadtree_lss.onboard.core.landing.ranking import ranked_points
+from quadtree_lss.onboard.core.landing.ranking import GridIndex
 from quadtree_lss.onboard.core.landing.raster import RELATIVE_ROUNDING, TerrainRaster
 from quadtree_lss.onboard.core.landing.result import (
     LandingAssessment,
@@ -25,13 +25,7 @@ from quadtree_lss.onboard.core.landing.result import (
 )
 from quadtree_lss.onboard.core.landing.risk import risk_warnings
 from quadtree_lss.onboard.core.landing.score import PointAssessment
-from quadtree_lss.onboard.core.landing.target import (
-    SETTLE_SHARE,
-    Choice,
-    GridIndex,
-    Reason,
-    TargetKeeper,
-)
+from quadtree_lss.onboard.core.landing.target import SETTLE_SHARE, Choice, Reason, TargetKeeper
 from quadtree_lss.onboard.core.tree.cell_map import height_by_error
 
 #: Reasons for no target that another assessment of the same map does not change.
@@ -61,10 +55,7 @@ def choose(
         settled=seen >= SETTLE_SHARE or waited >= lss.settle_time,
         now=aims.now,
     )
-    apart = lss.vehicle.lengths.min_separation
-    steps = apart / (grid.x[1] - grid.x[0]) if len(grid.x) > 1 else 0.0
-    cost, unsafe, clearance = candidates.cost, candidates.unsafe, candidates.clearance
-    ranked = ranked_points(cost, unsafe, clearance, steps, lss.sites)
+    ranked = candidates.ranked(lss.vehicle.lengths.min_separation, lss.sites)
     described = ranked if choice.point is None else [*ranked, choice.point]
     sites = _describe(points, aims, described, keeper, lss)
     now = np.full(4, np.nan)
@@ -85,7 +76,7 @@ def choose(
         safe=candidates.safe,
         score=aims.score,
         probability=aims.probability,
-        risk=aims.risk,
+        risk=candidates.risk,
         explanation=_explanation(points, aims, lss),
         offset_z=cells.offset_z,
         offset_variance=cells.offset_variance,
@@ -121,6 +112,7 @@ def _describe(
     position = np.column_stack([grid.x[columns], grid.y[rows]])
     nearest = grid.nearest_row[rows], grid.nearest_column[columns]
     rough, raised, free_distance = _describe_zones(points, nearest, position, lss)
+    numbers = [keeper.site_numbers.number(x, y, lss) for x, y in position.tolist()]
     slope_x, slope_y = planes.slope_x[nearest], planes.slope_y[nearest]
     normal = np.column_stack([-slope_x, -slope_y, np.ones_like(slope_x)])
     slope_deg = np.degrees(np.arctan(planes.gradient[nearest]))
@@ -151,7 +143,7 @@ def _describe(
         roughness=rough,
         hazard_distance=free_distance,
         subscale_height=raised,
-        id=keeper.site_numbers.numbers(position, lss),
+        id=np.array(numbers, dtype=np.uint32),
         reasons=tuple(reasons),
     )
 
@@ -201,13 +193,11 @@ def _risk_texts(
     across, along = touchdown_weights(risk, side, dispersion)
     up, right, total = len(across) // 2, len(along) // 2, float(across.sum() * along.sum())
     weights, texts = across[:, None] * along, []
+    padded = np.pad(risk, ((up, up), (right, right)), constant_values=1.0)
     reach = (1.0 - RELATIVE_ROUNDING) * (0.5 * lss.vehicle.diameter + lss.vehicle.pad_radius)
     for aim_row, aim_column in zip(rows.tolist(), columns.tolist(), strict=True):
-        south, west = max(aim_row - up, 0), max(aim_column - right, 0)
-        known = risk[south : aim_row + up + 1, west : aim_column + right + 1]
-        share = weights.copy()
-        south, west = south - aim_row + up, west - aim_column + right
-        share[south : south + known.shape[0], west : west + known.shape[1]] *= known
+        around = padded[aim_row : aim_row + len(across), aim_column : aim_column + len(along)]
+        share = weights * around
         row, column = divmod(int(np.argmax(share)), len(along))
         north, east = (row - up) * side, (column - right) * side
         point = row + aim_row - up, column + aim_column - right

@@ -10,7 +10,7 @@ cdef enum:
 @cython.final
 cdef class ContactKernel:
     cdef double min_rise, max_tilt, corner, pad_radius, half_side
-    cdef Py_ssize_t reach, width, highest_row, highest_column
+    cdef Py_ssize_t reach, width
     cdef Py_ssize_t[::1] half, pad_row, pad_column, pad_cell
     cdef double[:, ::1] ground, highest
     cdef double[::1] offset, share, pad_x, pad_y, cos, sin, excess, bound_y

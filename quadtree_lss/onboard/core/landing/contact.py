@@ -49,6 +49,12 @@ class ContactLimits(NamedTuple):
     max_tilt: float
 
 
+def touchdown_limits(config: LssConfig) -> ContactLimits:
+    """Return the greatest rise and tilt of a safe touchdown."""
+    lengths = config.vehicle.lengths
+    return ContactLimits(lengths.touchdown_roughness, tan(radians(lengths.touchdown_slope_deg)))
+
+
 class Contacts(NamedTuple):
     """Contact at each grid point, maximum over all headings: (n + 1, n + 1), NaN where not needed.
 
@@ -61,16 +67,10 @@ class Contacts(NamedTuple):
 
 
 class ContactCheck:
-    """Computes contacts on successive maps, only near changed cells.
+    """Computes contacts on successive maps, only near changed cells."""
 
-    ``limits`` are by default the touchdown limits of ``config``.
-    """
-
-    def __init__(self, config: LssConfig, limits: ContactLimits | None = None) -> None:
-        self.config = config
-        self.max_tilt = tan(radians(config.vehicle.lengths.touchdown_slope_deg))
-        self.max_rise = config.vehicle.lengths.touchdown_roughness
-        self.limits = limits or ContactLimits(self.max_rise, self.max_tilt)
+    def __init__(self, config: LssConfig, limits: ContactLimits) -> None:
+        self.config, self.limits = config, limits
         self._computed_for: tuple[Domain, float | None] | None = None
 
     def contacts(
@@ -93,9 +93,7 @@ class ContactCheck:
         np.copyto(self._contacts, np.float32(np.nan), where=near)
         due = needed & np.isnan(self._contacts[0])
         self._kernel.update(due.view(np.uint8), self._contacts)
-        found = np.full_like(self._contacts, np.nan)
-        np.copyto(found, self._contacts, where=needed)
-        return Contacts(*found)
+        return Contacts(*np.where(needed, self._contacts, np.float32(np.nan)))
 
     def _follow(self, domain: Domain, heading: float | None) -> None:
         """Move the ground and the contacts to ``domain``, or discard those of another heading."""
@@ -120,26 +118,21 @@ class ContactKernel:
     """Computes the contact of a vehicle at each grid point.
 
     Attributes:
-        reach: Rows and columns of the disc of finest cells under the vehicle, in each direction.
-        half: (2 reach,) half width of the disc in each row, or in each column, cells.
-        offset, share: (2 reach,) centres of these rows or columns from the grid point, m, and the
+        reach, half: As of `lattice.Disc`, of the finest cells under the vehicle.
+        offset, share: (2 reach,) centres of its rows or columns from the grid point, m, and the
             same without a sign, over ``corner``.
+        corner: Distance of the pyramid's corners from the grid point, m.
         pad_row, pad_column, pad_cell: (4 headings,) cell under each pad, from the one north-east of
             the grid point; the last in columns of ``ground``.
         pad_x, pad_y: (4 headings,) the pad from the centre of that cell, m.
         cos, sin: (headings,) of the headings, over the radius of the circle of pads, 1/m.
-        corner: Distance of the pyramid's corners from the grid point, m.
-        width: Cells in a row of ``ground``, which has a copy of the border cells around it.
         ground: (4, rows x width) of each finest cell: contact height of a pad at its centre, m,
-            slopes in x and y, and highest ground, m.
+            slopes in x and y, and highest ground, m; with a copy of the border cells around it.
         highest: (reach + 1, width) highest ground of 0 to reach cells on either side of a row, m.
-        pad_z, plane_x, plane_y, plane_z, steep: Pads, contact planes and the square of the steepest
-            slope at the grid points of a span, one grid point after the other.
-        z_low, z_east, z_west, z_north, z_south: Their pyramids, the corners over the middle, m.
+        z_low, z_east, z_west, z_north, z_south: Pyramids of a span of grid points, the corners over
+            the middle, m.
         excess, max_excess: Upper bounds of the rise of each column of cells there, and of all, m.
-        contact_x, contact_y, contact_z: (2 headings,) contact planes at one grid point.
-        bound_y: Part of its pyramid that depends on the row, m.
-        highest_row, highest_column: Cell in the disc with the greatest rise at the last grid point.
+        bound_y: Part of the pyramid of one grid point that depends on the row, m.
     """
 
     def __init__(
@@ -150,21 +143,19 @@ class ContactKernel:
         self.min_rise, self.max_tilt = limits.min_rise, limits.max_tilt
         self.pad_radius, self.half_side = config.vehicle.pad_radius, 0.5 * side
         self.reach, self.half = under.reach, under.half
-        self.offset = (np.arange(-under.reach, under.reach) + 0.5) * side
         assert HEADINGS == YAWS
         yaw = np.arange(YAWS) * (0.5 * np.pi / YAWS) if heading is None else np.full(YAWS, heading)
         c, s = np.cos(yaw), np.sin(yaw)
         self.cos, self.sin = c / radius, s / radius
         x, y = radius * np.concatenate([c, -s, -c, s]), radius * np.concatenate([s, c, -s, -c])
-        self.pad_column = np.floor(x / side).astype(np.intp)
-        self.pad_row = np.floor(y / side).astype(np.intp)
-        self.pad_x = x - (np.asarray(self.pad_column) + 0.5) * side
-        self.pad_y = y - (np.asarray(self.pad_row) + 0.5) * side
+        column, row = np.floor(x / side).astype(np.intp), np.floor(y / side).astype(np.intp)
+        self.pad_column, self.pad_row = column, row
+        self.pad_x, self.pad_y = x - (column + 0.5) * side, y - (row + 0.5) * side
+        offset = (np.arange(-under.reach, under.reach) + 0.5) * side
         self.corner = float((np.abs(under.x) + np.abs(under.y)).max())
-        self.share = np.abs(np.asarray(self.offset)) / self.corner
+        self.offset, self.share = offset, np.abs(offset) / self.corner
         self.excess = np.empty(2 * under.reach * SPAN)
         self.bound_y = np.empty(2 * under.reach)
-        self.highest_row = self.highest_column = 0
 
     @cython.locals(changed=cython.uchar[:, ::1])
     def set_ground(self, raster: TerrainRaster, ground: Array, changed: Bytes) -> None:
@@ -297,11 +288,6 @@ class ContactKernel:
             z = self.z_south[p] if i < self.reach else self.z_north[p]
             self.bound_y[i] = self.z_low[p] + self.share[i] * z
         first = cell - self.reach * self.width - self.reach
-        # The cell with the greatest rise is often the same at the next grid point to the east.
-        i, j = self.highest_row, max(self.highest_column - 1, 0)
-        if self.reach - self.half[j] <= i < self.reach + self.half[j]:
-            rise = max(rise, self.cell_rise(first + i * self.width + j, i, j))
-            self.highest_column = j
         for j in range(2 * self.reach):
             if self.excess[j * SPAN + p] <= rise:
                 continue
@@ -309,9 +295,7 @@ class ContactKernel:
             for i in range(self.reach - self.half[j], self.reach + self.half[j]):
                 k = first + i * self.width + j
                 if self.ground[3, k] - bound_x - self.bound_y[i] > rise:
-                    z = self.cell_rise(k, i, j)
-                    if z > rise:
-                        rise, self.highest_row, self.highest_column = z, i, j
+                    rise = max(rise, self.cell_rise(k, i, j))
         return rise
 
     def cell_rise(

@@ -1,17 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The order of landing sites.
+"""The grid points where landing is permitted, and their order.
 
-The risk model cannot distinguish probabilities whose difference is within its error. Candidates
+The risk model cannot distinguish probabilities whose difference is within its error. Grid points
 with such probabilities are equal, and the one with the greatest clearance ranks first.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left
+from dataclasses import dataclass
+from functools import cached_property
 from math import inf
 
 import numpy as np
 
-from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.arrays import Array, Mask
+from quadtree_lss.onboard.core.tree.domain import carried
 
 #: Standard deviation of the error of a predicted probability p as a share of 1 - p, for the safest
 #: grid points on maps of simulated flights (benchmark/target.py --told).
@@ -22,6 +26,10 @@ EQUAL_RISKS: float = (1.0 + (1.0 - (1.0 - MODEL_ERROR**2) ** 2) ** 0.5) / (1.0 -
 MIN_RISK = 1e-4
 #: The error is that of safe ground: risks that differ by more than this are never equal.
 MAX_DIFFERENCE = 0.01
+#: Tolerance of equal coordinates as a share of the grid's spacing, for rounding.
+COORDINATE_TOLERANCE = 1e-6
+
+GridIndex = tuple[int, int]
 
 
 def equal_up_to(risk: float) -> float:
@@ -29,52 +37,93 @@ def equal_up_to(risk: float) -> float:
     return min(max(EQUAL_RISKS * risk, MIN_RISK), risk + MAX_DIFFERENCE)
 
 
-def best_among_equals(
-    cost: Array, unsafe: Array | None, clearance: Array | None
-) -> tuple[int, int] | None:
-    """Return row and column of the candidate that ranks first, None without a candidate.
+@dataclass(frozen=True)
+class Candidates:
+    """Grid points of an assessment where landing is permitted.
 
-    Among those that are equal to the one with the lowest cost, it is the one with the greatest
-    clearance, then with the lowest cost.
-
-    Args:
-        cost: (ny, nx) lower is better; NaN or infinite where there is no candidate.
-        unsafe: (ny, nx) P(unsafe | aim); None if the cost is not a probability: the lowest cost
-            ranks first.
+    Attributes:
+        x, y: (nx,), (ny,) of the grid points, m.
+        safe: (ny, nx) the ground allows landing.
+        cost: (ny, nx) lower is better; NaN where the ground or a restriction excludes landing.
+        risk: (ny, nx) predicted risk of a touchdown exactly there; NaN without a risk model.
+        unsafe: (ny, nx) P(unsafe | aim); None with ranking by score.
         clearance: (ny, nx) how far the landing zone may move until it touches excluded ground, m;
             None if unknown.
     """
-    left = np.fmin(cost, inf).ravel()
-    first = int(np.argmin(left))
-    if not np.isfinite(left[first]):
-        return None
-    if unsafe is not None and clearance is not None:
-        risk = float(unsafe.flat[first])
-        equals = np.flatnonzero(left <= left[first] + equal_up_to(risk) - risk)
-        room = clearance.ravel()[equals]
-        clearest = equals[room == room.max()]
-        first = int(clearest[np.argmin(left[clearest])])
-    row, column = divmod(first, cost.shape[1])
-    return row, column
 
+    x: Array
+    y: Array
+    safe: Mask
+    cost: Array
+    risk: Array
+    unsafe: Array | None = None
+    clearance: Array | None = None
 
-def ranked_points(
-    cost: Array,
-    unsafe: Array | None,
-    clearance: Array | None,
-    steps: float,
-    count: int,
-) -> list[tuple[int, int]]:
-    """Return row and column of the best candidates (see `best_among_equals`), best first; at most
-    ``count``, and at least ``steps`` grid points apart."""
-    left = np.fmin(cost, inf)
-    best: list[tuple[int, int]] = []
-    while len(best) < count and (point := best_among_equals(left, unsafe, clearance)):
-        south, west = (max(index - int(steps), 0) for index in point)
-        around = left[south : point[0] + int(steps) + 1, west : point[1] + int(steps) + 1]
-        row, column = np.ogrid[: around.shape[0], : around.shape[1]]
-        apart = (row + south - point[0]) ** 2 + (column + west - point[1]) ** 2
-        around[apart < steps**2] = inf
-        left[point] = inf
-        best.append(point)
-    return best
+    @cached_property
+    def permitted(self) -> Mask:
+        """Return (ny, nx) where landing is permitted."""
+        return np.isfinite(self.cost)
+
+    @cached_property
+    def best(self) -> GridIndex | None:
+        """Return row and column of the grid point that ranks first, None without one."""
+        return self.rank_first(self.cost)
+
+    def rank_first(self, cost: Array) -> GridIndex | None:
+        """Return the same by another cost (ny, nx), NaN or infinite where excluded."""
+        left = np.fmin(cost, inf).ravel()
+        first = int(np.argmin(left))
+        if not np.isfinite(left[first]):
+            return None
+        if self.unsafe is not None and self.clearance is not None:
+            risk = float(self.unsafe.flat[first])
+            equals = np.flatnonzero(left <= left[first] + equal_up_to(risk) - risk)
+            room = self.clearance.ravel()[equals]
+            clearest = equals[room == room.max()]
+            first = int(clearest[np.argmin(left[clearest])])
+        row, column = divmod(first, cost.shape[1])
+        return row, column
+
+    def ranked(self, apart: float, count: int) -> list[GridIndex]:
+        """Return row and column of the best ones, best first: at most ``count``, and at least
+        ``apart``, m, from each other."""
+        left = np.fmin(self.cost, inf)
+        steps = apart / (self.x[1] - self.x[0]) if len(self.x) > 1 else 0.0
+        best: list[GridIndex] = []
+        while len(best) < count and (point := self.rank_first(left)):
+            south, west = (max(index - int(steps), 0) for index in point)
+            around = left[south : point[0] + int(steps) + 1, west : point[1] + int(steps) + 1]
+            row, column = np.ogrid[: around.shape[0], : around.shape[1]]
+            away = (row + south - point[0]) ** 2 + (column + west - point[1]) ** 2
+            around[away < steps**2] = inf
+            left[point] = inf
+            best.append(point)
+        return best
+
+    def probable(self, least: float) -> Mask:
+        """Return (ny, nx) where landing is permitted and succeeds with probability ``least``."""
+        if self.unsafe is None:
+            return self.permitted
+        return self.permitted & ~(self.unsafe > 1.0 - least)
+
+    def find(self, x: float, y: float) -> GridIndex | None:
+        """Return row and column of the grid point at x and y, m, None if there is none."""
+        slack = COORDINATE_TOLERANCE * float(self.x[1] - self.x[0]) if len(self.x) > 1 else 0.0
+        row, column = bisect_left(self.y, y - slack), bisect_left(self.x, x - slack)
+        found = row < len(self.y) and column < len(self.x)
+        found = found and self.y[row] <= y + slack and self.x[column] <= x + slack
+        return (row, column) if found else None
+
+    def safe_on(self, other: Candidates) -> Mask:
+        """Return `safe` at the grid points of another grid, which may be this one moved by whole
+        steps; False at new grid points."""
+        if np.array_equal(self.x, other.x) and np.array_equal(self.y, other.y):
+            return self.safe
+        nowhere = np.zeros_like(other.safe)
+        if self.safe.shape != nowhere.shape or min(nowhere.shape) < 2:
+            return nowhere
+        moved = other.x[0] - self.x[0], other.y[0] - self.y[0]
+        steps = np.array(moved) / (self.x[1] - self.x[0], self.y[1] - self.y[0])
+        east, north = np.round(steps).astype(int).tolist()
+        whole = np.abs(steps - (east, north)).max() <= COORDINATE_TOLERANCE
+        return carried(self.safe, east, north, False) if whole else nowhere

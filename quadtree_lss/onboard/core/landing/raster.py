@@ -130,26 +130,13 @@ def rasterise(cells: CellMap, lss: LssConfig) -> TerrainRaster:
     np.minimum(free_distance, border[:, None], out=free_distance)
     needed = (0.5 - RELATIVE_ROUNDING) * lss.vehicle.diameter
     assessable, inside = free_distance >= needed, border >= needed
+    planes = ground_planes(elevation, observed, side, radius)
+    needs_contact = with_neighbours(assessable) & inside & inside[:, None]
     return TerrainRaster(
-        domain=domain,
-        cells=cells,
-        leaf=leaf,
-        elevation=elevation,
-        slope_x=slope_x,
-        slope_y=slope_y,
-        subscale=subscale,
-        subscale_peak=peak,
-        observed=observed,
-        interior=interior,
-        unestimated=unestimated,
-        bridged=bridged,
-        returns=returns,
-        planes=ground_planes(elevation, observed, side, radius),
-        free_distance=free_distance,
-        to_unestimated=to_unestimated,
-        assessable=assessable,
-        needs_contact=with_neighbours(assessable) & inside & inside[:, None],
-    )
+        domain, cells, leaf, elevation, slope_x, slope_y, subscale, peak, observed, interior,
+        unestimated, bridged, returns, planes, free_distance, to_unestimated, assessable,
+        needs_contact,
+    )  # fmt: skip
 
 
 def independent_returns(coverage: Array) -> Array:

@@ -91,21 +91,8 @@ class Restrictions:
 
     def reason_against(self, x: float, y: float, lss: LssConfig) -> Reason | None:
         """Return why the restrictions exclude a point, None if they do not."""
-        if not self.area_contains(x, y, lss):
-            return Reason.OUTSIDE_AREA
         point = np.array([x]), np.array([y])
+        if self.area is not None and signed_distance(self.area, *point)[0] < lss.zone:
+            return Reason.OUTSIDE_AREA
         touched = any(signed_distance(polygon, *point)[0] > -lss.zone for polygon in self.keep_outs)
         return Reason.KEEP_OUT if touched else None
-
-    def area_contains(self, x: float, y: float, lss: LssConfig) -> bool:
-        """Return whether the landing area, if there is one, contains the zone around a point."""
-        if self.area is None:
-            return True
-        return bool(signed_distance(self.area, np.array([x]), np.array([y]))[0] >= lss.zone)
-
-    def is_near(self, x: float, y: float, reach: float) -> bool:
-        """Return whether there is a preferred point, and within ``reach`` of this one, m."""
-        if self.target is None:
-            return False
-        goal = np.asarray(self.target, dtype=np.float64)
-        return bool(np.hypot(goal[0] - x, goal[1] - y) <= reach)

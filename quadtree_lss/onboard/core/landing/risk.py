@@ -16,7 +16,7 @@ import numpy as np
 from quadtree_lss.onboard.arrays import Array, Bytes, Single
 from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, RiskModel, Row, model_warning
 from quadtree_lss.onboard.config.settings import Config, LssConfig
-from quadtree_lss.onboard.core.landing.contact import ContactLimits, Contacts
+from quadtree_lss.onboard.core.landing.contact import ContactLimits, Contacts, touchdown_limits
 from quadtree_lss.onboard.core.landing.lattice import with_neighbours
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -70,15 +70,10 @@ def height_noise(cells: CellMap, noise: float) -> Array:
 
 def contact_limits(model: RiskModel, lss: LssConfig) -> ContactLimits:
     """Return the range in which risk model and touchdown limits need exact contacts."""
-    vehicle, lengths = lss.vehicle, lss.vehicle.lengths
-    min_rise, max_tilt = model.span("rise")[0], model.span("tilt")[1]
-    return ContactLimits(
-        min(min_rise * vehicle.clearance, lengths.touchdown_roughness),
-        max(
-            max_tilt * tan(radians(vehicle.max_slope_deg)),
-            tan(radians(lengths.touchdown_slope_deg)),
-        ),
-    )
+    vehicle, touchdown = lss.vehicle, touchdown_limits(lss)
+    min_rise = model.span("rise")[0] * vehicle.clearance
+    max_tilt = model.span("tilt")[1] * tan(radians(vehicle.max_slope_deg))
+    return ContactLimits(min(min_rise, touchdown.min_rise), max(max_tilt, touchdown.max_tilt))
 
 
 class RiskTable:
@@ -87,8 +82,8 @@ class RiskTable:
     Attributes:
         low, per, last: (F,) per feature in the order of `LOCAL`: its value at the first entry of
             its tables, entries per unit, and the last entry.
-        terms: (T, 4) per table: cause, feature, index of the first entry, and entries per row; the
-            last is 0 for tables that do not depend on the density of returns.
+        terms: (T, 4) per table: cause, feature, index of the first entry, and whether there is a
+            row per density of returns.
         tables: Log odds of all tables.
         exp_table: (EXP_ENTRIES,) exp of log odds between `MIN_ODDS` and `MAX_ODDS`.
     """
@@ -112,7 +107,7 @@ class RiskTable:
                     wide = len(odds) > 1
                     if wide:
                         odds = interpolation_weights(steps["seen"], model.seen) @ odds
-                    terms.append((number, LOCAL.index(curve.feature), first, CURVE_ENTRIES * wide))
+                    terms.append((number, LOCAL.index(curve.feature), first, wide))
                     tables.append(odds.ravel())
                     first += odds.size
         self.tables = np.concatenate(tables, dtype=np.float32, casting="same_kind")
@@ -128,14 +123,6 @@ class RiskTable:
             "clearance": log10(clearance / diameter),
             "lean": log10(self._vehicle.tilt_height / clearance),
         }
-
-    def _information_loss(self, side: float) -> float:
-        """Return log10 of the number of returns that have the information of one at a noise of
-        0.2 h on cells of 0.85 h; h is the least hazard. The number of returns whose mean shows h is
-        proportional to the square of the noise."""
-        least = self._vehicle.least_hazard
-        wide = max(log10(side / (0.85 * least)), 0.0)
-        return 2.0 * log10(self._noise / (0.2 * least)) + 3.0 * wide
 
     def features(self, raster: TerrainRaster, contacts: Contacts) -> Single:
         """Compute the features of each grid point, (F, n + 1, n + 1) in the order of `LOCAL`."""
@@ -160,7 +147,12 @@ class RiskTable:
         means = square_means(
             cell_values[:3], max(round(0.5 * FOOTPRINT * vehicle.diameter / side), 1)
         )
-        np.subtract(means[0], np.float32(self._information_loss(side)), out=found[4])
+        # The number of returns whose mean shows the least hazard h is proportional to the square of
+        # the noise; it is 1 at a noise of 0.2 h on cells of 0.85 h.
+        least = vehicle.least_hazard
+        loss = 2.0 * log10(self._noise / (0.2 * least))
+        loss += 3.0 * max(log10(side / (0.85 * least)), 0.0)
+        np.subtract(means[0], np.float32(loss), out=found[4])
         np.divide(planes.gradient, steep, out=found[5], casting="same_kind")
         # Rounding can make the mean of zeros negative.
         np.sqrt(np.maximum(means[1:], np.float32(0.0)), out=found[6:8])
@@ -216,24 +208,15 @@ def risk_warnings(config: Config, raster: TerrainRaster) -> tuple[str, ...]:
 @cython.locals(returns=cython.float[::1], rough=cython.float[::1])
 @cython.locals(clearance=cython.double, out=cython.float[:, :, ::1])
 def describe_cells(
-    raster: TerrainRaster,
-    returns: Single,
-    rough: Single,
-    clearance: float,
-    out: Single,
+    raster: TerrainRaster, returns: Single, rough: Single, clearance: float, out: Single
 ) -> None:
-    """Compute features of each finest cell from itself and its neighbours.
+    """Set ``out`` (4, n, n) for each finest cell to: mean of ``returns`` over 3 x 3 cells;
+    ``rough``; squared height over the ground at the vehicle's scale, clearances; 1 if raised.
 
-    Args:
-        raster: The terrain.
-        returns: (M,) returns of each leaf on a square as wide as the least hazard.
-        rough: (M,) mean distance of a leaf's points to its plane, clearances.
-        clearance: m.
-        out: (4, n, n), set to the mean of ``returns`` over 3 x 3 cells, ``rough``, the squared
-            height over the ground at the vehicle's scale, clearances, and 1 for a raised cell.
+    ``returns``: (M,) of each leaf on a square as wide as the least hazard. ``rough``: (M,) mean
+    distance of a leaf's points to its plane, clearances. ``clearance``: m.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
-    cython.declare(above=cython.Py_ssize_t, below=cython.Py_ssize_t)
     cython.declare(before=cython.Py_ssize_t, after=cython.Py_ssize_t)
     n: cython.Py_ssize_t = out.shape[1]
     corner = cython.declare(cython.double[:, ::1], raster.planes.elevation)
@@ -267,10 +250,10 @@ def describe_cells(
                 sums[i, j] = count[before] + count[j] + count[after]
                 tops[i, j] = max(max(rise[i, before], rise[i, j]), rise[i, after])
         for i in range(n):
-            above, below = max(i - 1, 0), min(i + 1, n - 1)
+            before, after = max(i - 1, 0), min(i + 1, n - 1)
             for j in range(n):
-                out[0, i, j] = ninth * (sums[above, j] + sums[i, j] + sums[below, j])
-                top: cython.float = max(max(tops[above, j], tops[i, j]), tops[below, j])
+                out[0, i, j] = ninth * (sums[before, j] + sums[i, j] + sums[after, j])
+                top: cython.float = max(max(tops[before, j], tops[i, j]), tops[after, j])
                 out[3, i, j] = rise[i, j] > low and top <= high
 
 
@@ -297,12 +280,13 @@ def look_up(
     exps = cython.declare(cython.double[::1], table.exp_table)
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, t=cython.Py_ssize_t)
     cython.declare(c=cython.Py_ssize_t, f=cython.Py_ssize_t, k=cython.Py_ssize_t)
-    cython.declare(first=cython.Py_ssize_t, after=cython.Py_ssize_t)
+    cython.declare(first=cython.Py_ssize_t, after=cython.Py_ssize_t, wide=cython.Py_ssize_t)
     columns: cython.Py_ssize_t = out.shape[1]
     causes: cython.Py_ssize_t = constant.shape[0]
     count: cython.Py_ssize_t = features.shape[0]
     entry = cython.declare(cython.int[:, ::1], np.zeros((count, columns), dtype=np.int32))
-    row_start = cython.declare(cython.int[::1], np.zeros(columns, dtype=np.int32))
+    # First entry of the row, of tables with one row and of those with a row per density.
+    row_start = cython.declare(cython.int[:, ::1], np.zeros((2, columns), dtype=np.int32))
     odds = cython.declare(cython.double[:, ::1], np.zeros((causes, columns)))
     least: cython.double = MIN_ODDS
     end: cython.double = EXP_ENTRIES - 1
@@ -324,18 +308,14 @@ def look_up(
                     x = x if x < top else top
                     entry[f, j] = cython.cast(cython.int, x)
             for j in range(first, after):
-                row_start[j] = CURVE_ENTRIES * entry[DENSITY, j]
+                row_start[1, j] = CURVE_ENTRIES * entry[DENSITY, j]
             for c in range(causes):
                 for j in range(first, after):
                     odds[c, j] = constant[c]
             for t in range(terms.shape[0]):
-                c, f, k = terms[t, 0], terms[t, 1], terms[t, 2]
-                if terms[t, 3]:
-                    for j in range(first, after):
-                        odds[c, j] += tables[k + row_start[j] + entry[f, j]]
-                else:
-                    for j in range(first, after):
-                        odds[c, j] += tables[k + entry[f, j]]
+                c, f, k, wide = terms[t, 0], terms[t, 1], terms[t, 2], terms[t, 3]
+                for j in range(first, after):
+                    odds[c, j] += tables[k + row_start[wide, j] + entry[f, j]]
             for j in range(first, after):
                 if not assessable[i, j]:
                     continue

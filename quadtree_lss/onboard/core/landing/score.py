@@ -12,7 +12,7 @@ import numpy as np
 from quadtree_lss.onboard.arrays import Array, Bytes, Mask
 from quadtree_lss.onboard.config.settings import LssConfig
 from quadtree_lss.onboard.core.landing import hazards
-from quadtree_lss.onboard.core.landing.contact import ContactCheck, Contacts
+from quadtree_lss.onboard.core.landing.contact import Contacts, touchdown_limits
 from quadtree_lss.onboard.core.landing.lattice import (
     corner_bits,
     dilate,
@@ -40,7 +40,6 @@ class PointAssessment:
     """Risk, safety and score at the grid points of the finest lattice, (n + 1, n + 1).
 
     Attributes:
-        raster: The terrain.
         risk: Predicted risk, NaN without a risk model.
         cause: Main cause of the risk (see `RiskTable.risk`).
         hazard: Bits of ``hazards``.
@@ -69,14 +68,12 @@ class PointAssessment:
 def assess_points(
     raster: TerrainRaster,
     contacts: Contacts | None,
-    check: ContactCheck | None,
     table: RiskTable | None,
     lss: LssConfig,
 ) -> PointAssessment:
     """Compute risk, safety and score of each grid point.
 
-    ``contacts``: None with the paper's rules. ``check``: touchdown limits, which decide with
-    ``lss.assessment: touchdown``. ``table``: risk model, None without.
+    ``contacts``: needed without the paper's rules, or with a risk model. ``table``: that model.
     """
     cells, side = raster.cells, raster.domain.finest_size
     vehicle, radius, zone = lss.vehicle, 0.5 * lss.vehicle.diameter, lss.zone
@@ -85,11 +82,11 @@ def assess_points(
     bits *= raster.observed.view(np.uint8)
     bits |= raster.unknown_bits
     hazard = corner_bits(bits)
-    if contacts is not None and table is not None:
+    if table is not None and contacts is not None:
         risk, cause = table.risk(raster, contacts)
     else:
         risk, cause = np.full(hazard.shape, np.nan), np.zeros_like(hazard)
-    if contacts is None or check is None or lss.assessment == "paper":
+    if contacts is None or lss.assessment == "paper":
         excluded, distance = bits & hazards.FEATURE > 0, zone
         near_feature = hazard & hazards.FEATURE > 0
         safe = ~dilate(near_feature, zone, side)
@@ -100,8 +97,9 @@ def assess_points(
     else:
         excepted = dilate(hazard & hazards.EXCEPTION > 0, radius, side)
         if lss.assessment == "touchdown":
-            excluded = contacts.rise > np.float32(check.max_rise)
-            excluded |= contacts.tilt > np.float32(check.max_tilt)
+            limits = touchdown_limits(lss)
+            excluded = contacts.rise > np.float32(limits.min_rise)
+            excluded |= contacts.tilt > np.float32(limits.max_tilt)
             excluded = raster.assessable & (excluded | excepted)
             # Any displacement of the map is at least one grid point.
             steps = np.ceil(vehicle.lengths.hazard_growth / side - RELATIVE_ROUNDING)

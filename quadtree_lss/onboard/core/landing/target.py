@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The landing target: selection, changes and their reasons.
 
-`Situation.transition` is the transition function of a state machine whose states are `State`. Its
-inputs are the candidates of an assessment, the descent of the vehicle and the request since the
-assessment before; its outputs are the next state, the target and a `Reason`. The target changes to
-the grid point that ranks first after the divert's cost if the expected gain exceeds that cost
-(docs/landing.md):
+`Situation.transition` is the transition function of a state machine whose states are `State`. The
+target changes to the grid point that ranks first after the divert's cost if the expected gain
+exceeds that cost (docs/landing.md):
 
     S (c(target) - c) > C / (1 - d / r),    d < r
 
@@ -15,20 +13,17 @@ points, m, and r is the reach of the vehicle above ``lss.commit_height`` (`Desce
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, IntEnum
-from functools import cached_property
 from math import dist, inf, nan
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quadtree_lss.onboard.arrays import Array, Mask, Numbers
+from quadtree_lss.onboard.arrays import Mask
 from quadtree_lss.onboard.config.settings import LssConfig
-from quadtree_lss.onboard.core.landing.ranking import best_among_equals
-from quadtree_lss.onboard.core.tree.domain import carried
+from quadtree_lss.onboard.core.landing.ranking import Candidates, GridIndex
 
 if TYPE_CHECKING:
     from quadtree_lss.onboard.core.landing.restrictions import Restrictions
@@ -51,15 +46,11 @@ SETTLE_SHARE = 0.63
 DISTANCE_COST = {"probability": 0.001, "score": 0.004}
 #: Lateral acceleration of the vehicle, m/s^2, and least downward speed for the time left, m/s.
 LATERAL_ACCELERATION, MIN_DESCENT_SPEED = 1.0, 0.5
-#: Tolerance of equal coordinates as a share of the grid's spacing, for rounding.
-COORDINATE_TOLERANCE = 1e-6
-
-GridIndex = tuple[int, int]
 
 
 class Reason(IntEnum):
-    """Why the target is this one (below 16), or why there is none, and the sentence for it; an
-    empty one needs figures (`result.LandingAssessment.why`)."""
+    """Why the target is this one (below 16), or why there is none, and the sentence for it, unless
+    it needs figures (`result.LandingAssessment.why`)."""
 
     text: str
 
@@ -106,8 +97,7 @@ Request = Enum("Request", "NONE RELEASE LAND_NOW")
 
 
 class Motion(NamedTuple):
-    """Motion of the vehicle, map frame: height, m; downward speed, m/s; position, m, NaN if
-    unknown; velocity along x and y, m/s."""
+    """Motion of the vehicle, map frame, m and m/s; position x and y NaN if unknown."""
 
     z: float
     down: float
@@ -137,71 +127,6 @@ class Descent:
 
 
 @dataclass(frozen=True)
-class Candidates:
-    """Grid points of an assessment where landing is permitted.
-
-    Attributes:
-        x, y: (nx,), (ny,) of the grid points, m.
-        safe: (ny, nx) the ground allows landing.
-        cost: (ny, nx) lower is better; NaN where the ground or a restriction excludes landing.
-        unsafe: (ny, nx) P(unsafe | aim); None with ranking by score.
-        risk: (ny, nx) predicted risk of a touchdown exactly there, None if unknown.
-        clearance: (ny, nx) how far the landing zone may move until it touches excluded ground, m;
-            None if unknown.
-    """
-
-    x: Array
-    y: Array
-    safe: Mask
-    cost: Array
-    unsafe: Array | None = None
-    risk: Array | None = None
-    clearance: Array | None = None
-
-    @cached_property
-    def permitted(self) -> Mask:
-        """Return (ny, nx) where landing is permitted."""
-        return np.isfinite(self.cost)
-
-    @cached_property
-    def best(self) -> GridIndex | None:
-        """Return row and column of the grid point that ranks first, None without one."""
-        return self.rank_first(self.cost)
-
-    def rank_first(self, cost: Array) -> GridIndex | None:
-        """Return the same by another cost (ny, nx), NaN or infinite where excluded."""
-        return best_among_equals(cost, self.unsafe, self.clearance)
-
-    def probable(self, least: float) -> Mask:
-        """Return (ny, nx) where landing is permitted and succeeds with probability ``least``."""
-        if self.unsafe is None:
-            return self.permitted
-        return self.permitted & ~(self.unsafe > 1.0 - least)
-
-    def find(self, x: float, y: float) -> GridIndex | None:
-        """Return row and column of the grid point at x and y, m, None if there is none."""
-        slack = COORDINATE_TOLERANCE * float(self.x[1] - self.x[0]) if len(self.x) > 1 else 0.0
-        row, column = bisect_left(self.y, y - slack), bisect_left(self.x, x - slack)
-        found = row < len(self.y) and column < len(self.x)
-        found = found and self.y[row] <= y + slack and self.x[column] <= x + slack
-        return (row, column) if found else None
-
-    def safe_on(self, other: Candidates) -> Mask:
-        """Return `safe` at the grid points of another grid, which may be this one moved by whole
-        steps; False at new grid points."""
-        if np.array_equal(self.x, other.x) and np.array_equal(self.y, other.y):
-            return self.safe
-        nowhere = np.zeros_like(other.safe)
-        if self.safe.shape != nowhere.shape or min(nowhere.shape) < 2:
-            return nowhere
-        moved = other.x[0] - self.x[0], other.y[0] - self.y[0]
-        steps = np.array(moved) / (self.x[1] - self.x[0], self.y[1] - self.y[0])
-        east, north = np.round(steps).astype(int).tolist()
-        whole = np.abs(steps - (east, north)).max() <= COORDINATE_TOLERANCE
-        return carried(self.safe, east, north, False) if whole else nowhere
-
-
-@dataclass(frozen=True)
 class Choice:
     """The target: row and column of its grid point, and its number; None and 0 without a target.
     ``best``: without a target, the permitted grid point that ranks first, None without one."""
@@ -214,8 +139,8 @@ class Choice:
 
 
 def same_site_distance(lss: LssConfig) -> float:
-    """Return the distance up to which two positions are the same site, m: less than half of the
-    least distance between ranked sites."""
+    """Return the distance up to which two positions are the same site, m."""
+    # Less than half of the least distance between ranked sites.
     return 0.49 * min(lss.vehicle.diameter, lss.vehicle.lengths.min_separation)
 
 
@@ -233,10 +158,6 @@ class SiteNumbers:
         gone = [k for k, point in found.items() if point is None or not ground.safe[point]]
         for number in (*gone, *list(self._known)[:-MAX_SITES]):
             self._known.pop(number, None)
-
-    def numbers(self, positions: Array, lss: LssConfig) -> Numbers:
-        """Return the numbers (K,) of sites at positions (K, 2), m."""
-        return np.array([self.number(x, y, lss) for x, y in positions.tolist()], dtype=np.uint32)
 
     def number(self, x: float, y: float, lss: LssConfig) -> int:
         """Return the number of one site, a new one if none is known within `same_site_distance`."""
@@ -277,11 +198,11 @@ class Situation:
     def transition(
         self, state: State, request: Request, held: tuple[float, float] | None
     ) -> tuple[State, GridIndex | None, Reason]:
-        """Return the next state, row and column of the target, and the reason.
+        """Return the next state, row and column of the target, and the reason; ``state``,
+        ``held``: state and target (x, y), m, of the assessment before.
 
         A lost target is withdrawn, and the next assessment chooses another one; in state NOW the
-        same assessment does. ``state``, ``held``: state and target (x, y), m, of the assessment
-        before.
+        same assessment does.
         """
         if (state is State.NOW or request is Request.LAND_NOW) and request is not Request.RELEASE:
             return State.NOW, *self._land_now(None if request is Request.LAND_NOW else held)
@@ -338,8 +259,6 @@ class Situation:
 
     def _risk_nearby(self, point: GridIndex) -> float:
         """Return the greatest risk within half of ``lss.margin`` of the target."""
-        if self.ground.risk is None:
-            return inf
         steps = round(0.5 * self.lss.margin / self.lss.spacing)
         row, column = (slice(max(i - steps, 0), i + steps + 1) for i in point)
         return float(self.ground.risk[row, column].max())
@@ -412,13 +331,13 @@ class TargetKeeper:
         target's zone, and a preferred point at the target, request nothing.
         """
         goal = restrictions.target
-        preferred = None if goal is None else np.ravel(np.asarray(goal, dtype=object)).tolist()
+        preferred = None if goal is None else np.asarray(goal, dtype=np.float64)[:2].tolist()
         changed, self._preferred = preferred != self._preferred, preferred
         if self.held is None or State.NOW is self._state or self._request is Request.LAND_NOW:
             return
-        moved = changed and not restrictions.is_near(*self.held, same_site_distance(lss))
-        area = restrictions.area
-        if moved or (area is not None and not restrictions.area_contains(*self.held, lss)):
+        if preferred is not None and dist(preferred, self.held) <= same_site_distance(lss):
+            changed = False
+        if changed or restrictions.reason_against(*self.held, lss) is Reason.OUTSIDE_AREA:
             self.release()
 
     def choose(
