@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from quadtree_lss.lab.evaluation.risk_fit import FEATURES, risks
 from quadtree_lss.onboard.config.risk import LOCAL, Cause, Curve, RiskModel, risk_model
 from quadtree_lss.onboard.core.landing import hazards
-from quadtree_lss.onboard.core.landing.aim import Dispersion, normal_weights, unsafe_aims
+from quadtree_lss.onboard.core.landing.aim import Dispersion, touchdown_weights, unsafe_aims
 from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
 from quadtree_lss.onboard.core.landing.contact import ContactCheck
 from quadtree_lss.onboard.core.landing.raster import rasterise
@@ -225,7 +225,7 @@ def test_ground_that_no_return_is_from_raises_the_risk(rough_ground):
 def test_an_aim_is_the_weighted_mean_of_the_risk_about_it(spread):
     risk, beyond = np.random.default_rng(5).random((19, 25)), 30
     around = np.pad(risk, beyond, constant_values=1.0)
-    along_y, along_x = (normal_weights(s / 0.25, beyond) for s in (spread.y, spread.x))
+    along_y, along_x = touchdown_weights((beyond, beyond), 0.25, spread)
     found = unsafe_aims(risk, 0.25, spread)
     for row, column in ((0, 0), (9, 12), (18, 3)):
         rows, columns = (

@@ -259,6 +259,14 @@ def test_the_zone_lies_in_the_landing_area_and_off_the_keep_out(cells):
     assert len(found.sites.score) > 0
 
 
+@pytest.mark.parametrize("assessment", ["paper", "touchdown"])
+def test_a_preferred_point_does_not_change_the_score(cells, assessment):
+    config = small(assessment=assessment)
+    free, found = assess(cells, config), assess(cells, config, target=(4.0, 12.0))
+    np.testing.assert_array_equal(found.score, free.score)
+    assert (found.sites.position != free.sites.position).any()
+
+
 def assert_empty_but_explained(found: LandingAssessment) -> None:
     assert len(found.sites.score) == len(found.sites.reasons) == 0
     assert found.sites.position.shape == found.sites.normal.shape == (0, 3)

@@ -51,8 +51,8 @@ def situation(unsafe=(0.02,) * 4, *, confirmed=(1, 1, 1, 1), fault=Reason.HAZARD
     about = {"descent": HIGH, "settled": True, "now": None}
     about |= {name: given.pop(name) for name in about.keys() & given.keys()}
     ground = candidates(unsafe, **given)
-    confirmed = np.array([confirmed], dtype=bool) & ground.probable(LSS.min_probability)
-    return Situation(ground, confirmed, LSS, lambda *_: fault, Reason.NO_SITE, **about)
+    about["before"] = dataclasses.replace(ground, safe=np.array([confirmed], dtype=bool))
+    return Situation(ground, LSS, lambda *_: fault, Reason.NO_SITE, **about)
 
 
 NOTHING, RELEASE, NOW = Request.NONE, Request.RELEASE, Request.LAND_NOW
@@ -164,9 +164,9 @@ def test_reach_is_that_of_speeding_up_and_slowing_down_aside():
 
 def choose(keeper: TargetKeeper, *unsafe, **given) -> Choice:
     """Return the last choice over some assessments."""
-    why = {"reason_at": lambda *_: Reason.HAZARD, "no_site_reason": Reason.NO_SITE}
     for each in unsafe:
-        choice = keeper.choose(candidates(each, np.isfinite(each), **given), LSS, **why)
+        ground = candidates(each, np.isfinite(each), **given)
+        choice = keeper.choose(Situation(ground, LSS, lambda *_: Reason.HAZARD, Reason.NO_SITE))
     return choice
 
 

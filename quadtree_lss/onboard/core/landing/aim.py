@@ -236,7 +236,7 @@ def unsafe_aims(risk: Array, side: float, dispersion: Dispersion) -> Array:
     ``risk``: (ny, nx) at the grid points; beyond them it is 1. ``side``: their distance, m.
     """
     out, possible = np.ones(risk.shape), risk < 1.0
-    weights, window = touchdown_weights(risk, side, dispersion), []
+    weights, window = touchdown_weights(risk.shape, side, dispersion), []
     for axis in (0, 1):
         reach = len(weights[axis]) // 2
         found = np.flatnonzero(possible.any(axis=1 - axis))
@@ -251,22 +251,17 @@ def unsafe_aims(risk: Array, side: float, dispersion: Dispersion) -> Array:
     return out
 
 
-def touchdown_weights(risk: Array, side: float, dispersion: Dispersion) -> list[Array]:
-    """Return the weights of the grid points along y and along x; arguments of `unsafe_aims`."""
-    sigmas = (dispersion.y, dispersion.x)
-    return [
-        normal_weights(sigma / side, count) for sigma, count in zip(sigmas, risk.shape, strict=True)
-    ]
-
-
-def normal_weights(sigma: float, count: int) -> Array:
-    """Return the weights (2 K + 1,) of a truncated normal distribution up to ``count`` steps from
-    its mean; ``sigma``: standard deviation, steps."""
-    reach = ceil(TRUNCATION * sigma)
-    # A smaller standard deviation has the same weights, and no square that overflows.
-    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(sigma, 1e-3)) ** 2)
-    beyond = max(reach - count, 0)
-    return np.asarray(weights[beyond : len(weights) - beyond] / weights.sum())
+def touchdown_weights(shape: tuple[int, ...], side: float, dispersion: Dispersion) -> list[Array]:
+    """Return the weights of the grid points along y and along x, (2 K + 1,) each: of truncated
+    normal distributions, and within a grid of a ``shape``. ``side``: distance of the points, m."""
+    out = []
+    for sigma, count in zip((dispersion.y / side, dispersion.x / side), shape, strict=True):
+        reach = ceil(TRUNCATION * sigma)
+        # A smaller standard deviation has the same weights, and no square that overflows.
+        weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(sigma, 1e-3)) ** 2)
+        beyond = max(reach - count, 0)
+        out.append(np.asarray(weights[beyond : len(weights) - beyond] / weights.sum()))
+    return out
 
 
 def within_reach(

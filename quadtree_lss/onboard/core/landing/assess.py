@@ -28,10 +28,10 @@ from quadtree_lss.onboard.core.landing.lattice import corner_bits
 from quadtree_lss.onboard.core.landing.ranking import Candidates
 from quadtree_lss.onboard.core.landing.raster import rasterise
 from quadtree_lss.onboard.core.landing.restrictions import Restrictions
-from quadtree_lss.onboard.core.landing.result import LandingAssessment, no_sites, no_target
+from quadtree_lss.onboard.core.landing.result import LandingAssessment, no_target
 from quadtree_lss.onboard.core.landing.risk import RiskTable, contact_limits
 from quadtree_lss.onboard.core.landing.score import assess_points
-from quadtree_lss.onboard.core.landing.target import Motion, Reason, TargetKeeper
+from quadtree_lss.onboard.core.landing.target import Motion, Reason, Situation, TargetKeeper
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
 
 
@@ -130,15 +130,11 @@ class LandingSiteSelector:
         shape = (len(grid.y), len(grid.x))
         none, never = np.full(shape, np.nan), np.zeros(shape, dtype=np.bool_)
         ground = Candidates(grid.x, grid.y, never, none, np.ones(shape))
-        self._keeper.choose(ground, lss, reason_at=lambda *_: reason, no_site_reason=reason)
+        self._keeper.choose(Situation(ground, lss, lambda *_: reason, reason))
         return LandingAssessment(
             stamp_ns=cells.stamp_ns,
             number=self._keeper.assessments,
             selected=no_target(reason),
-            seen=0.0,
-            pending=False,
-            sites=no_sites(),
-            now=np.full(4, np.nan),
             x=grid.x,
             y=grid.y,
             hazard=grid.any(corner_bits(bits)),
@@ -146,7 +142,6 @@ class LandingSiteSelector:
             score=none,
             probability=np.zeros(shape),
             risk=ground.risk,
-            explanation="nothing is mapped yet",
             offset_z=cells.offset_z,
             offset_variance=cells.offset_variance,
             lss=lss,

@@ -25,7 +25,13 @@ from quadtree_lss.onboard.core.landing.result import (
 )
 from quadtree_lss.onboard.core.landing.risk import risk_warnings
 from quadtree_lss.onboard.core.landing.score import PointAssessment
-from quadtree_lss.onboard.core.landing.target import SETTLE_SHARE, Choice, Reason, TargetKeeper
+from quadtree_lss.onboard.core.landing.target import (
+    SETTLE_SHARE,
+    Choice,
+    Reason,
+    Situation,
+    TargetKeeper,
+)
 from quadtree_lss.onboard.core.tree.cell_map import height_by_error
 
 #: Reasons for no target that another assessment of the same map does not change.
@@ -46,14 +52,11 @@ def choose(
     """Rank sites and choose the target; updates ``keeper``. ``waited``: since the first map, s."""
     lss, cells, grid, candidates = config.lss, points.raster.cells, aims.grid, aims.candidates
     seen = aims.restrictions.observed_share(aims.hazard & hazards.UNSEEN == 0, grid.x, grid.y)
+    no_site_reason = Reason.WITHHELD if aims.restrictions.withheld else Reason.NO_SITE
+    settled = seen >= SETTLE_SHARE or waited >= lss.settle_time
+    reason_at = partial(_reason_at, points, aims, lss)
     choice = keeper.choose(
-        candidates,
-        lss,
-        reason_at=partial(_reason_at, points, aims, lss),
-        no_site_reason=Reason.WITHHELD if aims.restrictions.withheld else Reason.NO_SITE,
-        descent=aims.descent,
-        settled=seen >= SETTLE_SHARE or waited >= lss.settle_time,
-        now=aims.now,
+        Situation(candidates, lss, reason_at, no_site_reason, aims.descent, settled, aims.now)
     )
     ranked = candidates.ranked(lss.vehicle.lengths.min_separation, lss.sites)
     described = ranked if choice.point is None else [*ranked, choice.point]
@@ -122,18 +125,16 @@ def _describe(
     limit = vehicle.max_slope_deg
     if lss.assessment == "touchdown":
         limit = vehicle.lengths.touchdown_slope_deg
-    reasons = (
-        f"{risk}slope {slope:.1f}° of {limit:g}°, {clear:.1f} m clear of hazards and "
-        f"unobserved ground, roughness {roughness:.3f} m, "
-        + (
-            f"features up to {feature:.2f} m"
-            if feature >= vehicle.lengths.negligible
-            else "no subscale feature"
+    columns_of_text = risks, slope_deg, free_distance, rough, raised
+    reasons = []
+    for risk, slope, clear, roughness, feature in zip(*columns_of_text, strict=True):
+        features = "no subscale feature"
+        if feature >= vehicle.lengths.negligible:
+            features = f"features up to {feature:.2f} m"
+        reasons.append(
+            f"{risk}slope {slope:.1f}° of {limit:g}°, {clear:.1f} m clear of hazards and "
+            f"unobserved ground, roughness {roughness:.3f} m, {features}"
         )
-        for risk, slope, clear, roughness, feature in zip(
-            risks, slope_deg, free_distance, rough, raised, strict=True
-        )
-    )
     return Sites(
         position=np.column_stack([position, aims.elevation[rows, columns]]),
         normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
@@ -190,7 +191,7 @@ def _risk_texts(
     risk is an obstacle 3.1 m east; "; ``rows``, ``columns``: (K,) of the lattice."""
     risk, raster = points.risk, points.raster
     side = raster.domain.finest_size
-    across, along = touchdown_weights(risk, side, dispersion)
+    across, along = touchdown_weights(risk.shape, side, dispersion)
     up, right, total = len(across) // 2, len(along) // 2, float(across.sum() * along.sum())
     weights, texts = across[:, None] * along, []
     padded = np.pad(risk, ((up, up), (right, right)), constant_values=1.0)

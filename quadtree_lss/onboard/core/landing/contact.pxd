@@ -10,24 +10,15 @@ cdef enum:
 @cython.final
 cdef class ContactKernel:
     cdef double min_rise, max_tilt, corner, pad_radius, half_side
-    cdef Py_ssize_t reach, width
+    cdef Py_ssize_t reach, width, highest_row, highest_column
     cdef Py_ssize_t[::1] half, pad_row, pad_column, pad_cell
     cdef double[:, ::1] ground, highest
     cdef double[::1] offset, share, pad_x, pad_y, cos, sin, excess, bound_y
-    cdef double pad_z[4 * HEADINGS * SPAN]
-    cdef double plane_x[2 * HEADINGS * SPAN]
-    cdef double plane_y[2 * HEADINGS * SPAN]
-    cdef double plane_z[HEADINGS * SPAN]
-    cdef double contact_x[2 * HEADINGS]
-    cdef double contact_y[2 * HEADINGS]
-    cdef double contact_z[2 * HEADINGS]
-    cdef double steep[SPAN]
-    cdef double max_excess[SPAN]
-    cdef double z_low[SPAN]
-    cdef double z_east[SPAN]
-    cdef double z_west[SPAN]
-    cdef double z_north[SPAN]
-    cdef double z_south[SPAN]
+    cdef double pad_z[4 * HEADINGS * SPAN], plane_z[HEADINGS * SPAN]
+    cdef double plane_x[2 * HEADINGS * SPAN], plane_y[2 * HEADINGS * SPAN]
+    cdef double contact_x[2 * HEADINGS], contact_y[2 * HEADINGS], contact_z[2 * HEADINGS]
+    cdef double steep[SPAN], max_excess[SPAN], z_low[SPAN]
+    cdef double z_east[SPAN], z_west[SPAN], z_north[SPAN], z_south[SPAN]
     cdef void find_planes(self, Py_ssize_t cell) noexcept nogil
     cdef void bound_rises(self, Py_ssize_t column) noexcept nogil
     cdef double find_rise(self, Py_ssize_t cell, Py_ssize_t p) noexcept nogil

@@ -78,8 +78,7 @@ class ContactCheck:
     ) -> Contacts:
         """Compute contacts at ``needed`` grid points (n + 1, n + 1).
 
-        Their circle of pads lies inside the domain. ``heading``: of the vehicle, about z from x,
-        rad; None for all `YAWS`.
+        Their circle of pads lies inside the domain. ``heading``: rad; None for all `YAWS`.
         """
         if not needed.any():  # The vehicle may be larger than the domain.
             return Contacts(*np.full((2, *needed.shape), np.nan, dtype=np.float32))
@@ -133,6 +132,7 @@ class ContactKernel:
             the middle, m.
         excess, max_excess: Upper bounds of the rise of each column of cells there, and of all, m.
         bound_y: Part of the pyramid of one grid point that depends on the row, m.
+        highest_row, highest_column: Cell in the disc with the greatest rise at the last grid point.
     """
 
     def __init__(
@@ -156,6 +156,7 @@ class ContactKernel:
         self.offset, self.share = offset, np.abs(offset) / self.corner
         self.excess = np.empty(2 * under.reach * SPAN)
         self.bound_y = np.empty(2 * under.reach)
+        self.highest_row = self.highest_column = 0
 
     @cython.locals(changed=cython.uchar[:, ::1])
     def set_ground(self, raster: TerrainRaster, ground: Array, changed: Bytes) -> None:
@@ -288,6 +289,11 @@ class ContactKernel:
             z = self.z_south[p] if i < self.reach else self.z_north[p]
             self.bound_y[i] = self.z_low[p] + self.share[i] * z
         first = cell - self.reach * self.width - self.reach
+        # The cell with the greatest rise is often the same at the next grid point to the east.
+        i, j = self.highest_row, max(self.highest_column - 1, 0)
+        if self.reach - self.half[j] <= i < self.reach + self.half[j]:
+            rise = max(rise, self.cell_rise(first + i * self.width + j, i, j))
+            self.highest_column = j
         for j in range(2 * self.reach):
             if self.excess[j * SPAN + p] <= rise:
                 continue
@@ -295,7 +301,9 @@ class ContactKernel:
             for i in range(self.reach - self.half[j], self.reach + self.half[j]):
                 k = first + i * self.width + j
                 if self.ground[3, k] - bound_x - self.bound_y[i] > rise:
-                    rise = max(rise, self.cell_rise(k, i, j))
+                    z = self.cell_rise(k, i, j)
+                    if z > rise:
+                        rise, self.highest_row, self.highest_column = z, i, j
         return rise
 
     def cell_rise(

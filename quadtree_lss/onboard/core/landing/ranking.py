@@ -67,11 +67,11 @@ class Candidates:
     @cached_property
     def best(self) -> GridIndex | None:
         """Return row and column of the grid point that ranks first, None without one."""
-        return self.rank_first(self.cost)
+        return self.rank_first(np.fmin(self.cost, inf))
 
     def rank_first(self, cost: Array) -> GridIndex | None:
-        """Return the same by another cost (ny, nx), NaN or infinite where excluded."""
-        left = np.fmin(cost, inf).ravel()
+        """Return the same by another cost (ny, nx), infinite where excluded."""
+        left = cost.ravel()
         first = int(np.argmin(left))
         if not np.isfinite(left[first]):
             return None

@@ -39,8 +39,7 @@ RELATIVE_ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class TerrainRaster:
-    """The terrain on the finest cells, (n, n) [iy, ix], and about their corners, the grid points,
-    (n + 1, n + 1).
+    """The terrain on the finest cells, (n, n), and at their corners, (n + 1, n + 1).
 
     Attributes:
         leaf: (n, n) row of the leaf over each cell.

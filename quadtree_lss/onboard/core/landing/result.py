@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from math import isnan
 from typing import TYPE_CHECKING, Any
@@ -98,6 +98,13 @@ class Sites:
         return f"<Sites: {len(self)}, the best at x {x:.2f}, y {y:.2f}, z {z:.2f} m>"
 
 
+def no_sites() -> Sites:
+    """Return an empty ranking."""
+    none = np.zeros(0)
+    number = np.zeros(0, dtype=np.uint32)
+    return Sites(np.zeros((0, 3)), np.zeros((0, 3)), *(none,) * 6, number, ())
+
+
 @dataclass(frozen=True)
 class Selected:
     """The target, or the reason why there is none.
@@ -129,7 +136,7 @@ class Selected:
         return self.site.position[0] if self.id else np.full(3, np.nan)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class LandingAssessment:
     """Result of an assessment.
 
@@ -163,10 +170,10 @@ class LandingAssessment:
     stamp_ns: int
     number: int
     selected: Selected
-    seen: float
-    pending: bool
-    sites: Sites
-    now: Array
+    seen: float = 0.0
+    pending: bool = False
+    sites: Sites = field(default_factory=no_sites)
+    now: Array = field(default_factory=lambda: np.full(4, np.nan))
     x: Array
     y: Array
     hazard: Bytes
@@ -174,7 +181,7 @@ class LandingAssessment:
     score: Array
     probability: Array
     risk: Array
-    explanation: str
+    explanation: str = "nothing is mapped yet"
     offset_z: float
     offset_variance: float
     lss: LssConfig
@@ -243,11 +250,8 @@ class LandingAssessment:
     @cached_property
     def slope_deg(self) -> Array:
         """(ny, nx) slope at the vehicle's scale, NaN if unobserved."""
-        return self._layer(
-            lambda sampler, points: np.degrees(
-                np.arctan(sampler.nearest(points.raster.planes.gradient))
-            )
-        )
+        planes = self._layer(lambda sampler, points: sampler.nearest(points.raster.planes.gradient))
+        return np.degrees(np.arctan(planes))
 
 
 def no_target(
@@ -255,10 +259,3 @@ def no_target(
 ) -> Selected:
     """Return the result without a target."""
     return Selected(reason, state, probability, no_sites(), np.full((6, 6), np.nan))
-
-
-def no_sites() -> Sites:
-    """Return an empty ranking."""
-    none = np.zeros(0)
-    number = np.zeros(0, dtype=np.uint32)
-    return Sites(np.zeros((0, 3)), np.zeros((0, 3)), *(none,) * 6, number, ())

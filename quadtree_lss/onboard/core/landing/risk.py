@@ -16,6 +16,7 @@ import numpy as np
 from quadtree_lss.onboard.arrays import Array, Bytes, Single
 from quadtree_lss.onboard.config.risk import CAUSES, LOCAL, RiskModel, Row, model_warning
 from quadtree_lss.onboard.config.settings import Config, LssConfig
+from quadtree_lss.onboard.config.vehicle import VehicleConfig
 from quadtree_lss.onboard.core.landing.contact import ContactLimits, Contacts, touchdown_limits
 from quadtree_lss.onboard.core.landing.lattice import with_neighbours
 from quadtree_lss.onboard.core.landing.raster import TerrainRaster
@@ -134,7 +135,7 @@ class RiskTable:
             np.fmax(contact / np.float32(limit), np.float32(self.low[k]), out=found[k])
             found[k + 1] = with_neighbours(found[k])
         n, wide = raster.domain.finest_count, NEIGHBOURHOOD * vehicle.diameter / side
-        cell_values = self._describe_cells(raster)
+        cell_values = describe_cells(raster, vehicle, self._noise)
         # Probability that a return falls on an object as wide as the least hazard.
         hit = 1.0 - np.exp(-cell_values[0])
         block = min(1 << max(int(np.log2(max(wide / 16.0, 1.0))), 0), n)
@@ -160,20 +161,8 @@ class RiskTable:
         prior = (PRIOR_SIDE / NEIGHBOURHOOD) ** 2
         share = np.maximum((raised + prior * PRIOR_SHARE) / (hits + prior), np.float32(1e-6))
         index = np.minimum((np.arange(n + 1) + block // 2) // block, n // block)
-        found[8] = np.log10(share)[np.ix_(index, index)]
+        np.take(np.log10(share).take(index, axis=0), index, axis=1, out=found[8])
         return found
-
-    def _describe_cells(self, raster: TerrainRaster) -> Single:
-        """Return the values (4, n, n) of `describe_cells`."""
-        vehicle, cells, n = self._vehicle, raster.cells, raster.domain.finest_count
-        share = (vehicle.least_hazard / raster.domain.finest_size) ** 2
-        returns = raster.returns * share
-        returns = (returns / height_noise(cells, self._noise)).astype(np.float32)
-        rough = np.fmax(cells.roughness / (vehicle.clearance * cells.size**2), 0.0)
-        rough = np.minimum(rough, 2.0).astype(np.float32)
-        out = np.empty((4, n, n), dtype=np.float32)
-        describe_cells(raster, returns, rough, vehicle.clearance, out)
-        return out
 
     def risk(self, raster: TerrainRaster, contacts: Contacts) -> tuple[Array, Bytes]:
         """Predict the risk (n + 1, n + 1) at each grid point, 1 where it cannot be assessed.
@@ -205,20 +194,20 @@ def risk_warnings(config: Config, raster: TerrainRaster) -> tuple[str, ...]:
 
 
 @cython.boundscheck(False)
-@cython.locals(returns=cython.float[::1], rough=cython.float[::1])
-@cython.locals(clearance=cython.double, out=cython.float[:, :, ::1])
-def describe_cells(
-    raster: TerrainRaster, returns: Single, rough: Single, clearance: float, out: Single
-) -> None:
-    """Set ``out`` (4, n, n) for each finest cell to: mean of ``returns`` over 3 x 3 cells;
-    ``rough``; squared height over the ground at the vehicle's scale, clearances; 1 if raised.
-
-    ``returns``: (M,) of each leaf on a square as wide as the least hazard. ``rough``: (M,) mean
-    distance of a leaf's points to its plane, clearances. ``clearance``: m.
-    """
+def describe_cells(raster: TerrainRaster, vehicle: VehicleConfig, noise: float) -> Single:
+    """Describe each finest cell (4, n, n) by: mean number of returns of 3 x 3 cells on a square as
+    wide as the least hazard; mean distance of the leaf's points to its plane, clearances; squared
+    height over the ground at the vehicle's scale, clearances; 1 if raised. ``noise``: as above."""
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
     cython.declare(before=cython.Py_ssize_t, after=cython.Py_ssize_t)
-    n: cython.Py_ssize_t = out.shape[1]
+    n: cython.Py_ssize_t = raster.domain.finest_count
+    clearance: cython.double = vehicle.clearance
+    cells, share = raster.cells, (vehicle.least_hazard / raster.domain.finest_size) ** 2
+    per_leaf = (raster.returns * share / height_noise(cells, noise)).astype(np.float32)
+    returns = cython.declare(cython.float[::1], per_leaf)
+    distance = np.fmax(cells.roughness / (vehicle.clearance * cells.size**2), 0.0)
+    rough = cython.declare(cython.float[::1], np.minimum(distance, 2.0).astype(np.float32))
+    out = cython.declare(cython.float[:, :, ::1], np.empty((4, n, n), dtype=np.float32))
     corner = cython.declare(cython.double[:, ::1], raster.planes.elevation)
     leaf = cython.declare(cython.Py_ssize_t[:, ::1], raster.leaf)
     bridged = cython.declare(cython.uchar[:, ::1], raster.bridged.view(np.uint8))
@@ -255,6 +244,7 @@ def describe_cells(
                 out[0, i, j] = ninth * (sums[before, j] + sums[i, j] + sums[after, j])
                 top: cython.float = max(max(tops[before, j], tops[i, j]), tops[after, j])
                 out[3, i, j] = rise[i, j] > low and top <= high
+    return np.asarray(out)
 
 
 def interpolation_weights(values: Array, knots: Row) -> Array:
@@ -280,13 +270,12 @@ def look_up(
     exps = cython.declare(cython.double[::1], table.exp_table)
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t, t=cython.Py_ssize_t)
     cython.declare(c=cython.Py_ssize_t, f=cython.Py_ssize_t, k=cython.Py_ssize_t)
-    cython.declare(first=cython.Py_ssize_t, after=cython.Py_ssize_t, wide=cython.Py_ssize_t)
+    cython.declare(first=cython.Py_ssize_t, after=cython.Py_ssize_t)
     columns: cython.Py_ssize_t = out.shape[1]
     causes: cython.Py_ssize_t = constant.shape[0]
     count: cython.Py_ssize_t = features.shape[0]
     entry = cython.declare(cython.int[:, ::1], np.zeros((count, columns), dtype=np.int32))
-    # First entry of the row, of tables with one row and of those with a row per density.
-    row_start = cython.declare(cython.int[:, ::1], np.zeros((2, columns), dtype=np.int32))
+    row_start = cython.declare(cython.int[::1], np.zeros(columns, dtype=np.int32))
     odds = cython.declare(cython.double[:, ::1], np.zeros((causes, columns)))
     least: cython.double = MIN_ODDS
     end: cython.double = EXP_ENTRIES - 1
@@ -308,14 +297,18 @@ def look_up(
                     x = x if x < top else top
                     entry[f, j] = cython.cast(cython.int, x)
             for j in range(first, after):
-                row_start[1, j] = CURVE_ENTRIES * entry[DENSITY, j]
+                row_start[j] = CURVE_ENTRIES * entry[DENSITY, j]
             for c in range(causes):
                 for j in range(first, after):
                     odds[c, j] = constant[c]
             for t in range(terms.shape[0]):
-                c, f, k, wide = terms[t, 0], terms[t, 1], terms[t, 2], terms[t, 3]
-                for j in range(first, after):
-                    odds[c, j] += tables[k + row_start[wide, j] + entry[f, j]]
+                c, f, k = terms[t, 0], terms[t, 1], terms[t, 2]
+                if terms[t, 3]:
+                    for j in range(first, after):
+                        odds[c, j] += tables[k + row_start[j] + entry[f, j]]
+                else:
+                    for j in range(first, after):
+                        odds[c, j] += tables[k + entry[f, j]]
             for j in range(first, after):
                 if not assessable[i, j]:
                     continue

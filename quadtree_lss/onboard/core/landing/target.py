@@ -14,8 +14,9 @@ points, m, and r is the reach of the vehicle above ``lss.commit_height`` (`Desce
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
+from functools import cached_property
 from math import dist, inf, nan
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -175,20 +176,24 @@ class SiteNumbers:
 
 @dataclass(frozen=True)
 class Situation:
-    """Inputs of the transition function, besides state and request.
-
-    ``confirmed``: (ny, nx) candidates that are probable enough and were safe in the assessment
-    before, too: ground at the edge of the observed part often changes with later scans.
-    """
+    """Inputs of the transition function, besides state and request."""
 
     ground: Candidates
-    confirmed: Mask
     lss: LssConfig
     reason_at: Callable[[int, int], Reason]  # why landing is not permitted at a row and column
     no_site_reason: Reason  # why it is not permitted anywhere
-    descent: Descent | None  # to the target, None if unknown
-    settled: bool  # enough ground is observed, or ``lss.settle_time`` is over
-    now: Candidates | None  # candidates within reach
+    descent: Descent | None = None  # to the target, None if unknown
+    settled: bool = True  # enough ground is observed, or ``lss.settle_time`` is over
+    now: Candidates | None = None  # candidates within reach
+    before: Candidates | None = None  # of the assessment before
+
+    @cached_property
+    def confirmed(self) -> Mask:
+        """Return (ny, nx) candidates that are probable enough and were safe before, too: ground at
+        the edge of the observed part often changes with later scans."""
+        if self.before is None:
+            return np.zeros_like(self.ground.safe)
+        return self.ground.probable(self.lss.min_probability) & self.before.safe_on(self.ground)
 
     @property
     def is_low(self) -> bool:
@@ -340,33 +345,18 @@ class TargetKeeper:
         if changed or restrictions.reason_against(*self.held, lss) is Reason.OUTSIDE_AREA:
             self.release()
 
-    def choose(
-        self,
-        ground: Candidates,
-        lss: LssConfig,
-        *,
-        reason_at: Callable[[int, int], Reason],
-        no_site_reason: Reason,
-        descent: Descent | None = None,
-        settled: bool = True,
-        now: Candidates | None = None,
-    ) -> Choice:
-        """Return the target after one more assessment; arguments as of `Situation`."""
+    def choose(self, situation: Situation) -> Choice:
+        """Return the target after one more assessment."""
         self.assessments += 1
+        ground = situation.ground
         self.site_numbers.forget(ground)
-        before, self._before = self._before, ground
-        confirmed = np.zeros_like(ground.safe)
-        if before is not None:
-            confirmed = ground.probable(lss.min_probability) & before.safe_on(ground)
-        situation = Situation(
-            ground, confirmed, lss, reason_at, no_site_reason, descent, settled, now
-        )
+        situation, self._before = replace(situation, before=self._before), ground
         self._state, point, reason = situation.transition(self._state, self._request, self.held)
         self._request, self.held = Request.NONE, None
         if point is None:
             return Choice(None, 0, reason, self._state, ground.best)
         self.held = float(ground.x[point[1]]), float(ground.y[point[0]])
         if reason is not Reason.HOLDS:
-            self._id = self.site_numbers.number(*self.held, lss)
+            self._id = self.site_numbers.number(*self.held, situation.lss)
         self.site_numbers.pin(self._id, *self.held)
         return Choice(point, self._id, reason, self._state)
