@@ -25,6 +25,10 @@ from quadtree_lss.onboard.core.tree.leaves import Record
 MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
 SPREAD_CHI_1 = cython.declare(cython.double, 0.6028102749890869)
 MEAN_CHI_3 = cython.declare(cython.double, 1.5957691216057308)
+#: Standard errors by which the mean of the division statistic must exceed the threshold (Eq. 47).
+CONFIDENCE = cython.declare(cython.double, 0.5)
+#: Least number of free residuals (points minus three per scan) for a division by this mean.
+MIN_RESIDUALS = cython.declare(cython.double, 8.0)
 #: Standard errors by which a mean residual must exceed that of noise; it is tested after each scan.
 RESIDUAL_SIGMAS = cython.declare(cython.double, 2.0)
 #: Share of measurements that are exceptions because stray returns pass the outlier gate.
@@ -106,15 +110,13 @@ def mahalanobis_factor(
     return 1.0 / (cosine * sqrt(total_along))
 
 
-def set_statistic(
-    rules: Rules, leaf: Record, run: Record, points: Vector, origin: Vector, sigma: Vector
-) -> None:
+def set_statistic(rules: Rules, leaf: Record, run: Record, points: Vector, pose: Record) -> None:
     """Set the division statistic of a run with more than three points, before its fit is fused.
 
     By default the mean residual about the run's own fit over range noise, times sqrt(N / (N - 3)),
     of expectation E[chi_1] on planar ground. With the paper's rule the mean d_M of prefit
     residuals: about the leaf's plane if it is estimated, else about the fit. ``points`` (3 N) are
-    about the lidar, ``origin`` (3) is that in the map, m.
+    about the lidar.
     """
     basis = cython.declare(cython.double[6])
     through = cython.declare(cython.double[3])
@@ -129,10 +131,12 @@ def set_statistic(
     along = run.variance / (run.cosine * run.cosine)
     if leaf.state != ESTIMATED:
         distance = mean_distance(points, number, run.normal, run.centroid)
-        run.statistic = distance * mahalanobis_factor(run.centroid, run.cosine, sigma, along, 0.0)
+        run.statistic = distance * mahalanobis_factor(
+            run.centroid, run.cosine, pose.sigma, along, 0.0
+        )
         return
-    through[0], through[1] = leaf.x - origin[0], leaf.y - origin[1]
-    through[2] = leaf.z - origin[2]
+    through[0], through[1] = leaf.x - pose.origin[0], leaf.y - pose.origin[1]
+    through[2] = leaf.z - pose.origin[2]
     distance = mean_distance(points, number, leaf.normal, through)
     basis_at(leaf.normal, basis)
     for i in range(3):
@@ -145,7 +149,9 @@ def set_statistic(
         for j in range(3):
             total = leaf.range_part[3 * i + j] + leaf.pose_part[3 * i + j]
             plane += row[i] * total * row[j]
-    run.statistic = distance * mahalanobis_factor(run.centroid, run.cosine, sigma, along, plane)
+    run.statistic = distance * mahalanobis_factor(
+        run.centroid, run.cosine, pose.sigma, along, plane
+    )
 
 
 def add_statistic(rules: Rules, leaf: Record, run: Record) -> None:
@@ -172,9 +178,9 @@ def misfit_divides(rules: Rules, leaf: Record, run: Record) -> cython.bint:
     total = leaf.division_weight
     if rules.mahalanobis:
         return leaf.division_sum > total * rules.division_factor * MEAN_CHI_3
-    if is_partial(run) or total < rules.min_residuals:
+    if is_partial(run) or total < MIN_RESIDUALS:
         return False
-    margin = rules.division_confidence * SPREAD_CHI_1 / sqrt(total)
+    margin = CONFIDENCE * SPREAD_CHI_1 / sqrt(total)
     return leaf.division_sum > total * (rules.division_factor * MEAN_CHI_1 + margin)
 
 
@@ -196,7 +202,7 @@ def residuals_divide(rules: Rules, leaf: Record) -> cython.bint:
     that of noise by `RESIDUAL_SIGMAS` standard errors. Finds misfits where scans have three points
     or fewer in a leaf, and no fit of their own."""
     count = leaf.residuals
-    if count < rules.min_residuals:
+    if count < MIN_RESIDUALS:
         return False
     doubt = RESIDUAL_SIGMAS * SPREAD_CHI_1 / (MEAN_CHI_1 * sqrt(count))
     return leaf.distance_sum > leaf.noise_sum * (rules.division_factor + doubt)
@@ -233,7 +239,8 @@ def view_shows_misfit(
     rules: Rules, leaf: Record, run: Record, points: Vector, origin: Vector, side: float
 ) -> cython.bint:
     """Return whether a partial view of a leaf contradicts its plane before fusion, apart from an
-    offset up to ``run.offset_limit``. Arguments as of `set_statistic`; ``side`` of the leaf, m."""
+    offset up to ``run.offset_limit``. ``points`` (3 N) are about the lidar,
+    ``origin`` (3) is that in the map, ``side`` that of the leaf, m."""
     i: cython.Py_ssize_t
     n_x, n_y, n_z = leaf.normal[0], leaf.normal[1], leaf.normal[2]
     d = n_x * (leaf.x - origin[0]) + n_y * (leaf.y - origin[1]) + n_z * (leaf.z - origin[2])
@@ -260,7 +267,7 @@ def add_residuals(
     pose error explains; it takes one degree of freedom. With too few points for a fit, only the
     most likely offset b p / (p + v / N) is removed, for a mean b off the plane, p the variance of
     common errors and v that of noise. The residuals then have the variance v (1 - p / (N p + v)).
-    ``points``, ``origin``: as in `set_statistic`.
+    ``points``, ``origin``: as in `view_shows_misfit`.
     """
     i: cython.Py_ssize_t
     count = run.points

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# cython: boundscheck=False
 """Detection of isolated returns: noise, multipath, dust.
 
 Two neighbouring returns are linked if their distance is within the gate. A return is isolated if
@@ -48,7 +49,6 @@ def isolated_in_image(ranges: Array, gate: float) -> Ints:
     return pixels[: find_isolated(ranges, gate, pixels)]
 
 
-@cython.boundscheck(False)
 @cython.locals(ranges=cython.double[:, ::1], pixels=cython.int[::1])
 def find_isolated(ranges: Array, limit: float, pixels: Ints) -> cython.Py_ssize_t:
     """Write flat indices of isolated returns of an image (H, W) to ``pixels``; return their number.
@@ -91,7 +91,6 @@ def is_isolated(
     return True
 
 
-@cython.boundscheck(False)
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
@@ -110,7 +109,6 @@ def links(
     return found
 
 
-@cython.boundscheck(False)
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
@@ -128,7 +126,6 @@ def step_to(
     return step
 
 
-@cython.boundscheck(False)
 @cython.locals(ranges=cython.double[:, ::1], pixels=cython.int[::1], steps=cython.double[::1])
 def second_steps(ranges: Array, pixels: Ints, steps: Array) -> cython.Py_ssize_t:
     """Write the second smallest step from each of ``pixels`` (M,) to its neighbours to ``steps``

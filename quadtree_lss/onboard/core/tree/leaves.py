@@ -191,16 +191,12 @@ class LeafTable:
         for i in range(0, 448, 64):
             prefetch(byte + i)
 
-    def side(self, level: cython.int) -> cython.double:
-        """Return the side of a cell of a level, m."""
-        return self.sides[level]
-
     def _place(
         self, row: cython.Py_ssize_t, level: cython.int, ix: cython.int, iy: cython.int
     ) -> None:
         cython.declare(code=cython.Py_ssize_t, first=cython.Py_ssize_t)
         leaf = self.at(row)
-        side = self.side(level)
+        side = self.sides[level]
         leaf.level = level
         leaf.ix = ix
         leaf.iy = iy
@@ -243,7 +239,7 @@ class LeafTable:
         if self.count + 3 > self.max_cells:
             return False
         basis_at(parent.normal, basis)
-        quarter = 0.25 * self.side(level)
+        quarter = 0.25 * self.sides[level]
         # The first child overwrites its parent, so it is made last.
         for child in range(3, -1, -1):
             at = row if child == 0 else self.count + child - 1
