@@ -6,7 +6,10 @@ from __future__ import annotations
 
 import cython
 from cython.cimports.libc.math import erfc, fabs, sqrt
-from cython.cimports.quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
+from cython.cimports.quadtree_lss.onboard.core.geometry.plane import (
+    inverse_symmetric,
+    offset_variance,
+)
 from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at
 from cython.cimports.quadtree_lss.onboard.core.mapping.features import feature_height
 from cython.cimports.quadtree_lss.onboard.core.mapping.measure import (
@@ -71,12 +74,11 @@ def mahalanobis_factor(
 ) -> cython.double:
     """d_M / |epsilon| of Eq. 46 for residuals along the ray, 1/m.
 
-    The predicted point lies on the measured point's ray, so r_hat - r_bar = epsilon u / (n.u) and
-    d_M = |epsilon| sqrt(u^T Sigma^-1 u) / |n.u| with Eq. 61's Sigma = Sigma_r + s u u^T,
-    s = (a^T Sigma_P a) / (n.u)^2. What is added along the ray adds to the variance there,
-    1 / (u^T Sigma^-1 u) = 1 / (u^T Sigma_r^-1 u) + s, and so does range noise: only the pose's part
-    of Eq. 17, J Sigma_pose J^T with J = (I, -[r - m]_x), is inverted, kept regular by a millionth
-    of its trace. ``mean`` (3): of the points about the lidar, m. ``cosine``: |n.u|. ``along``:
+    The predicted point lies on the measured point's ray, so d_M = |epsilon| sqrt(u^T Sigma^-1 u) /
+    |n.u| with Eq. 61's Sigma = Sigma_r + s u u^T, s = (a^T Sigma_P a) / (n.u)^2, and
+    1 / (u^T Sigma^-1 u) = 1 / (u^T Sigma_r^-1 u) + s. Range noise is along the ray, too: only the
+    pose's part of Eq. 17 is inverted, kept regular by a millionth of its trace.
+    ``mean`` (3): of the points about the lidar, m. ``cosine``: |n.u|. ``along``:
     variance of the range. ``plane``: a^T Sigma_P a, m^2; zero for a fit's own points.
     """
     axis = cython.declare(cython.double[3])
@@ -120,8 +122,7 @@ def set_statistic(rules: Rules, leaf: Record, run: Record, points: Vector, pose:
     """
     basis = cython.declare(cython.double[6])
     through = cython.declare(cython.double[3])
-    row = cython.declare(cython.double[3])
-    cython.declare(i=cython.int, j=cython.int, number=cython.Py_ssize_t)
+    cython.declare(i=cython.int, number=cython.Py_ssize_t)
     count = run.points
     number = cython.cast(cython.Py_ssize_t, count)
     if not rules.mahalanobis:
@@ -141,14 +142,10 @@ def set_statistic(rules: Rules, leaf: Record, run: Record, points: Vector, pose:
     basis_at(leaf.normal, basis)
     for i in range(3):
         through[i] = run.centroid[i] - through[i]
-    row[0] = -(basis[0] * through[0] + basis[1] * through[1] + basis[2] * through[2])
-    row[1] = -(basis[3] * through[0] + basis[4] * through[1] + basis[5] * through[2])
-    row[2] = 1.0
-    plane = 0.0
-    for i in range(3):
-        for j in range(3):
-            total = leaf.range_part[3 * i + j] + leaf.pose_part[3 * i + j]
-            plane += row[i] * total * row[j]
+    first = basis[0] * through[0] + basis[1] * through[1] + basis[2] * through[2]
+    second = basis[3] * through[0] + basis[4] * through[1] + basis[5] * through[2]
+    plane = offset_variance(leaf.range_part, first, second)
+    plane += offset_variance(leaf.pose_part, first, second)
     run.statistic = distance * mahalanobis_factor(
         run.centroid, run.cosine, pose.sigma, along, plane
     )
@@ -157,9 +154,8 @@ def set_statistic(rules: Rules, leaf: Record, run: Record, points: Vector, pose:
 def add_statistic(rules: Rules, leaf: Record, run: Record) -> None:
     """Add the division statistic of a run to the mean of its leaf (Eq. 47).
 
-    By the paper's rule it is the mean over all measurements of fits. By default the weight is the
-    N - 3 free residuals of each fit, because otherwise many scans with four points would outweigh
-    one full view; partial views do not count.
+    By the paper's rule all measurements count. By default the N - 3 free residuals of each fit do,
+    so that scans with four points do not outweigh a full view; partial views do not count.
     """
     if has_few_points(run) or (is_partial(run) and not rules.mahalanobis):
         return
@@ -172,8 +168,8 @@ def add_statistic(rules: Rules, leaf: Record, run: Record) -> None:
 def misfit_divides(rules: Rules, leaf: Record, run: Record) -> cython.bint:
     """Return whether the mean division statistic of a leaf exceeds the threshold.
 
-    By default it must exceed it by `CONFIDENCE` standard errors, so that cells with few points are
-    not divided by chance, and after a partial view the leaf is not tested.
+    By default by `CONFIDENCE` standard errors, so that cells with few points are not divided by
+    chance, and not after a partial view.
     """
     total = leaf.division_weight
     if rules.mahalanobis:
@@ -263,10 +259,9 @@ def add_residuals(
 ) -> None:
     """Add a run to the running statistics of its leaf.
 
-    Writes the residuals n.(r - mean) (N), m: without the scan's common offset in the cell, which
-    pose error explains; it takes one degree of freedom. With too few points for a fit, only the
-    most likely offset b p / (p + v / N) is removed, for a mean b off the plane, p the variance of
-    common errors and v that of noise. The residuals then have the variance v (1 - p / (N p + v)).
+    Write the residuals n.(r - mean) (N), m: without the scan's common offset in the cell, which
+    pose error explains. With too few points for a fit, only the share p / (p + v / N) of it is
+    removed, p the variance of common errors and v that of noise.
     ``points``, ``origin``: as in `view_shows_misfit`.
     """
     i: cython.Py_ssize_t

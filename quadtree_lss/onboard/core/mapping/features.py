@@ -103,8 +103,7 @@ def _linearise(
     cost = sum (z - h(X))^2 / variance + (X - mean)^T information (X - mean). Returns it; system[30]
     is the part of the measurements, system[31] the total.
     """
-    # Whole rows of sums vectorise although their lower halves are not used. Separate loops, because
-    # reading two fresh stores as one vector stalls.
+    # Whole rows of sums vectorise. Separate loops: reading two fresh stores as one vector stalls.
     total = cython.declare(cython.double[30])
     cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int)
     for j in range(30):
@@ -256,10 +255,10 @@ def first_state(
 ) -> None:
     """Compute the first state (5) from the data instead of Eq. 52's constants.
 
-    The centre is the raised sample with the greatest sum of heights of raised samples near it,
-    which is not a single outlier. These give sigma by their share of the cell's area, m^2, and the
-    volume by their mean height. ``high``: (3 raised) x, y, z of each; the ``count`` heights of the
-    cell have the sum zero. ``least``: height of the lowest feature, m.
+    The centre is the raised sample with the greatest sum of heights of raised samples near it;
+    these give sigma by their share of the cell's ``area``, m^2, and the volume by their mean
+    height. ``high``: (3 raised) x, y, z; ``count``: heights of the cell, of sum zero; ``least``:
+    height of the lowest feature, m.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     best: cython.Py_ssize_t = 0

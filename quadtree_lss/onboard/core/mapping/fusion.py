@@ -52,8 +52,8 @@ class Fusion:
         return self.correlation_is
 
     def is_elsewhere(self, leaf: Record, run: Record) -> cython.bint:
-        """Return whether a run and a plane are so far apart that no covariance explains it, as
-        after a scan with a wrong pose over ground that no other scan had observed."""
+        """Return whether a run is so far from the plane that no covariance explains it, as after a
+        scan with a wrong pose."""
         if leaf.state < leaves.INHERITED:
             return False
         variance = leaf.range_part[8] + leaf.pose_part[8] + run.range_part[8] + run.pose_part[8]
@@ -61,8 +61,8 @@ class Fusion:
         return off * off > ELSEWHERE_SIGMAS * ELSEWHERE_SIGMAS * (variance + self.rules.slack)
 
     def offset_at(self, leaf: Record, run: Record, out: Vector) -> None:
-        """Compute the place of a run's centroid along the tangent axes of a leaf's plane, from the
-        cell's centre, and the height of the run over the plane there: (3), m."""
+        """Compute the place of a run's centroid along a plane's tangent axes, and its height over
+        the plane there: (3), m."""
         basis = cython.declare(cython.double[6])
         basis_at(leaf.normal, basis)
         x = run.centroid[0] - (leaf.x - self.pose.origin[0])
@@ -97,9 +97,8 @@ class Fusion:
         """Fuse a run's fit with the plane of a leaf (paper IV.C), at first level ground of great
         variance.
 
-        Pose error is common to both, and stays, if the plane was inherited in this scan, or the
-        scan is aligned to the map. But the sideways error of an aligned scan changes heights on
-        slopes, by n_xy^T C n_xy for the position covariance C of its ground.
+        Pose error is common to both if the plane was inherited in this scan or the scan is aligned
+        to the map, except the sideways error of an aligned scan, which changes heights on slopes.
         """
         rise = cython.declare(cython.double[1])
         sideways = cython.declare(cython.double[3])

@@ -332,7 +332,9 @@ class Mapper:
 
     def export_state(self) -> State:
         """Return all that a mapper must know to continue, by name; copies (`tree.checkpoint`)."""
-        state = {
+        return {
+            "format": np.array(checkpoint.FORMAT),
+            "domain": np.array(astuple(self.domain), dtype=np.float64),
             "leaves": np.array(self.leaves.rows[: self.leaves.count]),
             **{name: array.copy() for name, array in self._arrays().items()},
             "held_scans": np.array(self._held.scans),
@@ -344,7 +346,6 @@ class Mapper:
             "against": np.array(astuple(self._rejected), dtype=np.float64),
             "owed": np.array(self._pending_offset),
         }
-        return checkpoint.identified(state, self.domain)
 
     def import_state(self, state: State) -> None:
         """Continue from `export_state` of a mapper of the same domain, or, if it follows, of one

@@ -156,17 +156,16 @@ def _bias(
     """Compute the turn and lift of a fit by range noise that scans from one side do not average
     out.
 
-    Noise e moves a point along the ray u: its height over the plane by e (n.u) / n_z and its place
-    by e (u_x, u_y). Regression of height on place then has the error A^-1 q, with the covariance A
-    of the points' x and y and q = var(e) (n.u) / n_z (u_x, u_y), if all edges of the observed area
-    are edges of the scan. At the cell's edges, where the ground continues, points that noise moves
-    across them cancel it; with both kinds of edges half remains. All of it is used if half of the
-    cell's width is unobserved, half of it if none is.
+    Noise e along the ray u moves the height of a point over the plane by e (n.u) / n_z and its
+    place by e (u_x, u_y). Regression of height on place then has the error A^-1 q, with the
+    covariance A of the points' x and y and q = var(e) (n.u) / n_z (u_x, u_y). At edges of the cell,
+    unlike those of the scan, points that noise moves across them cancel it: all of it is used if
+    half of the cell's width is unobserved, half of it if none is.
 
     An edge on one side lifts the mean by r = sqrt(var(e)) |(u_x, u_y)| / w standard deviations of
-    height, w the width of the observed area along the ray. A strip of less than four standard
-    deviations may consist of noise only: `TAIL` r^2, at most four standard deviations, accounts for
-    that. ``deviation``: sqrt(var(e)), m. ``lean``: |n.u| / n_z. ``sloped``: a slope was fitted.
+    height, w the width of the observed area along the ray; `TAIL` r^2, at most four standard
+    deviations, accounts for strips that consist of noise. ``deviation``: sqrt(var(e)), m.
+    ``lean``: |n.u| / n_z. ``sloped``: a slope was fitted.
     """
     share = 0.5 + min(run.unobserved, 0.5)
     per = 1.0 / run.points
@@ -207,12 +206,10 @@ def measure(
     """Fit a plane to a run of points in a leaf and write it to ``run``, without the division
     statistic.
 
-    - A partial view that is so thin that its slope is known no better than to `UNOBSERVED_TILT`
-      determines the height only, and keeps the previous slope: range noise would turn the fit
-      towards the ray.
-    - Other points on a line, and fewer than `FIT_POINTS`, determine the slope along the line
-      (`line_normal`). Their variance is that of level ground or a steeper angle of incidence,
-      because a plane turned towards the ray would have exact points.
+    - A partial view that is too thin for a slope known to `UNOBSERVED_TILT` determines the height
+      only, and keeps the previous slope: range noise would turn the fit towards the ray.
+    - Other points on a line determine the slope along it (`line_normal`). Their variance is at
+      least that of level ground, because a plane turned towards the ray would have exact points.
     - Misfit beyond noise adds to the variance of height and slope, because it does not average out.
       With too few points for an estimate, the leaf's ``parent_misfit`` is used.
     - The unobserved part may differ in slope by `UNOBSERVED_TILT`.
@@ -362,11 +359,11 @@ def measure(
 
 @cython.boundscheck(False)
 def unobserved_parts(table: LeafTable, rows: Index, out: Array) -> None:
-    """Set what the unobserved parts of leaves (M,) add to their covariance (M, 9) of (dphi, dd).
+    """Set what the unobserved parts of leaves (M,) and the bias from noise along the rays add to
+    their covariance (M, 9) of (dphi, dd).
 
-    The slope there may differ by `UNOBSERVED_TILT` and by the parent's misfit: a tilt about the
-    mean of the observed finest cells, in proportion to the unobserved share of the width. The bias
-    from noise along the rays acts about the same point.
+    The slope may differ there by `UNOBSERVED_TILT` and by the parent's misfit: a tilt about the
+    mean of the observed finest cells, in proportion to the unobserved share of the width.
     """
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])

@@ -113,7 +113,7 @@ class ScanBuffers:
             self.points = points
             self.begins, self.rows = np.empty((2, points + 1), dtype=np.intp)
             self.residual = np.empty(points)
-            # Cells of `NOISE_POINTS` on each of up to 13 levels.
+            # Cells of `NOISE_POINTS` or more on each of up to 12 levels.
             self.ratio = np.empty((2, 2 * points))
             self.heights = Heights(points)
 
@@ -179,9 +179,9 @@ class ScanUpdate:
         self.runs = self.buffers.runs
 
     def fit(self) -> Array:
-        """Fit the scan in each touched leaf with a plane, and compare the M estimated ones.
+        """Fit a plane to the scan in each touched leaf; return the M comparable ones, (ROWS, M).
 
-        Return (ROWS, M) with the rows `RISE`: height of the scan over the map, m; `OWN`: its
+        The rows are `RISE`: height of the scan over the map, m; `OWN`: its
         variance without pose errors, m^2; `OF_SCAN`, `OF_MAP`: variance of either height from pose
         errors, m^2; `FIRST_TIME`, `LAST_TIME`: of the scans in the map's plane, s; `PLACE_X`,
         `PLACE_Y`, `PLACE_Z`: of the cell about the lidar, m; `SLOPE_X`, `SLOPE_Y`: of the map's
@@ -320,9 +320,8 @@ class ScanUpdate:
     def _divide(self, row: cython.Py_ssize_t, run: Record) -> cython.bint:
         """Divide a leaf, unless it is a finest cell or ``max_cells`` is reached.
 
-        The parent's slope counts as much as `SLOPE_POINTS` measurements that fill a child
-        (horizontal variance side^2 / 12); its misfit counts twice, because neighbouring residuals
-        are correlated. The children keep the misfit, because their points may not show it.
+        The misfit counts twice in the slope, because neighbouring residuals are correlated. The
+        children keep it, because their points may not show it.
         """
         leaf = self.table.at(row)
         if leaf.level >= self.table.max_level:
@@ -352,9 +351,8 @@ class ScanUpdate:
         """Update a leaf, or its descendants if it is divided, with a run of points.
 
         A new leaf whose points do not determine a plane waits while they cover more of its width
-        with each scan, as at the edge of the scanned area; otherwise it is divided. A partial view
-        is compared with the plane before fusion, because a rock that fills the view would turn it.
-        All other runs are fused; then the leaf is divided or its residual statistics are updated.
+        with each scan, and is divided otherwise. A partial view is compared with the plane before
+        fusion, because a rock that fills the view would turn it.
         """
         leaf, points = self.table.at(row), cython.address(self.points[begin, 0])
         pose, side = cython.address(self.fusion.pose), self.table.sides[leaf.level]
@@ -479,8 +477,7 @@ class ScanUpdate:
         self, leaf: Record, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, run: Record
     ) -> None:
         """Compute the residuals of a run, and the states of its finest cells: unexplained if more
-        than `UNEXPLAINED_SHARE` of the returns in this scan, and at least two, stand out from the
-        plane. With a single one a cell keeps its state."""
+        than `UNEXPLAINED_SHARE` of the returns, and at least two, stand out from the plane."""
         cython.declare(i=cython.Py_ssize_t)
         out = count = 0.0
         self._record_hits(begin, end)
@@ -508,12 +505,8 @@ class ScanUpdate:
     def _shows_mound(
         self, begin: cython.Py_ssize_t, end: cython.Py_ssize_t, variance: float, sign: float
     ) -> cython.bint:
-        """Add a run to the piles of its finest cells (``sign`` -1: remove it again), and return
-        whether one rises over its leaf's plane by `measure.MOUND`.
-
-        The mean of all n returns shows rocks that noise of variance v hides in each scan. It must
-        also exceed `MOUND_SIGMAS` sqrt(v / n).
-        """
+        """Add a run to the piles of its finest cells (``sign`` -1: remove it again); return whether
+        the mean height of one shows a rock that noise of this variance hides in each scan."""
         i: cython.Py_ssize_t
         found: cython.bint = False
         total = count = 0.0

@@ -3,14 +3,12 @@
 """Detection of isolated returns: noise, multipath, dust.
 
 Two neighbouring returns are linked if their distance is within the gate. A return is isolated if
-its group of linked returns has fewer than three members. So a single outlier and two adjacent ones
-are removed, and the last return of a row needs only one linked neighbour.
+its group of linked returns has fewer than three members.
 
 In an organised scan, neighbours are the four adjacent pixels and the distance is the difference in
 range. In an unorganised scan, all points are neighbours and the distance is Euclidean. The gate is
-at least five times the scan's typical distance (the median distance to the second nearest
-neighbour), because returns of slanted ground are far apart. Scans of fewer than three returns are
-not filtered.
+at least `GATE_FACTOR` times the scan's typical distance (the median distance to the second nearest
+neighbour). Scans of fewer than three returns are not filtered.
 """
 
 from __future__ import annotations

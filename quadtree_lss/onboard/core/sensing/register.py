@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -33,10 +34,8 @@ class RegisteredScan(NamedTuple):
             motion of the lidar during the scan is far shorter.
         key: (N,) Morton code of the finest cell of each point, ascending; points of a cell keep the
             order of the scan.
-        centre: x and y of the mean valid return, map frame, m, if there are valid returns and all
-            are outside the domain, else None.
-        isolated: Isolated returns, compared with those held back; None if there are none, or if
-            none are held back.
+        centre: x and y of the mean valid return, map frame, m, if all are outside the domain.
+        isolated: Isolated returns, compared with those held back; None if there are none.
         admitted: Number of points that are held-back returns of earlier scans.
     """
 
@@ -75,11 +74,9 @@ def register(
     work = work or Workspace()
     work.resize(len(flat))
     if sweep is None:
-        still = np.zeros((1, 12))
-        still[0, :9] = pose.rotation_map_lidar.ravel()
-        motion = NO_OFFSETS, STAMP_ONLY, still
-    else:
-        motion = sweep.offsets, sweep.times, sweep.motion
+        sweep = Sweep(NO_OFFSETS, STAMP_ONLY, np.zeros((1, 12)))
+        sweep.motion[0, :9] = pose.rotation_map_lidar.ravel()
+    motion = sweep.offsets, sweep.times, sweep.motion
     transform_points(flat, *motion, lidar, domain, pose.position, work)
     points_map, ranges = np.asarray(work.points)[: len(flat)], np.asarray(work.ranges)
     if points_lidar.ndim == 3:
@@ -108,16 +105,8 @@ def register(
         positions = held.places(compared.admitted, domain)
         points, key = _insert_admitted(points, key, positions - pose.position, compared.admitted, n)
         admitted = len(positions)
-    scan = RegisteredScan(
-        pose=Pose(
-            pose.stamp_ns, pose.position, pose.rotation_map_lidar, clip_covariance(pose.covariance)
-        ),
-        points=points,
-        key=key,
-        centre=centre,
-        isolated=compared,
-        admitted=admitted,
-    )
+    bounded = replace(pose, covariance=clip_covariance(pose.covariance))
+    scan = RegisteredScan(bounded, points, key, centre, compared, admitted)
     dropped = {
         "no_return": work.missing,
         "range": work.beyond,
