@@ -449,9 +449,19 @@ def height_offset(
 
 def weighted_median(values: Array, weights: Array) -> float:
     """Weighted median of values (N,), N at least 1."""
-    order = values.argsort()
-    below = weights[order].cumsum()
-    return float(values[order[below.searchsorted(0.5 * below[-1])]])
+    i: cython.Py_ssize_t = 0
+    order = cython.declare(cython.Py_ssize_t[::1], values.argsort())
+    value = cython.declare(cython.double[:], values)
+    weight = cython.declare(cython.double[:], weights)
+    total = below = 0.0
+    for i in range(order.shape[0]):
+        total += weight[order[i]]
+    for i in range(order.shape[0]):
+        below += weight[order[i]]
+        if below >= 0.5 * total:
+            break
+    median: float = value[order[i]]
+    return median
 
 
 def remove_tilt(points: Array, motion: Motion) -> None:

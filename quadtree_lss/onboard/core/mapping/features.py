@@ -49,6 +49,8 @@ class Heights:
         self.near = np.empty(most + 1, dtype=np.intp)
         self.x, self.y, self.z, self.bell = np.empty((4, MAX_SAMPLES))
         self.row = np.ones((MAX_SAMPLES, 6))
+        self.count = 0
+        self.weight = 0.0
 
 
 def bell(square: float) -> cython.double:

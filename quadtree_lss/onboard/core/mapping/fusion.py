@@ -35,9 +35,12 @@ class Fusion:
 
     def __init__(self, rules: Rules, scan: RegisteredScan, now: float) -> None:
         self.rules = rules
-        self.pose.origin = scan.pose.position.tolist()
-        self.pose.sigma = scan.pose.covariance.ravel().tolist()
-        self.pose.boresight = scan.pose.rotation_map_lidar[:, 2].tolist()
+        pose, ahead = scan.pose, scan.pose.rotation_map_lidar[:, 2]
+        self.pose: Record = {
+            "origin": pose.position.tolist(),
+            "sigma": pose.covariance.ravel().tolist(),
+            "boresight": ahead.tolist(),
+        }
         self.aligned = False
         self.now = self.correlation_at = now
         self.correlation_is = 1.0

@@ -39,6 +39,8 @@ class Workspace:
 
     def __init__(self) -> None:
         self.size = -1
+        self.missing = self.beyond = self.run_count = 0
+        self.above = False
 
     def resize(self, size: cython.Py_ssize_t) -> None:
         """Allocate memory for scans of ``size`` points."""
