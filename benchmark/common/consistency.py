@@ -14,7 +14,7 @@ from scipy.stats import chi
 
 from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.config.settings import LidarConfig
-from quadtree_lss.onboard.core.geometry.morton import decode
+from quadtree_lss.onboard.core.geometry.morton import SPREAD
 from quadtree_lss.onboard.core.geometry.rotations import skew
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -64,7 +64,7 @@ def prefit_statistics(cells: CellMap, scan: RegisteredScan, lidar: LidarConfig) 
     e = n.(r - c) - d has the variance n^T Sigma_r n + a^T Sigma_P a with Sigma_r of Eq. 17 and
     a = (B^T (r - c), -1).
     """
-    column, row = decode(scan.key)
+    column, row = (np.searchsorted(SPREAD, code & 0x55555555) for code in (scan.key, scan.key >> 1))
     leaf_rows = cells.leaf_raster()[row, column]
     point = np.flatnonzero(cells.measured[leaf_rows])
     leaf = leaf_rows[point].astype(np.intp)

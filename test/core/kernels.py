@@ -118,11 +118,12 @@ def shifted(covariance: Array, normal: ArrayLike, delta: ArrayLike) -> Array:
 def fit(
     rules, points: Array, x: float, y: float, side: float, prior, sigma: Array, z: float = np.nan
 ):
-    """All points (N, 3) fitted in one cell: a record of type `measure.RUN`."""
+    """All points (N, 3) of a lidar that points down, fitted in one cell: a record of `RUN`."""
     run = np.zeros(1, dtype=RUN).view(np.recarray)
     leaf = blank_leaves(0, [0], [0]).view(np.recarray)
     leaf.x, leaf.y, leaf.z, leaf.normal = x, y, z, prior
     leaf.state = UNKNOWN if np.isnan(z) else ESTIMATED
     points = np.ascontiguousarray(points)
-    measure.measure(rules, leaf, run, points, len(points), np.zeros(3), sigma, side)
+    pose = np.concatenate([np.zeros(3), np.ravel(sigma), (0.0, 0.0, -1.0)])
+    measure.measure(rules, leaf, run, points, len(points), pose, side)
     return run

@@ -25,11 +25,8 @@ def places(tree: LeafTable) -> list[np.ndarray]:
 
 def raster_of(tree: LeafTable) -> np.ndarray:
     """(n, n) [iy, ix] row of the leaf over each finest cell."""
-    n = tree.domain.finest_count
-    out = np.empty((n, n), dtype=int)
-    ix, iy = morton.decode(np.arange(n * n))
-    out[iy, ix] = tree.leaf_of
-    return out
+    spread = morton.SPREAD[: tree.domain.finest_count]
+    return tree.leaf_of[spread | spread[:, None] << 1]
 
 
 def grown(domain: Domain, seed: int, rounds: int = 6, max_cells: int = 100_000) -> LeafTable:

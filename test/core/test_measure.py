@@ -120,7 +120,6 @@ def test_a_strip_tells_its_height_alone(middle, width):
 def test_noise_of_stereo_goes_with_the_square_of_the_depth():
     """And is common to range and depth by the angle between them: seen from beside, too."""
     of = Rules(configured(lidar={"range_noise": 0.02, "stereo_noise": 0.1 / 20.0}))
-    of.set_boresight(np.array([0.0, 0.0, -1.0]))
     cloud, given = tilted(np.random.default_rng(13), 7, 0.0), (2.0, NORMAL, NO_POSE)
     for up, aside in ((2.0, 0.0), (8.0, 0.0), (8.0, 8.0)):
         found = fit(of, cloud + (aside, 0.0, -up), aside, 0.0, *given)[0]

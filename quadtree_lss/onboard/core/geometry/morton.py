@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# cython: boundscheck=False
 """Morton codes of cells, in whose order the points of each cell of each level are contiguous."""
 
 from __future__ import annotations
@@ -7,7 +8,7 @@ import cython
 import numpy as np
 from cython.cimports.quadtree_lss.onboard.core.geometry.morton import DIGIT_BITS, PLACE_BITS
 
-from quadtree_lss.onboard.arrays import Index, Keys
+from quadtree_lss.onboard.arrays import Keys
 
 
 def encode(ix: cython.longlong, iy: cython.longlong) -> cython.longlong:
@@ -32,22 +33,10 @@ def compact(code: cython.longlong) -> cython.longlong:
     return (code | (code >> 8)) & 0x0000FFFF
 
 
-def decode(codes: Keys) -> tuple[Index, Index]:
-    """Return ix and iy, each (N,), of Morton codes (N,)."""
-    found = []
-    for value in (codes, codes >> 1):
-        value = value & 0x55555555
-        for shift, mask in ((1, 0x33333333), (2, 0x0F0F0F0F), (4, 0x00FF00FF), (8, 0x0000FFFF)):
-            value = (value | (value >> shift)) & mask
-        found.append(value.astype(np.intp))
-    return found[0], found[1]
-
-
 #: `spread` of 0 … 4095, a lookup table for loops over points.
 SPREAD = np.array([spread(value) for value in range(4096)], dtype=np.int64)
 
 
-@cython.boundscheck(False)
 def sort_packed(packed: Keys, spare: Keys) -> cython.bint:
     """Sort numbers (N,) by their key, the bits from ``PLACE_BITS`` on: a stable radix sort.
 
@@ -84,7 +73,6 @@ def sort_packed(packed: Keys, spare: Keys) -> cython.bint:
     return passes & 1 == 1
 
 
-@cython.boundscheck(False)
 def sort_by_digit(
     source: Keys, target: Keys, low: cython.longlong, count: cython.longlong
 ) -> cython.void:

@@ -55,10 +55,8 @@ def congruent(a: Vector, pair: Vector, out: Vector) -> None:
 
 
 def inverse_symmetric(c: Vector, out: Vector) -> None:
-    """Invert a symmetric positive definite matrix, scaled to a unit diagonal, by its cofactors.
-
-    The determinant is at least 1e-14, so a singular matrix has a large finite inverse.
-    """
+    """Invert a symmetric positive definite matrix, scaled to a unit diagonal, by its cofactors. A
+    singular one has a large finite inverse."""
     x = 1.0 / sqrt(max(c[0], 1e-24))
     y = 1.0 / sqrt(max(c[4], 1e-24))
     z = 1.0 / sqrt(max(c[8], 1e-24))
@@ -379,11 +377,10 @@ def fuse(
     """Fuse two estimates of a plane (Eq. 37 to Eq. 45); Eq. 22 does so for offsets of scans.
 
     Eq. 39 is the error of the prior about the measured plane, e = (n_prior [-] n, d_prior), its
-    covariances (Eq. 38) carried to the measured plane's tangent and origin. With A and R the
-    covariances of prior and measurement (Eq. 40): K = A (A + R)^-1 (Eq. 41), fused = measured [+]
-    (I - K) e (Eq. 43, Eq. 44), and each part of the covariance becomes
-    (I - K) P (I - K)^T + K R K^T (Eq. 42, Eq. 45). All of it is about the prior's pivot, so that a
-    change of the slope does not change the well-known height there.
+    covariances (Eq. 38) carried there. With A and R the covariances of prior and measurement
+    (Eq. 40): K = A (A + R)^-1 (Eq. 41), fused = measured [+] (I - K) e (Eq. 43, Eq. 44), and each
+    part of the covariance becomes (I - K) P (I - K)^T + K R K^T (Eq. 42, Eq. 45). All of it is
+    about the prior's pivot, where a change of the slope does not change the well-known height.
 
     Common pose error neither weights the estimates nor averages out: only the share 1 - common of
     the pose parts P and Q counts in A and R, and the fused pose part is

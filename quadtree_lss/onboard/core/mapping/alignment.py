@@ -2,9 +2,8 @@
 # cython: boundscheck=False
 """A scan against the map: their common motion, whether it is plausible, and the height offset.
 
-Pose error moves all points of a scan at once, so the cells that a scan and the map have in common
-give its rigid motion far more precisely than any single cell. Eq. 20 has one offset for each scan
-and cell; a common one avoids steps between cells that different scans have observed.
+Pose error moves all points of a scan at once. Eq. 20 has one offset for each scan and cell; a
+common one is more precise and avoids steps between cells that different scans have observed.
 """
 
 from __future__ import annotations
@@ -39,7 +38,6 @@ CORRELATED_SHARE = cython.declare(cython.double, 1.0 / 16.0)
 INSTANT = cython.declare(cython.double, 1e-3)
 #: Variance of a scan's height that more cells do not reduce: the common error of ranges, m^2.
 FLOOR = 0.04**2
-FLOOR_VARIANCE = cython.declare(cython.double, FLOOR)
 #: Variance of the height of an exact pose, m^2; avoids a division by zero.
 EXACT = cython.declare(cython.double, 1e-9)
 #: A pose may be off by this many times the claimed standard deviation.
@@ -50,13 +48,10 @@ MIN_CELLS = 3
 JUMP_SIGMAS = 3.0
 #: Least height by which the map is lifted, m; landing reassesses ground that moves.
 MIN_LIFT = 5e-4
-#: Greatest height of a plane at a cell's centre, m.
-HIGHEST = cython.declare(cython.double, MAX_MAP_HEIGHT)
 #: A scan is inconsistent if less than this share of its cells agrees with the map, or if its motion
 #: exceeds so many standard deviations: of three degrees of freedom, one sound scan in 7,000 does.
 AGREEING_SHARE = 1.0 / 3.0
 MAX_SIGMAS = 4.5
-LIMIT = cython.declare(cython.double, MAX_SIGMAS)
 #: Least share of a scan's points in estimated leaves that lie in comparable ones, for a test: sound
 #: scans over simulated cliffs with up to 0.22 would be rejected.
 COMPARABLE_SHARE = 0.25
@@ -159,7 +154,7 @@ def is_inconsistent_narrow(finest: Array, length_unit: float) -> bool:
 @cython.exceptval(check=False)
 @cython.locals(cells=cython.double[:, :], out=cython.p_double)
 def _pose_jacobian(cells: Array, i: cython.Py_ssize_t, out: Array) -> cython.void:
-    """J_i (6): derivative of the ground's height in a cell by the pose error."""
+    """J_i (6): derivative of the ground's height in a cell by the pose error (dm, dw)."""
     x, y, z = cells[row.PLACE_X, i], cells[row.PLACE_Y, i], cells[row.PLACE_Z, i]
     out[0] = -cells[row.SLOPE_X, i]
     out[1] = -cells[row.SLOPE_Y, i]
@@ -180,12 +175,13 @@ def _agreeing_cells(
     deviation and weight in rows 0 and 1 of ``work``, weighted ``centre`` (2)."""
     i: cython.Py_ssize_t
     agreeing: cython.Py_ssize_t = 0
-    floor: cython.double = FLOOR_VARIANCE * length_unit * length_unit
+    limit: cython.double = MAX_SIGMAS * MAX_SIGMAS
+    floor: cython.double = FLOOR * length_unit * length_unit
     smoothed: cython.double = SMOOTHED * length_unit * length_unit
     x = y = whole = 0.0
     for i in range(cells.shape[1]):
         allowed = cells[row.OWN, i] + cells[row.OF_SCAN, i] + cells[row.OF_MAP, i] + floor
-        if cells[row.RISE, i] * cells[row.RISE, i] <= LIMIT * LIMIT * allowed:
+        if cells[row.RISE, i] * cells[row.RISE, i] <= limit * allowed:
             variance = cells[row.OWN, i] + smoothed
             w = 1.0 / variance
             whole += w
@@ -276,15 +272,13 @@ def _explained_tilt(
 def rigid_motion(
     cells: Array, sigma: Array, now: float, correlation_time: float, length_unit: float = 1.0
 ) -> Motion | None:
-    """Estimate the rigid motion of a scan from M cells and test it; None with fewer than 3.
+    """Estimate the rigid motion of a scan from cells (ROWS, M) of `ScanUpdate.fit` and test it;
+    None with fewer than `MIN_CELLS`.
 
-    The offsets b_i = h + t.(r_i - r_0) + noise_i give theta = (h, t), height and tilt, by least
-    squares: with rows (1, r_i - r_0) of X and Huber's weights W over v_i, the cell's own variance
-    plus `SMOOTHED`, theta = A^-1 X^T W b, A = X^T W X. Cells that neither pose explains,
-    b_i^2 > `MAX_SIGMAS`^2 (v_i + S_i + M_i + `FLOOR`), are left out (rocks, errors of the map).
-
-    A pose error e = (dm, dw) lifts the ground of cell i by J_i e (`_pose_jacobian`). If both poses
-    are as good as they claim, theta has the covariance V, the sum of
+    The offsets b = X theta + noise, rows (1, r_i - r_0) of X, give theta = A^-1 X^T W b, height and
+    tilt, A = X^T W X, with Huber's weights W over the cells' own variances plus `SMOOTHED`. Cells
+    that neither pose explains (rocks, errors of the map) are left out (`_agreeing_cells`). If both
+    poses are as good as they claim, theta has the covariance V, the sum of
 
     - P = T Sigma T^T, T = A^-1 X^T W J, from the scan's pose;
     - the map's, from the height variance M and the slope variance Q that its cells claim. Common
@@ -296,9 +290,7 @@ def rigid_motion(
       N = (sum w)^2 / sum w^2 of cells, and max(s^2 - 1, 0) `CORRELATED_SHARE` N A^-1, so that rough
       or partly observed ground does not reject a scan.
 
-    theta^T V^-1 theta is chi^2 with three degrees of freedom.
-
-    ``cells``: (ROWS, M) of `ScanUpdate.fit`. ``sigma``: (6, 6) pose covariance. ``now``: s.
+    theta^T V^-1 theta is chi^2 with three degrees of freedom. ``sigma``: (6, 6) pose covariance.
     ``correlation_time``: of pose errors, s, 0 if they are white. ``length_unit``: scale of the
     constants of this module (``VehicleConfig.height``), m.
     """
@@ -372,7 +364,7 @@ def rigid_motion(
         of_map = mapped if j == 0 else tilted + other * whole * inverse[4 * j]
         apart = scan[4 * j] + of_map - 2.0 * common * sqrt(max(scan[4 * j] * of_map, 0.0))
         total[4 * j] += max(scan[4 * j], max(of_map, apart)) - scan[4 * j]
-    total[0] += FLOOR_VARIANCE * length_unit * length_unit
+    total[0] += FLOOR * length_unit * length_unit
     height_noise = noise * inverse[0]
     inverse_symmetric(total, inverse)
     square = 0.0
@@ -398,20 +390,17 @@ def rigid_motion(
 def height_offset(
     cells: Array, now: float, correlation_time: float, length_unit: float = 1.0
 ) -> Offset | None:
-    """Estimate the height offset of a scan and divide it between scan and map; None with fewer than
-    3 common cells. Arguments as of `rigid_motion`.
+    """Estimate the height offset of a scan and divide it between scan and map, or return None;
+    arguments as of `rigid_motion`.
 
-    The scan's planes are b above the map's: a weighted mean over M cells with Huber's weights about
-    the weighted median, of variance R. S and M are the variances that pose error gives the height
-    of the scan and of the map's best known cell, times the share 1 - exp(-dt / correlation_time)
-    that is not common to both. With b = e_scan - e_map + noise, S / (S + M + R) of b is the
-    expected error of the scan and M / (S + M + R) that of the map. So a scan with a poor pose is
-    moved to the map, a scan with an exact pose moves the map, and persistent errors stay.
+    The scan's planes are b above the map's: a mean with Huber's weights about the weighted median,
+    of variance R. S and M are the variances that pose error gives the height of the scan and of the
+    map's best known cell, times the share 1 - exp(-dt / correlation_time) that is not common. So
+    S / (S + M + R) of b is the expected error of the scan and M / (S + M + R) that of the map.
 
     If b^2 > `JUMP_SIGMAS`^2 (S + M + R), the pose error jumped, and nothing of it is common. If
     n^2 = b^2 / max(S, M, R) exceeds `JUMP_SIGMAS`^2 as well and the map has several scans, the pose
-    is worse than it claims: S counts (n / `JUMP_SIGMAS`)^6 times, at most `POSE_EXCESS`^2 times. So
-    the map follows an error of five standard deviations by less than a tenth.
+    is worse than it claims: S counts (n / `JUMP_SIGMAS`)^6 times, at most `POSE_EXCESS`^2 times.
     """
     i: cython.Py_ssize_t
     column = cython.declare(cython.double[:, :], cells)
@@ -487,6 +476,7 @@ def lift_map(table: LeafTable, height: float, since: float) -> None:
     """Lift the leaves by ``height``, m, times the share of their scans from ``since`` (s) on, which
     are also in the compared ground."""
     row: cython.Py_ssize_t
+    highest: cython.double = MAX_MAP_HEIGHT
     leaf = table.leaf
     for row in range(table.count):
         if leaf[row].state >= INCOMPLETE:
@@ -499,5 +489,5 @@ def lift_map(table: LeafTable, height: float, since: float) -> None:
             leaf[row].z += rise
             leaf[row].low += rise
             leaf[row].high += rise
-            if not fabs(leaf[row].z) < HIGHEST:
+            if not fabs(leaf[row].z) < highest:
                 table.reset_leaf(table.at(row))

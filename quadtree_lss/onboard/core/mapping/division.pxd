@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run
+from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, ScanPose
 from quadtree_lss.onboard.core.tree.leaves cimport Leaf
+
+cdef double MIN_RESIDUALS
 
 cdef double normal_tail(double x) noexcept nogil
 cdef double mean_distance(double* points, Py_ssize_t count, double* normal, double* through) noexcept nogil
 cdef double mahalanobis_factor(double* mean, double cosine, double* sigma, double along, double plane) noexcept nogil
-cdef void set_statistic(Rules rules, Leaf* leaf, Run* run, double* points, double* origin, double* sigma) noexcept nogil
+cdef void set_statistic(Rules rules, Leaf* leaf, Run* run, double* points, ScanPose* pose) noexcept nogil
 cdef void add_statistic(Rules rules, Leaf* leaf, Run* run) noexcept nogil
 cdef bint misfit_divides(Rules rules, Leaf* leaf, Run* run) noexcept nogil
 cdef bint shows_rock(Rules rules, Leaf* leaf) noexcept nogil

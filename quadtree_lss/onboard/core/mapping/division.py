@@ -6,7 +6,10 @@ from __future__ import annotations
 
 import cython
 from cython.cimports.libc.math import erfc, fabs, sqrt
-from cython.cimports.quadtree_lss.onboard.core.geometry.plane import inverse_symmetric
+from cython.cimports.quadtree_lss.onboard.core.geometry.plane import (
+    inverse_symmetric,
+    offset_variance,
+)
 from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at
 from cython.cimports.quadtree_lss.onboard.core.mapping.features import feature_height
 from cython.cimports.quadtree_lss.onboard.core.mapping.measure import (
@@ -25,6 +28,10 @@ from quadtree_lss.onboard.core.tree.leaves import Record
 MEAN_CHI_1 = cython.declare(cython.double, 0.7978845608028654)
 SPREAD_CHI_1 = cython.declare(cython.double, 0.6028102749890869)
 MEAN_CHI_3 = cython.declare(cython.double, 1.5957691216057308)
+#: Standard errors by which the mean of the division statistic must exceed the threshold (Eq. 47).
+CONFIDENCE = cython.declare(cython.double, 0.5)
+#: Least number of free residuals (points minus three per scan) for a division by this mean.
+MIN_RESIDUALS = cython.declare(cython.double, 8.0)
 #: Standard errors by which a mean residual must exceed that of noise; it is tested after each scan.
 RESIDUAL_SIGMAS = cython.declare(cython.double, 2.0)
 #: Share of measurements that are exceptions because stray returns pass the outlier gate.
@@ -67,12 +74,11 @@ def mahalanobis_factor(
 ) -> cython.double:
     """d_M / |epsilon| of Eq. 46 for residuals along the ray, 1/m.
 
-    The predicted point lies on the measured point's ray, so r_hat - r_bar = epsilon u / (n.u) and
-    d_M = |epsilon| sqrt(u^T Sigma^-1 u) / |n.u| with Eq. 61's Sigma = Sigma_r + s u u^T,
-    s = (a^T Sigma_P a) / (n.u)^2. What is added along the ray adds to the variance there,
-    1 / (u^T Sigma^-1 u) = 1 / (u^T Sigma_r^-1 u) + s, and so does range noise: only the pose's part
-    of Eq. 17, J Sigma_pose J^T with J = (I, -[r - m]_x), is inverted, kept regular by a millionth
-    of its trace. ``mean`` (3): of the points about the lidar, m. ``cosine``: |n.u|. ``along``:
+    The predicted point lies on the measured point's ray, so d_M = |epsilon| sqrt(u^T Sigma^-1 u) /
+    |n.u| with Eq. 61's Sigma = Sigma_r + s u u^T, s = (a^T Sigma_P a) / (n.u)^2, and
+    1 / (u^T Sigma^-1 u) = 1 / (u^T Sigma_r^-1 u) + s. Range noise is along the ray, too: only the
+    pose's part of Eq. 17 is inverted, kept regular by a millionth of its trace.
+    ``mean`` (3): of the points about the lidar, m. ``cosine``: |n.u|. ``along``:
     variance of the range. ``plane``: a^T Sigma_P a, m^2; zero for a fit's own points.
     """
     axis = cython.declare(cython.double[3])
@@ -106,20 +112,17 @@ def mahalanobis_factor(
     return 1.0 / (cosine * sqrt(total_along))
 
 
-def set_statistic(
-    rules: Rules, leaf: Record, run: Record, points: Vector, origin: Vector, sigma: Vector
-) -> None:
+def set_statistic(rules: Rules, leaf: Record, run: Record, points: Vector, pose: Record) -> None:
     """Set the division statistic of a run with more than three points, before its fit is fused.
 
     By default the mean residual about the run's own fit over range noise, times sqrt(N / (N - 3)),
     of expectation E[chi_1] on planar ground. With the paper's rule the mean d_M of prefit
     residuals: about the leaf's plane if it is estimated, else about the fit. ``points`` (3 N) are
-    about the lidar, ``origin`` (3) is that in the map, m.
+    about the lidar.
     """
     basis = cython.declare(cython.double[6])
     through = cython.declare(cython.double[3])
-    row = cython.declare(cython.double[3])
-    cython.declare(i=cython.int, j=cython.int, number=cython.Py_ssize_t)
+    cython.declare(i=cython.int, number=cython.Py_ssize_t)
     count = run.points
     number = cython.cast(cython.Py_ssize_t, count)
     if not rules.mahalanobis:
@@ -129,31 +132,30 @@ def set_statistic(
     along = run.variance / (run.cosine * run.cosine)
     if leaf.state != ESTIMATED:
         distance = mean_distance(points, number, run.normal, run.centroid)
-        run.statistic = distance * mahalanobis_factor(run.centroid, run.cosine, sigma, along, 0.0)
+        run.statistic = distance * mahalanobis_factor(
+            run.centroid, run.cosine, pose.sigma, along, 0.0
+        )
         return
-    through[0], through[1] = leaf.x - origin[0], leaf.y - origin[1]
-    through[2] = leaf.z - origin[2]
+    through[0], through[1] = leaf.x - pose.origin[0], leaf.y - pose.origin[1]
+    through[2] = leaf.z - pose.origin[2]
     distance = mean_distance(points, number, leaf.normal, through)
     basis_at(leaf.normal, basis)
     for i in range(3):
         through[i] = run.centroid[i] - through[i]
-    row[0] = -(basis[0] * through[0] + basis[1] * through[1] + basis[2] * through[2])
-    row[1] = -(basis[3] * through[0] + basis[4] * through[1] + basis[5] * through[2])
-    row[2] = 1.0
-    plane = 0.0
-    for i in range(3):
-        for j in range(3):
-            total = leaf.range_part[3 * i + j] + leaf.pose_part[3 * i + j]
-            plane += row[i] * total * row[j]
-    run.statistic = distance * mahalanobis_factor(run.centroid, run.cosine, sigma, along, plane)
+    first = basis[0] * through[0] + basis[1] * through[1] + basis[2] * through[2]
+    second = basis[3] * through[0] + basis[4] * through[1] + basis[5] * through[2]
+    plane = offset_variance(leaf.range_part, first, second)
+    plane += offset_variance(leaf.pose_part, first, second)
+    run.statistic = distance * mahalanobis_factor(
+        run.centroid, run.cosine, pose.sigma, along, plane
+    )
 
 
 def add_statistic(rules: Rules, leaf: Record, run: Record) -> None:
     """Add the division statistic of a run to the mean of its leaf (Eq. 47).
 
-    By the paper's rule it is the mean over all measurements of fits. By default the weight is the
-    N - 3 free residuals of each fit, because otherwise many scans with four points would outweigh
-    one full view; partial views do not count.
+    By the paper's rule all measurements count. By default the N - 3 free residuals of each fit do,
+    so that scans with four points do not outweigh a full view; partial views do not count.
     """
     if has_few_points(run) or (is_partial(run) and not rules.mahalanobis):
         return
@@ -166,15 +168,15 @@ def add_statistic(rules: Rules, leaf: Record, run: Record) -> None:
 def misfit_divides(rules: Rules, leaf: Record, run: Record) -> cython.bint:
     """Return whether the mean division statistic of a leaf exceeds the threshold.
 
-    By default it must exceed it by `CONFIDENCE` standard errors, so that cells with few points are
-    not divided by chance, and after a partial view the leaf is not tested.
+    By default by `CONFIDENCE` standard errors, so that cells with few points are not divided by
+    chance, and not after a partial view.
     """
     total = leaf.division_weight
     if rules.mahalanobis:
         return leaf.division_sum > total * rules.division_factor * MEAN_CHI_3
-    if is_partial(run) or total < rules.min_residuals:
+    if is_partial(run) or total < MIN_RESIDUALS:
         return False
-    margin = rules.division_confidence * SPREAD_CHI_1 / sqrt(total)
+    margin = CONFIDENCE * SPREAD_CHI_1 / sqrt(total)
     return leaf.division_sum > total * (rules.division_factor * MEAN_CHI_1 + margin)
 
 
@@ -196,7 +198,7 @@ def residuals_divide(rules: Rules, leaf: Record) -> cython.bint:
     that of noise by `RESIDUAL_SIGMAS` standard errors. Finds misfits where scans have three points
     or fewer in a leaf, and no fit of their own."""
     count = leaf.residuals
-    if count < rules.min_residuals:
+    if count < MIN_RESIDUALS:
         return False
     doubt = RESIDUAL_SIGMAS * SPREAD_CHI_1 / (MEAN_CHI_1 * sqrt(count))
     return leaf.distance_sum > leaf.noise_sum * (rules.division_factor + doubt)
@@ -233,7 +235,8 @@ def view_shows_misfit(
     rules: Rules, leaf: Record, run: Record, points: Vector, origin: Vector, side: float
 ) -> cython.bint:
     """Return whether a partial view of a leaf contradicts its plane before fusion, apart from an
-    offset up to ``run.offset_limit``. Arguments as of `set_statistic`; ``side`` of the leaf, m."""
+    offset up to ``run.offset_limit``. ``points`` (3 N) are about the lidar,
+    ``origin`` (3) is that in the map, ``side`` that of the leaf, m."""
     i: cython.Py_ssize_t
     n_x, n_y, n_z = leaf.normal[0], leaf.normal[1], leaf.normal[2]
     d = n_x * (leaf.x - origin[0]) + n_y * (leaf.y - origin[1]) + n_z * (leaf.z - origin[2])
@@ -256,11 +259,10 @@ def add_residuals(
 ) -> None:
     """Add a run to the running statistics of its leaf.
 
-    Writes the residuals n.(r - mean) (N), m: without the scan's common offset in the cell, which
-    pose error explains; it takes one degree of freedom. With too few points for a fit, only the
-    most likely offset b p / (p + v / N) is removed, for a mean b off the plane, p the variance of
-    common errors and v that of noise. The residuals then have the variance v (1 - p / (N p + v)).
-    ``points``, ``origin``: as in `set_statistic`.
+    Write the residuals n.(r - mean) (N), m: without the scan's common offset in the cell, which
+    pose error explains. With too few points for a fit, only the share p / (p + v / N) of it is
+    removed, p the variance of common errors and v that of noise.
+    ``points``, ``origin``: as in `view_shows_misfit`.
     """
     i: cython.Py_ssize_t
     count = run.points

@@ -10,8 +10,6 @@ cdef class Heights:
     cdef double[:, ::1] row
     cdef Py_ssize_t count
     cdef double weight
-    cdef void clear(self, double weight) noexcept nogil
-    cdef void add(self, double x, double y, double z) noexcept nogil
 
 cdef double bell(double square) noexcept nogil
 cdef void bells(Heights heights, double* state) noexcept nogil

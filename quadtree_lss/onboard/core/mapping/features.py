@@ -28,6 +28,8 @@ CHANCE = cython.declare(cython.double, 0.00135)
 WINDOW = cython.declare(cython.double, 5.0)
 #: A first estimate must lower the cost (a chi-square) by this much against flat ground.
 SIGNIFICANCE = cython.declare(cython.double, 25.0)
+#: Least points of one scan for a feature's five parameters.
+MIN_SAMPLES = cython.declare(cython.double, 12.0)
 #: Greatest number of points of one scan in an estimate, and in the first state.
 MAX_SAMPLES = cython.declare(cython.Py_ssize_t, 512)
 MAX_RAISED = cython.declare(cython.Py_ssize_t, 24)
@@ -39,7 +41,9 @@ CONVERGED = cython.declare(cython.double, 5e-2)
 
 
 class Heights:
-    """Heights of one scan of at most ``most`` points over one cell near a feature."""
+    """Heights of a scan of at most ``most`` points over the plane of one cell, near its feature:
+    ``count`` places ``x``, ``y`` about the cell's centre and heights ``z``, m, and the ``weight``
+    of each, its inverse variance, m^-2."""
 
     def __init__(self, most: int) -> None:
         self.near = np.empty(most + 1, dtype=np.intp)
@@ -47,18 +51,6 @@ class Heights:
         self.row = np.ones((MAX_SAMPLES, 6))
         self.count = 0
         self.weight = 0.0
-
-    def clear(self, weight: float) -> None:
-        """Remove all heights; ``weight`` is the inverse variance of the next ones, m^-2."""
-        self.count = 0
-        self.weight = weight
-
-    def add(self, x: float, y: float, z: float) -> None:
-        """Add a height above the plane at a place relative to the cell's centre, m."""
-        self.x[self.count] = x
-        self.y[self.count] = y
-        self.z[self.count] = z
-        self.count += 1
 
 
 def bell(square: float) -> cython.double:
@@ -113,8 +105,7 @@ def _linearise(
     cost = sum (z - h(X))^2 / variance + (X - mean)^T information (X - mean). Returns it; system[30]
     is the part of the measurements, system[31] the total.
     """
-    # Whole rows of sums vectorise although their lower halves are not used. Separate loops, because
-    # reading two fresh stores as one vector stalls.
+    # Whole rows of sums vectorise. Separate loops: reading two fresh stores as one vector stalls.
     total = cython.declare(cython.double[30])
     cython.declare(i=cython.Py_ssize_t, j=cython.int, k=cython.int)
     for j in range(30):
@@ -266,10 +257,10 @@ def first_state(
 ) -> None:
     """Compute the first state (5) from the data instead of Eq. 52's constants.
 
-    The centre is the raised sample with the greatest sum of heights of raised samples near it,
-    which is not a single outlier. These give sigma by their share of the cell's area, m^2, and the
-    volume by their mean height. ``high``: (3 raised) x, y, z of each; the ``count`` heights of the
-    cell have the sum zero. ``least``: height of the lowest feature, m.
+    The centre is the raised sample with the greatest sum of heights of raised samples near it;
+    these give sigma by their share of the cell's ``area``, m^2, and the volume by their mean
+    height. ``high``: (3 raised) x, y, z; ``count``: heights of the cell, of sum zero; ``least``:
+    height of the lowest feature, m.
     """
     cython.declare(i=cython.Py_ssize_t, j=cython.Py_ssize_t)
     best: cython.Py_ssize_t = 0
@@ -319,13 +310,12 @@ def update_feature(
     high = cython.declare(cython.double[72])
     state = cython.declare(cython.double[5])
     information = cython.declare(cython.double[25])
-    cython.declare(i=cython.Py_ssize_t, k=cython.int, stride=cython.Py_ssize_t)
-    cython.declare(at=cython.Py_ssize_t)
+    cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t, stride=cython.Py_ssize_t)
     inside: cython.Py_ssize_t = 0
     held: cython.Py_ssize_t = 0
     raised: cython.Py_ssize_t = 0
     count = run.points
-    if count < rules.feature_points:
+    if count < MIN_SAMPLES:
         return
     number: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, count)
     x, y, up = leaf.x - origin[0], leaf.y - origin[1], leaf.normal[2]
@@ -339,7 +329,7 @@ def update_feature(
     chance = CHANCE * count
     if not known and raised < max(2.0, chance + 2.0 * sqrt(chance)):
         return
-    heights.clear(up * up / run.variance)
+    heights.weight = up * up / run.variance
     if known:
         for k in range(5):
             state[k] = leaf.feature[k]
@@ -363,12 +353,13 @@ def update_feature(
         heights.near[inside] = i
         off = max(fabs(points[3 * i] - middle_x), fabs(points[3 * i + 1] - middle_y))
         inside += off <= reach
-    stride = (inside + MAX_SAMPLES - 1) // MAX_SAMPLES
-    at = 0
-    while at < inside:
-        i = heights.near[at]
-        heights.add(points[3 * i] - x, points[3 * i + 1] - y, residual[i] / up)
-        at += stride
+    stride = max((inside + MAX_SAMPLES - 1) // MAX_SAMPLES, 1)
+    heights.count = (inside + stride - 1) // stride
+    for k in range(heights.count):
+        i = heights.near[k * stride]
+        heights.x[k] = points[3 * i] - x
+        heights.y[k] = points[3 * i + 1] - y
+        heights.z[k] = residual[i] / up
     if not known and max_gain(heights, state) < 0.5 * SIGNIFICANCE:
         return
     total = square = 0.0

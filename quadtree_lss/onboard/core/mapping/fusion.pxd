@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 cimport cython
-from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run
+from quadtree_lss.onboard.core.mapping.measure cimport Rules, Run, ScanPose
 from quadtree_lss.onboard.core.tree.leaves cimport Leaf
 
 @cython.final
@@ -8,9 +8,7 @@ cdef class Fusion:
     cdef Rules rules
     cdef bint aligned
     cdef double now, correlation_at, correlation_is
-    cdef double origin[3]
-    cdef double sigma[36]
-    cpdef lower(self, double down)
+    cdef ScanPose pose
     cdef bint is_elsewhere(self, Leaf* leaf, Run* run) noexcept nogil
     cdef void offset_at(self, Leaf* leaf, Run* run, double* out) noexcept nogil
     cdef void limit_offset(self, Leaf* leaf, Run* run) noexcept nogil

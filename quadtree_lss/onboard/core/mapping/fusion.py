@@ -8,7 +8,7 @@ from cython.cimports.libc.math import exp, fabs, sqrt
 from cython.cimports.quadtree_lss.onboard.core.geometry import plane as planes
 from cython.cimports.quadtree_lss.onboard.core.geometry.plane import fuse, fuse_height
 from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at
-from cython.cimports.quadtree_lss.onboard.core.mapping.measure import pose_variance
+from cython.cimports.quadtree_lss.onboard.core.mapping.measure import FIT_POINTS, pose_variance
 from cython.cimports.quadtree_lss.onboard.core.tree import leaves
 from cython.cimports.quadtree_lss.onboard.core.tree.leaves import LIFT, WEIGHT
 
@@ -30,22 +30,20 @@ ELSEWHERE_SIGMAS = cython.declare(cython.double, 30.0)
 
 
 class Fusion:
-    """Fusion of one scan's fits with the leaves: ``origin`` (3) of the lidar, map frame, m;
-    ``sigma`` (36), covariance of its pose; ``aligned``: whether the scan was shifted to the height
-    of the map; ``now``, s."""
+    """Fusion of one scan's fits with the leaves: its ``pose``; ``aligned``: whether the scan was
+    shifted to the height of the map; ``now``, s."""
 
     def __init__(self, rules: Rules, scan: RegisteredScan, now: float) -> None:
         self.rules = rules
-        self.origin = scan.pose.position.tolist()
-        self.sigma = scan.pose.covariance.ravel().tolist()
+        pose, ahead = scan.pose, scan.pose.rotation_map_lidar[:, 2]
+        self.pose: Record = {
+            "origin": pose.position.tolist(),
+            "sigma": pose.covariance.ravel().tolist(),
+            "boresight": ahead.tolist(),
+        }
         self.aligned = False
         self.now = self.correlation_at = now
         self.correlation_is = 1.0
-
-    def lower(self, down: float) -> None:
-        """Lower the scan by ``down``, m."""
-        self.origin[2] -= down
-        self.aligned = True
 
     def correlation(self, time: float) -> cython.double:
         """Return the correlation of this scan's pose error with that of another time, s."""
@@ -57,25 +55,25 @@ class Fusion:
         return self.correlation_is
 
     def is_elsewhere(self, leaf: Record, run: Record) -> cython.bint:
-        """Return whether a run and a plane are so far apart that no covariance explains it, as
-        after a scan with a wrong pose over ground that no other scan had observed."""
+        """Return whether a run is so far from the plane that no covariance explains it, as after a
+        scan with a wrong pose."""
         if leaf.state < leaves.INHERITED:
             return False
         variance = leaf.range_part[8] + leaf.pose_part[8] + run.range_part[8] + run.pose_part[8]
-        off = (leaf.z - self.origin[2] - run.z) * leaf.normal[2]
+        off = (leaf.z - self.pose.origin[2] - run.z) * leaf.normal[2]
         return off * off > ELSEWHERE_SIGMAS * ELSEWHERE_SIGMAS * (variance + self.rules.slack)
 
     def offset_at(self, leaf: Record, run: Record, out: Vector) -> None:
-        """Compute the place of a run's centroid along the tangent axes of a leaf's plane, from the
-        cell's centre, and the height of the run over the plane there: (3), m."""
+        """Compute the place of a run's centroid along a plane's tangent axes, and its height over
+        the plane there: (3), m."""
         basis = cython.declare(cython.double[6])
         basis_at(leaf.normal, basis)
-        x = run.centroid[0] - (leaf.x - self.origin[0])
-        y = run.centroid[1] - (leaf.y - self.origin[1])
+        x = run.centroid[0] - (leaf.x - self.pose.origin[0])
+        y = run.centroid[1] - (leaf.y - self.pose.origin[1])
         z = -(leaf.normal[0] * x + leaf.normal[1] * y) / leaf.normal[2]
         out[0] = basis[0] * x + basis[1] * y + basis[2] * z
         out[1] = basis[3] * x + basis[4] * y + basis[5] * z
-        out[2] = run.centroid[2] - z - (leaf.z - self.origin[2])
+        out[2] = run.centroid[2] - z - (leaf.z - self.pose.origin[2])
 
     def limit_offset(self, leaf: Record, run: Record) -> None:
         """Set the greatest plausible offset of a run from a leaf's plane, m, and its common share:
@@ -90,7 +88,7 @@ class Fusion:
         news = 1.0 - self.correlation(leaf.last_time)
         known = planes.offset_variance(leaf.pose_part, first, second)
         # That of the pose's height, z.
-        high = leaf.normal[2] * leaf.normal[2] * self.sigma[14] if self.aligned else 0.0
+        high = leaf.normal[2] * leaf.normal[2] * self.pose.sigma[14] if self.aligned else 0.0
         plane = planes.offset_variance(leaf.range_part, first, second)
         run.offset_limit = 2.0 * sqrt(
             own + plane + news * max(known + run.pose_part[8] - 2.0 * high, 0.0)
@@ -102,9 +100,8 @@ class Fusion:
         """Fuse a run's fit with the plane of a leaf (paper IV.C), at first level ground of great
         variance.
 
-        Pose error is common to both, and stays, if the plane was inherited in this scan, or the
-        scan is aligned to the map. But the sideways error of an aligned scan changes heights on
-        slopes, by n_xy^T C n_xy for the position covariance C of its ground.
+        Pose error is common to both if the plane was inherited in this scan or the scan is aligned
+        to the map, except the sideways error of an aligned scan, which changes heights on slopes.
         """
         rise = cython.declare(cython.double[1])
         sideways = cython.declare(cython.double[3])
@@ -112,7 +109,7 @@ class Fusion:
         fresh: cython.bint = leaf.state <= leaves.INCOMPLETE
         if leaf.state == leaves.UNKNOWN:
             leaf.first_time = self.now
-            leaf.z = run.z + self.origin[2]
+            leaf.z = run.z + self.pose.origin[2]
             for i in range(9):
                 leaf.range_part[i] = leaf.pose_part[i] = 0.0
             leaf.range_part[0] = leaf.range_part[4] = LEVEL_SIGMA * LEVEL_SIGMA
@@ -122,7 +119,7 @@ class Fusion:
             if not same_scan:
                 sideways[0], sideways[1], sideways[2] = run.normal[0], run.normal[1], 0.0
                 news = 1.0 - self.correlation(leaf.last_time)
-                news *= pose_variance(sideways, run.centroid, self.sigma)
+                news *= pose_variance(sideways, run.centroid, self.pose.sigma)
                 run.range_part[8] += news
                 run.mean_variance += news
             for i in range(9):
@@ -133,7 +130,7 @@ class Fusion:
             # An inherited slope counts as a fit as certain as it.
             leaf.bias[WEIGHT] = run.variance / (leaf.range_part[0] + leaf.range_part[4])
         ranges, poses = leaf.range_part, leaf.pose_part
-        off = leaf.z - self.origin[2] - run.z
+        off = leaf.z - self.pose.origin[2] - run.z
         if run.height_only:
             place, pose, variance = run.lever, run.pose_part, run.mean_variance
             sloped: cython.bint = run.has_slope > 0.0
@@ -145,7 +142,7 @@ class Fusion:
             fuse(leaf.normal, off, ranges, poses, run.normal, of_range, of_pose, common, rise)
             for i in range(3):
                 leaf.normal[i] = run.normal[i]
-        leaf.z = run.z + self.origin[2] + rise[0]
+        leaf.z = run.z + self.pose.origin[2] + rise[0]
         leaf.points += run.points
         leaf.bias[WEIGHT] += run.bias[WEIGHT]
         if run.bias[WEIGHT] > 0.0:
@@ -156,7 +153,7 @@ class Fusion:
         leaf.last_time = self.now
         if fresh:
             steep = leaf.range_part[0] + leaf.range_part[4]
-            few: cython.bint = leaf.points < self.rules.min_points
+            few: cython.bint = leaf.points < FIT_POINTS
             if few or steep > leaves.NO_SLOPE or not self._is_spread(leaf, run):
                 leaf.state = leaves.INCOMPLETE
                 return

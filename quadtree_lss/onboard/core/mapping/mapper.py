@@ -17,6 +17,7 @@ from quadtree_lss.onboard.core.mapping.alignment import Motion, RejectedScans, V
 from quadtree_lss.onboard.core.mapping.measure import Rules, unobserved_parts
 from quadtree_lss.onboard.core.mapping.update import ScanUpdate
 from quadtree_lss.onboard.core.sensing.lidar import Pose
+from quadtree_lss.onboard.core.sensing.points import Workspace
 from quadtree_lss.onboard.core.sensing.pose_buffer import JUMP_NS
 from quadtree_lss.onboard.core.sensing.register import RegisteredScan, register
 from quadtree_lss.onboard.core.sensing.sweep import Sweep
@@ -94,6 +95,7 @@ class Mapper:
         self.leaves = LeafTable(Domain.of(config.domain), config.mapping.max_cells)
         self._area: tuple[float, float] | None = None
         self._rules = Rules(config)
+        self._workspace = Workspace()
         self._buffers = update.ScanBuffers()
         # Arguments of the alignment: correlation time, s, and scale of its constants, m.
         self._scales = config.pose.correlation_time, config.vehicle.clearance_ratio
@@ -152,7 +154,9 @@ class Mapper:
             self._held = HeldReturns(self.domain)
         lidar = self.config.lidar
         # Register the points and order them by their finest cells.
-        scan, dropped = register(points_lidar, pose, lidar, self.domain, sweep, self._held)
+        scan, dropped = register(
+            points_lidar, pose, lidar, self.domain, sweep, self._held, self._workspace
+        )
         used, offset, verdict = len(scan.key) - scan.admitted, 0.0, Verdict.ACCEPTED
         divisions = refused = 0
         if used:
@@ -328,7 +332,9 @@ class Mapper:
 
     def export_state(self) -> State:
         """Return all that a mapper must know to continue, by name; copies (`tree.checkpoint`)."""
-        state = {
+        return {
+            "format": np.array(checkpoint.FORMAT),
+            "domain": np.array(astuple(self.domain), dtype=np.float64),
             "leaves": np.array(self.leaves.rows[: self.leaves.count]),
             **{name: array.copy() for name, array in self._arrays().items()},
             "held_scans": np.array(self._held.scans),
@@ -340,7 +346,6 @@ class Mapper:
             "against": np.array(astuple(self._rejected), dtype=np.float64),
             "owed": np.array(self._pending_offset),
         }
-        return checkpoint.identified(state, self.domain)
 
     def import_state(self, state: State) -> None:
         """Continue from `export_state` of a mapper of the same domain, or, if it follows, of one

@@ -13,7 +13,7 @@ from cython.cimports.libc.math import fabs, sqrt
 from cython.cimports.quadtree_lss.onboard.core.geometry import plane
 from cython.cimports.quadtree_lss.onboard.core.geometry.morton import compact, encode
 from cython.cimports.quadtree_lss.onboard.core.geometry.sphere import basis_at
-from cython.cimports.quadtree_lss.onboard.core.tree.leaves import LIFT, UNKNOWN, WEIGHT
+from cython.cimports.quadtree_lss.onboard.core.tree.leaves import ESTIMATED, LIFT, UNKNOWN, WEIGHT
 
 from quadtree_lss.onboard.arrays import Array, Index
 from quadtree_lss.onboard.config.settings import Config
@@ -42,25 +42,16 @@ LINE_WIDTH = cython.declare(cython.double, 1.0 / 48.0)
 UNKNOWN_TILT = cython.declare(cython.double, 10.0)
 #: Standard deviation of the slope difference between a cell and its observed part, rad.
 UNOBSERVED_TILT = cython.declare(cython.double, 0.1)
-#: Standard errors by which the mean of the division statistic must exceed the threshold (Eq. 47).
-CONFIDENCE = 0.5
-#: Least number of free residuals (points minus three per scan) for a division by this mean.
-LEAST_RESIDUALS = 8.0
 #: Exceptions, in measurements, that divide a leaf: more than one stray return. They also find pits
 #: (0.6 m wide and deep).
 ROCK_EXCEPTIONS = 1.5
 #: Points of one scan for a first fit: a plane has three unknowns.
-FIT_POINTS = 3.0
+FIT_POINTS = cython.declare(cython.double, 3.0)
 #: Share of the least hazard by which the mean of a finest cell's returns must rise to show a rock:
 #: a rock as narrow as the cell is rarely centred, and pose errors spread its returns.
 MOUND = 1.0 / 3.0
-#: Weight of a parent's slope in a child, in points that fill the child. With half of it, 46 instead
-#: of 52 % of the safe ground was kept with much noise, with as many hazards found.
-SLOPE_POINTS = 10.0
 #: Greatest sigma of a feature, in widths of the cell; wider ones are the shape of the ground.
 FEATURE_WIDTH = 0.3
-#: Least points of one scan for a feature's five parameters.
-FEATURE_POINTS = 12.0
 
 #: Fit of a scan's points in a cell, about the lidar:
 #:
@@ -95,18 +86,13 @@ class Rules:
         mapping, lengths = config.mapping, config.vehicle.lengths
         self.range_noise = config.lidar.range_noise
         self.stereo = config.lidar.stereo_noise
-        self.set_boresight(np.zeros(3))
         self.ml = mapping.by_paper("fit")
         self.independent = mapping.by_paper("covariance")
         self.mahalanobis = mapping.by_paper("division")
         self.division_factor = mapping.division_factor
-        self.division_confidence = CONFIDENCE
-        self.min_residuals = LEAST_RESIDUALS
         self.divide_exceptions = ROCK_EXCEPTIONS
         self.rock_area = lengths.rock_area
         self.mound_height = MOUND * lengths.least_hazard
-        self.min_points = FIT_POINTS
-        self.slope_points = SLOPE_POINTS
         self.correlation_time = config.pose.correlation_time
         self.uneven, self.slack = lengths.uneven, lengths.slack
         self.clip = lengths.clip
@@ -114,14 +100,8 @@ class Rules:
         self.feature_height = lengths.feature_height
         self.feature_volume = lengths.feature_volume
         self.feature_width = FEATURE_WIDTH
-        self.feature_points = FEATURE_POINTS
         self.rock_height = max(lengths.rock_height, 3.0 * self.range_noise)
         self.rock_sigma = lengths.rock_sigma
-
-    def set_boresight(self, boresight: Array) -> None:
-        """Set the boresight of the next scan, a unit vector (3,) in map axes; the noise of a depth
-        camera depends on it."""
-        self.ahead_x, self.ahead_y, self.ahead_z = boresight.tolist()
 
 
 def is_partial(run: Record) -> cython.bint:
@@ -151,13 +131,15 @@ def pose_variance(normal: Vector, arm: Vector, sigma: Vector) -> cython.double:
     return min(max(total, 0.0), MAX_VARIANCE)
 
 
-def range_noise(rules: Rules, centroid: Vector, distance: float) -> cython.double:
+def range_noise(
+    rules: Rules, centroid: Vector, distance: float, boresight: Vector
+) -> cython.double:
     """Return the standard deviation of ranges at a place (3) about the lidar, ``distance`` m away,
     m. The depth z of a stereo camera has the error c z^2, its range r that times r / z."""
     noise = rules.range_noise
     if rules.stereo > 0.0:
-        depth = rules.ahead_x * centroid[0] + rules.ahead_y * centroid[1]
-        depth = rules.stereo * distance * (depth + rules.ahead_z * centroid[2])
+        depth = boresight[0] * centroid[0] + boresight[1] * centroid[1]
+        depth = rules.stereo * distance * (depth + boresight[2] * centroid[2])
         noise = sqrt(noise * noise + depth * depth)
     return noise
 
@@ -174,17 +156,16 @@ def _bias(
     """Compute the turn and lift of a fit by range noise that scans from one side do not average
     out.
 
-    Noise e moves a point along the ray u: its height over the plane by e (n.u) / n_z and its place
-    by e (u_x, u_y). Regression of height on place then has the error A^-1 q, with the covariance A
-    of the points' x and y and q = var(e) (n.u) / n_z (u_x, u_y), if all edges of the observed area
-    are edges of the scan. At the cell's edges, where the ground continues, points that noise moves
-    across them cancel it; with both kinds of edges half remains. All of it is used if half of the
-    cell's width is unobserved, half of it if none is.
+    Noise e along the ray u moves the height of a point over the plane by e (n.u) / n_z and its
+    place by e (u_x, u_y). Regression of height on place then has the error A^-1 q, with the
+    covariance A of the points' x and y and q = var(e) (n.u) / n_z (u_x, u_y). At edges of the cell,
+    unlike those of the scan, points that noise moves across them cancel it: all of it is used if
+    half of the cell's width is unobserved, half of it if none is.
 
     An edge on one side lifts the mean by r = sqrt(var(e)) |(u_x, u_y)| / w standard deviations of
-    height, w the width of the observed area along the ray. A strip of less than four standard
-    deviations may consist of noise only: `TAIL` r^2, at most four standard deviations, accounts for
-    that. ``deviation``: sqrt(var(e)), m. ``lean``: |n.u| / n_z. ``sloped``: a slope was fitted.
+    height, w the width of the observed area along the ray; `TAIL` r^2, at most four standard
+    deviations, accounts for strips that consist of noise. ``deviation``: sqrt(var(e)), m.
+    ``lean``: |n.u| / n_z. ``sloped``: a slope was fitted.
     """
     share = 0.5 + min(run.unobserved, 0.5)
     per = 1.0 / run.points
@@ -219,25 +200,22 @@ def measure(
     run: Record,
     points: Vector,
     number: cython.Py_ssize_t,
-    origin: Vector,
-    sigma: Vector,
+    pose: Record,
     side: float,
 ) -> None:
     """Fit a plane to a run of points in a leaf and write it to ``run``, without the division
     statistic.
 
-    - A partial view that is so thin that its slope is known no better than to `UNOBSERVED_TILT`
-      determines the height only, and keeps the previous slope: range noise would turn the fit
-      towards the ray.
-    - Other points on a line, and fewer than `FIT_POINTS`, determine the slope along the line
-      (`line_normal`). Their variance is that of level ground or a steeper angle of incidence,
-      because a plane turned towards the ray would have exact points.
+    - A partial view that is too thin for a slope known to `UNOBSERVED_TILT` determines the height
+      only, and keeps the previous slope: range noise would turn the fit towards the ray.
+    - Other points on a line determine the slope along it (`line_normal`). Their variance is at
+      least that of level ground, because a plane turned towards the ray would have exact points.
     - Misfit beyond noise adds to the variance of height and slope, because it does not average out.
       With too few points for an estimate, the leaf's ``parent_misfit`` is used.
     - The unobserved part may differ in slope by `UNOBSERVED_TILT`.
 
-    ``points`` (3 ``number``) are about the lidar, ``origin`` (3) is that in the map, ``sigma`` (36)
-    the pose covariance, ``side`` that of the cell, m.
+    ``points`` (3 ``number``) are about the lidar, ``pose`` is that of the scan, ``side`` that of
+    the cell, m.
     """
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])
@@ -246,7 +224,7 @@ def measure(
     cython.declare(i=cython.int, line=cython.bint)
     plane.moments(points, number, run.centroid, run.scatter)
     prior = leaf.normal
-    x, y = leaf.x - origin[0], leaf.y - origin[1]
+    x, y = leaf.x - pose.origin[0], leaf.y - pose.origin[1]
     count: cython.double = number
     run.points = count
     xx = run.scatter[0]
@@ -280,7 +258,7 @@ def measure(
     ray_z = run.centroid[2] / distance
     run.has_slope = 1.0
     run.height_only = 0.0
-    noise = range_noise(rules, run.centroid, distance)
+    noise = range_noise(rules, run.centroid, distance, pose.boresight)
     least = max(half - root, 1e-12)
     square = noise * noise
     line = False
@@ -293,7 +271,7 @@ def measure(
         line = square * level > LINE_NOISE * least and least < LINE_WIDTH * side * side
         line = line and square * level < LINE_NOISE * (half + root)
     telling = run.scatter  # for the covariance; of a line, the part along it
-    if run.has_slope == 0.0 or (count < rules.min_points and not line):
+    if run.has_slope == 0.0 or (count < FIT_POINTS and not line):
         run.height_only = 1.0
         for i in range(3):
             run.normal[i] = prior[i]
@@ -318,13 +296,13 @@ def measure(
     up = run.normal[2]
     cosine = fabs(run.normal[0] * ray_x + run.normal[1] * ray_y + up * ray_z)
     cosine = max(cosine, MIN_COSINE)
-    if line or count < rules.min_points:
+    if line or count < FIT_POINTS:
         cosine = max(cosine, -ray_z)
     along = noise * noise  # Eq. 13
     run.cosine = cosine
     run.variance = variance = along * cosine * cosine
     if rules.independent:
-        variance += pose_variance(run.normal, run.centroid, sigma)
+        variance += pose_variance(run.normal, run.centroid, pose.sigma)
     rise = (run.normal[0] * off_x + run.normal[1] * off_y) / up
     run.z = run.centroid[2] + rise
     arm[0], arm[1], arm[2] = x, y, run.z
@@ -349,7 +327,7 @@ def measure(
         # In a strip as wide as the noise, errors of place and height are correlated along the ray
         # u: a range error e lifts the plane by e (n.u) / n_z, a height of -e cosine / up. The ray
         # is exact, so the place, off - e u, is where it meets the known plane.
-        gap = run.z - (leaf.z - origin[2])
+        gap = run.z - (leaf.z - pose.origin[2])
         most = 3.0 * sqrt(variance / count) / up
         gap = min(max(gap, -most), most) * up / cosine
         off_x += gap * ray_x
@@ -374,18 +352,18 @@ def measure(
         for i in range(9):
             run.pose_part[i] = 0.0
     else:
-        plane.pose_part(run.normal, basis, arm, sigma, run.pose_part)
+        plane.pose_part(run.normal, basis, arm, pose.sigma, run.pose_part)
     run.statistic = run.max_residual = run.raised_limit = run.offset_limit = 0.0
     run.common_share = 1.0
 
 
 @cython.boundscheck(False)
 def unobserved_parts(table: LeafTable, rows: Index, out: Array) -> None:
-    """Set what the unobserved parts of leaves (M,) add to their covariance (M, 9) of (dphi, dd).
+    """Set what the unobserved parts of leaves (M,) and the bias from noise along the rays add to
+    their covariance (M, 9) of (dphi, dd).
 
-    The slope there may differ by `UNOBSERVED_TILT` and by the parent's misfit: a tilt about the
-    mean of the observed finest cells, in proportion to the unobserved share of the width. The bias
-    from noise along the rays acts about the same point.
+    The slope may differ there by `UNOBSERVED_TILT` and by the parent's misfit: a tilt about the
+    mean of the observed finest cells, in proportion to the unobserved share of the width.
     """
     basis = cython.declare(cython.double[6])
     slope = cython.declare(cython.double[4])
@@ -407,7 +385,7 @@ def unobserved_parts(table: LeafTable, rows: Index, out: Array) -> None:
             seen = 0
             for k in range(first, first + number):
                 seen += 1 if observed[k] else 0
-            if seen == 0 or seen == number or leaf.state < 3:
+            if seen == 0 or seen == number or leaf.state != ESTIMATED:
                 plane.covariance_about(slope, lift, 0.0, 0.0, part)
                 for j in range(9):
                     out[i, j] = part[j]
@@ -436,7 +414,7 @@ def unobserved_parts(table: LeafTable, rows: Index, out: Array) -> None:
                 _unobserved_width(syy, correlation, across),
             )
             wide = min(max(wide / across, 0.0), 1.0)
-            side = table.side(leaf.level)
+            side = table.sides[leaf.level]
             tilt = (
                 wide
                 * wide

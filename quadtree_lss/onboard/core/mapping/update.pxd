@@ -14,8 +14,8 @@ cdef void set_states(unsigned char[::1] seen, long long[::1] key, Py_ssize_t beg
 cdef class ScanBuffers:
     cdef Py_ssize_t points, cells
     cdef Py_ssize_t[::1] begins, rows
-    cdef double[::1] residual, ratios, weights
-    cdef object ratio
+    cdef double[::1] residual
+    cdef double[:, ::1] ratio
     cdef Heights heights
     cdef Run[::1] runs
     cpdef reserve_points(self, Py_ssize_t points)
@@ -36,18 +36,13 @@ cdef class ScanUpdate:
     cdef Py_ssize_t[::1] begins
     cdef public bint is_new
     cdef readonly object ratio
-    cdef double[::1] ratios
-    cdef double[::1] weights
+    cdef double[:, ::1] ratios
     cdef readonly Py_ssize_t cells
     cdef Py_ssize_t noise_count
     cdef readonly Py_ssize_t divisions
     cdef readonly Py_ssize_t estimated
     cdef readonly Py_ssize_t compared
     cdef readonly Py_ssize_t refused
-    cdef Run* _run(self, Py_ssize_t at) noexcept nogil
-    cdef Leaf* _leaf(self, Py_ssize_t row) noexcept nogil
-    cdef double* _points_from(self, Py_ssize_t begin) noexcept nogil
-    cdef double* _residual_from(self, Py_ssize_t begin) noexcept nogil
     cdef void _assume_level(self, Leaf* leaf) noexcept nogil
     cdef void _measure(self, Leaf* leaf, Py_ssize_t begin, Py_ssize_t end, Run* run) noexcept nogil
     cdef bint _comparable(self, Leaf* leaf) noexcept nogil

@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
+# cython: boundscheck=False
 """Detection of isolated returns: noise, multipath, dust.
 
 Two neighbouring returns are linked if their distance is within the gate. A return is isolated if
-its group of linked returns has fewer than three members. So a single outlier and two adjacent ones
-are removed, and the last return of a row needs only one linked neighbour.
+its group of linked returns has fewer than three members.
 
 In an organised scan, neighbours are the four adjacent pixels and the distance is the difference in
 range. In an unorganised scan, all points are neighbours and the distance is Euclidean. The gate is
-at least five times the scan's typical distance (the median distance to the second nearest
-neighbour), because returns of slanted ground are far apart. Scans of fewer than three returns are
-not filtered.
+at least `GATE_FACTOR` times the scan's typical distance (the median distance to the second nearest
+neighbour). Scans of fewer than three returns are not filtered.
 """
 
 from __future__ import annotations
@@ -48,7 +47,6 @@ def isolated_in_image(ranges: Array, gate: float) -> Ints:
     return pixels[: find_isolated(ranges, gate, pixels)]
 
 
-@cython.boundscheck(False)
 @cython.locals(ranges=cython.double[:, ::1], pixels=cython.int[::1])
 def find_isolated(ranges: Array, limit: float, pixels: Ints) -> cython.Py_ssize_t:
     """Write flat indices of isolated returns of an image (H, W) to ``pixels``; return their number.
@@ -91,7 +89,6 @@ def is_isolated(
     return True
 
 
-@cython.boundscheck(False)
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
@@ -110,7 +107,6 @@ def links(
     return found
 
 
-@cython.boundscheck(False)
 @cython.cfunc
 @cython.nogil
 @cython.exceptval(check=False)
@@ -128,7 +124,6 @@ def step_to(
     return step
 
 
-@cython.boundscheck(False)
 @cython.locals(ranges=cython.double[:, ::1], pixels=cython.int[::1], steps=cython.double[::1])
 def second_steps(ranges: Array, pixels: Ints, steps: Array) -> cython.Py_ssize_t:
     """Write the second smallest step from each of ``pixels`` (M,) to its neighbours to ``steps``

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+# cython: boundscheck=False
 """Kernels over the points of a scan: rotation to map axes, cell lookup, sorting by cell."""
 
 from __future__ import annotations
@@ -22,32 +23,34 @@ SPREAD_VIEW = cython.declare(cython.longlong[::1], SPREAD)
 
 
 class Workspace:
-    """N points of a scan in map axes, in the order of the scan.
+    """N points of a scan in map axes, in the order of the scan. The next scan of equal size uses
+    the same memory, because allocation is as slow as the kernels.
 
     Attributes:
-        points_map: (N + 3, 3) about the lidar, m; undefined where there is no return.
+        points: (N + 3, 3) about the lidar, m; undefined where there is no return.
         ranges: (N,) m, NaN where there is no return.
         runs: (N,) runs of consecutive points in the same finest cell: its Morton code (``count``
             squared outside the domain) and the number of the run in the bits below `PLACE_BITS`.
         begins: (N + 1,) the first point of each run, and the end of the last.
         run_count: Number of runs.
-        still: (1, 12) motion of a lidar at rest: its rotation, and zeros.
         missing, beyond: Number of points that are not finite, and of those out of range.
         above: Whether a point in a cell lies above the lidar.
     """
 
-    def __init__(self, size: cython.Py_ssize_t) -> None:
-        self.points_map, self.ranges = np.empty((size + 3, 3)), np.empty(size)
-        self.points, self.range = self.points_map, self.ranges
-        self.flat = self.points_map.reshape(-1)
-        self.runs, self.spare = np.empty((2, size), np.int64)
-        self.begins = np.empty(size + 1, np.int32)
-        self.still = np.zeros((1, 12))
+    def __init__(self) -> None:
+        self.size = -1
         self.missing = self.beyond = self.run_count = 0
         self.above = False
 
+    def resize(self, size: cython.Py_ssize_t) -> None:
+        """Allocate memory for scans of ``size`` points."""
+        if size != self.size:
+            self.size = size
+            self.points, self.ranges = np.empty((size + 3, 3)), np.empty(size)
+            self.runs, self.spare = np.empty((2, size), np.int64)
+            self.begins = np.empty(size + 1, np.int32)
 
-@cython.boundscheck(False)
+
 def transform_points(
     points_lidar: Points,
     offsets: Ints,
@@ -84,7 +87,7 @@ def transform_points(
     nearest: cython.double = max(lidar.min_range, 5e-324)  # greater than 0
     r = cython.declare(cython.double[12])
     points = cython.declare(cython.double[:, ::1], work.points)
-    ranges = cython.declare(cython.double[::1], work.range)
+    ranges = cython.declare(cython.double[::1], work.ranges)
     runs = cython.declare(cython.longlong[::1], work.runs)
     begins = cython.declare(cython.int[::1], work.begins)
     spread = cython.declare(cython.longlong[::1], SPREAD_VIEW)
@@ -138,7 +141,6 @@ def transform_points(
     work.above = highest > 0.0
 
 
-@cython.boundscheck(False)
 def sort_points(
     work: Workspace, isolated: cython.bint, nowhere: cython.longlong
 ) -> tuple[Array, Keys]:
@@ -158,8 +160,8 @@ def sort_points(
     spare = cython.declare(cython.longlong[::1], work.spare[: work.run_count])
     if sort_packed(runs, spare):
         runs = spare
-    points = cython.declare(cython.double[::1], work.flat)
-    ranges = cython.declare(cython.double[::1], work.range)
+    points = cython.declare(cython.p_double, cython.address(work.points[0, 0]))
+    ranges = cython.declare(cython.double[::1], work.ranges)
     begins = cython.declare(cython.int[::1], work.begins)
     size: cython.Py_ssize_t = work.points.shape[0]
     sorted_points, sorted_keys = np.empty((size, 3)), np.empty(size, np.int64)

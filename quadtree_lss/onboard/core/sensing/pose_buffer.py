@@ -87,11 +87,7 @@ class PoseBuffer:
         return None
 
     def pose_at(self, stamp_ns: int) -> Pose | None:
-        """Return the pose at a stamp, interpolated if necessary, None if it is not covered.
-
-        Poses are never extrapolated. If poses arrive in the order of their stamps, the result does
-        not depend on the time of the call.
-        """
+        """Return the pose at a stamp, interpolated if necessary, None if it is not covered."""
         around = self._bracket(stamp_ns)
         if around is None:
             return None

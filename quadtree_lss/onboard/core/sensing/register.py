@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import threading
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from quadtree_lss.onboard.core.tree.domain import Domain
     from quadtree_lss.onboard.core.tree.held_returns import HeldReturns, IsolatedReturns
 
-#: Most points of a scan whose memory is kept for the next scan.
-KEPT_POINTS = 1 << 20
 #: Greatest height of a lidar, m: ranges are at most 1e6 m, and map heights less than `MAX_HEIGHT`.
 HIGHEST = MAX_HEIGHT - 2e6
 
@@ -36,10 +34,8 @@ class RegisteredScan(NamedTuple):
             motion of the lidar during the scan is far shorter.
         key: (N,) Morton code of the finest cell of each point, ascending; points of a cell keep the
             order of the scan.
-        centre: x and y of the mean valid return, map frame, m, if there are valid returns and all
-            are outside the domain, else None.
-        isolated: Isolated returns, compared with those held back; None if there are none, or if
-            none are held back.
+        centre: x and y of the mean valid return, map frame, m, if all are outside the domain.
+        isolated: Isolated returns, compared with those held back; None if there are none.
         admitted: Number of points that are held-back returns of earlier scans.
     """
 
@@ -58,40 +54,31 @@ def register(
     domain: Domain,
     sweep: Sweep | None = None,
     held: HeldReturns | None = None,
+    work: Workspace | None = None,
 ) -> tuple[RegisteredScan, dict[str, int]]:
     """Drop invalid returns, apply Eq. 15 and sort the points by cell.
 
-    Args:
-        points_lidar: (H, W, 3) organised or (N, 3), float32 or float64, lidar axes, m; not
-            finite = no return.
-        pose: Lidar pose at the scan's stamp.
-        lidar: Range limits and outlier gate.
-        domain: Extent of the map.
-        sweep: Motion of the lidar during the scan, None if it was at rest.
-        held: Isolated returns of earlier scans. Those that this scan confirms are added to it;
-            without it, all isolated returns are dropped.
+    Arguments as of `Mapper.update`; ``held``: isolated returns of earlier scans, of which those
+    that this scan confirms are added to it (without it, all isolated returns are dropped);
+    ``work``: reused memory. Return also the number of dropped points by reason: ``no_return``,
+    ``range``, ``isolated``, ``outside`` (of the domain) and ``above``: if more than half of the
+    rest lies above the lidar, the pose has other axes, and the rest is dropped.
 
-    Returns:
-        The scan and the number of dropped points by reason: ``no_return``, ``range``, ``isolated``,
-        ``outside`` (of the domain) and ``above``: if more than half of the rest lies above the
-        lidar, the pose has other axes, and the rest is dropped.
-
-    Raises:
-        ValueError: the sweep has another number of points.
+    Raises `ValueError`: the sweep has another number of points.
     """
     flat = points_lidar.reshape(-1, 3)
     if flat.dtype not in (np.float32, np.float64):
         flat = flat.astype(np.float64)
     if sweep is not None and len(sweep.offsets) != len(flat):
         raise ValueError(f"sweep of {len(sweep.offsets)} points for a scan of {len(flat)}")
-    work = _workspace(len(flat))
+    work = work or Workspace()
+    work.resize(len(flat))
     if sweep is None:
-        work.still[0, :9] = pose.rotation_map_lidar.ravel()
-        motion = NO_OFFSETS, STAMP_ONLY, work.still
-    else:
-        motion = sweep.offsets, sweep.times, sweep.motion
+        sweep = Sweep(NO_OFFSETS, STAMP_ONLY, np.zeros((1, 12)))
+        sweep.motion[0, :9] = pose.rotation_map_lidar.ravel()
+    motion = sweep.offsets, sweep.times, sweep.motion
     transform_points(flat, *motion, lidar, domain, pose.position, work)
-    points_map, ranges = work.points_map[: len(flat)], work.ranges
+    points_map, ranges = np.asarray(work.points)[: len(flat)], np.asarray(work.ranges)
     if points_lidar.ndim == 3:
         isolated = isolated_in_image(ranges.reshape(points_lidar.shape[:2]), lidar.outlier_gate)
     else:
@@ -118,16 +105,8 @@ def register(
         positions = held.places(compared.admitted, domain)
         points, key = _insert_admitted(points, key, positions - pose.position, compared.admitted, n)
         admitted = len(positions)
-    scan = RegisteredScan(
-        pose=Pose(
-            pose.stamp_ns, pose.position, pose.rotation_map_lidar, clip_covariance(pose.covariance)
-        ),
-        points=points,
-        key=key,
-        centre=centre,
-        isolated=compared,
-        admitted=admitted,
-    )
+    bounded = replace(pose, covariance=clip_covariance(pose.covariance))
+    scan = RegisteredScan(bounded, points, key, centre, compared, admitted)
     dropped = {
         "no_return": work.missing,
         "range": work.beyond,
@@ -147,16 +126,3 @@ def _insert_admitted(
     order = np.argsort(own)
     index = np.searchsorted(key, own[order], side="right")
     return np.insert(points, index, admitted[order], axis=0), np.insert(key, index, own[order])
-
-
-def _workspace(size: int) -> Workspace:
-    """Return a workspace, reused for scans of equal size: allocation is as slow as the kernels."""
-    if size > KEPT_POINTS:
-        return Workspace(size)
-    if getattr(_cache, "size", None) != size:
-        _cache.size, _cache.work = size, Workspace(size)
-    work: Workspace = _cache.work
-    return work
-
-
-_cache = threading.local()

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A queue in which scans wait for the pose at their stamp.
 
-The caller passes arrival times and the current time, from a steady clock in a node and from the
-bag's receive times in a replay, so that both behave alike. Stamps and arrival times are never
-compared with each other, because a bag has old stamps.
+The caller passes arrival times and the current time: a steady clock's, or a bag's receive times.
+They are never compared with stamps, because a bag has old stamps.
 """
 
 from __future__ import annotations
@@ -103,11 +102,8 @@ class ScanQueue:
         return ready
 
     def expire(self, now_ns: int) -> list[Drop]:
-        """Drop scans that have waited too long; return all drops since the last call.
-
-        Call it after `pop_ready`, and `pop_ready` again if a scan was dropped: later ones may be
-        ready.
-        """
+        """Drop scans that have waited too long; return all drops since the last call. Call it after
+        `pop_ready`, and `pop_ready` again if a scan was dropped: later ones may be ready."""
         while self._waiting and now_ns - self._waiting[0].arrival_ns >= self.max_wait_ns:
             first = self._waiting[0]
             uncovered = self._uncovered_stamp(first)

@@ -27,7 +27,8 @@ class FixedTransforms:
         """
         parent, child = _name(parent), _name(child)
         known = self._parent.get(child)
-        if known is not None and known[0] == parent and _same(known[1], child_in_parent):
+        matrix = child_in_parent.matrix
+        if known is not None and known[0] == parent and np.array_equal(known[1].matrix, matrix):
             return False
         if known is None and len(self._parent) >= MAX_FRAMES:
             return False
@@ -36,10 +37,8 @@ class FixedTransforms:
 
     def relative_pose(self, body: str, lidar: str) -> Pose | None:
         """Return the pose of the lidar frame in the body frame, None if they are not connected."""
-        to_body, to_lidar = (
-            self._poses_in_ancestors(_name(body)),
-            self._poses_in_ancestors(_name(lidar)),
-        )
+        to_body = self._poses_in_ancestors(_name(body))
+        to_lidar = self._poses_in_ancestors(_name(lidar))
         common = next((frame for frame in to_lidar if frame in to_body), None)
         if common is None:
             return None
@@ -70,9 +69,3 @@ class FixedTransforms:
 
 def _name(frame: str) -> str:
     return str(frame).lstrip("/")
-
-
-def _same(first: Pose, second: Pose) -> bool:
-    return np.array_equal(first.position, second.position) and np.array_equal(
-        first.rotation_map_lidar, second.rotation_map_lidar
-    )

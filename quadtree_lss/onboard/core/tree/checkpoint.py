@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import io
-import math
-from dataclasses import astuple, replace
+from dataclasses import replace
 from typing import Any, BinaryIO, TypeAlias
 
 import numpy as np
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 
 from quadtree_lss.onboard.core.tree.columns import sound_planes
 from quadtree_lss.onboard.core.tree.domain import Domain
-from quadtree_lss.onboard.core.tree.held_returns import SHOWN
 from quadtree_lss.onboard.core.tree.leaves import ESTIMATED, LEAF, leaf_raster
 from quadtree_lss.onboard.errors import QuadtreeLssError
 
@@ -55,17 +53,12 @@ def _require(condition: bool | np.bool_, otherwise: str) -> None:
         raise CheckpointError(otherwise)
 
 
-def identified(state: State, domain: Domain) -> State:
-    """Add the format version and the domain to a state."""
-    return {"format": np.array(FORMAT), "domain": np.array(astuple(domain), float), **state}
-
-
 def check(
     state: State, like: State, domain: Domain, max_cells: int, *, follows: bool = False
 ) -> Domain:
     """Check that a mapper of this domain can continue from a state; return the state's domain.
 
-    ``like``: an `identified` state of such a mapper. ``follows``: the domain may be moved by whole
+    ``like``: a state of such a mapper. ``follows``: the domain may be moved by whole
     coarsest cells. Raises `CheckpointError`: another format or domain, too many leaves, missing or
     inconsistent arrays, implausible planes.
     """
@@ -89,11 +82,6 @@ def check(
     count = len(state["leaves"])
     _require(count <= max_cells, f"has {count} leaves, mapping.max_cells is {max_cells}")
     _check_leaves(state["leaves"], domain)
-    held, scans = state["held_scan"], int(state["held_scans"])
-    sound = bool(((held >= 0) & (held <= scans)).all()) and scans < 2**31
-    sound &= bool(np.isfinite(state["held_height"]).all() and (state["held_shown"] <= SHOWN).all())
-    sound &= math.isfinite(float(state["held_lifted"]))
-    _require(sound, "has impossible held-back returns")
     return there
 
 

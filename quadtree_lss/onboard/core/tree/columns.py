@@ -62,7 +62,7 @@ def leaf_columns(table: LeafTable, rows: Index, range_part: Array) -> dict[str, 
             # Without the noise floor, which a large cell's area would turn into roughness.
             mean = max(leaf.distance_sum - leaf.noise_sum, 0.0) / counted
             excepted = max(leaf.exception_sum - leaf.exception_noise, 0.0) / counted
-            side = table.side(leaf.level)
+            side = table.sides[leaf.level]
             column[0, i] = leaf.z + unknown
             column[1, i] = side * side * mean + unmeasured
             column[2, i] = excepted + unmeasured

@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Isolated returns that wait until other scans show the same place.
 
-Noise does not recur, objects do. Bushes and branches that few pixels hit give isolated returns
-(`sensing.isolated`) in every scan, at the same places; strays are at a random range. Two isolated
-returns of different scans show the same place if they differ by no more than the gate in height and
-lie in the same finest cell or in neighbouring ones. When `SHOWN` scans have shown a place, the
-return of the last one enters the map with the scan, and so do the held-back returns that it
-confirms. Later isolated returns there enter at once.
-
-Returns of the same scan never confirm each other. Multipath that recurs in every scan (a hovering
-lidar) is confirmed.
+Objects that few pixels hit give isolated returns (`sensing.isolated`) at the same places in every
+scan, noise at random ones. Two isolated returns of different scans show the same place if they
+differ by no more than the gate in height and lie in the same finest cell or in neighbouring ones.
+When `SHOWN` scans have shown a place, the return of the last one enters the map, and so do the
+held-back returns that it confirms. Later isolated returns there enter at once.
 """
 
 from __future__ import annotations

@@ -68,7 +68,6 @@ cdef class LeafTable:
     cdef void prefetch_header(self, Py_ssize_t row) noexcept nogil
     cdef void prefetch_leaf(self, Py_ssize_t row) noexcept nogil
     cdef Leaf* at(self, Py_ssize_t row) noexcept nogil
-    cdef double side(self, int level) noexcept nogil
     cdef void _place(self, Py_ssize_t row, int level, int ix, int iy) noexcept nogil
     cdef bint unmark_moved(self, Leaf* leaf, double rise, double slope_x, double slope_y, double limit) noexcept nogil
     cdef void reset_leaf(self, Leaf* leaf) noexcept nogil

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Bytes, Index, Ints, Mask, Numbers
 from quadtree_lss.onboard.core.geometry.morton import SPREAD
-from quadtree_lss.onboard.core.tree.domain import Domain
+from quadtree_lss.onboard.core.tree.domain import Domain, carried
 
 #: Greatest slope variance of an inherited plane, rad^2; with a larger one, strips that keep the
 #: slope would have arbitrary planes.
@@ -113,9 +113,7 @@ class LeafTable:
         self.set_domain(domain)
         self.max_cells = max_cells
         self.max_level = domain.max_level
-        self.sides = [0.0] * 32
-        for level in range(domain.max_level + 1):
-            self.sides[level] = domain.size / (1 << level)
+        self.sides = [domain.size / (1 << level) for level in range(32)]
         finest = 4**domain.max_level
         self.over = self.leaf_of = np.zeros(finest, dtype=np.int32)
         self.seen = self.observed = np.zeros(finest, dtype=np.uint8)
@@ -162,10 +160,13 @@ class LeafTable:
         self.set_domain(self.domain.moved(east, north))
         self.set_leaves(np.concatenate([leaves[inside], blank_leaves(least, ix[new], iy[new])]))
         finest = 1 << (self.max_level - least)
-        n, east, north = side * finest, east * finest, north * finest
-        self.observed[:] = moved_cells(observed, n, east, north)
-        self.piled[:] = moved_cells(self.piled, n, east, north)
-        self.hit_parts[:] = moved_cells(self.hit_parts, n, east, north)
+        code = to_grid(np.arange(len(observed)))
+        source = carried(code, east * finest, north * finest, -1)
+        self.observed[:] = observed
+        for array in (self.observed, self.piled, self.hit_parts):
+            moved = array[source]
+            moved[source < 0] = 0
+            array[code] = moved
 
     def reserve(self, more: cython.Py_ssize_t) -> None:
         """Grow the table for ``more`` further leaves, as far as ``max_cells`` allows."""
@@ -191,16 +192,12 @@ class LeafTable:
         for i in range(0, 448, 64):
             prefetch(byte + i)
 
-    def side(self, level: cython.int) -> cython.double:
-        """Return the side of a cell of a level, m."""
-        return self.sides[level]
-
     def _place(
         self, row: cython.Py_ssize_t, level: cython.int, ix: cython.int, iy: cython.int
     ) -> None:
         cython.declare(code=cython.Py_ssize_t, first=cython.Py_ssize_t)
         leaf = self.at(row)
-        side = self.side(level)
+        side = self.sides[level]
         leaf.level = level
         leaf.ix = ix
         leaf.iy = iy
@@ -228,11 +225,11 @@ class LeafTable:
         """Divide a leaf above the maximum level, for which rows are reserved; return False, and do
         nothing, beyond ``max_cells``.
 
-        The children inherit the plane and its bias. The plane is moved to the child's centre and
-        less certain: by ``square``, m^2, in height and ``tilt``, rad^2, in either slope, up to
-        `NO_SLOPE`; where a return is unexplained, also by the square of the greatest distance.
-        ``uneven``: the children's ``parent_misfit``, m^2. ``spread``: greatest distance of
-        explained returns, m. The first child has the parent's row, the others follow the last leaf.
+        The children inherit the plane and its bias, with a variance greater by ``square``, m^2, in
+        height and ``tilt``, rad^2, in either slope, up to `NO_SLOPE`; where a return is
+        unexplained, also by the square of the greatest distance. ``uneven``: the children's
+        ``parent_misfit``, m^2. ``spread``: greatest distance of explained returns, m. The first
+        child has the parent's row, the others follow the last leaf.
         """
         basis = cython.declare(cython.double[6])
         cython.declare(child=cython.Py_ssize_t, at=cython.Py_ssize_t)
@@ -243,7 +240,7 @@ class LeafTable:
         if self.count + 3 > self.max_cells:
             return False
         basis_at(parent.normal, basis)
-        quarter = 0.25 * self.side(level)
+        quarter = 0.25 * self.sides[level]
         # The first child overwrites its parent, so it is made last.
         for child in range(3, -1, -1):
             at = row if child == 0 else self.count + child - 1
@@ -336,17 +333,6 @@ def to_grid(values: NDArray[Any]) -> NDArray[Any]:
     """Return values (n^2,) of finest cells in Morton order as (n, n) [iy, ix]."""
     places = SPREAD[: math.isqrt(len(values))]
     return np.take(values, places | places[:, None] << 1)
-
-
-def moved_cells(values: NDArray[Any], n: int, east: int, north: int) -> NDArray[Any]:
-    """Return values (n^2, ...) of finest cells in Morton order for a square that is ``east``,
-    ``north`` cells further; 0 where it is new."""
-    out = np.zeros_like(values)
-    x = np.arange(max(0, -east), min(n, n - east))
-    y = np.arange(max(0, -north), min(n, n - north))[:, None]
-    at = SPREAD[x + east] | SPREAD[y + north] << 1
-    out[SPREAD[x] | SPREAD[y] << 1] = values[at]
-    return out
 
 
 def leaf_raster(level: Bytes, ix: Numbers, iy: Numbers, out: Ints) -> None:
