@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from quadtree_lss.api import load_config, replay
-from quadtree_lss.desk.report import drawing
+from quadtree_lss.desk.report import figures as drawing
 from quadtree_lss.desk.report.palette import colour_limits
 from quadtree_lss.lab.evaluation.results import load_results, load_truth
 from quadtree_lss.lab.simulation.simulate import simulate

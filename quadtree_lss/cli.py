@@ -15,7 +15,7 @@ from contextlib import suppress
 
 import quadtree_lss
 from quadtree_lss import build
-from quadtree_lss.desk.commands import config, info, replay, results
+from quadtree_lss.desk.commands import config, replay, results
 from quadtree_lss.desk.commands.common import (
     DONE,
     ERROR,
@@ -24,7 +24,7 @@ from quadtree_lss.desk.commands.common import (
     USAGE,
     Parser,
     UsageError,
-    print_json,
+    json_text,
 )
 from quadtree_lss.desk.commands.console import first_line, quiet, say
 from quadtree_lss.lab.commands import evaluate, fly
@@ -32,7 +32,7 @@ from quadtree_lss.onboard.errors import OutsideInput, QuadtreeLssError
 
 # Modules that only bags need: they are not part of ROS, and not every Ubuntu has them.
 BAG_MODULES = ("rosbags", "backports", "lz4", "apsw", "ruamel")
-DESK = (replay, results, info, config)
+DESK = (replay, results, config)
 LAB = (fly, evaluate)
 FIX = "pip install --user --break-system-packages 'rosbags>=0.11.9'"
 
@@ -70,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         say(text)
         try:
             if "--json" in arguments:
-                print_json({"error": text.partition(": ")[2], "exit_code": code})
+                print(json_text({"error": text.partition(": ")[2], "exit_code": code}))
             sys.stdout.flush()
         except OSError:  # possibly the same error
             _discard_output()

@@ -15,15 +15,9 @@ from typing import Any
 import numpy as np
 from matplotlib.patches import Patch
 
-from quadtree_lss.desk.report import drawing
-from quadtree_lss.desk.report.drawing import mark_sites as sites
-from quadtree_lss.desk.report.palette import (
-    CLEAR_COLOUR,
-    HAZARDS,
-    KINDS,
-    MAPS,
-    hazard_classes,
-)
+from quadtree_lss.desk.report import figures
+from quadtree_lss.desk.report.figures import mark_sites as sites
+from quadtree_lss.desk.report.palette import CLEAR_COLOUR, HAZARDS, KINDS, MAPS, hazard_classes
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, Profile
 
 __all__ = ["elevation", "layer", "profile", "sites"]
@@ -35,10 +29,10 @@ def elevation(axes: Any, cells: CellMap, *, edges: bool = False) -> Any:
     domain = cells.domain
     middles = (np.arange(domain.finest_count) + 0.5) * domain.finest_size
     x, y = domain.xmin + middles, domain.ymin + middles
-    drawing.map_axes(axes, "elevation, m", drawing.extent(x, y))
+    figures.map_axes(axes, "elevation, m", figures.extent(x, y))
     if edges:
-        drawing.outline(axes, cells, linewidths=0.2)
-    return drawing.layer(axes, x, y, cells.at(x, y[:, None]).height)
+        figures.outline(axes, cells, linewidths=0.2)
+    return figures.layer(axes, x, y, cells.at(x, y[:, None]).height)
 
 
 def layer(axes: Any, grid: Any, name: str) -> Any:
@@ -50,18 +44,18 @@ def layer(axes: Any, grid: Any, name: str) -> Any:
     layers = grid.layers if hasattr(grid, "layers") else vars(grid)
     values, heights = layers[name], layers["elevation"]
     title = name + (f", {UNITS[name]}" if name in UNITS else "")
-    drawing.map_axes(axes, title, drawing.extent(grid.x, grid.y))
+    figures.map_axes(axes, title, figures.extent(grid.x, grid.y))
     if name == "hazard":
         kinds = hazard_classes(values, HAZARDS)
         classes = [("none", CLEAR_COLOUR), *((text, colour) for _, text, colour in HAZARDS)]
         colours = [colour for _, colour in classes]
-        drawing.classes(axes, grid.x, grid.y, kinds, colours, heights)
+        figures.classes(axes, grid.x, grid.y, kinds, colours, heights)
         shown = [classes[k] for k in np.unique(kinds)]
         handles = [Patch(facecolor=colour, label=text) for text, colour in shown]
         return axes.legend(handles=handles, fontsize="x-small")
     kind = KINDS.get(name, name)
     kind = kind if kind in MAPS else "probability"
-    return drawing.layer(axes, grid.x, grid.y, np.asarray(values, float), kind, heights=heights)
+    return figures.layer(axes, grid.x, grid.y, np.asarray(values, float), kind, heights=heights)
 
 
 def profile(axes: Any, along: Profile, *, sigmas: float = 3.0, **line: Any) -> Any:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadtree_lss.desk.commands.config import check_files
+from quadtree_lss.desk.commands.config import file_errors
 from quadtree_lss.desk.replay.configuration import dump_config, find_config, load_config
 from quadtree_lss.onboard.config.settings import ConfigError, config_from_values, parameters
 
@@ -84,7 +84,7 @@ def test_sections_of_each_node_apply(write, node):
 def test_a_file_reaches_a_node_as_ros_has_it(write, name, reaches):
     """As the wheels' rclpy gave overrides to a node of this name."""
     path = write(section("domain.size: 10.0", node=name))
-    errors = check_files([path], "/uav1/lss_node")[str(path)]
+    errors = file_errors(path, "/uav1/lss_node")
     assert any("no section is for '/uav1/lss_node'" in line for line in errors) != reaches
     assert reaches or f"it has '/{name.lstrip('/')}'" in errors[0]
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from replay.recordings import GROUND, write_ros2
 
-from quadtree_lss.desk.replay.history import Thinned
+from quadtree_lss.desk.replay.assessments import Thinned
 from quadtree_lss.desk.replay.replay import replay
 from quadtree_lss.onboard.config.settings import config_from_values
 from quadtree_lss.onboard.core.landing.hazards import UNSEEN

@@ -8,7 +8,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from ros_scene import cloud, events, pose
 from sensor_msgs.msg import PointCloud2
 
-from quadtree_lss.desk.player import listen
+from quadtree_lss.desk.player import player
 from quadtree_lss.lab.live.processes import program
 from quadtree_lss.onboard.nodes.qos import latched, stream
 
@@ -55,7 +55,7 @@ def test_doctor_reports_silence(ros):
 @pytest.mark.slow
 def test_doctor_receives_transforms_of_all_broadcasters(ros, monkeypatch):
     """Use messages of a different type, because no wheel has tf2_msgs."""
-    monkeypatch.setattr(listen.types, "TRANSFORMS_TYPE", listen.types.GIMBAL_TYPE)
+    monkeypatch.setattr(player.types, "TRANSFORMS_TYPE", player.types.GIMBAL_TYPE)
     for name, value in ros.env.items():
         monkeypatch.setenv(name, value)
     frames = {f"mount{n}" for n in range(4)}
@@ -63,5 +63,5 @@ def test_doctor_receives_transforms_of_all_broadcasters(ros, monkeypatch):
         for frame in frames:
             static = listener.node.create_publisher(TransformStamped, "tf_static", latched())
             static.publish(TransformStamped(child_frame_id=frame))
-        bag = listen.listen(4.0)
+        bag = player.listen(4.0)
     assert {decode().child_frame_id for _, _, decode in bag.messages(["/tf_static"])} == frames

@@ -49,17 +49,15 @@ class Parser(argparse.ArgumentParser):
         if match:
             word, choices = match[1], re.findall(r"[\w-]+", match[2])
             near = self.suggestions.get(word) or nearest(word, choices)
-            message = f"there is no {word!r}; " + (
-                f"try {near}" if near else f"choose from {match[2]}"
-            )
+            advice = f"try {near}" if near else f"choose from {match[2]}"
+            message = f"there is no {word!r}; {advice}"
         raise UsageError(f"{message} ({self.prog} --help)")
 
     def unknown(self, words: Sequence[str]) -> NoReturn:
         """Report unknown arguments with the most similar options."""
-        found = {
-            word: nearest(word.partition("=")[0], self._option_string_actions) for word in words
-        }
-        near = ", ".join(word for word in found.values() if word)
+        options = self._option_string_actions
+        found = (nearest(word.partition("=")[0], options) for word in words)
+        near = ", ".join(filter(None, found))
         hint = f"; the nearest is {near}" if near else ""
         self.error(f"unrecognized arguments: {' '.join(words)}{hint}")
 
@@ -166,28 +164,13 @@ def overrides(options: argparse.Namespace) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for item in options.set:
         key, equals, value = item.partition("=")
-        if not equals:
+        if not (equals and key.strip()):
             options.parser.error(f"--set {item}: expected KEY=VALUE")
-        if not key.strip():
-            options.parser.error(f"--set {item}: no key before the =")
         try:
             found[key.strip()] = parse_yaml(value)
         except YamlError as error:
             options.parser.error(f"--set {item}: not a value: {error}")
     return found
-
-
-def vehicle(text: str) -> dict[str, float]:
-    """Type of an option: ``0.6,0.08``, diameter and clearance, as parameters of the vehicle."""
-    try:
-        diameter, clearance = (float(part) for part in text.split(","))
-    except ValueError:
-        msg = f"'{text}' is not a diameter and a clearance D,C in m"
-        raise argparse.ArgumentTypeError(msg) from None
-    default = VehicleConfig()
-    pad = float(f"{default.pad_radius * diameter / default.diameter:.3g}")
-    values = {"vehicle.diameter": diameter, "vehicle.clearance": clearance}
-    return {**values, "vehicle.pad_radius": pad}
 
 
 def chosen_config(options: argparse.Namespace) -> Config:
@@ -222,40 +205,40 @@ def landing_of(options: argparse.Namespace) -> dict[str, Any]:
 
 def polygon(text: str) -> list[list[float]] | None:
     """Type of an option: ``'0,0 9,0 9,9'``, or ``none``."""
-    corners = _numbers(text)
-    if corners is not None and len(corners) < 3:
-        raise argparse.ArgumentTypeError(
-            f"'{text}' has {len(corners)} corners; at least 3 are needed"
-        )
-    return corners
+    wanted = "a polygon of three or more corners X,Y in m, separated by spaces"
+    return None if text.strip() == "none" else _pairs(text, wanted, 3, math.inf)
 
 
 def position(text: str) -> list[float] | None:
     """Type of an option: ``3,-4``, or ``none``."""
-    corners = _numbers(text)
-    if corners is not None and len(corners) != 1:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a position X,Y")
-    return None if corners is None else corners[0]
+    return None if text.strip() == "none" else _pairs(text, "a position X,Y in m")[0]
 
 
 def origin(text: str) -> list[float]:
     """Type of an option: ``46.2,8.6``, latitude and longitude, deg."""
-    with contextlib.suppress(ValueError):
-        north, east = (float(part) for part in text.split(","))
-        if abs(north) <= 90.0 and abs(east) <= 360.0:
-            return [north, east]
-    raise argparse.ArgumentTypeError(f"'{text}' is not LAT,LON in deg, latitude first")
+    wanted = "LAT,LON in deg, latitude first"
+    ((north, east),) = _pairs(text, wanted)
+    if abs(north) > 90.0 or abs(east) > 360.0:
+        raise argparse.ArgumentTypeError(f"'{text}' is not {wanted}")
+    return [north, east]
 
 
-def _numbers(text: str) -> list[list[float]] | None:
-    if text.strip() == "none":
-        return None
+def vehicle(text: str) -> dict[str, float]:
+    """Type of an option: ``0.6,0.08``, diameter and clearance, as parameters of the vehicle."""
+    ((diameter, clearance),) = _pairs(text, "a diameter and a clearance D,C in m")
+    default = VehicleConfig()
+    pad = float(f"{default.pad_radius * diameter / default.diameter:.3g}")
+    return {"vehicle.diameter": diameter, "vehicle.clearance": clearance, "vehicle.pad_radius": pad}
+
+
+def _pairs(text: str, wanted: str, least: int = 1, most: float = 1) -> list[list[float]]:
+    """Convert ``least`` to ``most`` pairs of finite numbers; ``wanted`` describes them."""
     with contextlib.suppress(ValueError):
-        corners = [[float(v) for v in pair.split(",")] for pair in text.split()]
-        if corners and all(len(pair) == 2 and all(map(math.isfinite, pair)) for pair in corners):
-            return corners
-    msg = f"'{text}' is not a list of pairs X,Y in m, separated by spaces"
-    raise argparse.ArgumentTypeError(msg)
+        pairs = [[float(v) for v in pair.split(",")] for pair in text.split()]
+        finite = all(len(pair) == 2 and all(map(math.isfinite, pair)) for pair in pairs)
+        if finite and least <= len(pairs) <= most:
+            return pairs
+    raise argparse.ArgumentTypeError(f"'{text}' is not {wanted}")
 
 
 def show_result(options: argparse.Namespace, result: Any, *lines: str) -> None:
@@ -265,11 +248,8 @@ def show_result(options: argparse.Namespace, result: Any, *lines: str) -> None:
 
 
 def show(options: argparse.Namespace, content: Mapping[str, Any], text: str) -> None:
-    if options.json:
-        print_json(content)
-    else:
-        print(text)
+    print(json_text(content) if options.json else text)
 
 
-def print_json(content: Mapping[str, Any]) -> None:
-    print(json.dumps(content, indent=2, allow_nan=False))
+def json_text(content: Mapping[str, Any]) -> str:
+    return json.dumps(content, indent=2, allow_nan=False)

@@ -5,20 +5,13 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import math
 import os
-from collections.abc import Iterable
 from types import SimpleNamespace
 
 from quadtree_lss.desk.commands import common
-from quadtree_lss.desk.commands.console import ProgressBar, warn
-from quadtree_lss.desk.replay.configuration import (
-    dump_config,
-    find_config,
-    load_config,
-    scalar_text,
-    shipped_configs,
-)
+from quadtree_lss.desk.commands.console import progress_bar, warn
+from quadtree_lss.desk.replay import configuration
+from quadtree_lss.desk.replay.files import plain
 from quadtree_lss.onboard.config import settings
 from quadtree_lss.onboard.config.loading import check_reaches, read_values
 from quadtree_lss.onboard.config.risk import model_warning
@@ -51,7 +44,7 @@ SUGGEST = "Suggest domain, noise and cell sizes for a bag, as a parameter file."
 
 def add(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = common.add_command(commands, "config", _print, TEXT, EXAMPLES)
-    shipped = {name: f"config --config {name}" for name in shipped_configs()}
+    shipped = {name: f"config --config {name}" for name in configuration.shipped_configs()}
     parser.suggestions = {**shipped, "print": "config without an action"}
     common.add_config_options(parser)
     actions = parser.add_subparsers(metavar="ACTION", help="check, explain or suggest")
@@ -77,24 +70,24 @@ def _explain(options: argparse.Namespace) -> int:
     texts = [explain_text(row) for row in rows]
     if any(row.name.startswith("vehicle.") for row in rows):
         texts.append(lengths_text(common.chosen_config(options).vehicle))
-    content = {row.name: parameter_as_dict(row) for row in rows}
+    content = {row.name: plain({**vars(row), "type": row.type.__name__}) for row in rows}
     common.show(options, content, "\n\n".join(texts))
     return common.DONE
 
 
 def _print(options: argparse.Namespace) -> int:
     config = common.chosen_config(options)
-    text = dump_config(config, comments=True)
+    text = configuration.dump_config(config, comments=True)
     common.show(options, settings.values_from_config(config), text.removesuffix("\n"))
     return common.DONE
 
 
 def _check(options: argparse.Namespace) -> int:
-    found = check_files(options.names, options.node)
+    found = {name: file_errors(name, options.node) for name in options.names}
     lines = (f"{name}: {line}" for name, errors in found.items() for line in errors or ["good"])
     common.show(options, found, "\n".join(lines))
     for name in (name for name, errors in found.items() if not errors and not options.json):
-        config = load_config([name])
+        config = configuration.load_config([name])
         if warning := model_warning(config):
             warn(f"{name}: {warning}")
     return common.ERROR if any(found.values()) else common.DONE
@@ -105,11 +98,10 @@ def _suggest(options: argparse.Namespace) -> int:
     from quadtree_lss.desk.replay.suggest import suggest_config
 
     config, arguments = common.chosen_config(options), common.keywords(options, *common.TOPICS)
-    with ProgressBar("suggest", "s", options.verbose) as bar:
-        info = inspect_bag(options.bag, config, **arguments, diagnose=True, progress=bar.update)
-        found = info.suggestion or suggest_config(
-            options.bag, config, **arguments
-        )  # raises the reason
+    with progress_bar("suggest", "s", options.verbose) as update:
+        info = inspect_bag(options.bag, config, **arguments, diagnose=True, progress=update)
+        # Without a suggestion this raises the reason.
+        found = info.suggestion or suggest_config(options.bag, config, **arguments)
     # The suggested domain fixes "outside".
     faults = [finding for finding in info.findings if finding.fix and finding.key != "outside"]
     notes = [f"Fault: {finding.line}" for finding in faults]
@@ -120,16 +112,12 @@ def _suggest(options: argparse.Namespace) -> int:
     return common.DONE
 
 
-def check_files(paths: Iterable[str | os.PathLike[str]], node: str = "") -> dict[str, list[str]]:
-    """Return all errors of each file, checked separately. ``node``: full name of a node for which
-    each file must have parameters."""
-    return {str(path): _errors_of(path, node) for path in paths}
-
-
-def _errors_of(path: str | os.PathLike[str], node: str) -> list[str]:
+def file_errors(path: str | os.PathLike[str], node: str = "") -> list[str]:
+    """Return all errors of a file. ``node``: full name of a node for which it must have
+    parameters."""
     errors: list[str] = []
     try:
-        found = find_config(path)
+        found = configuration.find_config(path)
         if node:
             check_reaches(found, node)
         values = read_values(found, errors)
@@ -158,7 +146,7 @@ def explain(name: str) -> list[Parameter]:
 def explain_text(row: Parameter) -> str:
     unit = f" {row.unit}" if row.unit else ""
     lines = [f"{row.name} ({row.type.__name__})", f"  {row.doc}"]
-    lines.append(f"  default  {scalar_text(row.default)}{unit}")
+    lines.append(f"  default  {configuration.scalar_text(row.default)}{unit}")
     name = row.name.removeprefix("lss.")
     if name in Lengths.__dataclass_fields__:
         lines[-1] += f": {rule(name)}, {getattr(Lengths(), name):g}{unit} of the default vehicle"
@@ -179,21 +167,6 @@ def lengths_text(vehicle: VehicleConfig) -> str:
         text = f"{rule(item.name)}: {item.metadata['doc']}"
         lines.append(f"  {item.name:<20} {value:<12} = {text}")
     return "\n".join(lines)
-
-
-def parameter_as_dict(row: Parameter) -> dict[str, object]:
-    """Convert a parameter to JSON types; infinite limits become None."""
-    numeric = row.type in (int, float)
-    return {
-        "type": row.type.__name__,
-        "default": row.default,
-        "unit": row.unit,
-        "low": row.low if numeric and math.isfinite(row.low) else None,
-        "high": row.high if numeric and math.isfinite(row.high) else None,
-        "choices": list(row.choices),
-        "live": row.live,
-        "doc": row.doc,
-    }
 
 
 def rule(name: str) -> str:

@@ -16,6 +16,7 @@ from quadtree_lss.onboard.errors import one_line
 
 if TYPE_CHECKING:
     from quadtree_lss.desk.replay.results import ReplayResult
+    from quadtree_lss.desk.replay.stream import Progress
     from quadtree_lss.onboard.core.landing.result import Sites
 
 
@@ -54,32 +55,26 @@ def quiet(on: bool, json: bool = False) -> Iterator[None]:
         _Quiet.on = before
 
 
-class ProgressBar:
-    """A progress bar on stderr, if that is a terminal or ``verbose``. ``unit``: plural, or ``s``
-    for seconds of a bag. ``after``: activity to show when all units are done."""
+@contextlib.contextmanager
+def progress_bar(what: str, unit: str, verbose: bool, after: str = "") -> Iterator[Progress]:
+    """Context that shows a progress bar on stderr, if that is a terminal or ``verbose``; yields the
+    function that updates it. ``unit``: plural, or ``s`` for seconds of a bag. ``after``: activity
+    to show when all units are done."""
+    if _Quiet.on or not (verbose or sys.stderr.isatty()):
+        yield lambda done, total: None
+        return
+    from tqdm import tqdm  # takes long to import
 
-    def __init__(self, what: str, unit: str, verbose: bool, after: str = "") -> None:
-        self._bar: Any = None
-        self._after = after
-        if not _Quiet.on and (verbose or sys.stderr.isatty()):
-            from tqdm import tqdm  # takes long to import
+    options: dict[str, Any] = {"total": 1, "file": sys.stderr, "leave": False, "bar_format": BAR}
+    with tqdm(desc=what, unit=unit, **options) as bar:
 
-            options = {"total": 1, "file": sys.stderr, "leave": False, "bar_format": BAR}
-            self._bar = tqdm(desc=what, unit=unit, **options)
+        def update(done: float, total: float) -> None:
+            if after and done >= total:
+                bar.bar_format, bar.desc = "{desc} …", after
+            bar.total, bar.n = total, done
+            bar.refresh()
 
-    def __enter__(self) -> ProgressBar:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.close()
-
-    def update(self, done: float, total: float) -> None:
-        if self._bar is not None:
-            if self._after and done >= total:
-                self._bar.bar_format, self._bar.desc = "{desc} …", self._after
-            self._bar.total, self._bar.n = total, done
-            self._bar.refresh()
+        yield update
 
 
 @contextlib.contextmanager
@@ -97,14 +92,11 @@ def interruption(then: str) -> Iterator[Callable[[], bool]]:
         with contextlib.suppress(OSError):
             os.write(2, f"{end}{text}".encode(errors="replace"))
 
-    in_main = threading.current_thread() is threading.main_thread()
-    if in_main:
-        signal.signal(signal.SIGINT, on_interrupt)
+    signal.signal(signal.SIGINT, on_interrupt)
     try:
         yield asked.is_set
     finally:
-        if in_main:
-            signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, before)
 
 
 def result_text(result: ReplayResult) -> str:

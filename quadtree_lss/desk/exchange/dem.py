@@ -45,8 +45,7 @@ class ElevationModel:
         """Raise `ExchangeError` if the shapes do not match or x and y are not evenly spaced."""
         x, y, z = (np.asarray(of) for of in (self.x, self.y, self.elevation))
         if x.ndim != 1 or y.ndim != 1 or z.shape != (y.size, x.size):
-            msg = f"elevation {z.shape} does not match x {x.shape} and y {y.shape}"
-            raise ExchangeError(msg)
+            raise ExchangeError(f"elevation {z.shape} does not match x {x.shape} and y {y.shape}")
         step = (x[-1] - x[0]) / (x.size - 1) if x.size > 1 else 0.0
         even = all(np.allclose(np.diff(axis), step, rtol=1e-3, atol=1e-9) for axis in (x, y))
         if x.size > 1 and not (even and step > 0.0):
@@ -75,11 +74,9 @@ def read_dem(path: Path) -> ElevationModel:
     if not path.is_file():
         msg = f"{path}: {'a folder, not a file' if path.is_dir() else 'there is no such file'}"
         raise ExchangeError(msg)
-    read = _read_npz if path.suffix.lower() == ".npz" else _read_raster
-    if read is _read_raster and path.suffix.lower() not in DRIVERS:
-        msg = f"{path}: not an elevation model (.npz {' '.join(DRIVERS)})"
-        raise ExchangeError(msg)
-    model = read(path)
+    if path.suffix.lower() not in (".npz", *DRIVERS):
+        raise ExchangeError(f"{path}: not an elevation model (.npz {' '.join(DRIVERS)})")
+    model = _read_npz(path) if path.suffix.lower() == ".npz" else _read_raster(path)
     if min(len(model.x), len(model.y)) < 3 or not np.isfinite(model.elevation).any():
         msg = f"{path}: {len(model.x)} x {len(model.y)} posts with heights are too few"
         raise ExchangeError(msg)

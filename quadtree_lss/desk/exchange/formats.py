@@ -15,7 +15,7 @@ from quadtree_lss.onboard.errors import QuadtreeLssError
 
 MAX_BYTES = 2 << 30
 """Largest total size of the arrays of a file, because a small file may expand beyond memory."""
-EXPORTS_NEEDING_CRS = "GeoTIFF and coordinates of the Earth"
+EARTH_FILES = "GeoTIFF and coordinates of the Earth"
 
 
 class ExchangeError(QuadtreeLssError):
@@ -33,9 +33,11 @@ def library(name: str, what: str) -> Any:
         raise ExchangeError(msg) from None
 
 
-def read_arrays(path: Path, names: Collection[str] = ()) -> dict[str, NDArray[Any]]:
-    """Read all arrays, or those of ``names`` that exist. Raises `ExchangeError`: the file does not
-    exist, is damaged, or expands to more than `MAX_BYTES`."""
+def read_arrays(
+    path: Path, names: Collection[str] = (), kind: type[QuadtreeLssError] = ExchangeError
+) -> dict[str, NDArray[Any]]:
+    """Read all arrays, or those of ``names`` that exist. Raises an error of type ``kind``: the file
+    does not exist, is damaged, or expands to more than `MAX_BYTES`."""
     try:
         # Memory mapping avoids reading a file with a single array, which is invalid.
         with np.load(path, mmap_mode="r", allow_pickle=False) as file:
@@ -44,10 +46,9 @@ def read_arrays(path: Path, names: Collection[str] = ()) -> dict[str, NDArray[An
                 return {name: file[name] for name in file.files if not names or name in names}
     except Exception as error:  # zipfile and NumPy raise many types on damaged files
         why = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        msg = f"{path}: cannot be read: {why}"
-        raise ExchangeError(msg) from None
-    msg = f"{path}: its arrays have {1e-9 * size:.1f} GB; the limit is {1e-9 * MAX_BYTES:.1f} GB"
-    raise ExchangeError(msg)
+        raise kind(f"{path}: cannot be read: {why}") from None
+    limit = f"the limit is {1e-9 * MAX_BYTES:.1f} GB"
+    raise kind(f"{path}: its arrays have {1e-9 * size:.1f} GB; {limit}")
 
 
 def reference(crs: str = "", origin: tuple[float, float] | None = None) -> str:
@@ -58,14 +59,13 @@ def reference(crs: str = "", origin: tuple[float, float] | None = None) -> str:
     are given.
     """
     if crs and origin is not None:
-        msg = "a map has either a coordinate system (crs) or an origin, not both"
-        raise ExchangeError(msg)
+        raise ExchangeError("a map has either a coordinate system (crs) or an origin, not both")
     if origin is not None:
         latitude, longitude = origin
         crs = f"+proj=aeqd +lat_0={latitude:.9f} +lon_0={longitude:.9f} +datum=WGS84 +units=m"
     if not crs:
         return ""
-    rasterio = library("rasterio", EXPORTS_NEEDING_CRS)
+    rasterio = library("rasterio", EARTH_FILES)
     try:
         with rasterio.Env():  # otherwise PROJ also prints its errors
             system = rasterio.crs.CRS.from_user_input(crs)
@@ -73,8 +73,7 @@ def reference(crs: str = "", origin: tuple[float, float] | None = None) -> str:
         msg = f"'{crs}' is not a coordinate reference system: {str(error).splitlines()[0]}"
         raise ExchangeError(msg) from None
     if why := why_not_metric(system):
-        msg = f"'{crs}' {why}; the map frame is in metres"
-        raise ExchangeError(msg)
+        raise ExchangeError(f"'{crs}' {why}; the map frame is in metres")
     return str(system.to_wkt())
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.desk.exchange.formats import ExchangeError, read_arrays
+from quadtree_lss.desk.exchange.formats import read_arrays
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.config.loading import read_values
 from quadtree_lss.onboard.config.settings import Config, config_from_values, removal_reason
@@ -192,7 +192,7 @@ class Results:
     def grid(self) -> Grid:
         """``grid.npz``."""
         path = self.folder / "grid.npz"
-        grid = Grid(_arrays(path))
+        grid = Grid(read_arrays(path, kind=ResultsError))
         sides = [grid.get(name, np.empty(0)) for name in "yx"]
         if any(side.ndim != 1 or not side.size for side in sides):
             raise unreadable(path, "it has no grid points x and y")
@@ -206,13 +206,13 @@ class Results:
     def map(self) -> CellMap:
         """``cells.npz``: the map of the last assessment."""
         path = self.folder / "cells.npz"
-        return cell_map(path, _arrays(path))
+        return cell_map(path, read_arrays(path, kind=ResultsError))
 
     @cached_property
     def history(self) -> dict[str, NDArray[Any]]:
         """``history.npz``; empty without it."""
         path = self.folder / "history.npz"
-        return _arrays(path) if path.exists() else {}
+        return read_arrays(path, kind=ResultsError) if path.exists() else {}
 
     def history_layer(self, name: str, answers: NDArray[np.intp]) -> NDArray[np.uint8]:
         """Layer of the history at some assessments (A, ny, nx), bits or risks, shifted to the last
@@ -267,10 +267,3 @@ def load_results(folder: str | os.PathLike[str]) -> Results:
         if not (path / name).is_file():
             raise ResultsError(f"{path} has no {name}: replay did not write this folder")
     return Results(path)
-
-
-def _arrays(path: Path) -> dict[str, NDArray[Any]]:
-    try:
-        return read_arrays(path)
-    except ExchangeError as error:
-        raise ResultsError(error) from None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Play the scans and poses, or the maps, of a bag into running nodes without changing their bytes.
+"""Play a bag into running nodes without changing its bytes; record live topics in memory.
 
 `ros2 bag play` is not available as a wheel, does not read damaged bags, and does not wait for
 subscribers.
@@ -8,17 +8,20 @@ subscribers.
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import math
 import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import rclpy
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -26,7 +29,7 @@ from rosgraph_msgs.msg import Clock
 
 from quadtree_lss.desk.bags import message_types as types
 from quadtree_lss.desk.bags import topics
-from quadtree_lss.desk.bags.bag import Bag
+from quadtree_lss.desk.bags.bag import Bag, MessageBag, Topic
 from quadtree_lss.desk.bags.compression import DamagedError, plain_message
 from quadtree_lss.desk.replay.stream import SECOND_NS, MapPairs, Part, Progress
 from quadtree_lss.onboard.errors import QuadtreeLssError
@@ -45,10 +48,14 @@ MAPS = {f"/{name}": TOPIC_TYPES[name] for name in (CELLS, OBSERVED)}
 KINDS = topics.KINDS | LANDING | MAPS
 OPTIONAL = (topics.GIMBAL_TOPIC, *LANDING)
 """Played even without subscribers."""
+HEARD_TYPES = (types.SCAN_TYPE, *types.POSE_TYPES, types.GIMBAL_TYPE)
+if importlib.util.find_spec("tf2_msgs") is not None:  # not available as a wheel
+    HEARD_TYPES = (*HEARD_TYPES, types.TRANSFORMS_TYPE)
+SPIN_PERIOD_S = 0.2
 
 
 class PlayError(QuadtreeLssError):
-    """The bag cannot be played, or has no subscribers."""
+    """The bag cannot be played, has no subscribers, or no message was received."""
 
 
 @dataclass(frozen=True)
@@ -213,3 +220,47 @@ def _subscribed(node: Node, publishers: Sequence[Publisher]) -> str:
     if not found:
         return "no topic of these types has one; are the nodes running?"
     return f"subscribed are {', '.join(sorted(found))} (--namespace, --remap FROM:=TO)"
+
+
+def listen(seconds: float) -> MessageBag:
+    """Record clouds, poses, gimbal angles and transforms for some ``seconds`` after the first topic
+    appears, for which it waits as long. Raises `PlayError`: no message was received."""
+    context = Context()
+    rclpy.init(context=context)
+    node = Node("doctor", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    kinds: dict[str, str] = {}
+    received: list[tuple[str, int, bytes]] = []
+
+    def on_message(name: str, raw: bytes) -> None:
+        received.append((name, time.time_ns(), bytes(raw)))
+
+    try:
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            executor.spin_once(timeout_sec=SPIN_PERIOD_S)
+            for name, (kind, *_) in node.get_topic_names_and_types():
+                if name not in kinds and kind in HEARD_TYPES:
+                    kinds[name] = kind
+                    profile = stream(100, reliable=False)
+                    if kind == types.TRANSFORMS_TYPE:
+                        profile = latched(100)  # one for each broadcaster
+                    hear = partial(on_message, name)
+                    node.create_subscription(TYPES[kind], name, hear, profile, raw=True)
+                    if not received:
+                        deadline = time.monotonic() + seconds
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        context.try_shutdown()
+    if not received:
+        there = ", ".join(sorted(kinds)) or "none"
+        raise PlayError(f"no message in {seconds:g} s; topics of clouds and poses: {there}")
+    decode, counts = types.typestore(ros1=False).deserialize_cdr, Counter(r[0] for r in received)
+    return MessageBag(
+        "live",
+        [Topic(name, kind, counts[name]) for name, kind in kinds.items()],
+        (received[0][1], received[-1][1]),
+        [(name, at, partial(decode, raw, kinds[name])) for name, at, raw in received],
+    )

@@ -12,17 +12,9 @@ from pathlib import Path
 
 import yaml
 
+from quadtree_lss.onboard.config import settings
 from quadtree_lss.onboard.config.loading import read_values
-from quadtree_lss.onboard.config.settings import (
-    Config,
-    ConfigError,
-    Parameter,
-    checked_values,
-    config_from_values,
-    flatten,
-    parameters,
-    values_from_config,
-)
+from quadtree_lss.onboard.config.settings import Config, ConfigError, Parameter
 
 
 def load_config(
@@ -40,14 +32,14 @@ def load_config(
         found = find_config(path)
         read = read_values(found)
         with _errors_of(str(found)):
-            checked_values(read)
+            settings.checked_values(read)
         values |= read
         files.append(str(found))
-    flat = flatten(overrides or {})
+    flat = settings.flatten(overrides or {})
     with _errors_of(origin):
-        checked_values(flat)
+        settings.checked_values(flat)
     with _errors_of(", ".join(files + [origin] * bool(flat))):  # combinations
-        return config_from_values(values | flat)
+        return settings.config_from_values(values | flat)
 
 
 @contextmanager
@@ -83,15 +75,15 @@ def shipped_configs() -> dict[str, Path]:
 
 def dump_config(config: Config, *, comments: bool = False) -> str:
     """Format a parameter file of ``config``; ``comments``: explain each key."""
-    texts = {row.name: _explanation(row) for row in parameters()} if comments else {}
-    return dump_values(values_from_config(config), texts)
+    texts = {row.name: _explanation(row) for row in settings.parameters()} if comments else {}
+    return dump_values(settings.values_from_config(config), texts)
 
 
 def dump_values(values: Mapping[str, object], comments: Mapping[str, str]) -> str:
     """Format a parameter file of dotted values in the order of the table, with comments by key."""
     lines = ["/**:", "  ros__parameters:"]
     section = ""
-    for row in parameters():
+    for row in settings.parameters():
         if row.name not in values:
             continue
         row_section, _, name = row.name.partition(".")

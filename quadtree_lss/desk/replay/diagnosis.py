@@ -85,20 +85,18 @@ class Reading:
         self.dropped: Counter[str] = Counter()
         self.missed_at: tuple[float, float] | None = None
         self.recording = Recording(next(t.count for t in bag.topics if t.name == stream.scans))
-        mapper, intake = Mapper(self.config), stream.intake
+        mapper = Mapper(self.config)
         stream.on_message = self._on_message
-        for message in Part.of(bag).messages(bag, stream.topics, progress):
-            stream.process(message)
-            for scan in intake.ready(message.received_ns):
-                self.recording.add_scan(scan)
-                report = mapper.update(scan.points_lidar, scan.pose, scan.sweep)
-                self.reports.append(report)
-                self.dropped.update(scan.lost(report.dropped))
-                if not report.points_used and report.dropped["outside"]:
-                    self.missed_at = self.missed_at or report.centre
-            self._add_notices()
-        intake.finish()
-        self._add_notices()
+        for scan in stream.ready(Part.of(bag), progress):
+            self.recording.add_scan(scan)
+            report = mapper.update(scan.points_lidar, scan.pose, scan.sweep)
+            self.reports.append(report)
+            self.dropped.update(scan.lost(report.dropped))
+            if not report.points_used and report.dropped["outside"]:
+                self.missed_at = self.missed_at or report.centre
+        stream.intake.finish()
+        for notice in stream.intake.notices():
+            self.notices.setdefault(notice.reason, notice.text)
         self.points = sum(report.points for report in self.reports)
         self.points_used = sum(report.points_used for report in self.reports)
         lost = self.dropped["contradiction"]
@@ -148,10 +146,6 @@ class Reading:
         dropped = self.stream.intake.dropped
         reason = max(dropped, key=dropped.__getitem__, default="")
         return self.notices.get(reason, reason)
-
-    def _add_notices(self) -> None:
-        for notice in self.stream.intake.notices():
-            self.notices.setdefault(notice.reason, notice.text)
 
     def _on_message(self, kind: str, msg: Any, message: RawMessage) -> None:
         with contextlib.suppress(MessageError):  # the intake counts and reports it

@@ -84,11 +84,11 @@ class Comparison:
             "first": str(self.first.folder),
             "second": str(self.second.folder),
             "same_ground": self.same_ground,
-            "heights": self.heights._asdict(),
+            "heights": self.heights,
             "area": {name: getattr(self, name) for name in names},
             "sites_kept": self.sites_kept,
-            "sites_gained": [site._asdict() for site in self.sites_gained],
-            "sites_lost": [site._asdict() for site in self.sites_lost],
+            "sites_gained": self.sites_gained,
+            "sites_lost": self.sites_lost,
         }
         return dict(plain(content))
 
@@ -120,6 +120,7 @@ def compare_results(first: Results | str | Path, second: Results | str | Path) -
     a, b = (r if isinstance(r, Results) else load_results(r) for r in (first, second))
     grid = a.grid
     both = grid.seen & _sample(b.grid, b.grid.seen, grid.x, grid.y)
+    seen_in_first = _sample(grid, grid.seen, b.grid.x, b.grid.y)
     y, x = np.meshgrid(grid.y, grid.x, indexing="ij")
     one, other = a.map.at(x, y), b.map.at(x, y)
     difference = np.where(both, other.height - one.height, np.nan)
@@ -139,8 +140,8 @@ def compare_results(first: Results | str | Path, second: Results | str | Path) -
         safe_second=area * np.count_nonzero(safe_b),
         gained=area * np.count_nonzero(safe_b & ~safe_a),
         lost=area * np.count_nonzero(safe_a & ~safe_b),
-        seen_first=_area_seen_by_one(grid, b.grid),
-        seen_second=_area_seen_by_one(b.grid, grid),
+        seen_first=area * np.count_nonzero(grid.seen & ~both),
+        seen_second=b.grid.spacing**2 * np.count_nonzero(b.grid.seen & ~seen_in_first),
         sites_kept=kept,
         sites_gained=gained,
         sites_lost=lost,
@@ -156,12 +157,6 @@ def _sample(grid: Grid, values: NDArray[Any], x: Array, y: Array) -> NDArray[Any
     near = values.take(rows, axis=0, mode="clip").take(columns, axis=1, mode="clip")
     inside = ((rows >= 0) & (rows < grid.y.size))[:, None] & (columns >= 0)
     return np.where(inside & (columns < grid.x.size), near, 0).astype(values.dtype)
-
-
-def _area_seen_by_one(grid: Grid, other: Grid) -> float:
-    """Return the area that a grid has observed and the other one has not, m²."""
-    only = grid.seen & ~_sample(other, other.seen, grid.x, grid.y)
-    return grid.spacing**2 * np.count_nonzero(only)
 
 
 def _heights(difference: Array, sigma: Array, x: Array, y: Array, second: Array) -> Heights:

@@ -57,11 +57,9 @@ def rank_sites(
             raise OutsideInput(f"the target {x:g},{y:g} is outside the model: {extent}")
     shorter, longer = sorted((len(model.x), len(model.y)))
     if longer**2 > MAX_POSTS:
-        msg = (
-            f"{name or 'elevation model'}: {longer} x {shorter} posts need a square of {longer}^2;"
-        )
-        msg += f" the limit is {MAX_POSTS} posts (crop by an area or gdal_translate -srcwin)"
-        raise ExchangeError(msg)
+        need = f"{longer} x {shorter} posts need a square of {longer}^2"
+        limit = f"the limit is {MAX_POSTS} posts (crop by an area or gdal_translate -srcwin)"
+        raise ExchangeError(f"{name or 'elevation model'}: {need}; {limit}")
     cells, block = cells_of(model, config.lidar.range_noise)
     names = ("xmin", "ymin", "size", "min_level", "max_level")
     values: dict[str, Any] = {f"domain.{name}": getattr(cells.domain, name) for name in names}
@@ -76,7 +74,10 @@ def rank_sites(
     lss_ms = 1e3 * (time.perf_counter() - before)
     heights = model.elevation[np.isfinite(model.elevation)]
     upward = np.median(cells.normal[cells.measured, 2]) if cells.measured.any() else np.nan
-    coarse, many = _notes(model, block)
+    coarse = f"posts are {model.spacing:g} m apart: the model and the risk leave out smaller rocks"
+    doubts = [*found.warnings, *[coarse] * (model.spacing > 0.5)]
+    many = f"a leaf has {block} x {block} of the model's cells, which are too many for a map;"
+    many += " an area (--area) cuts the model to it"
     summary = run_summary(
         cells,
         found,
@@ -90,21 +91,13 @@ def rank_sites(
         median_slope_deg=float(np.degrees(np.arccos(upward))),
         crs=model.crs,
         duration=time.perf_counter() - began,
-        doubts=[*found.warnings, *coarse],
-        warnings=[*found.warnings, *coarse, *many],
+        doubts=doubts,
+        warnings=[*doubts, *[many] * (block > 1)],
     )
     result = ReplayResult(None if out is None else Path(out), cells, found, (), summary)
     if result.out is not None:
         write_results(result.out, result, config, report)
     return result
-
-
-def _notes(model: ElevationModel, block: int) -> tuple[list[str], list[str]]:
-    """Return notes about hazards that the model does not show, and about the size of the leaves."""
-    many = f"a leaf has {block} x {block} of the model's cells, which are too many for a map;"
-    many += " an area (--area) cuts the model to it"
-    coarse = f"posts are {model.spacing:g} m apart: the model and the risk leave out smaller rocks"
-    return [coarse] * (model.spacing > 0.5), [many] * (block > 1)
 
 
 def cells_of(model: ElevationModel, sigma: float) -> tuple[CellMap, int]:

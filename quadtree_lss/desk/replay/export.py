@@ -11,16 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadtree_lss.desk.exchange.formats import (
-    EXPORTS_NEEDING_CRS,
-    ExchangeError,
-    library,
-    reference,
-)
+from quadtree_lss.desk.exchange.formats import EARTH_FILES, ExchangeError, library, reference
 from quadtree_lss.desk.exchange.saved import Results, load_results
 from quadtree_lss.desk.replay.files import write_bytes, write_json, writing
 from quadtree_lss.desk.report.palette import SAFE_COLOUR, shaded
-from quadtree_lss.onboard.arrays import Array, Bytes, Mask
+from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.core.landing.hazards import IDENTIFIED
 from quadtree_lss.onboard.core.landing.raster import rasterise
 
@@ -74,16 +69,16 @@ def export_results(
         return [path for name in wanted for path in FORMATS[name](found, folder, system)]
 
 
-def to_degrees(x: Array, y: Array, crs: str) -> tuple[Array, Array]:
-    """Convert coordinates to longitude and latitude, deg (WGS 84). Raises `ExchangeError`."""
-    rasterio = library("rasterio", EXPORTS_NEEDING_CRS)
-    warp = library("rasterio.warp", EXPORTS_NEEDING_CRS)
+def to_degrees(x: Any, y: Any, crs: str) -> list[list[float]]:
+    """Convert coordinates to pairs of longitude and latitude, deg (WGS 84)."""
+    rasterio = library("rasterio", EARTH_FILES)
+    warp = library("rasterio.warp", EARTH_FILES)
     try:
         found = warp.transform(crs, "EPSG:4326", list(map(float, x)), list(map(float, y)))
     except (rasterio.errors.RasterioError, rasterio.errors.CRSError) as error:
         msg = f"no longitude and latitude by the coordinate system: {str(error).splitlines()[0]}"
         raise ExchangeError(msg) from None
-    return np.array(found[0]), np.array(found[1])
+    return np.column_stack(found[:2]).tolist()
 
 
 def _geotiff(results: Results, folder: Path, crs: str) -> list[Path]:
@@ -108,7 +103,7 @@ def _write_geotiff(
 ) -> Path:
     """Write a layer (ny, nx) as cloud-optimised GeoTIFF with pixels about x (nx,), y (ny,),
     ascending, evenly spaced, m."""
-    rasterio = library("rasterio", EXPORTS_NEEDING_CRS)
+    rasterio = library("rasterio", EARTH_FILES)
     unit, description = LAYERS.get(name, ("", ""))
     integer, path = values.dtype in (np.bool_, np.uint8), folder / f"{name}.tif"
     options: dict[str, Any] = {"driver": "COG", "compress": "deflate", "crs": crs or None}
@@ -132,8 +127,8 @@ def _write_geotiff(
 
 
 def _mesh(suffix: str, results: Results, folder: Path, crs: str) -> list[Path]:
-    """Write the ground at the grid points, green where landing is allowed, as ``ply`` (z up) or
-    ``glb`` (y up). Far coordinates are shifted to the origin; a text file contains the shift."""
+    """Write the ground at the grid points in relief, green where landing is allowed, as ``ply``
+    (z up) or ``glb`` (y up). Far coordinates are shifted; a text file contains the shift."""
     trimesh: Any = library("trimesh", "PLY and glTF files")
     grid, path = results.grid, folder / f"ground.{suffix}"
     heights = np.asarray(grid["elevation"], np.float64)
@@ -147,7 +142,10 @@ def _mesh(suffix: str, results: Results, folder: Path, crs: str) -> list[Path]:
     vertices = vertices - shift
     if suffix == "glb":
         vertices = vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
-    colours = _colours(results)[np.isfinite(heights)]
+    green = np.array(list(bytes.fromhex(SAFE_COLOUR[1:])), np.float64)
+    base = np.where(grid["safe"][..., None], 0.45 * green + 120.0, 175.0)
+    colours = (255.0 * shaded(base / 255.0, grid["elevation"], grid.spacing)).astype(np.uint8)
+    colours = colours[np.isfinite(heights)]
     mesh = trimesh.Trimesh(vertices, faces, vertex_colors=colours, process=False)
     write_bytes(path, mesh.export(file_type=suffix))
     return written
@@ -166,29 +164,16 @@ def ground_mesh(x: Array, y: Array, heights: Array) -> tuple[Array, NDArray[np.i
     return vertices, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
 
 
-def _colours(results: Results) -> Bytes:
-    """Return shaded colours (ny, nx, 3): green where landing is allowed, else grey."""
-    grid = results.grid
-    green = np.array(list(bytes.fromhex(SAFE_COLOUR[1:])), np.float64)
-    base = np.where(grid["safe"][..., None], 0.45 * green + 120.0, 175.0)
-    return (255.0 * shaded(base / 255.0, grid["elevation"], grid.spacing)).astype(np.uint8)
-
-
 def _geojson(results: Results, folder: Path, crs: str) -> list[Path]:
     """Write a point and a landing zone per site (RFC 7946), with the columns of ``sites.csv``."""
     if not crs:
-        msg = "GeoJSON needs longitude and latitude: set --crs or --origin"
-        raise ExchangeError(msg)
-
-    def lon_lat(x: Any, y: Any) -> list[list[float]]:
-        return np.column_stack(to_degrees(x, y, crs)).tolist()
-
+        raise ExchangeError("GeoJSON needs longitude and latitude: set --crs or --origin")
     features: list[dict[str, Any]] = []
     angles = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS + 1)
     across, along = results.zone * np.cos(angles), results.zone * np.sin(angles)
     for k, (x, y, z) in enumerate(results.positions.tolist()):
         known = {name: column[k] for name, column in results.sites.items()}
-        (point,), ring = lon_lat([x], [y]), lon_lat(x + across, y + along)
+        (point,), ring = to_degrees([x], [y], crs), to_degrees(x + across, y + along, crs)
         ring[-1] = ring[0]
         shapes = {"site": ("Point", [*point, z]), "zone": ("Polygon", [ring])}
         for kind, (form, coordinates) in shapes.items():
@@ -202,12 +187,11 @@ def _geojson(results: Results, folder: Path, crs: str) -> list[Path]:
 def _map_server(results: Results, folder: Path, crs: str) -> list[Path]:
     """Write images (PGM) and YAML files for the mode ``trinary``."""
     grid, seen, hazard = results.grid, results.grid.seen, results.grid["hazard"]
-    unknown = np.where(hazard > 0, UNKNOWN, FREE)
+    identified = (hazard & IDENTIFIED) > 0
     maps = {
-        "hazards": np.where((hazard & IDENTIFIED) > 0, OCCUPIED, unknown),
-        "landing": np.where(grid["safe"], FREE, OCCUPIED),
+        "hazards": np.where(identified, OCCUPIED, np.where(hazard > 0, UNKNOWN, FREE)),
+        "landing": np.where(grid["safe"], FREE, np.where(seen, OCCUPIED, UNKNOWN)),
     }
-    maps["landing"][~seen & (maps["landing"] == OCCUPIED)] = UNKNOWN
     written = []
     for name, values in maps.items():
         image, description = folder / f"{name}.pgm", folder / f"{name}.yaml"

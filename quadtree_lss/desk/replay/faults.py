@@ -19,11 +19,7 @@ from quadtree_lss.desk.replay.flight import MIN_IN_RANGE, Flight, place_lidar
 from quadtree_lss.desk.replay.stream import mount_values
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.config.settings import Config, MountConfig
-from quadtree_lss.onboard.core.geometry.rotations import (
-    exp,
-    quaternion_from_rotation,
-    rotation_from_quaternion,
-)
+from quadtree_lss.onboard.core.geometry import rotations
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.mount import AXES
 
@@ -50,7 +46,7 @@ MIN_JUMP, MIN_JUMP_M = 5.0, 0.1
 """Least speed of a jump of the poses, as a multiple of the speeds around it; least step, m."""
 NED_FROM_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 LOOKING_DOWN = np.diag([1.0, -1.0, -1.0])
-PITCHED_DOWN = exp([0.0, 0.5 * np.pi, 0.0])
+PITCHED_DOWN = rotations.exp([0.0, 0.5 * np.pi, 0.0])
 """Rotation of a lidar with its boresight along x of a level body that is pitched down."""
 
 
@@ -172,7 +168,8 @@ def _list_corrections(flight: Flight, config: Config, tf_mounts: TfMounts) -> li
         for axes in (np.eye(3), LOOKING_DOWN)
     ]
     found = north + found if np.median(p[:, 2]) < 0.0 else found + north
-    first = rotation_from_quaternion(quaternion_from_rotation(b)[:, [1, 2, 3, 0]])
+    quaternions = rotations.quaternion_from_rotation(b)
+    first = rotations.rotation_from_quaternion(quaternions[:, [1, 2, 3, 0]])
     found.append(advise("quaternion", origins, first @ m))
     found.append(advise("inverse", p, b.transpose(0, 2, 1) @ m))
     for scale, unit in ((1e-3, "millimetres"), (1e-2, "centimetres")):
@@ -297,7 +294,7 @@ def _find_mount_angle(flight: Flight, config: Config) -> list[Finding]:
     across = np.linalg.svd(flight.points.mean(axis=0)[None])[2][1:]
 
     def disagreement(angles: Array) -> float:
-        return flight.disagreement(flight.origins, flight.turns @ exp(angles @ across))[0]
+        return flight.disagreement(flight.origins, flight.turns @ rotations.exp(angles @ across))[0]
 
     calm = np.radians(CALM_DEG)
     cost, *costs = (
@@ -309,7 +306,7 @@ def _find_mount_angle(flight: Flight, config: Config) -> list[Finding]:
     options = {"initial_simplex": simplex, "maxfev": MAX_EVALUATIONS}
     options |= {"xatol": 1e-3, "fatol": 0.01 * cost}
     fit = minimize(disagreement, simplex[0], method="Nelder-Mead", options=options)
-    angle, turn = float(np.degrees(np.linalg.norm(fit.x))), exp(fit.x @ across)
+    angle, turn = float(np.degrees(np.linalg.norm(fit.x))), rotations.exp(fit.x @ across)
     scatter = flight.scatter_within_scans()
     if angle < MIN_MOUNT_DEG or fit.fun > MAX_LEFT_FINE * cost or cost < scatter:
         if min(max(costs[:2]), max(costs[2:])) * MAX_LEFT_FINE > max(cost, scatter):

@@ -59,7 +59,9 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value to JSON types; non-finite numbers become None."""
+    """Convert a value to JSON types; named tuples become objects, non-finite numbers None."""
+    if hasattr(value, "_asdict"):
+        value = value._asdict()
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
@@ -128,11 +130,12 @@ def locked(folder: Path, kind: type[QuadtreeLssError]) -> Iterator[None]:
         with writing(folder, kind):
             handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
-            with suppress(OSError):  # a file system without locks
-                try:
-                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    raise kind(f"{folder}: another program is writing to it") from None
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise kind(f"{folder}: another program is writing to it") from None
+            except OSError:  # a file system without locks
+                pass
             yield
         finally:
             os.close(handle)

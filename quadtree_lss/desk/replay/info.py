@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -129,10 +129,9 @@ class BagInfo:
         self.findings += _find_message_faults(self, reading)
 
     def as_dict(self) -> dict[str, Any]:
-        fields = asdict(replace(self, suggestion=None))
-        del fields["suggestion"]
-        fields["findings"] = [finding._asdict() for finding in self.findings]
         derived = {"works": self.works, "problems": self.problems, "notes": self.notes}
+        fields = {**vars(self), "topics": [vars(topic) for topic in self.topics]}
+        del fields["suggestion"]
         return dict(plain(derived | fields))
 
     def table(self) -> str:

@@ -38,7 +38,13 @@ class Recorder:
 
     def __init__(self, path: Path, frame: str, *, maps: bool = True) -> None:
         self._path, self._maps = path, maps
-        self._writer = self._open()
+        if path.exists():
+            raise ReplayError(f"--record {path}: cannot be written: it exists already")
+        with writing(path, ReplayError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            self._writer.open()
         self._store = typestore(ros1=False)
         self._messages = outputs.MessageMaker(self._store.types, np.asarray, frame)
         self._connections: dict[str, Any] = {}
@@ -74,16 +80,6 @@ class Recorder:
     def _write_grid_map(self, now_ns: int, found: LandingAssessment) -> None:
         self._grid_map_ns, self._pending = now_ns, None
         self._write(outputs.GRID_MAP, self._messages.grid_map(found), now_ns)
-
-    def _open(self) -> Writer:
-        if self._path.exists():
-            raise ReplayError(f"--record {self._path}: cannot be written: it exists already")
-        with writing(self._path, ReplayError):
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            writer = Writer(self._path, version=9, storage_plugin=StoragePlugin.MCAP)
-            writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-            writer.open()
-            return writer
 
     def _write(self, topic: str, message: Any, now_ns: int) -> None:
         kind = outputs.RECORDED_TYPES[topic]

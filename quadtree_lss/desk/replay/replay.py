@@ -15,18 +15,18 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.desk.bags.bag import Bag, open_bag
 from quadtree_lss.desk.bags.recorded_file import RawMessage
-from quadtree_lss.desk.replay.assessments import Assessments
+from quadtree_lss.desk.replay import results
+from quadtree_lss.desk.replay.assessments import Assessments, History
 from quadtree_lss.desk.replay.files import ReplayError, locked
-from quadtree_lss.desk.replay.history import History
-from quadtree_lss.desk.replay.results import (
-    ReplayResult,
-    ScanTiming,
-    points_line,
-    points_warning,
-    run_summary,
-    write_results,
+from quadtree_lss.desk.replay.results import ReplayResult, ScanTiming
+from quadtree_lss.desk.replay.stream import (
+    LandingTopics,
+    MapPairs,
+    Part,
+    Progress,
+    Selection,
+    Stream,
 )
-from quadtree_lss.desk.replay.stream import LandingTopics, MapPairs, Part, Progress, Stream
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config
 from quadtree_lss.onboard.core.mapping.mapper import GAP_SCANS, Mapper, ScanReport
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -43,15 +43,12 @@ def replay(
     out: str | Path | None = None,
     config: Config = DEFAULTS,
     *,
-    scan_topic: str | None = None,
-    pose_topic: str | None = None,
-    start: float = 0.0,
-    duration: float | None = None,
     report: bool = True,
     record: str | Path | None = None,
     landing: Mapping[str, ArrayLike | None] | None = None,
     progress: Progress | None = None,
     stop: Callable[[], bool] | None = None,
+    **selection: Any,
 ) -> ReplayResult:
     """Map a bag, rank landing sites and write the results.
 
@@ -62,14 +59,13 @@ def replay(
         bag: Path of a bag, or a `MessageBag`.
         out: Folder for the results; None writes nothing.
         config: The configuration.
-        scan_topic, pose_topic: Topics; by default found by name, then by type.
-        start, duration: Part of the bag, s (`stream.Part.of`).
         report: Also write figures and ``report.html``.
         record: New bag for the messages that the nodes would publish.
         landing: ``area``, ``keep_out`` (V, 2), ``keep_outs`` (a list of these) and ``target`` (2,),
             map frame, m, or None for none. They replace the bag's topics ``landing/…``.
         progress: See `stream.Progress`.
         stop: Called after each message; True ends the replay.
+        selection: ``scan_topic``, ``pose_topic``, ``start`` and ``duration``, as in `Selection`.
 
     Raises:
         BagError: the bag cannot be read or its topics are ambiguous.
@@ -77,12 +73,12 @@ def replay(
         KeyboardInterrupt: stopped before the first map.
     """
     folder = None if out is None else Path(out)
-    began = time.perf_counter()
+    began, chosen = time.perf_counter(), Selection(**selection)
     with ExitStack() as stack:
         opened = stack.enter_context(open_bag(bag))
-        part = Part.of(opened, start, duration)
-        maps = MapPairs.of_maps_only(opened, scan_topic)
-        source = maps or Stream(opened, config, scan_topic, pose_topic)
+        part = Part.of(opened, chosen.start, chosen.duration)
+        maps = MapPairs.of_maps_only(opened, chosen.scan_topic)
+        source = maps or Stream(opened, config, chosen.scan_topic, chosen.pose_topic)
         requests = LandingRequests(config.frames.map, landing)
         topics = LandingTopics(requests, opened, part.start_ns)
         if folder is not None:
@@ -101,26 +97,29 @@ def replay(
         else:
             cells = run.map_scans(source)
             losses, counts, notes = source.losses, source.counts(), source.notes
-        assessments.finish(run.done_ns, lambda: cells)
+        decoded, assessment = assessments.finish(run.done_ns, lambda: cells)
     if progress is not None and not run.interrupted:
         progress(part.seconds, part.seconds)
-    decoded, assessment = assessments.cells, assessments.last
-    assert decoded is not None and assessment is not None
     if not decoded.observed.any():
-        why = points_line(run.points, run.points_dropped)
+        why = results.points_line(run.points, run.points_dropped)
         why = "the last map has no measurement" if run.maps else why
         assessment = changed(assessment, explanation=f"nothing is mapped: {why}")
     seconds = part.seconds
     if run.interrupted:
         seconds = min(seconds, max(run.done_ns - part.start_ns, 0) / 1e9)
-    summary = run_summary(
+    summary = results.run_summary(
         decoded,
         assessment,
         config,
         assessments.lss_ms,
         run.timings,
-        **run.counts(),
         **counts,
+        points_used=run.points - run.points_dropped.total(),
+        points_dropped=dict(run.points_dropped),
+        maps=run.maps,
+        range_noise_ratio=run.noise_ratio,
+        refused_divisions=run.refused_divisions,
+        interrupted=run.interrupted,
         bag=str(opened.path.resolve()),
         duration=seconds,
         real_time_factor=seconds / (time.perf_counter() - began),
@@ -133,25 +132,19 @@ def replay(
     timings, targets = tuple(run.timings), tuple(assessments.changes)
     result = ReplayResult(folder, decoded, assessment, timings, summary, targets)
     if folder is not None:
-        write_results(folder, result, config, report, run.history)
+        results.write_results(folder, result, config, report, run.history)
     return result
 
 
 def scans(
-    bag: str | Path | Bag,
-    config: Config = DEFAULTS,
-    *,
-    scan_topic: str | None = None,
-    pose_topic: str | None = None,
-    start: float = 0.0,
-    duration: float | None = None,
+    bag: str | Path | Bag, config: Config = DEFAULTS, **selection: Any
 ) -> Iterator[ReadyScan]:
     """Yield the scans of a bag, each with the lidar's pose at its stamp, as the nodes would map
     them. Arguments and errors as of `replay`."""
+    chosen = Selection(**selection)
     with open_bag(bag) as opened:
-        part = Part.of(opened, start, duration)
-        stream = Stream(opened, config, scan_topic, pose_topic)
-        for scan in stream.ready(part):
+        stream = Stream(opened, config, chosen.scan_topic, chosen.pose_topic)
+        for scan in stream.ready(Part.of(opened, chosen.start, chosen.duration)):
             yield scan
             stream.intake.notices()
 
@@ -164,11 +157,11 @@ class Step(NamedTuple):
     mapper: Mapper
 
 
-def steps(bag: str | Path | Bag, config: Config = DEFAULTS, **options: Any) -> Iterator[Step]:
+def steps(bag: str | Path | Bag, config: Config = DEFAULTS, **selection: Any) -> Iterator[Step]:
     """Map a bag scan by scan; ``step.mapper.snapshot()`` is the current map. Arguments and errors
     as of `scans`."""
     mapper = Mapper(config)
-    for scan in scans(bag, config, **options):
+    for scan in scans(bag, config, **selection):
         yield Step(scan, mapper.update(scan.points_lidar, scan.pose, scan.sweep), mapper)
 
 
@@ -197,9 +190,9 @@ class _Run:
         self.interrupted, self.done_ns, self.maps = False, 0, 0
         self.timings: list[ScanTiming] = []
         self.points_dropped: Counter[str] = Counter()
-        self._refused_divisions, self._noise_ratio = 0, float("nan")
+        self.refused_divisions, self.noise_ratio = 0, float("nan")
         self._notices: Counter[str] = Counter()
-        self._texts: dict[str, str] = {}
+        self._texts: dict[str, str] = {}  # of the first notice by reason
         self._pose_text = ""
         self._decode_ms: dict[int, float] = {}
         self._missed_at: tuple[float, float] | None = None
@@ -263,24 +256,13 @@ class _Run:
     def points(self) -> int:
         return sum(row.points for row in self.timings)
 
-    def counts(self) -> dict[str, Any]:
-        """Entries of ``summary.json``."""
-        return {
-            "points_used": self.points - self.points_dropped.total(),
-            "points_dropped": dict(self.points_dropped),
-            "maps": self.maps,
-            "range_noise_ratio": self._noise_ratio,
-            "refused_divisions": self._refused_divisions,
-            "interrupted": self.interrupted,
-        }
-
     def warnings(self) -> list[str]:
         """One line for each kind of problem, most frequent first."""
         lost, domain = self.points_dropped, Domain.of(self._config.domain)
-        refused = self._refused_divisions
-        noise = noise_notice(self._noise_ratio, self._config)
+        refused = self.refused_divisions
+        noise = noise_notice(self.noise_ratio, self._config)
         lines = [
-            points_warning(self.points, lost, domain, self._missed_at),
+            results.points_warning(self.points, lost, domain, self._missed_at),
             *(f"{n} x {key}: {self._texts[key]}" for key, n in self._notices.most_common()),
             f"{refused} divisions refused (mapping.max_cells)" if refused else "",
             self._pose_text,
@@ -298,17 +280,14 @@ class _Run:
         began = time.perf_counter()
         report = mapper.update(scan.points_lidar, scan.pose, scan.sweep)
         map_ms = 1e3 * (time.perf_counter() - began) + self._decode_ms.pop(scan.stamp_ns, 0.0)
-        if len(self._decode_ms) > 2 * self._config.pose.queue:
-            self._decode_ms.clear()  # those of dropped scans
         self.history.scan(scan)
         self.points_dropped.update(scan.lost(report.dropped))
         if lost_points.misplaced(report):
             self._missed_at = self._missed_at or report.centre
-        overruled = lost_points.overruled_text(report)
-        if overruled is not None:
+        if (overruled := lost_points.overruled_text(report)) is not None:
             self._add_notice(lost_points.MAP_OVERRULED, overruled)
-        self._refused_divisions += report.refused_divisions
-        self._noise_ratio = report.noise_ratio
+        self.refused_divisions += report.refused_divisions
+        self.noise_ratio = report.noise_ratio
         if len(self.timings) % GAP_SCANS == 0:
             self._check_poses(mapper)
         counts = report.points, report.points_used, report.leaves, report.divisions

@@ -19,10 +19,9 @@ import quadtree_lss
 from quadtree_lss import build
 from quadtree_lss.desk.exchange.saved import Grid, cells_arrays
 from quadtree_lss.desk.replay import files
-from quadtree_lss.desk.replay.assessments import TargetChange
+from quadtree_lss.desk.replay.assessments import History, TargetChange
 from quadtree_lss.desk.replay.configuration import dump_config
 from quadtree_lss.desk.replay.files import ReplayError, plain
-from quadtree_lss.desk.replay.history import History
 from quadtree_lss.onboard.config.settings import Config, values_from_config
 from quadtree_lss.onboard.core.landing.result import LandingAssessment
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -30,8 +29,6 @@ from quadtree_lss.onboard.core.tree.domain import Domain
 from quadtree_lss.onboard.messages.lost_points import REASONS, domain_text, lost_points_text
 from quadtree_lss.onboard.messages.maps import known_probability
 
-SITE_FIGURES = ("score", "slope_deg", "roughness", "hazard_distance", "subscale_height")
-SITE_COLUMNS = ("rank", *"xyz", "nx", "ny", "nz", *SITE_FIGURES, "id", "probability")
 FIGURES = ("elevation", "hazards", "probability", "score")
 """Names of the figures ``figures/<name>.png``."""
 
@@ -83,16 +80,10 @@ class ReplayResult:
         return self.assessment._repr_html_()
 
     def as_dict(self) -> dict[str, Any]:
-        sites = self.assessment.sites
-        names = ("position", "normal", "score", "probability", *SITE_FIGURES[1:], "id")
-        rows = [
-            {
-                "rank": k + 1,
-                **{name: getattr(sites, name)[k].tolist() for name in names},
-                "reason": sites.reasons[k],
-            }
-            for k in range(len(sites.score))
-        ]
+        columns = dict(vars(self.assessment.sites))
+        rows = [{"rank": k + 1, "reason": text} for k, text in enumerate(columns.pop("reasons"))]
+        for k, row in enumerate(rows):
+            row |= {name: column[k].tolist() for name, column in columns.items()}
         out = None if self.out is None else str(self.out)
         return dict(plain({"out": out, "sites": rows, **self.summary}))
 
@@ -151,12 +142,11 @@ def write_results(
 ) -> None:
     """Write a results folder; ``report`` adds page and figures. Raises `ReplayError`: it cannot be
     written."""
-    sites, rows = result.assessment.sites, np.arange(len(result.assessment.sites))
+    sites = result.assessment.sites.columns()
+    del sites["reason"]
     with files.writing(out, ReplayError):
-        columns = (rows + 1, *sites.position.T, *sites.normal.T)
-        columns += tuple(getattr(sites, name) for name in (*SITE_FIGURES, "id", "probability"))
-        table = zip(*(column.tolist() for column in columns), strict=True)
-        files.write_csv(out / "sites.csv", SITE_COLUMNS, table)
+        rows = zip(*(column.tolist() for column in sites.values()), strict=True)
+        files.write_csv(out / "sites.csv", sites, rows)
         files.write_csv(out / "selected.csv", TargetChange._fields, result.targets)
         files.write_npz(out / "cells.npz", cells_arrays(result.cells))
         files.write_npz(out / "grid.npz", grid_of(result.assessment))
@@ -189,10 +179,9 @@ def _remove_report(out: Path) -> None:
 
 
 def grid_of(assessment: LandingAssessment) -> Grid:
-    names = ("x", "y", "elevation", "plane_elevation", "slope_deg", "hazard", "safe", "score")
-    found = Grid({name: getattr(assessment, name) for name in (*names, "risk")})
-    found["probability"] = known_probability(assessment)
-    return found
+    names = "x y elevation plane_elevation slope_deg hazard safe score risk".split()
+    layers = {name: getattr(assessment, name) for name in names}
+    return Grid(layers, probability=known_probability(assessment))
 
 
 def aligned(rows: Sequence[Sequence[str]], sides: str = "<>") -> list[str]:

@@ -8,7 +8,6 @@ import math
 import time
 import warnings
 from collections.abc import Callable, Collection, Iterator, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,12 +18,7 @@ from quadtree_lss.desk.bags import topics
 from quadtree_lss.desk.bags.bag import Bag
 from quadtree_lss.desk.bags.recorded_file import RawMessage
 from quadtree_lss.onboard.arrays import Array
-from quadtree_lss.onboard.config.settings import (
-    Config,
-    LssConfig,
-    MountConfig,
-    config_from_values,
-)
+from quadtree_lss.onboard.config.settings import Config, LssConfig, MountConfig, config_from_values
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.transforms import FixedTransforms
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -47,6 +41,16 @@ def rate(times_ns: Sequence[int]) -> float:
     """Return the rate of stamps, Hz; NaN if all are equal."""
     length = (max(times_ns, default=0) - min(times_ns, default=0)) / SECOND_NS
     return (len(times_ns) - 1) / length if length > 0.0 else math.nan
+
+
+class Selection(NamedTuple):
+    """Topics of a bag to read, by default found by name, then by type, from ``start`` s after the
+    first message, for ``duration`` s or until the end."""
+
+    scan_topic: str | None = None
+    pose_topic: str | None = None
+    start: float = 0.0
+    duration: float | None = None
 
 
 class Part(NamedTuple):
@@ -113,7 +117,9 @@ class Stream:
         self.tf_mounts: dict[str, tuple[Pose, dict[str, Any]]] = {}
         transforms = topics.candidates(bag, types.TRANSFORMS_TYPE)
         mountable = bool(transforms) and config.mount == MountConfig()
-        pose = self._first_message(self.poses, self.pose_type) if adapt or mountable else None
+        pose = None
+        if adapt or mountable:
+            pose = next(self._decoded([self.poses], self.pose_type), None)
         if adapt and pose is not None and pose.header.frame_id.strip("/"):
             frame = pose.header.frame_id.lstrip("/")
             self.settings |= {"frames.map": frame} if frame != config.frames.map else {}
@@ -128,7 +134,8 @@ class Stream:
         if config.mount.source == "tf":
             # These are latched: read them before the scans.
             topic = topics.choose_topic(bag, None, topics.TRANSFORMS_TOPIC, "mount.source tf")
-            self._read_transforms(topic, self.intake.on_transforms)
+            for msg in self._decoded([topic], types.TRANSFORMS_TYPE):
+                self.intake.on_transforms(msg)
         self._handlers: dict[str, tuple[str, str, Callable[..., object]]] = {
             self.camera: ("camera", types.CAMERA_TYPE, self.intake.on_camera_info),
             self.gimbal: ("gimbal", types.GIMBAL_TYPE, self.intake.on_gimbal),
@@ -139,31 +146,25 @@ class Stream:
         self._stamps: dict[str, list[int]] = {}
         self._undecoded: dict[str, list[str]] = {}
 
-    def _first_message(self, topic: str, kind: str) -> Any:
-        """Return the first message of a topic that can be decoded; None without one."""
-        for message in self._bag.messages([topic]):
+    def _decoded(self, names: Collection[str], kind: str) -> Iterator[Any]:
+        """Yield the messages of topics that can be decoded."""
+        for message in self._bag.messages(names):
             with contextlib.suppress(MessageError):
-                return self._bag.decode(message.raw, kind)
-        return None
-
-    def _read_transforms(self, topic: str, use: Callable[[Any], object]) -> None:
-        for message in self._bag.messages([topic]):
-            with contextlib.suppress(MessageError):
-                use(self._bag.decode(message.raw, types.TRANSFORMS_TYPE))
+                yield self._bag.decode(message.raw, kind)
 
     def _find_tf_mounts(
         self, config: Config, pose: Any, transforms: list[str], adapt: bool
     ) -> dict[str, Any]:
         """Fill ``tf_mounts``; return the setting that uses ``/tf_static``, empty if it has no mount
         or a zero one. ``pose``: the first one. ``adapt``: also use ``/tf``."""
-        scan = self._first_message(self.scans, self.scan_type)
+        scan = next(self._decoded([self.scans], self.scan_type), None)
         if scan is None:
             return {}
         tree, lidar = FixedTransforms(), scan.header.frame_id
         static = [name for name in transforms if name.endswith(topics.TRANSFORMS_TOPIC)]
-        for topic in static:
+        for msg in self._decoded(static, types.TRANSFORMS_TYPE):
             with contextlib.suppress(MessageError):
-                self._read_transforms(topic, partial(add_transforms, tree))
+                add_transforms(tree, msg)
         body = config.frames.body or getattr(pose, "child_frame_id", "")
         for name, mount in _mounts(tree, config, body, lidar):
             self.tf_mounts[name] = mount, {"mount.source": "tf", "frames.body": name}
@@ -182,22 +183,19 @@ class Stream:
                     self.tf_mounts[text] = mount, values
         return {}
 
-    def _constant_transforms(self, topics: list[str]) -> list[tuple[str, str, Pose]]:
-        """Return parent, child and pose of the transforms on ``/tf`` that do not change."""
+    def _constant_transforms(self, names: list[str]) -> list[tuple[str, str, Pose]]:
+        """Return parent, child and pose of the transforms on topics that do not change."""
         tree = FixedTransforms()
         links: dict[tuple[str, str], Pose] = {}
         moving: set[tuple[str, str]] = set()
-
-        def add(msg: Any) -> None:
-            for item in msg.transforms:
-                pose, names = mount_from_message(item), (item.header.frame_id, item.child_frame_id)
-                if tree.add(*names, pose):
-                    moving.update({names} & links.keys())
-                    links.setdefault(names, pose)
-
-        for topic in topics:
-            self._read_transforms(topic, add)
-        return [(*names, pose) for names, pose in links.items() if names not in moving]
+        for item in (i for m in self._decoded(names, types.TRANSFORMS_TYPE) for i in m.transforms):
+            frames = item.header.frame_id, item.child_frame_id
+            with contextlib.suppress(MessageError):
+                pose = mount_from_message(item)
+                if tree.add(*frames, pose):
+                    moving.update({frames} & links.keys())
+                    links.setdefault(frames, pose)
+        return [(*frames, pose) for frames, pose in links.items() if frames not in moving]
 
     def ready(self, part: Part, progress: Progress | None = None) -> Iterator[ReadyScan]:
         """Yield the scans of a part of the bag, each with the lidar's pose at its stamp."""

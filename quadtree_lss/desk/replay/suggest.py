@@ -19,14 +19,9 @@ from quadtree_lss.desk.replay.configuration import dump_values
 from quadtree_lss.desk.replay.files import ReplayError
 from quadtree_lss.desk.replay.stream import Part, Progress, Stream
 from quadtree_lss.onboard.arrays import Array
+from quadtree_lss.onboard.config import settings
 from quadtree_lss.onboard.config.risk import model_warning
-from quadtree_lss.onboard.config.settings import (
-    DEFAULTS,
-    MIN_FOLLOW_LEVEL,
-    Config,
-    config_from_values,
-    values_from_config,
-)
+from quadtree_lss.onboard.config.settings import DEFAULTS, Config
 from quadtree_lss.onboard.messages.intake import ReadyScan
 
 MAX_SCANS, MAX_POINTS = 60, 1500
@@ -145,12 +140,10 @@ class ScanStatistics:
         variance = variance[level] if level.mean() > MIN_LEVEL_SHARE else variance
         self._noise.append(math.sqrt(float(np.quantile(variance, QUANTILE)) / CHI2_QUANTILE))
 
-    def suggestion(
-        self, bag: Path, settings: Mapping[str, Any], notes: Sequence[str]
-    ) -> Suggestion:
-        """Suggest values for a bag with the ``settings`` and ``notes`` of its stream. Raises
+    def suggestion(self, bag: Path, known: Mapping[str, Any], notes: Sequence[str]) -> Suggestion:
+        """Suggest values for a bag with the ``known`` values and ``notes`` of its stream. Raises
         `ReplayError`: all returns are at one position."""
-        config = config_from_values(settings, self._config)
+        config = settings.config_from_values(known, self._config)
         noise = max(float(f"{np.quantile(self._noise, QUANTILE):.2g}"), 1e-3)  # without dust
         spacing = float(np.median(self._spacing))
         low, high = np.percentile(np.concatenate(self.points)[:, :2], [0.5, 99.5], axis=0)
@@ -160,7 +153,7 @@ class ScanStatistics:
         vehicle, data_cell = config.vehicle, max(MIN_SPACINGS * spacing, MIN_NOISES * noise)
         min_cell, max_cell = vehicle.diameter / MAX_CELLS, vehicle.diameter / MIN_CELLS
         cell = min(max(data_cell, min_cell), max_cell)
-        lowest = 0 if config.domain.follow == "none" else MIN_FOLLOW_LEVEL
+        lowest = 0 if config.domain.follow == "none" else settings.MIN_FOLLOW_LEVEL
         level = math.ceil(math.log2(side / min(CELL_SLACK * cell, max_cell)))
         level = min(max(level, lowest), 10)
         finest = math.ceil(1000.0 * side / 2**level) / 1000.0
@@ -184,7 +177,7 @@ class ScanStatistics:
         x, y = (f"{a:.1f} ... {b:.1f}" for a, b in zip(low, high, strict=True))
         sizes = f"cells of {coarse:g} ... {finest:g} m: returns of a scan are {spacing:.2g} m apart"
         sizes += f" on the ground, and the vehicle measures {vehicle.diameter:g} m"
-        values |= settings
+        values |= known
         if 2 * len(self._max_ranges) > len(self.points):
             values["lidar.max_range"] = float(f"{0.99 * min(self._max_ranges):.3g}")
         reasons = {
@@ -196,14 +189,14 @@ class ScanStatistics:
             "lss.dispersion": "half a diameter: set the touchdown error of your vehicle",
             "lidar.range_noise": "scatter of neighbouring returns on the smoothest level ground",
         }
-        defaults = values_from_config(Config())
+        defaults = settings.values_from_config(Config())
         changed = {
             name: value
-            for name, value in values_from_config(config).items()
+            for name, value in settings.values_from_config(config).items()
             if name.startswith("vehicle.") or value != defaults[name]
         }
         values = {"lidar.range_noise": noise} | changed | values
-        suggested = config_from_values(values, config)
+        suggested = settings.config_from_values(values, config)
         notes = [f"Suggested for {bag} from {len(self.points)} of its {self._scans} scans.", *notes]
         if data_cell > max_cell:
             notes.append(

@@ -54,7 +54,7 @@ def nearest_miss(content: Results) -> NearestMiss | None:
     """Find the grid point with the lowest risk, or slope, among those with space for a zone; None
     if there are sites or no point has the space."""
     grid, lss = content.grid, content.config.lss
-    room = _room(grid.seen, grid.spacing) >= content.zone
+    room = grid.spacing * distance_transform_edt(np.pad(grid.seen, 1))[1:-1, 1:-1] >= content.zone
     word, values = "slope {:.1f}°, but a hazard within the zone", grid["slope_deg"]
     if content.probability is not None:
         word = f"risk {{:.2g}} %, the limit is {100.0 * lss.max_risk:.2g} %"
@@ -65,12 +65,6 @@ def nearest_miss(content: Results) -> NearestMiss | None:
     row, column = np.unravel_index(np.nanargmin(values), values.shape)
     why = word.format(values[row, column])
     return NearestMiss(float(grid["x"][column]), float(grid["y"][row]), why)
-
-
-def _room(mask: Mask, spacing: float) -> Array:
-    """Distance (ny, nx) of grid points to the nearest one outside the mask, m."""
-    room: Array = spacing * distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
-    return room
 
 
 class Fact(NamedTuple):
@@ -108,15 +102,9 @@ def last_moment(content: Results) -> Moment:
     none = np.full(len(sites["x"]), np.nan)
     probability = np.asarray(sites.get("probability", none), np.float64)
     masks = grid.seen, grid["safe"], grid.unmapped
-    return Moment(*masks, content.positions, probability, last_target(content))
-
-
-def last_target(content: Results) -> Array | None:
-    """Position (2,) of the last target; None without one, or if it was withdrawn."""
-    known = [content.selected[name] for name in ("id", "x", "y")]
-    if not len(known[0]) or not known[0][-1]:
-        return None
-    return np.array([float(known[1][-1]), float(known[2][-1])])
+    id_, *target = (content.selected[name][-1:] for name in ("id", "x", "y"))
+    place = np.concatenate(target).astype(np.float64) if id_.any() else None
+    return Moment(*masks, content.positions, probability, place)
 
 
 def allowed_around(content: Results, moment: Moment) -> Array:
@@ -131,14 +119,14 @@ def allowed_around(content: Results, moment: Moment) -> Array:
     return found
 
 
-def ratings(content: Results, moment: Moment) -> list[tuple[str, str]]:
+def ratings(content: Results, moment: Moment | None = None) -> list[tuple[str, str]]:
     """Level of each site (a key of `LEVELS`) and the reasons against it, or an empty text.
 
     A site is good if its probability and the allowed share of the ground around it reach their
-    limits and the risk model fits the case.
+    limits and the risk model fits the case. ``moment``: by default the last assessment.
     """
     lss, warnings = content.config.lss, content.summary.get("doubts", ())
-    reach, found = content.config.vehicle.diameter, []
+    reach, found, moment = content.config.vehicle.diameter, [], moment or last_moment(content)
     shares = allowed_around(content, moment)
     for probability, share in zip(moment.probability, shares, strict=True):
         level, against = _level(probability, lss.min_probability), []

@@ -12,16 +12,7 @@ from matplotlib import colormaps
 from numpy.typing import ArrayLike, NDArray
 
 from quadtree_lss.desk.exchange.saved import Results
-from quadtree_lss.desk.report import palette
-from quadtree_lss.desk.report.headline import (
-    GOOD_PROBABILITY,
-    Moment,
-    last_moment,
-    last_target,
-    nearest_miss,
-    ratings,
-    verdict,
-)
+from quadtree_lss.desk.report import headline, palette
 from quadtree_lss.desk.report.pages import Columns
 from quadtree_lss.onboard.arrays import Array
 from quadtree_lss.onboard.core.tree.cell_map import CellMap, peak
@@ -50,8 +41,8 @@ def page_data(content: Results, layers: Sequence[Layer] = ()) -> tuple[dict[str,
     """Collect the data for JSON and the columns it refers to."""
     columns, config = Columns(), content.config
     grid = _grid(content, columns)
-    stride = grid["stride"]
-    nearest = nearest_miss(content)
+    stride, target = grid["stride"], headline.last_moment(content).target
+    stamps = content.timing["stamp_ns"]
     return {
         "grid": grid,
         "layers": [_layer(layer, columns, stride) for layer in layers],
@@ -60,12 +51,15 @@ def page_data(content: Results, layers: Sequence[Layer] = ()) -> tuple[dict[str,
         "zone": content.zone,
         "noise": config.lidar.range_noise,
         "lander": {"radius": 0.5 * config.vehicle.diameter, "pad": config.vehicle.pad_radius},
-        "miss": nearest and nearest._asdict(),
-        "target": None if (target := last_target(content)) is None else target.tolist(),
+        "miss": (miss := headline.nearest_miss(content)) and miss._asdict(),
+        "target": None if target is None else target.tolist(),
         "landing": content.summary.get("landing") or {},
-        "limit": {"risk": config.lss.max_risk, "good": 1.0 - GOOD_PROBABILITY},
+        "limit": {"risk": config.lss.max_risk, "good": 1.0 - headline.GOOD_PROBABILITY},
         "history": _history(content, columns, stride),
-        "timing": _timing(content),
+        "timing": {
+            "seconds": _seconds(stamps, int(stamps[0]) if len(stamps) else 0),
+            "map_ms": [round(value, 3) for value in content.timing["map_ms"].tolist()],
+        },
         "hazards": [{"bit": b, "name": name, "colour": c} for b, name, c in palette.HAZARDS],
         "excluding": palette.excluding(config.lss.assessment),
         "colours": {"clear": palette.CLEAR_COLOUR, "site": palette.SITE_COLOUR},
@@ -83,8 +77,10 @@ def _grid(content: Results, columns: Columns) -> dict[str, Any]:
     def thinned(name: str) -> NDArray[Any]:
         return grid[name][::stride, ::stride]
 
-    lss, limits, heights = content.config.lss, palette.colour_limits, grid["elevation"]
-    steepest, mark = palette.top_limit(grid["slope_deg"])[1], palette.slope_limit(lss)
+    limits, heights, lss = palette.colour_limits, grid["elevation"], content.config.lss
+    steepest, mark = palette.top_limit(grid["slope_deg"])[1], lss.vehicle.max_slope_deg
+    if lss.assessment == "touchdown":
+        mark = lss.vehicle.lengths.touchdown_slope_deg
     slope = {"limits": (0.0, max(steepest, mark)), "mark": mark}
     found: dict[str, Any] = {
         "nx": len(grid["x"][::stride]),
@@ -162,7 +158,7 @@ def _leaves(cells: CellMap, columns: Columns) -> dict[str, Any]:
 
 def _sites(content: Results) -> list[dict[str, Any]]:
     names = [name for name in content.sites if name not in ("rank", "nx", "ny", "nz")]
-    rated = ratings(content, last_moment(content))
+    rated = headline.ratings(content)
     return [
         {
             "rank": k + 1,
@@ -175,8 +171,9 @@ def _sites(content: Results) -> list[dict[str, Any]]:
     ]
 
 
-def _json(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+def _json(values: ArrayLike) -> Any:
+    """Convert numbers to JSON types; those that are not finite become None."""
+    return np.where(np.isfinite(values), values, None).tolist()
 
 
 def _history(content: Results, columns: Columns, stride: int) -> dict[str, Any] | None:
@@ -212,7 +209,8 @@ def _history(content: Results, columns: Columns, stride: int) -> dict[str, Any] 
         layers = masks["seen"][k], masks["allowed"][k], np.zeros_like(masks["seen"][k])
         target = history["target"][answer]
         place = target[1:3] if target[0] else None
-        return verdict(content, Moment(*layers, then[:, 1:4], then[:, 5], place))._asdict()
+        moment = headline.Moment(*layers, then[:, 1:4], then[:, 5], place)
+        return headline.verdict(content, moment)._asdict()
 
     return {
         "first_ns": first,
@@ -221,8 +219,8 @@ def _history(content: Results, columns: Columns, stride: int) -> dict[str, Any] 
         "allowed": columns.whole(packed("allowed"), "u1"),
         **likely,
         "verdicts": [verdict_then(k, int(answer)) for k, answer in enumerate(shown)],
-        "sites": [_rows(sites[history["site_answer"] == answer]) for answer in shown],
-        "targets": _rows(history["target"][shown]),
+        "sites": [_json(sites[history["site_answer"] == answer]) for answer in shown],
+        "targets": _json(history["target"][shown]),
         "why": history["target_why"][shown].tolist(),
         "scan_seconds": _seconds(scans, first),
         "position": columns.floats(history["scan_position"]),
@@ -231,18 +229,5 @@ def _history(content: Results, columns: Columns, stride: int) -> dict[str, Any] 
     }
 
 
-def _rows(table: NDArray[Any]) -> list[list[float | None]]:
-    return [[_json(value) for value in row] for row in table]
-
-
 def _seconds(stamps: NDArray[Any], first: int) -> list[float]:
     return [round((stamp - first) / 1e9, 4) for stamp in stamps.tolist()]
-
-
-def _timing(content: Results) -> dict[str, Any]:
-    timing = content.timing
-    stamps = timing["stamp_ns"]
-    return {
-        "seconds": _seconds(stamps, int(stamps[0]) if len(stamps) else 0),
-        "map_ms": [round(value, 3) for value in timing["map_ms"].tolist()],
-    }

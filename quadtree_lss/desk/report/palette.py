@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadtree_lss.onboard.arrays import Array, Bytes
-from quadtree_lss.onboard.config.sections import LssConfig
 from quadtree_lss.onboard.core.landing.hazards import PARTLY_UNOBSERVED, UNMAPPED, UNSEEN
 
 UNSEEN_COLOUR = "#c3d4ee"
@@ -61,12 +60,6 @@ def hazard_classes(bits: Bytes, hazards: Sequence[tuple[int, str, str]]) -> NDAr
     for number, (bit, _, _) in reversed(list(enumerate(hazards, start=1))):
         kind[(bits & bit) > 0] = number
     return kind
-
-
-def slope_limit(lss: LssConfig) -> float:
-    """Slope limit shown on the page, deg."""
-    vehicle, touchdown = lss.vehicle, lss.assessment == "touchdown"
-    return vehicle.lengths.touchdown_slope_deg if touchdown else vehicle.max_slope_deg
 
 
 def colour_limits(values: Array) -> tuple[float, float]:

@@ -10,17 +10,8 @@ from typing import Any
 import numpy as np
 
 from quadtree_lss.desk.exchange.saved import Results, load_results
-from quadtree_lss.desk.report.drawing import png
-from quadtree_lss.desk.report.figures import figures
-from quadtree_lss.desk.report.headline import (
-    LEVELS,
-    last_moment,
-    nearest_miss,
-    rank_reasons,
-    ratings,
-    verdict,
-    when,
-)
+from quadtree_lss.desk.report import headline
+from quadtree_lss.desk.report.figures import figures, png
 from quadtree_lss.desk.report.page_data import Layer, page_data
 from quadtree_lss.desk.report.pages import Columns, render
 from quadtree_lss.onboard.config.settings import parameters, values_from_config
@@ -56,28 +47,24 @@ def page(
     extra_data: Callable[[dict[str, Any], Columns], Mapping[str, Any]] | None = None,
     **values: Any,
 ) -> str:
-    """Render the page.
-
-    Args:
-        layers: Additional layers, shown first.
-        template: A template that extends ``report.html`` and uses ``values``.
-        extra_data: Returns further data for the scripts, from their data and columns.
-    """
+    """Render the page. ``layers``: additional ones, shown first; ``template``: extends
+    ``report.html`` and uses ``values``; ``extra_data``: returns further data for the scripts, from
+    their data and columns."""
     data, columns = page_data(content, layers)
     data |= {} if extra_data is None else extra_data(data, columns)
-    summary, config, sites = content.summary, content.config, content.sites
-    level, answer, ground, facts = verdict(content)
+    summary, sites, used = content.summary, content.sites, values_from_config(content.config)
+    level, answer, ground, facts = headline.verdict(content)
     known = np.isfinite(sites.get("probability", np.array([]))).any()
     shown_columns = [row for row in SITE_COLUMNS if row[2] != ("score" if known else "probability")]
-    wanted = "target" in summary.get("landing", {})
-    rank_texts, rated = rank_reasons(sites, wanted), ratings(content, last_moment(content))
-    values_by_name = values_from_config(config)
-    rows = [
-        (row.name, values_by_name[row.name], row.default, row.unit, row.doc) for row in parameters()
+    cells = [
+        [_format_cell(name, value, form) for value in sites[name]]
+        for _, _, name, form, _ in shown_columns
     ]
+    why = headline.rank_reasons(sites, "target" in summary.get("landing", {}))
+    rows = [(row.name, used[row.name], row.default, row.unit, row.doc) for row in parameters()]
     shown_values = {
         "title": f"Landing sites from {short_name(summary['bag'])}",
-        "when": when(content),
+        "when": headline.when(content),
         "answer": answer,
         "level": level,
         "facts": facts,
@@ -87,18 +74,9 @@ def page(
             *((word, unit, meaning) for word, unit, _, _, meaning in shown_columns),
             ("why this rank", "", RANK_MEANING),
         ],
-        "rows": [
-            [
-                *(
-                    _format_cell(name, sites[name][k], form)
-                    for _, _, name, form, _ in shown_columns
-                ),
-                rank_texts[k],
-            ]
-            for k in range(len(sites["x"]))
-        ],
-        "levels": [(level, LEVELS[level]) for level, _ in rated],
-        "nearest_miss": nearest_miss(content) is not None,
+        "rows": [*zip(*cells, why, strict=True)],
+        "levels": [(level, headline.LEVELS[level]) for level, _ in headline.ratings(content)],
+        "nearest_miss": headline.nearest_miss(content) is not None,
         "reasons": content.reasons,
         "timed": len(content.timing["map_ms"]) > 0,
         "run": _run(summary),

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 from quadtree_lss.desk.commands import common
-from quadtree_lss.desk.commands.console import ProgressBar, interruption, say, warn
+from quadtree_lss.desk.commands.console import interruption, progress_bar, say, warn
 
 EVALUATE = "Score results of a replay against the truth of a simulation."
 EVALUATE_EXAMPLES = """examples:
@@ -95,9 +95,9 @@ def _fit(options: argparse.Namespace) -> int:
     config = common.chosen_config(options)
     families = options.families.split(",") if options.families else tuple(FAMILIES)
     seeds = parse_seeds(options.seeds)
-    bar = ProgressBar("fit-risk", "flights", options.verbose)
-    with made(out.parent, EvaluationError), bar:
-        model = fit_risk(config, seeds, families, bar.update)
+    bar = progress_bar("fit-risk", "flights", options.verbose)
+    with made(out.parent, EvaluationError), bar as update:
+        model = fit_risk(config, seeds, families, update)
         write_bytes(out, risk_model_text(model).encode())
     origin = model.provenance
     rows = [("family", "flights", "points", "failed", "Brier", "log")]
@@ -128,18 +128,18 @@ def _campaign(options: argparse.Namespace) -> int:
             if not options.json:
                 print(f"flight {index} is in {folder}", flush=True)
         if options.json:
-            common.print_json({"kept": kept})
+            print(common.json_text({"kept": kept}))
         return common.DONE
     rerun = options.rerun or ()
-    bar = ProgressBar("campaign", "flights", options.verbose)
-    with interruption(f"sums up in {options.out} what is done") as interrupted, bar:
+    bar = progress_bar("campaign", "flights", options.verbose)
+    with interruption(f"sums up in {options.out} what is done") as interrupted, bar as update:
         result = campaign(
             study,
             options.out,
             workers=options.workers,
             scheduler_address=options.scheduler_address,
             rerun=parse_seeds(rerun) if rerun and rerun != "failed" else rerun,
-            progress=bar.update,
+            progress=update,
             stop=interrupted,
             tell=warn,
         )

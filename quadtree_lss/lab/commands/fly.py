@@ -108,9 +108,9 @@ def _fly(options: argparse.Namespace) -> int:
     settings = flight_settings(given)
     lockstep = options.lockstep or options.avoidance in ("none", "perfect")
     figures = {"seed": options.seed, "avoidance": options.avoidance, "outcome": "none"}
-    bar = console.ProgressBar("fly", "s", options.verbose)
-    with made(options.out, QuadtreeLssError), bar:
-        progress = partial(bar.update, total=MAX_TIME_S)
+    bar = console.progress_bar("fly", "s", options.verbose)
+    with made(options.out, QuadtreeLssError), bar as update:
+        progress = partial(update, total=MAX_TIME_S)
         try:
             if lockstep:
                 done = fly_lockstep(options.seed, settings, progress=progress, record=True)
@@ -146,9 +146,9 @@ def _simulate(options: argparse.Namespace) -> int:
     options.out = options.out or Path(f"{options.scenario}_{options.seed}", "bag")
     consequence = f"closes {options.out} and writes truth.npz for what was flown so far"
     how = common.keywords(options, *SIMULATE_OPTIONS, "overwrite")
-    bar = console.ProgressBar("simulate", "scans", options.verbose)
-    with console.interruption(consequence) as interrupted, bar:
-        how |= {"progress": bar.update, "stop": interrupted}
+    bar = console.progress_bar("simulate", "scans", options.verbose)
+    with console.interruption(consequence) as interrupted, bar as update:
+        how |= {"progress": update, "stop": interrupted}
         result = simulate(options.scenario, options.out, **how)
     common.show_result(options, result)
     if result.interrupted:

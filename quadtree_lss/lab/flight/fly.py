@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from quadtree_lss.desk.bags.message_types import typestore
-from quadtree_lss.desk.replay.assessments import Assessments, TargetChange
-from quadtree_lss.desk.replay.history import History
+from quadtree_lss.desk.replay.assessments import Assessments, History, TargetChange
 from quadtree_lss.lab.flight.flight import Flight, FlightMessage, flight_config
 from quadtree_lss.lab.flight.ground import Ground
 from quadtree_lss.lab.flight.settings import FlightSettings
