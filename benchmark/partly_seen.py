@@ -259,7 +259,8 @@ def drop_scene(rng: np.random.Generator, kind: str) -> tuple[Scene, float]:
 def posts(seeds: list[int] | None, quick: bool) -> None:
     """Posts under a lidar that hovers: beams 0.45 m apart, nearly the same ones in every scan."""
     domain = {"domain__xmin": -16.0, "domain__ymin": -16.0, "domain__size": 32.0}
-    config = configuration("flight", **domain, domain__min_level=3, domain__max_level=7)
+    levels = {"domain__min_level": 3, "domain__max_level": 7}
+    config = configuration("flight", **domain, **levels, pose__correlation_time=0.0)
     rows, rays = [], fan(16.0, 64)
     for sway, attitude in ((0.0, 0.0), (0.03, 0.0), (0.1, 0.0), (0.3, 0.0), (0.0, 2.0), (0.1, 2.0)):
         verdicts = []

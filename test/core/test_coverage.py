@@ -68,9 +68,10 @@ def test_pose_errors_of_a_hover_add_no_returns(attitude):
     x, y = scattered(np.random.default_rng(8), -8.0, -8.0, 32.0, 36000)
     covariance = np.diag([1e-8] * 3 + [attitude**2] * 3)
     covariance.setflags(write=False)
+    config = configured(noise=0.02, pose={"correlation_time": 0.0})
     counts = []
     for views, step in ((1, 0.0), (12, 0.0), (12, 0.6)):
-        rng, mapper = np.random.default_rng(9), Mapper(CONFIG)
+        rng, mapper = np.random.default_rng(9), Mapper(config)
         for k in range(views):
             move = np.array([step * k, 0.5 * step * k, 0.0])
             pose = make_pose(tuple(move + (8.0, 8.0, 60.0)), covariance)

@@ -198,11 +198,14 @@ class Mapper:
 
     def _is_new_view(self, pose: Pose, points_lidar: Points) -> bool:
         """Return whether a scan adds coverage, and if so remember its pose and beams."""
-        beams = update.sampled_beams(points_lidar)
-        is_new = self._view is None or bool(update.is_new_view(pose, beams, *self._view))
-        if is_new:
-            self._view = pose, beams
-        return is_new
+        beams, time = update.sampled_beams(points_lidar), self._scales[0]
+        if self._view is not None:
+            elapsed = 1e-9 * abs(pose.stamp_ns - self._view[0].stamp_ns)
+            independent = 1.0 if time <= 0.0 else -math.expm1(-elapsed / time)
+            if not update.is_new_view(pose, beams, *self._view, independent):
+                return False
+        self._view = pose, beams
+        return True
 
     def _follow(self, pose: Pose) -> None:
         """Move the square towards the followed point."""

@@ -67,9 +67,12 @@ def sampled_beams(points_lidar: Points) -> Array:
     return np.array(flat[:: max(len(flat) // BEAMS, 1)], dtype=np.float64)
 
 
-def is_new_view(pose: Pose, beams: Array, last: Pose, last_beams: Array) -> cython.bint:
+def is_new_view(
+    pose: Pose, beams: Array, last: Pose, last_beams: Array, independent: float
+) -> cython.bint:
     """Return whether beams (K, 3), m, moved over the ground by more than pose errors explain, since
-    another pose with its beams. Otherwise the returns are those of the same places again."""
+    another pose with its beams. Otherwise the returns are those of the same places again.
+    ``independent``: share of the variances that the errors of both poses do not have in common."""
     i: cython.Py_ssize_t
     a = cython.declare(cython.double[:, ::1], beams)
     b = cython.declare(cython.double[:, ::1], last_beams)
@@ -96,7 +99,7 @@ def is_new_view(pose: Pose, beams: Array, last: Pose, last_beams: Array) -> cyth
     for i in range(3):
         moved += move[i] * move[i]
         variance += variances[i] + square * variances[i + 3]
-    return moved + square * turned > NEW_VIEW_SIGMAS * NEW_VIEW_SIGMAS * variance
+    return moved + square * turned > NEW_VIEW_SIGMAS * NEW_VIEW_SIGMAS * independent * variance
 
 
 class ScanBuffers:
