@@ -149,7 +149,7 @@ class Mapper:
         """
         _check_arguments(points_lidar, pose)
         if not self.stamp_ns or self.config.domain.follow == "area":
-            self._follow(pose)  # nothing can be lost, or the pose does not decide
+            self._follow(pose)  # the map is empty, or the area sets the square
         if pose.stamp_ns < self.stamp_ns - JUMP_NS:
             self._held = HeldReturns(self.domain)
         lidar = self.config.lidar
@@ -201,6 +201,7 @@ class Mapper:
         beams, time = update.sampled_beams(points_lidar), self._scales[0]
         if self._view is not None:
             elapsed = 1e-9 * abs(pose.stamp_ns - self._view[0].stamp_ns)
+            # Share of the variance of pose errors that is new since the last view.
             independent = 1.0 if time <= 0.0 else -math.expm1(-elapsed / time)
             if not update.is_new_view(pose, beams, *self._view, independent):
                 return False
@@ -222,8 +223,9 @@ class Mapper:
     def _compare_and_decide(
         self, scan: RegisteredScan, now: float
     ) -> tuple[ScanUpdate, Array, Verdict]:
-        """Fit a scan to the leaves and accept, reject or overrule; apply the decision to the map or
-        to the tilt of the scan. Return also the compared cells (`ScanUpdate.fit`)."""
+        """Fit a scan to the leaves and accept or reject it. If it overrules the map, lift or clear the
+        map and fit again; if it is tilted, level it and fit again. Return also the compared cells
+        (`ScanUpdate.fit`)."""
         change, cells, motion = self._compare(scan, now)
         compared, inconsistent = cells, alignment.is_inconsistent(motion)
         if motion is not None:
