@@ -177,8 +177,10 @@ class AutopilotNode(BaseNode):
     def _on_change(self, order: landing.Order, nav: Nav) -> None:
         """Report a new state to the log, the pilot and lss_node."""
         warn, text = order.state in LEVELS, f"{order.state}: {order.text}"
-        log = self.get_logger().warning if warn else self.get_logger().info
-        log(text)
+        if warn:  # each call keeps its severity
+            self.get_logger().warning(text)
+        else:
+            self.get_logger().info(text)
         self._link.send_text(f"lss {text}", warn=warn)
         if order.point is not None:
             if self._is_only_publisher(self._dispersion):
