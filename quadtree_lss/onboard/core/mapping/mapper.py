@@ -223,9 +223,9 @@ class Mapper:
     def _compare_and_decide(
         self, scan: RegisteredScan, now: float
     ) -> tuple[ScanUpdate, Array, Verdict]:
-        """Fit a scan to the leaves and accept or reject it. If it overrules the map, lift or clear the
-        map and fit again; if it is tilted, level it and fit again. Return also the compared cells
-        (`ScanUpdate.fit`)."""
+        """Fit a scan to the leaves and accept or reject it. If it overrules the map, lift or clear
+        the map and fit again; if it is tilted, level it and fit again. Return also the compared
+        cells (`ScanUpdate.fit`)."""
         change, cells, motion = self._compare(scan, now)
         compared, inconsistent = cells, alignment.is_inconsistent(motion)
         if motion is not None:
