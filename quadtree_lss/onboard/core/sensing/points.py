@@ -146,7 +146,7 @@ def sort_points(
 ) -> tuple[Array, Keys]:
     """Sort the runs; return points (M, 3) and their keys (M,), run by run.
 
-    Of each run at least four points are copied, without a branch on its length; the next run
+    At least four points of a run are copied, without a branch on its length; the next run
     overwrites the excess. Points outside the domain (key ``nowhere``) are dropped, and with
     ``isolated`` those without a range.
     """
