@@ -130,7 +130,7 @@ class Mapper:
         # Pose and beams of the last scan that added coverage.
         self._view: tuple[Pose, Array] | None = None
         self._unmapped_scans = 0  # in a row
-        # Each of the last scans: squared height over the map, its variance from the claimed pose errors,
+        # Last scans: squared height over the map, its variance from the claimed pose errors,
         # and from other causes, m^2.
         self._gaps: deque[tuple[float, float, float]] = deque(maxlen=GAP_SCANS)
 
