@@ -115,7 +115,7 @@ def test_simulate_then_replay_then_evaluate(tmp_path, capsys):
     code, out, _ = run(capsys, *arguments)
     assert code == 0 and (tmp_path / "flight" / "truth.npz").exists() and "truth.npz" in out
     code, _, err = run(capsys, *arguments)
-    assert code == 1 and "truth.npz exists" in err
+    assert code == 1 and "bag exists" in err
     assert run(capsys, *arguments, "--overwrite")[0] == 0
     out = tmp_path / "results"
     code, _, _ = run(capsys, "replay", place, "--out", out, "--config", "parabola", "--no-report")
