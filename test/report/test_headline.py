@@ -10,6 +10,7 @@ from report.pages import changed
 from quadtree_lss.desk.exchange.saved import load_results
 from quadtree_lss.desk.report import headline
 from quadtree_lss.desk.report.report import page
+from quadtree_lss.onboard.core.landing.result import shown
 
 
 @pytest.fixture
@@ -20,9 +21,9 @@ def content(result):
 def without_sites(content, hazard):
     """The same grid with these hazards, and no site."""
     grid = {**content.grid, "hazard": hazard, "safe": np.zeros(hazard.shape, bool)}
-    sites = {name: values[:0] for name, values in content.sites.items()}
+    none = [{k: v[:0] for k, v in table.items()} for table in (content.sites, content.selected)]
     summary = {**content.summary, "explanation": "no safe site: nothing fits", "reasons": []}
-    return changed(content, grid=grid, sites=sites, summary=summary)
+    return changed(content, grid=grid, sites=none[0], selected=none[1], summary=summary)
 
 
 def test_the_share_is_of_the_seen_ground(content):
@@ -35,12 +36,60 @@ def test_the_share_is_of_the_seen_ground(content):
     assert headline.areas(everything, headline.last_moment(everything)).seen == pytest.approx(
         size**2
     )
-    _, words, ground, _ = headline.verdict(content)
-    assert f"site 1, the best of {len(content.sites['x'])}, succeeds" in words
+    ground = headline.verdict(content).ground
     share = 100 * found.allowed / found.seen
     assert f"allowed on {share:.0f} % of the {found.seen:,.0f} m² observed" in ground
-    why = content.reasons[0].partition(": ")[2]  # without its probability, which the words have
-    assert f" m: {why}. Landing is" in ground
+
+
+def targeted(content, away, probability=0.995, why="target 3 (99.5 %): first choice", **summary):
+    """The same results with a target ``away`` m east of site 1."""
+    x, y, z = content.positions[0]
+    row = {"id": 3, "x": x + away, "y": y, "z": z}
+    selected = {name: np.array([value]) for name, value in row.items()}
+    reason = f"probability {shown(probability)}; 80 % of the risk comes from obstacles (greatest"
+    reason += " 3.1 m east); slope 1.0° of 10°"
+    summary = {"target_probability": probability, "target_why": why, **summary}
+    summary = {**content.summary, "target_reason": reason, "doubts": [], **summary}
+    return changed(content, selected=selected, summary=summary)
+
+
+def test_it_says_where_to_land_and_the_relation_of_the_target_to_the_sites(content):
+    x, y, z = content.positions[0]
+    success = "a touchdown aimed there succeeds with 99.5 %"
+    count, rank = len(content.positions), headline.rank_reasons(content)[0]
+    told = headline.verdict(targeted(content, 0.0))
+    assert f" at x {x:.2f}, y {y:.2f}, z {z:.2f} m; {success}" in told.answer
+    assert told.ground.startswith(f"It is site 1 of {count}: {rank}. Against it: 80 % of the ")
+    assert "(greatest 3.1 m east). Ground: slope 1.0° of 10°. Landing is" in told.ground
+    why = "site 1 (99.5 %, 0.6 m away) gains less than the divert costs"
+    held = targeted(content, 0.6, why=f"target 3 (99.5 %): {why}")
+    history = {**content.history, "target": np.tile([3.0, x + 0.6, y, z, 0.995], (2, 1))}
+    told = headline.verdict(changed(held, history=history))
+    assert f" at x {x + 0.6:.2f}, y {y:.2f}, z {z:.2f} m; {success}" in told.answer
+    relation = f"It is target 3, held from an earlier assessment, 0.6 m from site 1 of {count}"
+    relation += f": {why}."
+    assert told.ground.startswith(relation)
+    assert told.facts[0][:2] == ("success at the target", "99.5 %")
+
+
+def test_it_says_why_there_is_no_target_yet(content):
+    why = "safe ground waits for the confirmation by another assessment"
+    found = targeted(content, 0.0, why=f"no target: {why}")
+    none = {name: values[:0] for name, values in content.selected.items()}
+    told = headline.verdict(changed(found, selected=none))
+    x, y, _ = content.positions[0]
+    count = len(content.positions)
+    assert f": no target: {why}; a touchdown at site 1 of {count}, x {x:.2f}" in told.answer
+    assert told.level != "good"
+
+
+def test_the_vehicle_is_named_and_stamps_from_zero_are_seconds(content):
+    facts = {fact.name: fact.value for fact in headline.verdict(content).facts}
+    assert facts["vehicle, diameter"] == "3.7 m, clearance 0.3 m"
+    stamps = {20_500_000_000: "20.500 s", 1_700_000_000_000_000_000: "2023-11-14 22:13:20 UTC"}
+    for stamp, text in stamps.items():
+        then = changed(content, summary={**content.summary, "last_stamp_ns": stamp})
+        assert headline.when(then).endswith(f"· {text}")
 
 
 def test_without_a_site_the_nearest_miss_is_named(content):
@@ -66,12 +115,12 @@ def test_without_a_site_the_nearest_miss_is_named(content):
             [],
             1.0,
             "good",
-            "Good: a touchdown at site 1, the best of 5, succeeds with 99.5 %.",
+            "Good: land at x",
         ),
         (0.995, ["another lander"], 1.0, "care", "its risk may be wrong"),
         (0.995, [], 0.01, "care", "of the ground within"),
         (0.93, [], 1.0, "care", "succeeds with 93.0 %, but that is less than 99.0 %"),
-        (0.2, [], 1.0, "none", "Not good enough: a touchdown at site 1, the best of 5, succeeds"),
+        (0.2, [], 1.0, "none", "Not good enough: the target is at x"),
     ],
 )
 def test_a_rating_is_of_probability_surroundings_and_model(
@@ -79,40 +128,44 @@ def test_a_rating_is_of_probability_surroundings_and_model(
 ):
     sites = {name: np.resize(values, 5) for name, values in content.sites.items()}
     sites["probability"] = np.linspace(best, best - 0.1, 5)
-    summary = {**content.summary, "doubts": doubts, "reasons": ["level"] * 5}
+    summary = {"doubts": doubts, "reasons": ["level"] * 5}
     safe = np.full(content.grid["safe"].shape, around == 1.0)
     x, y = sites["x"][0], sites["y"][0]
     safe |= (content.grid.x == x) & (content.grid.y == y)[:, None]
     grid = {**content.grid, "safe": safe}
-    found = changed(content, sites=sites, summary=summary, grid=grid)
+    found = changed(targeted(content, 0.0, best, **summary), sites=sites, grid=grid)
     told = headline.verdict(found)
     assert told.level == level and words in told.answer
     facts = {fact.name: fact for fact in told.facts}
     assert facts["risk model"].level == ("care" if doubts else "good")
-    assert facts["allowed around site 1"].level == ("good" if around == 1.0 else "care")
-    assert headline.ratings(found, headline.last_moment(found))[0][0] == level
+    assert facts["allowed around the target"].level == ("good" if around == 1.0 else "care")
+    assert headline.ratings(found)[0][0] == level
     shown = page(found)
     assert f'class="verdict {level}"' in shown
     for fact in told.facts:
         assert f"<dd>{fact.value}</dd>" in shown
 
 
-def test_ranks_are_explained_by_probability_and_room():
-    def words(probability, clear):
-        table = {"probability": np.array(probability), "hazard_distance": np.array(clear)}
-        return headline.rank_reasons(table)
+def test_ranks_are_explained_by_the_shown_probability_and_room(content):
+    def words(probability, room, **landing):
+        sites = {"probability": np.array(probability), "hazard_distance": np.array(room)}
+        summary = {**content.summary, "landing": landing}
+        return headline.rank_reasons(changed(content, sites=sites, summary=summary))
 
     assert words([0.9996, 0.9995, 0.998], [4.7, 0.5, 9.0]) == [
         "most probable",
-        "as probable as 1, less room",
+        "as probable as 1 (model error), less room",
         "less probable than 2",
     ]
-    assert words([0.9995, 0.9996], [4.7, 0.5])[0] == "as probable as any, most room"
-    assert words([0.9996, 0.9995], [8.0, 9.0])[1] == "as probable as 1"
+    assert words([0.9995, 0.9996], [4.7, 0.5])[0] == "as probable as 2 (model error), most room"
+    far = headline.enough_room(content)
+    assert words([0.99961, 0.9996, 0.9995], [far, far + 9.0, far + 1.0])[1:] == [
+        "equal to 1",
+        "less probable than 2",
+    ]
     assert words([np.nan, np.nan], [1.0, 1.0]) == ["lowest score", "higher score"]
     assert words([], []) == []
-    table = {"probability": np.array([0.99, 0.9]), "hazard_distance": np.array([1.0, 2.0])}
-    near = headline.rank_reasons(table, wanted=True)
+    near = words([0.99, 0.9], [1.0, 2.0], target=[0.0, 0.0])
     assert near == ["near the planned point", "farther from the planned point"]
 
 

@@ -46,6 +46,17 @@ class TargetChange(NamedTuple):
     probability: float
     reason: str
 
+    @classmethod
+    def of(cls, found: LandingAssessment) -> TargetChange:
+        target = found.selected
+        return cls(
+            found.stamp_ns,
+            target.id,
+            *target.position.tolist(),
+            target.probability,
+            target.reason.key,
+        )
+
     def differs_from(self, last: TargetChange | None) -> bool:
         """Return whether the target is another one than the last, has moved, or was withdrawn."""
         if last is None or not last.id:
@@ -142,10 +153,7 @@ class Assessments:
         waited = self._waited(now_ns) if waited is None else waited
         found = self._selector.assess(self.cells, waited=waited, **self._restrictions())
         self.lss_ms = 1e3 * (time.perf_counter() - began)
-        target, (x, y, z) = found.selected, found.selected.position.tolist()
-        row = TargetChange(
-            found.stamp_ns, target.id, x, y, z, target.probability, target.reason.key
-        )
+        row = TargetChange.of(found)
         if row.differs_from(self.changes[-1] if self.changes else None):
             self.changes.append(row)
         self.last, self._landing.changed = found, found.pending
@@ -210,7 +218,7 @@ class History:
                 "allowed": np.packbits(found.safe),
                 "risk": np.nan_to_num(stored, nan=255.0).astype(np.uint8).ravel(),
                 "sites": np.column_stack(ranked),
-                "target": np.array([found.selected.id, *found.selected.position]),
+                "target": np.array(TargetChange.of(found)[1:6]),
                 "target_why": found.why,
             }
         )
@@ -243,7 +251,7 @@ class History:
             "seen": column("seen", np.uint8),
             "allowed": column("allowed", np.uint8),
             **({"risk": column("risk")} if risk else {}),
-            "target": column("target").reshape(-1, 4),
+            "target": column("target").reshape(-1, 5),
             "target_why": column("target_why", str),
             "site_answer": np.repeat(np.arange(len(answers)), [len(a["sites"]) for a in answers]),
             "site_id": sites[:, 0].astype(np.int64),

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from quadtree_lss.desk.exchange.dem import MAX_POSTS, ElevationModel, read_dem
 from quadtree_lss.desk.exchange.formats import ExchangeError
+from quadtree_lss.desk.replay.assessments import TargetChange
 from quadtree_lss.desk.replay.results import ReplayResult, run_summary, write_results
 from quadtree_lss.onboard.config.settings import DEFAULTS, Config, config_from_values
 from quadtree_lss.onboard.core.landing.assess import LandingSiteSelector
@@ -70,7 +71,10 @@ def rank_sites(
     config = config_from_values(values, config)
     before = time.perf_counter()
     requests = LandingRequests(None, wanted)
-    found = LandingSiteSelector(config).assess(cells, **requests.arguments())
+    selector = LandingSiteSelector(config)
+    found = selector.assess(cells, **requests.arguments())
+    if found.pending:  # the ground of a model does not change: it confirms itself
+        found = selector.assess(cells, **requests.arguments())
     lss_ms = 1e3 * (time.perf_counter() - before)
     heights = model.elevation[np.isfinite(model.elevation)]
     upward = np.median(cells.normal[cells.measured, 2]) if cells.measured.any() else np.nan
@@ -94,7 +98,8 @@ def rank_sites(
         doubts=doubts,
         warnings=[*doubts, *[many] * (block > 1)],
     )
-    result = ReplayResult(None if out is None else Path(out), cells, found, (), summary)
+    targets = (TargetChange.of(found),) * (found.selected.id > 0)
+    result = ReplayResult(None if out is None else Path(out), cells, found, (), summary, targets)
     if result.out is not None:
         write_results(result.out, result, config, report)
     return result

@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
 from datetime import datetime, timezone
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -14,6 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from quadtree_lss.desk.exchange.saved import Results
 from quadtree_lss.onboard.arrays import Array, Mask
 from quadtree_lss.onboard.core.landing.ranking import equal_up_to
+from quadtree_lss.onboard.core.landing.raster import DISTANCE_CAP
 from quadtree_lss.onboard.core.landing.result import shown
 from quadtree_lss.onboard.messages.intake import noise_notice
 
@@ -21,6 +20,8 @@ from quadtree_lss.onboard.messages.intake import noise_notice
 GOOD_PROBABILITY = 0.99
 #: Smallest share of allowed ground within a vehicle diameter of a good site.
 MIN_ALLOWED_SHARE = 0.5
+#: Stamps before the year 2000 are times since the start, as in simulations, ns.
+FIRST_DATE_NS = 946_684_800 * 10**9
 #: Levels of trust in a site.
 LEVELS = {"good": "Good", "care": "With care", "none": "Not good enough"}
 
@@ -75,16 +76,37 @@ class Fact(NamedTuple):
     level: str = ""
 
 
+class Target(NamedTuple):
+    """The target, m; ``held``: it is that of the assessment before."""
+
+    id: int
+    x: float
+    y: float
+    z: float
+    probability: float
+    held: bool
+
+
 class Moment(NamedTuple):
     """An assessment: masks (ny, nx), positions (K, 2) or (K, 3) of the ranked sites, m, their
-    probabilities (K,), NaN if not computed, and the target (2,), None without one."""
+    probabilities (K,), NaN if not computed, and the target, None without one. ``why`` the target
+    is this one, or there is none; ``reason`` of the target or of site 1, empty if unknown."""
 
     seen: Mask
     allowed: Mask
     unmapped: Mask
     position: Array
     probability: Array
-    target: Array | None
+    target: Target | None
+    why: str
+    reason: str = ""
+
+    @property
+    def place(self) -> tuple[str, Array, float]:
+        """Name, position and probability of the target, or without one of site 1."""
+        if self.target is None:
+            return "site 1", self.position[0], float(self.probability[0])
+        return "the target", np.array(self.target[1:4]), self.target.probability
 
 
 class Verdict(NamedTuple):
@@ -98,51 +120,70 @@ class Verdict(NamedTuple):
 
 def last_moment(content: Results) -> Moment:
     """The last assessment."""
-    grid, sites = content.grid, content.sites
+    grid, sites, summary = content.grid, content.sites, content.summary
     none = np.full(len(sites["x"]), np.nan)
     probability = np.asarray(sites.get("probability", none), np.float64)
+    target, (reason, *_) = None, (*content.reasons, "")
+    if content.selected["id"][-1:].any():
+        place = [content.selected[name][-1].item() for name in ("id", "x", "y", "z")]
+        chance, history = summary["target_probability"], content.history.get("target", ())
+        target = Target(*place, np.nan if chance is None else chance, _is_held(history))
+        reason = summary["target_reason"]
     masks = grid.seen, grid["safe"], grid.unmapped
-    id_, *target = (content.selected[name][-1:] for name in ("id", "x", "y"))
-    place = np.concatenate(target).astype(np.float64) if id_.any() else None
-    return Moment(*masks, content.positions, probability, place)
+    return Moment(*masks, content.positions, probability, target, summary["target_why"], reason)
 
 
-def allowed_around(content: Results, moment: Moment) -> Array:
-    """Share (K,) of allowed grid points within a vehicle diameter of each site."""
+def past_moment(content: Results, answer: int, seen: Mask, allowed: Mask) -> Moment:
+    """An assessment of the history by its number, with its masks."""
+    history, target = content.history, None
+    own, known = history["site_answer"] == answer, history["target"][: answer + 1]
+    if known[-1, 0]:
+        target = Target(int(known[-1, 0]), *known[-1, 1:].tolist(), _is_held(known))
+    sites = history["site_position"][own], history["site_probability"][own]
+    why = str(history["target_why"][answer])
+    return Moment(seen, allowed, np.zeros_like(seen), *sites, target, why)
+
+
+def _is_held(targets: Any) -> bool:
+    """Whether the last row of ``targets`` (A, 5) is at the place of the row before."""
+    return len(targets) > 1 and bool(np.array_equal(targets[-1][:3], targets[-2][:3]))
+
+
+def allowed_share(content: Results, moment: Moment, place: Array) -> float:
+    """Share of allowed grid points within a vehicle diameter of a place."""
     x, y, reach = content.grid.x, content.grid.y, content.config.vehicle.diameter
-    found = np.zeros(len(moment.position))
-    for k, (site_x, site_y) in enumerate(moment.position[:, :2]):
-        columns = slice(*np.searchsorted(x, [site_x - reach, site_x + reach]))
-        rows = slice(*np.searchsorted(y, [site_y - reach, site_y + reach]))
-        near = np.hypot(x[columns] - site_x, (y[rows] - site_y)[:, None]) <= reach
-        found[k] = np.mean(moment.allowed[rows, columns][near]) if near.any() else 0.0
-    return found
+    columns = slice(*np.searchsorted(x, [place[0] - reach, place[0] + reach]))
+    rows = slice(*np.searchsorted(y, [place[1] - reach, place[1] + reach]))
+    near = np.hypot(x[columns] - place[0], (y[rows] - place[1])[:, None]) <= reach
+    return float(np.mean(moment.allowed[rows, columns][near])) if near.any() else 0.0
 
 
-def ratings(content: Results, moment: Moment | None = None) -> list[tuple[str, str]]:
-    """Level of each site (a key of `LEVELS`) and the reasons against it, or an empty text.
+def ratings(content: Results) -> list[tuple[str, str]]:
+    """Rating of each site of the last assessment (see `rating`)."""
+    moment = last_moment(content)
+    sites = zip(moment.position, moment.probability, strict=True)
+    return [rating(content, moment, place, probability) for place, probability in sites]
 
-    A site is good if its probability and the allowed share of the ground around it reach their
-    limits and the risk model fits the case. ``moment``: by default the last assessment.
+
+def rating(content: Results, moment: Moment, place: Array, probability: float) -> tuple[str, str]:
+    """Level of a place (a key of `LEVELS`) and the reasons against it, or an empty text.
+
+    It is good if its probability and the allowed share of the ground around it reach their limits
+    and the risk model fits the case.
     """
-    lss, warnings = content.config.lss, content.summary.get("doubts", ())
-    reach, found, moment = content.config.vehicle.diameter, [], moment or last_moment(content)
-    shares = allowed_around(content, moment)
-    for probability, share in zip(moment.probability, shares, strict=True):
-        level, against = _level(probability, lss.min_probability), []
-        if level == "none":
-            against = [f"a target needs {shown(lss.min_probability)}"]
-        elif probability < GOOD_PROBABILITY:
-            against = [f"that is less than {shown(GOOD_PROBABILITY)}"]
-        if share < MIN_ALLOWED_SHARE:
-            level = "none" if level == "none" else "care"
-            near = f"the ground within {reach:.3g} m is allowed"
-            against += [f"only {rounded(100.0 * share)} % of {near}"]
-        if warnings:
-            level = "none" if level == "none" else "care"
-            against += ["its risk may be wrong (see the warnings)"]
-        found.append((level, "; ".join(against)))
-    return found
+    least, reach = content.config.lss.min_probability, content.config.vehicle.diameter
+    share, against = allowed_share(content, moment, place), []
+    level = _level(probability, least)
+    if level == "none":
+        against = [f"a target needs {shown(least)}"]
+    elif probability < GOOD_PROBABILITY:
+        against = [f"that is less than {shown(GOOD_PROBABILITY)}"]
+    if share < MIN_ALLOWED_SHARE:
+        near = f"the ground within {reach:.3g} m is allowed"
+        against += [f"only {rounded(100.0 * share)} % of {near}"]
+    if content.summary.get("doubts"):
+        against += ["its risk may be wrong (see the warnings)"]
+    return "care" if level == "good" and against else level, "; ".join(against)
 
 
 def _level(probability: float, least: float) -> str:
@@ -162,52 +203,65 @@ def verdict(content: Results, moment: Moment | None = None) -> Verdict:
         ground += f": {rounded(found.allowed)} m²"
     if found.unmapped >= 0.5:
         ground += f"; {rounded(found.unmapped)} m² more are observed but not estimated"
-    facts = _facts(content, moment)
-    if not number:
+    facts, target = _facts(content, moment), moment.target
+    if not number and target is None:
         details = _details_without_site(content, ground) if at_end else f"{ground}."
         return Verdict("none", "No landing site.", details, facts)
-    (level, against), best = ratings(content, moment)[0], float(moment.probability[0])
-    of = f"site 1, the best of {number}," if number > 1 else "the only site"
-    words = f"a touchdown at {of} succeeds with {shown(best)}"
-    if np.isnan(best):
-        words = f"the risk at {of} is not computed"
-    answer = f"{LEVELS[level]}: {words}{', but ' + against if against else ''}."
-    place = ", ".join(f"{n} {v:.2f}" for n, v in zip("xyz", moment.position[0], strict=False))
-    why = ": " + re.sub(r"^probability [^:;]*[:;] ", "", content.reasons[0]) if at_end else ""
-    details = f"Site 1 is at {place} m{why}. {ground}."
-    if at_end and moment.target is not None and _target_site(content, moment) != 1:
-        told = f"{content.summary['target_why']}"
-        details += f" {told[:1].upper()}{told[1:]}."
-    return Verdict(level, answer, details, facts)
+    _, position, probability = moment.place
+    level, against = rating(content, moment, position, probability)
+    where = ", ".join(f"{n} {v:.2f}" for n, v in zip("xyz", position, strict=False)) + " m"
+    success = f"succeeds with {shown(probability)}"
+    if np.isnan(probability):
+        success = "has a risk that is not computed"
+    if target is not None:
+        act = "the target is" if level == "none" else "land"
+        answer = f"{act} at {where}; a touchdown aimed there {success}"
+    else:
+        level = "care" if level == "good" else level
+        why = moment.why.removeprefix("no target: ")
+        answer = f"no target: {why}; a touchdown at site 1 of {number}, {where}, {success}"
+    answer = f"{LEVELS[level]}: {answer}{', but ' + against if against else ''}."
+    *risk, surface = moment.reason.removeprefix(f"probability {shown(probability)}; ").split("; ")
+    details = [] if target is None else [_relation(content, moment, target, at_end)]
+    details += [f"Against it: {'; '.join(risk)}"] if risk else []
+    details += [f"Ground: {surface}"] if surface else []
+    return Verdict(level, answer, ". ".join([*details, ground]) + ".", facts)
 
 
-def _target_site(content: Results, moment: Moment) -> int:
-    """Rank of the site at the target; 0 if no site is there."""
-    away = np.hypot(*(moment.position[:, :2] - moment.target).T)
-    near = np.flatnonzero(away < 0.5 * content.config.vehicle.diameter)
-    return int(near[0]) + 1 if len(near) else 0
+def _relation(content: Results, moment: Moment, target: Target, at_end: bool) -> str:
+    """Relation of the target to the ranked sites, and why it is the target."""
+    why = moment.why.partition(": ")[2]
+    name = f"It is target {target.id}" + ", held from an earlier assessment" * target.held
+    if not (count := len(moment.position)):
+        return f"{name}, and no site is ranked: {why}"
+    away = np.hypot(moment.position[:, 0] - target.x, moment.position[:, 1] - target.y)
+    k = int(np.argmin(away))
+    if away[k] >= 0.01:
+        return f"{name}, {away[k]:.1f} m from site {k + 1} of {count}: {why}"
+    why = rank_reasons(content)[0] if at_end and not k else why
+    return f"It is site {k + 1} of {count}: {why}"
 
 
 def _facts(content: Results, moment: Moment) -> list[Fact]:
     lss, vehicle, summary = content.config.lss, content.config.vehicle, content.summary
     facts, warnings = [], summary.get("doubts", ())
-    if len(moment.position):
-        best, share = float(moment.probability[0]), float(allowed_around(content, moment)[0])
+    if moment.target is not None or len(moment.position):
+        name, position, best = moment.place
+        share = allowed_share(content, moment, position)
         success = "not computed" if np.isnan(best) else shown(best)
         near = f"{rounded(100.0 * share)} % within {vehicle.diameter:.3g} m"
         enough = "good" if share >= MIN_ALLOWED_SHARE else "care"
         facts = [
-            Fact("success at site 1", success, _level(best, lss.min_probability)),
-            Fact("allowed around site 1", near, enough),
+            Fact(f"success at {name}", success, _level(best, lss.min_probability)),
+            Fact(f"allowed around {name}", near, enough),
         ]
     if "probability" in (lss.assessment, lss.ranking):
         bad = "may be wrong, see warnings", "care"
         facts.append(Fact("risk model", *(bad if warnings else ("fits", "good"))))
     spread = " × ".join(f"{s:.3g}" for s in dict.fromkeys(content.dispersion))
     facts.append(Fact("touchdown dispersion, 1 σ", f"{spread} m"))
-    if moment.target is not None:
-        (x, y), rank = moment.target, _target_site(content, moment)
-        facts.append(Fact("target", f"site {rank}" if rank else f"x {x:.2f}, y {y:.2f}"))
+    size = f"{vehicle.diameter:.3g} m, clearance {vehicle.clearance:.3g} m"
+    facts.append(Fact("vehicle, diameter", size))
     ratio, noise = summary.get("range_noise_ratio"), content.config.lidar.range_noise
     if ratio is not None:
         level = "" if noise_notice(ratio, content.config) is None else "care"
@@ -216,24 +270,36 @@ def _facts(content: Results, moment: Moment) -> list[Fact]:
     return facts
 
 
-def rank_reasons(sites: Mapping[str, Array], wanted: bool = False) -> list[str]:
-    """Explain the rank of each site (see ``landing.ranking``). ``wanted``: sites near a requested
-    target rank first."""
-    probability, clear = sites.get("probability"), sites["hazard_distance"]
-    if probability is None or not len(clear) or np.isnan(probability).any():
-        return ["lowest score"] * (len(clear) > 0) + ["higher score"] * (len(clear) - 1)
-    risks = 1.0 - np.asarray(probability, np.float64)
+def enough_room(content: Results) -> float:
+    """Room beyond which more does not count (see ``landing.ranking``), m."""
+    return DISTANCE_CAP * content.config.lss.vehicle.diameter_ratio - content.zone
+
+
+def rank_reasons(content: Results) -> list[str]:
+    """Explain the rank of each site by the shown figures (see ``landing.ranking``)."""
+    sites, wanted = content.sites, "target" in content.summary.get("landing", {})
+    probability = np.asarray(sites.get("probability", np.nan), np.float64)
+    room = np.round(np.minimum(sites["hazard_distance"], enough_room(content)), 1)
+    if not len(room) or np.isnan(probability).any():
+        return ["lowest score"] * (len(room) > 0) + ["higher score"] * (len(room) - 1)
+    risks, best = 1.0 - probability, int(np.argmax(probability)) + 1
     words = ["most probable"]
-    if risks.min() < risks[0]:
-        words = ["as probable as any" + ", most room" * bool(clear[0] >= max(clear))]
+    if shown(probability[0]) in map(shown, probability[1:]):
+        words = ["as probable as any"]
+    elif best > 1:
+        words = [f"as probable as {best} (model error)"]
+    if words != ["most probable"] and room[0] > max(room[1:]):
+        words[0] += ", most room"
     for k in range(1, len(risks)):
         equal = risks[k] <= equal_up_to(risks[k - 1])
-        if equal and clear[k] <= clear[k - 1]:
-            words.append(f"as probable as {k}, less room")
+        if equal and room[k] < room[k - 1]:
+            words.append(f"as probable as {k} (model error), less room")
         elif wanted:
             words.append("farther from the planned point")
+        elif equal and shown(probability[k]) == shown(probability[k - 1]):
+            words.append(f"equal to {k}")
         else:
-            words.append(f"as probable as {k}" if equal else f"less probable than {k}")
+            words.append(f"less probable than {k}")
     if wanted:
         words[0] = "near the planned point"
     return words
@@ -260,5 +326,7 @@ def when(content: Results) -> str:
     stamp = content.summary.get("last_stamp_ns")
     if stamp is None:
         return frame
+    if stamp < FIRST_DATE_NS:
+        return f"{frame} · {1e-9 * stamp:.3f} s"
     moment = datetime.fromtimestamp(stamp / 1e9, tz=timezone.utc)
     return f"{frame} · {moment:%Y-%m-%d %H:%M:%S} UTC"

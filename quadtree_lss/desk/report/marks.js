@@ -15,9 +15,14 @@ function badge(c, x, y, text, chosen) {
   c.fillStyle = chosen ? ink("--paper") : "#fff"; c.font = "bold 12px system-ui, sans-serif";
   c.textAlign = "center"; c.textBaseline = "middle"; c.fillText(text, p, q + 0.5);
 }
-function drawTarget(c, x, y) {
+function drawTarget(c, x, y, others) { // others: [x, y] of the sites, which the label must not cover
   ring(c, x, y, 1.12 * data.zone, [4, 4]);
-  box(c, "target", px(x) + 0.8 * data.zone * view.scale, py(y) - 0.8 * data.zone * view.scale - 20);
+  const away = Math.max(0.8 * data.zone * view.scale, 14), wide = 60, high = 20;
+  const covers = ([left, top]) => others.some(([u, v]) => px(u) > left - 12 && px(u) < left + wide + 12 &&
+    py(v) > top - 12 && py(v) < top + high + 12);
+  const corners = [[away, -away - high], [away, away], [-away - wide, -away - high], [-away - wide, away]]
+    .map(([right, down]) => [px(x) + right, py(y) + down]);
+  box(c, "target", ...(corners.find(corner => !covers(corner)) || corners[0]));
 }
 function drawSites(c) {
   if (view.answer >= 0) {
@@ -26,14 +31,14 @@ function drawSites(c) {
       ring(c, rx, ry, data.zone); badge(c, rx, ry, all.length - k, false);
     });
     const [id, x, y] = data.history.targets[view.answer];
-    if (id) drawTarget(c, x, y);
+    if (id) drawTarget(c, x, y, data.history.sites[view.answer].map(([, u, v]) => [u, v]));
     return;
   }
   for (const site of [...sites].reverse()) {
     ring(c, site.x, site.y, data.zone);
     badge(c, site.x, site.y, site.rank, site.rank - 1 === view.site);
   }
-  if (data.target) drawTarget(c, ...data.target);
+  if (data.target) drawTarget(c, ...data.target, sites.map(s => [s.x, s.y]));
   if (data.miss) { ring(c, data.miss.x, data.miss.y, data.zone, [2, 4]); badge(c, data.miss.x, data.miss.y, "?"); }
 }
 function shape(c, points, colour) {

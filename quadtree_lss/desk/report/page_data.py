@@ -52,7 +52,7 @@ def page_data(content: Results, layers: Sequence[Layer] = ()) -> tuple[dict[str,
         "noise": config.lidar.range_noise,
         "lander": {"radius": 0.5 * config.vehicle.diameter, "pad": config.vehicle.pad_radius},
         "miss": (miss := headline.nearest_miss(content)) and miss._asdict(),
-        "target": None if target is None else target.tolist(),
+        "target": target and target[1:3],
         "landing": content.summary.get("landing") or {},
         "limit": {"risk": config.lss.max_risk, "good": 1.0 - headline.GOOD_PROBABILITY},
         "history": _history(content, columns, stride),
@@ -205,12 +205,8 @@ def _history(content: Results, columns: Columns, stride: int) -> dict[str, Any] 
     outline = history["scan_outline"]
 
     def verdict_then(k: int, answer: int) -> dict[str, Any]:
-        then = sites[history["site_answer"] == answer]
-        layers = masks["seen"][k], masks["allowed"][k], np.zeros_like(masks["seen"][k])
-        target = history["target"][answer]
-        place = target[1:3] if target[0] else None
-        moment = headline.Moment(*layers, then[:, 1:4], then[:, 5], place)
-        return headline.verdict(content, moment)._asdict()
+        then = headline.past_moment(content, answer, masks["seen"][k], masks["allowed"][k])
+        return headline.verdict(content, then)._asdict()
 
     return {
         "first_ns": first,

@@ -30,7 +30,10 @@ SITE_COLUMNS = (
     ("feature", "m", "subscale_height", "{:.2f}", FEATURE_MEANING),
 )
 """Columns of the table of sites: heading, unit, name in ``sites.csv``, format, meaning."""
-RANK_MEANING = "as probable: within the error of the risk model; then more room ranks first"
+RANK_MEANING = (
+    "Probabilities are equal within the error of the risk model. Among equal sites, more room ranks"
+    " first, up to {:.1f} m of room."
+)
 
 
 def report_files(folder: str | Path) -> dict[str, bytes]:
@@ -60,7 +63,6 @@ def page(
         [_format_cell(name, value, form) for value in sites[name]]
         for _, _, name, form, _ in shown_columns
     ]
-    why = headline.rank_reasons(sites, "target" in summary.get("landing", {}))
     rows = [(row.name, used[row.name], row.default, row.unit, row.doc) for row in parameters()]
     shown_values = {
         "title": f"Landing sites from {short_name(summary['bag'])}",
@@ -72,9 +74,10 @@ def page(
         "warnings": [*summary.get("losses", ()), *summary.get("warnings", ())],
         "head": [
             *((word, unit, meaning) for word, unit, _, _, meaning in shown_columns),
-            ("why this rank", "", RANK_MEANING),
+            ("why this rank", "", ""),
         ],
-        "rows": [*zip(*cells, why, strict=True)],
+        "rank_meaning": RANK_MEANING.format(headline.enough_room(content)) if known else "",
+        "rows": [*zip(*cells, headline.rank_reasons(content), strict=True)],
         "levels": [(level, headline.LEVELS[level]) for level, _ in headline.ratings(content)],
         "nearest_miss": headline.nearest_miss(content) is not None,
         "reasons": content.reasons,

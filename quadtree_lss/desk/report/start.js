@@ -20,7 +20,9 @@ async function start() {
   byId("layer").value = view.layer;
   fitSites(); legend();
   timeline(); startFlight(); timing();
-  choose(sites.length ? 0 : -1, false);
+  const atTarget = sites.findIndex(s => data.target &&
+    Math.hypot(s.x - data.target[0], s.y - data.target[1]) < data.lander.radius);
+  choose(sites.length ? Math.max(atTarget, 0) : -1, false);
   restoreView();
   new ResizeObserver(refresh).observe(byId("frame"));
   // A print has its own width and the light theme, so canvases are drawn again.

@@ -12,6 +12,7 @@ from quadtree_lss.desk.exchange.saved import Results, load_results
 from quadtree_lss.desk.replay.files import write_bytes, write_csv, write_json, write_npz
 from quadtree_lss.desk.replay.results import ReplayResult, run_summary, write_results
 from quadtree_lss.desk.report import palette
+from quadtree_lss.desk.report.headline import verdict
 from quadtree_lss.desk.report.page_data import Layer
 from quadtree_lss.desk.report.pages import Columns
 from quadtree_lss.desk.report.report import page
@@ -50,6 +51,7 @@ def _page(content: Results, flown: FlightResult) -> str:
     flight, figures = flown.flight, flown.figures
     down = figures["outcome"] == "touchdown"
     words, _, ground = headline(flown).partition(": ")[2].partition(" after ")
+    told = verdict(content)
     return page(
         content,
         _truth_layers(content, flight.ground),
@@ -57,7 +59,7 @@ def _page(content: Results, flown: FlightResult) -> str:
         extra_data=lambda data, columns: {"flight": _flight_data(data, columns, flown)},
         title=f"Flight, seed {figures['seed']}",
         answer=f"{words[:1].upper()}{words[1:]}.",
-        ground=f"After {ground}.",
+        ground=f"After {ground}. The last assessment: {told.answer} {told.ground}",
         level="good" if down and figures["safe"] else "none",
         decisions=[
             (f"{d.time:.1f}", f"{d.height:.1f}", d.what, f"{d.x:.2f}", f"{d.y:.2f}")

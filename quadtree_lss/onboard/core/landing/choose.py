@@ -9,10 +9,9 @@ from functools import partial
 import numpy as np
 
 from quadtree_lss.onboard.arrays import Array, Index
-from quadtree_lss.onboard.config.risk import CAUSES
 from quadtree_lss.onboard.config.settings import Config, LssConfig
 from quadtree_lss.onboard.core.landing import hazards
-from quadtree_lss.onboard.core.landing.aim import Aims, Dispersion, touchdown_weights
+from quadtree_lss.onboard.core.landing.aim import Aims, touchdown_weights
 from quadtree_lss.onboard.core.landing.lattice import disc, steps_to_marked
 from quadtree_lss.onboard.core.landing.ranking import GridIndex
 from quadtree_lss.onboard.core.landing.raster import RELATIVE_ROUNDING, TerrainRaster
@@ -38,11 +37,14 @@ from quadtree_lss.onboard.core.tree.cell_map import height_by_error
 NOT_PENDING = (Reason.SETTLING, Reason.UNLIKELY)
 #: Variance of an unknown heading (uniform distribution), rad^2.
 UNKNOWN_HEADING_VARIANCE = np.pi**2 / 3.0
-CAUSE_TEXTS = {
-    "obstacle": "an obstacle",
-    "slope": "too steep a slope",
-    "hidden": "an undetected hazard",
-}
+#: Sources of risk: those of `config.risk.CAUSES`, and the ground that is not assessable.
+SOURCES = (
+    "obstacles",
+    "steep slopes",
+    "possible obstacles too small to detect",
+    "ground observed but not estimated",
+    "unobserved ground",
+)
 BEARINGS = "east north-east north north-west west south-west south south-east".split()
 
 
@@ -121,7 +123,7 @@ def _describe(
     slope_deg = np.degrees(np.arctan(planes.gradient[nearest]))
     risks = [""] * len(grid_points)
     if lss.ranking == "probability":
-        risks = _risk_texts(points, aims.dispersion, *nearest, lss)
+        risks = _risk_texts(points, aims, nearest, aims.probability[rows, columns], lss)
     limit = vehicle.max_slope_deg
     if lss.assessment == "touchdown":
         limit = vehicle.lengths.touchdown_slope_deg
@@ -185,36 +187,42 @@ def _describe_zones(
 
 
 def _risk_texts(
-    points: PointAssessment, dispersion: Dispersion, rows: Index, columns: Index, lss: LssConfig
+    points: PointAssessment,
+    aims: Aims,
+    nearest: tuple[Index, Index],
+    probabilities: Array,
+    lss: LssConfig,
 ) -> list[str]:
-    """Describe the main cause of the risk at aim points, as in "probability 99.2 %: the remaining
-    risk is an obstacle 3.1 m east; "; ``rows``, ``columns``: (K,) of the lattice."""
+    """Describe the main source of the risk at aim points, as in "probability 99.2 %; 80 % of the
+    risk comes from obstacles (greatest 3.1 m east); ".
+
+    ``nearest``: rows and columns (K,) of the lattice; ``probabilities``: (K,) of success.
+    """
     risk, raster = points.risk, points.raster
     side = raster.domain.finest_size
-    across, along = touchdown_weights(risk.shape, side, dispersion)
-    up, right, total = len(across) // 2, len(along) // 2, float(across.sum() * along.sum())
-    weights, texts = across[:, None] * along, []
-    padded = np.pad(risk, ((up, up), (right, right)), constant_values=1.0)
+    across, along = touchdown_weights(risk.shape, side, aims.dispersion)
+    up, right = len(across) // 2, len(along) // 2
+    weights, room, texts = across[:, None] * along, ((up, up), (right, right)), []
     reach = (1.0 - RELATIVE_ROUNDING) * (0.5 * lss.vehicle.diameter + lss.vehicle.pad_radius)
-    for aim_row, aim_column in zip(rows.tolist(), columns.tolist(), strict=True):
-        around = padded[aim_row : aim_row + len(across), aim_column : aim_column + len(along)]
-        share = weights * around
-        row, column = divmod(int(np.argmax(share)), len(along))
-        north, east = (row - up) * side, (column - right) * side
-        point = row + aim_row - up, column + aim_column - right
-        cause = "unobserved ground"
-        if 0 <= point[0] < risk.shape[0] and 0 <= point[1] < risk.shape[1]:
-            if raster.assessable[point]:
-                cause = CAUSE_TEXTS[CAUSES[points.cause[point]]]
-            elif raster.to_unestimated[point] < reach:
-                cause = "ground observed but not estimated"
-        probability, away = total - float(share.sum()), float(np.hypot(east, north))
-        text = f"probability {shown(probability)}"
+    unknown = np.where(raster.to_unestimated < reach, np.uint8(3), np.uint8(4))
+    source = np.where(raster.assessable, points.cause, unknown)
+    source = np.pad(source, room, constant_values=4)
+    padded = np.pad(risk, room, constant_values=1.0)
+    for aim_row, aim_column, probability in zip(*nearest, probabilities, strict=True):
+        text = f"probability {shown(probability)}; "
         if probability < 0.9999:
+            window = np.s_[aim_row : aim_row + len(across), aim_column : aim_column + len(along)]
+            part, kind = weights * padded[window], source[window]
+            parts = np.bincount(kind.ravel(), part.ravel())
+            main = int(parts.argmax())
+            row, column = divmod(int(np.argmax(np.where(kind == main, part, 0.0))), len(along))
+            north, east = (row - up) * side, (column - right) * side
+            away = float(np.hypot(east, north))
             bearing = BEARINGS[round(float(np.arctan2(north, east)) / (0.25 * np.pi)) % 8]
             where = "here" if away < 0.1 else f"{away:.1f} m {bearing}"
-            text += f": the remaining risk is {cause} {where}"
-        texts.append(f"{text}; ")
+            share = f"{100.0 * parts[main] / parts.sum():.0f} % of the risk comes from"
+            text += f"{share} {SOURCES[main]} (greatest {where}); "
+        texts.append(text)
     return texts
 
 
