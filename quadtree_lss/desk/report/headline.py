@@ -177,7 +177,7 @@ def rating(content: Results, moment: Moment, place: Array, probability: float) -
     if level == "none":
         against = [f"a target needs {shown(least)}"]
     elif probability < GOOD_PROBABILITY:
-        against = [f"that is less than {shown(GOOD_PROBABILITY)}"]
+        against = [f"a good site needs {shown(GOOD_PROBABILITY)}"]
     if share < MIN_ALLOWED_SHARE:
         near = f"the ground within {reach:.3g} m is allowed"
         against += [f"only {rounded(100.0 * share)} % of {near}"]
@@ -210,16 +210,14 @@ def verdict(content: Results, moment: Moment | None = None) -> Verdict:
     _, position, probability = moment.place
     level, against = rating(content, moment, position, probability)
     where = ", ".join(f"{n} {v:.2f}" for n, v in zip("xyz", position, strict=False)) + " m"
-    success = f"succeeds with {shown(probability)}"
-    if np.isnan(probability):
-        success = "has a risk that is not computed"
+    success = "is not computed" if np.isnan(probability) else f"is {shown(probability)}"
     if target is not None:
         act = "the target is" if level == "none" else "land"
-        answer = f"{act} at {where}; a touchdown aimed there {success}"
+        answer = f"{act} at {where}; the probability of a safe touchdown there {success}"
     else:
         level = "care" if level == "good" else level
-        why = moment.why.removeprefix("no target: ")
-        answer = f"no target: {why}; a touchdown at site 1 of {number}, {where}, {success}"
+        place = f"site 1 of {number}, {where},"
+        answer = f"{moment.why}; the probability of a safe touchdown at {place} {success}"
     answer = f"{LEVELS[level]}: {answer}{', but ' + against if against else ''}."
     *risk, surface = moment.reason.removeprefix(f"probability {shown(probability)}; ").split("; ")
     details = [] if target is None else [_relation(content, moment, target, at_end)]
@@ -238,7 +236,8 @@ def _relation(content: Results, moment: Moment, target: Target, at_end: bool) ->
     k = int(np.argmin(away))
     if away[k] >= 0.01:
         return f"{name}, {away[k]:.1f} m from site {k + 1} of {count}: {why}"
-    why = rank_reasons(content)[0] if at_end and not k else why
+    if at_end and not k:
+        why = rank_reasons(content)[0].replace("equal to ", "within the model error equal to site ")
     return f"It is site {k + 1} of {count}: {why}"
 
 
@@ -284,19 +283,17 @@ def rank_reasons(content: Results) -> list[str]:
         return ["lowest score"] * (len(room) > 0) + ["higher score"] * (len(room) - 1)
     risks, best = 1.0 - probability, int(np.argmax(probability)) + 1
     words = ["most probable"]
-    if shown(probability[0]) in map(shown, probability[1:]):
-        words = ["as probable as any"]
-    elif best > 1:
-        words = [f"as probable as {best} (model error)"]
-    if words != ["most probable"] and room[0] > max(room[1:]):
-        words[0] += ", most room"
+    texts = [shown(value) for value in probability]
+    if best > 1 or texts[0] in texts[1:]:
+        other = best if best > 1 else texts.index(texts[0], 1) + 1
+        words = [f"equal to {other}" + ", most room" * bool(room[0] > max(room[1:]))]
     for k in range(1, len(risks)):
         equal = risks[k] <= equal_up_to(risks[k - 1])
         if equal and room[k] < room[k - 1]:
-            words.append(f"as probable as {k} (model error), less room")
+            words.append(f"equal to {k}, less room")
         elif wanted:
             words.append("farther from the planned point")
-        elif equal and shown(probability[k]) == shown(probability[k - 1]):
+        elif equal and texts[k] == texts[k - 1]:
             words.append(f"equal to {k}")
         else:
             words.append(f"less probable than {k}")

@@ -31,8 +31,8 @@ SITE_COLUMNS = (
 )
 """Columns of the table of sites: heading, unit, name in ``sites.csv``, format, meaning."""
 RANK_MEANING = (
-    "Probabilities are equal within the error of the risk model. Among equal sites, more room ranks"
-    " first, up to {:.1f} m of room."
+    "Equal: the probabilities differ by less than the error of the risk model. Among equal sites,"
+    " more room ranks first, up to {:.1f} m of room."
 )
 
 
