@@ -97,6 +97,8 @@ def test_the_command_writes_results_like_a_replay(dem_file, tmp_path, capsys):
     assert "median slope 0.0°" in out
     assert out.splitlines()[-1] == f"open {tmp_path / 'out' / 'report.html'}"
     results = load_results(tmp_path / "out")
+    assert results.selected["reason"].tolist() == ["first"]
+    assert results.selected["x"][0] == results.positions[0, 0]
     assert len(results.positions) == 5 and results.map.at(18.0, 20.0).height == pytest.approx(0.0)
     shown = json.loads(run(capsys, "sites", dem_file, *options, "--json", "-q")[1])
     assert len(shown["sites"]) == 5 and shown["posts"] == [161, 121]

@@ -47,5 +47,5 @@ def test_it_tells_where_the_lidar_was_and_looked(tmp_path):
         last = history["site_answer"] == len(history["answer_stamp_ns"]) - 1
         np.testing.assert_allclose(history["site_position"][last], result.assessment.sites.position)
         assert history["target"][-1, 0] == result.assessment.selected.id
-        assert history["target"][-1, 4] == result.summary["target_probability"]
+        assert history["target"][-1, 4] == result.assessment.selected.probability
         assert history["target_why"][-1] == result.assessment.why

@@ -81,8 +81,26 @@ def test_the_pointer_tells_values_and_layers_differ(result, best, browse):
     assert len(set(told["colours"].values())) >= 5
     legends = told["legends"]
     assert "Outlines do not exclude landing" in legends["hazards"][0]
+    assert "Without the touchdown dispersion (lss.dispersion)" in legends["landing"][0]
     assert "excluded" in legends["score"][0] and len(legends["score"][1]) > 2
     assert legends["cells"][1] == [-1, 0, 1, 2]  # binary logarithms of 0.5 m to 4 m
+
+
+def test_the_label_of_the_target_covers_no_site(browse):
+    told = browse("""
+        const labels = [];
+        window.box = (c, text, x, y) => { if (text === "target") labels.push([x, y]); };
+        data.target = [sites[0].x, sites[0].y]; sites.length = 1; drawNow();
+        for (let n = 0; n < 2; n++) {
+          const [x, y] = labels[labels.length - 1];
+          sites.push({ x: mx(x + 30), y: my(y + 10), rank: n + 2 }); drawNow();
+        }
+        tellTest("labels", labels);
+        tellTest("sites", sites.map(s => [px(s.x), py(s.y)]));
+    """)
+    assert len({tuple(label) for label in told["labels"]}) == 3
+    x, y = told["labels"][-1]
+    assert not any(x < u < x + 60 and y < v < y + 20 for u, v in told["sites"])
 
 
 def test_rows_and_keys(best, browse):

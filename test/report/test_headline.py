@@ -21,36 +21,35 @@ def content(result):
 def without_sites(content, hazard):
     """The same grid with these hazards, and no site."""
     grid = {**content.grid, "hazard": hazard, "safe": np.zeros(hazard.shape, bool)}
-    none = [{k: v[:0] for k, v in table.items()} for table in (content.sites, content.selected)]
+    sites = {name: values[:0] for name, values in content.sites.items()}
     summary = {**content.summary, "explanation": "no safe site: nothing fits", "reasons": []}
-    return changed(content, grid=grid, sites=none[0], selected=none[1], summary=summary)
+    history = {**content.history, "target": np.zeros((1, 5))}
+    return changed(content, grid=grid, sites=sites, history=history, summary=summary)
 
 
 def test_the_share_is_of_the_seen_ground(content):
-    found = headline.areas(content, headline.last_moment(content))
+    seen, allowed, _ = headline.areas(content, headline.last_moment(content))
     size = content.config.domain.size
-    assert 0.0 < found.allowed < found.seen <= size**2
+    assert 0.0 < allowed < seen <= size**2
     everything = changed(
         content, grid={**content.grid, "hazard": np.zeros_like(content.grid["hazard"])}
     )
-    assert headline.areas(everything, headline.last_moment(everything)).seen == pytest.approx(
-        size**2
-    )
+    moment = headline.last_moment(everything)
+    assert headline.areas(everything, moment)[0] == pytest.approx(size**2)
     ground = headline.verdict(content).ground
-    share = 100 * found.allowed / found.seen
-    assert f"allowed on {share:.0f} % of the {found.seen:,.0f} m² observed" in ground
+    assert f"allowed on {100 * allowed / seen:.0f} % of the {seen:,.0f} m² observed" in ground
 
 
 def targeted(content, away, probability=0.995, why="target 3 (99.5 %): first choice", **summary):
     """The same results with a target ``away`` m east of site 1."""
     x, y, z = content.positions[0]
-    row = {"id": 3, "x": x + away, "y": y, "z": z}
-    selected = {name: np.array([value]) for name, value in row.items()}
+    targets = content.history["target"].copy()
+    targets[-2:, 0], targets[-1] = 0.0, (3.0, x + away, y, z, probability)
     reason = f"probability {shown(probability)}; 80 % of the risk comes from obstacles (greatest"
     reason += " 3.1 m east); slope 1.0° of 10°"
-    summary = {"target_probability": probability, "target_why": why, **summary}
+    summary = {"target_why": why, **summary}
     summary = {**content.summary, "target_reason": reason, "doubts": [], **summary}
-    return changed(content, selected=selected, summary=summary)
+    return changed(content, history={**content.history, "target": targets}, summary=summary)
 
 
 def test_it_says_where_to_land_and_the_relation_of_the_target_to_the_sites(content):
@@ -63,7 +62,8 @@ def test_it_says_where_to_land_and_the_relation_of_the_target_to_the_sites(conte
     assert "(greatest 3.1 m east). Ground: slope 1.0° of 10°. Landing is" in told.ground
     why = "site 1 (99.5 %, 0.6 m away) gains less than the divert costs"
     held = targeted(content, 0.6, why=f"target 3 (99.5 %): {why}")
-    history = {**content.history, "target": np.tile([3.0, x + 0.6, y, z, 0.995], (2, 1))}
+    targets = held.history["target"][[*range(len(held.history["target"]) - 1), -1, -1]]
+    history = {**held.history, "target": targets}
     told = headline.verdict(changed(held, history=history))
     assert f" at x {x + 0.6:.2f}, y {y:.2f}, z {z:.2f} m; {success}" in told.answer
     relation = f"It is target 3, held from an earlier assessment, 0.6 m from site 1 of {count}"
@@ -72,11 +72,18 @@ def test_it_says_where_to_land_and_the_relation_of_the_target_to_the_sites(conte
     assert told.facts[0][:2] == ("success at the target", "99.5 %")
 
 
+def test_a_reason_has_the_probability_of_the_table_and_the_source_of_the_risk(content):
+    for probability, reason in zip(content.sites["probability"], content.reasons, strict=True):
+        assert reason.startswith(f"probability {shown(probability)}; ")
+        source = r"\d+ % of the risk comes from [a-z ]+ \(greatest (here|[\d.]+ m [a-z-]+)\); slope"
+        assert probability >= 0.9999 or re.search(source, reason)
+
+
 def test_it_says_why_there_is_no_target_yet(content):
     why = "safe ground waits for the confirmation by another assessment"
     found = targeted(content, 0.0, why=f"no target: {why}")
-    none = {name: values[:0] for name, values in content.selected.items()}
-    told = headline.verdict(changed(found, selected=none))
+    history = {**found.history, "target": 0.0 * found.history["target"]}
+    told = headline.verdict(changed(found, history=history))
     x, y, _ = content.positions[0]
     count = len(content.positions)
     assert (
@@ -101,7 +108,7 @@ def test_without_a_site_the_nearest_miss_is_named(content):
     row, column = (n // 2 for n in x.shape)
     away = np.hypot(x - x[row, column], y - y[row, column])
     unmapped = without_sites(content, np.where(away < 1.2, 0, 192).astype(np.uint8))
-    more = headline.areas(unmapped, headline.last_moment(unmapped)).unmapped
+    more = headline.areas(unmapped, headline.last_moment(unmapped))[2]
     said = headline.verdict(unmapped).ground
     assert f"; {more:,.0f} m² more are observed but not estimated" in said
     found = headline.verdict(without_sites(content, np.where(away < 1.2, 0, 8).astype(np.uint8)))

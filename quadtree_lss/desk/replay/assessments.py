@@ -48,14 +48,8 @@ class TargetChange(NamedTuple):
 
     @classmethod
     def of(cls, found: LandingAssessment) -> TargetChange:
-        target = found.selected
-        return cls(
-            found.stamp_ns,
-            target.id,
-            *target.position.tolist(),
-            target.probability,
-            target.reason.key,
-        )
+        target, (x, y, z) = found.selected, found.selected.position.tolist()
+        return cls(found.stamp_ns, target.id, x, y, z, target.probability, target.reason.key)
 
     def differs_from(self, last: TargetChange | None) -> bool:
         """Return whether the target is another one than the last, has moved, or was withdrawn."""

@@ -119,7 +119,6 @@ def run_summary(
         "last_stamp_ns": max(stamps, default=None),
         "maps": 1,
         "target": found.selected.id,
-        "target_probability": found.selected.probability,
         "target_why": found.why,
         "target_reason": "".join(found.selected.site.reasons),
         "target_changes": int(found.selected.id > 0),

@@ -26,34 +26,18 @@ FIRST_DATE_NS = 946_684_800 * 10**9
 LEVELS = {"good": "Good", "care": "With care", "none": "Not good enough"}
 
 
-class Areas(NamedTuple):
-    """Areas of classes of grid points, m²."""
-
-    seen: float
-    allowed: float
-    unmapped: float
-
-
-class NearestMiss(NamedTuple):
-    """The grid point that is closest to being a site, and the limit that it misses."""
-
-    x: float
-    y: float
-    why: str
-
-
-def areas(content: Results, moment: Moment) -> Areas:
-    """Areas that are estimated, allowed, and observed but not estimated."""
+def areas(content: Results, moment: Moment) -> list[float]:
+    """Areas that are estimated, allowed, and observed but not estimated, m²."""
     x, y = (np.full(len(content.grid[name]), content.grid.spacing) for name in "xy")
     x[[0, -1]] *= 0.5  # the outer points are on the edge of the map
     y[[0, -1]] *= 0.5
     each = y[:, None] * x
-    return Areas(*(float(each[part].sum()) for part in moment[:3]))
+    return [float(each[part].sum()) for part in moment[:3]]
 
 
-def nearest_miss(content: Results) -> NearestMiss | None:
-    """Find the grid point with the lowest risk, or slope, among those with space for a zone; None
-    if there are sites or no point has the space."""
+def nearest_miss(content: Results) -> dict[str, Any] | None:
+    """Find the grid point with the lowest risk, or slope, among those with space for a zone: ``x``,
+    ``y``, and ``why`` it is no site; None if there are sites or no point has the space."""
     grid, lss = content.grid, content.config.lss
     room = grid.spacing * distance_transform_edt(np.pad(grid.seen, 1))[1:-1, 1:-1] >= content.zone
     word, values = "slope {:.1f}°, but a hazard within the zone", grid["slope_deg"]
@@ -65,7 +49,7 @@ def nearest_miss(content: Results) -> NearestMiss | None:
         return None
     row, column = np.unravel_index(np.nanargmin(values), values.shape)
     why = word.format(values[row, column])
-    return NearestMiss(float(grid["x"][column]), float(grid["y"][row]), why)
+    return {"x": float(grid["x"][column]), "y": float(grid["y"][row]), "why": why}
 
 
 class Fact(NamedTuple):
@@ -76,37 +60,32 @@ class Fact(NamedTuple):
     level: str = ""
 
 
-class Target(NamedTuple):
-    """The target, m; ``held``: it is that of the assessment before."""
-
-    id: int
-    x: float
-    y: float
-    z: float
-    probability: float
-    held: bool
-
-
 class Moment(NamedTuple):
-    """An assessment: masks (ny, nx), positions (K, 2) or (K, 3) of the ranked sites, m, their
-    probabilities (K,), NaN if not computed, and the target, None without one. ``why`` the target
-    is this one, or there is none; ``reason`` of the target or of site 1, empty if unknown."""
+    """An assessment: masks (ny, nx), positions (K, 3) of the ranked sites, m, and their
+    probabilities (K,), NaN if not computed. ``targets``: (A, 5) number, position and probability of
+    this assessment's target and of the ones before, number 0 without one. ``why`` it is the target,
+    or there is none; ``reason`` of the target or of site 1, empty if unknown."""
 
     seen: Mask
     allowed: Mask
     unmapped: Mask
     position: Array
     probability: Array
-    target: Target | None
+    targets: Array
     why: str
     reason: str = ""
+
+    @property
+    def target(self) -> Array | None:
+        """The last row of ``targets``, None without a target."""
+        return self.targets[-1] if self.targets[-1:, 0].any() else None
 
     @property
     def place(self) -> tuple[str, Array, float]:
         """Name, position and probability of the target, or without one of site 1."""
         if self.target is None:
             return "site 1", self.position[0], float(self.probability[0])
-        return "the target", np.array(self.target[1:4]), self.target.probability
+        return "the target", self.target[1:4], float(self.target[4])
 
 
 class Verdict(NamedTuple):
@@ -123,30 +102,21 @@ def last_moment(content: Results) -> Moment:
     grid, sites, summary = content.grid, content.sites, content.summary
     none = np.full(len(sites["x"]), np.nan)
     probability = np.asarray(sites.get("probability", none), np.float64)
-    target, (reason, *_) = None, (*content.reasons, "")
-    if content.selected["id"][-1:].any():
-        place = [content.selected[name][-1].item() for name in ("id", "x", "y", "z")]
-        chance, history = summary["target_probability"], content.history.get("target", ())
-        target = Target(*place, np.nan if chance is None else chance, _is_held(history))
-        reason = summary["target_reason"]
+    targets = content.history.get("target", ())
+    if not len(targets):
+        names = ("id", "x", "y", "z", "probability")
+        targets = np.column_stack([content.selected[name] for name in names])
+    reason = summary["target_reason"] if targets[-1:, 0].any() else "".join(content.reasons[:1])
     masks = grid.seen, grid["safe"], grid.unmapped
-    return Moment(*masks, content.positions, probability, target, summary["target_why"], reason)
+    return Moment(*masks, content.positions, probability, targets, summary["target_why"], reason)
 
 
 def past_moment(content: Results, answer: int, seen: Mask, allowed: Mask) -> Moment:
     """An assessment of the history by its number, with its masks."""
-    history, target = content.history, None
-    own, known = history["site_answer"] == answer, history["target"][: answer + 1]
-    if known[-1, 0]:
-        target = Target(int(known[-1, 0]), *known[-1, 1:].tolist(), _is_held(known))
+    history, own = content.history, content.history["site_answer"] == answer
     sites = history["site_position"][own], history["site_probability"][own]
-    why = str(history["target_why"][answer])
-    return Moment(seen, allowed, np.zeros_like(seen), *sites, target, why)
-
-
-def _is_held(targets: Any) -> bool:
-    """Whether the last row of ``targets`` (A, 5) is at the place of the row before."""
-    return len(targets) > 1 and bool(np.array_equal(targets[-1][:3], targets[-2][:3]))
+    targets, why = history["target"][: answer + 1], str(history["target_why"][answer])
+    return Moment(seen, allowed, np.zeros_like(seen), *sites, targets, why)
 
 
 def allowed_share(content: Results, moment: Moment, place: Array) -> float:
@@ -196,13 +166,13 @@ def _level(probability: float, least: float) -> str:
 def verdict(content: Results, moment: Moment | None = None) -> Verdict:
     """Summarise an assessment, by default the last one."""
     at_end, moment = moment is None, moment or last_moment(content)
-    found, number = areas(content, moment), len(moment.position)
-    percent = rounded(100.0 * found.allowed / (found.seen or 1.0))
-    ground = f"Landing is allowed on {percent} % of the {rounded(found.seen)} m² observed"
-    if found.allowed:
-        ground += f": {rounded(found.allowed)} m²"
-    if found.unmapped >= 0.5:
-        ground += f"; {rounded(found.unmapped)} m² more are observed but not estimated"
+    (seen, allowed, unmapped), number = areas(content, moment), len(moment.position)
+    percent = rounded(100.0 * allowed / (seen or 1.0))
+    ground = f"Landing is allowed on {percent} % of the {rounded(seen)} m² observed"
+    if allowed:
+        ground += f": {rounded(allowed)} m²"
+    if unmapped >= 0.5:
+        ground += f"; {rounded(unmapped)} m² more are observed but not estimated"
     facts, target = _facts(content, moment), moment.target
     if not number and target is None:
         details = _details_without_site(content, ground) if at_end else f"{ground}."
@@ -220,19 +190,21 @@ def verdict(content: Results, moment: Moment | None = None) -> Verdict:
         answer = f"{moment.why}; the probability of a safe touchdown at {place} {success}"
     answer = f"{LEVELS[level]}: {answer}{', but ' + against if against else ''}."
     *risk, surface = moment.reason.removeprefix(f"probability {shown(probability)}; ").split("; ")
-    details = [] if target is None else [_relation(content, moment, target, at_end)]
+    details = [] if target is None else [_relation(content, moment, at_end)]
     details += [f"Against it: {'; '.join(risk)}"] if risk else []
     details += [f"Ground: {surface}"] if surface else []
     return Verdict(level, answer, ". ".join([*details, ground]) + ".", facts)
 
 
-def _relation(content: Results, moment: Moment, target: Target, at_end: bool) -> str:
+def _relation(content: Results, moment: Moment, at_end: bool) -> str:
     """Relation of the target to the ranked sites, and why it is the target."""
-    why = moment.why.partition(": ")[2]
-    name = f"It is target {target.id}" + ", held from an earlier assessment" * target.held
+    why, (number, x, y, *_) = moment.why.partition(": ")[2], moment.targets[-1]
+    name = f"It is target {number:.0f}"
+    if len(moment.targets) > 1 and (moment.targets[-2:-1, :3] == (number, x, y)).all():
+        name += ", held from an earlier assessment"
     if not (count := len(moment.position)):
         return f"{name}, and no site is ranked: {why}"
-    away = np.hypot(moment.position[:, 0] - target.x, moment.position[:, 1] - target.y)
+    away = np.hypot(moment.position[:, 0] - x, moment.position[:, 1] - y)
     k = int(np.argmin(away))
     if away[k] >= 0.01:
         return f"{name}, {away[k]:.1f} m from site {k + 1} of {count}: {why}"
@@ -313,7 +285,7 @@ def _details_without_site(content: Results, ground: str) -> str:
     lines = [f"{text[:1].upper()}{text[1:]}"]
     lines += [ground] if content.grid.seen.any() else []
     if (miss := nearest_miss(content)) is not None:
-        lines.append(f"Nearest miss at x {miss.x:.2f}, y {miss.y:.2f} m: {miss.why}")
+        lines.append("Nearest miss at x {x:.2f}, y {y:.2f} m: {why}".format(**miss))
     return ". ".join(lines) + "."
 
 

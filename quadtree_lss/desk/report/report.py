@@ -30,10 +30,6 @@ SITE_COLUMNS = (
     ("feature", "m", "subscale_height", "{:.2f}", FEATURE_MEANING),
 )
 """Columns of the table of sites: heading, unit, name in ``sites.csv``, format, meaning."""
-RANK_MEANING = (
-    "Equal: the probabilities differ by less than the error of the risk model. Among equal sites,"
-    " more room ranks first, up to {:.1f} m of room."
-)
 
 
 def report_files(folder: str | Path) -> dict[str, bytes]:
@@ -76,7 +72,7 @@ def page(
             *((word, unit, meaning) for word, unit, _, _, meaning in shown_columns),
             ("why this rank", "", ""),
         ],
-        "rank_meaning": RANK_MEANING.format(headline.enough_room(content)) if known else "",
+        "enough_room": headline.enough_room(content) if known else None,
         "rows": [*zip(*cells, headline.rank_reasons(content), strict=True)],
         "levels": [(level, headline.LEVELS[level]) for level, _ in headline.ratings(content)],
         "nearest_miss": headline.nearest_miss(content) is not None,

@@ -68,15 +68,13 @@ def fly_live(
     figures = flight_figures(seed, flight, last)
     targets, more = tuple(nodes.targets), {"landing": requests.as_lists()}
     more |= {"target": targets[-1].id if targets else 0, "target_changes": len(targets)}
-    if nodes.status is not None:
-        more |= {"target_probability": nodes.status.probability, "target_reason": ""}
-        more |= {"target_why": f"target: {Reason[nodes.status.reason.upper()].text}"}
+    more |= {"target_why": nodes.why, "target_reason": ""}
     return FlightResult(flight, figures, last, cells, None, targets, more)
 
 
 class LiveNodes:
-    """Both nodes as processes that end with ``stack``. ``requests`` holds the last requests of
-    guidance, ``status`` the last ``landing/status`` and ``targets`` its changes of the target."""
+    """Both nodes as processes that end with ``stack``. ``requests``: last ones of guidance;
+    ``targets``: changes of the target in ``landing/status``; ``why``: its last reason."""
 
     def __init__(self, stack: ExitStack, config: Config, folder: Path, domain: int | None) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -100,7 +98,7 @@ class LiveNodes:
         self._service = node.create_client(Trigger, "lss_node/land_now")
         self._received: list[Array | None] = []
         self.requests, self.targets = LandingRequests(config.frames.map), list[TargetChange]()
-        self.status: TargetChange | None = None
+        self.why = ""
         node.create_subscription(TOPICS[SELECTED], SELECTED, self._on_selected, latched())
         node.create_subscription(TOPICS[STATUS], STATUS, self._on_status, latched())
         ours = dict.fromkeys(("/clock", *TOPIC_KINDS), 1)
@@ -168,7 +166,8 @@ class LiveNodes:
         said = outputs.status_from_message(message)
         x, y, z, share = (float(said[name]) for name in ("x", "y", "z", "probability"))
         stamp, reason = stamp_ns(message.header), Reason(said["reason"]).key
-        self.status = row = TargetChange(stamp, int(said["id"]), x, y, z, share, reason)
+        row = TargetChange(stamp, int(said["id"]), x, y, z, share, reason)
+        self.why = f"{'target' if row.id else 'no target'}: {Reason(said['reason']).text}"
         if row.differs_from(self.targets[-1] if self.targets else None):
             self.targets.append(row)
 

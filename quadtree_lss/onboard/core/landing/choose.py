@@ -38,13 +38,8 @@ NOT_PENDING = (Reason.SETTLING, Reason.UNLIKELY)
 #: Variance of an unknown heading (uniform distribution), rad^2.
 UNKNOWN_HEADING_VARIANCE = np.pi**2 / 3.0
 #: Sources of risk: those of `config.risk.CAUSES`, and the ground that is not assessable.
-SOURCES = (
-    "obstacles",
-    "steep slopes",
-    "possible obstacles too small to detect",
-    "ground observed but not estimated",
-    "unobserved ground",
-)
+SOURCES = ("obstacles", "steep slopes", "possible obstacles too small to detect")
+SOURCES += ("ground observed but not estimated", "unobserved ground")
 BEARINGS = "east north-east north north-west west south-west south south-east".split()
 
 
@@ -123,7 +118,9 @@ def _describe(
     slope_deg = np.degrees(np.arctan(planes.gradient[nearest]))
     risks = [""] * len(grid_points)
     if lss.ranking == "probability":
-        risks = _risk_texts(points, aims, nearest, aims.probability[rows, columns], lss)
+        texts, chances = _risk_texts(points, aims, nearest, lss), aims.probability[rows, columns]
+        pairs = zip(chances, texts, strict=True)
+        risks = [f"probability {shown(p)}; {text * bool(p < 0.9999)}" for p, text in pairs]
     limit = vehicle.max_slope_deg
     if lss.assessment == "touchdown":
         limit = vehicle.lengths.touchdown_slope_deg
@@ -187,17 +184,10 @@ def _describe_zones(
 
 
 def _risk_texts(
-    points: PointAssessment,
-    aims: Aims,
-    nearest: tuple[Index, Index],
-    probabilities: Array,
-    lss: LssConfig,
+    points: PointAssessment, aims: Aims, nearest: tuple[Index, Index], lss: LssConfig
 ) -> list[str]:
-    """Describe the main source of the risk at aim points, as in "probability 99.2 %; 80 % of the
-    risk comes from obstacles (greatest 3.1 m east); ".
-
-    ``nearest``: rows and columns (K,) of the lattice; ``probabilities``: (K,) of success.
-    """
+    """Describe the main source of the risk at aim points, as in "80 % of the risk comes from
+    obstacles (greatest 3.1 m east); "; ``nearest``: rows and columns (K,) of the lattice."""
     risk, raster = points.risk, points.raster
     side = raster.domain.finest_size
     across, along = touchdown_weights(risk.shape, side, aims.dispersion)
@@ -208,21 +198,18 @@ def _risk_texts(
     source = np.where(raster.assessable, points.cause, unknown)
     source = np.pad(source, room, constant_values=4)
     padded = np.pad(risk, room, constant_values=1.0)
-    for aim_row, aim_column, probability in zip(*nearest, probabilities, strict=True):
-        text = f"probability {shown(probability)}; "
-        if probability < 0.9999:
-            window = np.s_[aim_row : aim_row + len(across), aim_column : aim_column + len(along)]
-            part, kind = weights * padded[window], source[window]
-            parts = np.bincount(kind.ravel(), part.ravel())
-            main = int(parts.argmax())
-            row, column = divmod(int(np.argmax(np.where(kind == main, part, 0.0))), len(along))
-            north, east = (row - up) * side, (column - right) * side
-            away = float(np.hypot(east, north))
-            bearing = BEARINGS[round(float(np.arctan2(north, east)) / (0.25 * np.pi)) % 8]
-            where = "here" if away < 0.1 else f"{away:.1f} m {bearing}"
-            share = f"{100.0 * parts[main] / parts.sum():.0f} % of the risk comes from"
-            text += f"{share} {SOURCES[main]} (greatest {where}); "
-        texts.append(text)
+    for aim_row, aim_column in zip(*nearest, strict=True):
+        window = np.s_[aim_row : aim_row + len(across), aim_column : aim_column + len(along)]
+        part, kind = weights * padded[window], source[window]
+        parts = np.bincount(kind.ravel(), part.ravel())
+        main = int(parts.argmax())
+        row, column = divmod(int(np.argmax(np.where(kind == main, part, 0.0))), len(along))
+        north, east = (row - up) * side, (column - right) * side
+        away = float(np.hypot(east, north))
+        bearing = BEARINGS[round(float(np.arctan2(north, east)) / (0.25 * np.pi)) % 8]
+        where = "here" if away < 0.1 else f"{away:.1f} m {bearing}"
+        share = f"{100.0 * parts[main] / (parts.sum() or 1.0):.0f} % of the risk comes from"
+        texts.append(f"{share} {SOURCES[main]} (greatest {where}); ")
     return texts
 
 
