@@ -104,8 +104,7 @@ def last_moment(content: Results) -> Moment:
     probability = np.asarray(sites.get("probability", none), np.float64)
     targets = content.history.get("target", ())
     if not len(targets):
-        names = ("id", "x", "y", "z", "probability")
-        targets = np.column_stack([content.selected[name] for name in names])
+        targets = np.column_stack([content.selected[k] for k in "id x y z probability".split()])
     reason = summary["target_reason"] if targets[-1:, 0].any() else "".join(content.reasons[:1])
     masks = grid.seen, grid["safe"], grid.unmapped
     return Moment(*masks, content.positions, probability, targets, summary["target_why"], reason)

@@ -51,6 +51,7 @@ def _page(content: Results, flown: FlightResult) -> str:
     flight, figures = flown.flight, flown.figures
     down = figures["outcome"] == "touchdown"
     words, _, ground = headline(flown).partition(": ")[2].partition(" after ")
+    words += " at x {x:.2f}, y {y:.2f} m".format(**figures) if down else ""
     told = verdict(content)
     return page(
         content,

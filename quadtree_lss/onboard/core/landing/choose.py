@@ -38,8 +38,8 @@ NOT_PENDING = (Reason.SETTLING, Reason.UNLIKELY)
 #: Variance of an unknown heading (uniform distribution), rad^2.
 UNKNOWN_HEADING_VARIANCE = np.pi**2 / 3.0
 #: Sources of risk: those of `config.risk.CAUSES`, and the ground that is not assessable.
-SOURCES = ("obstacles", "steep slopes", "possible obstacles too small to detect")
-SOURCES += ("ground observed but not estimated", "unobserved ground")
+SOURCES = ["obstacles", "steep slopes", "possible obstacles too small to detect"]
+SOURCES += ["ground observed but not estimated", "unobserved ground"]
 BEARINGS = "east north-east north north-west west south-west south south-east".split()
 
 
