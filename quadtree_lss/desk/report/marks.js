@@ -15,14 +15,15 @@ function badge(c, x, y, text, chosen) {
   c.fillStyle = chosen ? ink("--paper") : "#fff"; c.font = "bold 12px system-ui, sans-serif";
   c.textAlign = "center"; c.textBaseline = "middle"; c.fillText(text, p, q + 0.5);
 }
-function drawTarget(c, x, y, others) { // others: [x, y] of the sites, which the label must not cover
+function drawTarget(c, x, y, others) { // others: [x, y] of the sites; the label is far from them
   ring(c, x, y, 1.12 * data.zone, [4, 4]);
   const away = Math.max(0.8 * data.zone * view.scale, 14), wide = 60, high = 20;
-  const covers = ([left, top]) => others.some(([u, v]) => px(u) > left - 12 && px(u) < left + wide + 12 &&
-    py(v) > top - 12 && py(v) < top + high + 12);
+  const far = others.filter(([u, v]) => Math.hypot(u - x, v - y) > data.zone);
+  const room = ([left, top]) => Math.min(...far.map(([u, v]) =>
+    Math.hypot(px(u) - left - wide / 2, py(v) - top - high / 2)));
   const corners = [[away, -away - high], [away, away], [-away - wide, -away - high], [-away - wide, away]]
     .map(([right, down]) => [px(x) + right, py(y) + down]);
-  box(c, "target", ...(corners.find(corner => !covers(corner)) || corners[0]));
+  box(c, "target", ...corners.reduce((best, corner) => (room(corner) > room(best) + 1 ? corner : best)));
 }
 function drawSites(c) {
   if (view.answer >= 0) {
