@@ -40,7 +40,7 @@ SMALL = {
     "wrong_poses": (["--seeds", "1", "--before", "3"], ["wrong scans rejected", "hills"]),
     "landing_pass": (["--duration", "1", "--repeats", "1"], ["the paper's rules"]),
     "target": (
-        ["--seeds", "201", "--told"],
+        ["--seeds", "201", "--predicted"],
         ["withdrawals from truly safe ground", "truth off by"],
     ),
     "live": (

@@ -11,10 +11,12 @@ from cython.cimports.quadtree_lss.onboard.core.geometry.plane import offset_vari
 from cython.cimports.quadtree_lss.onboard.core.mapping import division, measure
 from cython.cimports.quadtree_lss.onboard.core.mapping import update as row
 from cython.cimports.quadtree_lss.onboard.core.mapping.features import update_feature
-from cython.cimports.quadtree_lss.onboard.core.mapping.update import OF_MAP as OF_MAP
-from cython.cimports.quadtree_lss.onboard.core.mapping.update import OF_SCAN as OF_SCAN
-from cython.cimports.quadtree_lss.onboard.core.mapping.update import OWN as OWN
+from cython.cimports.quadtree_lss.onboard.core.mapping.update import MAP_VARIANCE as MAP_VARIANCE
+from cython.cimports.quadtree_lss.onboard.core.mapping.update import (
+    NOISE_VARIANCE as NOISE_VARIANCE,
+)
 from cython.cimports.quadtree_lss.onboard.core.mapping.update import RISE as RISE
+from cython.cimports.quadtree_lss.onboard.core.mapping.update import SCAN_VARIANCE as SCAN_VARIANCE
 from cython.cimports.quadtree_lss.onboard.core.tree import leaves
 
 from quadtree_lss.onboard.arrays import Array, Bytes, Keys, Points
@@ -46,6 +48,9 @@ MIN_NORMAL_Z = cython.declare(cython.double, 0.866)
 #: Standard deviations of pose errors by which the beams must move for a new view (`is_new_view`):
 #: errors of six degrees of freedom exceed it in 1 of 2,000 scans.
 NEW_VIEW_SIGMAS = cython.declare(cython.double, 2.0)
+#: Least share of a scan's points in estimated leaves that lie in comparable ones, for a test: sound
+#: scans over simulated cliffs with up to 0.22 would be rejected.
+COMPARABLE_SHARE = cython.declare(cython.double, 0.25)
 #: Number of beams of a scan that are compared.
 BEAMS = 16
 #: Greatest height of a plane at a cell's centre, m.
@@ -132,7 +137,8 @@ class ScanUpdate:
 
     Attributes:
         is_new: Whether it is a new view, which adds coverage.
-        estimated, compared: Points in estimated leaves, and in those of them that `fit` compares.
+        is_comparable: Whether at least `COMPARABLE_SHARE` of the points in estimated leaves lie in
+            those that `fit` compares.
         divisions, refused: Number of divisions, and of divisions beyond ``max_cells``.
         ratio: (2, R) for the cells with an estimate of the range noise: observed over configured
             standard deviation, and points. Valid until the next scan.
@@ -151,7 +157,7 @@ class ScanUpdate:
         self.buffers.reserve_points(count)
         self.residual = self.buffers.residual
         self.is_new = True
-        self.divisions = self.refused = self.noise_count = self.estimated = self.compared = 0
+        self.divisions = self.refused = self.noise_count = 0
         self._find_runs()
 
     def _find_runs(self) -> None:
@@ -184,14 +190,15 @@ class ScanUpdate:
     def fit(self) -> Array:
         """Fit a plane to the scan in each touched leaf; return the M comparable ones, (ROWS, M).
 
-        The rows are `RISE`: height of the scan over the map, m; `OWN`: its
-        variance without pose errors, m^2; `OF_SCAN`, `OF_MAP`: variance of either height from pose
-        errors, m^2; `FIRST_TIME`, `LAST_TIME`: of the scans in the map's plane, s; `PLACE_X`,
+        The rows are `RISE`: height of the scan over the map, m; `NOISE_VARIANCE`: its variance
+        without pose errors, m^2; `SCAN_VARIANCE`, `MAP_VARIANCE`: variance of either height from
+        pose errors, m^2; `FIRST_TIME`, `LAST_TIME`: of the scans in the map's plane, s; `PLACE_X`,
         `PLACE_Y`, `PLACE_Z`: of the cell about the lidar, m; `SLOPE_X`, `SLOPE_Y`: of the map's
-        plane; `OF_SLOPE`: variance of either from pose errors.
+        plane; `SLOPE_VARIANCE`: variance of either from pose errors.
         """
         i: cython.Py_ssize_t
         found: cython.Py_ssize_t = 0
+        estimated = compared = 0.0
         out = np.empty((row.ROWS, self.cells))
         self.columns = out
         with cython.nogil:
@@ -205,15 +212,16 @@ class ScanUpdate:
                 run = cython.address(self.runs[i])
                 self._measure(leaf, self.begins[i], self.begins[i + 1], run)
                 if leaf.state == leaves.ESTIMATED:
-                    self.estimated += self.begins[i + 1] - self.begins[i]
+                    estimated += self.begins[i + 1] - self.begins[i]
                 if self._comparable(leaf):
-                    self.compared += self.begins[i + 1] - self.begins[i]
+                    compared += self.begins[i + 1] - self.begins[i]
                     self._write_comparison(leaf, run, found)
                     found += 1
+        self.is_comparable = compared >= COMPARABLE_SHARE * estimated
         return out[:, :found]
 
     def fit_finest(self) -> Array:
-        """Return `RISE` to `OF_MAP` as (4, M), for the mean in each explained finest cell."""
+        """Return `RISE` to `MAP_VARIANCE` as (4, M), for the mean in each explained finest cell."""
         cython.declare(i=cython.Py_ssize_t, k=cython.Py_ssize_t)
         found: cython.Py_ssize_t = 0
         out = np.empty((4, len(self.key)))
@@ -237,9 +245,9 @@ class ScanUpdate:
                     if self.table.seen[self.key[k]] == leaves.EXPLAINED:
                         own = run.variance / count + leaf.range_part[8]
                         self.columns[row.RISE, found] = total / count
-                        self.columns[row.OWN, found] = own / (up * up) + max(misfit, 0.0)
-                        self.columns[row.OF_SCAN, found] = run.pose_part[8] / (up * up)
-                        self.columns[row.OF_MAP, found] = leaf.pose_part[8] / (up * up)
+                        self.columns[row.NOISE_VARIANCE, found] = own / (up * up) + max(misfit, 0.0)
+                        self.columns[row.SCAN_VARIANCE, found] = run.pose_part[8] / (up * up)
+                        self.columns[row.MAP_VARIANCE, found] = leaf.pose_part[8] / (up * up)
                         found += 1
                     total = count = 0.0
         return out[:, :found]
@@ -263,12 +271,12 @@ class ScanUpdate:
             self.columns[row.RISE, at] = place[2]
         seen = max(1.0 - run.unobserved, 0.1)
         own += self.rules.uneven * (1.0 / (seen * seen) - 1.0)
-        self.columns[row.OWN, at] = own / square + max(misfit, 0.0)
+        self.columns[row.NOISE_VARIANCE, at] = own / square + max(misfit, 0.0)
         pose = run.pose_part[8]
         if self.rules.independent:  # no part of a plane, but of the scan
             pose = measure.pose_variance(leaf.normal, run.centroid, self.fusion.pose.sigma)
-        self.columns[row.OF_SCAN, at] = pose / square
-        self.columns[row.OF_MAP, at] = leaf.pose_part[8] / square
+        self.columns[row.SCAN_VARIANCE, at] = pose / square
+        self.columns[row.MAP_VARIANCE, at] = leaf.pose_part[8] / square
         self.columns[row.FIRST_TIME, at] = leaf.first_time
         self.columns[row.LAST_TIME, at] = leaf.last_time
         self.columns[row.PLACE_X, at] = leaf.x - self.fusion.pose.origin[0]
@@ -277,7 +285,7 @@ class ScanUpdate:
         self.columns[row.SLOPE_X, at] = -leaf.normal[0] / leaf.normal[2]
         self.columns[row.SLOPE_Y, at] = -leaf.normal[1] / leaf.normal[2]
         tilt = 0.5 * (leaf.pose_part[0] + leaf.pose_part[4])
-        self.columns[row.OF_SLOPE, at] = tilt / (square * square)
+        self.columns[row.SLOPE_VARIANCE, at] = tilt / (square * square)
 
     def lower(self, down: float) -> None:
         """Lower the scan by ``down``, m."""
