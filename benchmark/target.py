@@ -58,11 +58,8 @@ def main() -> None:
     parser.add_argument("--seeds", default="541-547", help="first-last; fields take turns")
     parser.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE", help="of lss")
     parser.add_argument("--drone", action="store_true", help="a drone's flights, with its preset")
-    parser.add_argument(
-        "--predicted",
-        action="store_true",
-        help="risks of the safest aims: predicted, at the end, true",
-    )
+    text = "risks of the safest aims: predicted, at the end, true"
+    parser.add_argument("--predicted", action="store_true", help=text)
     parser.add_argument("--bias", action="store_true", help="gains: predicted and true")
     options = parser.parse_args()
     changes = {
@@ -274,15 +271,7 @@ def _print_risks(risks: Array) -> None:
                 + [f"{v:.4f}" for v in (*some.mean(axis=0), *off)]
                 + [f"{off[1] / some[:, 0].mean():.2f}"]
             )
-    heads = [
-        "predicted risk",
-        "aims",
-        "predicted",
-        "at the end",
-        "true",
-        "end off by",
-        "truth off by",
-    ]
+    heads = ["risk", "aims", "predicted", "at the end", "true", "end off by", "truth off by"]
     table("the safest aims of 8 m squares", [*heads, "share"], rows)
 
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of sites, for notebooks and pandas."""
 
-import re
 import sys
 from types import SimpleNamespace
 
@@ -16,18 +15,6 @@ from quadtree_lss.onboard.config.settings import config_from_values
 @pytest.fixture(scope="module")
 def result(bag):
     return replay(bag, config=config_from_values(GROUND))
-
-
-def test_notebooks_show_rank_position_and_probability_of_each_site(result):
-    sites = result.assessment.sites
-    assert len(sites) > 1
-    for shown in (sites, result.assessment, result):
-        head, *rows = re.findall("<tr>(.*?)</tr>", shown._repr_html_())
-        assert re.findall("<th>(.*?)</th>", head)[:5] == ["rank", "x", "y", "z", "probability"]
-        values = np.array([re.findall("<td>(.*?)</td>", row)[:5] for row in rows], float)
-        np.testing.assert_array_equal(values[:, 0], np.arange(1, len(sites) + 1))
-        np.testing.assert_allclose(values[:, 1:4], sites.position, atol=0.006)
-        np.testing.assert_allclose(values[:, 4], sites.probability, atol=6e-5)
 
 
 def test_a_dataframe_has_rank_position_and_probability_of_each_site(result, monkeypatch):

@@ -76,9 +76,6 @@ class ReplayResult:
         folder = "" if self.out is None else f", in {self.out}"
         return f"<ReplayResult: {len(self.timings)} scans{state}{folder}; {self.assessment}>"
 
-    def _repr_html_(self) -> str:
-        return self.assessment._repr_html_()
-
     def as_dict(self) -> dict[str, Any]:
         columns = dict(vars(self.assessment.sites))
         rows = [{"rank": k + 1, "reason": text} for k, text in enumerate(columns.pop("reasons"))]

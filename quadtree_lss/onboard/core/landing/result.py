@@ -76,18 +76,6 @@ class Sites:
 
         return pandas.DataFrame(self.columns())
 
-    def _repr_html_(self) -> str:
-        """Return a table for notebooks."""
-        formats = {"x": ".2f", "y": ".2f", "z": ".2f", "probability": ".4f", "slope_deg": ".1f"}
-        formats |= {"hazard_distance": ".1f", "reason": ""}
-        columns = self.columns()
-        lines = [("th", ["rank", *formats])]
-        for k in range(len(self)):
-            values = [format(columns[name][k], form) for name, form in formats.items()]
-            lines.append(("td", [str(k + 1), *values]))
-        rows = ("".join(f"<{tag}>{text}</{tag}>" for text in texts) for tag, texts in lines)
-        return f"<table>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
-
     def __len__(self) -> int:
         return len(self.score)
 
@@ -226,10 +214,6 @@ class LandingAssessment:
     def __repr__(self) -> str:
         ny, nx = self.score.shape
         return f"<LandingAssessment: {nx} x {ny} grid points; {self.explanation}; {self.sites}>"
-
-    def _repr_html_(self) -> str:
-        """Return the explanation and the table of sites for notebooks."""
-        return f"<p>{self.explanation}</p>{self.sites._repr_html_()}"
 
     def _layer(self, compute: Callable[[GridSampler, PointAssessment], Array]) -> Array:
         out = np.full(self.score.shape, np.nan)

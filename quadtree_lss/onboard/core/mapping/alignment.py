@@ -177,14 +177,10 @@ def _agreeing_cells(
     smoothed: cython.double = SMOOTHED * length_unit * length_unit
     x = y = whole = 0.0
     for i in range(cells.shape[1]):
-        allowed = (
-            cells[row.NOISE_VARIANCE, i]
-            + cells[row.SCAN_VARIANCE, i]
-            + cells[row.MAP_VARIANCE, i]
-            + floor
-        )
+        own = cells[row.NOISE_VARIANCE, i]
+        allowed = own + cells[row.SCAN_VARIANCE, i] + cells[row.MAP_VARIANCE, i] + floor
         if cells[row.RISE, i] * cells[row.RISE, i] <= limit * allowed:
-            variance = cells[row.NOISE_VARIANCE, i] + smoothed
+            variance = own + smoothed
             w = 1.0 / variance
             whole += w
             x += w * cells[row.PLACE_X, i]
@@ -363,11 +359,10 @@ def rigid_motion(
     for j in range(9):
         total[j] = scan[j] + noise * inverse[j]
     for j in range(3):
-        map_variance = mapped if j == 0 else tilted + other * whole * inverse[4 * j]
-        apart = (
-            scan[4 * j] + map_variance - 2.0 * common * sqrt(max(scan[4 * j] * map_variance, 0.0))
-        )
-        total[4 * j] += max(scan[4 * j], max(map_variance, apart)) - scan[4 * j]
+        by_scan = scan[4 * j]
+        by_map = mapped if j == 0 else tilted + other * whole * inverse[4 * j]
+        apart = by_scan + by_map - 2.0 * common * sqrt(max(by_scan * by_map, 0.0))
+        total[4 * j] += max(by_scan, max(by_map, apart)) - by_scan
     total[0] += FLOOR * length_unit * length_unit
     height_noise = noise * inverse[0]
     inverse_symmetric(total, inverse)

@@ -492,10 +492,8 @@ class ScanUpdate:
         cython.declare(i=cython.Py_ssize_t)
         out = count = 0.0
         self._record_hits(begin, end)
-        points, residual = (
-            cython.address(self.points[begin, 0]),
-            cython.address(self.residual[begin]),
-        )
+        points = cython.address(self.points[begin, 0])
+        residual = cython.address(self.residual[begin])
         division.add_residuals(self.rules, leaf, run, points, residual, self.fusion.pose.origin)
         if run.max_residual <= run.raised_limit:
             set_states(self.table.seen, self.key, begin, end, leaves.EXPLAINED)
@@ -543,9 +541,7 @@ class ScanUpdate:
             self.ratios[1, self.noise_count] = run.points
             self.noise_count += 1
         self._update_residuals(leaf, begin, end, run)
-        points, residual = (
-            cython.address(self.points[begin, 0]),
-            cython.address(self.residual[begin]),
-        )
+        points = cython.address(self.points[begin, 0])
+        residual = cython.address(self.residual[begin])
         origin, side = self.fusion.pose.origin, self.table.sides[leaf.level]
         update_feature(self.rules, leaf, run, points, residual, origin, side, self.buffers.heights)
