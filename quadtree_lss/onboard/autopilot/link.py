@@ -101,10 +101,7 @@ class Link:
     """
 
     def __init__(
-        self,
-        connection: str,
-        clock: Callable[[], int],
-        now: Callable[[], float] = time.monotonic,
+        self, connection: str, clock: Callable[[], int], now: Callable[[], float] = time.monotonic
     ) -> None:
         self._connection = connection
         self._port = self._open()

@@ -105,7 +105,7 @@ class LandingSiteSelector:
         if not raster.observed.any():
             reason = Reason.WITHHELD if why_withheld else Reason.NOTHING_MAPPED
             return self._nothing(cells, reason, raster.unknown_bits)
-        contacts = None
+        contacts = None  # the paper's rules need none
         if self._contact_check is not None:
             heading = None if self._risk_table is not None else spread.heading
             contacts = self._contact_check.contacts(raster, raster.needs_contact, heading)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from math import isnan
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -60,21 +60,6 @@ class Sites:
 
     def __getitem__(self, rows: slice) -> Sites:
         return Sites(*(getattr(self, column.name)[rows] for column in fields(self)))
-
-    def columns(self) -> dict[str, Any]:
-        """Return the columns of ``sites.csv`` by name, and the ``reason`` of each site."""
-        positions = {axis: self.position[:, k] for k, axis in enumerate("xyz")}
-        normals = {f"n{axis}": self.normal[:, k] for k, axis in enumerate("xyz")}
-        names = "score slope_deg roughness hazard_distance subscale_height id probability".split()
-        values = {name: getattr(self, name) for name in names}
-        rank = np.arange(1, len(self) + 1)
-        return {"rank": rank, **positions, **normals, **values, "reason": list(self.reasons)}
-
-    def to_dataframe(self) -> Any:
-        """Return the columns as a ``pandas.DataFrame``; pandas must be installed."""
-        import pandas  # type: ignore[import-untyped]
-
-        return pandas.DataFrame(self.columns())
 
     def __len__(self) -> int:
         return len(self.score)

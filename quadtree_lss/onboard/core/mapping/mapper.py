@@ -19,7 +19,12 @@ from quadtree_lss.onboard.core.mapping.update import ScanUpdate
 from quadtree_lss.onboard.core.sensing.lidar import Pose
 from quadtree_lss.onboard.core.sensing.points import Workspace
 from quadtree_lss.onboard.core.sensing.pose_buffer import JUMP_NS
-from quadtree_lss.onboard.core.sensing.register import ABOVE, RegisteredScan, register
+from quadtree_lss.onboard.core.sensing.register import (
+    ABOVE,
+    CONTRADICTION,
+    RegisteredScan,
+    register,
+)
 from quadtree_lss.onboard.core.sensing.sweep import Sweep
 from quadtree_lss.onboard.core.tree import checkpoint
 from quadtree_lss.onboard.core.tree.cell_map import CellMap
@@ -142,7 +147,7 @@ class Mapper:
             points_lidar: (H, W, 3) organised or (N, 3) points in lidar axes (z boresight), m; rows
                 that are not finite are not returns.
             pose: Of the lidar at the scan's stamp.
-            sweep: RigidMotion of the lidar during the scan, None for an instantaneous one.
+            sweep: Motion of the lidar during the scan, None for an instantaneous one.
 
         Raises:
             TypeError: The pose is not a `Pose`.
@@ -163,20 +168,20 @@ class Mapper:
         if used:
             now = 1e-9 * (pose.stamp_ns - (self._start_ns or pose.stamp_ns))
             # Fit the touched leaves, and decide by their height and tilt over the map.
-            change, cells, verdict = self._compare_and_decide(scan, now)
+            scan_update, cells, verdict = self._compare_and_decide(scan, now)
             if verdict is Verdict.REJECTED:
-                dropped["contradiction"], used, offset = used, 0, self._rejected.height
+                dropped[CONTRADICTION] = used
+                used, offset = 0, self._rejected.height
             else:
                 if not self.stamp_ns - JUMP_NS <= pose.stamp_ns <= self.stamp_ns:
                     self.stamp_ns = pose.stamp_ns
                 self._start_ns = self._start_ns or pose.stamp_ns
                 if not self.config.mapping.by_paper("covariance"):
-                    offset = self._align(change, cells, now)
-                change.is_new = self._is_new_view(pose, points_lidar)
+                    offset = self._align(scan_update, cells, now)
                 # Fuse the fits; divide leaves where the plane does not suffice.
-                change.update_leaves()
-                self._update_noise_ratio(change.ratio)
-                divisions, refused = change.divisions, change.refused
+                ratio = scan_update.update_leaves(self._is_new_view(pose, points_lidar))
+                self._update_noise_ratio(ratio)
+                divisions, refused = scan_update.divisions, scan_update.refused
         if verdict is not Verdict.REJECTED and ABOVE not in dropped:
             self._held.scans += 1
             if scan.isolated is not None and verdict is Verdict.ACCEPTED:
@@ -201,11 +206,13 @@ class Mapper:
 
     def _is_new_view(self, pose: Pose, points_lidar: Points) -> bool:
         """Return whether a scan adds coverage, and if so remember its pose and beams."""
-        beams, time = update.sampled_beams(points_lidar), self._correlation_time
+        beams, correlation_time = update.sampled_beams(points_lidar), self._correlation_time
         if self._view is not None:
             elapsed = 1e-9 * abs(pose.stamp_ns - self._view[0].stamp_ns)
             # Share of the variance of pose errors that is new since the last view.
-            independent = 1.0 if time <= 0.0 else -math.expm1(-elapsed / time)
+            independent = 1.0
+            if correlation_time > 0.0:
+                independent = -math.expm1(-elapsed / correlation_time)
             if not update.is_new_view(pose, beams, *self._view, independent):
                 return False
         self._view = pose, beams
@@ -215,9 +222,11 @@ class Mapper:
         """Move the square towards the followed point."""
         if self.config.domain.follow == "none":
             return
-        at = self._area if self.config.domain.follow == "area" else pose.position[:2].tolist()
-        if at is not None:
-            east, north = self.domain.steps_to(*at)
+        followed = pose.position[:2].tolist()
+        if self.config.domain.follow == "area":
+            followed = self._area
+        if followed is not None:
+            east, north = self.domain.steps_to(*followed)
             if east or north:
                 self.leaves.follow(east, north)
                 cells = 1 << (self.domain.max_level - self.domain.min_level)
@@ -229,12 +238,16 @@ class Mapper:
         """Fit a scan to the leaves and accept or reject it. If it overrules the map, lift or clear
         the map and fit again; if it is tilted, level it and fit again. Return also the comparable
         cells (`ScanUpdate.fit`)."""
-        change, cells, motion = self._compare(scan, now)
+        scan_update, cells, motion = self._compare(scan, now)
         if motion is not None:
             self._record_offset(cells, motion)
         inconsistent, tested_cells = alignment.is_inconsistent(motion), cells
-        if not inconsistent and change.is_comparable and cells.shape[1] <= alignment.NARROW_CELLS:
-            tested_cells = change.fit_finest()
+        if (
+            not inconsistent
+            and scan_update.is_comparable
+            and cells.shape[1] <= alignment.NARROW_CELLS
+        ):
+            tested_cells = scan_update.fit_finest()
             inconsistent = alignment.is_inconsistent_narrow(tested_cells, self._length_unit)
         verdict = self._rejected.decide(tested_cells, inconsistent)
         if verdict is Verdict.OVERRULES:
@@ -246,21 +259,21 @@ class Mapper:
             else:
                 alignment.lift_map(self.leaves, height, -np.inf)
             self._held = HeldReturns(self.domain)
-            change, cells, _ = self._compare(scan, now)
+            scan_update, cells, _ = self._compare(scan, now)
             self._recent_offsets.clear()
         elif verdict is Verdict.ACCEPTED and motion and motion.sigmas > alignment.JUMP_SIGMAS:
             alignment.remove_tilt(scan.points, motion)
-            change, cells, _ = self._compare(scan, now)
-        return change, cells, verdict
+            scan_update, cells, _ = self._compare(scan, now)
+        return scan_update, cells, verdict
 
     def _compare(
         self, scan: RegisteredScan, now: float
     ) -> tuple[ScanUpdate, Array, RigidMotion | None]:
         """Fit a scan to the leaves; return the update, the comparable cells and their motion."""
-        change = ScanUpdate(self.leaves, self._rules, scan, now, self._buffers)
-        cells = change.fit()
-        motion = self._rigid_motion(cells, scan, now) if change.is_comparable else None
-        return change, cells, motion
+        scan_update = ScanUpdate(self.leaves, self._rules, scan, now, self._buffers)
+        cells = scan_update.fit()
+        motion = self._rigid_motion(cells, scan, now) if scan_update.is_comparable else None
+        return scan_update, cells, motion
 
     def _rigid_motion(self, cells: Array, scan: RegisteredScan, now: float) -> RigidMotion | None:
         return alignment.rigid_motion(
@@ -277,7 +290,7 @@ class Mapper:
         floor = alignment.FLOOR * self._length_unit**2
         self._recent_offsets.append((height**2, claimed + mapped, noise + floor))
 
-    def _align(self, change: ScanUpdate, cells: Array, now: float) -> float:
+    def _align(self, scan_update: ScanUpdate, cells: Array, now: float) -> float:
         """Remove the height offset between scan and map; return it, m."""
         cells[update.RISE] -= self._pending_offset
         offset: alignment.Offset | None = alignment.height_offset(
@@ -293,7 +306,7 @@ class Mapper:
             self._held.lifted += self._pending_offset
             self._pending_offset = 0.0
         self._last_offset = (offset.height - map_part + self._pending_offset, offset.variance)
-        change.lower(scan_part + self._pending_offset)
+        scan_update.lower(scan_part + self._pending_offset)
         return offset.height
 
     def unexplained_offset(self) -> tuple[float, float] | None:
@@ -334,7 +347,7 @@ class Mapper:
         )
 
     def _arrays(self) -> State:
-        """Arrays of the state whose shape does not change, not copies."""
+        """Arrays of the state whose shape does not scan_update, not copies."""
         return {
             "observed": self.leaves.observed,
             "piled": self.leaves.piled,

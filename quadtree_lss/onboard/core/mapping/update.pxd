@@ -34,9 +34,7 @@ cdef class ScanUpdate:
     cdef Run[::1] runs
     cdef Py_ssize_t[::1] rows
     cdef Py_ssize_t[::1] begins
-    cdef public bint is_new
-    cdef readonly object ratio
-    cdef double[:, ::1] ratios
+    cdef bint is_new
     cdef readonly Py_ssize_t cells
     cdef Py_ssize_t noise_count
     cdef readonly Py_ssize_t divisions

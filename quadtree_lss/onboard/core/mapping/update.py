@@ -109,8 +109,8 @@ def is_new_view(
 
 class ScanBuffers:
     """Memory of a scan's points and cells, reused by the next scan (allocation took 5 % of a scan):
-    first point and row of each cell, residual of each point, m, ``ratio`` of `ScanUpdate`, work
-    space of `features.update_feature`, and a `RUN` for each cell."""
+    first point and row of each cell, residual of each point, m, result of
+    `ScanUpdate.update_leaves`, work space of `features.update_feature`, a `RUN` for each cell."""
 
     def __init__(self) -> None:
         self.points = self.cells = -1
@@ -136,12 +136,9 @@ class ScanUpdate:
     """Update of a leaf table by one scan: `fit`, `lower` if it is aligned, then `update_leaves`.
 
     Attributes:
-        is_new: Whether it is a new view, which adds coverage.
         is_comparable: Whether at least `COMPARABLE_SHARE` of the points in estimated leaves lie in
             those that `fit` compares.
         divisions, refused: Number of divisions, and of divisions beyond ``max_cells``.
-        ratio: (2, R) for the cells with an estimate of the range noise: observed over configured
-            standard deviation, and points. Valid until the next scan.
     """
 
     def __init__(
@@ -156,7 +153,6 @@ class ScanUpdate:
         self.buffers = buffers
         self.buffers.reserve_points(count)
         self.residual = self.buffers.residual
-        self.is_new = True
         self.divisions = self.refused = self.noise_count = 0
         self._find_runs()
 
@@ -292,11 +288,14 @@ class ScanUpdate:
         self.fusion.pose.origin[2] -= down
         self.fusion.aligned = True
 
-    def update_leaves(self) -> None:
-        """Fuse the fits, divide where a plane does not suffice, update residual statistics."""
+    def update_leaves(self, is_new: cython.bint) -> Array:
+        """Fuse the fits, divide where a plane does not suffice, update residual statistics.
+        ``is_new``: it is a new view, which adds coverage. Return (2, R) for the cells with an
+        estimate of the range noise, valid until the next scan: observed over configured standard
+        deviation, and points."""
         cython.declare(i=cython.Py_ssize_t, begin=cython.Py_ssize_t, end=cython.Py_ssize_t)
         cython.declare(levels=cython.Py_ssize_t)
-        self.ratios = self.buffers.ratio
+        self.is_new = is_new
         with cython.nogil:
             for i in range(self.cells):
                 self.table.prefetch_leaf(self.rows[min(i + 4, self.cells - 1)])
@@ -312,7 +311,7 @@ class ScanUpdate:
                         with cython.gil:
                             self.table.reserve(levels)
                 self._update_leaf(self.rows[i], begin, end, run, False)
-        self.ratio = np.asarray(self.ratios)[:, : self.noise_count]
+        return np.asarray(self.buffers.ratio)[:, : self.noise_count]
 
     def _assume_level(self, leaf: Record) -> None:
         """Start with level ground in a leaf without any information."""
@@ -537,8 +536,8 @@ class ScanUpdate:
     ) -> None:
         """Update the residual statistics and the feature of a leaf."""
         if run.points >= NOISE_POINTS and leaf.normal[2] >= MIN_NORMAL_Z:
-            self.ratios[0, self.noise_count] = sqrt(run.square / run.variance)
-            self.ratios[1, self.noise_count] = run.points
+            self.buffers.ratio[0, self.noise_count] = sqrt(run.square / run.variance)
+            self.buffers.ratio[1, self.noise_count] = run.points
             self.noise_count += 1
         self._update_residuals(leaf, begin, end, run)
         points = cython.address(self.points[begin, 0])
