@@ -260,16 +260,11 @@ def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
     B^T S B - (n^T S n) I, or the B^T S B of Eq. 33 where that is not positive definite.
     """
     basis = cython.declare(cython.double[6])
-    first = cython.declare(cython.double[3])
-    second = cython.declare(cython.double[3])
     step = cython.declare(cython.double[2])
-    turned = cython.declare(cython.double[3])
-    cython.declare(i=cython.int, k=cython.int)
+    first = cython.declare(cython.p_double, cython.address(basis[0]))
+    second = cython.declare(cython.p_double, cython.address(basis[3]))
     for _ in range(4):
         basis_at(normal, basis)
-        for k in range(3):
-            first[k] = basis[k]
-            second[k] = basis[3 + k]
         cost = _quadratic(scatter, normal, normal)
         g0 = _quadratic(scatter, first, normal)
         g1 = _quadratic(scatter, second, normal)
@@ -285,9 +280,7 @@ def orthogonal_normal(scatter: Vector, normal: Vector) -> None:
         short = min(1.0, 0.5 / max(sqrt(step[0] * step[0] + step[1] * step[1]), 1e-300))
         step[0] *= short
         step[1] *= short
-        plus_at(normal, basis, step, turned)
-        for i in range(3):
-            normal[i] = turned[i]
+        plus_at(normal, basis, step, normal)
         orient_up(normal)
 
 

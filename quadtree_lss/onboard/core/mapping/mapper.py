@@ -242,11 +242,8 @@ class Mapper:
         if motion is not None:
             self._record_offset(cells, motion)
         inconsistent, tested_cells = alignment.is_inconsistent(motion), cells
-        if (
-            not inconsistent
-            and scan_update.is_comparable
-            and cells.shape[1] <= alignment.NARROW_CELLS
-        ):
+        is_narrow = scan_update.is_comparable and cells.shape[1] <= alignment.NARROW_CELLS
+        if is_narrow and not inconsistent:
             tested_cells = scan_update.fit_finest()
             inconsistent = alignment.is_inconsistent_narrow(tested_cells, self._length_unit)
         verdict = self._rejected.decide(tested_cells, inconsistent)
@@ -276,9 +273,10 @@ class Mapper:
         return scan_update, cells, motion
 
     def _rigid_motion(self, cells: Array, scan: RegisteredScan, now: float) -> RigidMotion | None:
-        return alignment.rigid_motion(
+        motion: RigidMotion | None = alignment.rigid_motion(
             cells, scan.pose.covariance, now, self._correlation_time, self._length_unit
         )
+        return motion
 
     def _record_offset(self, cells: Array, motion: RigidMotion) -> None:
         """Record the height of a scan over the map, accepted or not, for `unexplained_offset`."""

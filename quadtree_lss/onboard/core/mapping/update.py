@@ -408,12 +408,10 @@ class ScanUpdate:
             self._raise_states(begin, end, leaves.OBSERVED)
             return
         if not fresh:
-            moved = fabs(leaf.normal[0] / leaf.normal[2] - x / up)
-            moved += fabs(leaf.normal[1] / leaf.normal[2] - y / up)
+            turn_x = x / up - leaf.normal[0] / leaf.normal[2]
+            turn_y = y / up - leaf.normal[1] / leaf.normal[2]
             most = MOVED_SHARE * division.unexplained_distance(self.rules, leaf, run.variance)
-            if fabs(leaf.z - z) + 0.5 * side * moved > most:
-                turn_x = x / up - leaf.normal[0] / leaf.normal[2]
-                turn_y = y / up - leaf.normal[1] / leaf.normal[2]
+            if fabs(leaf.z - z) + 0.5 * side * (fabs(turn_x) + fabs(turn_y)) > most:
                 if not self.table.unmark_moved(leaf, leaf.z - z, turn_x, turn_y, most):
                     leaf.low, leaf.high = INFINITY, -INFINITY
         if leaf.state != leaves.ESTIMATED:
