@@ -28,7 +28,7 @@ SMALL = {
         ["predicted risk in %", "Brier", "lss.max_risk"],
     ),
     "drone": (["--seeds", "201-202"], ["2 flights", "max_risk"]),
-    "scarce": (["--seeds", "97000"], ["1 flights", "with 1 m of room"]),
+    "scarce": (["--seeds", "97000"], ["1 flights", "with 1 m of clearance"]),
     "partly_seen": (
         ["--quick", "--seeds", "201"],
         ["edge: rock", "footprints: 1 degree", "inside: 180", "drops of"],

@@ -78,8 +78,8 @@ class Candidates:
         if self.unsafe is not None and self.clearance is not None:
             risk = float(self.unsafe.flat[first])
             equals = np.flatnonzero(left <= left[first] + equal_up_to(risk) - risk)
-            room = self.clearance.ravel()[equals]
-            clearest = equals[room == room.max()]
+            clearance = self.clearance.ravel()[equals]
+            clearest = equals[clearance == clearance.max()]
             first = int(clearest[np.argmin(left[clearest])])
         row, column = divmod(first, cost.shape[1])
         return row, column
