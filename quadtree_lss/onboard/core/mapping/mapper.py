@@ -1,5 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mapping of scans into the quadtree (paper IV)."""
+"""Mapping of scans into the quadtree (paper IV), in six steps:
+
+1. ``register``: points and pose -> points about the lidar, ordered by finest cell; drops by reason
+2. ``ScanUpdate``: points -> a run of points for each touched leaf
+3. ``ScanUpdate.fit``: runs -> planes, and their heights over the map
+4. ``alignment``: heights -> the scan is accepted, rejected, or overrules the map; height offset
+5. ``ScanUpdate.update_leaves``: planes -> fused leaves, divided where a plane does not suffice
+6. ``ScanReport``: what happened to the scan
+"""
 
 from __future__ import annotations
 
@@ -159,7 +167,6 @@ class Mapper:
         if pose.stamp_ns < self.stamp_ns - JUMP_NS:
             self._held = HeldReturns(self.domain)
         lidar = self.config.lidar
-        # Register the points and order them by their finest cells.
         scan, dropped = register(
             points_lidar, pose, lidar, self.domain, sweep, self._held, self._workspace
         )
@@ -167,7 +174,6 @@ class Mapper:
         divisions = refused = 0
         if used:
             now = 1e-9 * (pose.stamp_ns - (self._start_ns or pose.stamp_ns))
-            # Fit the touched leaves, and decide by their height and tilt over the map.
             scan_update, cells, verdict = self._compare_and_decide(scan, now)
             if verdict is Verdict.REJECTED:
                 dropped[CONTRADICTION] = used
@@ -178,10 +184,10 @@ class Mapper:
                 self._start_ns = self._start_ns or pose.stamp_ns
                 if not self.config.mapping.by_paper("covariance"):
                     offset = self._align(scan_update, cells, now)
-                # Fuse the fits; divide leaves where the plane does not suffice.
                 ratio = scan_update.update_leaves(self._is_new_view(pose, points_lidar))
                 self._update_noise_ratio(ratio)
                 divisions, refused = scan_update.divisions, scan_update.refused
+        # Isolated returns wait until other scans show them, unless the pose may be wrong.
         if verdict is not Verdict.REJECTED and ABOVE not in dropped:
             self._held.scans += 1
             if scan.isolated is not None and verdict is Verdict.ACCEPTED:
